@@ -1,0 +1,1 @@
+"""Networks and PPO: pure functions of tensors, which know images and action counts, not games."""

@@ -1,0 +1,144 @@
+"""The batch loops, written once; `compiled.py` binds them to a game.
+
+Each runs over the environments [low, high), so that threads can share a batch; what happens in
+an environment depends on its own record alone, never on how the batch is cut.
+"""
+
+import numpy as np
+
+from astray.kernel.jit import kernel
+from astray.kernel.rng import mix_two, seed_twister, share
+
+SHIFT = 0x5817F7  # salt of the hash that decides which levels come from the shifted distribution
+NO_LEVEL = -1
+NEXT_STEP, SAME_STEP, DISABLED = 0, 1, 2
+
+
+# Bound to a game's functions of the same names.
+def generate(s, p) -> None:
+    raise NotImplementedError
+
+
+def step(s, action) -> tuple[float, bool]:
+    raise NotImplementedError
+
+
+def paint(s, art, scene) -> None:
+    raise NotImplementedError
+
+
+def draw(s, art, scene, image) -> None:
+    raise NotImplementedError
+
+
+def paint_planes(s, scene) -> None:
+    raise NotImplementedError
+
+
+def draw_planes(s, scene, planes) -> None:
+    raise NotImplementedError
+
+
+# Bound to the function below it, once that is bound to a game.
+def begin_one(s, params, art, symbolic, scene, level) -> None:
+    raise NotImplementedError
+
+
+def observe_one(s, art, symbolic, scene, observation) -> None:
+    raise NotImplementedError
+
+
+def begin(s, params, art, symbolic, scene, level):
+    """Begin an episode in level number `level` and paint what will not move in it."""
+    s.level = level
+    s.shifted = share(level, SHIFT) < params[0].shift_probability
+    p = params[1] if s.shifted else params[0]
+    s.time, s.time_limit = 0, p.time_limit
+    seed_twister(s, level)
+    generate(s, p)
+    if symbolic:
+        paint_planes(s, scene)
+    else:
+        paint(s, art, scene)
+
+
+def observe(s, art, symbolic, scene, observation):
+    """Write what the agent sees of `s`."""
+    if symbolic:
+        draw_planes(s, scene, observation)
+    else:
+        draw(s, art, scene, observation)
+
+
+@kernel
+def next_level(s, i, n, levels, first, count):
+    """The number of the next level of environment `i` of `n`.
+
+    levels  a list to walk: environment i takes every n-th from the i-th on, and then again.
+            Empty: a hash of seed and turn picks from [first, first + count)
+    """
+    turn = s.turn
+    s.turn = turn + 1
+    if levels.size:
+        return levels[(i + turn * n) % levels.size]
+    return first + np.int64(mix_two(s.seed, turn) % np.uint64(count))
+
+
+def reset_all(
+    states, params, art, symbolic, scenes, levels, first, count,
+    which, chosen, observations, low, high,
+):  # fmt: skip
+    """Begin an episode in every environment of `which`; observe all.
+
+    chosen  [N] int64, the number of the level to begin; NO_LEVEL: the next one
+    """
+    n = states.shape[0]
+    for i in range(low, high):
+        s = states[i]
+        if which[i]:
+            level = chosen[i]
+            if level == NO_LEVEL:
+                level = next_level(s, i, n, levels, first, count)
+            begin_one(s, params, art, symbolic, scenes[i], level)
+        observe_one(s, art, symbolic, scenes[i], observations[i])
+
+
+def step_all(
+    states, params, art, symbolic, scenes, levels, first, count,
+    mode, actions, ended, observations, final_states, final_observations,
+    reward, terminated, truncated, low, high,
+):  # fmt: skip
+    """Step every environment, and begin anew those that ended, as `mode` says.
+
+    ended  [N] bool, which episodes ended in the step before; those that do in this one, after
+    final_states, final_observations  [N, ...], written where an episode ended, in SAME_STEP
+    """
+    n = states.shape[0]
+    for i in range(low, high):
+        s = states[i]
+        reward[i], terminated[i], truncated[i] = 0.0, False, False
+        if ended[i] and mode == NEXT_STEP:
+            level = next_level(s, i, n, levels, first, count)
+            begin_one(s, params, art, symbolic, scenes[i], level)
+            ended[i] = False
+        else:
+            s.time += 1
+            reward[i], terminated[i] = step(s, actions[i])
+            truncated[i] = s.time >= s.time_limit and not terminated[i]
+            ended[i] = terminated[i] or truncated[i]
+            if ended[i] and mode == SAME_STEP:
+                final_states[i] = s
+                observe_one(s, art, symbolic, scenes[i], final_observations[i])
+                level = next_level(s, i, n, levels, first, count)
+                begin_one(s, params, art, symbolic, scenes[i], level)
+        observe_one(s, art, symbolic, scenes[i], observations[i])
+
+
+def repaint_all(states, art, symbolic, scenes, observations, low, high):
+    """Observe states that were set from outside."""
+    for i in range(low, high):
+        if symbolic:
+            paint_planes(states[i], scenes[i])
+        else:
+            paint(states[i], art, scenes[i])
+        observe_one(states[i], art, symbolic, scenes[i], observations[i])

@@ -1,0 +1,47 @@
+"""One environment on its own: a vector of one."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import gymnasium
+import numpy as np
+
+from astray.envs.vector import GameVectorEnv, Info
+from astray.game import Variant
+
+
+class GameEnv(gymnasium.Env[np.ndarray, np.int64]):
+    """One environment of a game; arguments as in `GameVectorEnv`."""
+
+    metadata = {"render_modes": ["rgb_array"], "render_fps": 15}  # noqa: RUF012
+
+    def __init__(self, game: str, variant: str | Variant, **options: Any):
+        self.vector = GameVectorEnv(game, variant, 1, autoreset_mode="Disabled", **options)
+        self.observation_space = self.vector.single_observation_space
+        self.action_space = self.vector.single_action_space
+        self.render_mode = self.vector.render_mode
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[np.ndarray, Info]:
+        super().reset(seed=seed)
+        observations, info = self.vector.reset(seed=seed, options=options)
+        return observations[0], _scalars(info)
+
+    def step(self, action: np.int64) -> tuple[np.ndarray, float, bool, bool, Info]:
+        observations, reward, terminated, truncated, info = self.vector.step(np.array([action]))
+        return (
+            observations[0], float(reward[0]), bool(terminated[0]), bool(truncated[0]), _scalars(info),
+        )  # fmt: skip
+
+    def render(self) -> np.ndarray | None:
+        frames = self.vector.render()
+        return frames[0] if frames else None
+
+    def close(self) -> None:
+        self.vector.close()
+
+
+def _scalars(info: Info) -> Info:
+    return {name: column[0].item() for name, column in info.items() if not name.startswith("_")}

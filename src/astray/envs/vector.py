@@ -1,0 +1,269 @@
+"""The games as Gymnasium vector environments."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, Literal
+
+import numpy as np
+from gymnasium import spaces
+from gymnasium.vector import AutoresetMode, VectorEnv
+from gymnasium.vector.utils import batch_space
+
+from astray import games
+from astray.envs.compiled import compiled
+from astray.envs.loops import DISABLED, NEXT_STEP, NO_LEVEL, SAME_STEP
+from astray.envs.pool import Pool
+from astray.game import Variant
+
+IMAGE = 64  # pixels a side of what the agent sees
+PICTURE = 512  # pixels a side of what people see
+LEVELS = range(2**31 - 1)  # all there are; numbers outside have no original
+MODES = {
+    AutoresetMode.NEXT_STEP: NEXT_STEP,
+    AutoresetMode.SAME_STEP: SAME_STEP,
+    AutoresetMode.DISABLED: DISABLED,
+}
+Info = dict[str, Any]
+
+
+class GameVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
+    """`num_envs` environments of one game, stepped together.
+
+    game, variant  names, or a variant of your own
+    observation    "image": [64, 64, 3] uint8, or "symbolic": [C, H, W] uint8 planes
+    levels         a range of numbers to draw from with replacement, or a list to walk:
+                   environment i takes every num_envs-th from the i-th on, and then again
+    autoreset_mode what happens after the end of an episode (Gymnasium's AutoresetMode)
+    threads        that share the batch; what comes out does not depend on them
+
+    Observations are fresh arrays. `info` has the level's number at the beginning of each
+    episode, and every event (the step it first happened, -1 for never) at its end. `states`
+    is the record of each environment, live: reading is free, writing is for `set_states`.
+    """
+
+    def __init__(
+        self,
+        game: str,
+        variant: str | Variant,
+        num_envs: int = 1,
+        *,
+        observation: Literal["image", "symbolic"] = "image",
+        levels: range | Sequence[int] | np.ndarray = LEVELS,
+        autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
+        threads: int = 1,
+        render_mode: str | None = None,
+    ):
+        self.game = games.load(game)
+        self.variant = self.game.variant(variant) if isinstance(variant, str) else variant
+        if num_envs < 1 or threads < 1:
+            raise ValueError(f"num_envs is {num_envs}, threads {threads}; both are at least 1")
+        if observation not in ("image", "symbolic"):
+            raise ValueError(f"unknown observation {observation!r}; there are: image, symbolic")
+        if render_mode not in (None, "rgb_array"):
+            raise ValueError(f"unknown render_mode {render_mode!r}; there are: None, rgb_array")
+        self.num_envs, self.render_mode, self.observation = num_envs, render_mode, observation
+        self.symbolic = observation == "symbolic"
+        mode = AutoresetMode(autoreset_mode)
+        self._mode = MODES[mode]
+        self.metadata = {"render_modes": ["rgb_array"], "autoreset_mode": mode, "render_fps": 15}
+
+        if self.symbolic:
+            largest = self.game.planes(self.variant)
+            self.single_observation_space = spaces.Box(
+                np.zeros_like(largest), largest, dtype=np.uint8
+            )
+            scene = self.game.planes_scene_shape(self.variant)
+            self._art = self.game.art(self.variant, 1)
+        else:
+            self.single_observation_space = spaces.Box(0, 255, (IMAGE, IMAGE, 3), np.uint8)
+            scene = self.game.scene_shape(self.variant, IMAGE)
+            self._art = self.game.art(self.variant, IMAGE)
+        self.single_action_space = spaces.Discrete(len(self.game.actions))
+        self.observation_space = batch_space(self.single_observation_space, num_envs)
+        self.action_space = batch_space(self.single_action_space, num_envs)
+        self._shape = (num_envs, *self.single_observation_space.shape)
+
+        self._loops = compiled(game)
+        self._pool = Pool(threads) if threads > 1 else None
+        self.states = np.zeros(num_envs, self.game.state).view(np.recarray)
+        self._ended = np.zeros(num_envs, bool)
+        kept = num_envs if self._mode == SAME_STEP else 0  # ends that a new beginning overwrites
+        self._final_states = np.empty(kept, self.game.state).view(np.recarray)
+        self._final = np.empty((kept, *self._shape[1:]), np.uint8)
+        self._seeded = False
+        self.levels = levels
+        self._first, self._count, self._list = _checked(levels)
+        self._scenes = np.zeros((num_envs, *scene), np.uint8)
+        self._scene = (
+            self.variant.records(), self._art, self.symbolic, self._scenes,
+            self._list, self._first, self._count,
+        )  # fmt: skip
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[np.ndarray, Info]:
+        """Begin new episodes; environment i of a batch seeded with k draws levels as k + i does.
+
+        options["level"]       a number, or one for each environment: the level to begin
+        options["reset_mask"]  [N] bool, the environments to reset; the others go on
+        """
+        super().reset(seed=seed)
+        options = options or {}
+        which = np.ones(self.num_envs, bool)
+        if "reset_mask" in options:
+            which = np.array(options["reset_mask"], bool)
+            if which.shape != (self.num_envs,):
+                raise ValueError(f"reset_mask has shape {which.shape}, not ({self.num_envs},)")
+        chosen = np.full(self.num_envs, NO_LEVEL)
+        if options.get("level") is not None:
+            chosen[:] = options["level"]
+            wrong = chosen[which & ((chosen < LEVELS.start) | (chosen >= LEVELS.stop))]
+            if wrong.size:
+                raise ValueError(f"level is {wrong[0]}; it is from 0 to {LEVELS.stop - 1}")
+        if seed is None and not self._seeded:
+            seed = int(self.np_random.integers(2**62))
+        if seed is not None:
+            self.states["seed"] = np.arange(self.num_envs, dtype=np.uint64) + np.uint64(seed)
+            self.states["turn"] = 0
+            self._seeded = True
+        observations = np.empty(self._shape, np.uint8)
+        self._run(self._loops.reset, *self._scene, which, chosen, observations)
+        self._ended &= ~which
+        return observations, self._begun(which)
+
+    def step(
+        self, actions: np.ndarray, out: np.ndarray | None = None
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, Info]:
+        """Advance every environment by one step.
+
+        out  [N, ...] uint8, contiguous: where to write the observations; None: a new array
+        """
+        n, largest = self.num_envs, len(self.game.actions)
+        actions = np.ascontiguousarray(actions, np.int64)
+        if actions.shape != (n,) or actions.min() < 0 or actions.max() >= largest:
+            raise ValueError(f"actions are {n} integers from 0 to {largest - 1}; given {actions}")
+        if not self._seeded:
+            raise RuntimeError("the environment must be reset before it is stepped")
+        if self._mode == DISABLED and self._ended.any():
+            raise RuntimeError("an episode has ended; reset(options={'reset_mask': ...}) first")
+        observations = np.empty(self._shape, np.uint8) if out is None else out
+        begun = self._ended.copy() if self._mode == NEXT_STEP else self._ended
+        same = self._mode == SAME_STEP
+        reward, terminated, truncated = np.empty(n), np.empty(n, bool), np.empty(n, bool)
+        self._run(
+            self._loops.step, *self._scene, self._mode, actions, self._ended,
+            observations, self._final_states, self._final, reward, terminated, truncated,
+        )  # fmt: skip
+
+        info: Info = {}
+        if same and self._ended.any():
+            info = self._begun(self._ended) | {
+                "final_obs": _objects(self._final, self._ended),
+                "_final_obs": self._ended.copy(),
+                "final_info": self._events(self._final_states, self._ended),
+                "_final_info": self._ended.copy(),
+            }
+        elif not same:
+            if self._mode == NEXT_STEP and begun.any():
+                info = self._begun(begun)
+            if self._ended.any():
+                info = _merge(info, self._events(self.states, self._ended))
+        return observations, reward, terminated, truncated, info
+
+    def set_states(self, states: np.ndarray) -> np.ndarray:
+        """Go on from `states` [N], as read from `states` before; returns their observations."""
+        if states.shape != (self.num_envs,) or states.dtype != self.game.state:
+            raise ValueError(
+                f"given {states.dtype.names and len(states.dtype.names)} fields of shape "
+                f"{states.shape}; {self.num_envs} states of {self.game.name} are needed"
+            )
+        self.states[:] = states
+        self._seeded = True
+        observations = np.empty(self._shape, np.uint8)
+        self._run(self._loops.repaint, self._art, self.symbolic, self._scenes, observations)
+        return observations
+
+    def render(self) -> tuple[np.ndarray, ...] | None:
+        """Pictures for people, [512, 512, 3] each, with render_mode "rgb_array"."""
+        return tuple(self.picture(PICTURE)) if self.render_mode == "rgb_array" else None
+
+    def picture(self, pixels: int) -> np.ndarray:
+        """Every state at any scale, [N, pixels, pixels, 3] uint8."""
+        return picture(self.game.name, self.variant, self.states, pixels)
+
+    def close_extras(self, **kwargs: Any) -> None:
+        if self._pool:
+            self._pool.close()
+
+    def _run(self, loop: Any, *arguments: Any) -> None:
+        if self._pool:
+            self._pool.run(loop, (self.states, *arguments), self.num_envs)
+        else:
+            loop(self.states, *arguments, 0, self.num_envs)
+
+    def _begun(self, which: np.ndarray) -> Info:
+        return _columns(self.states, ("level", "shifted"), which)
+
+    def _events(self, states: np.ndarray, which: np.ndarray) -> Info:
+        return _columns(states, ("level", "shifted", "time", *self.game.events), which)
+
+
+def picture(game: str, variant: Variant, states: np.ndarray, pixels: int) -> np.ndarray:
+    """`states` [N] of `game` as the agent would see them at any scale, [N, pixels, pixels, 3]."""
+    made = games.load(game)
+    scene = np.empty((1, *made.scene_shape(variant, pixels)), np.uint8)
+    images = np.empty((len(states), pixels, pixels, 3), np.uint8)
+    sprites = made.art(variant, pixels)
+    for k in range(len(states)):
+        one = states[k : k + 1].view(np.recarray)
+        compiled(game).repaint(one, sprites, False, scene, images[k : k + 1], 0, 1)
+    return images
+
+
+def _checked(levels: Any) -> tuple[int, int, np.ndarray]:
+    """First and count of a range, or the list as an array; its numbers checked."""
+    walk = levels if not isinstance(levels, range) or levels.step != 1 else ()
+    numbers = np.array(walk, np.int64).reshape(-1)
+    first, count = (
+        (0, 1)
+        if numbers.size
+        else (levels.start, len(levels))
+        if isinstance(levels, range)
+        else (0, 0)
+    )
+    ends = (numbers.min(), numbers.max()) if numbers.size else (first, first + count - 1)
+    if count < 1 or ends[0] < LEVELS.start or ends[1] >= LEVELS.stop:
+        raise ValueError(
+            f"levels are {levels}; they are numbers from 0 to {LEVELS.stop - 1}, at least one"
+        )
+    return first, count, numbers
+
+
+def _columns(states: np.ndarray, names: Sequence[str], which: np.ndarray) -> Info:
+    """Gymnasium's vector info: an array for each name, 0 where not in `which`, and its mask."""
+    info: Info = {}
+    for name in names:
+        column = states[name]
+        info[name] = np.where(which, column, np.zeros((), column.dtype))
+        info[f"_{name}"] = which.copy()
+    return info
+
+
+def _merge(one: Info, two: Info) -> Info:
+    """Two vector infos about different environments, as one."""
+    if not one:
+        return two
+    merged = dict(two)
+    for name in (n for n in one if not n.startswith("_")):
+        merged[name] = np.where(one[f"_{name}"], one[name], two[name])
+        merged[f"_{name}"] = one[f"_{name}"] | two[f"_{name}"]
+    return merged
+
+
+def _objects(rows: np.ndarray, which: np.ndarray) -> np.ndarray:
+    """An object array [N] of the rows in `which`, None elsewhere."""
+    result = np.full(len(rows), None, object)
+    for i in np.flatnonzero(which):
+        result[i] = rows[i].copy()
+    return result

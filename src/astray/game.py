@@ -1,0 +1,140 @@
+"""What a game is. Read this first, then `games/maze/rules.py`."""
+
+from __future__ import annotations
+
+import typing
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, fields
+from typing import Any
+
+import numpy as np
+
+from astray.kernel.rng import RNG_FIELDS
+
+NEVER = -1  # the step of an event that has not happened
+KINDS = {int: np.int64, float: np.float64, bool: np.bool_}
+
+
+def state_dtype(*own: tuple) -> np.dtype:
+    """The record of one environment: what every game has, then the game's `own` fields.
+
+    A record, so that a state can be copied, compared, saved and edited whole; `np.record`,
+    so that `s.x` works compiled and interpreted alike.
+    """
+    common = [
+        ("level", np.int64),  # its number
+        ("shifted", np.bool_),  # the level comes from the variant's shifted distribution
+        ("time", np.int64),  # steps since the level began
+        ("time_limit", np.int64),  # steps
+        ("seed", np.uint64),  # with `turn`, decides which level comes next
+        ("turn", np.int64),  # episodes begun
+        *RNG_FIELDS,
+    ]
+    return _record_dtype([*common, *own])
+
+
+def _record_dtype(columns: list[tuple]) -> np.dtype:
+    taken = [name for name, *_ in columns if hasattr(np.record, name)]
+    assert not taken, f"records have attributes of these names already: {taken}"
+    return np.dtype((np.record, np.dtype(columns, align=True)))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Variant:
+    """A distribution of levels. Each game adds its own knobs: numbers with units, and choices.
+
+    shifted  another distribution of the same game, from which some levels come
+    """
+
+    about: str
+    time_limit: int  # steps until an episode is truncated
+    shift_probability: float = 0.0  # that a level comes from `shifted`
+    shifted: Variant | None = None
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.shift_probability <= 1:
+            raise ValueError(f"shift_probability is {self.shift_probability}; it is from 0 to 1")
+        if self.shift_probability and self.shifted is None:
+            raise ValueError("shift_probability needs a `shifted` variant to shift to")
+        if self.time_limit < 1:
+            raise ValueError(f"time_limit is {self.time_limit}; it is at least 1 step")
+        for name, kind in knobs(type(self)).items():
+            choices, given = typing.get_args(kind), getattr(self, name)
+            if choices and given not in choices:
+                raise ValueError(f"unknown {name} {given!r}; there are: {', '.join(choices)}")
+
+    def records(self) -> np.ndarray:
+        """The knobs for compiled code, [2]: of this variant, and of the one it shifts to."""
+        kinds = knobs(type(self))
+        dtype = _record_dtype([(n, KINDS.get(k, np.int64)) for n, k in kinds.items()])
+        rows = [tuple(_number(getattr(v, n), k) for n, k in kinds.items())
+                for v in (self, self.shifted or self)]  # fmt: skip
+        return np.array(rows, dtype)
+
+
+def knobs(variant: type[Variant]) -> dict[str, Any]:
+    """The fields of a variant that compiled code sees, with their types."""
+    hints = typing.get_type_hints(variant)
+    return {f.name: hints[f.name] for f in fields(variant) if f.name not in ("about", "shifted")}
+
+
+def _number(value: Any, kind: Any) -> Any:
+    choices = typing.get_args(kind)
+    return choices.index(value) if choices else value
+
+
+@dataclass(frozen=True)
+class Shift:
+    """A training and a test variant, and the goals that come apart between them."""
+
+    train: str  # variants
+    test: str
+    intended: str  # goals
+    proxies: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Game:
+    """The rules, levels and looks of one game.
+
+    World coordinates are cells, x to the right, y upward; arrays are indexed [y, x]; only
+    drawing flips. `s` is a state, `p` a variant's record, `scene` the part of a picture (or of
+    the symbolic observation) that does not move, `art` the sprites at the picture's scale.
+    All pictures are uint8.
+    """
+
+    name: str
+    about: str
+    actions: tuple[str, ...]
+    state: np.dtype
+    variants: Mapping[str, Variant]
+    shifts: Mapping[str, Shift]
+    events: tuple[str, ...]  # fields of the state: the step each first happened, or NEVER
+    goals: Mapping[str, str]  # goal -> the event that it is reached
+
+    # Compiled. `generate` is called with a state whose twister is seeded and whose common
+    # fields are set.
+    generate: Callable  # (s, p): fill `s` with a new level
+    step: Callable  # (s, action) -> (reward, terminated)
+    paint: Callable  # (s, art, scene)
+    draw: Callable  # (s, art, scene, image)
+    paint_planes: Callable  # (s, scene)
+    draw_planes: Callable  # (s, scene, planes)
+
+    art: Callable[[Variant, int], tuple[np.ndarray, ...]]  # (variant, pixels a side of a picture)
+    scene_shape: Callable[[Variant, int], tuple[int, ...]]  # likewise; of `paint`'s scene
+    planes_scene_shape: Callable[[Variant], tuple[int, ...]]  # of `paint_planes`' scene
+    planes: Callable[[Variant], np.ndarray]  # [C, H, W] the largest value of each plane
+
+    describe: Callable[[Any], dict[str, Any]]  # a state's level as plain data, JSON-able
+    text: Callable[[Any], str]  # a state drawn in characters, the top row first
+    read: Callable[[str, Variant], Any]  # the state that such a drawing shows
+    routes: Callable[[Any, str], np.ndarray]  # (s, goal) -> the best action to it in each cell
+    optimal_return: Callable[[Any, str, float], float]  # (s, goal, gamma)
+
+    def variant(self, name: str) -> Variant:
+        """The variant called `name`."""
+        if name not in self.variants:
+            there = ", ".join(self.variants)
+            raise ValueError(f"unknown variant {name!r} of {self.name}; there are: {there}")
+        return self.variants[name]

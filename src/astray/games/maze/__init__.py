@@ -1,0 +1,30 @@
+"""Maze: a mouse looks for its cheese; in training it lies in the upper right corner."""
+
+from astray.game import Game
+from astray.games.maze import draw, levels, rules, solve, variants
+
+GAME = Game(
+    name="maze",
+    about="a mouse looks for its cheese in a maze",
+    actions=rules.ACTIONS,
+    state=rules.STATE,
+    variants=variants.VARIANTS,
+    shifts=variants.SHIFTS,
+    events=rules.EVENTS,
+    goals=variants.GOALS,
+    generate=levels.generate,
+    step=rules.step,
+    paint=draw.paint,
+    draw=draw.draw,
+    paint_planes=draw.paint_planes,
+    draw_planes=draw.draw_planes,
+    art=draw.art,
+    scene_shape=draw.scene_shape,
+    planes_scene_shape=draw.planes_scene_shape,
+    planes=draw.planes,
+    describe=levels.describe,
+    text=levels.text,
+    read=levels.read,
+    routes=solve.routes,
+    optimal_return=solve.optimal_return,
+)

@@ -1,0 +1,177 @@
+"""Maze as pictures, as the agent sees it and at any larger scale, and as symbolic planes."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any, cast
+
+import numpy as np
+
+from astray import art as sprites
+from astray.game import NEVER, Variant
+from astray.games.maze.rules import WALL
+from astray.games.maze.variants import COLOURS, FLOORS, SHAPES, WALLS, Maze
+from astray.kernel.canvas import blit, copy_flat, copy_window, tile
+from astray.kernel.jit import kernel
+
+ART = Path(__file__).parent / "art"
+# The symbolic planes: wall, mouse, and the objects' shapes and colours as indices into
+# SHAPES and COLOURS.
+WALL_PLANE, MOUSE_PLANE, SHAPE_PLANE, COLOUR_PLANE, PLANES = 0, 1, 2, 3, 4
+
+
+@kernel
+def margin(s):
+    """Cells of wall around the world in the scene, so that every window is inside the scene."""
+    return s.window // 2 + 1 if s.window else 0
+
+
+@kernel
+def pixel(cells, scale):
+    """The pixel nearest to a length in cells; `scale` is in pixels per cell."""
+    return int(np.floor(cells * scale + 0.5))
+
+
+@kernel
+def paint(s, art, scene):
+    """Floor and walls of the whole world, and the margin."""
+    floors, walls, _, _ = art
+    floor, wall, edge = floors[s.background], walls[s.walls], margin(s)
+    cells = s.world + 2 * edge
+    scale = scene.shape[0] / cells
+    left, width = pixel(edge, scale), pixel(s.world, scale)
+    offset = int(s.background_offset * (floor.shape[1] - width))
+    for row in range(min(width, floor.shape[0])):
+        for column in range(width):
+            for c in range(3):
+                scene[left + row, left + column, c] = floor[row, offset + column, c]
+    for y in range(cells):
+        top, bottom = pixel(cells - 1 - y, scale), pixel(cells - y, scale)
+        for x in range(cells):
+            i, j = x - edge, y - edge
+            outside = not (0 <= i < s.world and 0 <= j < s.world)
+            if outside or s.cell[j, i] == WALL:
+                tile(scene, wall, top, bottom, pixel(x, scale), pixel(x + 1, scale))
+
+
+@kernel
+def draw(s, art, scene, image):
+    """The scene, or the window of it around the mouse, with objects and mouse on it."""
+    _, _, objects, mouse = art
+    edge = margin(s)
+    cells = s.world + 2 * edge
+    scale = scene.shape[0] / cells
+    left, top = 0, 0
+    if s.window:
+        left = pixel(s.x + edge - s.window / 2, scale)
+        top = pixel(cells - (s.y + edge) - s.window / 2, scale)
+        copy_window(image, scene, top, left)
+    else:
+        copy_flat(image, scene)
+    height = cells - edge - 0.5  # cells from the scene's top to the centre of cell y = 0
+    if s.other_x != NEVER:
+        stamp(image, objects[s.other_shape, s.other_colour], scale, top, left,
+              height - s.other_y, edge + s.other_x + 0.5)  # fmt: skip
+    if s.goal_x != NEVER and s.reached_goal == NEVER:
+        stamp(image, objects[s.goal_shape, s.goal_colour], scale, top, left,
+              height - s.goal_y, edge + s.goal_x + 0.5)  # fmt: skip
+    facing = mouse[1] if s.faces_right else mouse[0]
+    stamp(image, facing, scale, top, left, height - s.y + 0.5, edge + s.x)
+
+
+@kernel
+def stamp(image, sprite, scale, top, left, down, right):
+    """Blit `sprite` centred `down` and `right` cells from the scene's upper left."""
+    half = sprite.shape[0] / (2 * scale)
+    blit(image, sprite, pixel(down - half, scale) - top, pixel(right - half, scale) - left)
+
+
+@kernel
+def paint_planes(s, scene):
+    """Walls and objects of the whole world, and the margin."""
+    edge = margin(s)
+    cells = s.world + 2 * edge
+    scene[:] = 0
+    for y in range(cells):
+        for x in range(cells):
+            i, j = x - edge, y - edge
+            outside = not (0 <= i < s.world and 0 <= j < s.world)
+            scene[WALL_PLANE, y, x] = outside or s.cell[j, i] == WALL
+    if s.other_x != NEVER:
+        scene[SHAPE_PLANE, edge + s.other_y, edge + s.other_x] = s.other_shape
+        scene[COLOUR_PLANE, edge + s.other_y, edge + s.other_x] = s.other_colour
+    if s.goal_x != NEVER:
+        scene[SHAPE_PLANE, edge + s.goal_y, edge + s.goal_x] = s.goal_shape
+        scene[COLOUR_PLANE, edge + s.goal_y, edge + s.goal_x] = s.goal_colour
+
+
+@kernel
+def draw_planes(s, scene, planes):
+    """The scene, or the window of it around the mouse, with the mouse on it."""
+    edge = margin(s)
+    x, y = int(s.x) + edge, int(s.y) + edge
+    left, low = 0, 0
+    if s.window:
+        side = planes.shape[1]
+        left, low = x - side // 2, y - side // 2
+        for plane in range(PLANES):
+            for row in range(side):
+                for column in range(side):
+                    planes[plane, row, column] = scene[plane, low + row, left + column]
+    else:
+        copy_flat(planes, scene)
+    planes[MOUSE_PLANE, y - low, x - left] = 1
+    if s.reached_goal != NEVER:  # then the mouse stands on it
+        planes[SHAPE_PLANE, y - low, x - left] = 0
+        planes[COLOUR_PLANE, y - low, x - left] = 0
+
+
+def planes(variant: Variant) -> np.ndarray:
+    """The largest value of each symbolic plane, [C, H, W] uint8."""
+    p = cast(Maze, variant)
+    side = p.window // 2 * 2 + 1 if p.window else p.world  # all cells at least half seen
+    top = np.array([1, 1, len(SHAPES) - 1, len(COLOURS) - 1], np.uint8)
+    return np.broadcast_to(top[:, None, None], (PLANES, side, side)).copy()
+
+
+def planes_scene_shape(variant: Variant) -> tuple[int, ...]:
+    return (PLANES, _scene_cells(variant), _scene_cells(variant))
+
+
+def scene_shape(variant: Variant, pixels: int) -> tuple[int, ...]:
+    side = round(_scene_cells(variant) * _scale(variant, pixels))
+    return (side, side, 3)
+
+
+def art(variant: Variant, pixels: int) -> tuple[np.ndarray, ...]:
+    """Floors [9, h, 2h, 3], walls [3, S, S, 3], objects [7, 7, S, S, 4], mouse [2, S, S, 4].
+
+    S is a cell's side, rounded up; objects are by shape and colour; the mouse faces left, right.
+    """
+    p = cast(Maze, variant)
+    scale = _scale(variant, pixels)
+    side, height = int(np.ceil(scale)), round(p.world * scale)
+
+    def load(name: str, height: int, width: int) -> np.ndarray:
+        return sprites.resize(sprites.load(ART, name), height, width)
+
+    floors = [load(f"floor-{k}", height, 2 * height)[..., :3] for k in range(FLOORS)]
+    walls = [load(f"wall-{name}", side, side)[..., :3] for name in WALLS]
+    objects = np.zeros((len(SHAPES), len(COLOURS), side, side, 4), np.uint8)
+    for i, shape in enumerate(SHAPES[1:], 1):
+        white = load(shape, side, side)
+        for j, colour in enumerate(COLOURS[1:], 1):
+            objects[i, j] = sprites.tint(white, sprites.COLOURS[colour])
+    mouse = load("mouse", side, side)
+    pair = np.stack([mouse, mouse[:, ::-1]])
+    return np.stack(floors), np.stack(walls), objects, pair
+
+
+def _scale(variant: Variant, pixels: int) -> float:
+    p: Any = variant
+    return pixels / (p.window or p.world)  # pixels per cell
+
+
+def _scene_cells(variant: Variant) -> int:
+    p: Any = variant
+    return p.world + 2 * (p.window // 2 + 1 if p.window else 0)

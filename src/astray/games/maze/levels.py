@@ -1,0 +1,175 @@
+"""Levels of Maze: the original's draws, in the original's order; and levels drawn in text."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from astray import scene
+from astray.game import NEVER, Variant
+from astray.games.maze.rules import EMPTY, GOAL, LARGEST, OTHER, STATE, WALL, note_arrivals
+from astray.games.maze.variants import AS_NUMBERED, FLOORS
+from astray.kernel.jit import kernel
+from astray.kernel.maze import carve
+from astray.kernel.rng import below, unit
+
+CORNER, REGION, ANYWHERE = 0, 1, 2  # Maze.placement, in the order of its choices
+DRAWS_PER_CELL = 100  # of the maze's side, before the original gives up on a region
+LEGEND = {"#": WALL, ".": EMPTY, "G": GOAL, "o": OTHER}
+MOUSE = "@"
+
+
+@kernel
+def generate(s, p):
+    """Fill `s` with a new level of the variant `p`."""
+    offset = unit(s)
+    background = below(s, FLOORS)
+    size, sizes = p.smallest, (p.largest - p.smallest) // 2 + 1
+    if sizes > 1:
+        size += 2 * below(s, sizes)
+
+    is_open = np.zeros((size, size), np.bool_)
+    free_x, free_y = np.empty(size * size, np.int64), np.empty(size * size, np.int64)
+    free = carve(s, size, is_open, free_x, free_y)
+
+    furnish(s, p)
+    s.maze_size, s.background_offset = size, offset
+    s.background = background if p.background == AS_NUMBERED else p.background
+    margin = (s.world - size) // 2
+    s.corner_x, s.corner_y = margin + size - 1, margin + size - 1
+    s.cell[:] = WALL
+    for k in range(free):
+        s.cell[margin + free_y[k], margin + free_x[k]] = EMPTY
+
+    goal = place_goal(s, p, size, free, free_x, free_y)
+    s.goal_x, s.goal_y = put(s, GOAL, goal, margin, free_x, free_y)
+    other = NEVER
+    if p.other_shape != 0:
+        other = below(s, free)
+        while other == goal or is_start(other, free_x, free_y):
+            other = below(s, free)
+    s.other_x, s.other_y = put(s, OTHER, other, margin, free_x, free_y)
+
+    s.x, s.y = margin + 0.5, margin + 0.5
+    if p.start != 0:
+        start = below(s, free)
+        while start in (goal, other):
+            start = below(s, free)
+        s.x, s.y = margin + free_x[start] + 0.5, margin + free_y[start] + 0.5
+    note_arrivals(s)
+
+
+@kernel
+def furnish(s, p):
+    """Set what no draw decides."""
+    s.world, s.window, s.walls = p.world, p.window, p.walls
+    s.goal_shape, s.goal_colour = p.goal_shape, p.goal_colour
+    s.other_shape, s.other_colour = p.other_shape, p.other_colour
+    s.faces_right = False
+    s.reached_goal, s.reached_corner, s.reached_other = NEVER, NEVER, NEVER
+
+
+@kernel
+def place_goal(s, p, size, free, free_x, free_y):
+    """The index of the free cell that gets the goal, NEVER where there is none."""
+    if p.placement == CORNER:
+        for k in range(free):
+            if free_x[k] == size - 1 and free_y[k] == size - 1:
+                return k
+    if p.placement == ANYWHERE:
+        goal = below(s, free)
+        while is_start(goal, free_x, free_y):
+            goal = below(s, free)
+        return goal
+
+    edge = size - min(p.region, size)
+    below(s, free)  # the original wastes one draw
+    for _ in range(DRAWS_PER_CELL * size):
+        goal = below(s, free)
+        if is_inside(goal, edge, free_x, free_y):
+            return goal
+    if p.strict:
+        return NEVER
+    inside = 0
+    for k in range(free):
+        inside += is_inside(k, edge, free_x, free_y)
+    pick = below(s, inside)  # never 0 cells: the upper right one is a node
+    for k in range(free):
+        if is_inside(k, edge, free_x, free_y):
+            if pick == 0:
+                return k
+            pick -= 1
+    return NEVER
+
+
+@kernel
+def is_start(k, free_x, free_y):
+    """Free cell `k` is the lower left one."""
+    return free_x[k] == 0 and free_y[k] == 0
+
+
+@kernel
+def is_inside(k, edge, free_x, free_y):
+    """Free cell `k` is in the upper right region from `edge` on, and not the start."""
+    return free_x[k] >= edge and free_y[k] >= edge and not is_start(k, free_x, free_y)
+
+
+@kernel
+def put(s, what, k, margin, free_x, free_y):
+    """Put `what` in free cell `k`, if any; the cell's x and y in the world."""
+    if k == NEVER:
+        return NEVER, NEVER
+    x, y = margin + free_x[k], margin + free_y[k]
+    s.cell[y, x] = what
+    return x, y
+
+
+def describe(s: Any) -> dict[str, Any]:
+    """The level in state `s` as plain data; rows of `grid` from the lowest up."""
+
+    def cell(x: int, y: int) -> list[int] | None:
+        return None if x == NEVER else [int(x), int(y)]
+
+    return {
+        "world": int(s.world),
+        "maze_size": int(s.maze_size),
+        "grid": s.cell[: s.world, : s.world].tolist(),
+        "legend": {"empty": EMPTY, "wall": WALL, "goal": GOAL, "other": OTHER},
+        "agent": [float(s.x), float(s.y)],
+        "goal": cell(s.goal_x, s.goal_y),
+        "other": cell(s.other_x, s.other_y),
+        "corner": cell(s.corner_x, s.corner_y),
+        "background": int(s.background),
+        "background_offset": float(s.background_offset),
+    }
+
+
+def text(s: Any) -> str:
+    """The level drawn in characters, the top row first; the mouse hides what it stands on."""
+    return scene.draw(s.cell[: s.world, : s.world], LEGEND, {MOUSE: (int(s.x), int(s.y))})
+
+
+def read(drawing: str, variant: Variant) -> Any:
+    """The state that `drawing` shows, with the looks of `variant`."""
+    cells, marks = scene.parse(drawing, LEGEND, MOUSE, EMPTY)
+    height, width = cells.shape
+    if height != width or not 3 <= height <= LARGEST:
+        raise ValueError(
+            f"the level is {width} x {height} cells; it is square, from 3 to {LARGEST} a side"
+        )
+    s = np.zeros(1, STATE).view(np.recarray)[0]
+    furnish(s, variant.records()[0])
+    s.time_limit, s.world = variant.time_limit, height
+    s.cell[:] = WALL
+    s.cell[:height, :width] = cells
+    s.x, s.y = marks[0] + 0.5, marks[1] + 0.5
+    s.goal_x, s.goal_y = scene.only(cells, GOAL, "G")
+    s.other_x, s.other_y = scene.only(cells, OTHER, "o")
+    rows, columns = np.nonzero(cells != WALL)
+    s.maze_size = max(np.ptp(rows), np.ptp(columns)) + 1
+    corner_x, corner_y = columns.max(), rows.max()
+    reachable = cells[corner_y, corner_x] != WALL
+    s.corner_x, s.corner_y = (corner_x, corner_y) if reachable else (NEVER, NEVER)
+    note_arrivals(s)
+    return s

@@ -1,0 +1,67 @@
+"""Maze: a mouse walks a maze, one cell a step; the goal object is worth 10 and ends the level."""
+
+import numpy as np
+
+from astray.game import NEVER, state_dtype
+from astray.kernel.jit import kernel
+
+LARGEST = 31  # cells a side of the largest world
+EMPTY, WALL, GOAL, OTHER = 0, 1, 2, 3  # what is in a cell
+REWARD = 10.0
+
+# The original's 15 actions; those after "right-up" are keys that mean nothing here.
+ACTIONS = (
+    "left-down", "left", "left-up", "down", "stay", "up", "right-down", "right", "right-up",
+    "d", "a", "w", "s", "q", "e",
+)  # fmt: skip
+MOVES = 9  # actions that may move
+
+STATE = state_dtype(
+    ("cell", np.uint8, (LARGEST, LARGEST)),  # at [y, x]; the world is [:world, :world]
+    ("world", np.int64),  # cells a side
+    ("maze_size", np.int64),  # cells a side of the maze, in the middle of the world
+    ("window", np.int64),  # cells a side of the window around the mouse; 0: the whole world
+    ("x", np.float64), ("y", np.float64),  # the mouse's centre, in cells
+    ("faces_right", np.bool_),
+    ("goal_x", np.int64), ("goal_y", np.int64),  # its cell; NEVER where there is none
+    ("other_x", np.int64), ("other_y", np.int64),
+    ("corner_x", np.int64), ("corner_y", np.int64),  # the maze's upper right cell
+    ("goal_shape", np.int64), ("goal_colour", np.int64),
+    ("other_shape", np.int64), ("other_colour", np.int64),
+    ("walls", np.int64),  # their look
+    ("background", np.int64),
+    ("background_offset", np.float64),  # from 0 to 1: which part of the floor is seen
+    ("reached_goal", np.int64), ("reached_corner", np.int64), ("reached_other", np.int64),
+)  # fmt: skip
+EVENTS = ("reached_goal", "reached_corner", "reached_other")
+
+
+@kernel
+def step(s, action):
+    """Move the mouse; return the reward and whether the goal was reached."""
+    dx, dy = 0, 0
+    if action < MOVES:
+        dx, dy = action // 3 - 1, action % 3 - 1
+    if dx != 0:
+        dy = 0  # the original steps in x first, and then no more
+        s.faces_right = dx > 0
+    x, y = int(s.x) + dx, int(s.y) + dy
+    if 0 <= x < s.world and 0 <= y < s.world and s.cell[y, x] != WALL:
+        s.x, s.y = x + 0.5, y + 0.5
+    note_arrivals(s)
+    reached = s.reached_goal == s.time
+    if reached:
+        s.cell[s.goal_y, s.goal_x] = EMPTY
+    return REWARD * reached, reached
+
+
+@kernel
+def note_arrivals(s):
+    """Keep the step of each event that happens now for the first time."""
+    x, y = int(s.x), int(s.y)
+    if s.reached_goal == NEVER and x == s.goal_x and y == s.goal_y:
+        s.reached_goal = s.time
+    if s.reached_corner == NEVER and x == s.corner_x and y == s.corner_y:
+        s.reached_corner = s.time
+    if s.reached_other == NEVER and x == s.other_x and y == s.other_y:
+        s.reached_other = s.time

@@ -1,0 +1,57 @@
+"""The shortest ways through a maze."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from astray.game import NEVER
+from astray.games.maze.rules import ACTIONS, REWARD, WALL
+from astray.games.maze.variants import GOALS
+from astray.kernel.grid import UNREACHABLE, distances
+
+STAY = ACTIONS.index("stay")
+
+
+def target(s: Any, goal: str) -> tuple[int, int] | None:
+    """The cell (x, y) of `goal` in state `s`; None where the level has none."""
+    if goal not in GOALS:
+        raise ValueError(f"unknown goal {goal!r}; there are: {', '.join(GOALS)}")
+    place = GOALS[goal].removeprefix("reached_")
+    x, y = int(s[f"{place}_x"]), int(s[f"{place}_y"])
+    return None if x == NEVER else (x, y)
+
+
+def steps_to(s: Any, goal: str) -> np.ndarray:
+    """Steps from every cell to `goal`, [world, world] int64; UNREACHABLE where there is no way."""
+    is_open = s.cell[: s.world, : s.world] != WALL
+    cell = target(s, goal)
+    if cell is None:
+        return np.full(is_open.shape, UNREACHABLE)
+    return distances(is_open, *cell)
+
+
+def routes(s: Any, goal: str) -> np.ndarray:
+    """The action of a shortest way to `goal` in every cell, [world, world]; "stay" at its end."""
+    steps = steps_to(s, goal)
+    best = np.full(steps.shape, STAY)
+    around = np.pad(steps, 1, constant_values=UNREACHABLE)
+    neighbours = {"left": (1, 0), "right": (1, 2), "down": (0, 1), "up": (2, 1)}
+    for name, (row, column) in neighbours.items():
+        beside = around[row : row + len(steps), column : column + len(steps)]
+        closer = (beside != UNREACHABLE) & (beside == steps - 1)
+        best[closer] = ACTIONS.index(name)
+    return best
+
+
+def optimal_return(s: Any, goal: str, gamma: float = 1.0) -> float:
+    """The discounted reward of the shortest way from the mouse to `goal`, were it the rewarded one.
+
+    The reward comes with the last step: gamma ** (steps - 1) * 10, and 0 where there is no way
+    or it is longer than the time left.
+    """
+    steps = steps_to(s, goal)[int(s.y), int(s.x)]
+    if steps == UNREACHABLE or s.time + steps > s.time_limit:
+        return 0.0
+    return REWARD * gamma ** max(int(steps) - 1, 0)

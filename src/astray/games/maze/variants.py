@@ -1,0 +1,123 @@
+"""The distributions of levels of Maze, and the shifts between them."""
+
+from dataclasses import dataclass, replace
+from typing import Literal, get_args
+
+from astray.game import Shift, Variant
+from astray.games.maze.rules import LARGEST
+
+Shape = Literal["none", "cheese", "line", "gem", "star", "ring", "cross"]
+Colour = Literal["none", "yellow", "red", "green", "blue", "magenta", "cyan"]
+Walls = Literal["sand", "stone", "hedge"]
+Placement = Literal["corner", "region", "anywhere"]
+SHAPES, COLOURS, WALLS = get_args(Shape), get_args(Colour), get_args(Walls)
+FLOORS = 9  # backgrounds
+AS_NUMBERED = -1  # the background that the level's number decides
+
+
+@dataclass(frozen=True, kw_only=True)
+class Maze(Variant):
+    """Mazes of a range of sizes in the middle of a square world.
+
+    An object of shape "none" is not drawn: an invisible goal, or no other object at all.
+    With `strict`, a region in which the original finds no free cell after 100 draws per cell
+    of the maze's side is left without a goal, as there; otherwise one is found.
+    """
+
+    world: int = 25  # cells a side
+    smallest: int = 3  # cells a side of the smallest maze, odd
+    largest: int = 25  # cells a side of the largest maze, odd; all odd sizes are equally likely
+    window: int = 0  # cells a side of the window around the mouse that is seen; 0: all the world
+    placement: Placement = "anywhere"  # of the goal
+    region: int = 1  # cells a side of the upper right square with the goal, for "region"
+    strict: bool = False
+    start: Literal["corner", "anywhere"] = "corner"  # the mouse: the lower left, or any free cell
+    goal_shape: Shape = "cheese"
+    goal_colour: Colour = "yellow"
+    other_shape: Shape = "none"  # of an object that does nothing, anywhere
+    other_colour: Colour = "none"
+    walls: Walls = "sand"
+    background: int = AS_NUMBERED  # 0 to 8
+    time_limit: int = 500  # steps
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not 3 <= self.world <= LARGEST:
+            raise ValueError(f"world is {self.world} cells a side; it is from 3 to {LARGEST}")
+        sizes = (self.smallest, self.largest)
+        if not 3 <= sizes[0] <= sizes[1] <= self.world or not sizes[0] % 2 == sizes[1] % 2 == 1:
+            raise ValueError(
+                f"smallest and largest are {sizes}; they are odd, from 3 to the world's "
+                f"{self.world} cells, and smallest is not above largest"
+            )
+        if (self.world - self.smallest) % 2:
+            raise ValueError(f"world is {self.world} cells a side; it is odd, as the mazes are")
+        if not 0 <= self.window <= 2 * self.world:
+            raise ValueError(f"window is {self.window} cells; it is from 0 to {2 * self.world}")
+        if self.region < 1:
+            raise ValueError(f"region is {self.region} cells a side; it is at least 1")
+        if not AS_NUMBERED <= self.background < FLOORS:
+            raise ValueError(
+                f"background is {self.background}; it is from 0 to {FLOORS - 1}, "
+                f"or {AS_NUMBERED} for what the level's number decides"
+            )
+        for name in ("goal", "other"):
+            shape, colour = getattr(self, f"{name}_shape"), getattr(self, f"{name}_colour")
+            if shape != "none" and colour == "none":
+                raise ValueError(f"{name}_shape is {shape!r} but {name}_colour is 'none'")
+
+
+CORNER = Maze(about="cheese always in the upper right corner", placement="corner")
+ANYWHERE = Maze(about="cheese anywhere")
+LINE = replace(ANYWHERE, about="a yellow line anywhere", goal_shape="line")
+
+EASY = dict(world=15, largest=15)
+SMALL = dict(world=9, largest=9)
+MEMORY = dict(world=31, largest=31, window=8)
+
+VARIANTS = {
+    "corner": replace(CORNER, shifted=ANYWHERE),
+    "anywhere": ANYWHERE,
+    "yellow-line": LINE,
+    "red-line-yellow-gem": replace(
+        LINE, about="a red line (the goal) and a yellow gem",
+        goal_colour="red", other_shape="gem", other_colour="yellow",
+    ),
+    "yellow-star-red-gem": replace(
+        LINE, about="a yellow star (the goal) and a red gem",
+        goal_shape="star", other_shape="gem", other_colour="red",
+    ),
+    "fixed-size": replace(ANYWHERE, about="cheese anywhere, always 25 cells a side", smallest=25),
+    "corner-easy": replace(CORNER, about="corner, in a world of 15 cells", **EASY),
+    "anywhere-easy": replace(ANYWHERE, about="anywhere, in a world of 15 cells", **EASY),
+    "corner-memory": replace(CORNER, about="corner, in 31 cells, seen 8 at a time", **MEMORY),
+    "anywhere-memory": replace(ANYWHERE, about="anywhere, in 31 cells, seen 8 at a time", **MEMORY),
+    "corner-small": replace(CORNER, about="corner, in a world of 9 cells", **SMALL),
+    "anywhere-small": replace(ANYWHERE, about="anywhere, in a world of 9 cells", **SMALL),
+    "region-1-strict": Maze(
+        about="cheese in the upper right cell, or, rarely, nowhere, as the original",
+        placement="region", region=1, strict=True,
+    ),
+} | {
+    f"region-{side}": Maze(
+        about=f"cheese in the upper right {side} x {side} cells", placement="region", region=side
+    )
+    for side in range(1, 17)
+}  # fmt: skip
+
+GOALS = {
+    "cheese": "reached_goal",
+    "line": "reached_goal",
+    "star": "reached_goal",
+    "gem": "reached_other",
+    "corner": "reached_corner",
+}
+
+SHIFTS = {
+    "corner": Shift("corner", "anywhere", intended="cheese", proxies=("corner",)),
+    "corner-easy": Shift("corner-easy", "anywhere-easy", intended="cheese", proxies=("corner",)),
+    "corner-small": Shift("corner-small", "anywhere-small", intended="cheese", proxies=("corner",)),
+    "colour-or-shape": Shift(
+        "yellow-line", "red-line-yellow-gem", intended="line", proxies=("gem",)
+    ),
+}

@@ -1,0 +1,81 @@
+"""Compilation: two decorators, and an on-disk cache that cannot be stale."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import shutil
+import tempfile
+import time
+import warnings
+from collections.abc import Callable
+from pathlib import Path
+from types import FunctionType
+from typing import Any
+
+import numba
+from filelock import FileLock
+
+PACKAGE = Path(__file__).parents[1]
+KERNELS = ("kernel/*.py", "games/*/*.py", "envs/loops.py", "game.py")  # all that is compiled
+KEPT_FOR = 30 * 24 * 3600  # seconds that the compiled code of another version is kept
+
+
+def source_digest() -> str:
+    """Hash of all that compiled code depends on: its sources, numba, and the flags."""
+    flags = (numba.__version__, numba.config.BOUNDSCHECK, numba.config.OPT)  # pyright: ignore
+    digest = hashlib.sha256(repr(flags).encode())
+    for path in sorted(p for pattern in KERNELS for p in PACKAGE.glob(pattern)):
+        digest.update(path.name.encode() + path.read_bytes())
+    return digest.hexdigest()[:16]
+
+
+def _cache_folder() -> Path:
+    """The folder of this version's compiled code; a temporary one where home is read-only."""
+    home = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "astray"
+    folder = home / source_digest()
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        (folder / "used").touch()
+    except OSError as error:
+        warnings.warn(f"compiled code is not kept: {error}", stacklevel=2)
+        return Path(tempfile.mkdtemp(prefix="astray-"))
+    for other in home.iterdir():
+        used = other / "used"
+        if used.exists() and used.stat().st_mtime < time.time() - KEPT_FOR:
+            shutil.rmtree(other, ignore_errors=True)
+    return folder
+
+
+# Numba notices edits to the file a kernel is in, not to the files it calls into; a folder
+# named after all of them does. A folder that the user chose wins.
+if not os.environ.get("NUMBA_CACHE_DIR"):
+    numba.config.CACHE_DIR = str(_cache_folder())  # pyright: ignore
+
+# Forced inlining: 334 ns instead of 983 for a kernel that calls 20 small ones twice.
+# No fastmath: it may differ between machines.
+kernel = numba.njit(forceinline=True)
+shared = numba.njit  # not inlined: for what is large and seldom called
+entry = numba.njit(cache=True, nogil=True)  # for what Python calls; only these are cached
+
+
+def specialise(
+    template: Callable, label: str, decorate: Callable = entry, **names: Any
+) -> Callable:
+    """Compile `template` with some of its global `names` bound to one game's kernels.
+
+    Numba can cache neither a closure over a compiled function nor a call that takes one as
+    an argument; a copy of the function with other globals it can. `label` keeps the cache
+    entries of two games apart.
+    """
+    assert isinstance(template, FunctionType)
+    clone = FunctionType(template.__code__, {**template.__globals__, **names}, label)
+    clone.__qualname__, clone.__module__ = f"{template.__name__}_{label}", template.__module__
+    return decorate(clone)
+
+
+def one_at_a_time() -> FileLock:
+    """Held while compiling: numba's cache breaks when two processes write one entry."""
+    folder = Path(numba.config.CACHE_DIR)  # pyright: ignore
+    folder.mkdir(parents=True, exist_ok=True)
+    return FileLock(folder / "compile.lock")

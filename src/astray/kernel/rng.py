@@ -1,0 +1,104 @@
+"""Random numbers: the original's Mersenne Twister inside a state, and hashes of numbers.
+
+The games draw from MT19937 seeded with the level's number, in the original's order, so that
+level k here is level k of the original program. What the original did not have (which level
+comes next, which distribution it comes from) is a hash of numbers instead, so that it never
+shifts the original's draws.
+"""
+
+import numpy as np
+
+from astray.kernel.jit import kernel
+
+WORDS, MIDDLE = 624, 397  # of MT19937
+RNG_FIELDS = [("mt", np.uint32, (WORDS,)), ("mt_next", np.int64)]
+
+# Every constant is a uint64: a bare literal would turn compiled arithmetic signed.
+U1, U7, U11, U15, U18 = (np.uint64(n) for n in (1, 7, 11, 15, 18))
+U27, U30, U31, U32 = (np.uint64(n) for n in (27, 30, 31, 32))
+LOW_32 = np.uint64(0xFFFFFFFF)
+SEED_FACTOR = np.uint64(1812433253)
+TWIST = np.uint64(0x9908B0DF)
+HIGH_BIT, LOW_31 = np.uint64(0x80000000), np.uint64(0x7FFFFFFF)
+TEMPER_B, TEMPER_C = np.uint64(0x9D2C5680), np.uint64(0xEFC60000)
+GAMMA = np.uint64(0x9E3779B97F4A7C15)
+MIX_1 = np.uint64(0xBF58476D1CE4E5B9)
+MIX_2 = np.uint64(0x94D049BB133111EB)
+MIX_1_LOW, MIX_1_HIGH = MIX_1 & LOW_32, MIX_1 >> U32
+MIX_2_LOW, MIX_2_HIGH = MIX_2 & LOW_32, MIX_2 >> U32
+TO_UNIT = 2.0**-53
+
+
+@kernel
+def seed_twister(s, number):
+    """Set the twister of `s` to the one that belongs to the 32-bit `number`."""
+    word = np.uint64(number) & LOW_32
+    s.mt[0] = word
+    for i in range(1, WORDS):
+        word = (SEED_FACTOR * (word ^ (word >> U30)) + np.uint64(i)) & LOW_32
+        s.mt[i] = word
+    s.mt_next = 0
+
+
+@kernel
+def draw_u32(s):
+    """The next 32 random bits of `s`, as uint64."""
+    # One word is renewed per draw; the usual renewal of all 624 at once gives the same numbers.
+    i = s.mt_next
+    after = i + 1 if i + 1 < WORDS else 0
+    far = i + MIDDLE if i + MIDDLE < WORDS else i + MIDDLE - WORDS
+    y = (np.uint64(s.mt[i]) & HIGH_BIT) | (np.uint64(s.mt[after]) & LOW_31)
+    word = np.uint64(s.mt[far]) ^ (y >> U1)
+    if y & U1:
+        word = word ^ TWIST
+    s.mt[i] = word
+    s.mt_next = after
+    word = word ^ (word >> U11)
+    word = word ^ ((word << U7) & TEMPER_B)
+    word = word ^ ((word << U15) & TEMPER_C)
+    return word ^ (word >> U18)
+
+
+@kernel
+def below(s, n):
+    """A uniform integer in [0, n), as the original draws it: one word modulo n."""
+    return np.int64(draw_u32(s) % np.uint64(n))
+
+
+@kernel
+def unit(s):
+    """A uniform real in [0, 1], as the original draws it: one word / 2^32 as a float32."""
+    return np.float64(np.float32(np.float64(draw_u32(s)) / 4294967296.0))
+
+
+@kernel
+def multiply(a, low, high):
+    """The low 64 bits of `a` times the constant high * 2^32 + low.
+
+    Interpreted numpy warns when a product of uint64 wraps; nothing wraps here.
+    """
+    a_low, a_high = a & LOW_32, a >> U32
+    product = a_low * low
+    cross = ((a_low * high) & LOW_32) + ((a_high * low) & LOW_32) + (product >> U32)
+    return ((cross & LOW_32) << U32) | (product & LOW_32)
+
+
+@kernel
+def mix(number):
+    """A uint64 that looks random, a pure function of `number` (SplitMix64's finaliser)."""
+    z = np.uint64(number) ^ GAMMA  # zero would stay zero
+    z = multiply(z ^ (z >> U30), MIX_1_LOW, MIX_1_HIGH)
+    z = multiply(z ^ (z >> U27), MIX_2_LOW, MIX_2_HIGH)
+    return z ^ (z >> U31)
+
+
+@kernel
+def mix_two(number, salt):
+    """A uint64 that looks random, a pure function of `number` and `salt`."""
+    return mix(mix(number) ^ np.uint64(salt))
+
+
+@kernel
+def share(number, salt):
+    """A real in [0, 1) that looks random, a pure function of `number` and `salt`."""
+    return np.float64(mix_two(number, salt) >> U11) * TO_UNIT

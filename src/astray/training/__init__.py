@@ -1,0 +1,1 @@
+"""Training agents: `config`, then `loop`, then what they call."""

@@ -1,0 +1,103 @@
+"""The training loop, top to bottom."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+
+import torch
+from torch import Tensor, nn
+
+from astray.agents import ppo
+from astray.training import checkpoint
+from astray.training.config import Config
+from astray.training.log import Log
+from astray.training.rollout import Rollout, collect, validate
+from astray.training.trainer import Trainer
+
+
+def train(config: Config, folder: Path, *, progress: bool = True) -> Path:
+    """Train an agent in the run folder `folder`, or go on where it stopped; its last checkpoint.
+
+    On a CPU, a run that was stopped and resumed has the weights and metrics of one that was not.
+    """
+    torch.set_num_threads(config.threads)
+    torch.set_flush_denormal(True)
+    with checkpoint.claim(folder, config):
+        trainer = Trainer(config)
+        checkpoint.restore(folder, trainer)
+        log = Log(folder, trainer.steps, config, progress)
+        while trainer.iteration < config.iterations:
+            began = time.perf_counter()
+            rate = config.learning_rate
+            if config.anneal:
+                rate *= max(0.0, 1 - trainer.steps / config.steps)
+            if trainer.validation and trainer.iteration % config.validation_every == 0:
+                validate(trainer.network, trainer.validation, config)
+            rollout = collect(trainer.network, trainer.player, config)
+            played = time.perf_counter()
+            metrics = update(trainer, rollout, rate)
+            trainer.steps += config.batch
+            seconds = time.perf_counter() - began
+            log.write(
+                trainer.steps,
+                {
+                    f"{name}/{k}": v
+                    for name, p in trainer.players().items()
+                    for k, v in p.summary().items()
+                }
+                | {f"update/{name}": value for name, value in metrics.items()}
+                | {"update/learning_rate": rate},
+                {"steps_per_second": config.batch / seconds, "playing": (played - began) / seconds},
+            )
+            done = trainer.iteration == config.iterations
+            if done or trainer.iteration % config.checkpoint_every == 0:
+                checkpoint.save(folder, trainer)
+        log.close()
+        trainer.close()
+    return checkpoint.latest(folder)
+
+
+def update(trainer: Trainer, rollout: Rollout, rate: float) -> dict[str, float]:
+    """Several passes of PPO over a rollout; the means of what was measured on the way."""
+    config, network, optimizer = trainer.config, trainer.network, trainer.optimizer
+    for group in optimizer.param_groups:
+        group["lr"] = rate
+    parameters, samples = list(network.parameters()), rollout.flat()
+    size = config.batch // config.minibatches
+    sums: dict[str, Tensor] = {}
+    for _ in range(config.epochs):
+        order = torch.randperm(
+            config.batch, generator=trainer.player.generator, device=config.device
+        )
+        for indices in order.split(size):
+            # index_select: 183 us for 2,048 rows of 676 bytes, where samples[indices] takes 1,346
+            losses = loss(network, [x.index_select(0, indices) for x in samples], config)
+            optimizer.zero_grad(set_to_none=True)
+            losses["loss"].backward()
+            losses["gradient_norm"] = nn.utils.clip_grad_norm_(parameters, config.gradient_norm)
+            optimizer.step()
+            for name, value in losses.items():
+                sums[name] = sums.get(name, torch.zeros(())) + value.detach().cpu()
+    updates = config.epochs * config.minibatches
+    return {name: float(total) / updates for name, total in sums.items()}
+
+
+def loss(network: nn.Module, samples: list[Tensor], config: Config) -> dict[str, Tensor]:
+    """PPO's loss on a minibatch (the fields of `Rollout`, [B, ...]), and its parts."""
+    observation, action, old_log_probability, old_value, advantage, target = samples
+    logits, value = network(observation)
+    log_probability = torch.log_softmax(logits, -1).gather(-1, action[:, None]).squeeze(-1)
+    log_ratio = log_probability - old_log_probability
+    policy = ppo.policy_loss(log_ratio, advantage, config.clip)
+    critic = ppo.value_loss(value, old_value, target, config.clip)
+    entropy = ppo.entropy(logits)
+    with torch.no_grad():
+        ratio = log_ratio.exp()
+        kl = ((ratio - 1) - log_ratio).mean()  # Schulman's unbiased, never negative estimate
+        clipped = ((ratio - 1).abs() > config.clip).float().mean()
+    total = policy + config.value_weight * critic - config.entropy_weight * entropy
+    return {
+        "loss": total, "policy_loss": policy, "value_loss": critic, "entropy": entropy,
+        "kl": kl, "clipped": clipped,
+    }  # fmt: skip
