@@ -34,8 +34,13 @@ def state_dtype(*own: tuple) -> np.dtype:
 
 
 def _record_dtype(columns: list[tuple]) -> np.dtype:
+    """A record of `columns`, aligned and without gaps, whose bytes no copy would keep."""
     taken = [name for name, *_ in columns if hasattr(np.record, name)]
     assert not taken, f"records have attributes of these names already: {taken}"
+    columns = sorted(columns, key=lambda column: -np.dtype(column[1]).alignment)
+    gap = -np.dtype(columns).itemsize % 8
+    if gap:
+        columns = [*columns, ("gap", np.uint8, (gap,))]
     return np.dtype((np.record, np.dtype(columns, align=True)))
 
 
@@ -67,9 +72,11 @@ class Variant:
         """The knobs for compiled code, [2]: of this variant, and of the one it shifts to."""
         kinds = knobs(type(self))
         dtype = _record_dtype([(n, KINDS.get(k, np.int64)) for n, k in kinds.items()])
-        rows = [tuple(_number(getattr(v, n), k) for n, k in kinds.items())
-                for v in (self, self.shifted or self)]  # fmt: skip
-        return np.array(rows, dtype)
+        records = np.zeros(2, dtype)
+        for record, variant in zip(records, (self, self.shifted or self), strict=True):
+            for name, kind in kinds.items():
+                record[name] = _number(getattr(variant, name), kind)
+        return records
 
 
 def knobs(variant: type[Variant]) -> dict[str, Any]:

@@ -70,7 +70,7 @@ def load(path: Path, device: str = "cpu") -> tuple[nn.Module, Architecture]:
 
 
 @torch.no_grad()
-def outputs(network: nn.Module, observations: Tensor, chunk: int = 256) -> tuple[Tensor, Tensor]:
+def outputs(network: nn.Module, observations: Tensor, chunk: int = 64) -> tuple[Tensor, Tensor]:
     """Logits [B, A] and values [B], the same for an observation whatever stands beside it.
 
     A matrix product of another size may round differently, so the network always sees exactly

@@ -10,22 +10,38 @@ from torch import Tensor, nn
 from astray.agents.impala import initialise
 
 
-class OneHot(nn.Module):
-    """Planes of categories [B, C, H, W] uint8 -> planes of 0 and 1, float.
+class Spread(nn.Module):
+    """Planes of categories [B, C, H, W] uint8 -> float planes [B, channels, H, W].
 
-    largest  the largest category of each plane; 1: the plane is passed on. 0 becomes nothing.
+    A plane of 0 and 1 is passed on. Of a plane with more categories each becomes a point on the
+    unit circle, evenly spread, and its 0 (nothing) the centre: two planes where one-hot ones
+    would make Maze's 4 into 14, and all in one table look-up that needs no gradient.
+
+    largest  the largest category of each plane, those of 0 and 1 first
     """
 
     def __init__(self, largest: list[int]):
         super().__init__()
-        planes = [(c, k) for c, top in enumerate(largest) for k in range(1, top + 1)]
-        self.channels = len(planes)
-        self.register_buffer("plane", torch.tensor([c for c, _ in planes]), persistent=False)
-        category = torch.tensor([k for _, k in planes], dtype=torch.uint8)
-        self.register_buffer("category", category.view(-1, 1, 1), persistent=False)
+        self.flags = sum(top == 1 for top in largest)
+        assert all(top == 1 for top in largest[: self.flags]), "planes of 0 and 1 come first"
+        self.channels = self.flags + 2 * (len(largest) - self.flags)
+        angle = torch.arange(256) * (2 * torch.pi / max(largest))
+        circle = torch.stack([angle.cos(), angle.sin()]).float()
+        circle[:, 0] = 0
+        self.circle: Tensor
+        self.register_buffer("circle", circle, persistent=False)
 
     def forward(self, x: Tensor) -> Tensor:
-        return (x.index_select(1, self.plane) == self.category).to(torch.float32)
+        planes = x.new_empty((len(x), self.channels, *x.shape[2:]), dtype=torch.float32)
+        planes[:, : self.flags] = x[:, : self.flags]
+        if self.channels > self.flags:
+            categories = x[:, self.flags :]
+            flat, k = categories.int().flatten(), categories.shape[1]
+            for axis in range(2):
+                first = self.flags + axis * k
+                picked = self.circle[axis].index_select(0, flat)
+                planes[:, first : first + k] = picked.view(categories.shape)
+        return planes
 
 
 class Small(nn.Module):
@@ -35,12 +51,12 @@ class Small(nn.Module):
         self, shape: tuple[int, int, int], largest: list[int], actions: int, width: int = 64
     ):
         super().__init__()
-        self.one_hot = OneHot(largest)
+        self.spread = Spread(largest)
         _, height, columns = shape
         self.features = nn.Sequential(
             OrderedDict(
                 flatten=nn.Flatten(),
-                linear1=nn.Linear(self.one_hot.channels * height * columns, width),
+                linear1=nn.Linear(self.spread.channels * height * columns, width),
                 relu1=nn.ReLU(),
                 linear2=nn.Linear(width, width),
                 relu2=nn.ReLU(),
@@ -51,7 +67,7 @@ class Small(nn.Module):
         initialise(self)
 
     def forward(self, planes: Tensor) -> tuple[Tensor, Tensor]:
-        features = self.features(self.one_hot(planes))
+        features = self.features(self.spread(planes))
         return self.policy(features), self.value(features).squeeze(-1)
 
 
@@ -62,12 +78,12 @@ class SmallConv(nn.Module):
         self, shape: tuple[int, int, int], largest: list[int], actions: int, width: int = 64
     ):
         super().__init__()
-        self.one_hot = OneHot(largest)
+        self.spread = Spread(largest)
         _, height, columns = shape
         h, w = (height + 3) // 4, (columns + 3) // 4
         self.features = nn.Sequential(
             OrderedDict(
-                conv1=nn.Conv2d(self.one_hot.channels, 16, 3, stride=2, padding=1),
+                conv1=nn.Conv2d(self.spread.channels, 16, 3, stride=2, padding=1),
                 relu1=nn.ReLU(),
                 conv2=nn.Conv2d(16, 32, 3, stride=2, padding=1),
                 relu2=nn.ReLU(),
@@ -81,5 +97,5 @@ class SmallConv(nn.Module):
         initialise(self)
 
     def forward(self, planes: Tensor) -> tuple[Tensor, Tensor]:
-        features = self.features(self.one_hot(planes))
+        features = self.features(self.spread(planes))
         return self.policy(features), self.value(features).squeeze(-1)

@@ -31,9 +31,8 @@ class GameEnv(gymnasium.Env[np.ndarray, np.int64]):
 
     def step(self, action: np.int64) -> tuple[np.ndarray, float, bool, bool, Info]:
         observations, reward, terminated, truncated, info = self.vector.step(np.array([action]))
-        return (
-            observations[0], float(reward[0]), bool(terminated[0]), bool(truncated[0]), _scalars(info),
-        )  # fmt: skip
+        ends = bool(terminated[0]), bool(truncated[0])
+        return observations[0], float(reward[0]), *ends, _scalars(info)
 
     def render(self) -> np.ndarray | None:
         frames = self.vector.render()

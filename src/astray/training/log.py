@@ -46,7 +46,10 @@ class Log:
             text += f"  return {values['training/return']:.2f}"
         self._bar.update(self._task, completed=steps, text=text)
 
-    def close(self) -> None:
+    def __enter__(self) -> Log:
+        return self
+
+    def __exit__(self, *error: object) -> None:
         self._bar.stop()
         self._board.close()
         self._file.close()

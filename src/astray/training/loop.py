@@ -26,36 +26,33 @@ def train(config: Config, folder: Path, *, progress: bool = True) -> Path:
     with checkpoint.claim(folder, config):
         trainer = Trainer(config)
         checkpoint.restore(folder, trainer)
-        log = Log(folder, trainer.steps, config, progress)
-        while trainer.iteration < config.iterations:
-            began = time.perf_counter()
-            rate = config.learning_rate
-            if config.anneal:
-                rate *= max(0.0, 1 - trainer.steps / config.steps)
-            if trainer.validation and trainer.iteration % config.validation_every == 0:
-                validate(trainer.network, trainer.validation, config)
-            rollout = collect(trainer.network, trainer.player, config)
-            played = time.perf_counter()
-            metrics = update(trainer, rollout, rate)
-            trainer.steps += config.batch
-            seconds = time.perf_counter() - began
-            log.write(
-                trainer.steps,
-                {
-                    f"{name}/{k}": v
-                    for name, p in trainer.players().items()
-                    for k, v in p.summary().items()
-                }
-                | {f"update/{name}": value for name, value in metrics.items()}
-                | {"update/learning_rate": rate},
-                {"steps_per_second": config.batch / seconds, "playing": (played - began) / seconds},
-            )
-            done = trainer.iteration == config.iterations
-            if done or trainer.iteration % config.checkpoint_every == 0:
-                checkpoint.save(folder, trainer)
-        log.close()
+        with Log(folder, trainer.steps, config, progress) as log:
+            while trainer.iteration < config.iterations:
+                iterate(trainer, log)
+                done = trainer.iteration == config.iterations
+                if done or trainer.iteration % config.checkpoint_every == 0:
+                    checkpoint.save(folder, trainer)
         trainer.close()
     return checkpoint.latest(folder)
+
+
+def iterate(trainer: Trainer, log: Log) -> None:
+    """Play a rollout, learn from it, tell how it went."""
+    config, began = trainer.config, time.perf_counter()
+    rate = config.learning_rate
+    if config.anneal:
+        rate *= 1 - trainer.steps / config.steps
+    if trainer.validation and trainer.iteration % config.validation_every == 0:
+        validate(trainer.network, trainer.validation, config)
+    rollout = collect(trainer.network, trainer.player, config)
+    played = time.perf_counter()
+    metrics = {f"update/{name}": x for name, x in update(trainer, rollout, rate).items()}
+    trainer.steps += config.batch
+    for name, player in trainer.players().items():
+        metrics |= {f"{name}/{what}": x for what, x in player.summary().items()}
+    seconds = time.perf_counter() - began
+    speed = {"steps_per_second": config.batch / seconds, "playing": (played - began) / seconds}
+    log.write(trainer.steps, metrics | {"update/learning_rate": rate}, speed)
 
 
 def update(trainer: Trainer, rollout: Rollout, rate: float) -> dict[str, float]:

@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
+import functools
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 
 from astray import art as sprites
 from astray.game import NEVER, Variant
 from astray.games.maze.rules import WALL
-from astray.games.maze.variants import COLOURS, FLOORS, SHAPES, WALLS, Maze
+from astray.games.maze.variants import COLOURS, FLOORS, SHAPES, WALLS
 from astray.kernel.canvas import blit, copy_flat, copy_window, tile
 from astray.kernel.jit import kernel
 
 ART = Path(__file__).parent / "art"
+FLOOR = 256  # pixels of a floor's height; larger pictures repeat them
 # The symbolic planes: wall, mouse, and the objects' shapes and colours as indices into
 # SHAPES and COLOURS.
 WALL_PLANE, MOUSE_PLANE, SHAPE_PLANE, COLOUR_PLANE, PLANES = 0, 1, 2, 3, 4
@@ -40,11 +42,13 @@ def paint(s, art, scene):
     cells = s.world + 2 * edge
     scale = scene.shape[0] / cells
     left, width = pixel(edge, scale), pixel(s.world, scale)
-    offset = int(s.background_offset * (floor.shape[1] - width))
-    for row in range(min(width, floor.shape[0])):
+    side = floor.shape[0]
+    offset = int(s.background_offset * (floor.shape[1] - side))
+    for row in range(width):
         for column in range(width):
+            v, u = row * side // width, offset + column * side // width
             for c in range(3):
-                scene[left + row, left + column, c] = floor[row, offset + column, c]
+                scene[left + row, left + column, c] = floor[v, u, c]
     for y in range(cells):
         top, bottom = pixel(cells - 1 - y, scale), pixel(cells - y, scale)
         for x in range(cells):
@@ -128,7 +132,7 @@ def draw_planes(s, scene, planes):
 
 def planes(variant: Variant) -> np.ndarray:
     """The largest value of each symbolic plane, [C, H, W] uint8."""
-    p = cast(Maze, variant)
+    p: Any = variant
     side = p.window // 2 * 2 + 1 if p.window else p.world  # all cells at least half seen
     top = np.array([1, 1, len(SHAPES) - 1, len(COLOURS) - 1], np.uint8)
     return np.broadcast_to(top[:, None, None], (PLANES, side, side)).copy()
@@ -148,10 +152,13 @@ def art(variant: Variant, pixels: int) -> tuple[np.ndarray, ...]:
 
     S is a cell's side, rounded up; objects are by shape and colour; the mouse faces left, right.
     """
-    p = cast(Maze, variant)
     scale = _scale(variant, pixels)
-    side, height = int(np.ceil(scale)), round(p.world * scale)
+    p: Any = variant
+    return _art(int(np.ceil(scale)), min(round(p.world * scale), FLOOR))
 
+
+@functools.cache
+def _art(side: int, height: int) -> tuple[np.ndarray, ...]:
     def load(name: str, height: int, width: int) -> np.ndarray:
         return sprites.resize(sprites.load(ART, name), height, width)
 

@@ -72,7 +72,7 @@ ANYWHERE = Maze(about="cheese anywhere")
 LINE = replace(ANYWHERE, about="a yellow line anywhere", goal_shape="line")
 
 EASY = dict(world=15, largest=15)
-SMALL = dict(world=9, largest=9)
+SMALL = dict(world=7, largest=7, start="anywhere", time_limit=100)
 MEMORY = dict(world=31, largest=31, window=8)
 
 VARIANTS = {
@@ -92,8 +92,8 @@ VARIANTS = {
     "anywhere-easy": replace(ANYWHERE, about="anywhere, in a world of 15 cells", **EASY),
     "corner-memory": replace(CORNER, about="corner, in 31 cells, seen 8 at a time", **MEMORY),
     "anywhere-memory": replace(ANYWHERE, about="anywhere, in 31 cells, seen 8 at a time", **MEMORY),
-    "corner-small": replace(CORNER, about="corner, in a world of 9 cells", **SMALL),
-    "anywhere-small": replace(ANYWHERE, about="anywhere, in a world of 9 cells", **SMALL),
+    "corner-small": replace(CORNER, about="corner, in 7 cells, the mouse anywhere", **SMALL),
+    "anywhere-small": replace(ANYWHERE, about="anywhere, in 7 cells, the mouse too", **SMALL),
     "region-1-strict": Maze(
         about="cheese in the upper right cell, or, rarely, nowhere, as the original",
         placement="region", region=1, strict=True,

@@ -1,0 +1,1 @@
+"""What agents do: episodes as tables, outcomes, intervals."""

@@ -1,0 +1,120 @@
+"""Policies to evaluate: trained agents, and scripted ones for base rates."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Literal, Protocol
+
+import numpy as np
+import torch
+
+from astray.agents import policy as trained
+from astray.agents import ppo
+from astray.envs.vector import GameVectorEnv
+from astray.kernel.jit import entry
+from astray.kernel.rng import mix_two, share
+
+Observation = Literal["image", "symbolic"]
+RANDOM_SALT = 0xAC7
+
+
+class Policy(Protocol):
+    """Chooses an action [N] int64 for every environment, from what it shows or from its state."""
+
+    @property
+    def name(self) -> str: ...
+
+    @property
+    def observation(self) -> Observation: ...
+
+    def actions(self, env: GameVectorEnv, observations: np.ndarray) -> np.ndarray: ...
+
+
+@entry
+def noise(seed, levels, times, out):
+    """Fill `out` [N, A] float32 with uniform reals: functions of seed, level and step alone."""
+    for i in range(out.shape[0]):
+        episode = mix_two(seed, levels[i])
+        for k in range(out.shape[1]):
+            out[i, k] = share(episode, times[i] * out.shape[1] + k)
+
+
+def episode_noise(seed: int, states: np.ndarray, count: int) -> np.ndarray:
+    """Noise [N, count] for the next action in each of `states`, whatever batch they are in."""
+    out = np.empty((len(states), count), np.float32)
+    noise(seed, states["level"].copy(), states["time"].copy(), out)
+    return out
+
+
+@dataclass
+class Agent:
+    """A trained network; `mode` "sampled" draws from its policy, "greedy" takes the likeliest."""
+
+    path: Path  # of a checkpoint's agent.safetensors
+    mode: Literal["sampled", "greedy"] = "sampled"
+    seed: int = 0  # of the sampling
+    device: str = "cpu"
+    network: torch.nn.Module = field(init=False, repr=False)
+    architecture: trained.Architecture = field(init=False)
+
+    def __post_init__(self) -> None:
+        if self.mode not in ("sampled", "greedy"):
+            raise ValueError(f"unknown mode {self.mode!r}; there are: sampled, greedy")
+        self.network, self.architecture = trained.load(self.path, self.device)
+
+    @property
+    def name(self) -> str:
+        return self.mode
+
+    @property
+    def observation(self) -> Observation:
+        return "symbolic" if self.architecture.largest else "image"
+
+    def outputs(self, observations: np.ndarray) -> tuple[torch.Tensor, torch.Tensor]:
+        """Logits [N, A] and values [N] on `observations` [N, ...]."""
+        shown, known = observations.shape[1:], self.architecture.shape
+        if shown != known:
+            raise ValueError(f"the agent sees observations of shape {known}, not {shown}")
+        return trained.outputs(self.network, torch.from_numpy(observations).to(self.device))
+
+    def actions(self, env: GameVectorEnv, observations: np.ndarray) -> np.ndarray:
+        logits, _ = self.outputs(observations)
+        if self.mode == "greedy":
+            return logits.argmax(-1).numpy(force=True)
+        uniform = torch.from_numpy(episode_noise(self.seed, env.states, logits.shape[1]))
+        return ppo.sample(logits, uniform.to(self.device))[0].numpy(force=True)
+
+
+@dataclass
+class Random:
+    """Every action equally likely."""
+
+    seed: int = 0
+    name: str = "random"
+    observation: Observation = "symbolic"
+
+    def actions(self, env: GameVectorEnv, observations: np.ndarray) -> np.ndarray:
+        return episode_noise(self.seed, env.states, len(env.game.actions)).argmax(1)
+
+
+@dataclass
+class Walk:
+    """Takes the shortest way to a goal, and is blind to all else; then stays there."""
+
+    goal: str
+    observation: Observation = "symbolic"
+    _routes: dict[int, np.ndarray] = field(default_factory=dict, repr=False)  # by level
+
+    @property
+    def name(self) -> str:
+        return f"walk to {self.goal}"
+
+    def actions(self, env: GameVectorEnv, observations: np.ndarray) -> np.ndarray:
+        return np.array([self._action(env, state) for state in env.states], np.int64)
+
+    def _action(self, env: GameVectorEnv, s: Any) -> int:
+        level = int(s.level)
+        if s.time == 0:
+            self._routes[level] = env.game.routes(s, self.goal)
+        return int(self._routes[level][int(s.y), int(s.x)])

@@ -1,0 +1,106 @@
+"""Agents from run folders, evaluated beside the base rates of scripted policies."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+import polars as pl
+
+from astray import games
+from astray.analysis.evaluate import evaluate
+from astray.analysis.outcomes import label, load_shift, shares, tell_apart
+from astray.analysis.policies import Agent, Policy, Random, Walk
+from astray.game import Variant
+from astray.training import checkpoint
+from astray.training.config import Config, vary
+
+Mode = Literal["sampled", "greedy"]
+
+
+def open_run(run: Path, mode: Mode = "sampled") -> tuple[Agent, Config]:
+    """The last agent of a run folder (or that of a checkpoint in it), and the run's settings."""
+    folder = run if (run / "config.json").exists() else run.parent.parent
+    path = checkpoint.latest(folder) if folder == run else run
+    config = checkpoint.read_config(folder)
+    return Agent(path / checkpoint.AGENT, mode, config.seed), config
+
+
+def shift_of(config: Config) -> str:
+    """The shift whose training variant the run trained on."""
+    game = games.load(config.game)
+    found = [name for name, shift in game.shifts.items() if shift.train == config.variant]
+    if not found:
+        raise ValueError(
+            f"no shift of {config.game} trains on {config.variant!r}; "
+            f"name one of: {', '.join(game.shifts)}"
+        )
+    return found[0]
+
+
+def evaluate_runs(
+    runs: Sequence[Path],
+    levels: np.ndarray,
+    *,
+    variant: str | None = None,
+    shift: str | None = None,
+    mode: Mode = "sampled",
+    knobs: dict[str, Any] | None = None,
+    batch: int = 256,
+) -> tuple[pl.DataFrame, pl.DataFrame]:
+    """How often agents reach which goal, and how often policies that know only one do.
+
+    Returns `outcomes.shares` of all levels and of those that tell the goals apart (column
+    "levels_played"), and the episodes.
+    """
+    opened = [open_run(run, mode) for run in runs]
+    config = opened[0][1]
+    named = shift or shift_of(config)
+    between = load_shift(config.game, named)
+    name = variant or between.test
+    episodes = play_all(
+        config.game, name, vary(config.game, name, knobs or {}), named, levels,
+        [agent for agent, _ in opened], batch,
+    )  # fmt: skip
+    both = [
+        shares(part).with_columns(levels_played=pl.lit(which))
+        for which, part in (("all", episodes), ("telling apart", episodes.filter("tells_apart")))
+        if len(part)
+    ]
+    return pl.concat(both), episodes
+
+
+def play_all(
+    game: str,
+    name: str,
+    variant: Variant,
+    shift: str,
+    levels: np.ndarray | range,
+    agents: Sequence[Agent],
+    batch: int = 256,
+) -> pl.DataFrame:
+    """The episodes of `agents`, and of scripted policies that walk to each goal or at random.
+
+    Beside `evaluate`'s columns: run, seed, checkpoint (null for scripts), variant (its `name`),
+    outcome, tells_apart.
+    """
+    between = load_shift(game, shift)
+    scripts: list[Policy] = [Walk(goal) for goal in (between.intended, *between.proxies)]
+    parts = []
+    for policy in (*scripts, Random(), *agents):
+        run = seed = steps = None
+        if isinstance(policy, Agent):
+            run, seed, steps = (
+                str(policy.path.parents[2]),
+                policy.seed,
+                int(policy.path.parent.name),
+            )
+        parts.append(
+            evaluate(policy, game, variant, levels, batch=batch).with_columns(
+                run=pl.lit(run, pl.String), seed=pl.lit(seed, pl.Int64),
+                checkpoint=pl.lit(steps, pl.Int64), variant=pl.lit(name),
+            )
+        )  # fmt: skip
+    return tell_apart(label(pl.concat(parts), games.load(game), between), between)

@@ -1,0 +1,189 @@
+"""Videos: episodes as people see them, alone and side by side, as MP4 and GIF."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import av
+import numpy as np
+from PIL import Image, ImageDraw, ImageFont
+
+from astray.analysis.policies import Policy
+from astray.envs.vector import GameVectorEnv, picture
+from astray.game import Variant
+from astray.training.checkpoint import write_aside
+
+BACKGROUND, INK = (247, 247, 245), (34, 34, 34)
+CAPTION = 17  # pixels, the size of its letters
+LINE = 24  # pixels from a line of a caption to the next
+FPS = 15  # frames, and so steps of an episode, a second
+
+Caption = str | Callable[[int], str]  # or a function of the step
+
+
+@dataclass(frozen=True, eq=False)
+class Episode:
+    """One episode of T steps, as people, the agent and the rules see it."""
+
+    frames: np.ndarray  # [T + 1, P, P, 3] uint8
+    observations: np.ndarray  # [T + 1, ...] uint8, what the agent sees
+    states: np.ndarray  # [T + 1] records
+    rewards: np.ndarray  # [T] float64
+    events: dict[str, int | None]  # the step each first happened, None for never
+    level: int
+    terminated: bool  # by the rules; else the time was up
+
+
+def play(
+    policy: Policy,
+    game: str,
+    variant: str | Variant,
+    level: int,
+    *,
+    pixels: int = 256,
+    longest: int | None = None,
+) -> Episode:
+    """Play one episode of `policy` in a level and keep everything.
+
+    pixels   a side of the frames
+    longest  steps after which it is left unfinished; None: never
+    """
+    if longest is not None and longest < 1:
+        raise ValueError(f"longest is {longest}; it is at least 1 step")
+    env = GameVectorEnv(game, variant, 1, observation=policy.observation, autoreset_mode="Disabled")
+    shown, _ = env.reset(seed=0, options={"level": level})
+    observations, states, rewards = [shown], [env.states.copy()], []
+    terminated = truncated = np.array([False])
+    while not (terminated[0] or truncated[0] or len(rewards) == longest):
+        actions = policy.actions(env, shown)
+        shown, reward, terminated, truncated, _ = env.step(actions)
+        observations.append(shown)
+        states.append(env.states.copy())
+        rewards.append(reward)
+    env.close()
+    whole = np.concatenate(states)
+    steps = {event: int(whole[event][-1]) for event in env.game.events}
+    return Episode(
+        frames=picture(game, env.variant, whole, pixels),
+        observations=np.concatenate(observations),
+        states=whole,
+        rewards=np.concatenate(rewards),
+        events={event: step if step >= 0 else None for event, step in steps.items()},
+        level=level,
+        terminated=bool(terminated[0]),
+    )
+
+
+def beside(*videos: np.ndarray, captions: Sequence[Caption], gap: int = 12) -> np.ndarray:
+    """Videos side by side, a caption above each; the shorter ones hold their last frame.
+
+    Above, because players lay their controls over the bottom.
+
+    videos    each [T, H, W, 3] uint8, of any length and size
+    captions  a text for each video, or a function from its frame's number to a text
+    gap       pixels between the videos and around them
+    returns   [T, H, W, 3] uint8, T that of the longest
+    """
+    if not videos or len(videos) != len(captions):
+        raise ValueError(f"{len(videos)} videos and {len(captions)} captions; one for each")
+    texts = [_texts(caption, video) for caption, video in zip(captions, videos, strict=True)]
+    lines = max(len(text) for column in texts for text in column)
+    frames, tallest = max(len(video) for video in videos), max(v.shape[1] for v in videos)
+    width = gap + sum(video.shape[2] + gap for video in videos)
+    strip = gap // 2 + lines * LINE
+    top = strip + gap // 4
+    canvas = np.full((frames, top + tallest + gap, width, 3), BACKGROUND, np.uint8)
+    left = gap
+    for video, column in zip(videos, texts, strict=True):
+        here = slice(left, left + video.shape[2])
+        held = np.minimum(np.arange(frames), len(video) - 1)
+        canvas[:, top : top + video.shape[1], here] = video[held]
+        strips = {text: _strip(text, video.shape[2], strip) for text in set(column)}
+        canvas[:, :strip, here] = [strips[column[k]] for k in held]
+        left += video.shape[2] + gap
+    return canvas
+
+
+def _texts(caption: Caption, video: np.ndarray) -> list[tuple[str, ...]]:
+    """The lines of the caption above each frame."""
+    if isinstance(caption, str):
+        return [_wrapped(caption, video.shape[2])] * len(video)
+    return [_wrapped(caption(step), video.shape[2]) for step in range(len(video))]
+
+
+def _wrapped(text: str, width: int) -> tuple[str, ...]:
+    """`text` in lines of at most `width` pixels, broken between words."""
+    font = ImageFont.load_default(CAPTION)
+    lines = [""]
+    for word in text.split():
+        longer = f"{lines[-1]} {word}".lstrip()
+        if lines[-1] and font.getlength(longer) > width:
+            lines.append(word)
+        else:
+            lines[-1] = longer
+    return tuple(lines)
+
+
+def _strip(lines: Sequence[str], width: int, height: int) -> np.ndarray:
+    """Text on the background, [height, width, 3] uint8."""
+    image = Image.new("RGB", (width, height), BACKGROUND)
+    draw, font = ImageDraw.Draw(image), ImageFont.load_default(CAPTION)
+    first = height - len(lines) * LINE  # the last line lies on the video
+    for k, line in enumerate(lines):  # at the left, so that numbers that change do not shake it
+        draw.text((0, first + (k + 0.5) * LINE), line, INK, font, anchor="lm")
+    return np.array(image)
+
+
+def write_mp4(frames: np.ndarray, path: Path, fps: int = FPS) -> None:
+    """Write `frames` [T, H, W, 3] uint8 as a video that browsers play; `path` ends in .mp4."""
+    _check(frames)
+    odd = [(0, 0), *((0, size % 2) for size in frames.shape[1:3]), (0, 0)]
+    even = np.pad(frames, odd, mode="edge")  # yuv420p halves both sides
+    codec = "libx264" if "libx264" in av.codecs_available else "mpeg4"
+    file = io.BytesIO()
+    with av.open(file, "w", format="mp4") as container:
+        stream = container.add_stream(codec, rate=fps, options={"crf": "20"})
+        stream.height, stream.width = even.shape[1:3]
+        stream.pix_fmt = "yuv420p"
+        for frame in even:
+            container.mux(stream.encode(av.VideoFrame.from_ndarray(frame, format="rgb24")))
+        container.mux(stream.encode())
+    _write(path, file.getvalue())
+
+
+def write_gif(frames: np.ndarray, path: Path, fps: int = FPS) -> None:
+    """Write `frames` [T, H, W, 3] uint8 as a GIF that repeats, all in one palette."""
+    _check(frames)
+    # The colours of up to 16 frames, spread over the video, speak for all.
+    few = frames[np.unique(np.linspace(0, len(frames) - 1, 16).astype(int))]
+    palette = Image.fromarray(few.reshape(-1, *few.shape[2:])).quantize(
+        255, Image.Quantize.MEDIANCUT, dither=Image.Dither.NONE
+    )  # 255: one is left for "as before"
+    images = [
+        Image.fromarray(frame).quantize(palette=palette, dither=Image.Dither.NONE)
+        for frame in frames
+    ]
+    ends = [round(100 * k / fps) for k in range(len(frames) + 1)]  # GIFs count hundredths of a s
+    milliseconds = [10 * int(n) for n in np.diff(ends)]
+    file = io.BytesIO()
+    images[0].save(
+        file, "GIF", save_all=True, append_images=images[1:], duration=milliseconds, loop=0
+    )
+    _write(path, file.getvalue())
+
+
+def _check(frames: np.ndarray) -> None:
+    if frames.ndim != 4 or frames.shape[3] != 3 or frames.dtype != np.uint8 or not len(frames):
+        raise ValueError(f"a video is [T, H, W, 3] uint8, not {frames.shape} {frames.dtype}")
+
+
+def _write(path: Path, data: bytes) -> None:
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write_aside(path, data)
+    except OSError as error:
+        reason = (error.strerror or str(error)).lower()
+        raise OSError(f"cannot write {path.name} in {path.parent}: {reason}") from error

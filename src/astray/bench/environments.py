@@ -1,0 +1,231 @@
+"""Steps per second of the games, beside EnvPool's re-creation of the originals and a plain copy.
+
+Everything is measured in turns, round after round, so that whatever slows the machine for a
+while slows all of it; figures are medians over the rounds, and ratios are of these medians.
+Gymnasium's `benchmark_vector_step` does not serve: it draws the actions while the clock runs,
+and it resets every environment at once, so that short measurements hold either no reset or all.
+"""
+
+from __future__ import annotations
+
+import importlib
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from statistics import median
+from typing import Any
+
+import numpy as np
+from rich.table import Table
+
+from astray import games
+from astray.bench import tables
+from astray.bench.tables import NOTHING, count, decimal, thousands
+from astray.envs.vector import GameVectorEnv
+
+ACTIONS = 64  # prepared steps of actions, used again and again
+COPIED = 2**27  # bytes of the plain copy: more than a processor's caches hold
+PEER_BATCH = 64  # environments of EnvPool; with one thread 16 and 256 are no faster
+COPY = "memory copy"
+
+
+@dataclass(frozen=True)
+class Peer:
+    """What a game is measured against: the variant that is like an environment of EnvPool."""
+
+    variant: str
+    envpool: str
+
+
+PEERS = {"maze": Peer(variant="anywhere", envpool="MazeHard-v0")}
+
+
+@dataclass(frozen=True)
+class Row:
+    """What one contender did; None where it was not measured or a column does not apply."""
+
+    game: str
+    variant: str
+    what: str
+    batch: int | None = None
+    threads: int | None = None
+    steps_per_second: float | None = None  # environment steps, median over the rounds
+    best: float | None = None  # of the rounds, in steps per second
+    gigabytes_per_second: float | None = None  # of observations, or of what is copied
+    to_peer: float | None = None  # ratio to EnvPool
+    to_one_thread: float | None = None  # ratio to the same with one thread
+    of_copy: float | None = None  # share of the bytes per second that a plain copy moves
+    note: str = ""
+
+    def cells(self) -> dict[str, str]:
+        return {
+            "game": f"{self.game} {self.variant}",
+            "what": f"{self.what} ({self.note})" if self.note else self.what,
+            "batch": count(self.batch),
+            "threads": count(self.threads),
+            "1,000 steps/s": thousands(self.steps_per_second),
+            "best": thousands(self.best),
+            "GB/s": decimal(self.gigabytes_per_second),
+            "x EnvPool": decimal(self.to_peer, 1),
+            "x 1 thread": decimal(self.to_one_thread),
+            "of a copy": NOTHING if self.of_copy is None else f"{self.of_copy:.0%}",
+        }
+
+
+@dataclass
+class Contender:
+    """Something that is measured in turns with others."""
+
+    row: Row  # without figures
+    once: Callable[[int], object]  # do it for the k-th time
+    bytes: int  # that one `once` makes
+    close: Callable[[], object] = lambda: None
+    speeds: list[float] = field(default_factory=list)  # `once` per second, of each round
+
+    def take_turn(self, seconds: float) -> None:
+        done, began = 0, time.perf_counter()
+        while (passed := time.perf_counter() - began) < seconds or not done:
+            self.once(done)
+            done += 1
+        self.speeds.append(done / passed)
+
+    def result(self) -> Row:
+        """The row, with what was measured but no ratios."""
+        middle = median(self.speeds)
+        row = replace(self.row, gigabytes_per_second=middle * self.bytes / 1e9)
+        if row.batch is None:
+            return row
+        return replace(row, steps_per_second=middle * row.batch, best=max(self.speeds) * row.batch)
+
+
+def measure(
+    names: Sequence[str] = games.NAMES, seconds: float = 1.0, rounds: int = 5, seed: int = 0
+) -> list[Row]:
+    """Measure these games, each turn for `seconds`; one not in `PEERS` on its first variant."""
+    rows = []
+    for name in names:
+        peer = PEERS.get(name)
+        variant = peer.variant if peer else next(iter(games.load(name).variants))
+        rows += measure_game(
+            name, variant, peer.envpool if peer else None, seconds, rounds, seed=seed
+        )
+    return rows
+
+
+def measure_game(
+    game: str,
+    variant: str,
+    peer: str | None = None,
+    seconds: float = 1.0,
+    rounds: int = 5,
+    *,
+    batches: tuple[int, int] = (256, 1024),
+    seed: int = 0,
+) -> list[Row]:
+    """Measure one game, and the environment `peer` of EnvPool.
+
+    batches  environments of the two sizes of batch with images; symbolic has the larger one
+    """
+    contenders = [
+        _ours(game, variant, "images", batch, threads, seed)
+        for batch in batches
+        for threads in (1, 2)
+    ]
+    contenders.append(_ours(game, variant, "symbolic", batches[1], 1, seed))
+    missing = []
+    if peer:
+        steps = games.load(game).variant(variant).time_limit
+        made = _envpool(Row(game, variant, f"EnvPool {peer}"), peer, steps, seed)
+        if isinstance(made, Contender):
+            contenders.append(made)
+        else:
+            missing.append(made)
+    contenders.append(_copy(game, variant))
+    for contender in contenders:
+        contender.once(0)  # the first time touches memory that is given only then
+    for _ in range(rounds):
+        for contender in contenders:
+            contender.take_turn(seconds)
+    for contender in contenders:
+        contender.close()
+    *rows, copy = [contender.result() for contender in contenders]
+    return _with_ratios([*rows, *missing, copy])
+
+
+def _ours(game: str, variant: str, what: str, batch: int, threads: int, seed: int) -> Contender:
+    env = GameVectorEnv(
+        game, variant, batch, observation="image" if what == "images" else "symbolic",
+        autoreset_mode="SameStep", threads=threads,
+    )  # fmt: skip
+    rng = np.random.default_rng(seed)
+    actions = rng.integers(len(env.game.actions), size=(ACTIONS, batch))
+    env.reset(seed=seed)
+    # Each environment at another time of its episode: resets are spread, as in a long run.
+    states = env.states.copy()
+    states["time"] = rng.integers(env.variant.time_limit, size=batch)
+    made = env.set_states(states)
+    row = Row(game, variant, what, batch, threads)
+    return Contender(row, lambda k: env.step(actions[k % ACTIONS]), made.nbytes, env.close)
+
+
+def _envpool(row: Row, peer: str, steps: int, seed: int) -> Contender | Row:
+    """EnvPool's environment held to one thread, or the row that says why there is none."""
+    try:
+        envpool: Any = importlib.import_module("envpool")
+        there = peer in envpool.list_all_envs()
+    except ImportError:
+        return replace(row, note="not installed: pip install envpool")
+    if not there:
+        return replace(row, note="not in this EnvPool; it needs Debian's libqt5gui5")
+    n = PEER_BATCH
+    # One thread steps all of a batch, while the caller waits.
+    env = envpool.make_gymnasium(peer, num_envs=n, batch_size=n, num_threads=1, seed=seed)
+    rng = np.random.default_rng(seed)
+    actions = rng.integers(env.action_space.n, size=(ACTIONS, n)).astype(np.int32)
+    images, _ = env.reset()
+    # Its states cannot be set, so resets are spread by stepping each environment alone.
+    ahead = rng.integers(steps, size=n)
+    for k in range(ahead.max()):
+        behind = np.flatnonzero(ahead > k)
+        env.step(actions[k % ACTIONS, behind], behind)
+    row = replace(row, batch=n, threads=1)
+    return Contender(row, lambda k: env.step(actions[k % ACTIONS]), images.nbytes, env.close)
+
+
+def _copy(game: str, variant: str) -> Contender:
+    source, target = np.ones(COPIED, np.uint8), np.zeros(COPIED, np.uint8)
+    row = Row(game, variant, COPY, threads=1)
+    return Contender(row, lambda _: np.copyto(target, source), COPIED)
+
+
+def _with_ratios(rows: list[Row]) -> list[Row]:
+    """`rows` of one game, with their ratios to one another."""
+    copy = next(row for row in rows if row.what == COPY)
+    peer = next((row for row in rows if row.what.startswith("EnvPool")), None)
+    alone = {(row.what, row.batch): row.steps_per_second for row in rows if row.threads == 1}
+    result = []
+    for row in rows:
+        if row.what == "images":
+            single = alone[row.what, row.batch] if row.threads != 1 else None
+            row = replace(
+                row,
+                to_peer=_ratio(row.steps_per_second, peer and peer.steps_per_second),
+                to_one_thread=_ratio(row.steps_per_second, single),
+                of_copy=_ratio(row.gigabytes_per_second, copy.gigabytes_per_second),
+            )
+        result.append(row)
+    return result
+
+
+def _ratio(x: float | None, y: float | None) -> float | None:
+    return x / y if x and y else None
+
+
+def table(rows: Sequence[Row]) -> Table:
+    """The rows for a terminal."""
+    return tables.table(rows, "Environment steps, in turns")
+
+
+def markdown(rows: Sequence[Row]) -> str:
+    """The rows for a page."""
+    return tables.markdown(rows)

@@ -1,0 +1,362 @@
+"""The command line: one plain function per verb."""
+
+from __future__ import annotations
+
+import functools
+import json
+import sys
+from pathlib import Path
+from typing import Annotated, Any, Literal, get_args
+
+import numpy as np
+import polars as pl
+import tyro
+from rich.console import Console
+from rich.table import Table
+from tyro.conf import Positional, arg
+
+from astray import games
+from astray.experiments.spec import Size
+from astray.game import NEVER, Game, Variant
+from astray.training.config import PRESETS, Config, vary
+
+Preset = Literal["paper", "small"]
+Mode = Literal["sampled", "greedy"]
+Knobs = Annotated[tuple[str, ...], arg(name="set", metavar="KNOB=VALUE")]
+PRINTED = 2  # exit code of a mistake that was explained
+
+
+def list_(json: bool = False) -> None:
+    """What there is: games, variants, shifts, experiments, presets.
+
+    Args:
+        json: print JSON
+    """
+    from astray import experiments
+
+    found = {
+        "games": {
+            name: {
+                "about": game.about,
+                "variants": {k: v.about for k, v in game.variants.items()},
+                "goals": list(game.goals),
+                "shifts": {k: vars(v) for k, v in game.shifts.items()},
+            }
+            for name in games.NAMES
+            for game in [games.load(name)]
+        },
+        "experiments": {name: experiments.load(name).title for name in experiments.NAMES},
+        "presets": list(PRESETS),
+    }
+    if json:
+        _print_json(found)
+        return
+    console = Console()
+    for name, game in found["games"].items():
+        console.print(f"[bold]{name}[/]: {game['about']}")
+        table = Table("variant", "levels", box=None, padding=(0, 2))
+        for variant, about in game["variants"].items():
+            table.add_row(variant, about)
+        console.print(table)
+        for shift, what in game["shifts"].items():
+            goals = f"{what['intended']}, or {' or '.join(what['proxies'])}?"
+            console.print(f"  shift {shift}: {what['train']} -> {what['test']}: {goals}")
+    console.print("[bold]experiments[/]")
+    for name, title in found["experiments"].items():
+        console.print(f"  {name}: {title}")
+
+
+def play(
+    game: Positional[str],
+    variant: Positional[str],
+    level: int | None = None,
+    knobs: Knobs = (),
+) -> None:
+    """Play a game in a window, what an agent sees of it beside.
+
+    Args:
+        level: the first level's number; by default one at random
+        knobs: of the variant, changed
+    """
+    from astray.play import play as window
+
+    window(game, _variant(game, variant, knobs), level)
+
+
+def train(
+    config: Annotated[Config, arg(name="")],
+    preset: Preset = "small",
+    knobs: Knobs = (),
+    seeds: int = 1,
+    folder: Path | None = None,
+) -> None:
+    """Train agents, or go on where they stopped.
+
+    Args:
+        preset: whose settings are the defaults of all others
+        knobs: of the variant, changed
+        seeds: agents to train one after the other, with this seed, the next, ...
+        folder: of the runs; by default runs/<game>-<variant>
+    """
+    from dataclasses import replace
+
+    from astray.training.loop import train as run
+
+    changed = replace(config, knobs=_pairs(knobs))
+    there = folder or Path("runs") / f"{config.game}-{config.variant}"
+    for seed in range(config.seed, config.seed + seeds):
+        last = run(replace(changed, seed=seed), there / f"seed-{seed}")
+        print(last)
+
+
+def evaluate(
+    runs: Positional[tuple[Path, ...]],
+    variant: str | None = None,
+    shift: str | None = None,
+    levels: str = "1000000:1001000",
+    mode: Mode = "sampled",
+    knobs: Knobs = (),
+    batch: int = 256,
+    out: Path | None = None,
+    json: bool = False,
+) -> None:
+    """Play agents on explicit levels and say which goal they pursued.
+
+    Args:
+        runs: run folders, or checkpoints in them; several agents of one kind
+        variant: of the levels; by default the shift's test variant
+        shift: which goals are intended and proxies; by default the one that the run trained for
+        levels: numbers and ranges, as 5,17,100:200
+        mode: draw from the agent's policy, or take the likeliest action
+        knobs: of the variant, changed
+        batch: episodes at once; the rows do not depend on it
+        out: a Parquet file for the episodes, a row each
+        json: print JSON
+    """
+    from astray.analysis.runs import evaluate_runs
+
+    shares, episodes = evaluate_runs(
+        runs, numbers(levels), variant=variant, shift=shift, mode=mode, knobs=_pairs(knobs),
+        batch=batch,
+    )  # fmt: skip
+    if out:
+        episodes.write_parquet(out)
+    _show(shares, json)
+
+
+def reproduce(
+    name: Positional[str],
+    size: Size = "smoke",
+    folder: Path | None = None,
+    workers: int | None = None,
+) -> None:
+    """Do a figure or table of the paper: train, evaluate, report; go on where it stopped.
+
+    Args:
+        name: of the experiment; `astray list` has them
+        size: smoke (minutes on two cores), hour (of a GPU), or paper
+        folder: of the report; by default reports/<name>-<size>
+        workers: agents trained at once; by default one for each processor
+    """
+    from astray.experiments.run import reproduce as run
+
+    print(run(name, size, folder or Path("reports") / f"{name}-{size}", workers=workers))
+
+
+def record(
+    run: Positional[Path],
+    variant: str | None = None,
+    level: int = 1_000_000,
+    mode: Mode = "sampled",
+    knobs: Knobs = (),
+    pixels: int = 512,
+    out: Path = Path("episode.mp4"),
+) -> None:
+    """Film an agent in one level.
+
+    Args:
+        run: a run folder or a checkpoint in it
+        variant: of the level; by default that of the training
+        level: its number
+        mode: draw from the agent's policy, or take the likeliest action
+        knobs: of the variant, changed
+        pixels: a side of the picture
+        out: an .mp4 or .gif file
+    """
+    from astray.analysis import video
+    from astray.analysis.runs import open_run
+
+    write = {".mp4": video.write_mp4, ".gif": video.write_gif}.get(out.suffix)
+    if write is None:
+        raise ValueError(f"a video is an .mp4 or a .gif file, not {out}")
+    agent, config = open_run(run, mode)
+    made = _variant(config.game, variant or config.variant, knobs)
+    episode = video.play(agent, config.game, made, level, pixels=pixels)
+    write(episode.frames, out)
+    print(out)
+
+
+def level(
+    game: Positional[str],
+    variant: Positional[str],
+    numbers: str = "0",
+    knobs: Knobs = (),
+    json: bool = False,
+) -> None:
+    """Print levels, as drawings or as data.
+
+    Args:
+        numbers: numbers and ranges, as 5,17,100:200
+        knobs: of the variant, changed
+        json: print JSON, a level a line
+    """
+    states = _states(game, _variant(game, variant, knobs), globals()["numbers"](numbers))
+    made = games.load(game)
+    for s in states:
+        if json:
+            _print_json(
+                {"game": game, "variant": variant, "level": int(s.level)} | made.describe(s)
+            )
+        else:
+            print(f"{game} {variant} level {s.level}\n{made.text(s)}\n")
+
+
+def replay(
+    game: Positional[str],
+    variant: Positional[str],
+    level: int,
+    actions: Path,
+    knobs: Knobs = (),
+    json: bool = False,
+) -> None:
+    """Play given actions in one level and tell what happens, step by step.
+
+    Args:
+        level: its number
+        actions: a file of action names or numbers, separated by white space or commas; - for
+            standard input
+        knobs: of the variant, changed
+        json: print JSON
+    """
+    from astray.analysis.replay import replay as run
+
+    made = games.load(game)
+    text = sys.stdin.read() if str(actions) == "-" else actions.read_text()
+    told = run(game, _variant(game, variant, knobs), level, _actions(made, text))
+    if json:
+        _print_json(told)
+        return
+    for k, step in enumerate(told["steps"], 1):
+        print(f"{k:5}  {step['action']:10}  ({step['x']:g}, {step['y']:g})  {step['reward']:+g}")
+    print(f"return {told['return']:g}, " + ("terminated" if told["terminated"] else
+          "truncated" if told["truncated"] else "not ended"))  # fmt: skip
+
+
+def bench(
+    what: Positional[Literal["environments", "training"]] = "environments", markdown: bool = False
+) -> None:
+    """Measure speed against others, as ratios in one run.
+
+    Args:
+        markdown: print the table for benchmarks/README.md
+    """
+    from importlib import import_module
+
+    module = import_module(f"astray.bench.{what}")
+    rows = module.measure()
+    if markdown:
+        print(module.markdown(rows))
+    else:
+        Console().print(module.table(rows))
+
+
+def numbers(text: str) -> np.ndarray:
+    """Level numbers from text like 5,17,100:200."""
+    found: list[int] = []
+    try:
+        for part in text.split(","):
+            first, colon, after = part.partition(":")
+            found += range(int(first), int(after)) if colon else [int(first)]
+    except ValueError:
+        raise ValueError(f"levels are numbers and ranges as 5,17,100:200; given {text!r}") from None
+    if not found:
+        raise ValueError(f"no levels in {text!r}")
+    return np.array(found)
+
+
+def _pairs(knobs: tuple[str, ...]) -> dict[str, Any]:
+    wrong = [knob for knob in knobs if "=" not in knob]
+    if wrong:
+        raise ValueError(f"a knob is set as NAME=VALUE; given {wrong[0]!r}")
+    return dict(knob.split("=", 1) for knob in knobs)
+
+
+def _variant(game: str, variant: str, knobs: tuple[str, ...]) -> Variant:
+    return vary(game, variant, _pairs(knobs))
+
+
+def _states(game: str, variant: Variant, levels: np.ndarray) -> np.ndarray:
+    from astray.envs.vector import GameVectorEnv
+
+    env = GameVectorEnv(game, variant, len(levels), observation="symbolic")
+    env.reset(seed=0, options={"level": levels})
+    return env.states
+
+
+def _actions(game: Game, text: str) -> list[int]:
+    """Actions by name or number."""
+    found = []
+    for word in text.replace(",", " ").replace("[", " ").replace("]", " ").split():
+        name = word.strip("\"'")
+        number = int(name) if name.isdecimal() else NEVER
+        if name in game.actions:
+            number = game.actions.index(name)
+        if not 0 <= number < len(game.actions):
+            there = ", ".join(f"{k} {a}" for k, a in enumerate(game.actions))
+            raise ValueError(f"unknown action {name!r}; there are: {there}")
+        found.append(number)
+    return found
+
+
+def _print_json(data: Any) -> None:
+    print(json.dumps(data))
+
+
+def _show(table: pl.DataFrame, as_json: bool) -> None:
+    if as_json:
+        _print_json(table.to_dicts())
+        return
+    shown = Table(*table.columns)
+    for row in table.rows():
+        shown.add_row(*(f"{x:.3f}" if isinstance(x, float) else str(x) for x in row))
+    Console().print(shown)
+
+
+VERBS = {
+    "list": list_,
+    "play": play,
+    "train": train,
+    "evaluate": evaluate,
+    "reproduce": reproduce,
+    "record": record,
+    "level": level,
+    "replay": replay,
+    "bench": bench,
+}
+
+
+def main() -> None:
+    """Entry point of the `astray` command."""
+    words = sys.argv[1:]
+    preset = words[words.index("--preset") + 1 :][:1] if "--preset" in words else []
+    name = preset[0] if preset and preset[0] in get_args(Preset) else "small"
+    verbs = VERBS | {"train": functools.partial(train, config=PRESETS[name])}
+    try:
+        tyro.extras.subcommand_cli_from_dict(
+            verbs, prog="astray", description="Find out which goal a trained agent really pursues."
+        )
+    except (ValueError, OSError, RuntimeError, ImportError) as error:
+        print(f"astray: {error}", file=sys.stderr)
+        sys.exit(PRINTED)
+    except KeyboardInterrupt:
+        sys.exit(130)

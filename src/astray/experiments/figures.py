@@ -1,0 +1,145 @@
+"""Figures: what agents do, and how they learned it. Everything is drawn in one style."""
+
+from __future__ import annotations
+
+import io
+import textwrap
+from collections.abc import Mapping
+from itertools import cycle
+from pathlib import Path
+from typing import Any
+
+import matplotlib
+import polars as pl
+from matplotlib.artist import Artist
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
+from matplotlib.ticker import PercentFormatter
+
+from astray.analysis.outcomes import FAILED, INTENDED, MISGENERALIZED
+from astray.training.checkpoint import write_aside
+
+# Told apart by every kind of colour vision, and light enough to be written on.
+COLOURS = {MISGENERALIZED: "#f0a03c", INTENDED: "#2fa393", FAILED: "#d2d2ce"}
+OTHERS = ("#2e6db4", "#b5446e", "#6b5b95", "#8a6d1f")  # of what is not an outcome
+INK, FAINT = "#222222", "#dddddd"
+WIDTH = 7.0  # inches
+NARROWEST = 0.07  # share of a segment that has room for its percentage
+
+STYLE: dict[Any, Any] = {
+    "axes.axisbelow": True, "axes.edgecolor": INK, "axes.labelcolor": INK,
+    "axes.spines.right": False, "axes.spines.top": False,
+    "axes.titlelocation": "left", "axes.titlepad": 8, "axes.titlesize": 11,
+    "axes.titleweight": "bold",
+    "figure.facecolor": "white", "figure.constrained_layout.h_pad": 0.08,
+    "figure.constrained_layout.use": True,
+    "font.family": ["DejaVu Sans"],  # comes with matplotlib, so it is the same everywhere
+    "font.size": 10.5, "grid.color": FAINT, "legend.frameon": False, "legend.fontsize": 10,
+    "savefig.dpi": 150, "svg.fonttype": "none", "svg.hashsalt": "astray", "text.color": INK,
+    "xtick.color": INK, "ytick.color": INK,
+}  # fmt: skip
+
+
+@matplotlib.rc_context(STYLE)
+def outcome_bars(shares: pl.DataFrame) -> Figure:
+    """How episodes end: a panel for each `where`, in it a bar for each `who`.
+
+    shares  columns who, where, outcome (of `outcomes.OUTCOMES`), mean, low, high: shares from 0
+            to 1 with their interval, null where there is none; panels and bars in the table's order
+    """
+    unknown = set(shares["outcome"]) - set(COLOURS)
+    if unknown or shares.is_empty():
+        raise ValueError(f"unknown outcomes {sorted(unknown)}; there are: {', '.join(COLOURS)}")
+    panels = shares.partition_by("where", maintain_order=True)
+    bars = [panel["who"].n_unique() for panel in panels]
+    figure = Figure(figsize=(WIDTH, 0.85 + sum(0.5 * n + 0.5 for n in bars)))
+    rows = figure.subplots(len(panels), 1, sharex=True, squeeze=False, height_ratios=bars)[:, 0]
+    for axes, panel in zip(rows, panels, strict=True):
+        _bars(axes, panel)
+        axes.set_title(panel["where"][0])
+    rows[-1].set_xlabel("share of episodes")
+    rows[-1].xaxis.set_major_formatter(PercentFormatter(1, symbol=" %"))
+    keys: list[Artist] = [Patch(color=colour, label=outcome) for outcome, colour in COLOURS.items()]
+    if shares["low"].count():
+        keys.append(_interval([], [], "95 % interval"))
+    figure.legend(handles=keys, loc="outside upper left", ncols=4, handlelength=1, handleheight=1)
+    return figure
+
+
+def _bars(axes: Axes, panel: pl.DataFrame) -> None:
+    """One stacked bar for each `who`, the first on top."""
+    names = panel["who"].unique(maintain_order=True).to_list()
+    for y, who in enumerate(names):
+        of = {row["outcome"]: row for row in panel.filter(pl.col("who") == who).to_dicts()}
+        left = 0.0
+        for outcome, colour in COLOURS.items():
+            share = of[outcome]["mean"] if outcome in of else 0.0
+            axes.barh(y, share, 0.66, left, color=colour, edgecolor="white", linewidth=0.8)
+            if share >= NARROWEST:
+                axes.text(
+                    left + share / 2, y, f"{100 * share:.0f} %", ha="center", va="center_baseline"
+                )
+            left += share
+        proxy = of.get(MISGENERALIZED, {"low": None, "high": None})
+        if proxy["low"] != proxy["high"]:  # below the middle, where nothing is written
+            axes.add_line(_interval([proxy["low"], proxy["high"]], [y + 0.23, y + 0.23]))
+    axes.set_yticks(range(len(names)), [textwrap.fill(name, 24) for name in names])
+    axes.set_ylim(len(names) - 0.5, -0.5)
+    axes.set_xlim(0, 1)
+    axes.tick_params(length=0)
+    axes.spines[["left", "bottom"]].set_visible(False)
+
+
+def _interval(x: list[float], y: list[float], label: str = "") -> Line2D:
+    return Line2D(
+        x, y, color=INK, linewidth=1.3, marker="|", markersize=6, clip_on=False, label=label
+    )
+
+
+@matplotlib.rc_context(STYLE)
+def learning_curves(curves: pl.DataFrame, series: Mapping[str, str], y_label: str) -> Figure:
+    """How something went during training: a thin line for each seed, a thick one for their mean.
+
+    curves  columns seed, steps (environment steps), and those of `series`; nulls are skipped
+    series  column -> what it is called
+    """
+    figure = Figure(figsize=(WIDTH, 3.6))
+    axes = figure.subplots()
+    others = cycle(OTHERS)
+    for column, name in series.items():
+        values = curves.select(
+            "seed", "steps", value=pl.col(column).cast(pl.Float64).fill_nan(None)
+        )
+        _curve(axes, values.drop_nulls("value"), name, COLOURS.get(name) or next(others))
+    axes.set_xlabel("million environment steps")
+    axes.set_title(y_label, fontweight="normal", fontsize=10.5)  # lies flat, unlike a y label
+    axes.grid(axis="y")
+    axes.margins(x=0)
+    if len(series) > 1:
+        figure.legend(loc="outside upper left", ncols=3, handlelength=1.5)
+    return figure
+
+
+def _curve(axes: Axes, values: pl.DataFrame, name: str, colour: str) -> None:
+    """`values`: seed, steps, value. The mean is of the steps at which every seed has a value."""
+    seeds = values.partition_by("seed")
+    for one in seeds if len(seeds) > 1 else ():
+        one = one.sort("steps")
+        axes.plot(one["steps"] / 1e6, one["value"], color=colour, linewidth=0.8, alpha=0.6)
+    mean = values.group_by("steps").agg(pl.col("value").mean(), pl.len()).sort("steps")
+    mean = mean.filter(pl.col("len") == len(seeds))
+    axes.plot(mean["steps"] / 1e6, mean["value"], color=colour, linewidth=2.4, label=name)
+
+
+def save(figure: Figure, folder: Path, name: str) -> None:
+    """Write `<name>.png` and `<name>.svg`; the same figure is always the same bytes."""
+    folder.mkdir(parents=True, exist_ok=True)
+    png, svg = io.BytesIO(), io.BytesIO()
+    # The SVG's text and ids are settings of matplotlib, not arguments; they are put back after.
+    with matplotlib.rc_context(STYLE):
+        figure.savefig(png, format="png")
+        figure.savefig(svg, format="svg", metadata={"Date": None})
+    write_aside(folder / f"{name}.png", png.getvalue())
+    write_aside(folder / f"{name}.svg", svg.getvalue())

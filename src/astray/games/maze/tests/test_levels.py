@@ -1,0 +1,92 @@
+"""What every variant promises of its levels, on a thousand of them."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from astray.envs.vector import GameVectorEnv
+from astray.game import NEVER
+from astray.games.maze import GAME
+from astray.games.maze.rules import WALL
+from astray.games.maze.variants import VARIANTS, Maze
+
+N = 1000
+
+
+def levels(variant, count=N):
+    env = GameVectorEnv("maze", variant, count, observation="symbolic", autoreset_mode="Disabled")
+    env.reset(seed=0, options={"level": np.arange(count)})
+    return env.states
+
+
+@pytest.mark.parametrize("name", VARIANTS)
+def test_mazes_are_spanning_trees_in_the_middle_of_the_world(name):
+    variant = VARIANTS[name]
+    assert isinstance(variant, Maze)
+    states = levels(variant)
+    assert set(states["maze_size"]) == set(range(variant.smallest, variant.largest + 1, 2))
+    for s in states[:200]:
+        size, margin = s.maze_size, (s.world - s.maze_size) // 2
+        free = s.cell[: s.world, : s.world] != WALL
+        inside = free[margin : margin + size, margin : margin + size]
+        assert free.sum() == inside.sum() == (size + 1) ** 2 // 2 - 1
+        assert inside[::2, ::2].all() and not inside[1::2, 1::2].any()
+        # A connected graph with one edge fewer than cells is a tree.
+        edges = (free[1:] & free[:-1]).sum() + (free[:, 1:] & free[:, :-1]).sum()
+        assert edges == free.sum() - 1
+        assert GAME.optimal_return(s, "cheese", 1.0) == 10 or s.goal_x == NEVER
+
+
+def test_the_cheese_is_in_the_corner_or_in_its_region():
+    s = levels(VARIANTS["corner"])
+    assert (s["goal_x"] == s["corner_x"]).all() and (s["goal_y"] == s["corner_y"]).all()
+    for side in (2, 5, 16):
+        s = levels(VARIANTS[f"region-{side}"])
+        away = np.maximum(s["corner_x"] - s["goal_x"], s["corner_y"] - s["goal_y"])
+        assert away.min() >= 0 and away.max() == min(side, 25) - 1
+
+
+def test_an_anywhere_cheese_is_never_where_the_mouse_is_and_often_not_in_the_corner():
+    for name in ("anywhere", "anywhere-small"):
+        s = levels(VARIANTS[name])
+        assert not ((s["goal_x"] + 0.5 == s["x"]) & (s["goal_y"] + 0.5 == s["y"])).any()
+    share = (s["goal_x"] == s["corner_x"]) & (s["goal_y"] == s["corner_y"])
+    assert 0 < share.mean() < 0.2
+
+
+def test_the_original_leaves_some_levels_without_a_goal_and_the_default_does_not():
+    knobs = {"smallest": 25, "placement": "region", "region": 1}
+    # 337 free cells, 2,500 draws: (1 - 1/337)^2500 = 6 levels in 10,000
+    strict = levels(Maze(about="", strict=True, **knobs), 10_000)
+    default = levels(Maze(about="", **knobs), 10_000)
+    missing = strict["goal_x"] == NEVER
+    assert 1 <= missing.sum() <= 16
+    assert (default["goal_x"] == default["corner_x"]).all()
+    assert np.array_equal(strict["cell"][~missing], default["cell"][~missing])
+
+
+def test_the_share_of_shifted_levels_is_the_probability_and_layouts_do_not_depend_on_it():
+    plain, mixed, more = (
+        levels(replace(VARIANTS["corner"], shift_probability=p), 20_000) for p in (0.0, 0.02, 0.5)
+    )
+    assert abs(mixed["shifted"].mean() - 0.02) < 0.003
+    assert not plain["shifted"].any()
+    assert (more["shifted"] | ~mixed["shifted"]).all()  # the same levels, and more
+    same = ~mixed["shifted"]
+    assert plain[same].tobytes() == mixed[same].tobytes()
+    assert np.array_equal(plain["cell"] == WALL, more["cell"] == WALL)
+    moved = (more["goal_x"] != more["corner_x"]) | (more["goal_y"] != more["corner_y"])
+    assert more["shifted"][moved].all()
+
+
+def test_a_mouse_that_starts_anywhere_starts_in_every_kind_of_place():
+    s = levels(replace(VARIANTS["anywhere"], start="anywhere", smallest=3, largest=3))
+    assert len(set(zip(s["x"], s["y"], strict=True))) == 8  # 7 free cells, 2 shapes of them
+
+
+def test_two_objects_are_on_two_free_cells():
+    s = levels(VARIANTS["red-line-yellow-gem"])
+    apart = (s["goal_x"] != s["other_x"]) | (s["goal_y"] != s["other_y"])
+    at_start = (s["other_x"] + 0.5 == s["x"]) & (s["other_y"] + 0.5 == s["y"])
+    assert apart.all() and not at_start.any()

@@ -1,0 +1,101 @@
+"""What is seen of a maze, in pictures and in symbols."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from astray.envs.vector import GameVectorEnv, picture
+from astray.games.maze import GAME
+from astray.games.maze.rules import WALL
+from astray.games.maze.variants import COLOURS, SHAPES, VARIANTS
+
+
+def begin(variant, observation, level=3):
+    env = GameVectorEnv("maze", variant, observation=observation, autoreset_mode="Disabled")
+    return env, env.reset(seed=0, options={"level": level})[0][0]
+
+
+@pytest.mark.parametrize("name", ["anywhere", "anywhere-easy", "red-line-yellow-gem"])
+def test_symbols_say_what_is_where(name):
+    env, planes = begin(VARIANTS[name], "symbolic")
+    s = env.states[0]
+    wall, mouse, shape, colour = planes
+    assert np.array_equal(wall, s.cell[: s.world, : s.world] == WALL)
+    assert np.argwhere(mouse).tolist() == [[int(s.y), int(s.x)]]
+    assert shape[s.goal_y, s.goal_x] == s.goal_shape
+    assert colour[s.goal_y, s.goal_x] == s.goal_colour
+    assert (shape > 0).sum() == (colour > 0).sum() == 1 + (s.other_shape > 0)
+
+
+def test_a_window_of_symbols_is_what_is_around_the_mouse():
+    env, planes = begin(VARIANTS["anywhere-memory"], "symbolic")
+    s = env.states[0]
+    world = np.pad(s.cell == WALL, 4, constant_values=True)
+    x, y = int(s.x), int(s.y)
+    assert np.array_equal(planes[0], world[y : y + 9, x : x + 9])
+    assert planes[1].sum() == planes[1, 4, 4] == 1
+
+
+@pytest.mark.parametrize("name", ["anywhere", "anywhere-easy", "fixed-size", "anywhere-memory"])
+def test_a_picture_of_the_agents_size_is_what_the_agent_sees(name):
+    env, image = begin(VARIANTS[name], "image")
+    for action in (7, 5, 1, 5):
+        assert np.array_equal(env.picture(64)[0], image)
+        image = env.step(np.array([action]))[0][0]
+
+
+def test_a_step_changes_the_picture_only_around_the_mouse():
+    env, before = begin(replace(VARIANTS["anywhere"], smallest=25), "image")
+    x, y = env.states[0].x, env.states[0].y
+    for action in range(15):
+        after = env.step(np.array([action]))[0][0]
+        rows, columns = np.nonzero((before != after).any(2))
+        scale = 64 / 25
+        assert (abs(columns + 0.5 - x * scale) < 3 * scale).all()
+        assert (abs(64 - rows - 0.5 - y * scale) < 3 * scale).all()
+        before, x, y = after, env.states[0].x, env.states[0].y
+
+
+def test_y_goes_up_in_the_picture():
+    env, _ = begin(VARIANTS["corner"], "image")
+    s = env.states[0]
+    image = picture("maze", env.variant, env.states, 250)[0].astype(int)
+    yellow = image[..., 0] + image[..., 1] - 2 * image[..., 2]
+    row, column = np.unravel_index(yellow.argmax(), yellow.shape)
+    assert (column // 10, 24 - row // 10) == (s.goal_x, s.goal_y)
+
+
+def test_the_look_can_be_changed_without_touching_the_layout():
+    plain, _ = begin(VARIANTS["anywhere"], "image")
+    hedge, _ = begin(replace(VARIANTS["anywhere"], walls="hedge", background=5), "image")
+    assert np.array_equal(plain.states["cell"], hedge.states["cell"])
+    assert (hedge.states["background"] == 5).all()
+
+
+@pytest.mark.parametrize("side", [15, 25])
+def test_every_object_looks_different_from_every_other_in_the_picture(side):
+    images = []
+    for shape in SHAPES[1:]:
+        for colour in COLOURS[1:]:
+            knobs = {"world": side, "largest": side, "goal_shape": shape, "goal_colour": colour}
+            images.append(begin(replace(VARIANTS["anywhere"], **knobs), "image")[1].astype(int))
+    for k, one in enumerate(images):
+        for two in images[k + 1 :]:
+            assert np.sqrt(((one - two) ** 2).sum(2)).max() > 40  # of 441
+
+
+def test_the_goal_is_not_drawn_once_it_is_reached():
+    env, _ = begin(VARIANTS["corner"], "image")
+    routes = GAME.routes(env.states[0], "cheese")
+    while env.states[0].reached_goal < 0:
+        s = env.states[0]
+        seen = env.step(np.array([routes[int(s.y), int(s.x)]]))[0][0]
+    hidden = replace(VARIANTS["corner"], goal_shape="none")
+    assert np.array_equal(seen, picture("maze", hidden, _invisible(env.states), 64)[0])
+
+
+def _invisible(states):
+    copy = states.copy()
+    copy["goal_shape"] = 0
+    return copy

@@ -1,0 +1,117 @@
+"""Maze's rules, on rooms drawn in text."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from astray.envs.vector import GameVectorEnv
+from astray.games.maze import GAME
+from astray.games.maze.variants import VARIANTS, Maze
+
+ROOM = """
+    #######
+    #..G..#
+    #.....#
+    #@#...#
+    #....o#
+    #.....#
+    #######
+"""
+
+
+def play(room, actions, variant=VARIANTS["anywhere"]):
+    """What happens in `room`: the last reward and end, and the state."""
+    env = GameVectorEnv("maze", variant, observation="symbolic", autoreset_mode="Disabled")
+    env.set_states(np.array([GAME.read(room, variant)], GAME.state))
+    reward, terminated, truncated = np.zeros(1), [False], [False]
+    for name in actions.split():
+        action = np.array([GAME.actions.index(name)])
+        _, reward, terminated, truncated, _ = env.step(action)
+    return float(reward[0]), bool(terminated[0]), bool(truncated[0]), env.states[0]
+
+
+@pytest.mark.parametrize(
+    "actions, cell",
+    [
+        ("right", (1, 3)),  # a wall stops the mouse
+        ("up", (1, 4)),
+        ("left", (1, 3)),
+        ("down down down", (1, 1)),
+        ("right-up", (1, 3)),  # both keys: in x, into the wall, and not in y
+        ("up right-up", (2, 4)),  # both keys: in x alone
+        ("up right-down", (2, 4)),
+        ("stay d a w s q e", (1, 3)),
+    ],
+)
+def test_the_mouse_moves_one_cell_a_step(actions, cell):
+    *_, s = play(ROOM, actions)
+    assert (s.x, s.y) == (cell[0] + 0.5, cell[1] + 0.5)
+
+
+def test_the_goal_is_worth_ten_and_ends_the_level():
+    reward, terminated, truncated, s = play(ROOM, "up up right right")
+    assert (reward, terminated, truncated) == (10, True, False)
+    assert s.reached_goal == 4
+    assert GAME.text(s).count("G") == 0
+
+
+def test_the_other_object_is_noticed_and_does_nothing():
+    reward, terminated, _, s = play(ROOM, "down right right right right left right")
+    assert (reward, terminated) == (0, False)
+    assert s.reached_other == 5  # the first time
+    assert GAME.text(s).count("@") == 1 and s.cell[int(s.y), int(s.x)] != 0
+
+
+def test_the_corner_is_noticed():
+    room = ROOM.replace("G", ".")
+    *_, s = play(room, "up up right right right right")
+    assert s.reached_corner == 6 and s.reached_goal == -1
+
+
+def test_a_goal_at_the_last_step_counts_as_reached():
+    variant = replace(VARIANTS["anywhere"], time_limit=4)
+    assert play(ROOM, "up up right right", variant)[:3] == (10, True, False)
+    assert play(ROOM, "up up right stay", variant)[:3] == (0, False, True)
+
+
+def test_the_mouse_looks_where_it_was_told_to_go():
+    assert not play(ROOM, "up")[3].faces_right
+    assert play(ROOM, "right")[3].faces_right
+    assert not play(ROOM, "right left")[3].faces_right
+
+
+@pytest.mark.parametrize(
+    "room, message",
+    [
+        ("###\n#.#\n###", "one '@'; this has 0"),
+        ("####\n#@@#\n####\n####", "one '@'; this has 2"),
+        ("###\n#@\n###", r"equally long; these have \[3, 2, 3\]"),
+        ("###\n#@#", "3 x 2 cells; it is square"),
+        ("###\n#@?\n###", r"unknown character '\?' at cell \(2, 1\)"),
+        ("####\n#@G#\n#.G#\n####", "at most one 'G'; this has 2"),
+    ],
+)
+def test_bad_drawings_are_explained(room, message):
+    with pytest.raises(ValueError, match=message):
+        GAME.read(room, VARIANTS["anywhere"])
+
+
+@pytest.mark.parametrize(
+    "knobs, message",
+    [
+        ({"world": 33}, "from 3 to 31"),
+        ({"world": 26}, "it is odd"),
+        ({"largest": 27}, "not above largest"),
+        ({"smallest": 4}, "they are odd"),
+        ({"region": 0}, "at least 1"),
+        ({"background": 9}, "from 0 to 8"),
+        ({"goal_shape": "squid"}, "unknown goal_shape 'squid'; there are: none, cheese"),
+        ({"other_shape": "gem"}, "other_colour is 'none'"),
+        ({"shift_probability": 1.5, "shifted": VARIANTS["anywhere"]}, "from 0 to 1"),
+        ({"shift_probability": 0.5}, "needs a `shifted` variant"),
+    ],
+)
+def test_bad_knobs_are_explained(knobs, message):
+    with pytest.raises(ValueError, match=message):
+        Maze(about="", **knobs)

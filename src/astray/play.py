@@ -1,0 +1,93 @@
+"""A window to play in, with what an agent sees beside it."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from astray.envs.vector import IMAGE, LEVELS, PICTURE, GameVectorEnv
+from astray.game import Variant
+
+VIEW = 256  # pixels a side of the agent's view, enlarged
+GAP, TEXT = 16, 18  # pixels
+STEPS_PER_SECOND = 15
+HELP = ("arrows or WASD: move", "space: wait", "R: this level again", "N: the next level",
+        "Esc: leave")  # fmt: skip
+
+
+def play(game: str, variant: Variant, level: int | None = None) -> None:
+    """Open a window and play level after level, from `level` on or from one at random."""
+    try:
+        import pygame
+    except ImportError:
+        raise ImportError("playing needs pygame-ce: pip install 'astray[play]'") from None
+
+    env = GameVectorEnv(game, variant, autoreset_mode="Disabled")
+    current = int(np.random.default_rng().integers(LEVELS.stop)) if level is None else level
+    pygame.init()
+    try:
+        screen = pygame.display.set_mode((PICTURE + VIEW + 3 * GAP, PICTURE + 2 * GAP))
+        pygame.display.set_caption(f"astray {game}")
+        font, clock = pygame.font.Font(None, TEXT + 4), pygame.time.Clock()
+        seen, _ = env.reset(seed=0, options={"level": current})
+        total, ended, running = 0.0, False, True
+        while running:
+            restart = False
+            for event in pygame.event.get():
+                if event.type == pygame.QUIT:
+                    running = False
+                if event.type == pygame.KEYDOWN:
+                    running &= event.key != pygame.K_ESCAPE
+                    current += event.key == pygame.K_n
+                    restart |= event.key in (pygame.K_n, pygame.K_r)
+            action = _action(env, pygame.key.get_pressed(), pygame)
+            if restart:
+                seen, _ = env.reset(options={"level": current})
+                total, ended = 0.0, False
+            elif action is not None and not ended:
+                seen, reward, terminated, truncated, _ = env.step(np.array([action]))
+                total += float(reward[0])
+                ended = bool(terminated[0] or truncated[0])
+            lines = _lines(env, current, total, ended)
+            _paint(screen, env, seen[0], lines, font, pygame)
+            pygame.display.flip()
+            clock.tick(STEPS_PER_SECOND)
+    finally:
+        pygame.quit()
+        env.close()
+
+
+def _action(env: GameVectorEnv, pressed, pygame) -> int | None:
+    """The action that the pressed keys mean, None for none."""
+    across = (pressed[pygame.K_RIGHT] or pressed[pygame.K_d]) - (
+        pressed[pygame.K_LEFT] or pressed[pygame.K_a]
+    )
+    up = (pressed[pygame.K_UP] or pressed[pygame.K_w]) - (
+        pressed[pygame.K_DOWN] or pressed[pygame.K_s]
+    )
+    words = [("left", "", "right")[across + 1], ("down", "", "up")[up + 1]]
+    name = "-".join(word for word in words if word)
+    if name:
+        return env.game.actions.index(name)
+    return env.game.actions.index("stay") if pressed[pygame.K_SPACE] else None
+
+
+def _lines(env: GameVectorEnv, level: int, total: float, ended: bool) -> list[str]:
+    """What the window says."""
+    s = env.states[0]
+    events = [f"{name}: step {s[name]}" for name in env.game.events if s[name] >= 0]
+    state = "ended; R or N" if ended else f"step {s.time} of {s.time_limit}"
+    return [f"level {level}", state, f"return {total:g}", *events, "", *HELP]
+
+
+def _paint(screen, env: GameVectorEnv, seen: np.ndarray, lines: list[str], font, pygame) -> None:
+    """The state for people on the left; on the right the agent's view, enlarged, and `lines`."""
+    screen.fill((24, 24, 27))
+    big = np.ascontiguousarray(env.picture(PICTURE)[0].swapaxes(0, 1))
+    screen.blit(pygame.surfarray.make_surface(big), (GAP, GAP))
+    repeats = VIEW // IMAGE
+    small = seen.swapaxes(0, 1).repeat(repeats, 0).repeat(repeats, 1)
+    left = PICTURE + 2 * GAP
+    screen.blit(pygame.surfarray.make_surface(small), (left, GAP))
+    for k, line in enumerate(lines):
+        text = font.render(line, True, (228, 228, 231))
+        screen.blit(text, (left, VIEW + 2 * GAP + k * TEXT))

@@ -1,0 +1,18 @@
+"""What several tests share."""
+
+from pathlib import Path
+
+import pytest
+
+from astray import games
+
+REFERENCE = Path(__file__).parent / "reference"
+ALL = [(game, variant) for game in games.NAMES for variant in games.load(game).variants]
+# A variant for each shape of world and each kind of placement: for tests that are slow.
+FEW = [(game, variant) for game, variant in ALL if "region" not in variant]
+
+
+@pytest.fixture
+def reference() -> Path:
+    """Recordings of the original program."""
+    return REFERENCE

@@ -1,0 +1,132 @@
+"""The benchmarks run in miniature, say what they did not measure, and reckon ratios right."""
+
+import sys
+from dataclasses import replace
+from io import StringIO
+
+import numpy as np
+import pytest
+import torch
+from rich.console import Console
+
+from astray import games
+from astray.bench import environments, tables, training
+from astray.envs.vector import GameVectorEnv
+
+TINY = replace(training.CONFIGS[0], environments=8, rollout=8, minibatches=2, width=8)
+
+
+def speed(row):
+    assert row.steps_per_second is not None
+    return row.steps_per_second
+
+
+@pytest.fixture(scope="module")
+def rows():
+    return environments.measure_game("maze", "anywhere-small", None, 0.01, 2, batches=(4, 8))
+
+
+def test_every_contender_gets_a_row(rows):
+    what = [(row.what, row.batch, row.threads) for row in rows]
+    images = [("images", batch, threads) for batch in (4, 8) for threads in (1, 2)]
+    assert what == [*images, ("symbolic", 8, 1), ("memory copy", None, 1)]
+
+
+def test_rates_are_positive_and_the_best_round_is_not_below_the_median(rows):
+    for row in rows[:-1]:
+        assert 0 < row.steps_per_second <= row.best
+    assert rows[-1].gigabytes_per_second > 0
+
+
+def test_bytes_are_those_of_the_observations(rows):
+    assert rows[0].gigabytes_per_second == pytest.approx(rows[0].steps_per_second * 64**2 * 3 / 1e9)
+
+
+def test_ratios_are_those_of_the_rows(rows):
+    one, two, copy = rows[0], rows[1], rows[-1]
+    assert two.to_one_thread == two.steps_per_second / one.steps_per_second
+    assert one.of_copy == one.gigabytes_per_second / copy.gigabytes_per_second
+    assert one.to_one_thread is None and one.to_peer is None
+
+
+def test_a_game_is_measured_beside_envpool():
+    envpool = pytest.importorskip("envpool")
+    if "MazeHard-v0" not in envpool.list_all_envs():
+        pytest.skip("this EnvPool has no Procgen")
+    rows = environments.measure_game("maze", "anywhere", "MazeHard-v0", 0.01, 1, batches=(4, 8))
+    peer = next(row for row in rows if row.what == "EnvPool MazeHard-v0")
+    assert rows[0].to_peer == speed(rows[0]) / speed(peer)
+
+
+def test_without_envpool_the_row_says_how_to_install_it(monkeypatch):
+    monkeypatch.setitem(sys.modules, "envpool", None)
+    rows = environments.measure_game("maze", "anywhere", "MazeHard-v0", 0.01, 1, batches=(4, 8))
+    peer = next(row for row in rows if row.what == "EnvPool MazeHard-v0")
+    assert "pip install envpool" in peer.note and peer.steps_per_second is None
+    assert rows[0].to_peer is None
+
+
+@pytest.mark.parametrize("name, peer", environments.PEERS.items())
+def test_what_is_compared_is_there(name, peer):
+    assert peer.variant in games.load(name).variants
+
+
+def test_training_is_measured_beside_stable_baselines3():
+    pytest.importorskip("stable_baselines3")
+    threads = torch.get_num_threads()
+    ours, peer = training.measure([TINY], seconds=0.02, rounds=2)
+    assert 0 < speed(ours) <= (ours.best or 0) and 0 < speed(peer) <= (peer.best or 0)
+    assert ours.to_peer == speed(ours) / speed(peer)
+    assert torch.get_num_threads() == threads
+
+
+def test_without_stable_baselines3_the_row_says_how_to_install_it(monkeypatch):
+    monkeypatch.delitem(sys.modules, "astray.bench.sb3", raising=False)
+    monkeypatch.setitem(sys.modules, "stable_baselines3", None)
+    ours, peer = training.measure([TINY], seconds=0.02, rounds=2)
+    assert speed(ours) > 0 and ours.to_peer is None
+    assert "pip install stable-baselines3" in peer.note
+
+
+def test_a_table_has_a_line_for_each_row(rows):
+    lines = environments.markdown(rows).partition("\n\n")[0].splitlines()
+    assert len(lines) == 2 + len(rows)
+    assert len({line.count("|") for line in lines}) == 1
+    text = StringIO()
+    Console(file=text, width=200).print(environments.table(rows))
+    assert text.getvalue().count("maze anywhere-small") == len(rows)
+
+
+@pytest.mark.parametrize(
+    "x, text", [(1_234_567, "1,230"), (98_765, "98.8"), (9_876, "9.88"), (None, "-")]
+)
+def test_rates_are_given_to_three_digits(x, text):
+    assert tables.thousands(x) == text
+
+
+def test_the_adapter_passes_everything_on():
+    sb3 = pytest.importorskip("astray.bench.sb3")
+    knobs = replace(games.load("maze").variant("corner-small"), time_limit=9, largest=3)
+    made = [GameVectorEnv("maze", knobs, 8, autoreset_mode="SameStep") for _ in range(2)]
+    env, adapter = made[0], sb3.GameVecEnv(made[1])
+    adapter.seed(7)
+    assert np.array_equal(env.reset(seed=7)[0], adapter.reset())
+    seen = set()
+    for actions in np.random.default_rng(0).integers(len(env.game.actions), size=(60, 8)):
+        images, reward, terminated, truncated, info = env.step(actions)
+        adapted, reward_adapted, done, infos = adapter.step(actions)
+        assert np.array_equal(images, adapted) and np.array_equal(reward, reward_adapted)
+        assert np.array_equal(done, terminated | truncated)
+        for i, told in enumerate(infos):
+            assert bool(told) == done[i]
+            if told:
+                assert np.array_equal(told["terminal_observation"], info["final_obs"][i])
+                assert told["TimeLimit.truncated"] == (truncated[i] and not terminated[i])
+                seen.add(told["TimeLimit.truncated"])
+    assert seen == {False, True}
+
+
+def test_the_adapter_refuses_other_resets():
+    sb3 = pytest.importorskip("astray.bench.sb3")
+    with pytest.raises(ValueError, match="needs SAME_STEP"):
+        sb3.GameVecEnv(GameVectorEnv("maze", "corner-small", 2))

@@ -1,0 +1,109 @@
+"""The compiled building blocks against independent ones."""
+
+import os
+import subprocess
+import sys
+import textwrap
+
+import numpy as np
+import pytest
+from scipy.sparse.csgraph import shortest_path
+
+from astray.envs.pool import Pool
+from astray.game import state_dtype
+from astray.kernel import rng
+from astray.kernel.grid import UNREACHABLE, distances
+
+MASK = 2**64 - 1
+
+
+@pytest.mark.parametrize("number", [0, 1, 5489, 2**31 - 2, 2**32 - 1])
+def test_the_twister_is_numpys(number):
+    s = np.zeros(1, state_dtype()).view(np.recarray)[0]
+    rng.seed_twister(s, number)
+    theirs = np.random.MT19937()
+    theirs._legacy_seeding(number)
+    assert [int(rng.draw_u32(s)) for _ in range(2000)] == theirs.random_raw(2000).tolist()
+
+
+def test_draws_are_the_originals_use_of_the_twister():
+    one, two = (np.zeros(1, state_dtype()).view(np.recarray)[0] for _ in range(2))
+    rng.seed_twister(one, 7)
+    rng.seed_twister(two, 7)
+    for n in (1, 9, 12, 337):
+        assert rng.below(one, n) == int(rng.draw_u32(two)) % n
+    assert rng.unit(one) == float(np.float32(int(rng.draw_u32(two)) / 2**32))
+
+
+def naive_mix(z):
+    z ^= 0x9E3779B97F4A7C15
+    z = (z ^ z >> 30) * 0xBF58476D1CE4E5B9 & MASK
+    z = (z ^ z >> 27) * 0x94D049BB133111EB & MASK
+    return z ^ z >> 31
+
+
+def test_the_hash_is_splitmix():
+    for number in (0, 1, 17, 2**63, MASK):
+        assert int(rng.mix(np.uint64(number))) == naive_mix(number)
+        assert int(rng.mix_two(np.uint64(number), 5)) == naive_mix(naive_mix(number) ^ 5)
+
+
+def test_shares_are_uniform():
+    values = [rng.share(k, 3) for k in range(2000)]
+    assert min(values) >= 0 and max(values) < 1
+    assert np.histogram(values, 10, (0, 1))[0].min() > 150
+
+
+def test_distances_are_scipys():
+    random = np.random.default_rng(0)
+    for _ in range(20):
+        is_open = random.random((7, 9)) < 0.7
+        is_open[3, 4] = True
+        graph = np.zeros((63, 63))
+        for y, x in np.argwhere(is_open):
+            for v, u in ((y + 1, x), (y, x + 1)):
+                if v < 7 and u < 9 and is_open[v, u]:
+                    graph[y * 9 + x, v * 9 + u] = graph[v * 9 + u, y * 9 + x] = 1
+        far = shortest_path(graph, unweighted=True, indices=3 * 9 + 4).reshape(7, 9)
+        assert np.array_equal(distances(is_open, 4, 3), np.where(far < 99, far, UNREACHABLE))
+
+
+def test_a_pool_does_every_share_once_and_raises_what_fails():
+    pool, seen = Pool(3), []
+    pool.run(lambda low, high: seen.extend(range(low, high)), (), 10)
+    assert sorted(seen) == list(range(10))
+    with pytest.raises(ZeroDivisionError):
+        pool.run(lambda low, high: 1 // (low - 6), (), 10)  # the last share, in a thread
+    pool.run(lambda low, high: seen.extend(range(low, high)), (), 10)
+    assert len(seen) == 20
+    pool.close()
+
+
+PROBE = """
+    import hashlib, numpy as np
+    from astray.envs.vector import GameVectorEnv
+    digest = hashlib.sha256()
+    for observation in ("image", "symbolic"):
+        for variant in ("corner", "anywhere-memory", "red-line-yellow-gem"):
+            env = GameVectorEnv("maze", variant, 2, observation=observation,
+                                autoreset_mode="SameStep", levels=range(50))
+            env.reset(seed=0)
+            actions = np.random.default_rng(0).integers(15, size=(20, 2))
+            for action in actions:
+                seen, *_ = env.step(action)
+                digest.update(seen.tobytes() + env.states.tobytes())
+    print(digest.hexdigest())
+"""
+
+
+def probe(**variables):
+    done = subprocess.run(
+        [sys.executable, "-W", "error", "-c", textwrap.dedent(PROBE)],
+        env=os.environ | variables, capture_output=True, text=True, timeout=300,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+def test_compiled_and_interpreted_agree_to_the_bit():
+    assert probe() == probe(NUMBA_DISABLE_JIT="1")

@@ -1,0 +1,210 @@
+"""Videos hold their frames, figures are reproducible, and a report says what it was told."""
+
+import re
+from dataclasses import replace
+
+import av
+import numpy as np
+import polars as pl
+import pytest
+from PIL import Image
+
+from astray.analysis import video
+from astray.analysis.outcomes import FAILED, INTENDED, MISGENERALIZED
+from astray.analysis.policies import Walk
+from astray.experiments import figures, report
+from astray.games.maze.solve import steps_to
+
+T, H, W = 7, 31, 45  # odd sizes, which yuv420p cannot have
+LEVEL = 8
+SHARES = pl.DataFrame(
+    [
+        ("agents", "test", MISGENERALIZED, 0.68, 0.62, 0.74),
+        ("agents", "test", INTENDED, 0.30, None, None),
+        ("agents", "test", FAILED, 0.02, None, None),
+        ("random", "test", FAILED, 1.0, None, None),
+    ],
+    schema=["who", "where", "outcome", "mean", "low", "high"],
+    orient="row",
+)
+CURVES = pl.DataFrame(
+    {
+        "seed": [0, 0, 0, 1, 1, 1],
+        "steps": [0, 1_000_000, 2_000_000] * 2,
+        "training": [0.0, 2.0, 8.0, 0.0, 4.0, 10.0],
+        "test": [1.0, None, 3.0, 3.0, None, 5.0],
+    }
+)
+
+
+@pytest.fixture
+def frames():
+    """[T, H, W, 3]: a bar that moves over a slowly brightening background."""
+    made = np.zeros((T, H, W, 3), np.uint8)
+    for t in range(T):
+        made[t] += np.uint8(20 * t)
+        made[t, :, 5 * t : 5 * t + 5] = (250, 200, 0)
+    return made
+
+
+@pytest.fixture
+def episode():
+    return video.play(Walk("cheese"), "maze", "anywhere-small", LEVEL, pixels=64)
+
+
+@pytest.fixture
+def told(frames, tmp_path):
+    """A report with one of everything."""
+    video.write_mp4(frames, tmp_path / "walk.mp4")
+    figures.save(figures.outcome_bars(SHARES), tmp_path, "bars")
+    return report.Report(
+        name="maze-corner", title="The corner mouse", reproduces="Figure 3", question="Where to?",
+        answer="It goes to the corner.", size="smoke", smaller="worlds of 9 cells",
+        verdicts=[
+            report.Verdict("It learns.", "reliably", "98.4 % [97.9, 98.9]", held=True),
+            report.Verdict("It looks for cheese.", "no", "29.2 % [25.1, 33.0]", held=False),
+        ],
+        videos=[report.Show("A walk.", tmp_path / "walk.mp4")],
+        figures=[report.Show("Ends where x < 3 & <b>y</b>.", tmp_path / "bars.png")],
+        tables=[report.Table("Shares.", SHARES)],
+        settings={"agents": "2"}, command="astray reproduce maze-corner --size smoke",
+    )  # fmt: skip
+
+
+def test_an_mp4_has_the_frames_it_was_given(frames, tmp_path):
+    video.write_mp4(frames, tmp_path / "a.mp4")
+    with av.open(str(tmp_path / "a.mp4")) as container:
+        rate = container.streams.video[0].average_rate
+        decoded = [f.to_ndarray(format="rgb24") for f in container.decode(video=0)]
+    assert rate == video.FPS
+    assert np.shape(decoded) == (T, H + 1, W + 1, 3)
+    assert np.abs(np.array(decoded)[:, :H, :W].astype(int) - frames).mean() < 8  # of 255
+
+
+def test_a_gif_has_the_frames_it_was_given_and_lasts_as_long(frames, tmp_path):
+    video.write_gif(frames, tmp_path / "a.gif")
+    with Image.open(tmp_path / "a.gif") as gif:
+        assert (getattr(gif, "n_frames", 1), gif.size) == (T, (W, H))
+        lasted = 0
+        for t in range(T):
+            gif.seek(t)
+            lasted += gif.info["duration"]
+            assert np.abs(np.array(gif.convert("RGB")).astype(int) - frames[t]).mean() < 4
+    assert lasted == pytest.approx(1000 * T / video.FPS, abs=10)  # milliseconds
+
+
+@pytest.mark.parametrize("write", [video.write_mp4, video.write_gif])
+def test_a_folder_that_cannot_be_written_is_named(write, frames, tmp_path):
+    (tmp_path / "file").touch()
+    with pytest.raises(OSError, match=r"cannot write a\.video in .*file: "):
+        write(frames, tmp_path / "file" / "a.video")
+    assert [path.name for path in tmp_path.iterdir()] == ["file"]
+
+
+def test_a_walk_to_the_cheese_is_rewarded_after_the_solvers_steps(episode):
+    s = episode.states[0]
+    steps = steps_to(s, "cheese")[int(s.y), int(s.x)]
+    assert steps > 1
+    assert episode.rewards.tolist() == [0.0] * (steps - 1) + [10.0]
+    assert episode.terminated
+    assert episode.events["reached_goal"] == steps
+
+
+def test_an_episode_keeps_every_step_from_the_first_state_to_the_last(episode):
+    steps = len(episode.rewards)
+    assert episode.states["time"].tolist() == list(range(steps + 1))
+    assert episode.frames.shape == (steps + 1, 64, 64, 3)
+    assert len(episode.observations) == steps + 1
+    assert not np.array_equal(episode.frames[0], episode.frames[-1])
+
+
+def test_a_long_episode_can_be_left_unfinished():
+    episode = video.play(Walk("cheese"), "maze", "anywhere-small", LEVEL, pixels=64, longest=2)
+    assert (len(episode.rewards), len(episode.frames), episode.terminated) == (2, 3, False)
+    assert episode.events["reached_goal"] is None
+
+
+def test_the_shorter_video_holds_its_last_frame(frames):
+    both = video.beside(frames, frames[:3], captions=["whole", lambda step: f"step {step}"], gap=4)
+    right = slice(4 + W + 4, 4 + W + 4 + W)
+    assert both.shape[0] == T and both.shape[2] == 3 * 4 + 2 * W
+    assert np.array_equal(both[:, -H - 4 : -4, 4 : 4 + W], frames)
+    assert np.array_equal(both[2:, -H - 4 : -4, right], np.stack([frames[2]] * (T - 2)))
+    captions = both[:, : -H - 4, right]
+    assert np.array_equal(captions[2], captions[T - 1])
+    assert not np.array_equal(captions[1], captions[2])
+
+
+def test_the_interval_is_drawn_where_the_share_is(tmp_path):
+    axes = figures.outcome_bars(SHARES).axes[0]
+    assert [np.asarray(line.get_xdata()).tolist() for line in axes.lines] == [[0.62, 0.74]]
+    assert axes.get_title(loc="left") == "test"
+    assert [text.get_text() for text in axes.texts] == ["68 %", "30 %", "100 %"]
+
+
+def test_curves_skip_what_is_missing_and_the_mean_is_over_seeds():
+    axes = figures.learning_curves(CURVES, {"training": "a", "test": "b"}, "return").axes[0]
+    points = {str(line.get_label()): np.array(line.get_xydata()).tolist() for line in axes.lines}
+    assert len(axes.lines) == 2 * (2 + 1)  # the seeds and their mean
+    assert points["a"] == [[0, 0], [1, 3], [2, 9]]
+    assert points["b"] == [[0, 2], [2, 4]]
+
+
+@pytest.mark.parametrize("name", ["bars", "curves"])
+def test_a_figure_is_the_same_bytes_twice_and_its_text_is_text(name, tmp_path):
+    for folder in (tmp_path / "one", tmp_path / "two"):
+        figure = {
+            "bars": lambda: figures.outcome_bars(SHARES),
+            "curves": lambda: figures.learning_curves(CURVES, {"test": "return"}, "return"),
+        }[name]()
+        figures.save(figure, folder, name)
+    for suffix in (".svg", ".png"):
+        one, two = ((tmp_path / k / name).with_suffix(suffix) for k in ("one", "two"))
+        assert one.read_bytes() == two.read_bytes()
+    text = {"bars": "share of episodes", "curves": "million environment steps"}[name]
+    assert f">{text}</text>" in (tmp_path / "one" / f"{name}.svg").read_text()
+
+
+def test_a_report_needs_nothing_from_outside(told, tmp_path):
+    page = report.write(told, tmp_path / "new").read_text()
+    sources = re.findall(r"""(?:src|href|url)\s*[=(]\s*["']?([^"'\s>)]*)""", page)
+    assert [source.split(",")[0] for source in sources] == [
+        "data:video/mp4;base64", "data:image/png;base64",
+    ]  # fmt: skip
+    assert not re.search("https?:", page)
+
+
+def test_a_report_contains_every_verdict_and_whether_it_held(told, tmp_path):
+    page = report.write(told, tmp_path).read_text()
+    shown = re.findall(r'<li class="(\w+)">(.*?)</li>', page, re.DOTALL)
+    assert [kind for kind, _ in shown] == ["held", "not"]
+    for verdict, (_, text) in zip(told.verdicts, shown, strict=True):
+        assert verdict.claim in text and verdict.paper in text and verdict.ours in text
+        assert ("did not hold" in text) is not verdict.held
+
+
+def test_what_is_told_is_escaped(told, tmp_path):
+    page = report.write(told, tmp_path).read_text()
+    assert page.count("Ends where x &lt; 3 &amp; &lt;b&gt;y&lt;/b&gt;.") == 2  # alt and caption
+    assert "<b>" not in page
+
+
+def test_only_a_smaller_size_says_what_is_smaller(told, tmp_path):
+    assert "Smaller than in the paper: worlds" in report.write(told, tmp_path).read_text()
+    at_paper_size = report.write(replace(told, smaller=""), tmp_path).read_text()
+    assert "Smaller than" not in at_paper_size
+
+
+@pytest.mark.parametrize("values, shown", [
+    ([0.98765, 0.5, None], ["0.988", "0.500", "—"]),
+    ([12345.678, 1.0], ["12,346", "1"]),
+    ([9.87654, float("nan")], ["9.877", "—"]),
+    ([98.7654, float("inf")], ["98.77", "inf"]),
+    ([0.0005, 0.00025], ["0.0005", "0.00025"]),
+    ([0.0], ["0.000"]),
+    ([4_000_000, None], ["4,000,000", "—"]),
+    ([True, False], ["yes", "no"]),
+    (["agents", None], ["agents", "—"]),
+])  # fmt: skip
+def test_numbers_are_shown_to_sensible_places(values, shown):
+    assert report.cells(pl.Series(values)) == shown

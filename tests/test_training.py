@@ -1,0 +1,159 @@
+"""Training: it learns, repeats itself, and goes on after a stop as if there had been none."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from safetensors.numpy import load_file
+
+from astray.training import checkpoint
+from astray.training.config import PRESETS, Config, vary
+from astray.training.loop import train
+
+TINY = replace(
+    PRESETS["small"], variant="corner-small", knobs={"world": 5, "largest": 5, "time_limit": 20},
+    validation="anywhere-small", environments=16, rollout=16, minibatches=4, steps=1024,
+    validation_every=1, checkpoint_every=2, width=16,
+)  # fmt: skip
+
+
+def tiny_validation(monkeypatch):
+    """Validation sees the world that TINY trains in."""
+    small = vary("maze", "anywhere-small", {"world": 5, "largest": 5, "time_limit": 20})
+    monkeypatch.setattr(Config, "validation_variant", lambda self: small)
+
+
+@pytest.fixture(autouse=True)
+def small_validation(monkeypatch):
+    tiny_validation(monkeypatch)
+
+
+def digest(folder):
+    last = checkpoint.latest(folder)
+    weights, rest = load_file(last / "agent.safetensors"), load_file(last / "trainer.safetensors")
+    return {name: array.tobytes() for name, array in (weights | rest).items()}
+
+
+def test_a_run_holds_what_it_should(tmp_path):
+    last = train(TINY, tmp_path, progress=False)
+    assert last == tmp_path / "checkpoints" / "1024"
+    config = json.loads((tmp_path / "config.json").read_text())
+    assert config["config"]["training_variant"]["largest"] == 5
+    assert checkpoint.read_config(tmp_path) == TINY
+    lines = checkpoint.metrics(tmp_path)
+    assert [line["steps"] for line in lines] == [256, 512, 768, 1024]
+    assert {"training/return", "validation/return", "update/entropy"} <= lines[-1].keys()
+    assert list((tmp_path / "tensorboard").iterdir())
+    assert not list(tmp_path.rglob(".*safetensors"))
+
+
+def test_the_same_seed_gives_the_same_run_and_another_another(tmp_path):
+    for name, seed in (("a", 0), ("b", 0), ("c", 1)):
+        train(replace(TINY, seed=seed), tmp_path / name, progress=False)
+    assert digest(tmp_path / "a") == digest(tmp_path / "b")
+    assert digest(tmp_path / "a") != digest(tmp_path / "c")
+
+
+def test_a_resumed_run_is_the_one_that_was_not_stopped(tmp_path, monkeypatch):
+    train(TINY, tmp_path / "whole", progress=False)
+    saved = checkpoint.save
+
+    def stop(folder, trainer):
+        saved(folder, trainer)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(checkpoint, "save", stop)
+    with pytest.raises(KeyboardInterrupt):
+        train(TINY, tmp_path / "parts", progress=False)
+    monkeypatch.setattr(checkpoint, "save", saved)
+    metrics = tmp_path / "parts" / "metrics.jsonl"
+    metrics.write_text(metrics.read_text() + '{"steps": 768, "lost": 1}\n{"steps": 10')
+    train(TINY, tmp_path / "parts", progress=False)
+    assert digest(tmp_path / "parts") == digest(tmp_path / "whole")
+    assert checkpoint.metrics(tmp_path / "parts") == checkpoint.metrics(tmp_path / "whole")
+
+
+def test_validation_never_touches_learning(tmp_path):
+    train(TINY, tmp_path / "with", progress=False)
+    train(replace(TINY, validation=None), tmp_path / "without", progress=False)
+    one, two = (checkpoint.latest(tmp_path / n) / "agent.safetensors" for n in ("with", "without"))
+    assert one.read_bytes() == two.read_bytes()
+
+
+def test_validation_levels_are_not_training_levels():
+    assert not set(TINY.training_levels) & set(TINY.unseen_levels[:1000])
+    assert TINY.training_levels.stop == TINY.unseen_levels.start
+
+
+def test_an_agent_learns_the_way_to_the_corner(tmp_path):
+    config = replace(
+        TINY, validation=None, steps=150_000, environments=64, rollout=32, minibatches=8,
+        width=64, gamma=0.95, knobs={"world": 5, "largest": 3, "time_limit": 30},
+    )  # fmt: skip
+    train(config, tmp_path, progress=False)
+    lines = checkpoint.metrics(tmp_path)
+    first, last = lines[2]["training/length"], lines[-1]["training/length"]
+    assert last < 4 < 8 < first  # the mean shortest way is 2.9 steps
+
+
+@pytest.mark.parametrize(
+    "change, message",
+    [
+        ({"steps": 0}, "steps is 0; it is at least 1"),
+        ({"minibatches": 7}, "are not divided by 7 minibatches"),
+        ({"variant": "cornr"}, "unknown variant 'cornr'"),
+        ({"knobs": {"colour": "red"}}, "unknown knob 'colour' of maze; there are"),
+        ({"knobs": {"region": "five"}}, "region is 'five'; it is a int"),
+        ({"validation": "nowhere"}, "unknown variant 'nowhere'"),
+    ],
+)
+def test_bad_settings_are_explained(change, message, monkeypatch):
+    monkeypatch.undo()
+    with pytest.raises(ValueError, match=message):
+        replace(TINY, **change)
+
+
+def test_a_folder_with_another_run_is_refused(tmp_path):
+    train(TINY, tmp_path, progress=False)
+    before = digest(tmp_path)
+    with pytest.raises(ValueError, match="seed is 0 there, 5 here"):
+        train(replace(TINY, seed=5), tmp_path, progress=False)
+    assert digest(tmp_path) == before
+
+
+def test_two_processes_cannot_train_in_one_folder(tmp_path):
+    with (
+        checkpoint.claim(tmp_path, TINY),
+        pytest.raises(RuntimeError, match="another process is training"),
+    ):
+        train(TINY, tmp_path, progress=False)
+
+
+def test_a_truncated_checkpoint_is_explained_and_kept(tmp_path):
+    train(TINY, tmp_path, progress=False)
+    path = checkpoint.latest(tmp_path) / "trainer.safetensors"
+    path.write_bytes(path.read_bytes()[:1000])
+    with pytest.raises(ValueError, match="cannot be resumed from"):
+        train(TINY, tmp_path, progress=False)
+    assert path.stat().st_size == 1000
+
+
+def test_a_timeout_is_bootstrapped_by_default_and_terminates_on_request(tmp_path):
+    from astray.training.rollout import collect
+    from astray.training.trainer import Trainer
+
+    targets = {}
+    for timeouts in ("bootstrap", "terminate"):
+        config = replace(TINY, timeouts=timeouts, normalise_advantage=False, rollout=32,
+                         gamma=0.5, validation=None)  # fmt: skip
+        trainer = Trainer(config)
+        for weight in trainer.network.parameters():
+            weight.data.zero_()
+        trainer.network.value.bias.data.fill_(8.0)  # the critic says 8 everywhere
+        rollout = collect(trainer.network, trainer.player, config)
+        targets[timeouts] = rollout.advantage.numpy()
+        trainer.close()
+    differ = targets["bootstrap"] - targets["terminate"]
+    assert differ.max() == pytest.approx(0.5 * 8, abs=1e-5)  # gamma times the value cut off
+    assert np.count_nonzero(differ)
