@@ -141,7 +141,10 @@ def evaluate(
     )  # fmt: skip
     if out:
         episodes.write_parquet(out)
-    _show(shares, json)
+    if json:
+        _print_json(shares.to_dicts())
+    else:
+        _show(shares)
 
 
 def reproduce(
@@ -322,14 +325,16 @@ def _print_json(data: Any) -> None:
     print(json.dumps(data))
 
 
-def _show(table: pl.DataFrame, as_json: bool) -> None:
-    if as_json:
-        _print_json(table.to_dicts())
-        return
-    shown = Table(*table.columns)
-    for row in table.rows():
-        shown.add_row(*(f"{x:.3f}" if isinstance(x, float) else str(x) for x in row))
-    Console().print(shown)
+def _show(shares: pl.DataFrame) -> None:
+    """`outcomes.shares` as a table: a row a policy, a column an outcome, with 95 % intervals."""
+    outcomes = shares["outcome"].unique(maintain_order=True).to_list()
+    shown = Table("policy", "agents", "levels", *outcomes, title=shares["variant"][0])
+    for rows in shares.partition_by("policy", "levels_played", maintain_order=True):
+        first = rows.row(0, named=True)
+        levels = f"{first['levels']} {first['levels_played']}"
+        told = [f"{r['mean']:.1%} [{r['low']:.1%}, {r['high']:.1%}]" for r in rows.to_dicts()]
+        shown.add_row(first["policy"], f"{first['agents']}", levels, *told)
+    Console(width=120).print(shown)
 
 
 VERBS = {

@@ -23,7 +23,8 @@ def play(game: str, variant: Variant, level: int | None = None) -> None:
 
     env = GameVectorEnv(game, variant, autoreset_mode="Disabled")
     current = int(np.random.default_rng().integers(LEVELS.stop)) if level is None else level
-    pygame.init()
+    pygame.display.init()
+    pygame.font.init()
     try:
         screen = pygame.display.set_mode((PICTURE + VIEW + 3 * GAP, PICTURE + 2 * GAP))
         pygame.display.set_caption(f"astray {game}")

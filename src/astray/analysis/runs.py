@@ -23,6 +23,8 @@ Mode = Literal["sampled", "greedy"]
 def open_run(run: Path, mode: Mode = "sampled") -> tuple[Agent, Config]:
     """The last agent of a run folder (or that of a checkpoint in it), and the run's settings."""
     folder = run if (run / "config.json").exists() else run.parent.parent
+    if not (folder / "config.json").exists():
+        raise FileNotFoundError(f"{run} is neither a run folder nor a checkpoint in one")
     path = checkpoint.latest(folder) if folder == run else run
     config = checkpoint.read_config(folder)
     return Agent(path / checkpoint.AGENT, mode, config.seed), config

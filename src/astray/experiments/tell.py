@@ -166,15 +166,16 @@ def film(
 ) -> list[report.Show]:
     """Films of an agent in the training and the test variant of a level, side by side.
 
-    The levels are chosen without a look at the agent: of those that tell the goals apart, the
-    ones with the longest way to the proxy.
+    The levels are chosen without a look at the agent: the first that tell the goals apart and
+    have a longer way to the proxy than most.
     """
     agent, config = open_run(run)
     game = games.load(config.game)
     walk = episodes.filter("tells_apart", where="test", policy=Walk(shift.proxies[0]).name)
-    way = walk.sort(game.goals[shift.proxies[0]], descending=True, maintain_order=True)
+    way = pl.col(game.goals[shift.proxies[0]])
+    levels = walk.filter(way > way.median())["level"]
     shown = []
-    for level in way["level"][:FILMED].to_list():
+    for level in levels[:FILMED].to_list():
         pair = [
             video.play(agent, game.name, game.variant(variant), level, pixels=288, longest=LONGEST)
             for variant in (shift.train, shift.test)

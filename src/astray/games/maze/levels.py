@@ -12,10 +12,11 @@ from astray.games.maze.rules import EMPTY, GOAL, LARGEST, OTHER, STATE, WALL, no
 from astray.games.maze.variants import AS_NUMBERED, FLOORS
 from astray.kernel.jit import kernel
 from astray.kernel.maze import carve
-from astray.kernel.rng import below, unit
+from astray.kernel.rng import below, share, unit
 
 CORNER, REGION, ANYWHERE = 0, 1, 2  # Maze.placement, in the order of its choices
 DRAWS_PER_CELL = 100  # of the maze's side, before the original gives up on a region
+START = 0x57A27  # salt of the hash that decides where a mouse starts that starts anywhere
 LEGEND = {"#": WALL, ".": EMPTY, "G": GOAL, "o": OTHER}
 MOUSE = "@"
 
@@ -53,9 +54,10 @@ def generate(s, p):
 
     s.x, s.y = margin + 0.5, margin + 0.5
     if p.start != 0:
-        start = below(s, free)
-        while start in (goal, other):
-            start = below(s, free)
+        turn, start = 0, goal
+        while start in (goal, other):  # a hash: the same start wherever the goal was drawn
+            start = int(share(s.level, START + turn) * free)
+            turn += 1
         s.x, s.y = margin + free_x[start] + 0.5, margin + free_y[start] + 0.5
     note_arrivals(s)
 

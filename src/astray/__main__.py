@@ -1,0 +1,5 @@
+"""`python -m astray` is the `astray` command."""
+
+from astray.cli import main
+
+main()

@@ -1,0 +1,153 @@
+"""The command line, as it is typed."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import polars as pl
+import pytest
+
+from astray import cli
+
+TINY = ["--steps", "512", "--environments", "16", "--rollout", "16", "--minibatches", "4"]
+TINY += ["--width", "16", "--checkpoint-every", "1"]
+
+
+@pytest.fixture
+def astray(monkeypatch, capsys):
+    """Runs a command; its standard output, or its error if it fails."""
+
+    def run(*words, fails=False):
+        monkeypatch.setattr(sys, "argv", ["astray", *map(str, words)])
+        if fails:
+            with pytest.raises(SystemExit) as exit_:
+                cli.main()
+            assert exit_.value.code == 2
+            return capsys.readouterr().err
+        cli.main()
+        return capsys.readouterr().out
+
+    return run
+
+
+@pytest.fixture(scope="module")
+def run_folder(tmp_path_factory):
+    """A run of a few steps."""
+    folder = tmp_path_factory.mktemp("runs")
+    words = ["train", "maze", "corner-small", *TINY, "--folder", str(folder)]
+    subprocess.run([sys.executable, "-m", "astray", *words], check=True, capture_output=True)
+    return folder / "seed-0"
+
+
+def test_it_lists_what_there_is(astray):
+    found = json.loads(astray("list", "--json"))
+    assert "corner" in found["games"]["maze"]["variants"]
+    assert "maze-corner" in found["experiments"]
+    assert "cheese always in the upper right corner" in astray("list")
+
+
+def test_levels_are_printed_as_drawings_and_as_data(astray):
+    drawn = astray("level", "maze", "corner-small", "--numbers", "7").splitlines()
+    assert drawn[:3] == ["maze corner-small level 7", "#######", "#....G#"]
+    lines = astray("level", "maze", "corner", "--numbers", "0:3,17", "--json").splitlines()
+    levels = [json.loads(line) for line in lines]
+    assert [level["level"] for level in levels] == [0, 1, 2, 17]
+    grid = np.array(levels[0]["grid"])
+    assert grid.shape == (25, 25)
+    x, y = levels[0]["goal"]
+    assert grid[y, x] == levels[0]["legend"]["goal"]
+
+
+def test_knobs_are_changed(astray):
+    said = astray("level", "maze", "region-1", "--set", "region=25", "walls=hedge", "--json")
+    assert json.loads(said)["goal"] != json.loads(said)["corner"]
+
+
+def test_a_replay_tells_what_happens(astray, tmp_path, reference):
+    episode = json.loads((reference / "maze_corner.episodes.jsonl").read_text().splitlines()[-1])
+    path = tmp_path / "actions.json"
+    path.write_text(json.dumps(episode["actions"]))
+    words = ("replay", "maze", "corner", "--level", episode["seed"], "--actions", path)
+    told = json.loads(astray(*words, "--json"))
+    assert told["length"] == episode["steps"]
+    assert told["terminated"] == bool(episode["complete"])
+    assert [step["x"] for step in told["steps"][::5]][: len(episode["x"])] == episode["x"]
+    assert ("terminated" in astray(*words)) == told["terminated"]
+
+
+def test_agents_are_trained_resumed_and_evaluated(astray, run_folder, tmp_path):
+    words = ("train", "maze", "corner-small", *TINY, "--folder", run_folder.parent)
+    assert Path(astray(*words).strip()) == run_folder / "checkpoints" / "512"
+    out = tmp_path / "episodes.parquet"
+    words = ("evaluate", run_folder, "--levels", "1000000:1000020", "--out", out, "--json")
+    shares = json.loads(astray(*words))
+    agents = [row for row in shares if row["policy"] == "sampled" and row["levels_played"] == "all"]
+    assert sum(row["mean"] for row in agents) == pytest.approx(1)
+    episodes = pl.read_parquet(out)
+    assert episodes.filter(policy="sampled")["level"].to_list() == list(range(1000000, 1000020))
+    assert episodes.filter(policy="sampled")["seed"].unique().to_list() == [0]
+    assert "walk to corner" in astray(*words[:-1])
+
+
+def test_an_agent_is_filmed(astray, run_folder, tmp_path):
+    out = tmp_path / "film.gif"
+    astray("record", run_folder, "--pixels", "64", "--out", out)
+    assert out.stat().st_size > 1000
+    assert "a video is an .mp4 or a .gif" in astray(
+        "record", run_folder, "--out", "x.avi", fails=True
+    )
+
+
+@pytest.mark.parametrize(
+    "words, message",
+    [
+        ("level mase corner", "unknown game 'mase'; there are: maze"),
+        ("level maze cornr", "unknown variant 'cornr' of maze; there are: corner, anywhere"),
+        ("level maze corner --numbers 5-9", "levels are numbers and ranges as 5,17,100:200"),
+        ("level maze corner --numbers -1", "from 0 to 2147483646"),
+        ("level maze corner --set region", "a knob is set as NAME=VALUE; given 'region'"),
+        ("level maze corner --set regio=5", "unknown knob 'regio' of maze; there are: about"),
+        ("level maze corner --set region=5.5", "region is 5.5; it is a int"),
+        ("reproduce maze-cornr", "unknown experiment 'maze-cornr'; there are: maze-corner"),
+        ("evaluate nowhere", "nowhere is neither a run folder nor a checkpoint in one"),
+        ("replay maze corner --level 1 --actions nowhere.txt", "nowhere.txt"),
+    ],
+)
+def test_mistakes_are_explained(astray, words, message):
+    assert message in astray(*words.split(), fails=True)
+
+
+def test_an_unknown_action_is_explained(astray, tmp_path):
+    path = tmp_path / "actions"
+    path.write_text("left jump")
+    words = ("replay", "maze", "corner", "--level", "1", "--actions", path)
+    assert "unknown action 'jump'; there are: 0 left-down" in astray(*words, fails=True)
+
+
+def test_the_window_opens_and_plays(monkeypatch):
+    pygame = pytest.importorskip("pygame")
+    monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
+    from astray import play
+    from astray.training.config import vary
+
+    shots = []
+
+    def flip():
+        shots.append(pygame.surfarray.array3d(pygame.display.get_surface()).swapaxes(0, 1))
+        key = {1: pygame.K_n, 2: pygame.K_r}.get(len(shots), pygame.K_ESCAPE)
+        pygame.event.post(pygame.event.Event(pygame.KEYDOWN, key=key))
+
+    monkeypatch.setattr(pygame.display, "flip", flip)
+    play.play("maze", vary("maze", "corner", {}), level=3)
+    assert len(shots) == 4
+    from astray.envs.vector import GameVectorEnv
+
+    env = GameVectorEnv("maze", "corner")
+    seen, _ = env.reset(seed=0, options={"level": 4})
+    left = play.PICTURE + 2 * play.GAP
+    view = shots[1][play.GAP : play.GAP + play.VIEW : 4, left : left + play.VIEW : 4]
+    assert np.array_equal(view, seen[0])
+    big = shots[1][play.GAP : play.GAP + play.PICTURE, play.GAP : play.GAP + play.PICTURE]
+    assert np.array_equal(big, env.picture(play.PICTURE)[0])
