@@ -108,7 +108,7 @@ def test_an_agent_is_filmed(astray, run_folder, tmp_path):
         ("level maze corner --numbers 5-9", "levels are numbers and ranges as 5,17,100:200"),
         ("level maze corner --numbers -1", "from 0 to 2147483646"),
         ("level maze corner --set region", "a knob is set as NAME=VALUE; given 'region'"),
-        ("level maze corner --set regio=5", "unknown knob 'regio' of maze; there are: about"),
+        ("level maze corner --set squid=5", "unknown knob 'squid' of maze; there are: about"),
         ("level maze corner --set region=5.5", "region is 5.5; it is a int"),
         ("reproduce maze-cornr", "unknown experiment 'maze-cornr'; there are: maze-corner"),
         ("evaluate nowhere", "nowhere is neither a run folder nor a checkpoint in one"),
