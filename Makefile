@@ -18,7 +18,7 @@ check: $(INSTALLED)
 	$(BIN)/ruff check .
 	$(BIN)/typos
 	$(BIN)/lint-imports
-	$(BIN)/pyright
+	$(BIN)/pyright --pythonpath $(BIN)/python
 
 # Speed beside EnvPool (its Procgen needs Debian's libqt5gui5) and Stable-Baselines3.
 bench: $(INSTALLED)
