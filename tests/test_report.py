@@ -49,7 +49,7 @@ def frames():
 
 @pytest.fixture
 def episode():
-    return video.play(Walk("cheese"), "maze", "anywhere-small", LEVEL, pixels=64)
+    return video.play(Walk("cheese"), "maze", "anywhere-easy", LEVEL, pixels=64)
 
 
 @pytest.fixture
@@ -119,7 +119,7 @@ def test_an_episode_keeps_every_step_from_the_first_state_to_the_last(episode):
 
 
 def test_a_long_episode_can_be_left_unfinished():
-    episode = video.play(Walk("cheese"), "maze", "anywhere-small", LEVEL, pixels=64, longest=2)
+    episode = video.play(Walk("cheese"), "maze", "anywhere-easy", LEVEL, pixels=64, longest=2)
     assert (len(episode.rewards), len(episode.frames), episode.terminated) == (2, 3, False)
     assert episode.events["reached_goal"] is None
 

@@ -89,7 +89,7 @@ def test_validation_levels_are_not_training_levels():
 def test_an_agent_learns_the_way_to_the_corner(tmp_path):
     config = replace(
         TINY, validation=None, steps=150_000, environments=64, rollout=32, minibatches=8,
-        width=64, gamma=0.95, knobs={"world": 5, "largest": 3, "time_limit": 30},
+        width=64, gamma=0.95, learning_rate=2e-3, knobs={"world": 5, "largest": 3, "time_limit": 30},
     )  # fmt: skip
     train(config, tmp_path, progress=False)
     lines = checkpoint.metrics(tmp_path)
