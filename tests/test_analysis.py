@@ -19,7 +19,7 @@ LEVELS = range(1_000_000, 1_000_060)
 @pytest.fixture(scope="module")
 def agent_file(tmp_path_factory):
     path = tmp_path_factory.mktemp("agent") / "agent.safetensors"
-    architecture = Architecture("small-conv", (4, 7, 7), (1, 1, 6, 6), 15)
+    architecture = Architecture("small", (4, 7, 7), (1, 1, 6, 6), 15)
     path.write_bytes(weights(architecture.build(), architecture))
     return path
 

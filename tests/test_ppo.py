@@ -10,7 +10,7 @@ from astray.agents import ppo
 from astray.agents.impala import Impala
 from astray.agents.policy import Architecture, load, outputs, weights
 from astray.agents.ppo import RewardNormaliser
-from astray.agents.small import Small, SmallConv, Spread
+from astray.agents.small import Small, Spread
 
 SHAPE, LARGEST = (4, 7, 7), (1, 1, 6, 6)
 
@@ -120,9 +120,8 @@ def test_every_activation_of_impala_is_a_named_module():
     assert "block2.residual1.relu1" in names and "features.relu" in names
 
 
-@pytest.mark.parametrize("kind", [Small, SmallConv])
-def test_small_networks_see_every_plane(kind):
-    network = kind(SHAPE, list(LARGEST), 15)
+def test_the_small_network_sees_every_plane():
+    network = Small(SHAPE, list(LARGEST), 15)
     base = torch.zeros((1, *SHAPE), dtype=torch.uint8)
     for plane in range(4):
         other = base.clone()
@@ -139,7 +138,7 @@ def test_categories_are_spread_on_a_circle_around_nothing():
     assert torch.pdist(points).min() > 0.99
 
 
-@pytest.mark.parametrize("name", ["impala", "small", "small-conv"])
+@pytest.mark.parametrize("name", ["impala", "small"])
 def test_a_saved_network_is_loaded_as_it_was(name, tmp_path):
     image = name == "impala"
     shape, largest = ((64, 64, 3), ()) if image else (SHAPE, LARGEST)
@@ -169,7 +168,7 @@ def test_a_network_for_other_observations_is_refused():
 
 
 def test_outputs_do_not_depend_on_the_batch():
-    network = Architecture("small-conv", SHAPE, LARGEST, 15).build()
+    network = Architecture("small", SHAPE, LARGEST, 15).build()
     x = torch.randint(0, 2, (300, *SHAPE), dtype=torch.uint8)
     logits, values = outputs(network, x)
     for part in (x[:1], x[:7], x[:299]):

@@ -48,6 +48,16 @@ def test_a_run_holds_what_it_should(tmp_path):
     assert not list(tmp_path.rglob(".*safetensors"))
 
 
+def test_agents_of_milestones_are_kept_and_the_rest_of_the_last_two(tmp_path):
+    config = replace(TINY, validation=None, steps=40 * 256, checkpoint_every=1)
+    train(config, tmp_path, progress=False)
+    agents = [s // 256 for s in checkpoint.steps_saved(tmp_path)]
+    assert agents == [1, 2, 3, 4, 8, 12, 16, 20, 24, 28, 32, 36, 39, 40]
+    there = tmp_path / "checkpoints"
+    whole = [int(p.parent.name) // 256 for p in there.glob("*/trainer.safetensors")]
+    assert sorted(whole) == [39, 40]
+
+
 def test_the_same_seed_gives_the_same_run_and_another_another(tmp_path):
     for name, seed in (("a", 0), ("b", 0), ("c", 1)):
         train(replace(TINY, seed=seed), tmp_path / name, progress=False)
@@ -89,7 +99,8 @@ def test_validation_levels_are_not_training_levels():
 def test_an_agent_learns_the_way_to_the_corner(tmp_path):
     config = replace(
         TINY, validation=None, steps=150_000, environments=64, rollout=32, minibatches=8,
-        width=64, gamma=0.95, learning_rate=2e-3, knobs={"world": 5, "largest": 3, "time_limit": 30},
+        width=64, gamma=0.95, learning_rate=2e-3,
+        knobs={"world": 5, "largest": 3, "time_limit": 30},
     )  # fmt: skip
     train(config, tmp_path, progress=False)
     lines = checkpoint.metrics(tmp_path)

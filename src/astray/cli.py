@@ -136,7 +136,7 @@ def evaluate(
     from astray.analysis.runs import evaluate_runs
 
     shares, episodes = evaluate_runs(
-        runs, numbers(levels), variant=variant, shift=shift, mode=mode, knobs=_pairs(knobs),
+        runs, level_numbers(levels), variant=variant, shift=shift, mode=mode, knobs=_pairs(knobs),
         batch=batch,
     )  # fmt: skip
     if out:
@@ -213,7 +213,7 @@ def level(
         knobs: of the variant, changed
         json: print JSON, a level a line
     """
-    states = _states(game, _variant(game, variant, knobs), globals()["numbers"](numbers))
+    states = _states(game, _variant(game, variant, knobs), level_numbers(numbers))
     made = games.load(game)
     for s in states:
         if json:
@@ -247,7 +247,7 @@ def replay(
     text = sys.stdin.read() if str(actions) == "-" else actions.read_text()
     told = run(game, _variant(game, variant, knobs), level, _actions(made, text))
     if json:
-        _print_json(told)
+        _print_json({"game": game, "variant": variant, "level": level} | told)
         return
     for k, step in enumerate(told["steps"], 1):
         print(f"{k:5}  {step['action']:10}  ({step['x']:g}, {step['y']:g})  {step['reward']:+g}")
@@ -273,7 +273,7 @@ def bench(
         Console().print(module.table(rows))
 
 
-def numbers(text: str) -> np.ndarray:
+def level_numbers(text: str) -> np.ndarray:
     """Level numbers from text like 5,17,100:200."""
     found: list[int] = []
     try:

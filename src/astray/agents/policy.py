@@ -13,9 +13,9 @@ from safetensors.torch import save
 from torch import Tensor, nn
 
 from astray.agents.impala import Impala
-from astray.agents.small import Small, SmallConv
+from astray.agents.small import Small
 
-NetworkName = Literal["impala", "small", "small-conv"]
+NetworkName = Literal["impala", "small"]
 
 
 @dataclass(frozen=True)
@@ -25,7 +25,7 @@ class Architecture:
     shape    of an observation: [H, W, C] for images, [C, H, W] for symbolic planes
     largest  the largest value of each symbolic plane; empty for images
     scale    multiplies the channels of "impala"
-    width    hidden units of the small ones
+    width    hidden units of "small"
     """
 
     name: NetworkName
@@ -42,8 +42,7 @@ class Architecture:
             raise ValueError(f"network {self.name!r} does not see {seen}")
         if self.name == "impala":
             return Impala(self.shape, self.actions, self.scale)
-        network = Small if self.name == "small" else SmallConv
-        return network(self.shape, list(self.largest), self.actions, self.width)
+        return Small(self.shape, list(self.largest), self.actions, self.width)
 
 
 def weights(network: nn.Module, architecture: Architecture) -> bytes:

@@ -69,33 +69,3 @@ class Small(nn.Module):
     def forward(self, planes: Tensor) -> tuple[Tensor, Tensor]:
         features = self.features(self.spread(planes))
         return self.policy(features), self.value(features).squeeze(-1)
-
-
-class SmallConv(nn.Module):
-    """Symbolic planes [B, C, H, W] uint8 -> logits [B, actions], values [B]; two convolutions."""
-
-    def __init__(
-        self, shape: tuple[int, int, int], largest: list[int], actions: int, width: int = 64
-    ):
-        super().__init__()
-        self.spread = Spread(largest)
-        _, height, columns = shape
-        h, w = (height + 3) // 4, (columns + 3) // 4
-        self.features = nn.Sequential(
-            OrderedDict(
-                conv1=nn.Conv2d(self.spread.channels, 16, 3, stride=2, padding=1),
-                relu1=nn.ReLU(),
-                conv2=nn.Conv2d(16, 32, 3, stride=2, padding=1),
-                relu2=nn.ReLU(),
-                flatten=nn.Flatten(),
-                linear=nn.Linear(32 * h * w, width),
-                relu3=nn.ReLU(),
-            )
-        )
-        self.policy = nn.Linear(width, actions)
-        self.value = nn.Linear(width, 1)
-        initialise(self)
-
-    def forward(self, planes: Tensor) -> tuple[Tensor, Tensor]:
-        features = self.features(self.spread(planes))
-        return self.policy(features), self.value(features).squeeze(-1)

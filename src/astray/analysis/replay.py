@@ -19,10 +19,8 @@ def replay(game: str, variant: Variant, level: int, actions: Sequence[int]) -> d
     env = GameVectorEnv(game, variant, observation="symbolic", autoreset_mode="Disabled")
     env.reset(seed=0, options={"level": level})
     s, steps, total = env.states[0], [], 0.0
-    told: dict[str, Any] = {
-        "game": game, "level": level, "start": [float(s.x), float(s.y)],
-        "terminated": False, "truncated": False,
-    }  # fmt: skip
+    told: dict[str, Any] = {"start": [float(s.x), float(s.y)]}
+    told |= {"terminated": False, "truncated": False}
     for action in actions:
         _, reward, terminated, truncated, _ = env.step(np.array([action]))
         total += float(reward[0])

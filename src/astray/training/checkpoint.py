@@ -92,7 +92,7 @@ def write_aside(path: Path, data: bytes) -> None:
 
 
 def save(folder: Path, trainer: Trainer) -> None:
-    """Write a checkpoint; drop what older ones hold beyond their agent, but for the last two."""
+    """Write a checkpoint; of those before the last two keep the agents of milestones alone."""
     there = folder / "checkpoints"
     aside, final = there / f".{trainer.steps}", there / f"{trainer.steps}"
     aside.mkdir(parents=True, exist_ok=True)
@@ -100,8 +100,13 @@ def save(folder: Path, trainer: Trainer) -> None:
     tensors = {name: tensor.contiguous() for name, tensor in trainer.tensors().items()}
     write_aside(aside / TRAINER, to_bytes(tensors))
     os.replace(aside, final)
-    for old in steps_saved(folder)[:-2]:
-        (there / f"{old}" / TRAINER).unlink(missing_ok=True)
+    saved = steps_saved(folder)
+    firsts = {next((s for s in saved if s >= m), None) for m in trainer.config.milestones}
+    for old in saved[:-2]:
+        if old in firsts:
+            (there / f"{old}" / TRAINER).unlink(missing_ok=True)
+        else:
+            shutil.rmtree(there / f"{old}")
 
 
 def steps_saved(folder: Path) -> list[int]:

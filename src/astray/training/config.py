@@ -34,7 +34,7 @@ class Config:
     observation: Literal["image", "symbolic"] = "image"
     network: NetworkName = "impala"
     scale: int = 1  # of impala's channels; the paper's sweeps have 4
-    width: int = 64  # hidden units of the small networks
+    width: int = 64  # hidden units of the small network
 
     steps: int = 200_000_000  # environment steps, over all environments
     environments: int = 256
@@ -82,6 +82,13 @@ class Config:
     @property
     def iterations(self) -> int:
         return -(-self.steps // self.batch)
+
+    @property
+    def milestones(self) -> list[int]:
+        """Steps whose agents are kept: ten evenly spaced, and before the first, ever doubling."""
+        return [self.steps >> k for k in range(8, 3, -1)] + [
+            self.steps * k // 10 for k in range(1, 11)
+        ]
 
     @property
     def training_levels(self) -> range:
