@@ -118,6 +118,8 @@ class Game:
     shifts: Mapping[str, Shift]
     events: tuple[str, ...]  # fields of the state: the step each first happened, or NEVER
     goals: Mapping[str, str]  # goal -> the event that it is reached
+    benchmark: str  # the variant that speed is measured on,
+    envpool: str  # and the environment of EnvPool that is like it
 
     # Compiled. `generate` is called with a state whose twister is seeded and whose common
     # fields are set.

@@ -9,16 +9,22 @@ import torch
 from torch import Tensor
 
 
+def log_probabilities(logits: Tensor) -> Tensor:
+    """The logarithms of the probabilities of all actions, [B, A], from `logits` [B, A]."""
+    # Along columns: 110 us for 4,096 x 15 on a CPU, and 1,065 along the short rows.
+    return torch.log_softmax(logits.T.contiguous(), 0).T
+
+
 def sample(logits: Tensor, noise: Tensor) -> tuple[Tensor, Tensor]:
     """Actions drawn from `logits` [B, A], and their log-probabilities, both [B].
 
     noise  [B, A] uniform in [0, 1); the Gumbel trick makes the draw a pure function of it
     """
-    log_probability = torch.log_softmax(logits, -1)
+    of_all = log_probabilities(logits)
     tiny = torch.finfo(noise.dtype).tiny
     gumbel = -torch.log(-torch.log(noise.clamp(min=tiny, max=1 - 1e-7)))
-    action = (log_probability + gumbel).argmax(-1)
-    return action, log_probability.gather(-1, action[:, None]).squeeze(-1)
+    action = (of_all + gumbel).argmax(-1)
+    return action, of_all.gather(-1, action[:, None]).squeeze(-1)
 
 
 def advantages(
@@ -64,10 +70,9 @@ def value_loss(value: Tensor, old: Tensor, target: Tensor, clip: float) -> Tenso
     return 0.5 * torch.max((value - target) ** 2, (clipped - target) ** 2).mean()
 
 
-def entropy(logits: Tensor) -> Tensor:
-    """Mean entropy in nats of the policies `logits` [B, A]."""
-    log_probability = torch.log_softmax(logits, -1)
-    return -(log_probability.exp() * log_probability).sum(-1).mean()
+def entropy(of_all: Tensor) -> Tensor:
+    """Mean entropy in nats of the policies with `log_probabilities` [B, A]."""
+    return -(of_all.exp() * of_all).sum(-1).mean()
 
 
 @dataclass

@@ -29,17 +29,6 @@ COPY = "memory copy"
 
 
 @dataclass(frozen=True)
-class Peer:
-    """What a game is measured against: the variant that is like an environment of EnvPool."""
-
-    variant: str
-    envpool: str
-
-
-PEERS = {"maze": Peer(variant="anywhere", envpool="MazeHard-v0")}
-
-
-@dataclass(frozen=True)
 class Row:
     """What one contender did; None where it was not measured or a column does not apply."""
 
@@ -100,21 +89,18 @@ class Contender:
 def measure(
     names: Sequence[str] = games.NAMES, seconds: float = 1.0, rounds: int = 5, seed: int = 0
 ) -> list[Row]:
-    """Measure these games, each turn for `seconds`; one not in `PEERS` on its first variant."""
+    """Measure these games, each turn for `seconds`."""
     rows = []
     for name in names:
-        peer = PEERS.get(name)
-        variant = peer.variant if peer else next(iter(games.load(name).variants))
-        rows += measure_game(
-            name, variant, peer.envpool if peer else None, seconds, rounds, seed=seed
-        )
+        game = games.load(name)
+        rows += measure_game(name, game.benchmark, game.envpool, seconds, rounds, seed=seed)
     return rows
 
 
 def measure_game(
     game: str,
     variant: str,
-    peer: str | None = None,
+    peer: str,
     seconds: float = 1.0,
     rounds: int = 5,
     *,
@@ -123,23 +109,22 @@ def measure_game(
 ) -> list[Row]:
     """Measure one game, and the environment `peer` of EnvPool.
 
-    batches  environments of the two sizes of batch with images; symbolic has the larger one,
-             EnvPool the smaller: of MazeHard-v0 64 are 5% slower than 256, and 1,024 4% faster
+    batches  environments of two sizes of batch; EnvPool has the smaller: of MazeHard-v0 64 are
+             5% slower than 256, and 1,024 4% faster
     """
     contenders = [
         _ours(game, variant, "images", batch, threads, seed)
         for batch in batches
         for threads in (1, 2)
     ]
-    contenders.append(_ours(game, variant, "symbolic", batches[1], 1, seed))
+    contenders += [_ours(game, variant, "symbolic", batch, 1, seed) for batch in batches]
     missing = []
-    if peer:
-        steps = games.load(game).variant(variant).time_limit
-        made = _envpool(Row(game, variant, f"EnvPool {peer}"), peer, batches[0], steps, seed)
-        if isinstance(made, Contender):
-            contenders.append(made)
-        else:
-            missing.append(made)
+    steps = games.load(game).variant(variant).time_limit
+    made = _envpool(Row(game, variant, f"EnvPool {peer}"), peer, batches[0], steps, seed)
+    if isinstance(made, Contender):
+        contenders.append(made)
+    else:
+        missing.append(made)
     contenders.append(_copy(game, variant))
     for contender in contenders:
         contender.once(0)  # the first time touches memory that is given only then

@@ -23,10 +23,11 @@ from astray.training.loop import update
 from astray.training.rollout import collect
 from astray.training.trainer import Trainer
 
-# Mazes in a world of 9 cells a side, and of 25.
+# The preset as it is, and with the smaller network and more environments, where the network's
+# matrix products leave more to the rest.
 CONFIGS = tuple(
-    replace(PRESETS["small"], game="maze", variant=variant, anneal=False)
-    for variant in ("corner-small", "corner")
+    replace(PRESETS["small"], game="maze", variant="corner-small", anneal=False, **change)
+    for change in ({}, {"width": 64, "environments": 1024})
 )
 
 
@@ -37,6 +38,8 @@ class Row:
     what: str
     game: str
     variant: str
+    width: int  # hidden units of the network
+    environments: int
     steps_per_second: float | None = None  # environment steps, median over the rounds
     best: float | None = None  # of the rounds
     to_peer: float | None = None  # ratio to Stable-Baselines3
@@ -46,6 +49,8 @@ class Row:
         return {
             "what": f"{self.what} ({self.note})" if self.note else self.what,
             "game": f"{self.game} {self.variant}",
+            "width": f"{self.width}",
+            "environments": f"{self.environments}",
             "1,000 steps/s": thousands(self.steps_per_second),
             "best": thousands(self.best),
             "x Stable-Baselines3": decimal(self.to_peer),
@@ -72,7 +77,10 @@ def measure(
 def _measure(config: Config, turn: float, rounds: int) -> list[Row]:
     trainer = Trainer(config)
     contenders = {"astray": lambda: iterate(trainer)}
-    rows = [Row(what, config.game, config.variant) for what in ("astray", "Stable-Baselines3")]
+    rows = [
+        Row(what, config.game, config.variant, config.width, config.environments)
+        for what in ("astray", "Stable-Baselines3")
+    ]
     closes = [trainer.close]
     try:
         sb3 = importlib.import_module("astray.bench.sb3")

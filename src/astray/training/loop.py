@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from pathlib import Path
+from typing import Any
 
 import torch
 from torch import Tensor, nn
@@ -62,7 +63,7 @@ def update(trainer: Trainer, rollout: Rollout, rate: float) -> dict[str, float]:
         group["lr"] = rate
     parameters, samples = list(network.parameters()), rollout.flat()
     size = config.batch // config.minibatches
-    sums: dict[str, Tensor] = {}
+    sums: dict[str, Any] = {}
     for _ in range(config.epochs):
         order = torch.randperm(
             config.batch, generator=trainer.player.generator, device=config.device
@@ -75,7 +76,7 @@ def update(trainer: Trainer, rollout: Rollout, rate: float) -> dict[str, float]:
             losses["gradient_norm"] = nn.utils.clip_grad_norm_(parameters, config.gradient_norm)
             optimizer.step()
             for name, value in losses.items():
-                sums[name] = sums.get(name, torch.zeros(())) + value.detach().cpu()
+                sums[name] = sums.get(name, 0) + value.detach()
     updates = config.epochs * config.minibatches
     return {name: float(total) / updates for name, total in sums.items()}
 
@@ -84,11 +85,12 @@ def loss(network: nn.Module, samples: list[Tensor], config: Config) -> dict[str,
     """PPO's loss on a minibatch (the fields of `Rollout`, [B, ...]), and its parts."""
     observation, action, old_log_probability, old_value, advantage, target = samples
     logits, value = network(observation)
-    log_probability = torch.log_softmax(logits, -1).gather(-1, action[:, None]).squeeze(-1)
+    of_all = ppo.log_probabilities(logits)
+    log_probability = of_all.gather(-1, action[:, None]).squeeze(-1)
     log_ratio = log_probability - old_log_probability
     policy = ppo.policy_loss(log_ratio, advantage, config.clip)
     critic = ppo.value_loss(value, old_value, target, config.clip)
-    entropy = ppo.entropy(logits)
+    entropy = ppo.entropy(of_all)
     with torch.no_grad():
         ratio = log_ratio.exp()
         kl = ((ratio - 1) - log_ratio).mean()  # Schulman's unbiased, never negative estimate
