@@ -28,7 +28,6 @@ from astray.game import Shift
 from astray.training import checkpoint
 
 AGENTS = "sampled"  # the policy that stands for the agents; as the original, actions are drawn
-FILMED = 3  # levels
 LONGEST = 120  # steps of an episode that are filmed
 
 
@@ -164,28 +163,33 @@ def write_table(table: pl.DataFrame, folder: Path, name: str) -> None:
 def film(
     plan: Plan, shift: Shift, run: Path, episodes: pl.DataFrame, folder: Path
 ) -> list[report.Show]:
-    """Films of an agent in the training and the test variant of a level, side by side.
+    """An agent in the training and the test variant of a level, side by side, for each outcome.
 
-    The levels are chosen without a look at the agent: the first that tell the goals apart and
-    have a longer way to the proxy than most.
+    The commonest outcome first; of each the first level that tells the goals apart and has a
+    longer way to the proxy than most.
     """
     agent, config = open_run(run)
     game = games.load(config.game)
-    walk = episodes.filter("tells_apart", where="test", policy=Walk(shift.proxies[0]).name)
+    tested = episodes.filter("tells_apart", where="test")
     way = pl.col(game.goals[shift.proxies[0]])
-    levels = walk.filter(way > way.median())["level"]
+    far = tested.filter(policy=Walk(shift.proxies[0]).name).filter(way > way.median())
+    mine = tested.filter(policy=AGENTS, seed=config.seed)
+    common = mine["outcome"].value_counts(sort=True)
     shown = []
-    for level in levels[:FILMED].to_list():
-        pair = [
-            video.play(agent, game.name, game.variant(variant), level, pixels=288, longest=LONGEST)
-            for variant in (shift.train, shift.test)
-        ]
-        captions = [f"{shift.train} {level}", f"{shift.test} {level}"]
-        frames = video.beside(*(episode.frames for episode in pair), captions=captions)
-        path = folder / f"level-{level}.mp4"
-        video.write_mp4(frames, path, fps=8)
-        video.write_gif(frames, path.with_suffix(".gif"), fps=8)
-        mine = episodes.filter(where="test", policy=AGENTS, seed=config.seed, level=level)
-        caption = f"Level {level} as in training, and in the test: {mine['outcome'][0]}."
-        shown.append(report.Show(caption, path))
+    for outcome, count in common.rows():
+        levels = mine.filter(outcome=outcome).join(far, on="level", how="semi")["level"]
+        for level in levels[:1].to_list():
+            pair = [
+                video.play(agent, game.name, game.variant(name), level, pixels=288, longest=LONGEST)
+                for name in (shift.train, shift.test)
+            ]
+            captions = [f"{shift.train} {level}", f"{shift.test} {level}"]
+            frames = video.beside(*(episode.frames for episode in pair), captions=captions)
+            path = folder / f"{outcome.replace(' ', '-')}.mp4"
+            video.write_mp4(frames, path, fps=8)
+            video.write_gif(frames, path.with_suffix(".gif"), fps=8)
+            share = f"{100 * count / len(mine):.0f}\u00a0%"
+            caption = f"{outcome.capitalize()}, as in {share} of these levels: one agent in level "
+            caption += f"{level} as in training, and in the test."
+            shown.append(report.Show(caption, path))
     return shown
