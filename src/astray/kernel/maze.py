@@ -16,7 +16,7 @@ def carve(s, size, is_open, free_x, free_y):
     free_x, free_y  [size * size], the free cells in the order they are opened; filled here
     """
     # A passage is x * size + y. First those that join nodes to the left and right of them.
-    passages = np.empty(size * size, np.int64)
+    passages = np.empty(size * size, np.int16)  # small: the list is moved a lot
     count = 0
     for x in range(1, size, 2):
         for y in range(0, size, 2):
@@ -30,7 +30,8 @@ def carve(s, size, is_open, free_x, free_y):
     free = 0
     while count > 0:
         pick = below(s, count)
-        x, y = passages[pick] // size, passages[pick] % size
+        passage = int(passages[pick])
+        x, y = passage // size, passage % size
         count -= 1
         for k in range(pick, count):
             passages[k] = passages[k + 1]  # the order of the rest matters to later draws

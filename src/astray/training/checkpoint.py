@@ -48,7 +48,7 @@ def claim(folder: Path, config: Config) -> Iterator[None]:
             shutil.rmtree(left, ignore_errors=True)
         path = folder / "config.json"
         if path.exists():
-            _same(path, config)
+            check(folder, config)
         else:
             versions = {
                 "python": platform.python_version(), "torch": torch.__version__,
@@ -62,12 +62,15 @@ def claim(folder: Path, config: Config) -> Iterator[None]:
         lock.release()
 
 
-def _same(path: Path, config: Config) -> None:
-    there, given = read_config(path.parent).to_json(), config.to_json()
-    differ = [name for name in given if there.get(name) != json.loads(json.dumps(given[name]))]
+def check(folder: Path, config: Config) -> None:
+    """See that the run in `folder` has these settings."""
+    read_config(folder)
+    there = json.loads((folder / "config.json").read_text())["config"]
+    given = json.loads(json.dumps(config.to_json()))
+    differ = [name for name in given if there.get(name) != given[name]]
     if differ:
         what = ", ".join(f"{n} is {there.get(n)!r} there, {given[n]!r} here" for n in differ)
-        raise ValueError(f"{path.parent} holds a run with other settings: {what}")
+        raise ValueError(f"{folder} holds a run with other settings: {what}")
 
 
 def read_config(folder: Path) -> Config:
@@ -136,8 +139,10 @@ def restore(folder: Path, trainer: Trainer) -> None:
 
 
 def finished(folder: Path, config: Config) -> bool:
-    """The run in `folder` has its last checkpoint."""
+    """The run in `folder` has its last checkpoint; it is an error if its settings are others."""
     steps = steps_saved(folder)
+    if steps:
+        check(folder, config)
     return bool(steps) and steps[-1] >= config.iterations * config.batch
 
 
