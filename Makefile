@@ -9,7 +9,7 @@ INSTALLED := .venv/installed
 demo: $(INSTALLED)
 	$(BIN)/astray reproduce maze-corner --size smoke
 
-# All checks, then all tests: those that need no interpreter of their own in parallel.
+# All checks, then all tests.
 test: check
 	$(BIN)/python -m pytest -n 2
 

@@ -107,8 +107,11 @@ def test_an_agent_is_filmed(astray, run_folder, tmp_path):
         ("level maze cornr", "unknown variant 'cornr' of maze; there are: corner, anywhere"),
         ("level maze corner --numbers 5-9", "levels are numbers and ranges as 5,17,100:200"),
         ("level maze corner --numbers -1", "from 0 to 2147483646"),
+        ("level maze corner --numbers 99999999999999999999", "from 0 to 2147483646"),
+        ("level maze corner --set region=5", "need placement 'region'"),
+        ("train maze corner --seeds 0", "seeds is 0; it is at least 1"),
         ("level maze corner --set region", "a knob is set as NAME=VALUE; given 'region'"),
-        ("level maze corner --set squid=5", "unknown knob 'squid' of maze; there are: about"),
+        ("level maze corner --set squid=5", "unknown knob 'squid' of maze; there are: time_limit"),
         ("level maze corner --set region=5.5", "region is 5.5; it is a int"),
         ("reproduce maze-cornr", "unknown experiment 'maze-cornr'; there are: maze-corner"),
         ("evaluate nowhere", "nowhere is neither a run folder nor a checkpoint in one"),
@@ -151,3 +154,11 @@ def test_the_window_opens_and_plays(monkeypatch):
     assert np.array_equal(view, seen[0])
     big = shots[1][play.GAP : play.GAP + play.PICTURE, play.GAP : play.GAP + play.PICTURE]
     assert np.array_equal(big, env.picture(play.PICTURE)[0])
+
+
+@pytest.mark.parametrize("words", ["--preset paper", "--preset=paper"])
+def test_a_presets_settings_are_the_defaults(astray, monkeypatch, words):
+    given = []
+    monkeypatch.setattr("astray.training.loop.train", lambda config, folder: given.append(config))
+    astray("train", "maze", "corner", *words.split(), "--steps", "1000")
+    assert given[0].network == "impala" and given[0].steps == 1000

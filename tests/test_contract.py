@@ -41,7 +41,7 @@ def test_a_batch_is_its_environments_one_by_one(game, variant, mode, observation
         if mode is AutoresetMode.DISABLED and done.any():
             ours = batch.reset(options={"reset_mask": done})
             theirs = single.reset(options={"reset_mask": done.copy()})
-            assert np.array_equal(ours[0], theirs[0])
+            assert data_equivalence(ours, theirs)
     assert ended > 0
 
 
@@ -188,3 +188,35 @@ def test_bad_steps_are_explained():
         env.step(np.array([0, 15]))
     with pytest.raises(ValueError, match="level is -2"):
         env.reset(options={"level": -2})
+
+
+def test_a_masked_reset_seeds_only_what_it_resets():
+    env = GameVectorEnv("maze", "anywhere", 2, autoreset_mode="Disabled")
+    with pytest.raises(ValueError, match="first reset is of all"):
+        env.reset(seed=0, options={"reset_mask": np.array([True, False])})
+    env.reset(seed=0)
+    env.reset(seed=7, options={"reset_mask": np.array([True, False])})
+    assert env.states["seed"].tolist() == [7, 1]
+    with pytest.raises(ValueError, match="2 booleans"):
+        env.reset(options={"reset_mask": [0, 1]})
+
+
+@pytest.mark.parametrize("mode", MODES)
+def test_a_state_can_be_set_after_an_end(mode):
+    env = GameVectorEnv("maze", short("maze", "anywhere"), 1, autoreset_mode=mode)
+    env.reset(seed=0, options={"level": 5})
+    kept = env.states.copy()
+    for _ in range(30):
+        env.step(np.array([4]))
+    env.set_states(kept)
+    env.step(np.array([4]))
+    assert (env.states["level"], env.states["time"]) == (5, 1)
+
+
+def test_closed_environments_say_so():
+    env = GameVectorEnv("maze", "anywhere", 2, threads=2)
+    env.reset(seed=0)
+    env.close()
+    env.close()
+    with pytest.raises(RuntimeError, match="closed"):
+        env.step(np.array([0, 0]))

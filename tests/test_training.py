@@ -3,12 +3,11 @@
 import json
 from dataclasses import replace
 
-import numpy as np
 import pytest
 from safetensors.numpy import load_file
 
 from astray.training import checkpoint
-from astray.training.config import PRESETS, Config, vary
+from astray.training.config import PRESETS, vary
 from astray.training.loop import train
 
 TINY = replace(
@@ -16,17 +15,6 @@ TINY = replace(
     validation="anywhere-small", environments=16, rollout=16, minibatches=4, steps=1024,
     validation_every=1, checkpoint_every=2, width=16,
 )  # fmt: skip
-
-
-def tiny_validation(monkeypatch):
-    """Validation sees the world that TINY trains in."""
-    small = vary("maze", "anywhere-small", {"world": 5, "largest": 5, "time_limit": 20})
-    monkeypatch.setattr(Config, "validation_variant", lambda self: small)
-
-
-@pytest.fixture(autouse=True)
-def small_validation(monkeypatch):
-    tiny_validation(monkeypatch)
 
 
 def digest(folder):
@@ -116,11 +104,11 @@ def test_an_agent_learns_the_way_to_the_corner(tmp_path):
         ({"variant": "cornr"}, "unknown variant 'cornr'"),
         ({"knobs": {"colour": "red"}}, "unknown knob 'colour' of maze; there are"),
         ({"knobs": {"region": "five"}}, "region is 'five'; it is a int"),
+        ({"seed": -1}, "seed is -1; it is from 0 to"),
         ({"validation": "nowhere"}, "unknown variant 'nowhere'"),
     ],
 )
-def test_bad_settings_are_explained(change, message, monkeypatch):
-    monkeypatch.undo()
+def test_bad_settings_are_explained(change, message):
     with pytest.raises(ValueError, match=message):
         replace(TINY, **change)
 
@@ -154,7 +142,7 @@ def test_a_timeout_is_bootstrapped_by_default_and_terminates_on_request(tmp_path
     from astray.training.rollout import collect
     from astray.training.trainer import Trainer
 
-    targets = {}
+    advantages = {}
     for timeouts in ("bootstrap", "terminate"):
         config = replace(TINY, timeouts=timeouts, normalise_advantage=False, rollout=32,
                          gamma=0.5, validation=None)  # fmt: skip
@@ -163,8 +151,16 @@ def test_a_timeout_is_bootstrapped_by_default_and_terminates_on_request(tmp_path
             weight.data.zero_()
         trainer.network.value.bias.data.fill_(8.0)  # the critic says 8 everywhere
         rollout = collect(trainer.network, trainer.player, config)
-        targets[timeouts] = rollout.advantage.numpy()
+        advantages[timeouts] = rollout.advantage.numpy()
         trainer.close()
-    differ = targets["bootstrap"] - targets["terminate"]
+    differ = advantages["bootstrap"] - advantages["terminate"]
     assert differ.max() == pytest.approx(0.5 * 8, abs=1e-5)  # gamma times the value cut off
-    assert np.count_nonzero(differ)
+    assert (differ[20:] == 0).any() and (differ >= -1e-6).all()  # episodes of 20 steps are cut
+
+
+def test_validation_and_shifted_levels_follow_the_knobs_that_make_no_shift():
+    config = replace(TINY, variant="corner", validation="anywhere", knobs={"goal_colour": "red"})
+    assert config.validation_variant().goal_colour == "red"
+    assert config.validation_variant().placement == "anywhere"
+    changed = vary("maze", "corner", {"world": 15, "largest": 15, "shift_probability": 0.5})
+    assert (changed.shifted.world, changed.shifted.placement) == (15, "anywhere")

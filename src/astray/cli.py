@@ -16,6 +16,7 @@ from rich.table import Table
 from tyro.conf import Positional, arg
 
 from astray import games
+from astray.envs.vector import LEVELS
 from astray.experiments.spec import Size
 from astray.game import NEVER, Game, Variant
 from astray.training.config import PRESETS, Config, vary
@@ -102,6 +103,8 @@ def train(
 
     from astray.training.loop import train as run
 
+    if seeds < 1:
+        raise ValueError(f"seeds is {seeds}; it is at least 1")
     changed = replace(config, knobs=_pairs(knobs))
     there = folder or Path("runs") / f"{config.game}-{config.variant}"
     for seed in range(config.seed, config.seed + seeds):
@@ -187,13 +190,13 @@ def record(
         out: an .mp4 or .gif file
     """
     from astray.analysis import video
-    from astray.analysis.runs import open_run
+    from astray.analysis.runs import open_run, playing
 
     write = {".mp4": video.write_mp4, ".gif": video.write_gif}.get(out.suffix)
     if write is None:
         raise ValueError(f"a video is an .mp4 or a .gif file, not {out}")
     agent, config = open_run(run, mode)
-    made = _variant(config.game, variant or config.variant, knobs)
+    made = playing(config, variant or config.variant, _pairs(knobs))
     episode = video.play(agent, config.game, made, level, pixels=pixels)
     write(episode.frames, out)
     print(out)
@@ -282,8 +285,8 @@ def level_numbers(text: str) -> np.ndarray:
             found += range(int(first), int(after)) if colon else [int(first)]
     except ValueError:
         raise ValueError(f"levels are numbers and ranges as 5,17,100:200; given {text!r}") from None
-    if not found:
-        raise ValueError(f"no levels in {text!r}")
+    if not found or min(found) < 0 or max(found) >= LEVELS.stop:
+        raise ValueError(f"levels are numbers from 0 to {LEVELS.stop - 1}; given {text!r}")
     return np.array(found)
 
 
@@ -352,7 +355,7 @@ VERBS = {
 
 def main() -> None:
     """Entry point of the `astray` command."""
-    words = sys.argv[1:]
+    words = " ".join(sys.argv[1:]).replace("--preset=", "--preset ").split(" ")
     preset = words[words.index("--preset") + 1 :][:1] if "--preset" in words else []
     name = preset[0] if preset and preset[0] in get_args(Preset) else "small"
     verbs = VERBS | {"train": functools.partial(train, config=PRESETS[name])}
@@ -360,7 +363,7 @@ def main() -> None:
         tyro.extras.subcommand_cli_from_dict(
             verbs, prog="astray", description="Find out which goal a trained agent really pursues."
         )
-    except (ValueError, OSError, RuntimeError, ImportError) as error:
+    except (ValueError, OSError, RuntimeError, ImportError, OverflowError) as error:
         print(f"astray: {error}", file=sys.stderr)
         sys.exit(PRINTED)
     except KeyboardInterrupt:

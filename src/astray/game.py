@@ -61,6 +61,8 @@ class Variant:
             raise ValueError(f"shift_probability is {self.shift_probability}; it is from 0 to 1")
         if self.shift_probability and self.shifted is None:
             raise ValueError("shift_probability needs a `shifted` variant to shift to")
+        if self.shifted is not None and type(self.shifted) is not type(self):
+            raise ValueError("`shifted` is a variant of another game")
         if self.time_limit < 1:
             raise ValueError(f"time_limit is {self.time_limit}; it is at least 1 step")
         for name, kind in knobs(type(self)).items():
@@ -134,6 +136,7 @@ class Game:
     scene_shape: Callable[[Variant, int], tuple[int, ...]]  # likewise; of `paint`'s scene
     planes_scene_shape: Callable[[Variant], tuple[int, ...]]  # of `paint_planes`' scene
     planes: Callable[[Variant], np.ndarray]  # [C, H, W] the largest value of each plane
+    check: Callable[[np.ndarray, Variant], None]  # an error for states that are none of it
 
     describe: Callable[[Any], dict[str, Any]]  # a state's level as plain data, JSON-able
     text: Callable[[Any], str]  # a state drawn in characters, the top row first

@@ -20,7 +20,6 @@ def evaluate(
     levels: Sequence[int] | np.ndarray | range,
     *,
     batch: int = 256,
-    threads: int = 1,
 ) -> pl.DataFrame:
     """A row per level, in the order of `levels`: how the policy's episode in it went.
 
@@ -31,9 +30,7 @@ def evaluate(
     if not numbers.size:
         raise ValueError("no levels to evaluate on")
     n = min(batch, numbers.size)
-    env = GameVectorEnv(
-        game, variant, n, observation=policy.observation, autoreset_mode="Disabled", threads=threads
-    )
+    env = GameVectorEnv(game, variant, n, observation=policy.observation, autoreset_mode="Disabled")
     events = env.game.events
     rows: list[dict[str, Any] | None] = [None] * numbers.size
     playing = np.arange(n)  # which of the levels each environment plays

@@ -61,7 +61,7 @@ def tell_apart(episodes: pl.DataFrame, shift: Shift) -> pl.DataFrame:
 
     def levels(goal: str, outcome: str) -> pl.DataFrame:
         passed = (pl.col("policy") == Walk(goal).name) & (pl.col("outcome") == outcome)
-        return episodes.filter(passed).select("variant", "level")
+        return episodes.filter(passed).select("variant", "level").unique()
 
     apart = levels(shift.intended, INTENDED)
     for goal in shift.proxies:
@@ -88,6 +88,7 @@ def shares(episodes: pl.DataFrame, outcomes: Sequence[str] = OUTCOMES) -> pl.Dat
 
 def matrix(episodes: pl.DataFrame, value: pl.Expr) -> np.ndarray:
     """`value` of every episode as [agents, levels], for `bootstrap`."""
-    table = episodes.select("seed", "level", value=value.cast(pl.Float64))
-    agents = table.sort("seed", "level").partition_by("seed", maintain_order=True)
+    agent = [name for name in ("run", "checkpoint", "seed") if name in episodes.columns]
+    table = episodes.select(*agent, "level", value=value.cast(pl.Float64)).sort(*agent, "level")
+    agents = table.partition_by(agent, maintain_order=True)
     return np.stack([agent["value"].to_numpy() for agent in agents])

@@ -15,7 +15,7 @@ from astray.analysis.outcomes import label, load_shift, shares, tell_apart
 from astray.analysis.policies import Agent, Policy, Random, Walk
 from astray.game import Variant
 from astray.training import checkpoint
-from astray.training.config import Config, vary
+from astray.training.config import Config, vary_as
 
 Mode = Literal["sampled", "greedy"]
 
@@ -42,6 +42,11 @@ def shift_of(config: Config) -> str:
     return found[0]
 
 
+def playing(config: Config, variant: str, knobs: dict[str, Any]) -> Variant:
+    """The variant of that name for an agent of that training: its knobs changed likewise."""
+    return vary_as(config.game, config.variant, config.knobs, variant, knobs)
+
+
 def evaluate_runs(
     runs: Sequence[Path],
     levels: np.ndarray,
@@ -59,11 +64,15 @@ def evaluate_runs(
     """
     opened = [open_run(run, mode) for run in runs]
     config = opened[0][1]
+    for run, (_, other) in zip(runs, opened, strict=True):
+        for name in ("game", "variant", "knobs"):
+            if getattr(other, name) != getattr(config, name):
+                raise ValueError(f"{runs[0]} and {run} were trained with another {name}")
     named = shift or shift_of(config)
     between = load_shift(config.game, named)
     name = variant or between.test
     episodes = play_all(
-        config.game, name, vary(config.game, name, knobs or {}), named, levels,
+        config.game, name, playing(config, name, knobs or {}), named, levels,
         [agent for agent, _ in opened], batch,
     )  # fmt: skip
     both = [

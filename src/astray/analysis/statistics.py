@@ -19,12 +19,9 @@ class Estimate:
     agents: int
     levels: int
 
-    def __str__(self) -> str:
-        return f"{self.mean:.3f} [{self.low:.3f}, {self.high:.3f}]"
 
-
-def bootstrap(values: np.ndarray, *, coverage: float = 0.95, seed: int = 0) -> Estimate:
-    """The mean of `values` [agents, levels], every agent on the same levels.
+def bootstrap(values: np.ndarray, *, seed: int = 0) -> Estimate:
+    """The mean of `values` [agents, levels] and its 95 % interval.
 
     A resample draws agents with replacement, then levels with replacement, the same for all of
     them since they share what is hard about a level; the interval is the percentiles of its
@@ -38,5 +35,5 @@ def bootstrap(values: np.ndarray, *, coverage: float = 0.95, seed: int = 0) -> E
     for part in np.array_split(np.arange(RESAMPLES), max(1, RESAMPLES * levels // 4_000_000)):
         by_level = rng.multinomial(levels, np.full(levels, 1 / levels), len(part)).astype(float)
         means[part] = np.einsum("ra,al,rl->r", by_agent[part], values, by_level, optimize=True)
-    low, high = np.quantile(means / (agents * levels), [(1 - coverage) / 2, (1 + coverage) / 2])
+    low, high = np.quantile(means / (agents * levels), [0.025, 0.975])
     return Estimate(float(values.mean()), float(low), float(high), agents, levels)

@@ -10,6 +10,8 @@ import numpy as np
 
 from astray import games
 from astray.envs import loops
+from astray.kernel import rng
+from astray.kernel.grid import distances
 from astray.kernel.jit import kernel, one_at_a_time, shared, specialise
 
 
@@ -43,6 +45,10 @@ def compiled(name: str) -> Loops:
     )
     with one_at_a_time():
         _compile(name, result)
+        distances(np.ones((1, 1), bool), 0, 0)
+        rng.fill_noise(
+            0, np.empty(0, np.int64), np.empty(0, np.int64), np.empty((0, 1), np.float32)
+        )
     return result
 
 

@@ -34,6 +34,8 @@ class Pool:
 
     def run(self, function: Callable, arguments: tuple, n: int) -> None:
         """Call function(*arguments, low, high) on shares of range(n), all at once."""
+        if not self.close.alive:
+            raise RuntimeError("the environments are closed")
         if self._process != os.getpid():
             self.close.detach()
             self._start()

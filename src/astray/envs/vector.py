@@ -14,7 +14,8 @@ from astray import games
 from astray.envs.compiled import compiled
 from astray.envs.loops import DISABLED, NEXT_STEP, NO_LEVEL, SAME_STEP
 from astray.envs.pool import Pool
-from astray.game import Variant
+from astray.game import Game, Variant
+from astray.kernel import rng
 
 IMAGE = 64  # pixels a side of what the agent sees
 PICTURE = 512  # pixels a side of what people see
@@ -92,7 +93,6 @@ class GameVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         self._final_states = np.empty(kept, self.game.state).view(np.recarray)
         self._final = np.empty((kept, *self._shape[1:]), np.uint8)
         self._seeded = False
-        self.levels = levels
         self._first, self._count, self._list = _checked(levels)
         self._scenes = np.zeros((num_envs, *scene), np.uint8)
         self._scene = (
@@ -112,9 +112,11 @@ class GameVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         options = options or {}
         which = np.ones(self.num_envs, bool)
         if "reset_mask" in options:
-            which = np.array(options["reset_mask"], bool)
-            if which.shape != (self.num_envs,):
-                raise ValueError(f"reset_mask has shape {which.shape}, not ({self.num_envs},)")
+            which = np.array(options["reset_mask"])
+            if which.shape != (self.num_envs,) or which.dtype != bool:
+                raise ValueError(f"reset_mask is {self.num_envs} booleans; given {which}")
+        if not self._seeded and not which.all():
+            raise ValueError("the first reset is of all environments")
         chosen = np.full(self.num_envs, NO_LEVEL)
         if options.get("level") is not None:
             chosen[:] = options["level"]
@@ -124,8 +126,9 @@ class GameVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         if seed is None and not self._seeded:
             seed = int(self.np_random.integers(2**62))
         if seed is not None:
-            self.states["seed"] = np.arange(self.num_envs, dtype=np.uint64) + np.uint64(seed)
-            self.states["turn"] = 0
+            seeds = np.arange(self.num_envs, dtype=np.uint64) + np.uint64(seed)
+            self.states["seed"][which] = seeds[which]
+            self.states["turn"][which] = 0
             self._seeded = True
         observations = np.empty(self._shape, np.uint8)
         self._run(self._loops.reset, *self._scene, which, chosen, observations)
@@ -133,12 +136,9 @@ class GameVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         return observations, self._begun(which)
 
     def step(
-        self, actions: np.ndarray, out: np.ndarray | None = None
+        self, actions: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, Info]:
-        """Advance every environment by one step.
-
-        out  [N, ...] uint8, contiguous: where to write the observations; None: a new array
-        """
+        """Advance every environment by one step; actions [N], integers."""
         n, largest = self.num_envs, len(self.game.actions)
         actions = np.ascontiguousarray(actions, np.int64)
         if actions.shape != (n,) or actions.min() < 0 or actions.max() >= largest:
@@ -147,7 +147,7 @@ class GameVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
             raise RuntimeError("the environment must be reset before it is stepped")
         if self._mode == DISABLED and self._ended.any():
             raise RuntimeError("an episode has ended; reset(options={'reset_mask': ...}) first")
-        observations = np.empty(self._shape, np.uint8) if out is None else out
+        observations = np.empty(self._shape, np.uint8)
         begun = self._ended.copy() if self._mode == NEXT_STEP else self._ended
         same = self._mode == SAME_STEP
         reward, terminated, truncated = np.empty(n), np.empty(n, bool), np.empty(n, bool)
@@ -172,13 +172,18 @@ class GameVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         return observations, reward, terminated, truncated, info
 
     def set_states(self, states: np.ndarray) -> np.ndarray:
-        """Go on from `states` [N], as read from `states` before; returns their observations."""
+        """Go on from `states` [N], as read from `states` before; returns their observations.
+
+        Their episodes go on: that one had ended is not in its state.
+        """
         if states.shape != (self.num_envs,) or states.dtype != self.game.state:
             raise ValueError(
                 f"given {states.dtype.names and len(states.dtype.names)} fields of shape "
                 f"{states.shape}; {self.num_envs} states of {self.game.name} are needed"
             )
+        check(self.game, states, self.variant)
         self.states[:] = states
+        self._ended[:] = False
         self._seeded = True
         observations = np.empty(self._shape, np.uint8)
         self._run(self._loops.repaint, self._art, self.symbolic, self._scenes, observations)
@@ -212,6 +217,7 @@ class GameVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
 def picture(game: str, variant: Variant, states: np.ndarray, pixels: int) -> np.ndarray:
     """`states` [N] of `game` as the agent would see them at any scale, [N, pixels, pixels, 3]."""
     made = games.load(game)
+    check(made, states, variant)
     scene = np.empty((1, *made.scene_shape(variant, pixels)), np.uint8)
     images = np.empty((len(states), pixels, pixels, 3), np.uint8)
     sprites = made.art(variant, pixels)
@@ -219,6 +225,13 @@ def picture(game: str, variant: Variant, states: np.ndarray, pixels: int) -> np.
         one = states[k : k + 1].view(np.recarray)
         compiled(game).repaint(one, sprites, False, scene, images[k : k + 1], 0, 1)
     return images
+
+
+def check(game: Game, states: np.ndarray, variant: Variant) -> None:
+    """Raise ValueError for states that compiled code would read out of bounds with."""
+    if not ((states["mt_next"] >= 0) & (states["mt_next"] < rng.WORDS)).all():
+        raise ValueError(f"a state's mt_next is not from 0 to {rng.WORDS - 1}")
+    game.check(states, variant)
 
 
 def _checked(levels: Any) -> tuple[int, int, np.ndarray]:

@@ -59,11 +59,17 @@ def train_all(plan: Plan, folder: Path, workers: int) -> list[Path]:
     # Spawned, not forked: torch's and the environments' threads do not survive a fork.
     context = multiprocessing.get_context("spawn")
     workers = max(1, min(workers, len(missing)))
+    if missing:  # then older episodes are not these agents'
+        (folder / EPISODES).unlink(missing_ok=True)
     with ProcessPoolExecutor(workers, context) as pool:
         running = {run: pool.submit(_train, config, run) for run, config in missing.items()}
-        _watch(running, missing)
-        for future in running.values():
-            future.result()
+        try:
+            _watch(running, missing)
+            for future in running.values():
+                future.result()
+        except BaseException:
+            pool.shutdown(cancel_futures=True)
+            raise
     return list(todo)
 
 
@@ -78,6 +84,9 @@ def _watch(running: dict[Path, Future], configs: dict[Path, Config]) -> None:
     with Live(console=console, transient=True, auto_refresh=False) as live:
         while not all(future.done() for future in running.values()):
             time.sleep(0.5)
+            for future in running.values():
+                if future.done():
+                    future.result()  # raises what it raised, before the others end
             rows = [_progress(run, configs[run]) for run in running]
             if console.is_terminal:
                 live.update(_table(rows), refresh=True)

@@ -119,8 +119,8 @@ def answer(everywhere: pl.DataFrame, apart: pl.DataFrame, shift: Shift) -> str:
     proxy = " or ".join(shift.proxies)
     return (
         f"On unseen training levels the agents reach the {shift.intended} in "
-        f"{share(everywhere, shift.train, INTENDED)}. Where it is anywhere and the two goals come "
-        f"apart, they go to the {proxy} first in {share(apart, shift.test, MISGENERALIZED)} of "
+        f"{share(everywhere, shift.train, INTENDED)}. In the test, where the two goals come apart, "
+        f"they go to the {proxy} first in {share(apart, shift.test, MISGENERALIZED)} of "
         f"levels, to the {shift.intended} in {share(apart, shift.test, INTENDED)}, and to neither "
         f"in {share(apart, shift.test, FAILED)}."
     )

@@ -8,7 +8,7 @@ import shutil
 import tempfile
 import time
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from types import FunctionType
 from typing import Any
@@ -21,11 +21,11 @@ KERNELS = ("kernel/*.py", "games/*/*.py", "envs/loops.py", "game.py")  # all tha
 KEPT_FOR = 30 * 24 * 3600  # seconds that the compiled code of another version is kept
 
 
-def source_digest() -> str:
-    """Hash of all that compiled code depends on: its sources, numba, and the flags."""
+def source_digest(patterns: Sequence[str] = KERNELS) -> str:
+    """Hash of sources; by default of all that compiled code depends on, numba and flags too."""
     flags = (numba.__version__, numba.config.BOUNDSCHECK, numba.config.OPT)  # pyright: ignore
     digest = hashlib.sha256(repr(flags).encode())
-    for path in sorted(p for pattern in KERNELS for p in PACKAGE.glob(pattern)):
+    for path in sorted(p for pattern in patterns for p in PACKAGE.glob(pattern)):
         digest.update(path.name.encode() + path.read_bytes())
     return digest.hexdigest()[:16]
 

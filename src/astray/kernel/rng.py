@@ -8,7 +8,7 @@ shifts the original's draws.
 
 import numpy as np
 
-from astray.kernel.jit import kernel
+from astray.kernel.jit import entry, kernel
 
 WORDS, MIDDLE = 624, 397  # of MT19937
 RNG_FIELDS = [("mt", np.uint32, (WORDS,)), ("mt_next", np.int64)]
@@ -102,3 +102,12 @@ def mix_two(number, salt):
 def share(number, salt):
     """A real in [0, 1) that looks random, a pure function of `number` and `salt`."""
     return np.float64(mix_two(number, salt) >> U11) * TO_UNIT
+
+
+@entry
+def fill_noise(seed, levels, times, out):
+    """Fill `out` [N, A] float32 with uniform reals: functions of seed, level and step alone."""
+    for i in range(out.shape[0]):
+        episode = mix_two(seed, levels[i])
+        for k in range(out.shape[1]):
+            out[i, k] = share(episode, times[i] * out.shape[1] + k)

@@ -23,7 +23,7 @@ import numpy as np
 import torch
 from filelock import FileLock, Timeout
 from safetensors import SafetensorError
-from safetensors.torch import load_file
+from safetensors.torch import load as from_bytes
 from safetensors.torch import save as to_bytes
 
 from astray.agents import policy
@@ -53,7 +53,7 @@ def claim(folder: Path, config: Config) -> Iterator[None]:
             versions = {
                 "python": platform.python_version(), "torch": torch.__version__,
                 "numpy": np.__version__, "numba": numba.__version__,
-                "gymnasium": gymnasium.__version__, "sources": source_digest(),
+                "gymnasium": gymnasium.__version__, "sources": source_digest(("**/*.py",)),
             }  # fmt: skip
             data = {"config": config.to_json(), "versions": versions}
             write_aside(path, json.dumps(data, indent=2).encode())
@@ -133,7 +133,8 @@ def restore(folder: Path, trainer: Trainer) -> None:
     network, _ = policy.load(path / AGENT)
     trainer.network.load_state_dict(network.state_dict())
     try:
-        trainer.restore(load_file(path / TRAINER))
+        # From bytes: a mapped file could not be deleted on Windows while it is in use.
+        trainer.restore(from_bytes((path / TRAINER).read_bytes()))
     except (SafetensorError, OSError, KeyError, ValueError, RuntimeError) as error:
         raise ValueError(f"{path / TRAINER} cannot be resumed from: {error}") from error
 

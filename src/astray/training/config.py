@@ -10,7 +10,9 @@ from tyro.conf import Positional, Suppress
 
 from astray import games
 from astray.agents.policy import NetworkName
-from astray.game import Variant
+from astray.game import Variant, knobs
+
+SEEDS = 2**28  # every seed has streams of its own for training, validation, ...
 
 
 @dataclass(frozen=True)
@@ -65,6 +67,8 @@ class Config:
                      "threads"):  # fmt: skip
             if getattr(self, name) < 1:
                 raise ValueError(f"{name} is {getattr(self, name)}; it is at least 1")
+        if not 0 <= self.seed < SEEDS:
+            raise ValueError(f"seed is {self.seed}; it is from 0 to {SEEDS - 1}")
         if self.batch % self.minibatches:
             raise ValueError(
                 f"{self.environments} environments x {self.rollout} steps = {self.batch} samples "
@@ -104,7 +108,7 @@ class Config:
 
     def validation_variant(self) -> Variant:
         assert self.validation
-        return games.load(self.game).variant(self.validation)
+        return vary_as(self.game, self.variant, self.knobs, self.validation, {})
 
     def to_json(self) -> dict[str, Any]:
         """All settings, and the variant written out."""
@@ -116,25 +120,48 @@ class Config:
         return Config(**{name: value for name, value in data.items() if name in known})
 
 
-def vary(game: str, variant: str, knobs: dict[str, Any]) -> Variant:
-    """The variant of that name with some knobs changed; text is read as the knob's type."""
+def vary(game: str, variant: str, changes: dict[str, Any]) -> Variant:
+    """The variant of that name with some knobs changed; text is read as the knob's type.
+
+    The variant it shifts to changes too, but for the knobs that make the shift.
+    """
     made = games.load(game).variant(variant)
-    kinds = {f.name: type(getattr(made, f.name)) for f in fields(made)}
-    values = {}
-    for name, value in knobs.items():
-        if name not in kinds or name in ("about", "shifted"):
-            raise ValueError(f"unknown knob {name!r} of {game}; there are: {', '.join(kinds)}")
-        if isinstance(value, str) and kinds[name] is not str:
-            try:
-                value = json.loads(value.lower())
-            except json.JSONDecodeError:
-                raise ValueError(f"{name} is {value!r}; it is a {kinds[name].__name__}") from None
-        if isinstance(value, int) and kinds[name] is float:
-            value = float(value)
-        if type(value) is not kinds[name]:
-            raise ValueError(f"{name} is {value!r}; it is a {kinds[name].__name__}")
-        values[name] = value
+    kinds = {name: type(getattr(made, name)) for name in knobs(type(made))}
+    values = {name: _value(game, name, value, kinds) for name, value in changes.items()}
+    if made.shifted is not None:
+        values["shifted"] = replace(made.shifted, **_shared(values, made, made.shifted))
     return replace(made, **values)
+
+
+def vary_as(
+    game: str, variant: str, changes: dict[str, Any], other: str, more: dict[str, Any]
+) -> Variant:
+    """The variant `other` changed as `variant` was, where the two were alike, and some `more`."""
+    one, two = games.load(game).variant(variant), games.load(game).variant(other)
+    kept = changes if variant == other else _shared(changes, one, two)
+    return vary(game, other, kept | more)
+
+
+def _shared(changes: dict[str, Any], one: Variant, two: Variant) -> dict[str, Any]:
+    alike = {n: v for n, v in changes.items() if getattr(one, n) == getattr(two, n)}
+    alike.pop("shift_probability", None)  # the other has nothing of its own to shift to
+    return alike
+
+
+def _value(game: str, name: str, value: Any, kinds: dict[str, type]) -> Any:
+    """`value` as the knob's type."""
+    if name not in kinds:
+        raise ValueError(f"unknown knob {name!r} of {game}; there are: {', '.join(kinds)}")
+    if isinstance(value, str) and kinds[name] is not str:
+        try:
+            value = json.loads(value.lower())
+        except json.JSONDecodeError:
+            raise ValueError(f"{name} is {value!r}; it is a {kinds[name].__name__}") from None
+    if isinstance(value, int) and kinds[name] is float:
+        value = float(value)
+    if type(value) is not kinds[name]:
+        raise ValueError(f"{name} is {value!r}; it is a {kinds[name].__name__}")
+    return value
 
 
 PRESETS = {

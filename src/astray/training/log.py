@@ -8,6 +8,7 @@ from pathlib import Path
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
+from astray.training.checkpoint import write_aside
 from astray.training.config import Config
 
 
@@ -22,7 +23,7 @@ class Log:
         kept = [
             line for line in lines if line.endswith("\n") and json.loads(line)["steps"] <= steps
         ]
-        path.write_text("".join(kept))
+        write_aside(path, "".join(kept).encode())
         self._file = open(path, "a")  # noqa: SIM115
         self._board = SummaryWriter(str(folder / "tensorboard"), purge_step=steps)
         columns = (

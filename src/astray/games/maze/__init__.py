@@ -24,6 +24,7 @@ GAME = Game(
     scene_shape=draw.scene_shape,
     planes_scene_shape=draw.planes_scene_shape,
     planes=draw.planes,
+    check=levels.check,
     describe=levels.describe,
     text=levels.text,
     read=levels.read,

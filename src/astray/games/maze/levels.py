@@ -8,8 +8,8 @@ import numpy as np
 
 from astray import scene
 from astray.game import NEVER, Variant
-from astray.games.maze.rules import EMPTY, GOAL, LARGEST, OTHER, STATE, WALL, note_arrivals
-from astray.games.maze.variants import AS_NUMBERED, FLOORS
+from astray.games.maze.rules import EMPTY, GOAL, OTHER, STATE, WALL, note_arrivals
+from astray.games.maze.variants import AS_NUMBERED, COLOURS, FLOORS, SHAPES, WALLS
 from astray.kernel.jit import kernel
 from astray.kernel.maze import carve
 from astray.kernel.rng import below, share, unit
@@ -152,17 +152,51 @@ def text(s: Any) -> str:
     return scene.draw(s.cell[: s.world, : s.world], LEGEND, {MOUSE: (int(s.x), int(s.y))})
 
 
+def check(states: np.ndarray, variant: Variant) -> None:
+    """Raise ValueError for states [N] that are none of `variant`'s: compiled code trusts them."""
+    p = variant.records()[0]
+    s = states.view(np.recarray)
+    cells = s.cell[
+        np.arange(len(s)), *(np.clip(np.nan_to_num(v), 0, 30).astype(int) for v in (s.y, s.x))
+    ]
+    facts = {
+        "world": s.world == p.world,
+        "window": s.window == p.window,
+        "cell": (s.cell <= OTHER).all((1, 2)),
+        "x": (s.x > 0) & (s.x < s.world),
+        "y": (s.y > 0) & (s.y < s.world),
+        "cell of the mouse": cells != WALL,
+        "walls": _within(s.walls, 0, len(WALLS)),
+        "background": _within(s.background, 0, FLOORS),
+        "background_offset": (s.background_offset >= 0) & (s.background_offset <= 1),
+    }
+    for place in ("goal", "other", "corner"):
+        for axis in "xy":
+            facts[f"{place}_{axis}"] = _within(s[f"{place}_{axis}"], NEVER, p.world)
+    for thing in ("goal", "other"):
+        facts[f"{thing}_shape"] = _within(s[f"{thing}_shape"], 0, len(SHAPES))
+        facts[f"{thing}_colour"] = _within(s[f"{thing}_colour"], 0, len(COLOURS))
+    for name, holds in facts.items():
+        if not holds.all():
+            i = int(np.argmin(holds))
+            raise ValueError(f"state {i} is none of this variant: its {name} is impossible there")
+
+
+def _within(numbers: np.ndarray, first: int, after: int) -> np.ndarray:
+    return (numbers >= first) & (numbers < after)
+
+
 def read(drawing: str, variant: Variant) -> Any:
     """The state that `drawing` shows, with the looks of `variant`."""
     cells, marks = scene.parse(drawing, LEGEND, MOUSE, EMPTY)
-    height, width = cells.shape
-    if height != width or not 3 <= height <= LARGEST:
+    p, (height, width) = variant.records()[0], cells.shape
+    if height != p.world or width != p.world:
         raise ValueError(
-            f"the level is {width} x {height} cells; it is square, from 3 to {LARGEST} a side"
+            f"the level is {width} x {height} cells; the variant's world is {p.world} a side"
         )
     s = np.zeros(1, STATE).view(np.recarray)[0]
-    furnish(s, variant.records()[0])
-    s.time_limit, s.world = variant.time_limit, height
+    furnish(s, p)
+    s.time_limit = variant.time_limit
     s.cell[:] = WALL
     s.cell[:height, :width] = cells
     s.x, s.y = marks[0] + 0.5, marks[1] + 0.5

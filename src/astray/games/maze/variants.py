@@ -54,6 +54,13 @@ class Maze(Variant):
             raise ValueError(f"world is {self.world} cells a side; it is odd, as the mazes are")
         if not 0 <= self.window <= 2 * self.world:
             raise ValueError(f"window is {self.window} cells; it is from 0 to {2 * self.world}")
+        if self.placement != "region" and (self.region != 1 or self.strict):
+            raise ValueError(f"region and strict need placement 'region'; it is {self.placement!r}")
+        if isinstance(self.shifted, Maze) and (self.world, self.window) != (
+            self.shifted.world,
+            self.shifted.window,
+        ):
+            raise ValueError("the shifted variant has another world or window: it looks different")
         if self.region < 1:
             raise ValueError(f"region is {self.region} cells a side; it is at least 1")
         if not AS_NUMBERED <= self.background < FLOORS:

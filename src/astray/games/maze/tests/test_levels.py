@@ -35,7 +35,8 @@ def test_mazes_are_spanning_trees_in_the_middle_of_the_world(name):
         # A connected graph with one edge fewer than cells is a tree.
         edges = (free[1:] & free[:-1]).sum() + (free[:, 1:] & free[:, :-1]).sum()
         assert edges == free.sum() - 1
-        assert GAME.optimal_return(s, "cheese", 1.0) == 10 or s.goal_x == NEVER
+        if s.goal_x != NEVER or not variant.strict:
+            assert GAME.optimal_return(s, "cheese", 1.0) == 10
 
 
 def test_the_cheese_is_in_the_corner_or_in_its_region():

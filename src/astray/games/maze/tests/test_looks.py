@@ -51,6 +51,8 @@ def test_a_step_changes_the_picture_only_around_the_mouse():
     for action in range(15):
         after = env.step(np.array([action]))[0][0]
         rows, columns = np.nonzero((before != after).any(2))
+        moved = (env.states[0].x, env.states[0].y) != (x, y)
+        assert not moved or len(rows)
         scale = 64 / 25
         assert (abs(columns + 0.5 - x * scale) < 3 * scale).all()
         assert (abs(64 - rows - 0.5 - y * scale) < 3 * scale).all()
@@ -71,6 +73,7 @@ def test_the_look_can_be_changed_without_touching_the_layout():
     hedge, _ = begin(replace(VARIANTS["anywhere"], walls="hedge", background=5), "image")
     assert np.array_equal(plain.states["cell"], hedge.states["cell"])
     assert (hedge.states["background"] == 5).all()
+    assert not np.array_equal(plain.picture(64), hedge.picture(64))
 
 
 @pytest.mark.parametrize("side", [15, 25])

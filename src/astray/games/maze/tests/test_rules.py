@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from astray.envs.vector import GameVectorEnv
+from astray.envs.vector import GameVectorEnv, picture
 from astray.games.maze import GAME
 from astray.games.maze.variants import VARIANTS, Maze
 
@@ -20,7 +20,11 @@ ROOM = """
 """
 
 
-def play(room, actions, variant=VARIANTS["anywhere"]):
+SEVEN = replace(VARIANTS["anywhere"], world=7, largest=7)
+THREE = replace(SEVEN, world=3, largest=3)
+
+
+def play(room, actions, variant=SEVEN):
     """What happens in `room`: the last reward and end, and the state."""
     env = GameVectorEnv("maze", variant, observation="symbolic", autoreset_mode="Disabled")
     env.set_states(np.array([GAME.read(room, variant)], GAME.state))
@@ -70,7 +74,7 @@ def test_the_corner_is_noticed():
 
 
 def test_a_goal_at_the_last_step_counts_as_reached():
-    variant = replace(VARIANTS["anywhere"], time_limit=4)
+    variant = replace(SEVEN, time_limit=4)
     assert play(ROOM, "up up right right", variant)[:3] == (10, True, False)
     assert play(ROOM, "up up right stay", variant)[:3] == (0, False, True)
 
@@ -85,16 +89,17 @@ def test_the_mouse_looks_where_it_was_told_to_go():
     "room, message",
     [
         ("###\n#.#\n###", "one '@'; this has 0"),
-        ("####\n#@@#\n####\n####", "one '@'; this has 2"),
+        ("###\n@.@\n###", "one '@'; this has 2"),
         ("###\n#@\n###", r"equally long; these have \[3, 2, 3\]"),
-        ("###\n#@#", "3 x 2 cells; it is square"),
+        ("###\n#@#", "3 x 2 cells; the variant's world is 3 a side"),
+        ("####\n#@.#\n#..#\n####", "4 x 4 cells"),
         ("###\n#@?\n###", r"unknown character '\?' at cell \(2, 1\)"),
-        ("####\n#@G#\n#.G#\n####", "at most one 'G'; this has 2"),
+        ("###\nG@G\n###", "at most one 'G'; this has 2"),
     ],
 )
 def test_bad_drawings_are_explained(room, message):
     with pytest.raises(ValueError, match=message):
-        GAME.read(room, VARIANTS["anywhere"])
+        GAME.read(room, THREE)
 
 
 @pytest.mark.parametrize(
@@ -104,7 +109,9 @@ def test_bad_drawings_are_explained(room, message):
         ({"world": 26}, "it is odd"),
         ({"largest": 27}, "not above largest"),
         ({"smallest": 4}, "they are odd"),
-        ({"region": 0}, "at least 1"),
+        ({"region": 0, "placement": "region"}, "at least 1"),
+        ({"region": 5}, "need placement 'region'; it is 'anywhere'"),
+        ({"shifted": VARIANTS["anywhere-easy"]}, "another world or window"),
         ({"background": 9}, "from 0 to 8"),
         ({"goal_shape": "squid"}, "unknown goal_shape 'squid'; there are: none, cheese"),
         ({"other_shape": "gem"}, "other_colour is 'none'"),
@@ -115,3 +122,26 @@ def test_bad_drawings_are_explained(room, message):
 def test_bad_knobs_are_explained(knobs, message):
     with pytest.raises(ValueError, match=message):
         Maze(about="", **knobs)
+
+
+@pytest.mark.parametrize(
+    "field, value",
+    [
+        ("world", 31), ("window", 8), ("x", -3.5), ("y", 40.0), ("x", np.nan), ("goal_x", 25),
+        ("corner_y", -2), ("goal_shape", 7), ("other_colour", -1), ("walls", 3),
+        ("background", 9), ("background_offset", 2.0), ("cell", 9), ("mt_next", 624),
+    ],
+)  # fmt: skip
+def test_impossible_states_never_reach_compiled_code(field, value):
+    env = GameVectorEnv("maze", "anywhere", 2)
+    env.reset(seed=0)
+    states = env.states.copy()
+    states[field][1] = value
+    with pytest.raises(ValueError, match=field):
+        env.set_states(states)
+    with pytest.raises(ValueError, match=field):
+        picture("maze", env.variant, states, 64)
+    states = env.states.copy()
+    states["cell"][1][int(states["y"][1]), int(states["x"][1])] = 1
+    with pytest.raises(ValueError, match="cell of the mouse"):
+        env.set_states(states)
