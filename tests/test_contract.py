@@ -1,6 +1,7 @@
 """What every game owes its callers. A new game is tested here without being named."""
 
 import gymnasium
+import numba
 import numpy as np
 import pytest
 from conftest import ALL, FEW
@@ -9,6 +10,7 @@ from gymnasium.vector import AutoresetMode, SyncVectorEnv
 from gymnasium.wrappers.vector import RecordEpisodeStatistics
 
 from astray import games
+from astray.envs.compiled import compiled
 from astray.envs.single import GameEnv
 from astray.envs.vector import GameVectorEnv
 
@@ -136,6 +138,20 @@ def test_levels_of_a_range_stay_in_it_and_fill_it():
     env = GameVectorEnv("maze", "corner-small", 50, levels=range(100, 120), observation="symbolic")
     seen = {n for _ in range(20) for n in env.reset()[1]["level"].tolist()}
     assert seen == set(range(100, 120))
+
+
+@pytest.mark.skipif(numba.config.DISABLE_JIT, reason="nothing is compiled")
+@pytest.mark.parametrize("game", games.NAMES)
+def test_every_loop_is_compiled_once(game):
+    for variant in games.load(game).variants:
+        for observation in ("image", "symbolic"):
+            env = GameVectorEnv(game, variant, 2, observation=observation)
+            env.reset(seed=0)
+            env.step(np.array([0, 0]))
+            env.picture(100)
+    made = compiled(game)
+    for loop in (made.reset, made.step, made.repaint):
+        assert len(loop.signatures) == 1, loop.signatures
 
 
 def test_a_masked_reset_leaves_the_others_and_the_options_alone():

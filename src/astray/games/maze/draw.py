@@ -170,8 +170,9 @@ def _art(side: int, height: int) -> tuple[np.ndarray, ...]:
         for j, colour in enumerate(COLOURS[1:], 1):
             objects[i, j] = sprites.tint(white, sprites.COLOURS[colour])
     mouse = load("mouse", side, side)
-    pair = np.stack([mouse, mouse[:, ::-1]])
-    return np.stack(floors), np.stack(walls), objects, pair
+    pair = [mouse, mouse[:, ::-1]]
+    # All contiguous, or compiled code would be compiled anew for another layout.
+    return tuple(map(np.ascontiguousarray, (floors, walls, objects, pair)))
 
 
 def _scale(variant: Variant, pixels: int) -> float:
