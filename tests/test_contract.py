@@ -202,8 +202,12 @@ def test_bad_steps_are_explained():
     env.reset(seed=0)
     with pytest.raises(ValueError, match="from 0 to 14"):
         env.step(np.array([0, 15]))
+    with pytest.raises(ValueError, match="actions are integers"):
+        env.step(np.array([0.5, 1]))
     with pytest.raises(ValueError, match="level is -2"):
         env.reset(options={"level": -2})
+    with pytest.raises(ValueError, match="level are integers"):
+        env.reset(options={"level": 2.5})
 
 
 def test_a_masked_reset_seeds_only_what_it_resets():

@@ -164,3 +164,18 @@ def test_validation_and_shifted_levels_follow_the_knobs_that_make_no_shift():
     assert config.validation_variant().placement == "anywhere"
     changed = vary("maze", "corner", {"world": 15, "largest": 15, "shift_probability": 0.5})
     assert (changed.shifted.world, changed.shifted.placement) == (15, "anywhere")
+
+
+def test_the_papers_network_is_trained_on_pictures(tmp_path):
+    config = replace(
+        PRESETS["paper"], variant="corner", validation="anywhere", environments=8, rollout=8,
+        minibatches=2, epochs=1, steps=128, checkpoint_every=1,
+    )  # fmt: skip
+    train(config, tmp_path, progress=False)
+    one, two = (
+        load_file(tmp_path / "checkpoints" / s / "agent.safetensors") for s in ("64", "128")
+    )
+    assert all(not np.array_equal(one[name], two[name]) for name in one)
+    lines = checkpoint.metrics(tmp_path)
+    assert np.isfinite([line["update/loss"] for line in lines]).all()
+    assert lines[1]["update/learning_rate"] == pytest.approx(5e-4 / 2)

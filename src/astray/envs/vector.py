@@ -119,7 +119,7 @@ class GameVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
             raise ValueError("the first reset is of all environments")
         chosen = np.full(self.num_envs, NO_LEVEL)
         if options.get("level") is not None:
-            chosen[:] = options["level"]
+            chosen[:] = _integers(options["level"], "level")
             wrong = chosen[which & ((chosen < LEVELS.start) | (chosen >= LEVELS.stop))]
             if wrong.size:
                 raise ValueError(f"level is {wrong[0]}; it is from 0 to {LEVELS.stop - 1}")
@@ -140,7 +140,7 @@ class GameVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, Info]:
         """Advance every environment by one step; actions [N], integers."""
         n, largest = self.num_envs, len(self.game.actions)
-        actions = np.ascontiguousarray(actions, np.int64)
+        actions = np.ascontiguousarray(_integers(actions, "actions"), np.int64)
         if actions.shape != (n,) or actions.min() < 0 or actions.max() >= largest:
             raise ValueError(f"actions are {n} integers from 0 to {largest - 1}; given {actions}")
         if not self._seeded:
@@ -225,6 +225,14 @@ def picture(game: str, variant: Variant, states: np.ndarray, pixels: int) -> np.
         one = states[k : k + 1].view(np.recarray)
         compiled(game).repaint(one, sprites, False, scene, images[k : k + 1], 0, 1)
     return images
+
+
+def _integers(given: Any, name: str) -> np.ndarray:
+    """`given` as an array, if it holds integers; a float would be cut short in silence."""
+    numbers = np.asarray(given)
+    if numbers.dtype.kind not in "iu":
+        raise ValueError(f"{name} are integers; given {given!r}")
+    return numbers
 
 
 def check(game: Game, states: np.ndarray, variant: Variant) -> None:
