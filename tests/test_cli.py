@@ -162,3 +162,14 @@ def test_a_presets_settings_are_the_defaults(astray, monkeypatch, words):
     monkeypatch.setattr("astray.training.loop.train", lambda config, folder: given.append(config))
     astray("train", "maze", "corner", *words.split(), "--steps", "1000")
     assert given[0].network == "impala" and given[0].steps == 1000
+
+
+def test_an_agent_is_evaluated_with_the_knobs_it_was_trained_with(astray, run_folder, tmp_path):
+    folder, out = tmp_path / "changed", tmp_path / "episodes.parquet"
+    astray("train", "maze", "corner-small", *TINY, "--set", "time_limit=7", "--folder", folder)
+    astray("evaluate", folder / "seed-0", "--out", out, "--json")
+    episodes = pl.read_parquet(out)
+    assert episodes["length"].max() == 7
+    assert episodes["level"].min() == 100_000 and episodes["level"].n_unique() == 1000
+    said = astray("evaluate", run_folder, folder / "seed-0", fails=True)
+    assert "were trained with different knobs" in said

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from safetensors.numpy import load_file
 
+from astray.agents.policy import usable
 from astray.training import checkpoint
 from astray.training.config import PRESETS, vary
 from astray.training.loop import train
@@ -95,6 +96,13 @@ def test_an_agent_learns_the_way_to_the_corner(tmp_path):
     lines = checkpoint.metrics(tmp_path)
     first, last = lines[2]["training/length"], lines[-1]["training/length"]
     assert last < 4 < 8 < first  # the mean shortest way is 2.9 steps
+
+
+@pytest.mark.skipif(usable("cuda"), reason="there is a CUDA device")
+def test_a_device_that_is_not_there_is_explained(tmp_path):
+    with pytest.raises(ValueError, match="no device 'cuda'"):
+        train(replace(TINY, device="cuda"), tmp_path, progress=False)
+    assert not list(tmp_path.iterdir())
 
 
 @pytest.mark.parametrize(

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import argparse
 import functools
 import json
 import sys
 from pathlib import Path
-from typing import Annotated, Any, Literal, get_args
+from typing import Annotated, Any, Literal
 
 import numpy as np
 import polars as pl
@@ -16,7 +17,7 @@ from rich.table import Table
 from tyro.conf import Positional, arg
 
 from astray import games
-from astray.envs.vector import LEVELS
+from astray.envs.vector import LEVELS, GameVectorEnv
 from astray.experiments.spec import Size
 from astray.game import NEVER, Game, Variant
 from astray.training.config import PRESETS, Config, vary
@@ -24,7 +25,7 @@ from astray.training.config import PRESETS, Config, vary
 Preset = Literal["paper", "small"]
 Mode = Literal["sampled", "greedy"]
 Knobs = Annotated[tuple[str, ...], arg(name="set", metavar="KNOB=VALUE")]
-PRINTED = 2  # exit code of a mistake that was explained
+MISTAKE = 2  # exit code, after the mistake was explained
 
 
 def list_(json: bool = False) -> None:
@@ -116,7 +117,7 @@ def evaluate(
     runs: Positional[tuple[Path, ...]],
     variant: str | None = None,
     shift: str | None = None,
-    levels: str = "1000000:1001000",
+    levels: str | None = None,
     mode: Mode = "sampled",
     knobs: Knobs = (),
     batch: int = 256,
@@ -129,7 +130,8 @@ def evaluate(
         runs: run folders, or checkpoints in them; several agents of one kind
         variant: of the levels; by default the shift's test variant
         shift: which goals are intended and proxies; by default the one that the run trained for
-        levels: numbers and ranges, as 5,17,100:200
+        levels: numbers and ranges, as 5,17,100:200; by default the first 1,000 that the first
+            run's training does not draw from
         mode: draw from the agent's policy, or take the likeliest action
         knobs: of the variant, changed
         batch: episodes at once; the rows do not depend on it
@@ -139,8 +141,8 @@ def evaluate(
     from astray.analysis.runs import evaluate_runs
 
     shares, episodes = evaluate_runs(
-        runs, level_numbers(levels), variant=variant, shift=shift, mode=mode, knobs=_pairs(knobs),
-        batch=batch,
+        runs, level_numbers(levels) if levels else None, variant=variant, shift=shift, mode=mode,
+        knobs=_pairs(knobs), batch=batch,
     )  # fmt: skip
     if out:
         episodes.write_parquet(out)
@@ -302,8 +304,6 @@ def _variant(game: str, variant: str, knobs: tuple[str, ...]) -> Variant:
 
 
 def _states(game: str, variant: Variant, levels: np.ndarray) -> np.ndarray:
-    from astray.envs.vector import GameVectorEnv
-
     env = GameVectorEnv(game, variant, len(levels), observation="symbolic")
     env.reset(seed=0, options={"level": levels})
     return env.states
@@ -355,16 +355,18 @@ VERBS = {
 
 def main() -> None:
     """Entry point of the `astray` command."""
-    words = " ".join(sys.argv[1:]).replace("--preset=", "--preset ").split(" ")
-    preset = words[words.index("--preset") + 1 :][:1] if "--preset" in words else []
-    name = preset[0] if preset and preset[0] in get_args(Preset) else "small"
-    verbs = VERBS | {"train": functools.partial(train, config=PRESETS[name])}
+    # The preset gives the other settings their defaults, so it is read before them.
+    first = argparse.ArgumentParser(add_help=False, allow_abbrev=False, exit_on_error=False)
+    first.add_argument("--preset", nargs="?")
+    preset = first.parse_known_args()[0].preset
+    defaults = PRESETS.get(preset, PRESETS["small"])  # tyro refuses an unknown one
+    verbs = VERBS | {"train": functools.partial(train, config=defaults)}
     try:
         tyro.extras.subcommand_cli_from_dict(
             verbs, prog="astray", description="Find out which goal a trained agent really pursues."
         )
     except (ValueError, OSError, RuntimeError, ImportError, OverflowError) as error:
         print(f"astray: {error}", file=sys.stderr)
-        sys.exit(PRINTED)
+        sys.exit(MISTAKE)
     except KeyboardInterrupt:
         sys.exit(130)

@@ -68,6 +68,13 @@ def load(path: Path, device: str = "cpu") -> tuple[nn.Module, Architecture]:
     return network, architecture
 
 
+def usable(device: str) -> bool:
+    """There is such a device: "cpu", "cuda" or "mps"."""
+    if device == "cuda":
+        return torch.cuda.is_available()
+    return device == "cpu" or torch.backends.mps.is_available()
+
+
 @torch.no_grad()
 def outputs(network: nn.Module, observations: Tensor, chunk: int = 64) -> tuple[Tensor, Tensor]:
     """Logits [B, A] and values [B], the same for an observation whatever stands beside it.

@@ -10,6 +10,7 @@ import numpy as np
 import polars as pl
 
 from astray import games
+from astray.agents.policy import usable
 from astray.analysis.evaluate import evaluate
 from astray.analysis.outcomes import label, load_shift, shares, tell_apart
 from astray.analysis.policies import Agent, Policy, Random, Walk
@@ -27,7 +28,8 @@ def open_run(run: Path, mode: Mode = "sampled") -> tuple[Agent, Config]:
         raise FileNotFoundError(f"{run} is neither a run folder nor a checkpoint in one")
     path = checkpoint.latest(folder) if folder == run else run
     config = checkpoint.read_config(folder)
-    return Agent(path / checkpoint.AGENT, mode, config.seed), config
+    device = config.device if usable(config.device) else "cpu"
+    return Agent(path / checkpoint.AGENT, mode, config.seed, device), config
 
 
 def shift_of(config: Config) -> str:
@@ -49,7 +51,7 @@ def playing(config: Config, variant: str, knobs: dict[str, Any]) -> Variant:
 
 def evaluate_runs(
     runs: Sequence[Path],
-    levels: np.ndarray,
+    levels: np.ndarray | None = None,
     *,
     variant: str | None = None,
     shift: str | None = None,
@@ -67,7 +69,9 @@ def evaluate_runs(
     for run, (_, other) in zip(runs, opened, strict=True):
         for name in ("game", "variant", "knobs"):
             if getattr(other, name) != getattr(config, name):
-                raise ValueError(f"{runs[0]} and {run} were trained with another {name}")
+                raise ValueError(f"{runs[0]} and {run} were trained with different {name}")
+    if levels is None:
+        levels = np.array(config.unseen_levels[:1000])
     named = shift or shift_of(config)
     between = load_shift(config.game, named)
     name = variant or between.test

@@ -17,9 +17,9 @@ from rich.console import Console
 from rich.live import Live
 from rich.table import Table
 
-from astray import experiments, games
+from astray import experiments
 from astray.analysis.outcomes import load_shift
-from astray.analysis.runs import open_run, play_all
+from astray.analysis.runs import open_run, play_all, playing
 from astray.experiments.spec import Plan, Size
 from astray.training import checkpoint
 from astray.training.config import Config
@@ -130,7 +130,7 @@ def episodes_of(plan: Plan, runs: Sequence[Path], folder: Path) -> pl.DataFrame:
     agents = [open_run(run)[0] for run in runs]
     parts = []
     for where, name in (("train", shift.train), ("test", shift.test)):
-        variant = games.load(game).variant(name)
+        variant = playing(plan.config, name, {})
         played = play_all(game, name, variant, plan.shift, levels, agents)
         parts.append(played.with_columns(where=pl.lit(where)))
     table = pl.concat(parts)

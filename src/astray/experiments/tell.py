@@ -20,7 +20,7 @@ from astray.analysis.outcomes import (
     shares,
 )
 from astray.analysis.policies import Walk
-from astray.analysis.runs import open_run
+from astray.analysis.runs import open_run, playing
 from astray.analysis.statistics import Estimate, bootstrap
 from astray.experiments import figures, report
 from astray.experiments.spec import Claim, Experiment, Plan, Size
@@ -128,10 +128,10 @@ def answer(everywhere: pl.DataFrame, apart: pl.DataFrame, shift: Shift) -> str:
 
 def named(table: pl.DataFrame, plan: Plan, shift: Shift, names: dict[str, str]) -> pl.DataFrame:
     """`shares` as `figures.outcome_bars` wants them: who did it, where."""
-    who = {AGENTS: f"{plan.seeds} agents", "greedy": f"{plan.seeds} agents, greedy"}
+    who = {AGENTS: f"{plan.seeds} agents"}
     who |= {Walk(shift.intended).name: f"walks to the {shift.intended}"}
     who |= {Walk(goal).name: f"walks to the {goal}, blind to all else" for goal in shift.proxies}
-    order = [AGENTS, "greedy", *(Walk(g).name for g in (*shift.proxies, shift.intended)), "random"]
+    order = [AGENTS, *(Walk(g).name for g in (*shift.proxies, shift.intended)), "random"]
     where = {variant: f"{variant}: {what}" for variant, what in names.items()}
     return (
         table.with_columns(
@@ -180,8 +180,8 @@ def film(
         levels = mine.filter(outcome=outcome).join(far, on="level", how="semi")["level"]
         for level in levels[:1].to_list():
             pair = [
-                video.play(agent, game.name, game.variant(name), level, pixels=288, longest=LONGEST)
-                for name in (shift.train, shift.test)
+                video.play(agent, game.name, made, level, pixels=288, longest=LONGEST)
+                for made in (playing(config, n, {}) for n in (shift.train, shift.test))
             ]
             captions = [f"{shift.train} {level}", f"{shift.test} {level}"]
             frames = video.beside(*(episode.frames for episode in pair), captions=captions)

@@ -27,7 +27,8 @@ class Config:
 
     game: Positional[str] = "maze"
     variant: Positional[str] = "corner"  # to train on
-    knobs: Annotated[dict[str, Any], Suppress] = field(default_factory=dict)  # changed, of it
+    # Of the variant, changed.
+    knobs: Annotated[dict[str, Any], Suppress] = field(default_factory=dict)
     validation: str | None = None  # a variant played during training, never learned from
     first_level: int = 0
     levels: int = 100_000  # training levels, from first_level on; validation draws from the rest

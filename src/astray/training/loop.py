@@ -9,7 +9,7 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
-from astray.agents import ppo
+from astray.agents import policy, ppo
 from astray.training import checkpoint
 from astray.training.config import Config
 from astray.training.log import Log
@@ -22,6 +22,8 @@ def train(config: Config, folder: Path, *, progress: bool = True) -> Path:
 
     On a CPU, a run that was stopped and resumed has the weights and metrics of one that was not.
     """
+    if not policy.usable(config.device):
+        raise ValueError(f"there is no device {config.device!r} that torch can use")
     torch.set_num_threads(config.threads)
     torch.set_flush_denormal(True)
     with checkpoint.claim(folder, config):
@@ -88,15 +90,15 @@ def loss(network: nn.Module, samples: list[Tensor], config: Config) -> dict[str,
     of_all = ppo.log_probabilities(logits)
     log_probability = of_all.gather(-1, action[:, None]).squeeze(-1)
     log_ratio = log_probability - old_log_probability
-    policy = ppo.policy_loss(log_ratio, advantage, config.clip)
+    surrogate = ppo.policy_loss(log_ratio, advantage, config.clip)
     critic = ppo.value_loss(value, old_value, target, config.clip)
     entropy = ppo.entropy(of_all)
     with torch.no_grad():
         ratio = log_ratio.exp()
         kl = ((ratio - 1) - log_ratio).mean()  # Schulman's unbiased, never negative estimate
         clipped = ((ratio - 1).abs() > config.clip).float().mean()
-    total = policy + config.value_weight * critic - config.entropy_weight * entropy
+    total = surrogate + config.value_weight * critic - config.entropy_weight * entropy
     return {
-        "loss": total, "policy_loss": policy, "value_loss": critic, "entropy": entropy,
+        "loss": total, "policy_loss": surrogate, "value_loss": critic, "entropy": entropy,
         "kl": kl, "clipped": clipped,
     }  # fmt: skip
