@@ -264,10 +264,13 @@ def _checked(levels: Any) -> tuple[int, int, np.ndarray]:
 def _columns(states: np.ndarray, names: Sequence[str], which: np.ndarray) -> Info:
     """Gymnasium's vector info: an array for each name, 0 where not in `which`, and its mask."""
     info: Info = {}
+    # Fields of a recarray are slow; so is a mask for each name, hence one for all.
+    plain, rows, mask = states.view(np.ndarray), np.flatnonzero(which), which.copy()
     for name in names:
-        column = states[name]
-        info[name] = np.where(which, column, np.zeros((), column.dtype))
-        info[f"_{name}"] = which.copy()
+        column = plain[name]
+        info[name] = np.zeros(len(column), column.dtype)
+        info[name][rows] = column[rows]
+        info[f"_{name}"] = mask
     return info
 
 
@@ -284,7 +287,7 @@ def _merge(one: Info, two: Info) -> Info:
 
 def _objects(rows: np.ndarray, which: np.ndarray) -> np.ndarray:
     """An object array [N] of the rows in `which`, None elsewhere."""
-    result = np.full(len(rows), None, object)
+    result = np.empty(len(rows), object)
     for i in np.flatnonzero(which):
         result[i] = rows[i].copy()
     return result
