@@ -50,7 +50,7 @@ def test_it_lists_what_there_is(astray):
 
 def test_levels_are_printed_as_drawings_and_as_data(astray):
     drawn = astray("level", "maze", "corner-small", "--numbers", "7").splitlines()
-    assert drawn[:3] == ["maze corner-small level 7", "#######", "#....G#"]
+    assert drawn[:3] == ["; maze corner-small level 7", "#######", "#....G#"]
     lines = astray("level", "maze", "corner", "--numbers", "0:3,17", "--json").splitlines()
     levels = [json.loads(line) for line in lines]
     assert [level["level"] for level in levels] == [0, 1, 2, 17]

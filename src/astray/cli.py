@@ -20,6 +20,7 @@ from astray import games
 from astray.envs.vector import LEVELS, GameVectorEnv
 from astray.experiments.spec import Size
 from astray.game import NEVER, Game, Variant
+from astray.level import Level
 from astray.training.config import PRESETS, Config, vary
 
 Preset = Literal["paper", "small"]
@@ -211,22 +212,21 @@ def level(
     knobs: Knobs = (),
     json: bool = False,
 ) -> None:
-    """Print levels, as drawings or as data.
+    """Print levels, as drawings or as data; other verbs read both from files.
 
     Args:
         numbers: numbers and ranges, as 5,17,100:200
         knobs: of the variant, changed
         json: print JSON, a level a line
     """
-    states = _states(game, _variant(game, variant, knobs), level_numbers(numbers))
-    made = games.load(game)
-    for s in states:
+    kind, made = _variant(game, variant, knobs), games.load(game)
+    for s in _states(game, kind, level_numbers(numbers)):
         if json:
             _print_json(
                 {"game": game, "variant": variant, "level": int(s.level)} | made.describe(s)
             )
         else:
-            print(f"{game} {variant} level {s.level}\n{made.text(s)}\n")
+            print(f"; {game} {variant} level {s.level}\n{Level.of(made, kind, s)}\n")
 
 
 def replay(

@@ -26,6 +26,7 @@ def state_dtype(*own: tuple) -> np.dtype:
         ("shifted", np.bool_),  # the level comes from the variant's shifted distribution
         ("time", np.int64),  # steps since the level began
         ("time_limit", np.int64),  # steps
+        ("ended", np.bool_),  # the episode is over
         ("seed", np.uint64),  # with `turn`, decides which level comes next
         ("turn", np.int64),  # episodes begun
         *RNG_FIELDS,
@@ -138,10 +139,19 @@ class Game:
     planes: Callable[[Variant], np.ndarray]  # [C, H, W] the largest value of each plane
     check: Callable[[np.ndarray, Variant], None]  # an error for states that are none of it
 
-    describe: Callable[[Any], dict[str, Any]]  # a state's level as plain data, JSON-able
-    text: Callable[[Any], str]  # a state drawn in characters, the top row first
-    read: Callable[[str, Variant], Any]  # the state that such a drawing shows
-    routes: Callable[[Any, str], np.ndarray]  # (s, goal) -> the best action to it in each cell
+    # Levels as data; see `level.Level`.
+    legend: Mapping[str, int]  # what a cell may hold: its character in drawings -> its code
+    objects: Mapping[str, str]  # what may be moved, added, removed: its name -> its character
+    describe: Callable[[Any], dict[str, Any]]  # a state's level as plain, JSON-able data: "grid"
+    # (codes, rows from the lowest up), "agent" (its centre), "looks" (all else that `build`
+    # needs to build it again), and what follows from these
+    build: Callable[[np.ndarray, Any, Any, Variant], Any]  # (grid, agent's cell, looks, variant)
+    # -> the state that begins there; ValueError where none can
+    reachable: Callable[[Any], np.ndarray]  # [H, W] bool, cells that the agent can get to
+
+    # Solved; a goal is one of `goals`.
+    guide: Callable[[Any, str], Callable[[Any], int]]  # (s, goal) -> (state after s -> the action
+    # that leads to the goal; "nothing better than staying" where it was reached or none can)
     optimal_return: Callable[[Any, str, float], float]  # (s, goal, gamma)
 
     def variant(self, name: str) -> Variant:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal, Protocol
@@ -90,11 +91,11 @@ class Random:
 
 @dataclass
 class Walk:
-    """Takes the shortest way to a goal, and is blind to all else; then stays there."""
+    """Goes the best way to a goal, and is blind to all else; then stays there."""
 
     goal: str
     observation: Observation = "symbolic"
-    _routes: dict[int, np.ndarray] = field(default_factory=dict, repr=False)  # by level
+    _guides: dict[int, Callable] = field(default_factory=dict, repr=False)  # by level
 
     @property
     def name(self) -> str:
@@ -106,5 +107,5 @@ class Walk:
     def _action(self, env: GameVectorEnv, s: Any) -> int:
         level = int(s.level)
         if s.time == 0:
-            self._routes[level] = env.game.routes(s, self.goal)
-        return int(self._routes[level][int(s.y), int(s.x)])
+            self._guides[level] = env.game.guide(s, self.goal)
+        return self._guides[level](s)

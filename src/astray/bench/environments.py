@@ -148,7 +148,7 @@ def _ours(game: str, variant: str, what: str, batch: int, threads: int, seed: in
     # Each environment at another time of its episode: resets are spread, as in a long run.
     states = env.states.copy()
     states["time"] = rng.integers(env.variant.time_limit, size=batch)
-    made = env.set_states(states)
+    made = env.set_state(states)
     row = Row(game, variant, what, batch, threads)
     return Contender(row, lambda k: env.step(actions[k % ACTIONS]), made.nbytes, env.close)
 

@@ -36,6 +36,7 @@ def compiled(name: str) -> Loops:
         "paint_planes": game.paint_planes,
         "draw_planes": game.draw_planes,
     }
+    functions["paint_one"] = specialise(loops.paint_any, name, shared, **functions)
     functions["begin_one"] = specialise(loops.begin, name, shared, **functions)
     functions["observe_one"] = specialise(loops.observe, name, kernel, **functions)
     result = Loops(
@@ -66,7 +67,7 @@ def _compile(name: str, made: Loops) -> None:
     levels = (params, art, False, pictures, numbers, 0, 1)
     made.reset(states, *levels, flags, numbers, pictures, 0, 0)
     made.step(
-        states, *levels, 0, numbers, flags, pictures, states, pictures,
+        states, *levels, 0, numbers, pictures, states, pictures,
         np.empty(0), flags, flags, 0, 0,
     )  # fmt: skip
     made.repaint(states, art, False, pictures, pictures, 0, 0)

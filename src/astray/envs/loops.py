@@ -10,7 +10,7 @@ from astray.kernel.jit import kernel
 from astray.kernel.rng import mix_two, seed_twister, share
 
 SHIFT = 0x5817F7  # salt of the hash that decides which levels come from the shifted distribution
-NO_LEVEL = -1
+NO_LEVEL, AS_SET = -1, -2  # instead of a level's number, in `reset_all`
 NEXT_STEP, SAME_STEP, DISABLED = 0, 1, 2
 
 
@@ -44,18 +44,27 @@ def begin_one(s, params, art, symbolic, scene, level) -> None:
     raise NotImplementedError
 
 
+def paint_one(s, art, symbolic, scene) -> None:
+    raise NotImplementedError
+
+
 def observe_one(s, art, symbolic, scene, observation) -> None:
     raise NotImplementedError
 
 
 def begin(s, params, art, symbolic, scene, level):
-    """Begin an episode in level number `level` and paint what will not move in it."""
+    """Begin an episode in level number `level` and paint it."""
     s.level = level
     s.shifted = share(level, SHIFT) < params[0].shift_probability
     p = params[1] if s.shifted else params[0]
-    s.time, s.time_limit = 0, p.time_limit
+    s.time, s.time_limit, s.ended = 0, p.time_limit, False
     seed_twister(s, level)
     generate(s, p)
+    paint_one(s, art, symbolic, scene)
+
+
+def paint_any(s, art, symbolic, scene):
+    """Paint what will not move in the level that `s` is in."""
     if symbolic:
         paint_planes(s, scene)
     else:
@@ -90,7 +99,8 @@ def reset_all(
 ):  # fmt: skip
     """Begin an episode in every environment of `which`; observe all.
 
-    chosen  [N] int64, the number of the level to begin; NO_LEVEL: the next one
+    chosen  [N] int64, the number of the level to begin; NO_LEVEL: the next one;
+            AS_SET: the one that the state is in already
     """
     n = states.shape[0]
     for i in range(low, high):
@@ -99,34 +109,35 @@ def reset_all(
             level = chosen[i]
             if level == NO_LEVEL:
                 level = next_level(s, i, n, levels, first, count)
-            begin_one(s, params, art, symbolic, scenes[i], level)
+            if level == AS_SET:
+                paint_one(s, art, symbolic, scenes[i])
+            else:
+                begin_one(s, params, art, symbolic, scenes[i], level)
         observe_one(s, art, symbolic, scenes[i], observations[i])
 
 
 def step_all(
     states, params, art, symbolic, scenes, levels, first, count,
-    mode, actions, ended, observations, final_states, final_observations,
+    mode, actions, observations, final_states, final_observations,
     reward, terminated, truncated, low, high,
 ):  # fmt: skip
     """Step every environment, and begin anew those that ended, as `mode` says.
 
-    ended  [N] bool, which episodes ended in the step before; those that do in this one, after
     final_states, final_observations  [N, ...], written where an episode ended, in SAME_STEP
     """
     n = states.shape[0]
     for i in range(low, high):
         s = states[i]
         reward[i], terminated[i], truncated[i] = 0.0, False, False
-        if ended[i] and mode == NEXT_STEP:
+        if s.ended and mode == NEXT_STEP:
             level = next_level(s, i, n, levels, first, count)
             begin_one(s, params, art, symbolic, scenes[i], level)
-            ended[i] = False
         else:
             s.time += 1
             reward[i], terminated[i] = step(s, actions[i])
             truncated[i] = s.time >= s.time_limit and not terminated[i]
-            ended[i] = terminated[i] or truncated[i]
-            if ended[i] and mode == SAME_STEP:
+            s.ended = terminated[i] or truncated[i]
+            if s.ended and mode == SAME_STEP:
                 final_states[i] = s
                 observe_one(s, art, symbolic, scenes[i], final_observations[i])
                 level = next_level(s, i, n, levels, first, count)
@@ -137,8 +148,5 @@ def step_all(
 def repaint_all(states, art, symbolic, scenes, observations, low, high):
     """Observe states that were set from outside."""
     for i in range(low, high):
-        if symbolic:
-            paint_planes(states[i], scenes[i])
-        else:
-            paint(states[i], art, scenes[i])
+        paint_one(states[i], art, symbolic, scenes[i])
         observe_one(states[i], art, symbolic, scenes[i], observations[i])

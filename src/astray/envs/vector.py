@@ -12,9 +12,9 @@ from gymnasium.vector.utils import batch_space
 
 from astray import games
 from astray.envs.compiled import compiled
-from astray.envs.loops import DISABLED, NEXT_STEP, NO_LEVEL, SAME_STEP
+from astray.envs.loops import AS_SET, DISABLED, NEXT_STEP, NO_LEVEL, SAME_STEP
 from astray.envs.pool import Pool
-from astray.game import Game, Variant
+from astray.game import NEVER, Game, Variant
 from astray.kernel import rng
 
 IMAGE = 64  # pixels a side of what the agent sees
@@ -40,7 +40,7 @@ class GameVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
 
     Observations are fresh arrays. `info` has the level's number at the beginning of each
     episode, and every event (the step it first happened, -1 for never) at its end. `states`
-    is the record of each environment, live: reading is free, writing is for `set_states`.
+    is the record of each environment, live: reading is free, writing is for `set_state`.
     """
 
     def __init__(
@@ -88,7 +88,6 @@ class GameVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         self._loops = compiled(game)
         self._pool = Pool(threads) if threads > 1 else None
         self.states = np.zeros(num_envs, self.game.state).view(np.recarray)
-        self._ended = np.zeros(num_envs, bool)
         kept = num_envs if self._mode == SAME_STEP else 0  # ends that a new beginning overwrites
         self._final_states = np.empty(kept, self.game.state).view(np.recarray)
         self._final = np.empty((kept, *self._shape[1:]), np.uint8)
@@ -106,6 +105,8 @@ class GameVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         """Begin new episodes; environment i of a batch seeded with k draws levels as k + i does.
 
         options["level"]       a number, or one for each environment: the level to begin
+        options["state"]       a state, or one for each environment, to begin in instead; levels
+                               that come after it are those that would have come without it
         options["reset_mask"]  [N] bool, the environments to reset; the others go on
         """
         super().reset(seed=seed)
@@ -118,7 +119,10 @@ class GameVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         if not self._seeded and not which.all():
             raise ValueError("the first reset is of all environments")
         chosen = np.full(self.num_envs, NO_LEVEL)
-        if options.get("level") is not None:
+        if options.get("state") is not None:
+            self._take(options["state"], which, keep=("seed", "turn"))
+            chosen[:] = AS_SET
+        elif options.get("level") is not None:
             chosen[:] = _integers(options["level"], "level")
             wrong = chosen[which & ((chosen < LEVELS.start) | (chosen >= LEVELS.stop))]
             if wrong.size:
@@ -132,7 +136,6 @@ class GameVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
             self._seeded = True
         observations = np.empty(self._shape, np.uint8)
         self._run(self._loops.reset, *self._scene, which, chosen, observations)
-        self._ended &= ~which
         return observations, self._begun(which)
 
     def step(
@@ -145,49 +148,63 @@ class GameVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
             raise ValueError(f"actions are {n} integers from 0 to {largest - 1}; given {actions}")
         if not self._seeded:
             raise RuntimeError("the environment must be reset before it is stepped")
-        if self._mode == DISABLED and self._ended.any():
+        before = self.states["ended"].copy() if self._mode != SAME_STEP else np.zeros(n, bool)
+        if self._mode == DISABLED and before.any():
             raise RuntimeError("an episode has ended; reset(options={'reset_mask': ...}) first")
         observations = np.empty(self._shape, np.uint8)
-        begun = self._ended.copy() if self._mode == NEXT_STEP else self._ended
-        same = self._mode == SAME_STEP
         reward, terminated, truncated = np.empty(n), np.empty(n, bool), np.empty(n, bool)
         self._run(
-            self._loops.step, *self._scene, self._mode, actions, self._ended,
-            observations, self._final_states, self._final, reward, terminated, truncated,
+            self._loops.step, *self._scene, self._mode, actions, observations,
+            self._final_states, self._final, reward, terminated, truncated,
         )  # fmt: skip
 
         info: Info = {}
-        if same and self._ended.any():
-            info = self._begun(self._ended) | {
-                "final_obs": _objects(self._final, self._ended),
-                "_final_obs": self._ended.copy(),
-                "final_info": self._events(self._final_states, self._ended),
-                "_final_info": self._ended.copy(),
+        ended = terminated | truncated
+        if self._mode == SAME_STEP and ended.any():
+            info = self._begun(ended) | {
+                "final_obs": _objects(self._final, ended),
+                "_final_obs": ended,
+                "final_info": self._events(self._final_states, ended),
+                "_final_info": ended,
             }
-        elif not same:
-            if self._mode == NEXT_STEP and begun.any():
-                info = self._begun(begun)
-            if self._ended.any():
-                info = _merge(info, self._events(self.states, self._ended))
+        elif self._mode != SAME_STEP:
+            if before.any():
+                info = self._begun(before)
+            if ended.any():
+                info = _merge(info, self._events(self.states, ended))
         return observations, reward, terminated, truncated, info
 
-    def set_states(self, states: np.ndarray) -> np.ndarray:
-        """Go on from `states` [N], as read from `states` before; returns their observations.
+    def get_state(self) -> np.ndarray:
+        """A copy of all states, [N] records: all that decides what comes."""
+        return self.states.copy()
 
-        Their episodes go on: that one had ended is not in its state.
+    def set_state(self, states: np.ndarray) -> np.ndarray:
+        """Go on from what `get_state` returned, or all from one state; their observations.
+
+        In mode SameStep no episode is over between two steps, so none may be in `states`.
         """
-        if states.shape != (self.num_envs,) or states.dtype != self.game.state:
-            raise ValueError(
-                f"given {states.dtype.names and len(states.dtype.names)} fields of shape "
-                f"{states.shape}; {self.num_envs} states of {self.game.name} are needed"
-            )
-        check(self.game, states, self.variant)
-        self.states[:] = states
-        self._ended[:] = False
+        self._take(states, np.ones(self.num_envs, bool))
         self._seeded = True
         observations = np.empty(self._shape, np.uint8)
         self._run(self._loops.repaint, self._art, self.symbolic, self._scenes, observations)
         return observations
+
+    def _take(self, states: Any, which: np.ndarray, keep: Sequence[str] = ()) -> None:
+        """Put `states` in place of those in `which`, but for the fields to `keep`."""
+        given = np.asarray(states)
+        if given.dtype != self.game.state or given.shape not in ((), (1,), (self.num_envs,)):
+            raise ValueError(
+                f"{self.num_envs} states of {self.game.name}, or one, are needed; given "
+                f"{given.dtype.names and len(given.dtype.names)} fields of shape {given.shape}"
+            )
+        given = np.broadcast_to(given, self.num_envs)[which]
+        check(self.game, given, self.variant)
+        if self._mode == SAME_STEP and given["ended"].any():
+            raise ValueError(f"the episode of state {given['ended'].argmax()} has ended")
+        kept = {name: self.states[name][which] for name in keep}
+        self.states[which] = given
+        for name, values in kept.items():
+            self.states[name][which] = values
 
     def render(self) -> tuple[np.ndarray, ...] | None:
         """Pictures for people, [512, 512, 3] each, with render_mode "rgb_array"."""
@@ -237,8 +254,18 @@ def _integers(given: Any, name: str) -> np.ndarray:
 
 def check(game: Game, states: np.ndarray, variant: Variant) -> None:
     """Raise ValueError for states that compiled code would read out of bounds with."""
-    if not ((states["mt_next"] >= 0) & (states["mt_next"] < rng.WORDS)).all():
-        raise ValueError(f"a state's mt_next is not from 0 to {rng.WORDS - 1}")
+    s, limit = states, states["time_limit"]
+    facts = {
+        "mt_next": (s["mt_next"] >= 0) & (s["mt_next"] < rng.WORDS),
+        "turn": s["turn"] >= 0,
+        "level": (s["level"] >= NO_LEVEL) & (s["level"] < LEVELS.stop),
+        "time": (s["time"] >= 0) & (s["time"] <= limit),
+        "time_limit": limit >= 1,
+    } | {event: (s[event] >= NEVER) & (s[event] <= s["time"]) for event in game.events}
+    for name, holds in facts.items():
+        if not holds.all():
+            i = int(np.argmin(holds))
+            raise ValueError(f"state {i} is none of this variant: {name} is {s[name][i]} there")
     game.check(states, variant)
 
 

@@ -70,7 +70,7 @@ class Player:
     def restore(self, tensors: dict[str, Tensor]) -> None:
         """Go on from what `tensors` returned."""
         states = tensors["states"].numpy().view(self.env.game.state).reshape(-1)
-        self.observation = self.env.set_states(states)
+        self.observation = self.env.set_state(states)
         self.generator.set_state(tensors["generator"])
         normaliser = self.normaliser
         normaliser.mean, normaliser.variance, normaliser.count = tensors["moments"].tolist()

@@ -6,7 +6,6 @@ from typing import Any
 
 import numpy as np
 
-from astray import scene
 from astray.game import NEVER, Variant
 from astray.games.maze.rules import EMPTY, GOAL, OTHER, STATE, WALL, note_arrivals
 from astray.games.maze.variants import AS_NUMBERED, COLOURS, FLOORS, SHAPES, WALLS
@@ -18,7 +17,7 @@ CORNER, REGION, ANYWHERE = 0, 1, 2  # Maze.placement, in the order of its choice
 DRAWS_PER_CELL = 100  # of the maze's side, before the original gives up on a region
 START = 0x57A27  # salt of the hash that decides where a mouse starts that starts anywhere
 LEGEND = {"#": WALL, ".": EMPTY, "G": GOAL, "o": OTHER}
-MOUSE = "@"
+OBJECTS = {"goal": "G", "other": "o"}
 
 
 @kernel
@@ -142,14 +141,11 @@ def describe(s: Any) -> dict[str, Any]:
         "goal": cell(s.goal_x, s.goal_y),
         "other": cell(s.other_x, s.other_y),
         "corner": cell(s.corner_x, s.corner_y),
-        "background": int(s.background),
-        "background_offset": float(s.background_offset),
+        "looks": {
+            "background": int(s.background),
+            "background_offset": float(s.background_offset),
+        },
     }
-
-
-def text(s: Any) -> str:
-    """The level drawn in characters, the top row first; the mouse hides what it stands on."""
-    return scene.draw(s.cell[: s.world, : s.world], LEGEND, {MOUSE: (int(s.x), int(s.y))})
 
 
 def check(states: np.ndarray, variant: Variant) -> None:
@@ -186,26 +182,37 @@ def _within(numbers: np.ndarray, first: int, after: int) -> np.ndarray:
     return (numbers >= first) & (numbers < after)
 
 
-def read(drawing: str, variant: Variant) -> Any:
-    """The state that `drawing` shows, with the looks of `variant`."""
-    cells, marks = scene.parse(drawing, LEGEND, MOUSE, EMPTY)
+def build(cells: np.ndarray, agent: tuple[int, int], looks: Any, variant: Variant) -> Any:
+    """The state that begins in the level of `cells` [world, world], with the looks of `variant`."""
     p, (height, width) = variant.records()[0], cells.shape
     if height != p.world or width != p.world:
         raise ValueError(
             f"the level is {width} x {height} cells; the variant's world is {p.world} a side"
         )
-    s = np.zeros(1, STATE).view(np.recarray)[0]
+    state = np.zeros(1, STATE)
+    s = state.view(np.recarray)[0]
     furnish(s, p)
     s.time_limit = variant.time_limit
     s.cell[:] = WALL
     s.cell[:height, :width] = cells
-    s.x, s.y = marks[0] + 0.5, marks[1] + 0.5
-    s.goal_x, s.goal_y = scene.only(cells, GOAL, "G")
-    s.other_x, s.other_y = scene.only(cells, OTHER, "o")
+    s.x, s.y = agent[0] + 0.5, agent[1] + 0.5
+    s.goal_x, s.goal_y = _only(cells, GOAL, "goal")
+    s.other_x, s.other_y = _only(cells, OTHER, "other")
     rows, columns = np.nonzero(cells != WALL)
     s.maze_size = max(np.ptp(rows), np.ptp(columns)) + 1
     corner_x, corner_y = columns.max(), rows.max()
-    reachable = cells[corner_y, corner_x] != WALL
-    s.corner_x, s.corner_y = (corner_x, corner_y) if reachable else (NEVER, NEVER)
+    is_open = cells[corner_y, corner_x] != WALL
+    s.corner_x, s.corner_y = (corner_x, corner_y) if is_open else (NEVER, NEVER)
+    s.background = looks.get("background", max(p.background, 0))
+    s.background_offset = looks.get("background_offset", 0.0)
+    check(state, variant)
     note_arrivals(s)
     return s
+
+
+def _only(cells: np.ndarray, value: int, name: str) -> tuple[int, int]:
+    """The one cell (x, y) that holds `value`; (NEVER, NEVER) where none does."""
+    found = [(int(x), int(y)) for y, x in np.argwhere(cells == value)]
+    if len(found) > 1:
+        raise ValueError(f"a level has at most one {name}; this has one at each of {found}")
+    return found[0] if found else (NEVER, NEVER)

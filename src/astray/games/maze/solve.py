@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -43,6 +44,18 @@ def routes(s: Any, goal: str) -> np.ndarray:
         closer = (beside != UNREACHABLE) & (beside == steps - 1)
         best[closer] = ACTIONS.index(name)
     return best
+
+
+def guide(s: Any, goal: str) -> Callable[[Any], int]:
+    """What leads to `goal` the shortest way, from wherever the mouse is in the maze of `s`."""
+    best = routes(s, goal)
+    return lambda now: int(best[int(now.y), int(now.x)])
+
+
+def reachable(s: Any) -> np.ndarray:
+    """The cells that the mouse can walk to, [world, world] bool."""
+    is_open = s.cell[: s.world, : s.world] != WALL
+    return distances(is_open, int(s.x), int(s.y)) != UNREACHABLE
 
 
 def optimal_return(s: Any, goal: str, gamma: float = 1.0) -> float:

@@ -90,10 +90,9 @@ def test_every_object_looks_different_from_every_other_in_the_picture(side):
 
 def test_the_goal_is_not_drawn_once_it_is_reached():
     env, _ = begin(VARIANTS["corner"], "image")
-    routes = GAME.routes(env.states[0], "cheese")
+    guide = GAME.guide(env.states[0], "cheese")
     while env.states[0].reached_goal < 0:
-        s = env.states[0]
-        seen = env.step(np.array([routes[int(s.y), int(s.x)]]))[0][0]
+        seen = env.step(np.array([guide(env.states[0])]))[0][0]
     hidden = replace(VARIANTS["corner"], goal_shape="none")
     assert np.array_equal(seen, picture("maze", hidden, _invisible(env.states), 64)[0])
 

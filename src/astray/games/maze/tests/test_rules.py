@@ -7,7 +7,9 @@ import pytest
 
 from astray.envs.vector import GameVectorEnv, picture
 from astray.games.maze import GAME
+from astray.games.maze.rules import GOAL, OTHER
 from astray.games.maze.variants import VARIANTS, Maze
+from astray.level import Level
 
 ROOM = """
     #######
@@ -27,7 +29,7 @@ THREE = replace(SEVEN, world=3, largest=3)
 def play(room, actions, variant=SEVEN):
     """What happens in `room`: the last reward and end, and the state."""
     env = GameVectorEnv("maze", variant, observation="symbolic", autoreset_mode="Disabled")
-    env.set_states(np.array([GAME.read(room, variant)], GAME.state))
+    env.set_state(Level.from_text(GAME, variant, room).state(solvable=False))
     reward, terminated, truncated = np.zeros(1), [False], [False]
     for name in actions.split():
         action = np.array([GAME.actions.index(name)])
@@ -57,14 +59,14 @@ def test_the_goal_is_worth_ten_and_ends_the_level():
     reward, terminated, truncated, s = play(ROOM, "up up right right")
     assert (reward, terminated, truncated) == (10, True, False)
     assert s.reached_goal == 4
-    assert GAME.text(s).count("G") == 0
+    assert GOAL not in s.cell
 
 
 def test_the_other_object_is_noticed_and_does_nothing():
     reward, terminated, _, s = play(ROOM, "down right right right right left right")
     assert (reward, terminated) == (0, False)
     assert s.reached_other == 5  # the first time
-    assert GAME.text(s).count("@") == 1 and s.cell[int(s.y), int(s.x)] != 0
+    assert s.cell[int(s.y), int(s.x)] == OTHER
 
 
 def test_the_corner_is_noticed():
@@ -88,18 +90,18 @@ def test_the_mouse_looks_where_it_was_told_to_go():
 @pytest.mark.parametrize(
     "room, message",
     [
-        ("###\n#.#\n###", "one '@'; this has 0"),
-        ("###\n@.@\n###", "one '@'; this has 2"),
+        ("###\n#.#\n###", "one '@', the agent; this has 0"),
+        ("###\n@.@\n###", "one '@', the agent; this has 2"),
         ("###\n#@\n###", r"equally long; these have \[3, 2, 3\]"),
         ("###\n#@#", "3 x 2 cells; the variant's world is 3 a side"),
         ("####\n#@.#\n#..#\n####", "4 x 4 cells"),
-        ("###\n#@?\n###", r"unknown character '\?' at cell \(2, 1\)"),
-        ("###\nG@G\n###", "at most one 'G'; this has 2"),
+        ("###\n#@?\n###", r"unknown '\?' at cell \(2, 1\)"),
+        ("###\nG@G\n###", r"at most one goal; this has one at each of \[\(0, 1\), \(2, 1\)\]"),
     ],
 )
 def test_bad_drawings_are_explained(room, message):
     with pytest.raises(ValueError, match=message):
-        GAME.read(room, THREE)
+        Level.from_text(GAME, THREE, room).state()
 
 
 @pytest.mark.parametrize(
@@ -138,10 +140,10 @@ def test_impossible_states_never_reach_compiled_code(field, value):
     states = env.states.copy()
     states[field][1] = value
     with pytest.raises(ValueError, match=field):
-        env.set_states(states)
+        env.set_state(states)
     with pytest.raises(ValueError, match=field):
         picture("maze", env.variant, states, 64)
     states = env.states.copy()
     states["cell"][1][int(states["y"][1]), int(states["x"][1])] = 1
     with pytest.raises(ValueError, match="cell of the mouse"):
-        env.set_states(states)
+        env.set_state(states)

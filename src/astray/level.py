@@ -1,0 +1,249 @@
+"""Levels as data: drawn in text, written as JSON, edited, checked."""
+
+from __future__ import annotations
+
+import itertools
+import json
+import textwrap
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from astray.game import Game, Variant
+
+AGENT, EMPTY = "@", "."  # in every game's drawings
+COMMENT = ";"  # begins a line of a drawing that is not part of it
+Cell = tuple[int, int]  # x to the right, y upward, from the lower left
+
+
+@dataclass(frozen=True, eq=False)
+class Level:
+    """One layout of a game, before anything has moved. Edits return another level.
+
+    cells  [H, W] uint8, indexed [y, x], codes of the game's legend
+    agent  where the agent begins
+    looks  what else the game builds it from, as its background; what is missing is its choice
+    """
+
+    game: Game
+    variant: Variant
+    cells: np.ndarray
+    agent: Cell
+    looks: Mapping[str, Any]
+
+    @staticmethod
+    def of(game: Game, variant: Variant, s: Any) -> Level:
+        """The level that state `s` is in; objects that are gone are not in it."""
+        return Level.from_json(game, variant, game.describe(s))
+
+    @staticmethod
+    def from_text(game: Game, variant: Variant, drawing: str) -> Level:
+        """The level that is drawn, a character of the game's legend a cell, the top row first."""
+        rows = textwrap.dedent(drawing).strip("\n").rstrip().splitlines()[::-1]
+        if not rows or len({len(row) for row in rows}) != 1:
+            raise ValueError(
+                f"a level's rows are equally long; these have {[len(r) for r in rows]}"
+            )
+        legend = {**game.legend, AGENT: game.legend[EMPTY]}
+        cells = np.empty((len(rows), len(rows[0])), np.uint8)
+        for y, row in enumerate(rows):
+            for x, char in enumerate(row):
+                if char not in legend:
+                    there = " ".join(legend)
+                    raise ValueError(f"unknown {char!r} at cell ({x}, {y}); there are: {there}")
+                cells[y, x] = legend[char]
+        agents = [(row.index(AGENT), y) for y, row in enumerate(rows) if AGENT in row]
+        count = sum(row.count(AGENT) for row in rows)
+        if count != 1:
+            raise ValueError(f"a level has one {AGENT!r}, the agent; this has {count}")
+        return Level(game, variant, cells, agents[0], {})
+
+    @staticmethod
+    def from_json(game: Game, variant: Variant, data: Any) -> Level:
+        """The level of `to_json`. Beside "grid" and "agent" anything may be missing."""
+        if not isinstance(data, Mapping) or not {"grid", "agent"} <= data.keys():
+            raise ValueError('a level is an object with at least "grid" and "agent"')
+        if data.get("game", game.name) != game.name:
+            raise ValueError(f"the level is one of {data['game']!r}, not of {game.name!r}")
+        rows = data["grid"]
+        wide = isinstance(rows, list) and {len(r) if isinstance(r, list) else -1 for r in rows}
+        if not wide or len(wide) != 1 or wide <= {-1, 0}:
+            raise ValueError("a level's grid is a list of equally long lists of codes")
+        codes = sorted(set(game.legend.values()))
+        for y, row in enumerate(rows):
+            for x, code in enumerate(row):
+                if type(code) is not int or code not in codes:
+                    raise ValueError(
+                        f"unknown code {code!r} at cell ({x}, {y}); there are: {codes}"
+                    )
+        cells, agent = np.array(rows, np.uint8), data["agent"]
+        if not (
+            isinstance(agent, list | tuple) and len(agent) == 2 and all(map(_is_number, agent))
+        ):
+            raise ValueError(f"the agent is at two numbers, x and y; given {agent!r}")
+        looks = data.get("looks", {})
+        if not isinstance(looks, Mapping):
+            raise ValueError(f"a level's looks are an object; given {looks!r}")
+        place = (int(np.floor(agent[0])), int(np.floor(agent[1])))
+        level = Level(game, variant, cells, place, looks)
+        told = game.describe(level.state(solvable=False))
+        rest = {k: v for k, v in data.items() if k not in ("game", "variant", "level", "looks")}
+        _check_told(rest, told, "a level")
+        return level
+
+    def state(self, *, solvable: bool = True) -> Any:
+        """The state that begins in this level; ValueError, naming the cell, where none can.
+
+        solvable  see that the agent can reach every object
+        """
+        game, (x, y) = self.game, self.agent
+        if not (0 <= x < self.cells.shape[1] and 0 <= y < self.cells.shape[0]):
+            raise ValueError(f"the agent is at cell {self.agent}, outside of the level")
+        self._check_free(self.agent)
+        s = game.build(self.cells, self.agent, self.looks, self.variant)
+        _check_told(self.looks, game.describe(s)["looks"], "a level's looks")
+        if solvable:
+            reachable = game.reachable(s)
+            for name in game.objects:
+                for cell in self.where(name):
+                    if not reachable[cell[1], cell[0]]:
+                        raise ValueError(
+                            f"the {name} at cell {cell} cannot be reached from {self.agent}"
+                        )
+        return s
+
+    def to_json(self) -> dict[str, Any]:
+        """The level as plain data; see the game's `describe`."""
+        return {"game": self.game.name} | self.game.describe(self.state(solvable=False))
+
+    def __str__(self) -> str:
+        """The drawing, a character a cell, the top row first."""
+        rows = [[self._char(x, y) for x in range(len(row))] for y, row in enumerate(self.cells)]
+        rows[self.agent[1]][self.agent[0]] = AGENT
+        return "\n".join("".join(row) for row in reversed(rows))
+
+    def where(self, name: str) -> list[Cell]:
+        """The cells that hold the object called `name`."""
+        if name not in self.game.objects:
+            there = ", ".join(["agent", *self.game.objects])
+            raise ValueError(f"unknown object {name!r}; there are: {there}")
+        code = self.game.legend[self.game.objects[name]]
+        return [(int(x), int(y)) for y, x in np.argwhere(self.cells == code)]
+
+    def moved(self, name: str, to: Cell, at: Cell | None = None) -> Level:
+        """With "agent" or an object moved; `at` says which, where there are several."""
+        if name == "agent":
+            self._check_free(to)
+            return replace(self, agent=to)
+        at = self._one(name, at)
+        lifted = self.removed(name, at)
+        return lifted.added(name, to)
+
+    def removed(self, name: str, at: Cell | None = None) -> Level:
+        """Without an object; `at` says which, where there are several."""
+        x, y = self._one(name, at)
+        cells = self.cells.copy()
+        cells[y, x] = self.game.legend[EMPTY]
+        return replace(self, cells=cells)
+
+    def added(self, name: str, at: Cell) -> Level:
+        """With one more object."""
+        self.where(name)
+        self._check_free(at)
+        cells = self.cells.copy()
+        cells[at[1], at[0]] = self.game.legend[self.game.objects[name]]
+        return replace(self, cells=cells)
+
+    def splay(self, name: str, at: Cell | None = None) -> list[Level]:
+        """One level for every cell that "agent" or an object could be in, from the lowest row up.
+
+        Those are the empty cells that the agent can reach, and the one that it is in now.
+        """
+        lifted = self if name == "agent" else self.removed(name, at)
+        reachable = self.game.reachable(lifted.state(solvable=False))
+        free = (lifted.cells == self.game.legend[EMPTY]) & reachable
+        free[self.agent[1], self.agent[0]] = name == "agent"
+        cells = [(int(x), int(y)) for y, x in np.argwhere(free)]
+        if name == "agent":
+            return [replace(self, agent=cell) for cell in cells]
+        return [lifted.added(name, cell) for cell in cells]
+
+    def _one(self, name: str, at: Cell | None) -> Cell:
+        """The cell of the object called `name`: the only one there is, or the one at `at`."""
+        there = self.where(name)
+        if at in there or (at is None and len(there) == 1):
+            return at or there[0]
+        where = ", ".join(map(str, there)) or "nowhere"
+        raise ValueError(f"which {name}? given {at}; there are: {where}")
+
+    def _check_free(self, cell: Cell) -> None:
+        x, y = cell
+        if not (0 <= x < self.cells.shape[1] and 0 <= y < self.cells.shape[0]):
+            raise ValueError(f"cell {cell} is outside of the level")
+        if self.cells[y, x] != self.game.legend[EMPTY]:
+            raise ValueError(f"cell {cell} holds {self._char(x, y)!r}")
+
+    def _char(self, x: int, y: int) -> str:
+        names = {code: char for char, code in self.game.legend.items()}
+        return names[int(self.cells[y, x])]
+
+
+def _is_number(value: Any) -> bool:
+    return type(value) in (int, float) and np.isfinite(value)
+
+
+def _check_told(given: Mapping[str, Any], true: Mapping[str, Any], what: str) -> None:
+    """See that what was `given` of a level, beside what it is built from, is `true` of it."""
+    for name, value in given.items():
+        if name not in true:
+            raise ValueError(f"unknown field {name!r} of {what}; there are: {', '.join(true)}")
+        if true[name] != value:
+            raise ValueError(f"{name} is {value!r}, but in this level {true[name]!r}")
+
+
+def read_levels(path: Path, game: Game, variant: Variant) -> dict[str, Level]:
+    """The levels in a file or a folder, by name.
+
+    Files that end in .json hold a level a line, others drawings with empty lines between them.
+    """
+    if path.is_dir():
+        files = sorted(p for p in path.iterdir() if p.is_file() and not p.name.startswith("."))
+        found = {name: lv for p in files for name, lv in read_levels(p, game, variant).items()}
+        if not found:
+            raise ValueError(f"there are no levels in {path}")
+        return found
+    try:
+        text = path.read_text("utf-8")
+        if path.suffix in (".json", ".jsonl"):
+            found = [Level.from_json(game, variant, value) for value in _json_values(text)]
+        else:
+            found = [Level.from_text(game, variant, drawing) for drawing in _drawings(text)]
+    except FileNotFoundError:
+        raise FileNotFoundError(f"there is no level at {path}") from None
+    except (ValueError, RecursionError) as error:
+        raise ValueError(f"{path}: {error}") from error
+    if not found:
+        raise ValueError(f"there are no levels in {path}")
+    names = [path.name] if len(found) == 1 else [f"{path.name}:{k + 1}" for k in range(len(found))]
+    return dict(zip(names, found, strict=True))
+
+
+def _json_values(text: str) -> list[Any]:
+    """The values that stand one after the other in `text`; of a list, its items."""
+    decoder, found = json.JSONDecoder(), []
+    text = text.lstrip()
+    while text:
+        value, end = decoder.raw_decode(text)
+        found += value if isinstance(value, list) else [value]
+        text = text[end:].lstrip()
+    return found
+
+
+def _drawings(text: str) -> list[str]:
+    """The parts of `text` between empty lines, but for those of comments alone."""
+    lines = [line for line in text.splitlines() if not line.lstrip().startswith(COMMENT)]
+    groups = itertools.groupby(lines, key=lambda line: bool(line.strip()))
+    return ["\n".join(group) for drawn, group in groups if drawn]
