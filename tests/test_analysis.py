@@ -20,13 +20,13 @@ LEVELS = range(1_000_000, 1_000_060)
 def agent_file(tmp_path_factory):
     path = tmp_path_factory.mktemp("agent") / "agent.safetensors"
     architecture = Architecture("small", (4, 7, 7), (1, 1, 6, 6), 15)
-    path.write_bytes(weights(architecture.build(), architecture))
+    path.write_bytes(weights(architecture.build(), architecture, "maze"))
     return path
 
 
 @pytest.mark.parametrize("mode", ["sampled", "greedy"])
 def test_the_rows_are_the_same_in_any_batch_and_order(agent_file, mode):
-    agent = Agent(agent_file, mode)
+    agent = Agent(agent_file, "maze", mode)
     levels = LEVELS[:20]
     tables = [
         evaluate(agent, "maze", "anywhere-small", levels, batch=batch) for batch in (1, 7, 256)
@@ -39,14 +39,15 @@ def test_the_rows_are_the_same_in_any_batch_and_order(agent_file, mode):
 
 def test_another_seed_samples_other_actions(agent_file):
     one, two = (
-        evaluate(Agent(agent_file, seed=k), "maze", "anywhere-small", LEVELS) for k in (0, 1)
+        evaluate(Agent(agent_file, "maze", seed=k), "maze", "anywhere-small", LEVELS)
+        for k in (0, 1)
     )
     assert not one.equals(two)
 
 
 def test_an_agent_for_other_observations_is_refused(agent_file):
     with pytest.raises(ValueError, match=r"shape \(4, 7, 7\), not \(4, 25, 25\)"):
-        evaluate(Agent(agent_file), "maze", "corner", [1])
+        evaluate(Agent(agent_file, "maze"), "maze", "corner", [1])
 
 
 @pytest.mark.parametrize("goal", ["cheese", "corner"])

@@ -20,7 +20,7 @@ from astray import games
 from astray.envs.vector import LEVELS, GameVectorEnv
 from astray.experiments.spec import Size
 from astray.game import NEVER, Game, Variant
-from astray.level import Level
+from astray.level import Level, read_levels
 from astray.training.config import PRESETS, Config, vary
 
 Preset = Literal["paper", "small"]
@@ -73,17 +73,22 @@ def play(
     game: Positional[str],
     variant: Positional[str],
     level: int | None = None,
+    level_file: Path | None = None,
+    unsolvable: bool = False,
     knobs: Knobs = (),
 ) -> None:
     """Play a game in a window, what an agent sees of it beside.
 
     Args:
         level: the first level's number; by default one at random
+        level_file: a level to play first; `astray level` prints such
+        unsolvable: let the level have objects that cannot be reached
         knobs: of the variant, changed
     """
     from astray.play import play as window
 
-    window(game, _variant(game, variant, knobs), level)
+    kind = _variant(game, variant, knobs)
+    window(game, kind, _level(game, kind, level, level_file, unsolvable))
 
 
 def train(
@@ -119,6 +124,7 @@ def evaluate(
     variant: str | None = None,
     shift: str | None = None,
     levels: str | None = None,
+    unsolvable: bool = False,
     mode: Mode = "sampled",
     knobs: Knobs = (),
     batch: int = 256,
@@ -131,8 +137,10 @@ def evaluate(
         runs: run folders, or checkpoints in them; several agents of one kind
         variant: of the levels; by default the shift's test variant
         shift: which goals are intended and proxies; by default the one that the run trained for
-        levels: numbers and ranges, as 5,17,100:200; by default the first 1,000 that the first
-            run's training does not draw from
+        levels: numbers and ranges, as 5,17,100:200, or a file or folder of levels as
+            `astray level` prints them; by default the first 1,000 numbers that the first run's
+            training does not draw from
+        unsolvable: let levels from files have objects that cannot be reached
         mode: draw from the agent's policy, or take the likeliest action
         knobs: of the variant, changed
         batch: episodes at once; the rows do not depend on it
@@ -141,9 +149,12 @@ def evaluate(
     """
     from astray.analysis.runs import evaluate_runs
 
+    chosen = None
+    if levels:
+        chosen = Path(levels) if Path(levels).exists() else level_numbers(levels)
     shares, episodes = evaluate_runs(
-        runs, level_numbers(levels) if levels else None, variant=variant, shift=shift, mode=mode,
-        knobs=_pairs(knobs), batch=batch,
+        runs, chosen, variant=variant, shift=shift, mode=mode, knobs=_pairs(knobs), batch=batch,
+        solvable=not unsolvable,
     )  # fmt: skip
     if out:
         episodes.write_parquet(out)
@@ -175,7 +186,9 @@ def reproduce(
 def record(
     run: Positional[Path],
     variant: str | None = None,
-    level: int = 1_000_000,
+    level: int | None = None,
+    level_file: Path | None = None,
+    unsolvable: bool = False,
     mode: Mode = "sampled",
     knobs: Knobs = (),
     pixels: int = 512,
@@ -186,7 +199,9 @@ def record(
     Args:
         run: a run folder or a checkpoint in it
         variant: of the level; by default that of the training
-        level: its number
+        level: its number; by default 1000000
+        level_file: the level instead; `astray level` prints such
+        unsolvable: let it have objects that cannot be reached
         mode: draw from the agent's policy, or take the likeliest action
         knobs: of the variant, changed
         pixels: a side of the picture
@@ -200,7 +215,10 @@ def record(
         raise ValueError(f"a video is an .mp4 or a .gif file, not {out}")
     agent, config = open_run(run, mode)
     made = playing(config, variant or config.variant, _pairs(knobs))
-    episode = video.play(agent, config.game, made, level, pixels=pixels)
+    begun = _level(config.game, made, level, level_file, unsolvable)
+    if begun is None:
+        begun = 1_000_000
+    episode = video.play(agent, config.game, made, begun, pixels=pixels)
     write(episode.frames, out)
     print(out)
 
@@ -210,6 +228,7 @@ def level(
     variant: Positional[str],
     numbers: str = "0",
     knobs: Knobs = (),
+    text: bool = False,
     json: bool = False,
 ) -> None:
     """Print levels, as drawings or as data; other verbs read both from files.
@@ -217,6 +236,7 @@ def level(
     Args:
         numbers: numbers and ranges, as 5,17,100:200
         knobs: of the variant, changed
+        text: print drawings alone, without their headings
         json: print JSON, a level a line
     """
     kind, made = _variant(game, variant, knobs), games.load(game)
@@ -226,23 +246,28 @@ def level(
                 {"game": game, "variant": variant, "level": int(s.level)} | made.describe(s)
             )
         else:
-            print(f"; {game} {variant} level {s.level}\n{Level.of(made, kind, s)}\n")
+            heading = "" if text else f"; {game} {variant} level {s.level}\n"
+            print(f"{heading}{Level.of(made, kind, s)}\n")
 
 
 def replay(
     game: Positional[str],
     variant: Positional[str],
-    level: int,
     actions: Path,
+    level: int | None = None,
+    level_file: Path | None = None,
+    unsolvable: bool = False,
     knobs: Knobs = (),
     json: bool = False,
 ) -> None:
     """Play given actions in one level and tell what happens, step by step.
 
     Args:
-        level: its number
         actions: a file of action names or numbers, separated by white space or commas; - for
             standard input
+        level: its number
+        level_file: the level instead; `astray level` prints such
+        unsolvable: let it have objects that cannot be reached
         knobs: of the variant, changed
         json: print JSON
     """
@@ -250,9 +275,14 @@ def replay(
 
     made = games.load(game)
     text = sys.stdin.read() if str(actions) == "-" else actions.read_text()
-    told = run(game, _variant(game, variant, knobs), level, _actions(made, text))
+    kind = _variant(game, variant, knobs)
+    begun = _level(game, kind, level, level_file, unsolvable)
+    if begun is None:
+        raise ValueError("name a --level or a --level-file")
+    told = run(game, kind, begun, _actions(made, text))
     if json:
-        _print_json({"game": game, "variant": variant, "level": level} | told)
+        number = level if level_file is None else str(level_file)
+        _print_json({"game": game, "variant": variant, "level": number} | told)
         return
     for k, step in enumerate(told["steps"], 1):
         print(f"{k:5}  {step['action']:10}  ({step['x']:g}, {step['y']:g})  {step['reward']:+g}")
@@ -301,6 +331,20 @@ def _pairs(knobs: tuple[str, ...]) -> dict[str, Any]:
 
 def _variant(game: str, variant: str, knobs: tuple[str, ...]) -> Variant:
     return vary(game, variant, _pairs(knobs))
+
+
+def _level(
+    game: str, variant: Variant, number: int | None, file: Path | None, unsolvable: bool
+) -> int | Level | None:
+    """The level that was asked for by number or file; None where neither was."""
+    if file is None:
+        return number
+    if number is not None:
+        raise ValueError("a level is given by its number or in a file, not both")
+    found = read_levels(file, games.load(game), variant, solvable=not unsolvable)
+    if len(found) > 1:
+        raise ValueError(f"one level is played; {file} holds {len(found)}")
+    return next(iter(found.values()))
 
 
 def _states(game: str, variant: Variant, levels: np.ndarray) -> np.ndarray:

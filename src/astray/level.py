@@ -204,14 +204,21 @@ def _check_told(given: Mapping[str, Any], true: Mapping[str, Any], what: str) ->
             raise ValueError(f"{name} is {value!r}, but in this level {true[name]!r}")
 
 
-def read_levels(path: Path, game: Game, variant: Variant) -> dict[str, Level]:
-    """The levels in a file or a folder, by name.
+def read_levels(
+    path: Path, game: Game, variant: Variant, *, solvable: bool = True
+) -> dict[str, Level]:
+    """The levels in a file or a folder, by name, each checked as `Level.state` does.
 
-    Files that end in .json hold a level a line, others drawings with empty lines between them.
+    Files whose names end in .json or .jsonl hold JSON, one level after the other or in a list;
+    other files hold drawings, with empty lines between them.
     """
     if path.is_dir():
         files = sorted(p for p in path.iterdir() if p.is_file() and not p.name.startswith("."))
-        found = {name: lv for p in files for name, lv in read_levels(p, game, variant).items()}
+        found = {
+            name: lv
+            for p in files
+            for name, lv in read_levels(p, game, variant, solvable=solvable).items()
+        }
         if not found:
             raise ValueError(f"there are no levels in {path}")
         return found
@@ -221,6 +228,8 @@ def read_levels(path: Path, game: Game, variant: Variant) -> dict[str, Level]:
             found = [Level.from_json(game, variant, value) for value in _json_values(text)]
         else:
             found = [Level.from_text(game, variant, drawing) for drawing in _drawings(text)]
+        for level in found:
+            level.state(solvable=solvable)
     except FileNotFoundError:
         raise FileNotFoundError(f"there is no level at {path}") from None
     except (ValueError, RecursionError) as error:

@@ -6,6 +6,7 @@ import numpy as np
 
 from astray.envs.vector import IMAGE, LEVELS, PICTURE, GameVectorEnv
 from astray.game import Variant
+from astray.level import Level
 
 VIEW = 256  # pixels a side of the agent's view, enlarged
 GAP, TEXT = 16, 18  # pixels
@@ -14,8 +15,11 @@ HELP = ("arrows or WASD: move", "space: wait", "R: this level again", "N: the ne
         "Esc: leave")  # fmt: skip
 
 
-def play(game: str, variant: Variant, level: int | None = None) -> None:
-    """Open a window and play level after level, from `level` on or from one at random."""
+def play(game: str, variant: Variant, level: int | Level | None = None) -> None:
+    """Open a window and play level after level, from `level` on or from one at random.
+
+    After a `Level` that was drawn come the numbered ones from 0 on.
+    """
     try:
         import pygame
     except ImportError:
@@ -38,7 +42,8 @@ def play(game: str, variant: Variant, level: int | None = None) -> None:
                     running = False
                 if event.type == pygame.KEYDOWN:
                     running &= event.key != pygame.K_ESCAPE
-                    current += event.key == pygame.K_n
+                    if event.key == pygame.K_n:
+                        current = 0 if isinstance(current, Level) else current + 1
                     restart |= event.key in (pygame.K_n, pygame.K_r)
             action = _action(env, pygame.key.get_pressed(), pygame)
             if restart:
@@ -48,7 +53,7 @@ def play(game: str, variant: Variant, level: int | None = None) -> None:
                 seen, reward, terminated, truncated, _ = env.step(np.array([action]))
                 total += float(reward[0])
                 ended = bool(terminated[0] or truncated[0])
-            lines = _lines(env, current, total, ended)
+            lines = _lines(env, total, ended)
             _paint(screen, env, seen[0], lines, font, pygame)
             pygame.display.flip()
             clock.tick(STEPS_PER_SECOND)
@@ -72,12 +77,13 @@ def _action(env: GameVectorEnv, pressed, pygame) -> int | None:
     return env.game.actions.index("stay") if pressed[pygame.K_SPACE] else None
 
 
-def _lines(env: GameVectorEnv, level: int, total: float, ended: bool) -> list[str]:
+def _lines(env: GameVectorEnv, total: float, ended: bool) -> list[str]:
     """What the window says."""
     s = env.states[0]
     events = [f"{name}: step {s[name]}" for name in env.game.events if s[name] >= 0]
     state = "ended; R or N" if ended else f"step {s.time} of {s.time_limit}"
-    return [f"level {level}", state, f"return {total:g}", *events, "", *HELP]
+    level = f"level {s.level}" if s.level >= 0 else "a level from a file"
+    return [level, state, f"return {total:g}", *events, "", *HELP]
 
 
 def _paint(screen, env: GameVectorEnv, seen: np.ndarray, lines: list[str], font, pygame) -> None:

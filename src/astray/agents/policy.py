@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal, get_args
 
 import torch
 from safetensors import SafetensorError, safe_open
@@ -16,6 +16,8 @@ from astray.agents.impala import Impala
 from astray.agents.small import Small
 
 NetworkName = Literal["impala", "small"]
+FORMAT = 1  # of the files; goes up when an older version could not read them
+SEQUENCES = ("shape", "largest")  # fields of an architecture that JSON has as lists
 
 
 @dataclass(frozen=True)
@@ -35,6 +37,14 @@ class Architecture:
     scale: int = 1
     width: int = 64
 
+    def __post_init__(self) -> None:
+        sizes = (self.actions, self.scale, self.width, *self.shape, *self.largest)
+        if len(self.shape) != 3 or any(type(n) is not int or n < 1 for n in sizes):
+            raise ValueError(f"an architecture's sizes are integers from 1 on; given {self}")
+        if self.name not in get_args(NetworkName):
+            there = ", ".join(get_args(NetworkName))
+            raise ValueError(f"unknown network {self.name!r}; there are: {there}")
+
     def build(self) -> nn.Module:
         """The network, freshly initialised from torch's global random state."""
         if (self.name == "impala") != (not self.largest):
@@ -45,27 +55,55 @@ class Architecture:
         return Small(self.shape, list(self.largest), self.actions, self.width)
 
 
-def weights(network: nn.Module, architecture: Architecture) -> bytes:
-    """The file that `load` reads: safetensors, the architecture in its header."""
+def weights(network: nn.Module, architecture: Architecture, game: str) -> bytes:
+    """The file that `load` reads: safetensors, what the network is in its header."""
     tensors = {name: tensor.contiguous().cpu() for name, tensor in network.state_dict().items()}
-    return save(tensors, {"architecture": json.dumps(asdict(architecture))})
+    return save(tensors, header(game, architecture=asdict(architecture)))
 
 
-def load(path: Path, device: str = "cpu") -> tuple[nn.Module, Architecture]:
+def load(path: Path, game: str, device: str = "cpu") -> tuple[nn.Module, Architecture]:
     """The network that `weights` wrote to `path`. Nothing in the file is executed."""
     try:
-        with safe_open(path, "pt", device=device) as file:
-            meta = json.loads((file.metadata() or {})["architecture"])
+        with safe_open(path, "pt", device="cpu") as file:
+            found = read_header(file.metadata(), game)
             tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
-        shape, largest = tuple(meta.pop("shape")), tuple(meta.pop("largest"))
-        architecture = Architecture(shape=shape, largest=largest, **meta)
-        network = architecture.build().to(device)
+        architecture = _architecture(found["architecture"])
+        with torch.device("meta"):  # first without memory: a header can promise any size
+            promised = {n: t.shape for n, t in architecture.build().state_dict().items()}
+        if promised != {name: tensor.shape for name, tensor in tensors.items()}:
+            raise ValueError("its weights are not those of its architecture")
+        network = architecture.build()
         network.load_state_dict(tensors)
     except FileNotFoundError:
         raise FileNotFoundError(f"no agent at {path}") from None
-    except (SafetensorError, OSError, KeyError, TypeError, ValueError, RuntimeError) as error:
-        raise ValueError(f"{path} is not an agent of this version: {error}") from error
-    return network, architecture
+    except (SafetensorError, OSError, KeyError, TypeError, ValueError, RuntimeError,
+            RecursionError) as error:  # fmt: skip
+        raise ValueError(f"{path} is not an agent that can be used: {error}") from error
+    return network.to(device), architecture
+
+
+def header(game: str, **more: Any) -> dict[str, str]:
+    """What a safetensors file holds beside tensors; one entry, for the library shuffles several."""
+    return {"astray": json.dumps({"format": FORMAT, "game": game} | more)}
+
+
+def read_header(kept: dict[str, str] | None, game: str) -> dict[str, Any]:
+    """What `header` made; ValueError where it is of another version, or of another game."""
+    found = json.loads((kept or {}).get("astray", "null"))
+    if not isinstance(found, dict):
+        raise ValueError("it was not written by astray")
+    if found.get("format") != FORMAT:
+        raise ValueError(f"it has format {found.get('format')}; this version reads {FORMAT}")
+    if found.get("game") != game:
+        raise ValueError(f"it is of the game {found.get('game')!r}, not of {game!r}")
+    return found
+
+
+def _architecture(data: Any) -> Architecture:
+    if not isinstance(data, dict) or not all(isinstance(data.get(k), list) for k in SEQUENCES):
+        raise ValueError(f"its architecture is {data!r}")
+    fields: dict[str, Any] = data | {name: tuple(data[name]) for name in SEQUENCES}
+    return Architecture(**fields)
 
 
 def usable(device: str) -> bool:

@@ -23,7 +23,8 @@ class Spread(nn.Module):
     def __init__(self, largest: list[int]):
         super().__init__()
         self.flags = sum(top == 1 for top in largest)
-        assert all(top == 1 for top in largest[: self.flags]), "planes of 0 and 1 come first"
+        if any(top != 1 for top in largest[: self.flags]):
+            raise ValueError(f"planes of 0 and 1 come first; given planes up to {largest}")
         self.channels = self.flags + 2 * (len(largest) - self.flags)
         angle = torch.arange(256) * (2 * torch.pi / max(largest))
         circle = torch.stack([angle.cos(), angle.sin()]).float()

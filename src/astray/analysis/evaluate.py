@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -11,31 +11,36 @@ import polars as pl
 from astray.analysis.policies import Policy
 from astray.envs.vector import GameVectorEnv
 from astray.game import Variant
+from astray.level import Level
 
 
 def evaluate(
     policy: Policy,
     game: str,
     variant: str | Variant,
-    levels: Sequence[int] | np.ndarray | range,
+    levels: Sequence[int] | np.ndarray | range | Mapping[str, Level],
     *,
     batch: int = 256,
 ) -> pl.DataFrame:
     """A row per level, in the order of `levels`: how the policy's episode in it went.
 
-    Columns: policy, level, shifted, return, length (steps), terminated, and every event of the
-    game (the step it first happened, null for never). The rows do not depend on `batch`.
+    levels  numbers, or levels that were drawn, by name; those are numbered from 0 on
+
+    Columns: policy, level, name (null for a numbered level), shifted, return, length (steps),
+    terminated, and every event of the game (the step it first happened, null for never).
+    The rows do not depend on `batch`.
     """
-    numbers = np.array(levels, np.int64)
-    if not numbers.size:
+    n = min(batch, len(levels))
+    if not n:
         raise ValueError("no levels to evaluate on")
-    n = min(batch, numbers.size)
     env = GameVectorEnv(game, variant, n, observation=policy.observation, autoreset_mode="Disabled")
     events = env.game.events
-    rows: list[dict[str, Any] | None] = [None] * numbers.size
+    kind, beginnings = _beginnings(levels, env.game.state)
+    names = list(levels) if isinstance(levels, Mapping) else [None] * len(levels)
+    rows: list[dict[str, Any] | None] = [None] * len(levels)
     playing = np.arange(n)  # which of the levels each environment plays
     following, returns = n, np.zeros(n)
-    observations, _ = env.reset(seed=0, options={"level": numbers[:n]})
+    observations, _ = env.reset(seed=0, options={kind: beginnings[:n]})
     while None in rows[playing.min() :]:
         actions = policy.actions(env, observations)
         observations, reward, terminated, truncated, _ = env.step(actions)
@@ -47,16 +52,25 @@ def evaluate(
             s = env.states[i]
             happened = {event: int(s[event]) if s[event] >= 0 else None for event in events}
             rows[playing[i]] = {
-                "policy": policy.name, "level": int(s.level), "shifted": bool(s.shifted),
-                "return": float(returns[i]), "length": int(s.time),
-                "terminated": bool(terminated[i]), **happened,
+                "policy": policy.name, "level": int(s.level), "name": names[playing[i]],
+                "shifted": bool(s.shifted), "return": float(returns[i]),
+                "length": int(s.time), "terminated": bool(terminated[i]), **happened,
             }  # fmt: skip
-            if following < numbers.size:  # else it plays its last level again, to no end
+            if following < len(levels):  # else it plays its last level again, to no end
                 playing[i] = following
                 following += 1
             returns[i] = 0.0
-        again = {"level": numbers[playing], "reset_mask": ended}
+        again = {kind: beginnings[playing], "reset_mask": ended}
         observations, _ = env.reset(options=again)
     env.close()
-    steps = {event: pl.Int64 for event in events}
-    return pl.DataFrame(rows, schema_overrides=steps)
+    kinds = {"name": pl.String} | {event: pl.Int64 for event in events}
+    return pl.DataFrame(rows, schema_overrides=kinds)
+
+
+def _beginnings(levels: Any, dtype: np.dtype) -> tuple[str, np.ndarray]:
+    """The option of a reset that begins each of `levels`, and its values."""
+    if not isinstance(levels, Mapping):
+        return "level", np.array(levels, np.int64)
+    states = np.array([level.state(solvable=False) for level in levels.values()], dtype)
+    states["level"] = np.arange(len(states))
+    return "state", states

@@ -43,6 +43,7 @@ class Agent:
     """A trained network; `mode` "sampled" draws from its policy, "greedy" takes the likeliest."""
 
     path: Path  # of a checkpoint's agent.safetensors
+    game: str
     mode: Literal["sampled", "greedy"] = "sampled"
     seed: int = 0  # of the sampling
     device: str = "cpu"
@@ -52,7 +53,7 @@ class Agent:
     def __post_init__(self) -> None:
         if self.mode not in ("sampled", "greedy"):
             raise ValueError(f"unknown mode {self.mode!r}; there are: sampled, greedy")
-        self.network, self.architecture = trained.load(self.path, self.device)
+        self.network, self.architecture = trained.load(self.path, self.game, self.device)
 
     @property
     def name(self) -> str:

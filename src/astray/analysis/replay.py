@@ -9,9 +9,12 @@ import numpy as np
 
 from astray.envs.vector import GameVectorEnv
 from astray.game import Variant
+from astray.level import Level
 
 
-def replay(game: str, variant: Variant, level: int, actions: Sequence[int]) -> dict[str, Any]:
+def replay(
+    game: str, variant: Variant, level: int | Level, actions: Sequence[int]
+) -> dict[str, Any]:
     """Play `actions` until they or the episode end; what happened, as plain data.
 
     Positions are the agent's centre, in cells; events the step they first happened, -1 for never.

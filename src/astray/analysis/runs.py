@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal
 
@@ -15,6 +15,7 @@ from astray.analysis.evaluate import evaluate
 from astray.analysis.outcomes import label, load_shift, shares, tell_apart
 from astray.analysis.policies import Agent, Policy, Random, Walk
 from astray.game import Variant
+from astray.level import Level, read_levels
 from astray.training import checkpoint
 from astray.training.config import Config, vary_as
 
@@ -29,7 +30,7 @@ def open_run(run: Path, mode: Mode = "sampled") -> tuple[Agent, Config]:
     path = checkpoint.latest(folder) if folder == run else run
     config = checkpoint.read_config(folder)
     device = config.device if usable(config.device) else "cpu"
-    return Agent(path / checkpoint.AGENT, mode, config.seed, device), config
+    return Agent(path / checkpoint.AGENT, config.game, mode, config.seed, device), config
 
 
 def shift_of(config: Config) -> str:
@@ -51,15 +52,20 @@ def playing(config: Config, variant: str, knobs: dict[str, Any]) -> Variant:
 
 def evaluate_runs(
     runs: Sequence[Path],
-    levels: np.ndarray | None = None,
+    levels: np.ndarray | Path | None = None,
     *,
     variant: str | None = None,
     shift: str | None = None,
     mode: Mode = "sampled",
     knobs: dict[str, Any] | None = None,
     batch: int = 256,
+    solvable: bool = True,
 ) -> tuple[pl.DataFrame, pl.DataFrame]:
     """How often agents reach which goal, and how often policies that know only one do.
+
+    levels    numbers, or a file or folder of levels for `read_levels`; None: the first 1,000
+              that the first run's training does not draw from
+    solvable  see that in levels from files every object can be reached
 
     Returns `outcomes.shares` of all levels and of those that tell the goals apart (column
     "levels_played"), and the episodes.
@@ -70,15 +76,16 @@ def evaluate_runs(
         for name in ("game", "variant", "knobs"):
             if getattr(other, name) != getattr(config, name):
                 raise ValueError(f"{runs[0]} and {run} were trained with different {name}")
-    if levels is None:
-        levels = np.array(config.unseen_levels[:1000])
     named = shift or shift_of(config)
     between = load_shift(config.game, named)
     name = variant or between.test
-    episodes = play_all(
-        config.game, name, playing(config, name, knobs or {}), named, levels,
-        [agent for agent, _ in opened], batch,
-    )  # fmt: skip
+    made = playing(config, name, knobs or {})
+    if isinstance(levels, Path):
+        chosen = read_levels(levels, games.load(config.game), made, solvable=solvable)
+    else:
+        chosen = config.unseen_levels[:1000] if levels is None else levels
+    agents = [agent for agent, _ in opened]
+    episodes = play_all(config.game, name, made, named, chosen, agents, batch)
     both = [
         shares(part).with_columns(levels_played=pl.lit(which))
         for which, part in (("all", episodes), ("telling apart", episodes.filter("tells_apart")))
@@ -92,7 +99,7 @@ def play_all(
     name: str,
     variant: Variant,
     shift: str,
-    levels: np.ndarray | range,
+    levels: np.ndarray | range | Mapping[str, Level],
     agents: Sequence[Agent],
     batch: int = 256,
 ) -> pl.DataFrame:

@@ -13,8 +13,9 @@ from PIL import Image, ImageDraw, ImageFont
 
 from astray.analysis.policies import Policy
 from astray.envs.vector import GameVectorEnv, picture
+from astray.files import write_aside
 from astray.game import Variant
-from astray.training.checkpoint import write_aside
+from astray.level import Level
 
 BACKGROUND, INK = (247, 247, 245), (34, 34, 34)
 CAPTION = 17  # pixels, the size of its letters
@@ -33,7 +34,7 @@ class Episode:
     states: np.ndarray  # [T + 1] records
     rewards: np.ndarray  # [T] float64
     events: dict[str, int | None]  # the step each first happened, None for never
-    level: int
+    level: int  # its number; -1 for one that was drawn
     terminated: bool  # by the rules; else the time was up
 
 
@@ -41,7 +42,7 @@ def play(
     policy: Policy,
     game: str,
     variant: str | Variant,
-    level: int,
+    level: int | Level,
     *,
     pixels: int = 256,
     longest: int | None = None,
@@ -72,7 +73,7 @@ def play(
         states=whole,
         rewards=np.concatenate(rewards),
         events={event: step if step >= 0 else None for event, step in steps.items()},
-        level=level,
+        level=int(whole["level"][0]),
         terminated=bool(terminated[0]),
     )
 

@@ -16,6 +16,7 @@ from astray.envs.loops import AS_SET, DISABLED, NEXT_STEP, NO_LEVEL, SAME_STEP
 from astray.envs.pool import Pool
 from astray.game import NEVER, Game, Variant
 from astray.kernel import rng
+from astray.level import Level
 
 IMAGE = 64  # pixels a side of what the agent sees
 PICTURE = 512  # pixels a side of what people see
@@ -104,7 +105,7 @@ class GameVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
     ) -> tuple[np.ndarray, Info]:
         """Begin new episodes; environment i of a batch seeded with k draws levels as k + i does.
 
-        options["level"]       a number, or one for each environment: the level to begin
+        options["level"]       a number, or one for each environment, or a `Level`: what to begin
         options["state"]       a state, or one for each environment, to begin in instead; levels
                                that come after it are those that would have come without it
         options["reset_mask"]  [N] bool, the environments to reset; the others go on
@@ -119,11 +120,14 @@ class GameVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         if not self._seeded and not which.all():
             raise ValueError("the first reset is of all environments")
         chosen = np.full(self.num_envs, NO_LEVEL)
-        if options.get("state") is not None:
-            self._take(options["state"], which, keep=("seed", "turn"))
+        level, state = options.get("level"), options.get("state")
+        if isinstance(level, Level):
+            level, state = None, level.state(solvable=False)
+        if state is not None:
+            self._take(state, which, keep=("seed", "turn"))
             chosen[:] = AS_SET
-        elif options.get("level") is not None:
-            chosen[:] = _integers(options["level"], "level")
+        elif level is not None:
+            chosen[:] = _integers(level, "level")
             wrong = chosen[which & ((chosen < LEVELS.start) | (chosen >= LEVELS.stop))]
             if wrong.size:
                 raise ValueError(f"level is {wrong[0]}; it is from 0 to {LEVELS.stop - 1}")

@@ -19,7 +19,7 @@ from matplotlib.patches import Patch
 from matplotlib.ticker import PercentFormatter
 
 from astray.analysis.outcomes import FAILED, INTENDED, MISGENERALIZED
-from astray.training.checkpoint import write_aside
+from astray.files import write_aside
 
 # Told apart by every kind of colour vision, and light enough to be written on.
 COLOURS = {MISGENERALIZED: "#f0a03c", INTENDED: "#2fa393", FAILED: "#d2d2ce"}

@@ -12,7 +12,7 @@ from typing import Any
 import polars as pl
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
-from astray.training.checkpoint import write_aside
+from astray.files import write_aside
 
 MEDIA = {".png": "image/png", ".mp4": "video/mp4"}
 NOTHING = "—"

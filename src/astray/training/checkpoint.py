@@ -27,6 +27,7 @@ from safetensors.torch import load as from_bytes
 from safetensors.torch import save as to_bytes
 
 from astray.agents import policy
+from astray.files import write_aside
 from astray.kernel.jit import source_digest
 from astray.training.config import Config
 from astray.training.trainer import Trainer
@@ -37,12 +38,16 @@ AGENT, TRAINER = "agent.safetensors", "trainer.safetensors"
 @contextlib.contextmanager
 def claim(folder: Path, config: Config) -> Iterator[None]:
     """Hold the run folder for this process alone, and see that it is this configuration's."""
-    folder.mkdir(parents=True, exist_ok=True)
-    lock = FileLock(folder / ".lock", timeout=0)
     try:
+        folder.mkdir(parents=True, exist_ok=True)
+        lock = FileLock(folder / ".lock", timeout=0)
         lock.acquire()
     except Timeout:
         raise RuntimeError(f"another process is training in {folder}") from None
+    except OSError as error:
+        raise OSError(
+            error.errno, f"{error.strerror}; no run can be kept in", str(folder)
+        ) from error
     try:
         for left in (folder / "checkpoints").glob(".*"):  # of a save that was killed
             shutil.rmtree(left, ignore_errors=True)
@@ -64,45 +69,43 @@ def claim(folder: Path, config: Config) -> Iterator[None]:
 
 def check(folder: Path, config: Config) -> None:
     """See that the run in `folder` has these settings."""
-    read_config(folder)
-    there = json.loads((folder / "config.json").read_text())["config"]
-    given = json.loads(json.dumps(config.to_json()))
-    differ = [name for name in given if there.get(name) != given[name]]
+    _compare(read_config(folder), config, f"{folder} holds a run with other settings")
+
+
+def _compare(there: Config, here: Config, what: str) -> None:
+    """ValueError where two trainings would differ."""
+    one, two = (json.loads(json.dumps(c.to_json())) for c in (there, here))
+    differ = [f"{n} is {one[n]!r} there, {two[n]!r} here" for n in two if one[n] != two[n]]
     if differ:
-        what = ", ".join(f"{n} is {there.get(n)!r} there, {given[n]!r} here" for n in differ)
-        raise ValueError(f"{folder} holds a run with other settings: {what}")
+        raise ValueError(f"{what}: {', '.join(differ)}")
 
 
 def read_config(folder: Path) -> Config:
     """The settings of the run in `folder`."""
     path = folder / "config.json"
     try:
-        return Config.from_json(json.loads(path.read_text())["config"])
+        return Config.from_json(json.loads(path.read_bytes())["config"])
     except FileNotFoundError:
         raise FileNotFoundError(f"{folder} is not a run: it has no config.json") from None
-    except (ValueError, KeyError, TypeError) as error:
+    except (ValueError, KeyError, TypeError, RecursionError, OverflowError) as error:
         raise ValueError(f"{path} is not the settings of a run: {error}") from error
-
-
-def write_aside(path: Path, data: bytes) -> None:
-    """Write `data` to `path` so that a kill leaves the old file or the new one, whole."""
-    aside = path.with_name(f".{path.name}")
-    with open(aside, "wb") as file:
-        file.write(data)
-        file.flush()
-        os.fsync(file.fileno())
-    os.replace(aside, path)
 
 
 def save(folder: Path, trainer: Trainer) -> None:
     """Write a checkpoint; of those before the last two keep the agents of milestones alone."""
     there = folder / "checkpoints"
     aside, final = there / f".{trainer.steps}", there / f"{trainer.steps}"
-    aside.mkdir(parents=True, exist_ok=True)
-    write_aside(aside / AGENT, policy.weights(trainer.network, trainer.architecture))
+    game = trainer.config.game
     tensors = {name: tensor.contiguous() for name, tensor in trainer.tensors().items()}
-    write_aside(aside / TRAINER, to_bytes(tensors))
-    os.replace(aside, final)
+    header = policy.header(game, config=trainer.config.to_json())
+    try:
+        aside.mkdir(parents=True, exist_ok=True)
+        write_aside(aside / AGENT, policy.weights(trainer.network, trainer.architecture, game))
+        write_aside(aside / TRAINER, to_bytes(tensors, header))
+        os.replace(aside, final)
+    except OSError:
+        shutil.rmtree(aside, ignore_errors=True)
+        raise
     saved = steps_saved(folder)
     firsts = {next((s for s in saved if s >= m), None) for m in trainer.config.milestones}
     for old in saved[:-2]:
@@ -129,14 +132,24 @@ def restore(folder: Path, trainer: Trainer) -> None:
     """Bring `trainer` to the last checkpoint, if there is one."""
     if not steps_saved(folder):
         return
-    path = latest(folder)
-    network, _ = policy.load(path / AGENT)
-    trainer.network.load_state_dict(network.state_dict())
+    config, path = trainer.config, latest(folder)
+    network, _ = policy.load(path / AGENT, config.game)
     try:
         # From bytes: a mapped file could not be deleted on Windows while it is in use.
-        trainer.restore(from_bytes((path / TRAINER).read_bytes()))
-    except (SafetensorError, OSError, KeyError, ValueError, RuntimeError) as error:
+        data = (path / TRAINER).read_bytes()
+        tensors = from_bytes(data)
+        header = policy.read_header(_metadata(data), config.game)
+        _compare(Config.from_json(header["config"]), config, "it is of another run")
+        trainer.network.load_state_dict(network.state_dict())
+        trainer.restore(tensors)
+    except (SafetensorError, OSError, KeyError, TypeError, ValueError, RuntimeError) as error:
         raise ValueError(f"{path / TRAINER} cannot be resumed from: {error}") from error
+
+
+def _metadata(data: bytes) -> dict[str, str]:
+    """What was saved beside the tensors of a safetensors file, which has been checked."""
+    size = int.from_bytes(data[:8], "little")
+    return json.loads(data[8 : 8 + size]).get("__metadata__", {})
 
 
 def finished(folder: Path, config: Config) -> bool:

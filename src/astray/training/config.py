@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import json
+import types
+import typing
 from dataclasses import asdict, dataclass, field, fields, replace
+from math import inf
 from typing import Annotated, Any, Literal
 
 from tyro.conf import Positional, Suppress
@@ -13,6 +16,19 @@ from astray.agents.policy import NetworkName
 from astray.game import Variant, knobs
 
 SEEDS = 2**28  # every seed has streams of its own for training, validation, ...
+LAST_LEVEL = 2**31 - 1
+COUNTS = (
+    "levels", "steps", "environments", "rollout", "epochs", "minibatches", "scale", "width",
+    "validation_every", "checkpoint_every", "threads",
+)  # fmt: skip
+SHARES = ("gamma", "lam", "reward_gamma")
+AMOUNTS = ("learning_rate", "clip", "value_weight", "entropy_weight", "gradient_norm")
+RANGES = (
+    {name: (1, inf) for name in COUNTS}
+    | {name: (0, 1) for name in SHARES}
+    | {name: (0, inf) for name in AMOUNTS}
+    | {"first_level": (0, LAST_LEVEL), "seed": (0, SEEDS - 1)}
+)
 
 
 @dataclass(frozen=True)
@@ -63,17 +79,21 @@ class Config:
     threads: int = 1  # that step environments; and, on a CPU, that torch uses
 
     def __post_init__(self) -> None:
-        for name in ("levels", "steps", "environments", "rollout", "epochs", "minibatches",
-                     "scale", "width", "validation_every", "checkpoint_every",
-                     "threads"):  # fmt: skip
-            if getattr(self, name) < 1:
-                raise ValueError(f"{name} is {getattr(self, name)}; it is at least 1")
-        if not 0 <= self.seed < SEEDS:
-            raise ValueError(f"seed is {self.seed}; it is from 0 to {SEEDS - 1}")
+        for name, kind in typing.get_type_hints(Config).items():
+            _check(name, getattr(self, name), kind)
+        for name, (low, high) in RANGES.items():
+            if not low <= getattr(self, name) <= high:
+                said = f"at least {low}" if high == inf else f"from {low} to {high}"
+                raise ValueError(f"{name} is {getattr(self, name)}; it is {said}")
         if self.batch % self.minibatches:
             raise ValueError(
                 f"{self.environments} environments x {self.rollout} steps = {self.batch} samples "
                 f"are not divided by {self.minibatches} minibatches"
+            )
+        if self.training_levels.stop >= LAST_LEVEL:
+            raise ValueError(
+                f"training levels are {self.first_level} to {self.training_levels.stop - 1}; "
+                f"they are below {LAST_LEVEL - 1}, and some are left for tests"
             )
         self.training_variant()
         if self.validation:
@@ -102,7 +122,7 @@ class Config:
     @property
     def unseen_levels(self) -> range:
         """All numbers after the training levels."""
-        return range(self.training_levels.stop, 2**31 - 1)
+        return range(self.training_levels.stop, LAST_LEVEL)
 
     def training_variant(self) -> Variant:
         return vary(self.game, self.variant, self.knobs)
@@ -117,8 +137,31 @@ class Config:
 
     @staticmethod
     def from_json(data: dict[str, Any]) -> Config:
-        known = {f.name for f in fields(Config)}
-        return Config(**{name: value for name, value in data.items() if name in known})
+        known = [f.name for f in fields(Config)]
+        values = {name: value for name, value in data.items() if name != "training_variant"}
+        unknown = [name for name in values if name not in known]
+        if unknown:
+            raise ValueError(f"this version has no setting {unknown[0]!r}; a later one may")
+        config = Config(**values)
+        variant = json.loads(json.dumps(asdict(config.training_variant())))
+        if data.get("training_variant", variant) != variant:
+            raise ValueError(f"its {config.game} {config.variant} is not that of this version")
+        return config
+
+
+def _check(name: str, value: Any, kind: Any) -> None:
+    """ValueError where `value` is not of the type that the setting is declared with."""
+    if typing.get_origin(kind) is Literal:
+        if value not in typing.get_args(kind):
+            there = ", ".join(typing.get_args(kind))
+            raise ValueError(f"unknown {name} {value!r}; there are: {there}")
+        return
+    parts = typing.get_args(kind) if isinstance(kind, types.UnionType) else (kind,)
+    kinds = [typing.get_origin(part) or part for part in parts]
+    if float in kinds:
+        kinds.append(int)
+    if type(value) not in kinds or value != value:
+        raise ValueError(f"{name} is {value!r}; it is a {kinds[0].__name__}")
 
 
 def vary(game: str, variant: str, changes: dict[str, Any]) -> Variant:

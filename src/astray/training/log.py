@@ -8,7 +8,7 @@ from pathlib import Path
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
-from astray.training.checkpoint import write_aside
+from astray.files import write_aside
 from astray.training.config import Config
 
 

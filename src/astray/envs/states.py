@@ -1,0 +1,46 @@
+"""States in files: a NumPy archive that any NumPy reads, and nothing in it is executed."""
+
+from __future__ import annotations
+
+import io
+import zipfile
+import zlib
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from astray import games
+from astray.files import write_aside
+
+FORMAT = 1  # goes up when the fields of a state change their meaning
+
+
+def save_states(path: Path, game: str, states: np.ndarray) -> None:
+    """Write `states` of `game` to an .npz file: "game", "format", and "states", [N] records."""
+    wanted = games.load(game).state
+    if states.dtype != wanted:
+        raise ValueError(f"these are not states of {game}")
+    file, plain = io.BytesIO(), np.dtype(wanted.descr)
+    np.savez_compressed(file, game=game, format=FORMAT, states=states.view(plain))
+    write_aside(path, file.getvalue())
+
+
+def load_states(path: Path, game: str) -> np.ndarray:
+    """The states [N] that `save_states` wrote; `set_state` sees whether a variant can have them."""
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            kept: dict[str, Any] = {name: file[name] for name in ("game", "format", "states")}
+    except FileNotFoundError:
+        raise FileNotFoundError(f"there are no states at {path}") from None
+    except (OSError, ValueError, KeyError, EOFError, MemoryError, OverflowError, SyntaxError,
+            NotImplementedError, zipfile.BadZipFile, zlib.error) as error:  # fmt: skip
+        raise ValueError(f"{path} holds no states: {error}") from error
+    if kept["game"].shape or str(kept["game"]) != game:
+        raise ValueError(f"{path} holds states of {kept['game']}, not of {game}")
+    if kept["format"].shape or kept["format"] != FORMAT:
+        raise ValueError(f"{path} has format {kept['format']}; this version reads {FORMAT}")
+    wanted, states = games.load(game).state, kept["states"]
+    if states.ndim != 1 or states.dtype != np.dtype(wanted.descr):
+        raise ValueError(f"{path} holds states with other fields than those of this version")
+    return states.view(wanted)
