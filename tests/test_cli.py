@@ -91,6 +91,36 @@ def test_agents_are_trained_resumed_and_evaluated(astray, run_folder, tmp_path):
     assert "walk to corner" in astray(*words[:-1])
 
 
+def test_levels_from_files_are_edited_and_played(astray, run_folder, tmp_path):
+    drawn = astray("level", "maze", "anywhere-small", "--numbers", "5:8", "--text")
+    assert ";" not in drawn
+    folder, out, actions = tmp_path / "levels", tmp_path / "episodes.parquet", tmp_path / "actions"
+    folder.mkdir()
+    for k, level in enumerate(drawn.strip().split("\n\n")):
+        (folder / f"{k}.txt").write_text(level)
+    astray("evaluate", run_folder, "--levels", folder, "--out", out, "--json")
+    episodes = pl.read_parquet(out).filter(policy="walk to cheese")
+    assert episodes["name"].to_list() == ["0.txt", "1.txt", "2.txt"]
+    assert episodes["reached_goal"].is_not_null().all()
+
+    actions.write_text("stay")
+    words = ("replay", "maze", "anywhere-small", "--actions", actions, "--level-file")
+    assert "return 0, not ended" in astray(*words, folder / "0.txt")
+    (folder / "0.txt").write_text((folder / "0.txt").read_text().replace("G", "#"))
+    assert "return 0, not ended" in astray(*words, folder / "0.txt")
+    (folder / "1.txt").write_text("#######\n#@#...#\n###G..#\n" + 3 * "#.....#\n" + "#######")
+    said = astray("evaluate", run_folder, "--levels", folder, fails=True)
+    assert "1.txt: the goal at cell (3, 4) cannot be reached from (1, 5)" in said
+    assert "1.txt: the goal" in astray(*words, folder / "1.txt", fails=True)
+    astray(*words, folder / "1.txt", "--unsolvable")
+    assert "not both" in astray(*words, folder / "0.txt", "--level", "3", fails=True)
+    (folder / "2.txt").write_text(drawn)
+    assert "holds 3" in astray(*words, folder / "2.txt", fails=True)
+    film = tmp_path / "film.gif"
+    astray("record", run_folder, "--level-file", folder / "0.txt", "--pixels", "64", "--out", film)
+    assert film.stat().st_size > 1000
+
+
 def test_an_agent_is_filmed(astray, run_folder, tmp_path):
     out = tmp_path / "film.gif"
     astray("record", run_folder, "--pixels", "64", "--out", out)

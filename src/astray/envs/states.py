@@ -29,7 +29,8 @@ def save_states(path: Path, game: str, states: np.ndarray) -> None:
 def load_states(path: Path, game: str) -> np.ndarray:
     """The states [N] that `save_states` wrote; `set_state` sees whether a variant can have them."""
     try:
-        with np.load(path, allow_pickle=False) as file:
+        # From bytes: NumPy leaves a file open that is no archive.
+        with np.lib.npyio.NpzFile(io.BytesIO(path.read_bytes()), allow_pickle=False) as file:
             kept: dict[str, Any] = {name: file[name] for name in ("game", "format", "states")}
     except FileNotFoundError:
         raise FileNotFoundError(f"there are no states at {path}") from None
