@@ -92,7 +92,7 @@ def test_a_level_is_splayed_over_all_places_of_an_object(game, variant):
         family = level.splay(name, where[0])
         places = [set(other.where(name)) - set(where[1:]) for other in family]
         assert all(len(place) == 1 for place in places)
-        assert set(where[:1]) in places and len(family) == len({tuple(p)[0] for p in places})
+        assert set(where[:1]) in places and len(family) == len(set(map(tuple, places)))
         assert all(np.count_nonzero(other.cells != level.cells) <= 2 for other in family)
         for other in family[:5]:
             other.state()  # each can be played, and the object reached

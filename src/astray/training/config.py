@@ -136,7 +136,9 @@ class Config:
         return asdict(self) | {"training_variant": asdict(self.training_variant())}
 
     @staticmethod
-    def from_json(data: dict[str, Any]) -> Config:
+    def from_json(data: Any) -> Config:
+        if not isinstance(data, dict):
+            raise ValueError(f"settings are an object; given {data!r}")
         known = [f.name for f in fields(Config)]
         values = {name: value for name, value in data.items() if name != "training_variant"}
         unknown = [name for name in values if name not in known]

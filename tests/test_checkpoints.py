@@ -1,0 +1,266 @@
+"""Checkpoints: killed, cut short, crowded, forged; nothing is lost, and nothing let in."""
+
+import json
+import os
+import resource
+import shutil
+import signal
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from killed import CONFIG, contents
+from safetensors.numpy import load_file, save_file
+
+from astray.agents import policy
+from astray.files import write_aside
+from astray.training import checkpoint
+from astray.training.config import Config
+from astray.training.loop import train
+
+SHORT = replace(CONFIG, steps=4 * 1024)
+PACKAGE = Path(policy.__file__).parents[1]
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory):
+    """A run of a few steps; copied before anything is done to it."""
+    folder = tmp_path_factory.mktemp("run")
+    train(SHORT, folder, progress=False)
+    return folder
+
+
+@pytest.fixture
+def run(finished, tmp_path):
+    return shutil.copytree(finished, tmp_path / "run")
+
+
+def files(folder):
+    """Everything in a folder, but for the lock and what TensorBoard reads."""
+    paths = [p for p in folder.rglob("*") if p.is_file() and "tensorboard" not in p.parts]
+    return {p.relative_to(folder): p.read_bytes() for p in paths if p.name != ".lock"}
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="needs fork")
+def test_a_run_that_is_killed_at_any_moment_loses_nothing(tmp_path):
+    kills = os.environ.get("ASTRAY_KILLS", "5")
+    killed = Path(__file__).with_name("killed.py")
+    words = [sys.executable, str(killed), str(tmp_path), kills]
+    done = subprocess.run(words, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    told = json.loads(done.stdout)
+    assert told["kills"] >= int(kills) and told["runs"] >= 1
+
+
+@pytest.mark.parametrize("name", [checkpoint.AGENT, checkpoint.TRAINER])
+def test_a_checkpoint_that_is_cut_at_any_byte_is_refused(run, name):
+    path = checkpoint.latest(run) / name
+    whole = path.read_bytes()
+    header = 8 + int.from_bytes(whole[:8], "little")
+    cuts = {*range(0, header + 16, 7), *range(0, len(whole), len(whole) // 50), len(whole) - 1}
+    claimed = checkpoint.Trainer(SHORT)
+    for cut in sorted(cuts):
+        path.write_bytes(whole[:cut])
+        before = files(run)
+        with pytest.raises(ValueError, match=name):
+            checkpoint.restore(run, claimed)
+        assert files(run) == before
+    claimed.close()
+    path.write_bytes(whole[:cut])
+    before = files(run)
+    with pytest.raises(ValueError, match=name):
+        train(replace(SHORT), run, progress=False)
+    assert files(run) == before
+
+
+def forge(path, **changes):
+    """Write a checkpoint's file anew with another header, or other tensors."""
+    data = path.read_bytes()
+    size = 8 + int.from_bytes(data[:8], "little")
+    told = json.loads(json.loads(data[8:size])["__metadata__"]["astray"])
+    tensors = load_file(path) | changes.pop("tensors", {})
+    save_file(tensors, path, {"astray": json.dumps(told | changes)})
+
+
+@pytest.mark.parametrize(
+    "name, changes, message",
+    [
+        (checkpoint.AGENT, {"format": 2}, "has format 2; this version reads 1"),
+        (checkpoint.AGENT, {"game": "keys"}, "of the game 'keys', not of 'maze'"),
+        (checkpoint.AGENT, {"architecture": None}, "its architecture is None"),
+        (checkpoint.TRAINER, {"format": 2}, "has format 2; this version reads 1"),
+        (checkpoint.TRAINER, {"game": "keys"}, "of the game 'keys', not of 'maze'"),
+        (checkpoint.TRAINER, {"config": {}}, "it is of another run"),
+        (checkpoint.TRAINER, {"config": {"brand_new": 1}}, "no setting 'brand_new'; a later"),
+        (
+            checkpoint.TRAINER,
+            {"tensors": {"training.states": np.zeros(100, np.uint8)}},
+            "cannot be resumed from",
+        ),
+    ],
+)
+def test_a_checkpoint_of_something_else_is_refused(run, name, changes, message):
+    forge(checkpoint.latest(run) / name, **changes)
+    before = files(run)
+    with pytest.raises(ValueError, match=message):
+        train(SHORT, run, progress=False)
+    assert files(run) == before
+
+
+def test_a_corrupt_state_in_a_checkpoint_never_reaches_compiled_code(run):
+    path = checkpoint.latest(run) / checkpoint.TRAINER
+    states = load_file(path)["training.states"].copy()
+    forge(path, tensors={"training.states": np.full_like(states, 255)})
+    with pytest.raises(ValueError, match="is none of this variant"):
+        train(SHORT, run, progress=False)
+
+
+@pytest.mark.parametrize(
+    "architecture",
+    [
+        {"width": 10**9}, {"scale": 10**9, "name": "impala", "largest": []}, {"actions": -1},
+        {"actions": True}, {"shape": [4, 7]}, {"shape": [4, 10**9, 10**9]}, {"largest": [0] * 4},
+        {"largest": [6, 6, 1, 1]}, {"name": "squid"}, {"squid": 1}, {"width": "64"},
+    ],
+)  # fmt: skip
+def test_a_forged_architecture_does_no_more_than_fail(run, architecture):
+    path = checkpoint.latest(run) / checkpoint.AGENT
+    data = path.read_bytes()
+    size = 8 + int.from_bytes(data[:8], "little")
+    told = json.loads(json.loads(data[8:size])["__metadata__"]["astray"])
+    forge(path, architecture=told["architecture"] | architecture)
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    with pytest.raises(ValueError, match="is not an agent that can be used"):
+        policy.load(path, "maze")
+    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 200_000  # kB
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["", "{", "[]", "null", '{"config": []}', '{"config": {"steps": "many"}}', "[" * 10**5,
+     '{"config": {"steps": 1e999}}', '{"config": {"gamma": NaN}}', '{"config": {"squid": 1}}',
+     '{"config": {"game": "chess"}}', '{"config": {"knobs": {"squid": 1}}}', "\x00", "\ufeff{}",
+     '{"config": {"training_variant": {}}}', '{"config": {"levels": 4000000000}}'],
+)  # fmt: skip
+def test_settings_that_are_none_are_refused(run, text):
+    (run / "config.json").write_text(text)
+    before = files(run)
+    with pytest.raises(ValueError, match=r"config\.json is not the settings of a run"):
+        train(SHORT, run, progress=False)
+    assert files(run) == before
+
+
+@pytest.mark.parametrize(
+    "change, message",
+    [
+        ({"gamma": 1.5}, "gamma is 1.5; it is from 0 to 1"),
+        ({"learning_rate": -1.0}, "learning_rate is -1.0; it is at least 0"),
+        ({"learning_rate": float("nan")}, "learning_rate is nan; it is a float"),
+        ({"device": "tpu"}, "unknown device 'tpu'; there are: cpu, cuda, mps"),
+        ({"steps": 1e6}, "steps is 1000000.0; it is a int"),
+        ({"anneal": 1}, "anneal is 1; it is a bool"),
+        ({"first_level": 2**31 - 100}, "some are left for tests"),
+    ],
+)
+def test_bad_settings_are_explained(change, message):
+    with pytest.raises(ValueError, match=message):
+        replace(SHORT, **change)
+
+
+def test_two_processes_cannot_train_in_one_folder(tmp_path):
+    words = [
+        sys.executable,
+        "-c",
+        "import killed, sys, pathlib\nfrom astray.training.loop "
+        f"import train\ntrain(killed.CONFIG, pathlib.Path({str(tmp_path)!r}), progress=False)",
+    ]
+    env = os.environ | {"PYTHONPATH": str(Path(__file__).parent)}
+    both = [subprocess.Popen(words, env=env, stderr=subprocess.PIPE, text=True) for _ in range(2)]
+    said = [process.communicate()[1] for process in both]
+    assert sorted(process.returncode for process in both) == [0, 1]
+    assert "another process is training in" in "".join(said)
+    assert checkpoint.finished(tmp_path, CONFIG)
+
+
+@pytest.fixture
+def full_disk():
+    """No file can grow beyond some bytes, as on a full disk."""
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    handler = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+
+    def fill(size):
+        resource.setrlimit(resource.RLIMIT_FSIZE, (size, before[1]))
+
+    yield fill
+    resource.setrlimit(resource.RLIMIT_FSIZE, before)
+    signal.signal(signal.SIGXFSZ, handler)
+
+
+def test_a_full_disk_leaves_the_run_as_it_was_and_it_goes_on_when_there_is_room(
+    tmp_path, full_disk, monkeypatch
+):
+    saved = checkpoint.save
+
+    def save(folder, trainer):
+        if trainer.steps == 4 * 1024:
+            full_disk(80_000)  # room for the agent, not for the trainer
+        saved(folder, trainer)
+
+    monkeypatch.setattr(checkpoint, "save", save)
+    with pytest.raises(OSError, match="nothing was written: '.*trainer.safetensors'"):
+        train(CONFIG, tmp_path, progress=False)
+    full_disk(resource.RLIM_INFINITY)
+    assert checkpoint.steps_saved(tmp_path) == [2048]
+    assert not [p for p in tmp_path.rglob(".*") if p.name != ".lock"]
+    monkeypatch.setattr(checkpoint, "save", saved)
+    train(CONFIG, tmp_path, progress=False)
+    train(CONFIG, tmp_path.parent / "whole", progress=False)
+    assert contents(tmp_path) == contents(tmp_path.parent / "whole")
+
+
+def test_a_file_that_cannot_be_replaced_is_still_there(tmp_path, full_disk):
+    path = tmp_path / "file"
+    write_aside(path, b"old")
+    full_disk(10)
+    with pytest.raises(OSError, match="what was there is still there"):
+        write_aside(path, b"new" * 100)
+    assert path.read_bytes() == b"old" and list(tmp_path.iterdir()) == [path]
+
+
+def test_a_folder_that_cannot_be_written_is_explained(tmp_path):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(OSError, match="no run can be kept in"):
+        train(SHORT, tmp_path / "file", progress=False)
+    if os.name != "nt":
+        locked = tmp_path / "locked"
+        locked.mkdir(mode=0o555)
+        with as_nobody(), pytest.raises(OSError, match="no run can be kept in"):
+            train(SHORT, locked / "run", progress=False)
+
+
+class as_nobody:
+    """Without root's right to write everywhere."""
+
+    def __enter__(self):
+        self.root = os.geteuid() == 0
+        if self.root:
+            os.seteuid(65534)
+
+    def __exit__(self, *error):
+        if self.root:
+            os.seteuid(0)
+
+
+def test_nothing_is_pickled():
+    words = ("pickle", "torch.load", "torch.save", "allow_pickle=True", "eval(", "exec(", "marshal",
+             "shelve", "joblib", "dill")  # fmt: skip
+    for path in PACKAGE.rglob("*.py"):
+        text = path.read_text()
+        assert not [word for word in words if word in text.replace("allow_pickle=False", "")], path
+
+
+def test_settings_survive_the_way_to_json_and_back():
+    assert Config.from_json(json.loads(json.dumps(CONFIG.to_json()))) == CONFIG
