@@ -2,7 +2,6 @@
 
 import json
 import os
-import resource
 import shutil
 import signal
 import subprocess
@@ -132,6 +131,7 @@ def test_a_forged_architecture_does_no_more_than_fail(run, architecture):
     size = 8 + int.from_bytes(data[:8], "little")
     told = json.loads(json.loads(data[8:size])["__metadata__"]["astray"])
     forge(path, architecture=told["architecture"] | architecture)
+    resource = pytest.importorskip("resource")
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     with pytest.raises(ValueError, match="is not an agent that can be used"):
         policy.load(path, "maze")
@@ -188,10 +188,11 @@ def test_two_processes_cannot_train_in_one_folder(tmp_path):
 @pytest.fixture
 def full_disk():
     """No file can grow beyond some bytes, as on a full disk."""
+    resource = pytest.importorskip("resource")
     before = resource.getrlimit(resource.RLIMIT_FSIZE)
     handler = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
 
-    def fill(size):
+    def fill(size=resource.RLIM_INFINITY):
         resource.setrlimit(resource.RLIMIT_FSIZE, (size, before[1]))
 
     yield fill
@@ -210,9 +211,9 @@ def test_a_full_disk_leaves_the_run_as_it_was_and_it_goes_on_when_there_is_room(
         saved(folder, trainer)
 
     monkeypatch.setattr(checkpoint, "save", save)
-    with pytest.raises(OSError, match="nothing was written: '.*trainer.safetensors'"):
+    with pytest.raises(OSError, match=r"nothing was written: '.*trainer\.safetensors'"):
         train(CONFIG, tmp_path, progress=False)
-    full_disk(resource.RLIM_INFINITY)
+    full_disk()
     assert checkpoint.steps_saved(tmp_path) == [2048]
     assert not [p for p in tmp_path.rglob(".*") if p.name != ".lock"]
     monkeypatch.setattr(checkpoint, "save", saved)

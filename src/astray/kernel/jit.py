@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import atexit
 import hashlib
 import os
 import shutil
@@ -39,11 +40,23 @@ def _cache_folder() -> Path:
         (folder / "used").touch()
     except OSError as error:
         warnings.warn(f"compiled code is not kept: {error}", stacklevel=2)
-        return Path(tempfile.mkdtemp(prefix="astray-"))
+        return _passing_folder()
     for other in home.iterdir():
         used = other / "used"
         if used.exists() and used.stat().st_mtime < time.time() - KEPT_FOR:
             shutil.rmtree(other, ignore_errors=True)
+    return folder
+
+
+def _passing_folder() -> Path:
+    """A folder that ends with this process, and not with one forked from it."""
+    folder, owner = Path(tempfile.mkdtemp(prefix="astray-")), os.getpid()
+
+    def remove() -> None:
+        if os.getpid() == owner:
+            shutil.rmtree(folder, ignore_errors=True)
+
+    atexit.register(remove)
     return folder
 
 
