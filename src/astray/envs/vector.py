@@ -68,6 +68,7 @@ class GameVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         self.symbolic = observation == "symbolic"
         mode = AutoresetMode(autoreset_mode)
         self._mode = MODES[mode]
+        self.autoreset_mode = mode  # as Gymnasium's own have it; others look for it here
         self.metadata = {"render_modes": ["rgb_array"], "autoreset_mode": mode, "render_fps": 15}
 
         if self.symbolic:
