@@ -115,7 +115,7 @@ def test_a_script_of_one_page_trains_on_it():
         loss.backward()
         optimizer.step()
         assert loss.isfinite()
-    assert len(lengths) > 10 and 1 <= min(lengths) and max(lengths) <= 100
+    assert len(lengths) > 10 and min(lengths) >= 1 and max(lengths) <= 100
     env.close()
 
 

@@ -30,9 +30,11 @@ def evaluate(
     terminated, and every event of the game (the step it first happened, null for never).
     The rows do not depend on `batch`.
     """
-    n = min(batch, len(levels))
-    if not n:
+    if not len(levels):
         raise ValueError("no levels to evaluate on")
+    if batch < 1:
+        raise ValueError(f"batch is {batch}; it is at least 1")
+    n = min(batch, len(levels))
     env = GameVectorEnv(game, variant, n, observation=policy.observation, autoreset_mode="Disabled")
     events = env.game.events
     kind, beginnings = _beginnings(levels, env.game.state)

@@ -70,6 +70,8 @@ def evaluate_runs(
     Returns `outcomes.shares` of all levels and of those that tell the goals apart (column
     "levels_played"), and the episodes.
     """
+    if not runs:
+        raise ValueError("no run is given to evaluate")
     opened = [open_run(run, mode) for run in runs]
     config = opened[0][1]
     for run, (_, other) in zip(runs, opened, strict=True):

@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal, get_args
 
+from astray.analysis.outcomes import OUTCOMES, load_shift
 from astray.training.config import Config
 
 Size = Literal["smoke", "hour", "paper"]
@@ -21,6 +22,17 @@ class Plan:
     levels: int  # played by every agent in each variant, none of them seen in training
     shift: str  # of the game: where the agents are trained and tested
     smaller: str  # what is smaller than in the paper
+
+    def __post_init__(self) -> None:
+        shift, trained = load_shift(self.config.game, self.shift), self.config.variant
+        if shift.train != trained:
+            raise ValueError(f"shift {self.shift!r} trains on {shift.train!r}, not on {trained!r}")
+        if self.seeds < 1:
+            raise ValueError(f"seeds is {self.seeds}; it is at least 1")
+        if not 1 <= self.levels <= len(self.config.unseen_levels):
+            raise ValueError(
+                f"levels is {self.levels}; it is from 1 to {len(self.config.unseen_levels)}"
+            )
 
 
 @dataclass(frozen=True)
@@ -38,6 +50,19 @@ class Claim:
     minus: str | None = None
     paper: str = "not stated"  # the paper's figure
 
+    def __post_init__(self) -> None:
+        for name, given, there in (
+            ("where", self.where, ("train", "test")),
+            ("outcome", self.outcome, OUTCOMES),
+            ("minus", self.minus, (None, *OUTCOMES)),
+        ):
+            if given not in there:
+                raise ValueError(
+                    f"unknown {name} {given!r} of a claim; there are: {', '.join(map(str, there))}"
+                )
+        if not -1 <= self.above <= 1:
+            raise ValueError(f"above is {self.above}; it is from -1 to 1")
+
 
 @dataclass(frozen=True)
 class Experiment:
@@ -48,3 +73,8 @@ class Experiment:
     question: str
     sizes: Mapping[Size, Plan]
     claims: Sequence[Claim]
+
+    def __post_init__(self) -> None:
+        wrong = [size for size in self.sizes if size not in SIZES]
+        if wrong or not self.sizes:
+            raise ValueError(f"sizes are {list(self.sizes)}; they are some of {', '.join(SIZES)}")
