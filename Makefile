@@ -3,7 +3,7 @@ PYTHON ?= python3
 BIN := .venv/bin
 INSTALLED := .venv/installed
 
-.PHONY: demo test check bench clean
+.PHONY: demo test fuzz check bench clean
 
 # Train mice on cheese in the corner, test them on cheese anywhere, report what they pursue.
 demo: $(INSTALLED)
@@ -12,6 +12,15 @@ demo: $(INSTALLED)
 # All checks, then all tests.
 test: check
 	$(BIN)/python -m pytest -n 2
+
+# A million inputs, and a training that is killed a hundred times; half an hour.
+fuzz: $(INSTALLED)
+	rm -f fuzz.jsonl
+	ASTRAY_FUZZ=200 ASTRAY_FUZZ_LOG=fuzz.jsonl $(BIN)/python -m pytest -n 2 tests/test_fuzz.py
+	ASTRAY_KILLS=100 $(BIN)/python -m pytest tests/test_checkpoints.py -k killed
+	$(BIN)/python tests/golden.py --batch 256 --threads 2
+	NUMBA_DISABLE_JIT=1 $(BIN)/python tests/golden.py
+	cat fuzz.jsonl
 
 check: $(INSTALLED)
 	$(BIN)/ruff format --check .

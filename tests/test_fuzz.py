@@ -159,7 +159,7 @@ BATCH = 100
 RUINS = ("byte", "field", "extreme")
 
 
-@tries(8)
+@tries(40)
 @given(st.sampled_from(GAMES), st.integers(0, 2**32), st.sampled_from(RUINS))
 def test_a_ruined_state_is_refused_or_plays_on(game, seed, ruin):
     rng = np.random.default_rng(seed)
@@ -364,12 +364,18 @@ def test_an_experiment_is_refused_or_can_be_run(data):
     game = data.draw(st.sampled_from(GAMES))
     made = games.load(game)
     words = st.sampled_from([*made.variants, *made.shifts, *OUTCOMES, "train", "test", "more"])
-    number = st.integers(-2, 2**31) | st.floats()
+
+    def mostly(*right):  # one draw in ten is of anything
+        return data.draw(words if data.draw(st.integers(0, 9)) == 0 else st.sampled_from(right))
+
+    shift = mostly(*made.shifts)
+    train = made.shifts[shift].train if shift in made.shifts else "corner"
     try:
-        config = replace(CONFIG, game=game, variant=data.draw(words))
-        plan = Plan(config, data.draw(st.integers(-1, 3)), data.draw(st.integers(-1, 2**31)),
-                    data.draw(words), "")  # fmt: skip
-        claim = Claim("", data.draw(words), data.draw(words), data.draw(number), data.draw(words))
+        config = replace(CONFIG, game=game, variant=mostly(train))
+        levels = data.draw(st.integers(-1, 10) | st.integers(2**31 - 200_000, 2**31))
+        plan = Plan(config, data.draw(st.integers(0, 9)), levels, shift, "")
+        above = data.draw(st.floats(-1, 1) | st.floats())
+        claim = Claim("", mostly("train", "test"), mostly(*OUTCOMES), above, mostly(*OUTCOMES))
         size = data.draw(st.sampled_from(["smoke", "hour", "paper", "tiny"]))
         Experiment("", "", "", {size: plan}, [claim])
     except ValueError:

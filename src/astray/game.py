@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import typing
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields
@@ -82,7 +83,8 @@ class Variant:
         return records
 
 
-def knobs(variant: type[Variant]) -> dict[str, Any]:
+@functools.cache
+def knobs(variant: type[Variant]) -> Mapping[str, Any]:
     """The fields of a variant that compiled code sees, with their types."""
     hints = typing.get_type_hints(variant)
     return {f.name: hints[f.name] for f in fields(variant) if f.name not in ("about", "shifted")}

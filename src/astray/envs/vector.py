@@ -259,7 +259,8 @@ def _integers(given: Any, name: str) -> np.ndarray:
 
 def check(game: Game, states: np.ndarray, variant: Variant) -> None:
     """Raise ValueError for states that compiled code would read out of bounds with."""
-    s, limit = states, states["time_limit"]
+    s = states.view(np.ndarray)  # a recarray's fields are slow
+    limit = s["time_limit"]
     facts = {
         "mt_next": (s["mt_next"] >= 0) & (s["mt_next"] < rng.WORDS),
         "turn": s["turn"] >= 0,

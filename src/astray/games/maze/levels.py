@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from astray.game import NEVER, Variant
-from astray.games.maze.rules import EMPTY, GOAL, OTHER, STATE, WALL, note_arrivals
+from astray.games.maze.rules import EMPTY, GOAL, LARGEST, OTHER, STATE, WALL, note_arrivals
 from astray.games.maze.variants import AS_NUMBERED, COLOURS, FLOORS, SHAPES, WALLS
 from astray.kernel.jit import kernel
 from astray.kernel.maze import carve
@@ -150,21 +150,18 @@ def describe(s: Any) -> dict[str, Any]:
 
 def check(states: np.ndarray, variant: Variant) -> None:
     """Raise ValueError for states [N] that are none of `variant`'s: compiled code trusts them."""
-    p = variant.records()[0]
-    s = states.view(np.recarray)
-    cells = s.cell[
-        np.arange(len(s)), *(np.clip(np.nan_to_num(v), 0, 30).astype(int) for v in (s.y, s.x))
-    ]
+    p, s = variant.records()[0], states.view(np.ndarray)  # a recarray's fields are slow
+    x, y = (np.clip(np.nan_to_num(s[axis]), 0, LARGEST - 1).astype(int) for axis in "xy")
     facts = {
-        "world": s.world == p.world,
-        "window": s.window == p.window,
-        "cell": (s.cell <= OTHER).all((1, 2)),
-        "x": (s.x > 0) & (s.x < s.world),
-        "y": (s.y > 0) & (s.y < s.world),
-        "cell of the mouse": cells != WALL,
-        "walls": _within(s.walls, 0, len(WALLS)),
-        "background": _within(s.background, 0, FLOORS),
-        "background_offset": (s.background_offset >= 0) & (s.background_offset <= 1),
+        "world": s["world"] == p.world,
+        "window": s["window"] == p.window,
+        "cell": (s["cell"] <= OTHER).all((1, 2)),
+        "x": (s["x"] > 0) & (s["x"] < p.world),
+        "y": (s["y"] > 0) & (s["y"] < p.world),
+        "cell of the mouse": s["cell"][np.arange(len(s)), y, x] != WALL,
+        "walls": _within(s["walls"], 0, len(WALLS)),
+        "background": _within(s["background"], 0, FLOORS),
+        "background_offset": (s["background_offset"] >= 0) & (s["background_offset"] <= 1),
     }
     for place in ("goal", "other", "corner"):
         for axis in "xy":
