@@ -1,5 +1,7 @@
 """Evaluation, outcomes and intervals."""
 
+from dataclasses import replace
+
 import numpy as np
 import polars as pl
 import pytest
@@ -9,6 +11,7 @@ from astray import games
 from astray.agents.policy import Architecture, weights
 from astray.analysis.evaluate import evaluate
 from astray.analysis.outcomes import FAILED, INTENDED, MISGENERALIZED, label, load_shift, tell_apart
+from astray.analysis.overlap import overlap, unseen
 from astray.analysis.policies import Agent, Random, Walk
 from astray.analysis.statistics import bootstrap
 
@@ -131,3 +134,31 @@ def test_intervals_resample_agents_and_levels():
     assert bootstrap(same_agents).low < 0.45  # levels vary
     assert bootstrap(same_levels).low < 0.35  # agents vary
     assert bootstrap(np.ones((3, 10))).low == 1
+
+
+def test_levels_that_coincide_are_counted():
+    def shares(*words):
+        return {row["same"]: row for row in overlap(*words).to_dicts()}
+
+    same = shares("maze", "fixed-size", range(50), "fixed-size", range(25, 75))
+    assert same["level"]["seen"] == same["walls"]["seen"] == 0.5
+    moved = shares("maze", "corner", range(50), "anywhere", range(50))
+    assert moved["walls"]["seen"] == 1 and moved["level"]["seen"] < 0.2
+    # By hand: mazes of 3 cells have 8 different walls, and all of them are soon met.
+    tiny = replace(games.load("maze").variants["corner-small"], world=3, largest=3)
+    few = shares("maze", tiny, range(1500), tiny, range(5000, 5010))
+    assert few["walls"]["training"] == 4 and few["walls"]["seen"] == 1
+
+
+def test_levels_that_the_training_met_under_another_number_are_left_out():
+    small = "corner-small"
+    fresh = unseen("maze", small, range(2000), small, range(5000, 9000), 30)
+    assert len(fresh) == 30 and fresh[0] >= 5000 and (np.diff(fresh) > 0).all()
+    (row,) = overlap("maze", small, range(2000), small, fresh.tolist()).to_dicts()[:1]
+    assert row["same"] == "level" and row["seen"] == 0
+    every = range(5000, int(fresh[-1]) + 1)
+    (row,) = overlap("maze", small, range(2000), small, every).to_dicts()[:1]
+    assert row["seen"] == pytest.approx(1 - 30 / len(every))
+    tiny = replace(MAZE.variants[small], world=3, largest=3, start="corner")
+    with pytest.raises(ValueError, match="only 0 are none of its levels; 5 are needed"):
+        unseen("maze", tiny, range(500), tiny, range(1000, 9000), 5)

@@ -290,6 +290,40 @@ def replay(
           "truncated" if told["truncated"] else "not ended"))  # fmt: skip
 
 
+def overlap(
+    game: Positional[str],
+    training: Positional[str],
+    test: Positional[str],
+    training_levels: str = "0:100000",
+    test_levels: str = "100000:101000",
+    knobs: Knobs = (),
+    json: bool = False,
+) -> None:
+    """Count the levels of a test that are those of the training, under other numbers.
+
+    Args:
+        training: the variant trained on
+        test: the variant tested on
+        training_levels: numbers and ranges, as 5,17,100:200
+        test_levels: likewise
+        knobs: of both variants, changed
+        json: print JSON
+    """
+    from astray.analysis.overlap import overlap as count
+
+    shared = count(
+        game, _variant(game, training, knobs), level_numbers(training_levels),
+        _variant(game, test, knobs), level_numbers(test_levels),
+    )  # fmt: skip
+    if json:
+        _print_json(shared.to_dicts())
+        return
+    table = Table("same", "different in training", "different in test", "of the test seen")
+    for row in shared.to_dicts():
+        table.add_row(row["same"], f"{row['training']:,}", f"{row['test']:,}", f"{row['seen']:.1%}")
+    Console().print(table)
+
+
 def bench(
     what: Positional[Literal["environments", "training"]] = "environments", markdown: bool = False
 ) -> None:
@@ -393,6 +427,7 @@ VERBS = {
     "record": record,
     "level": level,
     "replay": replay,
+    "overlap": overlap,
     "bench": bench,
 }
 

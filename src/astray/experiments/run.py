@@ -19,6 +19,7 @@ from rich.table import Table
 
 from astray import experiments
 from astray.analysis.outcomes import load_shift
+from astray.analysis.overlap import unseen
 from astray.analysis.runs import open_run, play_all, playing
 from astray.experiments.spec import Plan, Size
 from astray.training import checkpoint
@@ -125,12 +126,13 @@ def episodes_of(plan: Plan, runs: Sequence[Path], folder: Path) -> pl.DataFrame:
         if len(played) == 2 * len(runs) * plan.levels:
             return there
     game, shift = plan.config.game, load_shift(plan.config.game, plan.shift)
-    first = plan.config.unseen_levels.start
-    levels = range(first, first + plan.levels)
+    config, trained = plan.config, plan.config.training_variant()
     agents = [open_run(run)[0] for run in runs]
     parts = []
     for where, name in (("train", shift.train), ("test", shift.test)):
-        variant = playing(plan.config, name, {})
+        variant = playing(config, name, {})
+        levels = unseen(config.game, trained, config.training_levels, variant,
+                        config.unseen_levels, plan.levels)  # fmt: skip
         played = play_all(game, name, variant, plan.shift, levels, agents)
         parts.append(played.with_columns(where=pl.lit(where)))
     table = pl.concat(parts)

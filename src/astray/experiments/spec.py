@@ -19,7 +19,7 @@ class Plan:
 
     config: Config  # of every agent but for its seed
     seeds: int  # agents
-    levels: int  # played by every agent in each variant, none of them seen in training
+    levels: int  # played by every agent in each variant, none met in training under any number
     shift: str  # of the game: where the agents are trained and tested
     smaller: str  # what is smaller than in the paper
 

@@ -1,0 +1,89 @@
+"""Levels of a test that are levels of the training all the same, under other numbers."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from hashlib import blake2b
+
+import numpy as np
+import polars as pl
+
+from astray import games
+from astray.envs.vector import GameVectorEnv
+from astray.game import Variant
+from astray.level import EMPTY
+
+CHUNK = 1000  # levels made at once
+SEARCHED = 100  # levels looked at for each that is needed
+
+
+def overlap(
+    game: str,
+    training: str | Variant,
+    training_levels: Sequence[int] | range,
+    test: str | Variant,
+    test_levels: Sequence[int] | range,
+) -> pl.DataFrame:
+    """How many levels coincide: rows "level" (all but its looks) and "walls" (without objects).
+
+    Columns: same; training (different ones among the training levels); test (likewise);
+    seen (share of the test levels that are among the training's).
+    """
+    seen, met = (
+        list(zip(*_digests(game, variant, levels), strict=True))
+        for variant, levels in ((training, training_levels), (test, test_levels))
+    )
+    rows = []
+    for same, before, after in zip(("level", "walls"), seen, met, strict=True):
+        known = set(before)
+        share = float(np.mean([digest in known for digest in after]))
+        rows.append({"same": same, "training": len(known), "test": len(set(after)), "seen": share})
+    return pl.DataFrame(rows)
+
+
+def unseen(
+    game: str,
+    training: str | Variant,
+    training_levels: Sequence[int] | range,
+    test: str | Variant,
+    candidates: range,
+    count: int,
+) -> np.ndarray:
+    """The first `count` numbers among `candidates` whose level in `test` is none of the training's.
+
+    Levels are the same where all but their looks is. ValueError where too few are different.
+    """
+    known = {level for level, _ in _digests(game, training, training_levels)}
+    found: list[int] = []
+    looked = candidates[: SEARCHED * count]
+    for first in range(0, len(looked), CHUNK):
+        numbers = looked[first : first + CHUNK]
+        fresh = [level not in known for level, _ in _digests(game, test, numbers)]
+        found += np.array(numbers)[fresh].tolist()
+        if len(found) >= count:
+            return np.array(found[:count])
+    raise ValueError(
+        f"of {len(looked)} levels of {game} that the training did not draw from, only {len(found)} "
+        f"are none of its levels; {count} are needed"
+    )
+
+
+def _digests(
+    game: str, variant: str | Variant, levels: Sequence[int] | range
+) -> Iterator[tuple[bytes, bytes]]:
+    """Of each level: a digest of all but its looks, and one of its walls alone."""
+    if not len(levels):
+        raise ValueError("no levels to compare")
+    made = games.load(game)
+    objects = [made.legend[char] for char in made.objects.values()]
+    env = GameVectorEnv(game, variant, min(CHUNK, len(levels)), observation="symbolic")
+    for first in range(0, len(levels), CHUNK):
+        numbers = np.resize(np.array(levels[first : first + CHUNK], np.int64), env.num_envs)
+        env.reset(seed=0, options={"level": numbers})
+        for s in env.states[: len(levels) - first]:
+            told = made.describe(s)
+            grid = np.array(told["grid"], np.uint8)
+            walls = np.where(np.isin(grid, objects), made.legend[EMPTY], grid)
+            begun = grid.tobytes() + np.array(told["agent"]).tobytes()
+            yield blake2b(begun, digest_size=8).digest(), blake2b(walls, digest_size=8).digest()
+    env.close()
