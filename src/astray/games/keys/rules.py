@@ -1,0 +1,232 @@
+"""Keys and Chests: a thief in a maze takes keys and opens chests, one key a chest."""
+
+import numpy as np
+
+from astray.game import NEVER, state_dtype
+from astray.kernel.jit import kernel
+from astray.kernel.rng import below
+
+LARGEST = 23  # cells a side of the largest world
+MOST = 36  # objects in a level
+EMPTY, WALL, KEY, CHEST = 0, 1, 2, 3  # what is in a cell
+REWARD = 1.0  # of a chest
+
+# Lengths are float32, as all of the original's; so is all arithmetic on them.
+F = np.float32
+HALF = F(0.375)  # half a side of the thief's box, cells
+CORNER = HALF * F(0.98)  # walls are looked for in the corners of a box that is a little smaller
+REACH = {KEY: (F(0.375), F(0.375 * 13 / 21)), CHEST: (F(0.5), F(0.5))}  # their half-sizes
+KEY_X, KEY_Y = HALF + REACH[KEY][0], HALF + REACH[KEY][1]  # centres closer than this touch
+CHEST_X, CHEST_Y = HALF + REACH[CHEST][0], HALF + REACH[CHEST][1]
+MIX, TOP_SPEED = F(0.5), F(0.75)  # the original's mixrate and maxspeed, cells per step
+DECAY = 0.9  # of the speed a step, a double in the original
+PARTS = 4  # of a step's way; the original's max(4, int(4 |v|)), where |v| < 0.87 cells a step
+PART = F(1 / PARTS)
+TIES = 1_000_000  # what the integer of a step is below
+
+# The inventory's icons in shares of the picture's side: of slot i the centre is
+# FIRST_SLOT + i SLOT from the side, SLOT_DOWN from the top (or bottom).
+SLOT, FIRST_SLOT, SLOT_DOWN = 0.06, 0.0375, 0.0597
+HALF_ICON = (0.0186, 0.03)  # half its width and height
+UPPER_RIGHT, UPPER_LEFT, LOWER_RIGHT, LOWER_LEFT, HIDDEN = range(5)  # `inventory`
+
+# The original's 15 actions; those after "right-up" are keys that mean nothing here.
+ACTIONS = (
+    "left-down", "left", "left-up", "down", "stay", "up", "right-down", "right", "right-up",
+    "d", "a", "w", "s", "q", "e",
+)  # fmt: skip
+MOVES = 9  # actions that may move
+STAY = ACTIONS.index("stay")
+
+STATE = state_dtype(
+    ("cell", np.uint8, (LARGEST, LARGEST)),  # EMPTY or WALL at [y, x]; the world is [:world, :world]
+    ("world", np.int64),  # cells a side
+    ("maze_size", np.int64),  # cells a side of the maze, somewhere in the world
+    ("window", np.int64),  # cells a side of the window around the thief; 0: the whole world
+    ("x", np.float32), ("y", np.float32),  # the thief's centre, in cells
+    ("vx", np.float32), ("vy", np.float32),  # cells per step
+    ("facing", np.int64),  # the last action that moved, or STAY
+    ("objects", np.int64),  # how many the level began with; by columns, each from below
+    ("what", np.uint8, (MOST,)),  # KEY or CHEST
+    ("object_x", np.float32, (MOST,)), ("object_y", np.float32, (MOST,)),  # centres, in cells
+    ("gone", np.int64, (MOST,)),  # the step the key was taken or the chest opened, or NEVER
+    ("had", np.int64, (MOST,)),  # of an opened chest: the keys in hand with which it was opened
+    ("keys", np.int64), ("chests", np.int64),  # that the level began with
+    ("taken", np.int64), ("opened", np.int64),  # how many so far; what is between is in hand
+    ("passed", np.int64),  # times that a chest was come upon without a key
+    ("touched", np.int64),  # chests touched in the last step, a bit each
+    ("at_inventory", np.int64),  # steps that touched an icon of the inventory, hidden or not
+    ("inventory", np.int64),  # where it is drawn
+    ("key_penalty", np.float64), ("step_penalty", np.float64),  # of the reward
+    ("strict", np.bool_),
+    ("background", np.int64),
+    ("background_offset", np.float64),  # from 0 to 1: which part of the floor is seen
+    ("twister", np.int64),  # what it was seeded with, NEVER where keys are not off centre,
+    ("twister_at", np.int64),  # and how many draws were made before the first key was put
+    ("first_key", np.int64), ("all_keys", np.int64),
+    ("first_chest", np.int64), ("all_chests", np.int64),  # all that there are keys for
+    ("passed_chest", np.int64),
+    ("keys_before_last", np.int64),  # all keys, with a chest left to open
+)  # fmt: skip
+EVENTS = (
+    "first_key", "all_keys", "first_chest", "all_chests", "passed_chest", "keys_before_last",
+)  # fmt: skip
+
+
+@kernel
+def step(s, action):
+    """Move the thief, then take and open what it touches; the reward and whether all is open."""
+    tie = below(s, TIES)
+    move(s, action, tie)
+    reward, done = meet(s)
+    note_inventory(s)
+    return np.float64(reward - F(s.step_penalty)), done
+
+
+@kernel
+def move(s, action, tie):
+    """Push the thief by `action` and move it as far as walls allow.
+
+    tie  decides which axis is first, where nothing else does
+    """
+    ax, ay = 0, 0
+    if action < MOVES:
+        ax, ay = action // 3 - 1, action % 3 - 1
+    if ax != 0 or ay != 0:
+        s.facing = action
+    vx, vy = pushed(s.vx, ax), pushed(s.vy, ay)
+    x_first = abs(vx) > abs(vy) or (abs(vx) == abs(vy) and tie % 2 == 0)
+    if ax != 0 or ay != 0:
+        x_first = ay == 0
+    free_x, free_y = 0, 0  # parts of the way on which nothing was in the way
+    for _ in range(PARTS):
+        if x_first:
+            met_x = slide_x(s, vx * PART)
+            met_y = slide_y(s, vy * PART)
+        else:
+            met_y = slide_y(s, vy * PART)
+            met_x = slide_x(s, vx * PART)
+        free_x += not met_x
+        free_y += not met_y
+        if met_x and met_y:
+            break
+    s.vx, s.vy = vx * (F(free_x) * PART), vy * (F(free_y) * PART)
+
+
+@kernel
+def pushed(v, push):
+    """The speed along an axis after a push of -1, 0 or 1."""
+    v = (F(1) - MIX) * v + MIX * TOP_SPEED * F(push)
+    return F(DECAY * np.float64(v))
+
+
+@kernel
+def slide_x(s, way):
+    """Move by `way` in x, or up to the wall that is in the way; whether one is."""
+    if way == 0:
+        return False
+    x = s.x + way
+    # Of the box's four corners the two behind cannot be in a wall that those in front are not in.
+    front = x + CORNER if way > 0 else x - CORNER
+    met = is_wall(s, front, s.y - CORNER) or is_wall(s, front, s.y + CORNER)
+    if met:
+        x = F(np.floor(x + HALF)) - HALF if way > 0 else F(np.ceil(x - HALF)) + HALF
+    s.x = x
+    return met
+
+
+@kernel
+def slide_y(s, way):
+    """Move by `way` in y, or up to the wall that is in the way; whether one is."""
+    if way == 0:
+        return False
+    y = s.y + way
+    front = y + CORNER if way > 0 else y - CORNER
+    met = is_wall(s, s.x - CORNER, front) or is_wall(s, s.x + CORNER, front)
+    if met:
+        y = F(np.floor(y + HALF)) - HALF if way > 0 else F(np.ceil(y - HALF)) + HALF
+    s.y = y
+    return met
+
+
+@kernel
+def is_wall(s, x, y):
+    """There is a wall, or the world's end, at (x, y)."""
+    if x < 0 or y < 0 or x >= s.world or y >= s.world:
+        return True
+    return s.cell[int(y), int(x)] == WALL
+
+
+@kernel
+def meet(s):
+    """Take keys and open chests that the thief touches; the reward and whether all is open."""
+    reward, done, touched = F(0), False, 0
+    for k in range(s.objects - 1, -1, -1):  # the original's order: the last made is first
+        if s.gone[k] == NEVER:
+            dx, dy = abs(s.object_x[k] - s.x), abs(s.object_y[k] - s.y)
+            if s.what[k] == KEY:
+                if dx < KEY_X and dy < KEY_Y:
+                    reward = take(s, k, reward)
+            elif dx < CHEST_X and dy < CHEST_Y:
+                if s.taken > s.opened:
+                    reward, done = unlock(s, k, reward)
+                else:
+                    touched |= 1 << k
+                    pass_by(s, k)
+    s.touched = touched
+    return reward, done
+
+
+@kernel
+def take(s, k, reward):
+    """Take key `k`; the reward after it."""
+    s.gone[k] = s.time
+    s.taken += 1
+    if s.first_key == NEVER:
+        s.first_key = s.time
+    if s.taken == s.keys:
+        s.all_keys = s.time
+        if s.opened < min(s.keys, s.chests):
+            s.keys_before_last = s.time
+    return reward - F(s.key_penalty)
+
+
+@kernel
+def unlock(s, k, reward):
+    """Open chest `k` with a key in hand; the reward after it and whether it was the last."""
+    s.gone[k], s.had[k] = s.time, s.taken - s.opened
+    s.opened += 1
+    if s.first_chest == NEVER:
+        s.first_chest = s.time
+    done = s.opened == min(s.keys, s.chests)  # as many as there are, or as there were keys for
+    if done:
+        s.all_chests = s.time
+    if s.strict:
+        return F(REWARD), done  # what was before in this step is forgotten
+    return reward + F(REWARD), done
+
+
+@kernel
+def pass_by(s, k):
+    """Note that chest `k` is touched without a key."""
+    if not (s.touched >> k) & 1:
+        s.passed += 1
+    if s.passed_chest == NEVER:
+        s.passed_chest = s.time
+
+
+@kernel
+def note_inventory(s):
+    """Count the steps in which the thief touches the icon of a key in hand."""
+    hand = s.taken - s.opened
+    if hand == 0 or s.window:  # a window moves with the thief
+        return
+    up, across = np.float64(s.y) / s.world, np.float64(s.x) / s.world
+    if s.inventory == UPPER_RIGHT or s.inventory == UPPER_LEFT or s.inventory == HIDDEN:
+        up = 1 - up
+    if s.inventory == UPPER_RIGHT or s.inventory == LOWER_RIGHT or s.inventory == HIDDEN:
+        across = 1 - across
+    half = np.float64(HALF) / s.world
+    last = FIRST_SLOT + (hand - 1) * SLOT + HALF_ICON[0]
+    if abs(up - SLOT_DOWN) < half + HALF_ICON[1] and across - half < last:
+        s.at_inventory += 1

@@ -1,0 +1,140 @@
+"""The distributions of levels of Keys and Chests, and the shifts between them."""
+
+from dataclasses import dataclass, replace
+from typing import Literal, get_args
+
+from astray.game import Shift, Variant
+from astray.games.keys.rules import LARGEST, MOST
+
+Inventory = Literal["upper-right", "upper-left", "lower-right", "lower-left", "hidden"]
+INVENTORIES = get_args(Inventory)
+FLOORS = 9  # backgrounds
+AS_NUMBERED = -1  # the background that the level's number decides
+
+
+@dataclass(frozen=True, kw_only=True)
+class Keys(Variant):
+    """Mazes of a range of sizes anywhere in a square world, with groups of keys and chests.
+
+    A level has one or more groups of `keys` keys and `chests` chests: with `fewest` and `most`
+    0, from 1 in the smallest maze to 6 in one 13 cells a side, (size - 5) / 2 + 1 or one more.
+
+    With `strict`, a chest's reward overwrites what else the step was worth, and a maze with
+    too few cells for its objects has fewer of them, as the original; otherwise rewards add
+    up, and such a maze has fewer groups. Variants of the paper are strict, so that its returns
+    can be compared; who weighs rewards against each other wants sums.
+    """
+
+    world: int = 13  # cells a side
+    smallest: int = 5  # cells a side of the smallest maze, odd
+    largest: int = 13  # cells a side of the largest maze, odd; all odd sizes are equally likely
+    window: int = 0  # cells a side of the window around the thief that is seen; 0: all the world
+    keys: int = 1  # a group
+    chests: int = 1  # a group
+    fewest: int = 0  # groups; 0: as many as the maze is large
+    most: int = 0  # groups; all numbers from `fewest` on are equally likely
+    key_penalty: float = 0.0  # reward that a key costs
+    step_penalty: float = 0.0  # reward that a step costs
+    strict: bool = False
+    inventory: Inventory = "upper-right"  # where keys in hand are shown
+    background: int = AS_NUMBERED  # 0 to 8
+    time_limit: int = 1000  # steps
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not 5 <= self.world <= LARGEST:
+            raise ValueError(f"world is {self.world} cells a side; it is from 5 to {LARGEST}")
+        sizes = (self.smallest, self.largest)
+        if not 5 <= sizes[0] <= sizes[1] <= self.world or not sizes[0] % 2 == sizes[1] % 2 == 1:
+            raise ValueError(
+                f"smallest and largest are {sizes}; they are odd, from 5 to the world's "
+                f"{self.world} cells, and smallest is not above largest"
+            )
+        if not 0 <= self.window <= 2 * self.world:
+            raise ValueError(f"window is {self.window} cells; it is from 0 to {2 * self.world}")
+        self._check_counts()
+        for name in ("key_penalty", "step_penalty"):
+            if not abs(getattr(self, name)) <= 1e6:
+                raise ValueError(f"{name} is {getattr(self, name)}; it is from -1e6 to 1e6")
+        if isinstance(self.shifted, Keys) and (self.world, self.window) != (
+            self.shifted.world,
+            self.shifted.window,
+        ):
+            raise ValueError("the shifted variant has another world or window: it looks different")
+        if not AS_NUMBERED <= self.background < FLOORS:
+            raise ValueError(
+                f"background is {self.background}; it is from 0 to {FLOORS - 1}, "
+                f"or {AS_NUMBERED} for what the level's number decides"
+            )
+
+    def _check_counts(self) -> None:
+        if self.keys < 1 or self.chests < 1:
+            raise ValueError(f"a group has {self.keys} keys and {self.chests} chests; at least 1")
+        if not 0 <= self.fewest <= self.most or (self.fewest == 0) != (self.most == 0):
+            raise ValueError(
+                f"fewest and most are {(self.fewest, self.most)} groups; they are at least 1 and "
+                "in order, or both 0"
+            )
+        most = self.most or (self.largest - 5) // 2 + 2
+        objects = most * (self.keys + self.chests)
+        if objects > MOST:
+            raise ValueError(
+                f"there are up to {objects} keys and chests, {most} groups of "
+                f"{self.keys} + {self.chests}; at most {MOST}"
+            )
+        # Every cell between two of a maze's nodes is none of its dead ends.
+        room = ((self.smallest + 1) // 2) ** 2 - 1
+        if self.keys + self.chests > room:
+            raise ValueError(
+                f"a group has {self.keys} keys and {self.chests} chests; a maze of "
+                f"{self.smallest} cells a side surely has room for {room}"
+            )
+
+
+MANY_CHESTS = Keys(about="two chests a key", chests=2, strict=True)
+MANY_KEYS = Keys(about="two keys a chest", keys=2, strict=True)
+
+EASY = dict(world=9, largest=9)
+MEMORY = dict(world=23, largest=23, window=8, fewest=1, most=4)
+SMALL = dict(world=7, smallest=5, largest=5, fewest=2, most=2, strict=False, time_limit=200)
+
+VARIANTS = {
+    "many-chests": replace(MANY_CHESTS, shifted=MANY_KEYS),
+    "many-keys": replace(MANY_KEYS, shifted=MANY_CHESTS),
+    "many-chests-penalties": replace(
+        MANY_CHESTS, about="two chests a key; a key costs 0.3, a step 0.002",
+        key_penalty=0.3, step_penalty=0.002,
+    ),
+    "many-keys-penalties": replace(
+        MANY_KEYS, about="two keys a chest; a key costs 0.3, a step 0.002",
+        key_penalty=0.3, step_penalty=0.002,
+    ),
+    "many-chests-easy": replace(MANY_CHESTS, about="two chests a key, in 9 cells", **EASY),
+    "many-keys-easy": replace(MANY_KEYS, about="two keys a chest, in 9 cells", **EASY),
+    "many-chests-memory": replace(
+        MANY_CHESTS, about="two chests a key, in 23 cells, seen 8 at a time", **MEMORY
+    ),
+    "many-keys-memory": replace(
+        MANY_KEYS, about="two keys a chest, in 23 cells, seen 8 at a time", **MEMORY
+    ),
+    "many-chests-small": replace(MANY_CHESTS, about="2 keys, 4 chests, 5 cells", **SMALL),
+    "many-keys-small": replace(MANY_KEYS, about="4 keys, 2 chests, 5 cells", **SMALL),
+    "hidden-inventory": replace(
+        MANY_KEYS, about="two keys a chest; keys in hand are not shown", inventory="hidden"
+    ),
+}  # fmt: skip
+
+GOALS = {"chests": "all_chests", "keys": "keys_before_last"}
+
+SHIFTS = {
+    "many-keys": Shift("many-chests", "many-keys", intended="chests", proxies=("keys",)),
+    "many-keys-penalties": Shift(
+        "many-chests-penalties", "many-keys-penalties", intended="chests", proxies=("keys",)
+    ),
+    "many-keys-easy": Shift(
+        "many-chests-easy", "many-keys-easy", intended="chests", proxies=("keys",)
+    ),
+    "many-keys-small": Shift(
+        "many-chests-small", "many-keys-small", intended="chests", proxies=("keys",)
+    ),
+}
