@@ -1,0 +1,35 @@
+"""Keys and Chests: a thief opens chests with keys; in training there are fewer keys than chests."""
+
+from astray.game import Game
+from astray.games.keys import draw, levels, rules, solve, variants
+
+GAME = Game(
+    name="keys",
+    about="a thief takes keys in a maze and opens chests with them",
+    actions=rules.ACTIONS,
+    state=rules.STATE,
+    variants=variants.VARIANTS,
+    shifts=variants.SHIFTS,
+    events=rules.EVENTS,
+    goals=variants.GOALS,
+    benchmark="many-chests",
+    envpool="HeistHard-v0",
+    generate=levels.generate,
+    step=rules.step,
+    paint=draw.paint,
+    draw=draw.draw,
+    paint_planes=draw.paint_planes,
+    draw_planes=draw.draw_planes,
+    art=draw.art,
+    scene_shape=draw.scene_shape,
+    planes_scene_shape=draw.planes_scene_shape,
+    planes=draw.planes,
+    check=levels.check,
+    legend=levels.LEGEND,
+    objects=levels.OBJECTS,
+    describe=levels.describe,
+    build=levels.build,
+    reachable=solve.reachable,
+    guide=solve.guide,
+    optimal_return=solve.optimal_return,
+)

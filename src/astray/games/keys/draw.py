@@ -1,0 +1,254 @@
+"""Keys and Chests as pictures, at any scale, and as symbolic planes."""
+
+from __future__ import annotations
+
+import functools
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from astray import art as sprites
+from astray.game import Variant
+from astray.games.keys.rules import (
+    ACTIONS, FIRST_SLOT, HALF, HIDDEN, KEY, LOWER_LEFT, LOWER_RIGHT, SLOT, SLOT_DOWN,
+    STAY, UPPER_LEFT, WALL,
+)  # fmt: skip
+from astray.games.keys.variants import FLOORS
+from astray.kernel.canvas import blit, copy_flat, copy_window, tile
+from astray.kernel.jit import kernel, shared
+
+ART = Path(__file__).parent / "art"
+FLOOR = 256  # pixels of a floor's height; larger pictures repeat them
+KEY_SIDE = 0.8  # cells; larger than what touches, to be seen
+ICON = (0.06, 0.045)  # height and width of an icon, of the picture's side
+# The symbolic planes of 0 and 1: walls, keys, chests, the thief's cell, and as many cells as
+# there are keys in hand, row by row; then, in the thief's cell, where in it the thief is.
+WALL_PLANE, KEY_PLANE, CHEST_PLANE, THIEF_PLANE, HAND_PLANE, X_PLANE, Y_PLANE, PLANES = range(8)
+STRIPS = 8  # that a cell is cut into by X_PLANE and Y_PLANE, from 1 on
+
+
+@kernel
+def margin(s):
+    """Cells of wall around the world in the scene, so that every window is inside the scene."""
+    return s.window // 2 + 1 if s.window else 0
+
+
+@kernel
+def pixel(cells, scale):
+    """The pixel nearest to a length in cells; `scale` is in pixels per cell."""
+    return int(np.floor(cells * scale + 0.5))
+
+
+@shared
+def paint(s, art, scene):
+    """Floor, walls and objects of the whole world, and the margin."""
+    edge = margin(s)
+    cells = s.world + 2 * edge
+    for y in range(cells):
+        for x in range(cells):
+            paint_cell(s, art, scene, x - edge, y - edge)
+    for k in range(s.objects):
+        if s.gone[k] < 0:
+            paint_object(s, art, scene, k)
+
+
+@shared
+def paint_cell(s, art, scene, i, j):
+    """Floor or wall of cell (i, j) of the world."""
+    floors, wall = art[0], art[1]
+    edge = margin(s)
+    cells = s.world + 2 * edge
+    scale = scene.shape[0] / cells
+    top, bottom = pixel(cells - 1 - j - edge, scale), pixel(cells - j - edge, scale)
+    left, right = pixel(i + edge, scale), pixel(i + edge + 1, scale)
+    if not (0 <= i < s.world and 0 <= j < s.world) or s.cell[j, i] == WALL:
+        tile(scene, wall, top, bottom, left, right)
+        return
+    floor, first, width = floors[s.background], pixel(edge, scale), pixel(s.world, scale)
+    side = floor.shape[0]
+    offset = int(s.background_offset * (floor.shape[1] - side))
+    for row in range(top, bottom):
+        for column in range(left, right):
+            v = min(max(row - first, 0), width - 1) * side // width
+            u = offset + min(max(column - first, 0), width - 1) * side // width
+            for c in range(3):
+                scene[row, column, c] = floor[v, u, c]
+
+
+@shared
+def paint_object(s, art, scene, k):
+    """Object `k`, no further than its cell goes, so that painting the cell removes it."""
+    edge = margin(s)
+    cells = s.world + 2 * edge
+    scale = scene.shape[0] / cells
+    right, down = edge + np.float64(s.object_x[k]), cells - edge - np.float64(s.object_y[k])
+    sprite = art[2] if s.what[k] == KEY else art[3]
+    half = sprite.shape[0] / (2 * scale)
+    left, top = pixel(np.floor(right), scale), pixel(np.floor(down), scale)
+    inside = scene[top : pixel(np.floor(down) + 1, scale), left : pixel(np.floor(right) + 1, scale)]
+    blit(inside, sprite, pixel(down - half, scale) - top, pixel(right - half, scale) - left)
+
+
+@kernel
+def draw(s, art, scene, image):
+    """The scene, or the window of it around the thief, with the thief and the inventory on it.
+
+    An object that is gone since the last step is removed from the scene.
+    """
+    if s.time > 0:
+        for k in range(s.objects):
+            if s.gone[k] == s.time:
+                paint_cell(s, art, scene, int(s.object_x[k]), int(s.object_y[k]))
+    left, top = 0, 0
+    if s.window:
+        edge = margin(s)
+        cells = s.world + 2 * edge
+        scale = scene.shape[0] / cells
+        left = pixel(s.x + edge - s.window / 2, scale)
+        top = pixel(cells - (s.y + edge) - s.window / 2, scale)
+        copy_window(image, scene, top, left)
+    else:
+        copy_flat(image, scene)
+    draw_thief(s, art, scene.shape[0], image, top, left)
+
+
+@shared
+def draw_thief(s, art, height, image, top, left):
+    """The thief, and over it the keys in hand; `height` is the scene's."""
+    edge = margin(s)
+    cells = s.world + 2 * edge
+    scale = height / cells
+    thief, icon = art[4][s.facing], art[5]
+    half = thief.shape[0] / (2 * scale)
+    down, right = cells - edge - np.float64(s.y), edge + np.float64(s.x)
+    blit(image, thief, pixel(down - half, scale) - top, pixel(right - half, scale) - left)
+    if s.inventory == HIDDEN:
+        return
+    side = image.shape[0]
+    for slot in range(s.taken - s.opened):
+        down, right = SLOT_DOWN, 1 - FIRST_SLOT - slot * SLOT
+        if s.inventory == LOWER_RIGHT or s.inventory == LOWER_LEFT:
+            down = 1 - down
+        if s.inventory == UPPER_LEFT or s.inventory == LOWER_LEFT:
+            right = 1 - right
+        top = pixel(down, side) - icon.shape[0] // 2
+        blit(image, icon, top, pixel(right, side) - icon.shape[1] // 2)
+
+
+@shared
+def paint_planes(s, scene):
+    """Walls, keys and chests of the whole world, and the margin."""
+    edge = margin(s)
+    cells = s.world + 2 * edge
+    scene[:] = 0
+    for y in range(cells):
+        for x in range(cells):
+            i, j = x - edge, y - edge
+            outside = not (0 <= i < s.world and 0 <= j < s.world)
+            scene[WALL_PLANE, y, x] = outside or s.cell[j, i] == WALL
+    for k in range(s.objects):
+        if s.gone[k] < 0:
+            scene[object_plane(s, k), edge + int(s.object_y[k]), edge + int(s.object_x[k])] = 1
+
+
+@kernel
+def object_plane(s, k):
+    return KEY_PLANE if s.what[k] == KEY else CHEST_PLANE
+
+
+@kernel
+def draw_planes(s, scene, planes):
+    """The scene, or the window of it around the thief, with the thief and its keys on it.
+
+    An object that is gone since the last step is removed from the scene.
+    """
+    edge = margin(s)
+    if s.time > 0:
+        for k in range(s.objects):
+            if s.gone[k] == s.time:
+                plane = object_plane(s, k)
+                scene[plane, edge + int(s.object_y[k]), edge + int(s.object_x[k])] = 0
+    x, y = int(s.x) + edge, int(s.y) + edge
+    left, low, side = 0, 0, planes.shape[1]
+    if s.window:
+        left, low = x - side // 2, y - side // 2
+        for plane in range(PLANES):
+            for row in range(side):
+                for column in range(side):
+                    planes[plane, row, column] = scene[plane, low + row, left + column]
+    else:
+        copy_flat(planes, scene)
+    x, y = x - left, y - low
+    planes[THIEF_PLANE, y, x] = 1
+    planes[X_PLANE, y, x] = 1 + int((s.x - np.floor(s.x)) * STRIPS)
+    planes[Y_PLANE, y, x] = 1 + int((s.y - np.floor(s.y)) * STRIPS)
+    if s.inventory != HIDDEN:
+        for k in range(min(s.taken - s.opened, side * side)):
+            planes[HAND_PLANE, k // side, k % side] = 1
+
+
+def planes(variant: Variant) -> np.ndarray:
+    """The largest value of each symbolic plane, [C, H, W] uint8."""
+    p: Any = variant
+    side = p.window // 2 * 2 + 1 if p.window else p.world  # all cells at least half seen
+    top = np.ones(PLANES, np.uint8)
+    top[[X_PLANE, Y_PLANE]] = STRIPS
+    return np.broadcast_to(top[:, None, None], (PLANES, side, side)).copy()
+
+
+def planes_scene_shape(variant: Variant) -> tuple[int, ...]:
+    return (PLANES, _scene_cells(variant), _scene_cells(variant))
+
+
+def scene_shape(variant: Variant, pixels: int) -> tuple[int, ...]:
+    side = round(_scene_cells(variant) * _scale(variant, pixels))
+    return (side, side, 3)
+
+
+def art(variant: Variant, pixels: int) -> tuple[np.ndarray, ...]:
+    """Floors [9, h, 2h, 3], wall [S, S, 3], key, chest, thief by action [9, ...], icon.
+
+    S is a cell's side, rounded up; all but floors and wall are [height, width, 4].
+    """
+    scale = _scale(variant, pixels)
+    p: Any = variant
+    return _art(scale, min(max(round(p.world * scale), 1), FLOOR), pixels)
+
+
+@functools.cache
+def _art(scale: float, height: int, pixels: int) -> tuple[np.ndarray, ...]:
+    def load(name: str, height: int, width: int) -> np.ndarray:
+        return sprites.resize(sprites.load(ART, name), height, width)
+
+    cell, key = int(np.ceil(scale)), int(np.ceil(KEY_SIDE * scale))
+    body = int(np.ceil(2 * HALF * scale))
+    floors = [load(f"floor-{k}", height, 2 * height)[..., :3] for k in range(FLOORS)]
+    wall = load("wall-brick", cell, cell)[..., :3]
+    icon = load("icon", *(max(round(share * pixels), 1) for share in ICON))
+    thief = _turned(load("thief-right", body, body), load("thief-right-up", body, body))
+    made = (floors, wall, load("key", key, key), load("chest", cell, cell), thief, icon)
+    # All contiguous, or compiled code would be compiled anew for another layout.
+    return tuple(map(np.ascontiguousarray, made))
+
+
+def _turned(right: np.ndarray, right_up: np.ndarray) -> np.ndarray:
+    """The thief as it looks after each action that moves, [9, S, S, 4]; "stay" is to the right."""
+    straight, oblique = ("right", "up", "left", "down"), (
+        "right-up", "left-up", "left-down", "right-down",
+    )  # fmt: skip
+    turned = np.repeat(right[None], STAY * 2 + 1, 0)
+    for quarter in range(4):
+        turned[ACTIONS.index(straight[quarter])] = np.rot90(right, quarter)
+        turned[ACTIONS.index(oblique[quarter])] = np.rot90(right_up, quarter)
+    return turned
+
+
+def _scale(variant: Variant, pixels: int) -> float:
+    p: Any = variant
+    return pixels / (p.window or p.world)  # pixels per cell
+
+
+def _scene_cells(variant: Variant) -> int:
+    p: Any = variant
+    return p.world + 2 * (p.window // 2 + 1 if p.window else 0)

@@ -1,0 +1,324 @@
+"""The best order to take keys and open chests in, and the ways to walk it."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from astray.game import NEVER
+from astray.games.keys.rules import (
+    CHEST, CHEST_X, CHEST_Y, HALF, KEY, KEY_X, KEY_Y, REWARD, STATE, STAY, WALL, F, move, step,
+)  # fmt: skip
+from astray.games.keys.variants import GOALS
+from astray.kernel.grid import UNREACHABLE, distances
+from astray.kernel.jit import entry, kernel, one_at_a_time, shared
+
+EXACT = 12  # objects; of more, the nearest are ordered, and all anew after each
+SLACK = float(F(0.5) - HALF)  # cells that the thief may be off the middle of a corridor
+PATIENCE = 8  # steps a cell after which a walk is given up
+HURRY = 1e-6  # worth of a step: of orders that are worth the same the fastest is best
+
+
+@kernel
+def sign(number):
+    return (number > 0) - (number < 0)
+
+
+@kernel
+def at(steps, x, y):
+    """`steps` of cell (x, y), UNREACHABLE outside of the world."""
+    if 0 <= y < steps.shape[0] and 0 <= x < steps.shape[1]:
+        return steps[y, x]
+    return UNREACHABLE
+
+
+@kernel
+def onward(steps, x, y):
+    """The direction in which `steps` get fewer, from cell (x, y); (0, 0) where they do not."""
+    for k in range(4):
+        dx, dy = (k == 0) - (k == 1), (k == 2) - (k == 3)
+        there = at(steps, x + dx, y + dy)
+        if there != UNREACHABLE and there == at(steps, x, y) - 1:
+            return dx, dy
+    return 0, 0
+
+
+@shared
+def press(s, steps):
+    """The action that walks to where `steps` [world, world] are 0, fast.
+
+    A turn is pressed a cell ahead where a wall keeps the thief from turning too early.
+    """
+    x, y = int(s.x), int(s.y)
+    off_x, off_y = x + 0.5 - s.x, y + 0.5 - s.y  # to the middle of the cell
+    dx, dy = onward(steps, x, y)
+    if dx == 0 and dy == 0:
+        return 3 * (1 + sign(off_x) * (abs(off_x) > SLACK)) + 1 + sign(off_y) * (abs(off_y) > SLACK)
+    next_dx, next_dy = onward(steps, x + dx, y + dy)
+    if dx != 0:
+        if abs(off_y) > SLACK:
+            dy = sign(off_y)
+        elif at(steps, x, y + next_dy) == UNREACHABLE:
+            dy = next_dy
+    elif abs(off_x) > SLACK:
+        dx = sign(off_x)
+    elif at(steps, x + next_dx, y) == UNREACHABLE:
+        dx = next_dx
+    return 3 * (1 + dx) + 1 + dy
+
+
+@entry
+def towards(s, steps):
+    """`press`, for Python."""
+    return press(s, steps)
+
+
+@shared
+def walk(s, steps, objects, target, most):
+    """Walk until `objects[target]` is touched.
+
+    Returns the steps it takes, UNREACHABLE where more than `most`, and the other objects
+    that are touched before, a bit each.
+    """
+    met = 0
+    for time in range(1, most + 1):
+        move(s, press(s, steps), 0)
+        for i in range(objects.size):
+            k = objects[i]
+            dx, dy = abs(s.object_x[k] - s.x), abs(s.object_y[k] - s.y)
+            is_key = s.what[k] == KEY
+            if (is_key and dx < KEY_X and dy < KEY_Y) or (
+                not is_key and dx < CHEST_X and dy < CHEST_Y
+            ):
+                if i == target:
+                    return time, met
+                met |= 1 << i
+    return UNREACHABLE, met
+
+
+@entry
+def tables(s, objects, fields):
+    """Walking times from the thief [0] and from objects [1 + i] to objects [j], and what is met.
+
+    s        its position and speed are lost
+    objects  [n], numbers of objects in s
+    fields   [n, world, world], steps to them
+    returns  [1 + n, n] int64 steps, UNREACHABLE where there is no way; and [1 + n, n] int64,
+             the objects that are touched on the way, a bit each. From objects the thief
+             begins at rest in the middle of their cell.
+    """
+    n = objects.size
+    times, met = np.full((n + 1, n), UNREACHABLE), np.zeros((n + 1, n), np.int64)
+    x, y, vx, vy = s.x, s.y, s.vx, s.vy
+    for i in range(n + 1):
+        for j in range(n):
+            s.x, s.y, s.vx, s.vy = x, y, vx, vy
+            if i > 0:
+                s.x = F(np.floor(s.object_x[objects[i - 1]])) + F(0.5)
+                s.y = F(np.floor(s.object_y[objects[i - 1]])) + F(0.5)
+                s.vx, s.vy = F(0), F(0)
+            cells = fields[j, int(s.y), int(s.x)]
+            if i != j + 1 and cells != UNREACHABLE:
+                times[i, j], met[i, j] = walk(s, fields[j], objects, j, PATIENCE * (cells + 2))
+    return times, met
+
+
+@entry
+def best_order(times, met, is_key, hand, to_open, key_worth, chest_worth, step_worth, gamma):
+    """The order of objects that is worth most, exactly: by dynamic programming over subsets.
+
+    times, met  as `tables` tells
+    is_key      [n] bool
+    hand        keys in hand
+    to_open     chests until the end
+    returns     [n] int64, objects in order, and then -1
+    """
+    n = is_key.size
+    value = np.zeros((1 << n, n + 1))
+    first = np.full((1 << n, n + 1), -1)
+    for done in range((1 << n) - 1, -1, -1):
+        keys, opened = 0, 0
+        for i in range(n):
+            if done >> i & 1:
+                keys += is_key[i]
+                opened += not is_key[i]
+        has_key = hand + keys > opened
+        if hand + keys < opened or opened >= to_open:
+            continue
+        for last in range(n + 1):
+            if (last == 0) != (done == 0) or (last > 0 and not done >> (last - 1) & 1):
+                continue
+            best = -np.inf
+            for j in range(n):
+                if done >> j & 1 or times[last, j] == UNREACHABLE or not (is_key[j] or has_key):
+                    continue
+                # What is taken or opened on the way is a step of its own in another order.
+                on_way = met[last, j] & ~done
+                direct = True
+                for m in range(n):
+                    if on_way >> m & 1 and (is_key[m] or has_key):
+                        direct = False
+                if direct:
+                    later = gamma ** times[last, j]
+                    worth = key_worth if is_key[j] else chest_worth
+                    spent = times[last, j] if gamma == 1 else (1 - later) / (1 - gamma)
+                    total = (
+                        spent * step_worth
+                        - times[last, j] * HURRY
+                        + later / gamma * worth
+                        + later * value[done | 1 << j, j + 1]
+                    )
+                    if total > best:
+                        best, first[done, last] = total, j
+            if first[done, last] >= 0:
+                value[done, last] = best
+    order, done, last = np.full(n, -1), 0, 0
+    for i in range(n):
+        order[i] = first[done, last]
+        if order[i] < 0:
+            break
+        done, last = done | 1 << order[i], order[i] + 1
+    return order
+
+
+@entry
+def leg(s, steps, gamma, time_limit):
+    """Walk by `steps` and play, until an object is gone or the episode over.
+
+    Returns the rewards, and 1 for every key, both discounted to the first step.
+    """
+    rewards, keys, weight, gone = 0.0, 0.0, 1.0, s.taken + s.opened
+    while not s.ended and s.taken + s.opened == gone:
+        s.time += 1
+        taken = s.taken
+        reward, done = step(s, press(s, steps))
+        rewards, keys = rewards + weight * reward, keys + weight * (s.taken - taken)
+        weight *= gamma
+        s.ended = done or s.time >= time_limit
+    return rewards, keys
+
+
+class Planner:
+    """What to walk to next on the way to a goal, and how: the life of one scripted player."""
+
+    def __init__(self, s: Any, goal: str, gamma: float):
+        if goal not in GOALS:
+            raise ValueError(f"unknown goal {goal!r}; there are: {', '.join(GOALS)}")
+        _compile()
+        self.goal, self.gamma = goal, gamma
+        self._order: list[int] = []
+        self._is_open = (s.cell[: s.world, : s.world] != WALL).copy()
+        self._fields: dict[int, np.ndarray] = {}
+
+    def steps(self, now: Any) -> np.ndarray | None:
+        """Steps from every cell to what is best next, [world, world]; None where nothing is."""
+        if now.ended or now[GOALS[self.goal]] != NEVER:
+            return None
+        left = [k for k in self._order if now.gone[k] == NEVER]
+        if left and now.what[left[0]] == CHEST and now.taken == now.opened:
+            left = []  # not as planned
+        self._order = left or self._plan(now)
+        return self._field(now, self._order[0]) if self._order else None
+
+    def action(self, now: Any) -> int:
+        """The next action."""
+        steps = self.steps(now)
+        return STAY if steps is None else int(towards(now, steps))
+
+    def _field(self, now: Any, k: int) -> np.ndarray:
+        if k not in self._fields:
+            cell = int(now.object_x[k]), int(now.object_y[k])
+            self._fields[k] = distances(self._is_open, *cell)
+        return self._fields[k]
+
+    def _plan(self, now: Any) -> list[int]:
+        """Objects in the best order; only the first where there are more than can be ordered."""
+        there = [k for k in range(now.objects) if now.gone[k] == NEVER]
+        away = {k: int(self._field(now, k)[int(now.y), int(now.x)]) for k in there}
+        there = [k for k in there if away[k] != UNREACHABLE]
+        chosen = there if len(there) <= EXACT else _nearest(now, there, away)
+        if not chosen:
+            return []
+        objects = np.array(chosen)
+        fields = np.stack([self._field(now, k) for k in chosen])
+        times, met = tables(copied(now), objects, fields)
+        needed = min(now.keys, now.chests) - now.opened
+        worth = (1.0, 0.0, 0.0)
+        if self.goal == "chests":
+            worth = (-float(now.key_penalty), REWARD, -float(now.step_penalty))
+        order = best_order(
+            times, met, now.what[objects] == KEY, int(now.taken - now.opened), int(needed),
+            *worth, self.gamma,
+        )  # fmt: skip
+        order = [chosen[i] for i in order if i >= 0]
+        return order if len(there) == len(chosen) else order[:1]
+
+
+def _nearest(now: Any, there: list[int], away: dict[int, int]) -> list[int]:
+    """The nearest EXACT objects, half of them keys as long as there are."""
+    there = sorted(there, key=away.__getitem__)
+    keys = [k for k in there if now.what[k] == KEY]
+    chests = [k for k in there if now.what[k] == CHEST]
+    half = max(EXACT // 2, EXACT - len(chests))
+    keys = keys[:half]
+    return sorted(keys + chests[: EXACT - len(keys)])
+
+
+def copied(s: Any) -> Any:
+    """A state like `s`, of its own."""
+    copy = np.zeros(1, STATE).view(np.recarray)
+    copy[0] = s
+    return copy[0]
+
+
+def guide(s: Any, goal: str) -> Callable[[Any], int]:
+    """What leads to `goal` in the best order, fast; "stay" where it was reached or none can.
+
+    For "chests" the fewest steps until all that can be opened is, fetching no key beyond need;
+    for "keys" until all keys are taken, opening what is on the way.
+    """
+    return Planner(s, goal, 1.0).action
+
+
+def optimal_return(s: Any, goal: str, gamma: float = 1.0) -> float:
+    """The discounted return of walking the best order from state `s`, as `guide` walks.
+
+    goal   "chests": of the game's rewards; "keys": of 1 for every key, were that rewarded
+
+    Exact as to the order for up to EXACT objects, with the walking times of the game's own
+    motion from rest. A player who cuts corners better can be a few steps faster.
+    """
+    return max(_played(s, goal, gamma, plan) for plan in {gamma, 1.0})
+
+
+def _played(s: Any, goal: str, gamma: float, plan: float) -> float:
+    """The return, discounted by `gamma`, of the order that is best for the discount `plan`."""
+    planner, now, total = Planner(s, goal, plan), copied(s), 0.0
+    while (steps := planner.steps(now)) is not None:
+        weight = gamma ** int(now.time - s.time)
+        rewards, keys = leg(now, steps, gamma, int(now.time_limit))
+        total += weight * (rewards if goal == "chests" else keys)
+    return total
+
+
+def reachable(s: Any) -> np.ndarray:
+    """The cells that the thief can walk to, [world, world] bool."""
+    is_open = s.cell[: s.world, : s.world] != WALL
+    return distances(is_open, int(s.x), int(s.y)) != UNREACHABLE
+
+
+@functools.cache
+def _compile() -> None:
+    """Compile what Python calls, or take it from the cache."""
+    s = np.zeros(1, STATE).view(np.recarray)[0]
+    s.world, s.ended = 1, True
+    steps, none = np.zeros((1, 1), np.int64), np.zeros(0, np.int64)
+    with one_at_a_time():
+        distances(steps == 0, 0, 0)
+        towards(s, steps)
+        times, met = tables(s, none, np.zeros((0, 1, 1), np.int64))
+        best_order(times, met, none == 0, 0, 0, 1.0, 1.0, 1.0, 1.0)
+        leg(s, steps, 1.0, 0)
