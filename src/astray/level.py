@@ -90,7 +90,8 @@ class Level:
         place = (int(np.floor(agent[0])), int(np.floor(agent[1])))
         level = Level(game, variant, cells, place, looks)
         told = game.describe(level.state(solvable=False))
-        rest = {k: v for k, v in data.items() if k not in ("game", "variant", "level", "looks")}
+        built_from = ("game", "variant", "level", "looks", "agent")  # of the agent, its cell
+        rest = {k: v for k, v in data.items() if k not in built_from}
         _check_told(rest, told, "a level")
         return level
 

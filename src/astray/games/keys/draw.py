@@ -11,9 +11,19 @@ import numpy as np
 from astray import art as sprites
 from astray.game import Variant
 from astray.games.keys.rules import (
-    ACTIONS, FIRST_SLOT, HALF, HIDDEN, KEY, LOWER_LEFT, LOWER_RIGHT, SLOT, SLOT_DOWN,
-    STAY, UPPER_LEFT, WALL,
-)  # fmt: skip
+    ACTIONS,
+    FIRST_SLOT,
+    HALF,
+    HIDDEN,
+    KEY,
+    LOWER_LEFT,
+    LOWER_RIGHT,
+    SLOT,
+    SLOT_DOWN,
+    STAY,
+    UPPER_LEFT,
+    WALL,
+)
 from astray.games.keys.variants import FLOORS
 from astray.kernel.canvas import blit, copy_flat, copy_window, tile
 from astray.kernel.jit import kernel, shared
@@ -40,45 +50,38 @@ def pixel(cells, scale):
     return int(np.floor(cells * scale + 0.5))
 
 
-@shared
+@kernel
 def paint(s, art, scene):
-    """Floor, walls and objects of the whole world, and the margin."""
-    edge = margin(s)
-    cells = s.world + 2 * edge
-    for y in range(cells):
-        for x in range(cells):
-            paint_cell(s, art, scene, x - edge, y - edge)
-    for k in range(s.objects):
-        if s.gone[k] < 0:
-            paint_object(s, art, scene, k)
-
-
-@shared
-def paint_cell(s, art, scene, i, j):
-    """Floor or wall of cell (i, j) of the world."""
+    """Floor and walls of the whole world, and the margin: twice, above with objects on them."""
     floors, wall = art[0], art[1]
-    edge = margin(s)
+    floor, edge = floors[s.background], margin(s)
+    seen, bare = scene[: scene.shape[1]], scene[scene.shape[1] :]
     cells = s.world + 2 * edge
-    scale = scene.shape[0] / cells
-    top, bottom = pixel(cells - 1 - j - edge, scale), pixel(cells - j - edge, scale)
-    left, right = pixel(i + edge, scale), pixel(i + edge + 1, scale)
-    if not (0 <= i < s.world and 0 <= j < s.world) or s.cell[j, i] == WALL:
-        tile(scene, wall, top, bottom, left, right)
-        return
-    floor, first, width = floors[s.background], pixel(edge, scale), pixel(s.world, scale)
+    scale = scene.shape[1] / cells
+    left, width = pixel(edge, scale), pixel(s.world, scale)
     side = floor.shape[0]
     offset = int(s.background_offset * (floor.shape[1] - side))
-    for row in range(top, bottom):
-        for column in range(left, right):
-            v = min(max(row - first, 0), width - 1) * side // width
-            u = offset + min(max(column - first, 0), width - 1) * side // width
+    for row in range(width):
+        for column in range(width):
+            v, u = row * side // width, offset + column * side // width
             for c in range(3):
-                scene[row, column, c] = floor[v, u, c]
+                bare[left + row, left + column, c] = floor[v, u, c]
+    for y in range(cells):
+        top, bottom = pixel(cells - 1 - y, scale), pixel(cells - y, scale)
+        for x in range(cells):
+            i, j = x - edge, y - edge
+            outside = not (0 <= i < s.world and 0 <= j < s.world)
+            if outside or s.cell[j, i] == WALL:
+                tile(bare, wall, top, bottom, pixel(x, scale), pixel(x + 1, scale))
+    copy_flat(seen, bare)
+    for k in range(s.objects):
+        if s.gone[k] < 0:
+            paint_object(s, art, seen, k)
 
 
-@shared
+@kernel
 def paint_object(s, art, scene, k):
-    """Object `k`, no further than its cell goes, so that painting the cell removes it."""
+    """Object `k`, no further than its cell goes."""
     edge = margin(s)
     cells = s.world + 2 * edge
     scale = scene.shape[0] / cells
@@ -91,26 +94,37 @@ def paint_object(s, art, scene, k):
 
 
 @kernel
-def draw(s, art, scene, image):
-    """The scene, or the window of it around the thief, with the thief and the inventory on it.
+def clear_gone(s, scene):
+    """Remove the objects from the scene that went in the last step."""
+    edge = margin(s)
+    cells = s.world + 2 * edge
+    side = scene.shape[1]
+    scale = side / cells
+    for k in range(s.objects):
+        if s.gone[k] == s.time:
+            x, y = edge + int(s.object_x[k]), cells - 1 - edge - int(s.object_y[k])
+            for row in range(pixel(y, scale), pixel(y + 1, scale)):
+                for column in range(pixel(x, scale), pixel(x + 1, scale)):
+                    for c in range(3):
+                        scene[row, column, c] = scene[side + row, column, c]
 
-    An object that is gone since the last step is removed from the scene.
-    """
-    if s.time > 0:
-        for k in range(s.objects):
-            if s.gone[k] == s.time:
-                paint_cell(s, art, scene, int(s.object_x[k]), int(s.object_y[k]))
+
+@kernel
+def draw(s, art, scene, image):
+    """The scene, or the window of it around the thief, with the thief and the inventory on it."""
+    if s.taken:
+        clear_gone(s, scene)
     left, top = 0, 0
     if s.window:
         edge = margin(s)
         cells = s.world + 2 * edge
-        scale = scene.shape[0] / cells
+        scale = scene.shape[1] / cells
         left = pixel(s.x + edge - s.window / 2, scale)
         top = pixel(cells - (s.y + edge) - s.window / 2, scale)
         copy_window(image, scene, top, left)
     else:
-        copy_flat(image, scene)
-    draw_thief(s, art, scene.shape[0], image, top, left)
+        copy_flat(image, scene[: scene.shape[1]])
+    draw_thief(s, art, scene.shape[1], image, top, left)
 
 
 @shared
@@ -136,7 +150,7 @@ def draw_thief(s, art, height, image, top, left):
         blit(image, icon, top, pixel(right, side) - icon.shape[1] // 2)
 
 
-@shared
+@kernel
 def paint_planes(s, scene):
     """Walls, keys and chests of the whole world, and the margin."""
     edge = margin(s)
@@ -159,27 +173,23 @@ def object_plane(s, k):
 
 @kernel
 def draw_planes(s, scene, planes):
-    """The scene, or the window of it around the thief, with the thief and its keys on it.
-
-    An object that is gone since the last step is removed from the scene.
-    """
+    """The scene, or the window of it around the thief, with the thief and its keys on it."""
     edge = margin(s)
-    if s.time > 0:
+    if s.taken:
         for k in range(s.objects):
             if s.gone[k] == s.time:
-                plane = object_plane(s, k)
-                scene[plane, edge + int(s.object_y[k]), edge + int(s.object_x[k])] = 0
-    x, y = int(s.x) + edge, int(s.y) + edge
-    left, low, side = 0, 0, planes.shape[1]
+                scene[object_plane(s, k), edge + int(s.object_y[k]), edge + int(s.object_x[k])] = 0
+    x, y = int(s.x), int(s.y)
+    side = planes.shape[1]
     if s.window:
-        left, low = x - side // 2, y - side // 2
+        left, low = x + edge - side // 2, y + edge - side // 2
         for plane in range(PLANES):
             for row in range(side):
                 for column in range(side):
                     planes[plane, row, column] = scene[plane, low + row, left + column]
+        x, y = side // 2, side // 2
     else:
         copy_flat(planes, scene)
-    x, y = x - left, y - low
     planes[THIEF_PLANE, y, x] = 1
     planes[X_PLANE, y, x] = 1 + int((s.x - np.floor(s.x)) * STRIPS)
     planes[Y_PLANE, y, x] = 1 + int((s.y - np.floor(s.y)) * STRIPS)
@@ -203,7 +213,7 @@ def planes_scene_shape(variant: Variant) -> tuple[int, ...]:
 
 def scene_shape(variant: Variant, pixels: int) -> tuple[int, ...]:
     side = round(_scene_cells(variant) * _scale(variant, pixels))
-    return (side, side, 3)
+    return (2 * side, side, 3)  # with the objects that are left, and below without
 
 
 def art(variant: Variant, pixels: int) -> tuple[np.ndarray, ...]:

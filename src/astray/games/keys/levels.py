@@ -8,8 +8,19 @@ import numpy as np
 
 from astray.game import NEVER, Variant
 from astray.games.keys.rules import (
-    CHEST, CORNER, EMPTY, HALF, HIDDEN, KEY, MOST, MOVES, STATE, STAY, WALL, F,
-)  # fmt: skip
+    CHEST,
+    CORNER,
+    EMPTY,
+    HALF,
+    HIDDEN,
+    KEY,
+    MOST,
+    MOVES,
+    STATE,
+    STAY,
+    WALL,
+    F,
+)
 from astray.games.keys.variants import AS_NUMBERED, FLOORS
 from astray.kernel.jit import kernel, shared
 from astray.kernel.maze import carve
@@ -21,30 +32,43 @@ BY_SIZE = 0  # Keys.fewest: the size of the maze decides
 JITTER = F(0.25)  # cells: keys are up to half of it off their cells' centres
 
 
+# Drawn so often in the code below that inlining them would double its compile time.
 @shared
+def pick(s, n):
+    return below(s, n)
+
+
+@shared
+def real(s):
+    return unit(s)
+
+
+@kernel
 def generate(s, p):
     """Fill `s` with a new level of the variant `p`."""
-    offset = unit(s)
-    background = below(s, FLOORS)
-    unit(s)  # where the thief would be, had the game no say
-    unit(s)
-    larger = below(s, (p.largest - p.smallest) // 2 + 1)
+    offset = real(s)
+    background = pick(s, FLOORS)
+    real(s)  # where the thief would be, had the game no say
+    real(s)
+    larger = pick(s, (p.largest - p.smallest) // 2 + 1)
     size = p.smallest + 2 * larger
     if p.fewest == BY_SIZE:
-        groups = (size - 5) // 2 + below(s, 2) + 1
+        groups = (size - 5) // 2 + pick(s, 2) + 1
     else:
-        groups = p.fewest + below(s, p.most - p.fewest + 1)
+        groups = p.fewest + pick(s, p.most - p.fewest + 1)
 
     is_open = np.zeros((size, size), np.bool_)
     free_x, free_y = np.empty(size * size, np.int64), np.empty(size * size, np.int64)
     carve(s, size, is_open, free_x, free_y)
-    inside = np.where(is_open, EMPTY, WALL).astype(np.uint8)
+    inside = np.empty((size, size), np.uint8)
+    for k in range(size * size):
+        inside[k // size, k % size] = EMPTY if is_open[k // size, k % size] else WALL
     place(s, inside, groups, p)
 
     furnish(s, p)
     s.maze_size, s.background_offset = size, offset
     s.background = background if p.background == AS_NUMBERED else p.background
-    left, low = below(s, s.world - size + 1), below(s, s.world - size + 1)
+    left, low = pick(s, s.world - size + 1), pick(s, s.world - size + 1)
     s.x, s.y = s.x + F(left), s.y + F(low)
     s.twister, s.twister_at = s.level, s.mt_next  # fewer than its 624 words are drawn so far
     s.cell[:] = WALL
@@ -71,10 +95,10 @@ def place(s, inside, groups, p):
         groups = min(groups, count // each)
     objects = min(groups * each, count)
     for k in range(objects):
-        pick = k if objects == count else below(s, count - k)
-        cell = cells[pick]
+        which = k if objects == count else pick(s, count - k)
+        cell = cells[which]
         if objects < count:
-            for j in range(pick, count - k - 1):
+            for j in range(which, count - k - 1):
                 cells[j] = cells[j + 1]
         inside[cell // size, cell % size] = CHEST if k < groups * p.chests else KEY
     count = 0
@@ -83,7 +107,7 @@ def place(s, inside, groups, p):
             if inside[y, x] == EMPTY:
                 cells[count] = y * size + x
                 count += 1
-    cell = cells[below(s, count)]
+    cell = cells[pick(s, count)]
     s.x, s.y = F(cell % size) + F(0.5), F(cell // size) + F(0.5)
 
 
@@ -111,11 +135,11 @@ def put(s, what, x, y):
     s.keys += 1
     if s.twister != NEVER:
         low = F(0.5) - JITTER / F(2)
-        s.object_x[k] = F(x) + (low + JITTER * F(unit(s)))
-        s.object_y[k] = F(y) + (low + JITTER * F(unit(s)))
+        s.object_x[k] = F(x) + (low + JITTER * F(real(s)))
+        s.object_y[k] = F(y) + (low + JITTER * F(real(s)))
 
 
-@shared
+@kernel
 def furnish(s, p):
     """Set what no draw decides."""
     s.world, s.window, s.inventory, s.strict = p.world, p.window, p.inventory, p.strict

@@ -39,7 +39,7 @@ MOVES = 9  # actions that may move
 STAY = ACTIONS.index("stay")
 
 STATE = state_dtype(
-    ("cell", np.uint8, (LARGEST, LARGEST)),  # EMPTY or WALL at [y, x]; the world is [:world, :world]
+    ("cell", np.uint8, (LARGEST, LARGEST)),  # EMPTY or WALL at [y, x]; world is [:world, :world]
     ("world", np.int64),  # cells a side
     ("maze_size", np.int64),  # cells a side of the maze, somewhere in the world
     ("window", np.int64),  # cells a side of the window around the thief; 0: the whole world

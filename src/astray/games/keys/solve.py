@@ -10,8 +10,21 @@ import numpy as np
 
 from astray.game import NEVER
 from astray.games.keys.rules import (
-    CHEST, CHEST_X, CHEST_Y, HALF, KEY, KEY_X, KEY_Y, REWARD, STATE, STAY, WALL, F, move, step,
-)  # fmt: skip
+    CHEST,
+    CHEST_X,
+    CHEST_Y,
+    HALF,
+    KEY,
+    KEY_X,
+    KEY_Y,
+    REWARD,
+    STATE,
+    STAY,
+    WALL,
+    F,
+    move,
+    step,
+)
 from astray.games.keys.variants import GOALS
 from astray.kernel.grid import UNREACHABLE, distances
 from astray.kernel.jit import entry, kernel, one_at_a_time, shared

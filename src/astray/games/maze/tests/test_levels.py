@@ -91,3 +91,16 @@ def test_two_objects_are_on_two_free_cells():
     apart = (s["goal_x"] != s["other_x"]) | (s["goal_y"] != s["other_y"])
     at_start = (s["other_x"] + 0.5 == s["x"]) & (s["other_y"] + 0.5 == s["y"])
     assert apart.all() and not at_start.any()
+
+
+@pytest.mark.parametrize("goal", ["cheese", "corner"])
+def test_a_guide_takes_the_solvers_steps(goal):
+    env = GameVectorEnv("maze", "anywhere", observation="symbolic", autoreset_mode="Disabled")
+    for level in range(10):
+        env.reset(seed=0, options={"level": level})
+        s = env.states[0]
+        worth, guide = GAME.optimal_return(s, goal, 0.5), GAME.guide(s, goal)
+        while s[GAME.goals[goal]] == NEVER and not s.ended:
+            env.step(np.array([guide(s)]))
+        if s[GAME.goals[goal]] != NEVER:  # or the cheese was on the way to the corner
+            assert worth == pytest.approx(10 * 0.5 ** (int(s.time) - 1))

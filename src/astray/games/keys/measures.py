@@ -1,0 +1,96 @@
+"""What an episode of Keys and Chests tells of its player: pure functions of final states.
+
+`states` are states at the ends of episodes, [N] records; what is returned is [N].
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from astray.game import NEVER
+from astray.games.keys.rules import CHEST, KEY, MOST
+from astray.games.keys.solve import optimal_return
+
+
+def steps_taken(states: np.ndarray) -> np.ndarray:
+    """The step each key was taken, in the order of steps, [N, MOST] int64; then NEVER."""
+    return _in_order(states, KEY)
+
+
+def steps_opened(states: np.ndarray) -> np.ndarray:
+    """The step each chest was opened, in the order of steps, [N, MOST] int64; then NEVER."""
+    return _in_order(states, CHEST)
+
+
+def _in_order(states: np.ndarray, what: int) -> np.ndarray:
+    later = np.iinfo(np.int64).max
+    chosen = (_objects(states) == what) & (states["gone"] != NEVER)
+    steps = np.sort(np.where(chosen, states["gone"], later), axis=1)
+    return np.where(steps == later, NEVER, steps)
+
+
+def _objects(states: np.ndarray) -> np.ndarray:
+    """KEY or CHEST of every object, 0 of those that are none, [N, MOST]."""
+    there = np.arange(MOST) < states["objects"][:, None]
+    return np.where(there, states["what"], 0)
+
+
+def keys_beyond_need(states: np.ndarray) -> np.ndarray:
+    """Keys taken that opened no chest, int64: what an agent that wants chests leaves behind.
+
+    In a maze some are on every way: compare with what `solve.guide` for "chests" leaves.
+    """
+    return states["taken"] - states["opened"]
+
+
+def took_all_before_last_chest(states: np.ndarray) -> np.ndarray:
+    """Every key was taken before the last chest that there was a key for was opened, bool."""
+    return states["keys_before_last"] != NEVER
+
+
+def keys_in_hand(states: np.ndarray) -> np.ndarray:
+    """The mean number of keys in hand at openings, float64; NaN where no chest was opened."""
+    opened = (_objects(states) == CHEST) & (states["gone"] != NEVER)
+    total = np.where(opened, states["had"], 0).sum(1).astype(np.float64)
+    count = states["opened"]
+    return np.divide(total, count, out=np.full(len(states), np.nan), where=count > 0)
+
+
+def return_lost(
+    states: np.ndarray, begun: Sequence[Any] | np.ndarray, returns: np.ndarray, gamma: float
+) -> np.ndarray:
+    """The discounted return lost against the best order of the same levels, float64.
+
+    begun    [N], the states that the episodes began in
+    returns  [N], of the episodes, discounted by `gamma`
+
+    Below 0 where a player was faster than `solve.guide`, which is a few steps from the best.
+    """
+    if not len(states) == len(begun) == len(returns):
+        raise ValueError(
+            f"{len(states)} final states, {len(begun)} first states and {len(returns)} returns: "
+            "they are as many"
+        )
+    for i, (last, first) in enumerate(zip(states, begun, strict=True)):
+        if last["level"] != first["level"] or first["time"] > last["time"]:
+            raise ValueError(f"episode {i} did not begin in the state given for it")
+    best = np.array([optimal_return(s, "chests", gamma) for s in begun])
+    return best - returns
+
+
+def discounted_return(states: np.ndarray, gamma: float) -> np.ndarray:
+    """The discounted return of episodes from their first step, told from their last states.
+
+    A step's rewards are summed as in the variants that are not strict.
+    """
+    steps = np.where(states["gone"] > 0, states["gone"], 1)
+    weights = np.where(states["gone"] != NEVER, gamma ** (steps - 1.0), 0)
+    what = _objects(states)
+    total = ((what == CHEST) * weights).sum(1)
+    total -= ((what == KEY) * weights).sum(1) * states["key_penalty"]
+    time = states["time"]
+    spent = time if gamma == 1 else (1 - gamma**time) / (1 - gamma)
+    return total - spent * states["step_penalty"]
