@@ -1,5 +1,8 @@
 """What every game owes its callers. A new game is tested here without being named."""
 
+import os
+import subprocess
+import sys
 from itertools import product
 
 import gymnasium
@@ -143,6 +146,37 @@ def test_every_loop_is_compiled_once(game):
     made = compiled(game)
     for loop in (made.reset, made.step, made.repaint):
         assert len(loop.signatures) == 1, loop.signatures
+
+
+PLAYED = """
+import hashlib
+import numpy as np
+from astray import games
+from astray.envs.vector import GameVectorEnv
+
+digest, name = hashlib.sha256(), {game!r}
+for observation in ("image", "symbolic"):
+    options = {{"observation": observation, "autoreset_mode": "SameStep"}}
+    env = GameVectorEnv(name, games.load(name).benchmark, 2, **options)
+    digest.update(env.reset(seed=0)[0].tobytes())
+    states = env.get_state()
+    states["time"] = states["time_limit"] - [20, 30]
+    env.set_state(states)
+    for action in np.random.default_rng(0).integers(9, size=(40, 2)):
+        seen, reward, *_ = env.step(action)
+        digest.update(seen.tobytes() + reward.tobytes() + env.states.tobytes())
+print(digest.hexdigest())
+"""
+
+
+@pytest.mark.parametrize("game", games.NAMES)
+def test_compiled_and_interpreted_agree(game):
+    told = set()
+    for disable in "01":
+        environment = os.environ | {"NUMBA_DISABLE_JIT": disable}
+        command = [sys.executable, "-c", PLAYED.format(game=game)]
+        told.add(subprocess.check_output(command, env=environment, text=True))
+    assert len(told) == 1
 
 
 def test_a_masked_reset_leaves_the_others_and_the_options_alone():

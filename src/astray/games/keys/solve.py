@@ -37,7 +37,7 @@ HURRY = 1e-6  # worth of a step: of orders that are worth the same the fastest i
 
 @kernel
 def sign(number):
-    return (number > 0) - (number < 0)
+    return int(number > 0) - int(number < 0)
 
 
 @kernel
@@ -66,7 +66,8 @@ def press(s, steps):
     A turn is pressed a cell ahead where a wall keeps the thief from turning too early.
     """
     x, y = int(s.x), int(s.y)
-    off_x, off_y = x + 0.5 - s.x, y + 0.5 - s.y  # to the middle of the cell
+    # To the middle of the cell; float64, compiled or not.
+    off_x, off_y = x + 0.5 - np.float64(s.x), y + 0.5 - np.float64(s.y)
     dx, dy = onward(steps, x, y)
     if dx == 0 and dy == 0:
         return 3 * (1 + sign(off_x) * (abs(off_x) > SLACK)) + 1 + sign(off_y) * (abs(off_y) > SLACK)

@@ -80,11 +80,20 @@ def test_a_key_is_taken_and_opens_a_chest_and_the_last_chest_ends_the_level():
     assert s.touched == 0 and s.passed == 0
 
 
-def test_a_chest_is_touched_across_its_cells_side_before_the_thief_is_in_it():
-    env = corridor("@C.....")
-    env.states["y"] = 3.5
-    play(env, "right")  # from 1 to 0.6625 away: boxes of 0.375 and 0.5 touch below 0.875
-    assert env.states[0].passed_chest == 1
+# Half-sizes, in cells: thief 0.375 each way, chest 0.5, key 0.375 across and 0.232 up.
+@pytest.mark.parametrize(
+    "what, dx, dy, touched",
+    [
+        ("C", 0.87, 0, True), ("C", 0.88, 0, False), ("C", 0, -0.87, True), ("C", 0, 0.88, False),
+        ("k", -0.74, 0, True), ("k", 0.76, 0, False), ("k", 0, 0.60, True), ("k", 0, -0.61, False),
+    ],
+)  # fmt: skip
+def test_boxes_that_overlap_touch(what, dx, dy, touched):
+    env = corridor(f"@.{what}....")
+    s = env.states[0]
+    s.object_x[0], s.object_y[0] = s.x + dx, s.y + dy
+    play(env, "stay")
+    assert (s.passed_chest == 1 or s.first_key == 1) == touched
 
 
 @pytest.mark.parametrize(
@@ -124,6 +133,15 @@ def test_all_keys_before_the_last_chest_is_told_from_all_keys_with_it():
     assert env.states[0].keys_before_last == -1
     play(env, "left left left left")
     assert env.states[0].keys_before_last == env.states[0].all_keys > 0
+
+
+def test_a_last_key_that_is_taken_with_the_last_chest_was_not_taken_before_it():
+    env = corridor("@kkC...")
+    s = env.states[0]
+    play(env, "right")
+    s.x, s.vx, s.object_x[1], s.object_x[2] = 2.2, 0, 2.4, 3.0
+    play(env, "stay")  # the chest was made later: it is first
+    assert (s.all_keys, s.all_chests, s.keys_before_last) == (2, 2, -1)
 
 
 def test_penalties_are_paid_for_keys_and_steps():
