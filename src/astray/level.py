@@ -37,7 +37,9 @@ class Level:
     @staticmethod
     def of(game: Game, variant: Variant, s: Any) -> Level:
         """The level that state `s` is in; objects that are gone are not in it."""
-        return Level.from_json(game, variant, game.describe(s))
+        told = game.describe(s)
+        cells = np.array(told["grid"], np.uint8)
+        return Level(game, variant, cells, _cell(told["agent"]), told["looks"])
 
     @staticmethod
     def from_text(game: Game, variant: Variant, drawing: str) -> Level:
@@ -87,11 +89,9 @@ class Level:
         looks = data.get("looks", {})
         if not isinstance(looks, Mapping):
             raise ValueError(f"a level's looks are an object; given {looks!r}")
-        place = (int(np.floor(agent[0])), int(np.floor(agent[1])))
-        level = Level(game, variant, cells, place, looks)
+        level = Level(game, variant, cells, _cell(agent), looks)
         told = game.describe(level.state(solvable=False))
-        built_from = ("game", "variant", "level", "looks", "agent")  # of the agent, its cell
-        rest = {k: v for k, v in data.items() if k not in built_from}
+        rest = {k: v for k, v in data.items() if k not in ("game", "variant", "level", "looks")}
         _check_told(rest, told, "a level")
         return level
 
@@ -190,6 +190,11 @@ class Level:
     def _char(self, x: int, y: int) -> str:
         names = {code: char for char, code in self.game.legend.items()}
         return names[int(self.cells[y, x])]
+
+
+def _cell(place: Any) -> Cell:
+    """The cell that a place, x and y in cells, is in."""
+    return int(np.floor(place[0])), int(np.floor(place[1]))
 
 
 def _is_number(value: Any) -> bool:

@@ -20,9 +20,9 @@ SEARCHED = 100  # levels looked at for each that is needed
 def overlap(
     game: str,
     training: str | Variant,
-    training_levels: Sequence[int] | range,
+    training_levels: Sequence[int] | np.ndarray | range,
     test: str | Variant,
-    test_levels: Sequence[int] | range,
+    test_levels: Sequence[int] | np.ndarray | range,
 ) -> pl.DataFrame:
     """How many levels coincide: rows "level" (all but its looks) and "walls" (without objects).
 
@@ -44,7 +44,7 @@ def overlap(
 def unseen(
     game: str,
     training: str | Variant,
-    training_levels: Sequence[int] | range,
+    training_levels: Sequence[int] | np.ndarray | range,
     test: str | Variant,
     candidates: range,
     count: int,
@@ -69,7 +69,7 @@ def unseen(
 
 
 def _digests(
-    game: str, variant: str | Variant, levels: Sequence[int] | range
+    game: str, variant: str | Variant, levels: Sequence[int] | np.ndarray | range
 ) -> Iterator[tuple[bytes, bytes]]:
     """Of each level: a digest of all but its looks, and one of its walls alone."""
     if not len(levels):
@@ -85,5 +85,8 @@ def _digests(
             grid = np.array(told["grid"], np.uint8)
             walls = np.where(np.isin(grid, objects), made.legend[EMPTY], grid)
             begun = grid.tobytes() + np.array(told["agent"]).tobytes()
-            yield blake2b(begun, digest_size=8).digest(), blake2b(walls, digest_size=8).digest()
+            yield (
+                blake2b(begun, digest_size=8).digest(),
+                blake2b(walls.tobytes(), digest_size=8).digest(),
+            )
     env.close()
