@@ -1,6 +1,10 @@
 """Every experiment plans, and runs whole in miniature, stopped and repeated."""
 
 import json
+import os
+import subprocess
+import sys
+import time
 from dataclasses import replace
 
 import polars as pl
@@ -11,6 +15,7 @@ from astray.analysis.outcomes import FAILED, INTENDED, MISGENERALIZED, OUTCOMES
 from astray.experiments import run
 from astray.experiments.spec import SIZES, Claim
 from astray.experiments.tell import verdict
+from astray.training import checkpoint
 
 ALL = [(name, size) for name in experiments.NAMES for size in SIZES]
 
@@ -59,6 +64,33 @@ def test_every_experiment_runs_in_miniature(name, tmp_path, monkeypatch):
     run.reproduce(name, "smoke", tmp_path)  # nothing is trained again
     assert (tmp_path / "report.html").exists()
     assert before == {path: path.stat().st_mtime_ns for path in before}
+
+
+@pytest.mark.skipif(not hasattr(os, "kill") or os.name == "nt", reason="needs signals")
+def test_trainings_end_with_the_experiment_that_began_them(tmp_path):
+    words = [sys.executable, "-m", "astray", "reproduce", "maze-corner", "--folder", str(tmp_path)]
+    process = subprocess.Popen(words, stderr=subprocess.DEVNULL)
+    folder = tmp_path / "runs" / "seed-0"
+    wait_for((folder / "metrics.jsonl").exists, 60)
+    process.kill()
+    process.wait()
+    config = checkpoint.read_config(folder)
+
+    def free():
+        try:
+            with checkpoint.claim(folder, config):
+                return True
+        except RuntimeError:
+            return False
+
+    wait_for(free, 20)
+
+
+def wait_for(true, seconds):
+    until = time.monotonic() + seconds
+    while not true():
+        assert time.monotonic() < until
+        time.sleep(0.1)
 
 
 @pytest.mark.parametrize(

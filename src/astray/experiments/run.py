@@ -6,6 +6,7 @@ import json
 import multiprocessing
 import os
 import sys
+import threading
 import time
 from collections.abc import Sequence
 from concurrent.futures import Future, ProcessPoolExecutor
@@ -75,7 +76,16 @@ def train_all(plan: Plan, folder: Path, workers: int) -> list[Path]:
 
 
 def _train(config: Config, run: Path) -> None:
+    threading.Thread(target=_end_with_parent, daemon=True).start()
     train(config, run, progress=False)
+
+
+def _end_with_parent() -> None:
+    """Else a training would go on after its experiment was killed, and hold its run folder."""
+    parent = multiprocessing.parent_process()
+    assert parent is not None
+    parent.join()
+    os._exit(1)
 
 
 def _watch(running: dict[Path, Future], configs: dict[Path, Config]) -> None:
