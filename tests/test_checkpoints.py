@@ -177,7 +177,7 @@ def test_two_processes_cannot_train_in_one_folder(tmp_path):
         "import killed, sys, pathlib\nfrom astray.training.loop "
         f"import train\ntrain(killed.CONFIG, pathlib.Path({str(tmp_path)!r}), progress=False)",
     ]
-    env = os.environ | {"PYTHONPATH": str(Path(__file__).parent)}
+    env = os.environ | {"PYTHONPATH": os.pathsep.join(p for p in sys.path if p)}
     both = [subprocess.Popen(words, env=env, stderr=subprocess.PIPE, text=True) for _ in range(2)]
     said = [process.communicate()[1] for process in both]
     assert sorted(process.returncode for process in both) == [0, 1]

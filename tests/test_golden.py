@@ -38,7 +38,10 @@ import json, golden
 found = {{f"{game} {{v}}": golden.golden("{game}", v, steps=10) for v in {names}}}
 print(json.dumps(found))
 """
-    env = os.environ | {"NUMBA_DISABLE_JIT": "1", "PYTHONPATH": str(golden.FILE.parent)}
+    env = os.environ | {
+        "NUMBA_DISABLE_JIT": "1",
+        "PYTHONPATH": os.pathsep.join(filter(None, sys.path)),
+    }
     done = subprocess.run([sys.executable, "-c", code], env=env, capture_output=True, check=True)
     found = json.loads(done.stdout)
     assert len(found) == len(names) and golden.differing(found, KEPT) == []

@@ -43,7 +43,7 @@ def test_a_child_process_plays_as_its_parent(method):
     expected = walk(env)
     # A fork takes the environment along, without the threads that stepped it.
     given = env if method == "fork" else None
-    child = context.Process(target=_walk_and_send, args=(theirs, given))
+    child = context.Process(target=_walk_and_send, args=(theirs, given), daemon=True)
     child.start()
     assert ours.poll(60) and ours.recv_bytes() == expected
     child.join(10)

@@ -18,7 +18,7 @@ EXPERIMENT = Experiment(
             shift="corner-small",
             smaller="worlds of 7 cells instead of 25, seen as symbols instead of a picture; a "
             "mouse that starts anywhere and has 100 steps instead of 500; a network of two "
-            "hidden layers, and 4.5 million steps instead of 200 million",
+            "hidden layers, and 5.5 million steps instead of 200 million",
         ),
         "hour": Plan(
             replace(
