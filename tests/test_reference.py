@@ -1,98 +1,126 @@
 """The games are the originals, level by level and step by step."""
 
 import json
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 from astray import games
 from astray.envs.vector import GameVectorEnv
-from astray.game import Variant
-
-MAZE, KEYS = games.load("maze").variants, games.load("keys").variants
+from astray.games.coinrun import rules as coinrun
+from astray.games.keys import rules as keys
+from astray.games.maze import rules as maze
 
 
 @dataclass(frozen=True)
-class Recorded:
-    """What was recorded as which variant, and how its codes are drawn here."""
+class Translation:
+    """How recordings of the original say what a game's state says."""
 
-    game: str
-    variant: Variant
-    cells: dict[int, str]
-    entities: dict[int, str]
-
-
-def maze(variant):
-    return Recorded("maze", variant, {100: ".", 51: "#", 2: "G", 3: "o"}, {})
+    cells: Mapping[int, int]  # the original's value -> the game's
+    fields: Mapping[str, str]  # recorded for a level -> in the state
+    things: Callable[[Any], set] | None = None  # (type, look, x, y, vx) in a state
 
 
-def keys(name):
-    return Recorded("keys", KEYS[name], {100: ".", 51: "#"}, {1: "C", 2: "k"})
+def coinrun_things(s: Any) -> set:
+    saws, crates = np.argwhere(s.thing == coinrun.SAW), np.argwhere(s.thing == coinrun.CRATE)
+    w = slice(s.walkers)
+    return (
+        {(2, 0, x + 0.5, y + 0.5, 0) for y, x in saws}
+        | {(20, s.detail[y, x], x + 0.5, y + 0.5, 0) for y, x in crates}
+        | {
+            (5, *walker)
+            for walker in zip(
+                s.walker_look[w], s.walker_x[w], s.walker_y[w], s.walker_vx[w], strict=True
+            )
+        }
+    )
 
 
+def recorded_things(entities: np.ndarray) -> set:
+    """What stands and walks about; of two crates in a cell the one that is seen."""
+    seen = {}
+    for kind, look, x, y, vx in entities[1:, :5]:
+        if not np.isnan(kind):
+            seen[kind, x, y, vx] = (kind, look, x, y, vx)
+    return set(seen.values())
+
+
+TRANSLATIONS = {
+    "maze": Translation(
+        cells={100: maze.EMPTY, 51: maze.WALL, 2: maze.GOAL, 3: maze.OTHER},
+        fields={"maze_size": "maze_size"},
+    ),
+    "coinrun": Translation(
+        cells={
+            100: coinrun.EMPTY, 15: coinrun.WALL, 16: coinrun.TOP, 17: coinrun.LAVA,
+            18: coinrun.LAVA_TOP, 19: coinrun.BARRIER, 1: coinrun.COIN, -1: coinrun.INVISIBLE,
+            -15: coinrun.PERMEABLE,
+        },
+        fields={"wall_theme": "ground"},
+        things=coinrun_things,
+    ),
+    "keys": Translation(cells={100: keys.EMPTY, 51: keys.WALL}, fields={}),
+}  # fmt: skip
+MAZE, COINRUN, KEYS = (games.load(game).variants for game in ("maze", "coinrun", "keys"))
 RECORDED = {
-    "maze": maze(MAZE["anywhere"]),
-    "maze_easy": maze(MAZE["anywhere-easy"]),
-    "maze_fixed_size": maze(MAZE["fixed-size"]),
-    "maze_corner": maze(MAZE["corner"]),
-    "maze_yellow_line": maze(MAZE["yellow-line"]),
-    "maze_red_line_yellow_gem": maze(MAZE["red-line-yellow-gem"]),
-    "maze_yellow_star_red_gem": maze(MAZE["yellow-star-red-gem"]),
-    "keys_many_chests": keys("many-chests"),
-    "keys_many_chests_penalties": keys("many-chests-penalties"),
-    "keys_many_keys": keys("many-keys"),
-    "keys_many_keys_easy": keys("many-keys-easy"),
-} | {
-    f"maze_region{side}": maze(replace(MAZE[f"region-{side}"], strict=True))
-    for side in (1, 3, 8, 16)
-}
+    "maze": MAZE["anywhere"],
+    "maze_easy": MAZE["anywhere-easy"],
+    "maze_fixed_size": MAZE["fixed-size"],
+    "maze_corner": MAZE["corner"],
+    "maze_yellow_line": MAZE["yellow-line"],
+    "maze_red_line_yellow_gem": MAZE["red-line-yellow-gem"],
+    "maze_yellow_star_red_gem": MAZE["yellow-star-red-gem"],
+    "coinrun": COINRUN["coin-end"],
+    "coinrun_aisc": COINRUN["coin-ledge-aisc"],
+    "coinrun_easy": COINRUN["coin-end-easy"],
+    "coinrun_permeable": COINRUN["coin-end-permeable"],
+    "coinrun_permeable_continue": COINRUN["coin-end-permeable-continue"],
+    "coinrun_random50": COINRUN["coin-half"],
+    "coinrun_random100": COINRUN["coin-ledge"],
+    "keys_many_chests": KEYS["many-chests"],
+    "keys_many_chests_penalties": KEYS["many-chests-penalties"],
+    "keys_many_keys": KEYS["many-keys"],
+    "keys_many_keys_easy": KEYS["many-keys-easy"],
+} | {f"maze_region{side}": replace(MAZE[f"region-{side}"], strict=True) for side in (1, 3, 8, 16)}
 
 
 def begin(name, levels):
-    made = RECORDED[name]
-    env = GameVectorEnv(
-        made.game, made.variant, len(levels), observation="symbolic", autoreset_mode="Disabled"
-    )
+    game = name.split("_")[0]
+    options = {"observation": "symbolic", "autoreset_mode": "Disabled"}
+    env = GameVectorEnv(game, RECORDED[name], len(levels), **options)
     env.reset(seed=0, options={"level": levels})
-    return env
-
-
-def recorded_grids(name, recorded):
-    """The recorded cells and entities in this game's codes, [n, H, W]."""
-    legend = games.load(RECORDED[name].game).legend
-    codes = {theirs: legend[char] for theirs, char in RECORDED[name].cells.items()}
-    grids = np.vectorize(codes.get)(recorded["grid"])
-    for grid, entities in zip(grids, recorded["entities"], strict=True):
-        for kind, _, x, y, *_ in entities:
-            if kind in RECORDED[name].entities:
-                grid[int(y), int(x)] = legend[RECORDED[name].entities[kind]]
-    return grids
+    return env, TRANSLATIONS[game]
 
 
 @pytest.mark.parametrize("name", RECORDED)
 def test_levels_are_the_originals(name, reference: Path):
     recorded = np.load(reference / f"{name}.levels.npz")
-    env = begin(name, recorded["seeds"])
-    states = env.states
-    grids = [env.game.describe(s)["grid"] for s in states]
-    assert np.array_equal(grids, recorded_grids(name, recorded))
-    assert np.array_equal(states["background"], recorded["background"])
+    env, translation = begin(name, recorded["seeds"])
+    states, side = env.states, recorded["grid"].shape[1]
+    expected = np.vectorize(translation.cells.get)(recorded["grid"])
+    assert np.array_equal(states["cell"][:, :side, :side], expected)
+    for theirs, ours in {"background": "background", **translation.fields}.items():
+        assert np.array_equal(states[ours], recorded[theirs])
     assert np.array_equal(states["background_offset"], recorded["background_offset"])
     assert np.array_equal(states["x"], recorded["entities"][:, 0, 2])
     assert np.array_equal(states["y"], recorded["entities"][:, 0, 3])
-    if recorded["maze_size"].any():  # not recorded of keys
-        assert np.array_equal(states["maze_size"], recorded["maze_size"])
+    for s, entities in zip(states, recorded["entities"], strict=True):
+        if translation.things:
+            assert translation.things(s) == recorded_things(entities)
 
 
 @pytest.mark.parametrize("name", [name for name in RECORDED if name.startswith("keys")])
 def test_objects_are_made_in_the_originals_order_and_places(name, reference: Path):
     recorded = np.load(reference / f"{name}.levels.npz")
-    for s, entities in zip(
-        begin(name, recorded["seeds"]).states, recorded["entities"], strict=True
-    ):
-        theirs = entities[np.isin(entities[:, 0], (1, 2))]
+    env, _ = begin(name, recorded["seeds"])
+    codes = {1: keys.CHEST, 2: keys.KEY}
+    for s, entities in zip(env.states, recorded["entities"], strict=True):
+        theirs = entities[np.isin(entities[:, 0], list(codes))]
+        assert s.what[: s.objects].tolist() == [codes[kind] for kind in theirs[:, 0]]
         assert np.array_equal(s.object_x[: s.objects], theirs[:, 2])
         assert np.array_equal(s.object_y[: s.objects], theirs[:, 3])
 
@@ -106,7 +134,7 @@ def same(reward, recorded):
 def test_episodes_go_as_the_originals(name, reference: Path):
     lines = (reference / f"{name}.episodes.jsonl").read_text().splitlines()
     for episode in map(json.loads, lines):
-        env = begin(name, [episode["seed"]])
+        env, _ = begin(name, [episode["seed"]])
         x, y, rewards, ended = [], [], {}, False
         for t, action in enumerate(episode["actions"]):
             assert not ended, "actions after the end"
@@ -120,14 +148,31 @@ def test_episodes_go_as_the_originals(name, reference: Path):
         assert (rewards.keys(), ended) == (episode["rewards"].keys(), episode["done"])
         assert all(same(reward, episode["rewards"][t]) for t, reward in rewards.items())
         assert env.states["time"][0] == episode["steps"]
-        if ended:
-            assert bool(terminated[0]) == bool(episode["complete"])
+        if ended:  # an end by the rules is a success, or in CoinRun a death, without reward
+            assert bool(terminated[0] and reward[0] > 0) == bool(episode["complete"])
+        if ended and "took_invisible" in env.game.events:
+            assert (env.states["took_invisible"][0] >= 0) == bool(episode["invisible_coin"])
         np.testing.assert_allclose([x, y], [episode["x"], episode["y"]], atol=0.001)
+
+
+def coinrun_traces() -> dict:
+    traces = json.loads((Path(__file__).parent / "reference/physics_traces.json").read_text())
+    return {name: trace for name, trace in traces.items() if isinstance(trace, list)}
+
+
+@pytest.mark.parametrize("name", [n for n in coinrun_traces() if n.startswith("coinrun")])
+def test_the_runner_moves_as_the_originals(name):
+    env, _ = begin("coinrun", [3])
+    for point in coinrun_traces()[name][1:]:
+        env.step(np.array([point["action"]]))
+        s = env.states[0]
+        expected = [point[axis] for axis in ("x", "y", "vx", "vy")]
+        np.testing.assert_allclose([s.x, s.y, s.vx, s.vy], expected, atol=1e-6)
 
 
 def test_the_thief_speeds_up_turns_and_stops_as_the_originals(reference: Path):
     for trace in json.loads((reference / "keys.traces.json").read_text()):
-        env = begin("keys_many_chests", [trace["seed"]])
+        env, _ = begin("keys_many_chests", [trace["seed"]])
         for action, place in zip(trace["actions"], trace["places"], strict=True):
             s = env.states[0]
             np.testing.assert_allclose([s.x, s.y, s.vx, s.vy], place, atol=1e-5)

@@ -1,0 +1,35 @@
+"""CoinRun: a runner jumps over hazards to a coin; in training it lies at the end of the level."""
+
+from astray.game import Game
+from astray.games.coinrun import draw, levels, rules, solve, variants
+
+GAME = Game(
+    name="coinrun",
+    about="a runner jumps over hazards to a coin",
+    actions=rules.ACTIONS,
+    state=rules.STATE,
+    variants=variants.VARIANTS,
+    shifts=variants.SHIFTS,
+    events=rules.EVENTS,
+    goals=variants.GOALS,
+    benchmark="coin-end",
+    envpool="CoinrunHard-v0",
+    generate=levels.generate,
+    step=rules.step,
+    paint=draw.paint,
+    draw=draw.draw,
+    paint_planes=draw.paint_planes,
+    draw_planes=draw.draw_planes,
+    art=draw.art,
+    scene_shape=draw.scene_shape,
+    planes_scene_shape=draw.planes_scene_shape,
+    planes=draw.planes,
+    check=levels.check,
+    legend=levels.LEGEND,
+    objects=levels.OBJECTS,
+    describe=levels.describe,
+    build=levels.build,
+    reachable=solve.reachable,
+    guide=solve.guide,
+    optimal_return=solve.optimal_return,
+)

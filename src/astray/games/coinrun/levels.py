@@ -1,0 +1,399 @@
+"""Levels of CoinRun: the original's draws, in the original's order; and levels as data."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from astray.game import NEVER, Variant
+from astray.games.coinrun.reach import pick_place
+from astray.games.coinrun.rules import (
+    BARRIER,
+    COIN,
+    CRATE,
+    EMPTY,
+    HALF,
+    INVISIBLE,
+    LAVA,
+    LAVA_TOP,
+    NOTHING,
+    PERMEABLE,
+    PUFFS,
+    SAW,
+    STATE,
+    STROLL,
+    TALL,
+    TOP,
+    WALKERS,
+    WALL,
+    WORLD,
+    F,
+    stops,
+)
+from astray.kernel.jit import kernel, shared
+from astray.kernel.rng import below, share, unit
+
+RUNNERS, GROUNDS, BACKGROUNDS, CRATES, LOOKS = 5, 6, 62, 4, 9  # how many looks there are
+ONE_COIN, TWO_COINS = 0, 1  # CoinRun.coins, in the order of its choices
+ANYWHERE = 1  # CoinRun.place
+COINRUN = 0  # CoinRun.numbering
+BEGIN = 5  # column of the first section
+HIGH, LOW = 20, 5  # surfaces from here up only go down, below here only up, in cells
+PERCENT = 0xC0117  # salt of the hash that refines the original's draw of a whole percent
+
+# In levels as data a cell holds one thing, which stands in an empty cell of the state's.
+CRATE_HERE, SAW_HERE, WALKER_LEFT, WALKER_RIGHT, SAW_AND_LEFT, SAW_AND_RIGHT = range(9, 15)
+LEGEND = {
+    ".": EMPTY, "#": WALL, "=": TOP, "w": LAVA, "~": LAVA_TOP, ":": BARRIER, "o": COIN,
+    "i": INVISIBLE, "%": PERMEABLE, "c": CRATE_HERE, "x": SAW_HERE, "<": WALKER_LEFT,
+    ">": WALKER_RIGHT, "(": SAW_AND_LEFT, ")": SAW_AND_RIGHT,
+}  # fmt: skip
+OBJECTS = {
+    "coin": "o", "invisible coin": "i", "crate": "c", "saw": "x", "walker to the left": "<",
+    "walker to the right": ">",
+}  # fmt: skip
+
+
+@kernel
+def draw(s, n):
+    """`below`, but compiled once; a literal would be compiled anew for each number."""
+    return draw_any(s, np.int64(n))
+
+
+@shared
+def draw_any(s, n):
+    return below(s, n)
+
+
+@shared
+def generate(s, p):
+    """Fill `s` with a new level of the variant `p`."""
+    offset, background = unit(s), draw(s, BACKGROUNDS)
+    unit(s)
+    unit(s)  # the original draws a place to start and does not use it
+    runner, ground = 0, 0
+    if not p.easy:
+        runner, ground = draw(s, RUNNERS), draw(s, GROUNDS)
+    percent = 0
+    if p.numbering == COINRUN:
+        percent = draw(s, 100)
+    random = percent + share(s.level, PERCENT) < 100 * p.random_coin
+    clear(s)
+    s.background_offset, s.background = offset, 0 if p.easy else background
+    s.runner_look, s.ground = runner, ground
+    s.continues = p.continues
+    in_pit = np.zeros(WORLD, np.bool_)
+    random_x, random_y = build_sections(s, p, in_pit)
+    finish(s, p.permeable)
+    if p.place == ANYWHERE:
+        x, y = pick_place(s, in_pit)
+        if x != NEVER:
+            random_x, random_y = x, y
+    put_coins(s, p, random, random_x, random_y)
+
+
+@shared
+def clear(s):
+    """An empty world, closed all around, with the runner in its lower left corner."""
+    for y in range(WORLD):
+        for x in range(WORLD):
+            s.cell[y, x], s.thing[y, x], s.detail[y, x] = EMPTY, NOTHING, 0
+    fill(s.cell, 0, WORLD, 0, 1, TOP)
+    fill(s.cell, 0, WORLD, WORLD - 1, WORLD, WALL)
+    fill(s.cell, 0, 1, 0, WORLD, WALL)
+    fill(s.cell, WORLD - 1, WORLD, 0, WORLD, WALL)
+    s.walkers = 0
+    for k in range(WALKERS):
+        s.walker_x[k], s.walker_y[k], s.walker_vx[k], s.walker_look[k] = 0, 0, 0, 0
+        for age in range(PUFFS):
+            s.trail_x[k, age] = 0
+    s.x, s.y = F(1) + HALF, F(1) + TALL
+    s.vx, s.vy = 0, 0
+    s.on_crate, s.faces_left, s.pose = False, False, 0
+    s.coin_x, s.coin_y = NEVER, NEVER
+    s.took_coin, s.took_invisible, s.passed_coin = NEVER, NEVER, NEVER
+    s.reached_end, s.touched_wall, s.passed_wall = NEVER, NEVER, NEVER
+    s.died, s.met_saw, s.met_walker, s.met_lava = NEVER, NEVER, NEVER, NEVER
+    s.timed_out = NEVER
+
+
+@shared
+def build_sections(s, p, in_pit):
+    """Build the ground up to the end, mark pits; the cell (x, y) of the original's random coin."""
+    difficulty = 1 + draw(s, 3)
+    if p.difficulty:
+        difficulty = p.difficulty
+    sections = difficulty + draw(s, difficulty)
+    if p.sections:
+        sections = p.sections
+    danger = draw(s, 3)
+    with_coin = draw(s, sections)
+    x, y = BEGIN, 1
+    random_x, random_y = NEVER, NEVER
+    for section in range(sections):
+        height = 1 + draw(s, 4) + (difficulty == 3)
+        if y >= HIGH or (y >= LOW and draw(s, 2) == 1):
+            height = -height
+        width = 3 + draw(s, 2 * difficulty) + (difficulty == 3)
+        y = max(1, y + height)
+        if section == with_coin:
+            random_x, random_y = x, y
+        if width > 7 and y > 3 and draw(s, 20) >= difficulty:
+            build_pit(s, p, x, y, width, danger, in_pit)
+        else:
+            build_flat(s, p, x, y, width, difficulty)
+        if not stops(s.cell[y, x - 1]):
+            s.cell[y, x - 1] = BARRIER
+        x += width
+        s.cell[y, x] = BARRIER
+    s.end_x, s.end_y = x, y
+    return random_x, random_y
+
+
+@kernel
+def fill(grid, left, right, low, high, what):
+    """Put `what` in columns left..right of rows low..high."""
+    fill_any(grid, np.int64(left), np.int64(right), np.int64(low), np.int64(high), np.int64(what))
+
+
+@shared
+def fill_any(grid, left, right, low, high, what):
+    for y in range(low, high):
+        for x in range(left, right):
+            grid[y, x] = what
+
+
+@shared
+def fill_ground(s, x, y, width):
+    """Solid ground with its surface at height `y`."""
+    fill(s.cell, x, x + width, 0, y - 1, WALL)
+    fill(s.cell, x, x + width, y - 1, y, TOP)
+
+
+@shared
+def put_walker(s, p, x, y):
+    """Draw a walker; it is there only in variants with hazards."""
+    left, look = draw(s, 2) == 0, draw(s, LOOKS)
+    if p.hazards:
+        add_walker(s, x, y, left, look)
+
+
+@shared
+def add_walker(s, x, y, left, look):
+    """One more walker, in the middle of cell (x, y)."""
+    k = s.walkers
+    s.walker_x[k], s.walker_y[k] = F(x) + HALF, F(y) + HALF
+    s.walker_vx[k] = -STROLL if left else STROLL
+    s.walker_look[k] = look
+    for age in range(PUFFS):
+        s.trail_x[k, age] = s.walker_x[k]
+    s.detail[y, x] = look
+    s.walkers = k + 1
+
+
+@shared
+def build_pit(s, p, x, y, width, danger, in_pit):
+    """Two banks, and a pit of lava, saws or walkers between them; a platform if it is wide."""
+    left, right = 1 + draw(s, 3), 1 + draw(s, 3)
+    wide = width - left - right
+    deep = 1 + draw(s, y - 3)
+    if not p.hazards:
+        fill_ground(s, x, y, width)
+    else:
+        fill_ground(s, x, y, left)
+        fill_ground(s, x + left + wide, y, right)
+        for k in range(x + left, x + left + wide):
+            in_pit[k] = True
+    x += left
+    if danger == 0 and p.hazards:
+        fill(s.cell, x, x + wide, 1, deep, LAVA)
+        fill(s.cell, x, x + wide, deep, deep + 1, LAVA_TOP)
+    elif danger == 1 and p.hazards:
+        fill(s.thing, x, x + wide, 1, 2, SAW)
+    elif danger == 2:
+        for k in range(wide):
+            put_walker(s, p, x + k, np.int64(1))
+    if wide > 4:
+        gap = 1 + (wide > 5) + draw(s, 2)
+        platform = wide - gap - (2 + draw(s, 2)) if wide == 7 else 1 + draw(s, 2)
+        fill(s.cell, x + gap, x + gap + platform, y - 1, y, TOP)
+
+
+@shared
+def build_flat(s, p, x, y, width, difficulty):
+    """Solid ground with a saw, a walker and two piles of crates on it, or fewer."""
+    fill_ground(s, x, y, width)
+    saw_x, walker_x = NEVER, NEVER
+    if draw(s, 10) < 2 * difficulty and width > 3:
+        saw_x = x + 1 + draw(s, width - 2)
+        if p.hazards:
+            s.thing[y, saw_x] = SAW
+    if draw(s, 10) < difficulty and width > 3 and not p.easy:
+        walker_x = x + 1 + draw(s, width - 2)
+        put_walker(s, p, walker_x, y)
+    for _ in range(2):
+        pile_x = x + 1 + draw(s, width - 2)
+        if draw(s, 2) == 1 and pile_x != saw_x and pile_x != walker_x:
+            for k in range(1 + draw(s, 3)):
+                s.thing[y + k, pile_x] = CRATE
+                s.detail[y + k, pile_x] = draw(s, CRATES)
+
+
+@shared
+def finish(s, permeable):
+    """The ground at the end, and the end wall."""
+    x, y = s.end_x, s.end_y
+    s.cell[y, x] = EMPTY
+    fill_ground(s, x, y, np.int64(1))
+    s.permeable = min(permeable, WORLD - 1 - x)
+    if permeable:
+        fill(s.cell, x + 1, x + 1 + s.permeable, 0, WORLD, PERMEABLE)
+    else:
+        fill(s.cell, x + 1, WORLD, 0, WORLD, WALL)
+
+
+@kernel
+def put_coins(s, p, random, random_x, random_y):
+    """A coin at the end or at the random place or at both; where none is, an invisible one."""
+    if p.coins == TWO_COINS:
+        at_end, at_random = True, True
+    elif p.coins == ONE_COIN:
+        at_end, at_random = not random, random
+    else:
+        at_end, at_random = False, False
+    s.cell[random_y, random_x] = COIN if at_random else INVISIBLE
+    s.cell[s.end_y, s.end_x] = COIN if at_end else INVISIBLE
+    if at_end:
+        s.coin_x, s.coin_y = s.end_x, s.end_y
+    elif at_random:
+        s.coin_x, s.coin_y = random_x, random_y
+
+
+def describe(s: Any) -> dict[str, Any]:
+    """The level in state `s` as plain data; rows of `grid` from the lowest up."""
+    grid, details = s.cell.copy(), s.detail.copy()
+    grid[s.thing == CRATE] = CRATE_HERE
+    grid[s.thing == SAW] = SAW_HERE
+    for k in range(s.walkers):
+        x, y, left = int(s.walker_x[k]), int(s.walker_y[k]), s.walker_vx[k] < 0
+        saw = s.thing[y, x] == SAW
+        grid[y, x] = (SAW_AND_LEFT if saw else WALKER_LEFT) + (not left)
+        details[y, x] = s.walker_look[k]
+    return {
+        "world": WORLD,
+        "grid": grid.tolist(),
+        "legend": {
+            "empty": EMPTY, "wall": WALL, "top of a wall": TOP, "lava": LAVA,
+            "top of lava": LAVA_TOP, "barrier": BARRIER, "coin": COIN, "invisible coin": INVISIBLE,
+            "permeable wall": PERMEABLE, "crate": CRATE_HERE, "saw": SAW_HERE,
+            "walker to the left": WALKER_LEFT, "walker to the right": WALKER_RIGHT,
+            "saw and walker to the left": SAW_AND_LEFT,
+            "saw and walker to the right": SAW_AND_RIGHT,
+        },
+        "agent": [float(s.x), float(s.y)],
+        "coins": [[int(x), int(y)] for y, x in np.argwhere(s.cell == COIN)],
+        "looks": {
+            "runner": int(s.runner_look),
+            "ground": int(s.ground),
+            "background": int(s.background),
+            "background_offset": float(s.background_offset),
+            # [x, y, which] of crates and walkers
+            "details": [[int(x), int(y), int(details[y, x])] for y, x in np.argwhere(details)],
+            "end": [int(s.end_x), int(s.end_y)],
+            "permeable": int(s.permeable),
+        },
+    }  # fmt: skip
+
+
+def check(states: np.ndarray, variant: Variant) -> None:
+    """Raise ValueError for states [N] that compiled code would read out of bounds with."""
+    s = states.view(np.recarray)
+    facts = {
+        "cell": (s.cell <= PERMEABLE).all((1, 2)),
+        "thing": (s.thing <= SAW).all((1, 2)),
+        "detail": (s.detail < LOOKS).all((1, 2)),
+        "x": (s.x > 0) & (s.x < WORLD),
+        "y": (s.y > 0) & (s.y < WORLD),
+        "vx": abs(s.vx) <= 2,
+        "vy": abs(s.vy) <= 2,
+        "pose": _within(s.pose, 0, 3),
+        "walkers": _within(s.walkers, 0, WALKERS + 1),
+        "walker_x": ((s.walker_x >= 0) & (s.walker_x < WORLD)).all(1),
+        "walker_y": ((s.walker_y >= 0) & (s.walker_y < WORLD)).all(1),
+        "walker_vx": (abs(s.walker_vx) <= 2).all(1),
+        "walker_look": (s.walker_look < LOOKS).all(1),
+        "trail_x": ((s.trail_x >= 0) & (s.trail_x < WORLD)).all((1, 2)),
+        "end_x": _within(s.end_x, 0, WORLD),
+        "end_y": _within(s.end_y, 0, WORLD),
+        "coin_x": _within(s.coin_x, NEVER, WORLD),
+        "coin_y": _within(s.coin_y, NEVER, WORLD),
+        "permeable": _within(s.permeable, 0, WORLD),
+        "runner_look": _within(s.runner_look, 0, RUNNERS),
+        "ground": _within(s.ground, 0, GROUNDS),
+        "background": _within(s.background, 0, BACKGROUNDS),
+        "background_offset": (s.background_offset >= 0) & (s.background_offset <= 1),
+    }
+    for name, holds in facts.items():
+        if not holds.all():
+            i = int(np.argmin(holds))
+            raise ValueError(f"state {i} is none of this variant: its {name} is impossible there")
+
+
+def _within(numbers: np.ndarray, first: int, after: int) -> np.ndarray:
+    return (numbers >= first) & (numbers < after)
+
+
+def build(cells: np.ndarray, agent: tuple[int, int], looks: Any, variant: Variant) -> Any:
+    """The state that begins in the level of `cells`, smaller ones in the world's lower left.
+
+    Around a smaller level there is wall. Its end is left of the rightmost column of empty cells
+    where `looks` do not say.
+    """
+    height, width = cells.shape
+    if height > WORLD or width > WORLD:
+        raise ValueError(f"the level is {width} x {height} cells; it is at most {WORLD} a side")
+    state = np.zeros(1, STATE)
+    s, grid = state.view(np.recarray)[0], np.full((WORLD, WORLD), WALL)
+    grid[:height, :width] = cells
+    clear(s)
+    s.time_limit, s.continues = variant.time_limit, variant.records()[0].continues
+    s.cell[:] = np.where(grid < CRATE_HERE, grid, EMPTY)
+    s.thing[:] = np.select([grid == CRATE_HERE, (grid == SAW_HERE) | (grid >= SAW_AND_LEFT)],
+                           [CRATE, SAW], NOTHING)  # fmt: skip
+    s.x, s.y = F(agent[0]) + HALF, F(agent[1]) + TALL
+    s.runner_look, s.ground = looks.get("runner", 0), looks.get("ground", 0)
+    s.background = looks.get("background", 0)
+    s.background_offset = looks.get("background_offset", 0.0)
+    details = np.zeros((WORLD, WORLD), int)
+    for x, y, which in looks.get("details", []):
+        if not (0 <= x < WORLD and 0 <= y < WORLD and 0 <= which < LOOKS):
+            raise ValueError(f"looks: details [{x}, {y}, {which}] are of no cell or no look")
+        details[y, x] = which
+    _add_walkers(s, grid, details)
+    s.detail[:] = details
+    s.end_x, s.end_y = looks.get("end", _guess_end(s.cell))
+    s.permeable = looks.get("permeable", int((s.cell[s.end_y] == PERMEABLE).sum()))
+    coins = np.argwhere(s.cell == COIN)
+    if len(coins):
+        s.coin_y, s.coin_x = coins[coins[:, 1].argmax()]
+    check(state, variant)
+    return s
+
+
+def _add_walkers(s: Any, grid: np.ndarray, details: np.ndarray) -> None:
+    """The walkers of the drawn `grid`, in the order in which the original makes them."""
+    found = [(int(x), int(y)) for x, y in np.argwhere(grid.T >= WALKER_LEFT)]
+    if len(found) > WALKERS:
+        raise ValueError(f"a level has at most {WALKERS} walkers; this has {len(found)}")
+    for x, y in found:
+        left = grid[y, x] in (WALKER_LEFT, SAW_AND_LEFT)
+        add_walker(s, x, y, left, details[y, x])
+
+
+def _guess_end(cell: np.ndarray) -> tuple[int, int]:
+    """The lowest cell that can be stood in, in the rightmost column that has one."""
+    free = ~np.isin(cell, (WALL, TOP, PERMEABLE))
+    stand = free[1:] & ~free[:-1] & (cell[:-1] != PERMEABLE)
+    x = int(np.flatnonzero(stand.any(0)).max(initial=0))
+    return x, int(stand[:, x].argmax()) + 1 if stand.any() else 0

@@ -1,0 +1,350 @@
+"""CoinRun: a runner jumps over hazards to a coin, which is worth 10 and ends the level.
+
+Numbers and the order of things are the original's; it calculates with 32-bit floats, and so
+does this: a constant that meets a coordinate is one.
+"""
+
+import numpy as np
+
+from astray.game import NEVER, state_dtype
+from astray.kernel.jit import kernel, shared
+from astray.kernel.rng import below
+
+WORLD = 64  # cells a side
+WALKERS = 48  # at most in a level; the original has up to 35
+PUFFS = 9  # of a walker's trail: a puff lasts 9 steps
+REWARD = 10.0
+
+# What is in a cell; a wall's top only looks different. Nobody sees barriers: they turn walkers.
+EMPTY, WALL, TOP, LAVA, LAVA_TOP, BARRIER, COIN, INVISIBLE, PERMEABLE = range(9)
+NOTHING, CRATE, SAW = 0, 1, 2  # what stands there besides
+
+# The original's 15 actions; those after "right-up" are keys that mean nothing here.
+ACTIONS = (
+    "left-down", "left", "left-up", "down", "stay", "up", "right-down", "right", "right-up",
+    "d", "a", "w", "s", "q", "e",
+)  # fmt: skip
+MOVES = 9  # actions that may move
+
+F = np.float32
+ZERO, ONE, TWO = F(0), F(1), F(2)
+HALF = F(0.5)  # half a side of walkers, saws and crates, and half the runner's width, in cells
+TALL = F(0.5787)  # half the runner's height, cells
+CORNER = F(0.98)  # of a box: its corners are looked up this much nearer to its centre
+NEAR = F(0.001)  # cells; boxes that overlap by less do not touch crates, coins and lava
+FOOT = F(0.01)  # cells: how far inside of the box's sides and below it the feet are
+
+GRAVITY = F(0.2)  # cells per step per step
+JUMP = F(1.5)  # cells per step; also the fastest fall
+FASTEST = F(0.5)  # cells per step, to the sides
+MIX_GROUND = F(0.2)  # share of the wanted speed in the new one, per step
+MIX_AIR = F(0.2) * F(0.15)
+STROLL = F(0.15)  # a walker's speed, cells per step
+TURN = F(0.01)  # below this speed, in cells per step, the runner looks as if it stood
+TIES = 1_000_000  # the original's draw each step, of which parity alone matters
+
+STATE = state_dtype(
+    ("cell", np.uint8, (WORLD, WORLD)),  # at [y, x]
+    ("thing", np.uint8, (WORLD, WORLD)),  # crates and saws
+    ("detail", np.uint8, (WORLD, WORLD)),  # the look of the crate or walker that begins there
+    ("x", np.float32), ("y", np.float32),  # the runner's centre, in cells
+    ("vx", np.float32), ("vy", np.float32),  # cells per step
+    ("on_crate", np.bool_),  # a crate stopped its fall in this step
+    ("faces_left", np.bool_), ("pose", np.int64),  # STAND, or one of two of a walk
+    ("walkers", np.int64),  # how many; of the arrays after it only so many count
+    ("walker_x", np.float32, (WALKERS,)), ("walker_y", np.float32, (WALKERS,)),
+    ("walker_vx", np.float32, (WALKERS,)),
+    ("walker_look", np.uint8, (WALKERS,)),
+    ("trail_x", np.float32, (WALKERS, PUFFS)),  # where it was, the last step's end first
+    ("end_x", np.int64), ("end_y", np.int64),  # the cell before the end wall
+    ("coin_x", np.int64), ("coin_y", np.int64),  # its cell, the rightmost; NEVER without one
+    ("permeable", np.int64),  # columns of the end wall that do not stop the runner
+    ("continues", np.bool_),  # after the coin
+    ("runner_look", np.int64), ("ground", np.int64), ("background", np.int64),
+    ("background_offset", np.float64),  # from 0 to 1: which part of it is seen
+    ("took_coin", np.int64), ("took_invisible", np.int64), ("passed_coin", np.int64),
+    ("reached_end", np.int64), ("touched_wall", np.int64), ("passed_wall", np.int64),
+    ("died", np.int64), ("met_saw", np.int64), ("met_walker", np.int64), ("met_lava", np.int64),
+    ("timed_out", np.int64),
+)  # fmt: skip
+EVENTS = (
+    "took_coin", "took_invisible", "passed_coin", "reached_end", "touched_wall", "passed_wall",
+    "died", "met_saw", "met_walker", "met_lava", "timed_out",
+)  # fmt: skip
+STAND, WALK = 0, 1
+
+
+@kernel
+def step(s, action):
+    """Move walkers and runner; return the reward and whether the episode is over."""
+    horizontal_first = below(s, TIES) % 2 == 0
+    stroll(s)
+    return act(s, action, horizontal_first)
+
+
+@shared
+def act(s, action, horizontal_first):
+    """The runner's part of a step: it moves, then meets what it overlaps."""
+    ax, ay = 0, 0
+    if action < MOVES:
+        ax, ay = action // 3 - 1, action % 3 - 1
+    supported = is_supported(s)
+    if ay == 1 and not supported:
+        ay = 0
+    accelerate(s, ax, ay, supported)
+    move(s, ax, ay, horizontal_first)
+    pose(s, ax, supported)
+    return meet(s)
+
+
+@kernel
+def stops(cell):
+    """Whether the runner cannot enter a cell."""
+    return WALL <= cell <= TOP  # `in` a tuple is not compiled to as little
+
+
+@kernel
+def is_lava(cell):
+    """Whether a cell burns the runner."""
+    return LAVA <= cell <= LAVA_TOP
+
+
+@kernel
+def is_solid(s, x, y):
+    """Whether the point (x, y) stops the runner; outside of the world all does."""
+    i, j = int(np.floor(x)), int(np.floor(y))
+    return not (0 <= i < WORLD and 0 <= j < WORLD) or stops(s.cell[j, i])
+
+
+@kernel
+def turns(s, x, y):
+    """Whether the point (x, y) turns a walker."""
+    i, j = int(np.floor(x)), int(np.floor(y))
+    return is_solid(s, x, y) or s.cell[j, i] == BARRIER
+
+
+@shared
+def stroll(s):
+    """Every walker goes on to a wall or a barrier, and turns there; it leaves a trail."""
+    reach = HALF * CORNER
+    quarter = F(0.25)
+    for k in range(s.walkers):
+        y = s.walker_y[k]
+        for age in range(PUFFS - 1, 0, -1):
+            s.trail_x[k, age] = s.trail_x[k, age - 1]
+        for _ in range(4):  # parts of a step
+            vx = s.walker_vx[k]
+            x = s.walker_x[k] + vx * quarter
+            if (
+                turns(s, x - reach, y - reach) or turns(s, x - reach, y + reach)
+                or turns(s, x + reach, y - reach) or turns(s, x + reach, y + reach)
+            ):  # fmt: skip
+                edge = np.floor(x + HALF) - HALF if vx > ZERO else np.ceil(x - HALF) + HALF
+                x = TWO * edge - x
+                s.walker_vx[k] = -vx
+            s.walker_x[k] = x
+        s.trail_x[k, 0] = s.walker_x[k]
+
+
+@kernel
+def is_supported(s):
+    """Whether the runner stands: it neither rises nor falls, and a foot is on something."""
+    foot = HALF - FOOT
+    below_feet = s.y - (TALL + FOOT)
+    return s.vy == ZERO and (
+        s.on_crate or is_solid(s, s.x - foot, below_feet) or is_solid(s, s.x + foot, below_feet)
+    )
+
+
+@kernel
+def accelerate(s, ax, ay, supported):
+    """Give the runner the speed that the action (ax, ay) calls for."""
+    mix = MIX_GROUND if supported else MIX_AIR
+    vx = (ONE - mix) * s.vx + mix * FASTEST * F(ax)
+    s.vx = ZERO if abs(vx) < mix * FASTEST else vx
+    if ay == 1:
+        s.vy = JUMP
+    else:
+        vy = s.vy
+        if supported:
+            vy = vy + GRAVITY * F(ay)
+        vy = vy - GRAVITY
+        s.vy = min(max(vy, -JUMP), JUMP)
+
+
+@shared
+def move(s, ax, ay, horizontal_first):
+    """Move the runner by its speed, in parts, and slow it by what was in the way."""
+    fast, falls = abs(s.vx), abs(s.vy)
+    if fast != falls:
+        horizontal_first = fast > falls
+    if ax != 0:
+        horizontal_first = True
+    if ay != 0:
+        horizontal_first = False
+    parts = max(4, int(F(4) * np.sqrt(s.vx * s.vx + s.vy * s.vy)))
+    part = ONE / F(parts)
+    crates_stop = ay >= 0
+    last_y = s.y
+    s.on_crate = False
+    free_x, free_y = 0, 0
+    for _ in range(parts):
+        blocked_x, blocked_y = False, False
+        for turn in range(2):
+            if (turn == 0) == horizontal_first:
+                blocked_x = shove(s, s.vx * part, ZERO, crates_stop, last_y)
+            else:
+                blocked_y = shove(s, ZERO, s.vy * part, crates_stop, last_y)
+        free_x += not blocked_x
+        free_y += not blocked_y
+        if blocked_x and blocked_y:
+            break
+    s.vx = s.vx * (F(free_x) * part)
+    s.vy = s.vy * (F(free_y) * part)
+
+
+@shared
+def shove(s, dx, dy, crates_stop, last_y):
+    """Move the runner by (dx, dy), one of which is 0; return whether something was in the way."""
+    blocked = slide(s, dx, dy)
+    # What moves by nothing counts as moving vertically, and crates stop that alone.
+    if dx == ZERO and crates_stop and s.vy < ZERO:
+        i, j = int(np.floor(s.x - HALF)), int(np.floor(s.y - TALL))
+        for y in range(max(j, 0), min(j + 3, WORLD)):
+            for x in range(max(i, 0), min(i + 2, WORLD)):
+                if s.thing[y, x] == CRATE and lands(s, F(x) + HALF, F(y) + HALF, last_y):
+                    s.on_crate = True
+                    slide(s, ZERO, F(y) + HALF + (TALL + HALF) - s.y)
+                    s.vy = ZERO
+                    return True
+    return blocked
+
+
+@kernel
+def lands(s, x, y, last_y):
+    """Whether the runner has come onto the crate at (x, y) from above in this step."""
+    return (
+        abs(s.x - x) < HALF + HALF - NEAR
+        and abs(s.y - y) < TALL + HALF - NEAR
+        and last_y >= y + HALF + TALL
+    )
+
+
+@shared
+def slide(s, dx, dy):
+    """Move the runner by (dx, dy) but not into walls; return whether one was in the way.
+
+    Four corners are looked up and nothing between them: what is thinner than the runner is
+    tall slips in.
+    """
+    x, y = s.x + dx, s.y + dy
+    across, along = HALF * CORNER, TALL * CORNER
+    blocked = (
+        is_solid(s, x - across, y - along) or is_solid(s, x - across, y + along)
+        or is_solid(s, x + across, y - along) or is_solid(s, x + across, y + along)
+    )  # fmt: skip
+    if blocked and dx != ZERO:
+        x = np.floor(x + HALF) - HALF if dx > ZERO else np.ceil(x - HALF) + HALF
+    elif blocked:
+        y = np.floor(y + TALL) - TALL if dy > ZERO else np.ceil(y - TALL) + TALL
+    s.x, s.y = x, y
+    return blocked
+
+
+@kernel
+def pose(s, ax, supported):
+    """How the runner looks after a step: where it faces, whether it walks."""
+    if ax != 0:
+        s.faces_left = ax < 0
+    if abs(s.vx) < TURN and ax == 0 and supported:
+        s.pose = STAND
+    else:
+        s.pose = WALK if s.time // 5 % 2 == 0 or not supported else WALK + 1
+
+
+@kernel
+def meet(s):
+    """What comes of all that the runner overlaps now: the reward, and whether it is the end."""
+    saw, walker = meets_saw(s), meets_walker(s)
+    ended, lava, reward = saw or walker, False, 0.0
+    left, right = int(np.floor(s.x - HALF + NEAR)), int(np.floor(s.x + HALF - NEAR))
+    low, high = int(np.floor(s.y - TALL + NEAR)), int(np.floor(s.y + TALL - NEAR))
+    for x in range(max(left, 0), min(right, WORLD - 1) + 1):
+        for y in range(max(low, 0), min(high, WORLD - 1) + 1):
+            cell = s.cell[y, x]
+            if cell == COIN:
+                reward += REWARD
+                if s.took_coin == NEVER:
+                    s.took_coin = s.time
+                ended = not s.continues
+                if s.continues:  # the original goes on whatever happened before
+                    saw, walker, lava = False, False, False
+            elif cell == INVISIBLE:
+                if s.took_invisible == NEVER:
+                    s.took_invisible = s.time
+            elif is_lava(cell):
+                lava, ended = True, True
+    note_death(s, saw, walker, lava)
+    note_places(s)
+    if not ended and s.time >= s.time_limit:
+        s.timed_out = s.time
+    return reward, ended
+
+
+@kernel
+def meets_saw(s):
+    """Whether the runner overlaps a saw."""
+    left, low = int(np.floor(s.x - HALF)), int(np.floor(s.y - TALL))
+    for y in range(max(low, 0), min(low + 3, WORLD)):
+        for x in range(max(left, 0), min(left + 2, WORLD)):
+            if s.thing[y, x] == SAW and overlaps(s, F(x) + HALF, F(y) + HALF):
+                return True
+    return False
+
+
+@kernel
+def meets_walker(s):
+    """Whether the runner overlaps a walker."""
+    met = False
+    for k in range(s.walkers):
+        met = met or overlaps(s, s.walker_x[k], s.walker_y[k])
+    return met
+
+
+@kernel
+def overlaps(s, x, y):
+    """Whether the runner overlaps a box of one cell centred at (x, y)."""
+    return abs(s.x - x) < HALF + HALF and abs(s.y - y) < TALL + HALF
+
+
+@kernel
+def note_death(s, saw, walker, lava):
+    """Keep the step of a death, and what it was of."""
+    if saw or walker or lava:
+        s.died = s.time
+    if saw:
+        s.met_saw = s.time
+    if walker:
+        s.met_walker = s.time
+    if lava:
+        s.met_lava = s.time
+
+
+@kernel
+def note_places(s):
+    """Keep the step at which the runner first gets to a place.
+
+    The end is the cell before the end wall, or anything further right; the coin is passed
+    when all of the runner is to its right, and so is a wall.
+    """
+    left, right = s.x - HALF, s.x + HALF
+    wall = F(s.end_x) + ONE
+    beside = s.y + TALL - NEAR > F(s.end_y) and s.y - TALL + NEAR < F(s.end_y) + ONE
+    if s.reached_end == NEVER and ((right - NEAR >= F(s.end_x) and beside) or right - NEAR >= wall):
+        s.reached_end = s.time
+    if s.touched_wall == NEVER and right >= wall:
+        s.touched_wall = s.time
+    if s.passed_wall == NEVER and s.permeable > 0 and left >= wall + F(s.permeable):
+        s.passed_wall = s.time
+    if s.passed_coin == NEVER and s.coin_x != NEVER and left >= F(s.coin_x) + ONE:
+        s.passed_coin = s.time

@@ -1,0 +1,230 @@
+"""Ways through a level, found by trying: a search with the real physics and the real walkers."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from astray.game import NEVER
+from astray.games.coinrun.reach import explore
+from astray.games.coinrun.rules import (
+    ACTIONS,
+    COIN,
+    HALF,
+    INVISIBLE,
+    NOTHING,
+    REWARD,
+    TIES,
+    WALKERS,
+    WORLD,
+    F,
+    act,
+    stroll,
+)
+from astray.games.coinrun.variants import GOALS
+from astray.kernel.jit import entry, kernel
+from astray.kernel.rng import below
+
+STAY = ACTIONS.index("stay")
+TRIED = np.array([ACTIONS.index(a) for a in ("right-up", "right", "left-up", "left", "up", "stay",
+                                              "down")])  # fmt: skip
+HELD = 3  # steps for which the search holds an action
+NODES = 100_000  # the search gives up after so many
+SLOTS = 1 << 18  # of the table of what the search has seen
+COIN_GOAL, END_GOAL, WALL_GOAL, BEYOND_GOAL = range(4)  # GOALS, in their order
+GREED = 1.5  # how much a step still to go weighs against one gone: more finds worse ways faster
+
+
+def guide(s: Any, goal: str) -> Callable[[Any], int]:
+    """What leads to `goal` from `s` on: a way that was found, action by action."""
+    begin, actions = int(s.time), plan(s, goal)
+    return lambda now: int(actions[now.time - begin]) if now.time - begin < len(actions) else STAY
+
+
+def optimal_return(s: Any, goal: str, gamma: float = 1.0) -> float:
+    """The discounted reward of the way to `goal` that `guide` goes, were it the rewarded one.
+
+    A short way, not certainly the shortest. The reward comes with its last step:
+    gamma ** (steps - 1) * 10, and 0 where no way was found in the time left.
+    """
+    if s[_event(goal)] != NEVER:
+        return REWARD
+    steps = len(plan(s, goal))
+    return REWARD * gamma ** (steps - 1) if steps else 0.0
+
+
+def plan(s: Any, goal: str) -> np.ndarray:
+    """The actions of a short way from `s` to `goal`; none where it was reached or none is found."""
+    event = _event(goal)
+    coin = goal == "coin" and not (s.cell == COIN).any()
+    beyond = goal == "beyond" and s.permeable == 0
+    if s[event] != NEVER or s.ended or coin or beyond:
+        return np.empty(0, np.int64)
+    copy = np.zeros(1, s.dtype)
+    copy[0] = s
+    return search(copy.view(np.recarray), tuple(GOALS).index(goal), int(s.time_limit - s.time))
+
+
+def _event(goal: str) -> str:
+    if goal not in GOALS:
+        raise ValueError(f"unknown goal {goal!r}; there are: {', '.join(GOALS)}")
+    return GOALS[goal]
+
+
+def reachable(s: Any) -> np.ndarray:
+    """The cells that the runner can touch, [WORLD, WORLD] bool, walkers aside.
+
+    And those of what stands or walks about, which nobody needs to get to.
+    """
+    copy = np.zeros(1, s.dtype)
+    copy[0] = s
+    touched = all_touched(copy.view(np.recarray))
+    touched |= (s.thing != NOTHING) | (s.cell == INVISIBLE)
+    for k in range(s.walkers):
+        touched[int(s.walker_y[k]), int(s.walker_x[k])] = True
+    return touched
+
+
+@entry
+def all_touched(states):
+    """The cells that the runner can touch, [WORLD, WORLD] bool."""
+    touched = np.zeros((WORLD, WORLD), np.bool_)
+    explore(states[0], NEVER, NEVER, touched)
+    return touched
+
+
+@entry
+def search(states, goal, left):
+    """The actions of a way from `states[0]`, which is written over, to `goal` in `left` steps."""
+    s = states[0]
+    paths, ties = np.empty((left, WALKERS), np.float32), np.empty(left, np.bool_)
+    for t in range(left):
+        ties[t] = below(s, TIES) % 2 == 0
+        stroll(s)
+        paths[t] = s.walker_x
+    targets = columns(s, goal)
+    begin, seen = s.time, np.zeros(SLOTS, np.int64)
+    body = np.empty((NODES, 5), np.float32)  # x, y, vx, vy, on a crate
+    when, parent, how = (
+        np.zeros(NODES, np.int64),
+        np.zeros(NODES, np.int64),
+        np.zeros(NODES, np.int64),
+    )
+    # Nodes wait in lists, one for each cost in steps: the first of a list, and the one after.
+    first, after = np.full(left + 8 * WORLD, -1), np.full(NODES, -1)
+    keep(s, body, 0)
+    first[0], count, cost = 0, 1, 0
+    while cost < len(first) and count + len(TRIED) <= NODES:
+        node = first[cost]
+        if node < 0:
+            cost += 1
+            continue
+        first[cost] = after[node]
+        for action in TRIED:
+            s.x, s.y, s.vx, s.vy = body[node, 0], body[node, 1], body[node, 2], body[node, 3]
+            s.on_crate = body[node, 4] > 0
+            s.took_coin, s.reached_end, s.touched_wall, s.passed_wall = NEVER, NEVER, NEVER, NEVER
+            time, ended = when[node], False
+            for _ in range(min(HELD, left - time)):
+                s.walker_x[:] = paths[time]
+                time += 1
+                s.time = begin + time
+                _, ended = act(s, action, ties[time - 1])
+                if has_reached(s, goal):
+                    return unwind(node, action, time, when, parent, how)
+                if ended:
+                    break
+            if not ended and time < left and is_new(s, time, seen):
+                price = min(time + int(GREED * steps_left(s, goal, targets)), len(first) - 1)
+                keep(s, body, count)
+                when[count], parent[count], how[count] = time, node, action
+                after[count], first[price] = first[price], count
+                cost = min(cost, price)
+                count += 1
+    return np.empty(0, np.int64)
+
+
+@kernel
+def keep(s, body, k):
+    """Write down the runner's motion as node `k`."""
+    body[k, 0], body[k, 1], body[k, 2], body[k, 3] = s.x, s.y, s.vx, s.vy
+    body[k, 4] = 1 if s.on_crate else 0
+
+
+@kernel
+def has_reached(s, goal):
+    """Whether the goal's event has happened."""
+    return (
+        (goal == COIN_GOAL and s.took_coin != NEVER)
+        or (goal == END_GOAL and s.reached_end != NEVER)
+        or (goal == WALL_GOAL and s.touched_wall != NEVER)
+        or (goal == BEYOND_GOAL and s.passed_wall != NEVER)
+    )
+
+
+@kernel
+def columns(s, goal):
+    """Where the goal may be, in cells to the right."""
+    if goal == COIN_GOAL:
+        found = np.empty(WORLD * WORLD, np.float32)
+        count = 0
+        for y in range(WORLD):
+            for x in range(WORLD):
+                if s.cell[y, x] == COIN:
+                    found[count] = F(x) + HALF
+                    count += 1
+        return found[:count].copy()
+    far = s.end_x + 1.5 + s.permeable if goal == BEYOND_GOAL else s.end_x + 0.5
+    return np.full(1, F(far))
+
+
+@kernel
+def steps_left(s, goal, targets):
+    """Steps at least until the runner is where the goal may be, at two a cell."""
+    least = F(2 * WORLD)
+    for k in range(len(targets)):
+        away = F(2) * abs(targets[k] - s.x)
+        if goal != COIN_GOAL and s.x > targets[k]:
+            away = F(0)
+        least = min(least, away)
+    return least
+
+
+@kernel
+def is_new(s, time, seen):
+    """Whether the search was nowhere near this motion yet; from now on it was.
+
+    Where walkers are about, other times are other motions: it may pay to wait.
+    """
+    key = (
+        int(s.x * 4)
+        + (int(s.y * 4) << 8)
+        + (int(s.vx * 10 + 20) << 16)
+        + (int(s.vy * 5 + 10) << 22)
+    )
+    key = (key << 2) + (2 if s.on_crate else 0) + 1
+    if s.walkers > 0:
+        key += (time // 8) << 32
+    slot = (key * 2654435761 >> 7) % SLOTS
+    for _ in range(64):
+        if seen[slot] == key:
+            return False
+        if seen[slot] == 0:
+            seen[slot] = key
+            return True
+        slot = (slot + 1) % SLOTS
+    return False
+
+
+@kernel
+def unwind(node, action, time, when, parent, how):
+    """The actions up to `node`, and then `action` until `time`."""
+    actions = np.empty(time, np.int64)
+    actions[when[node] : time] = action
+    while when[node] > 0:
+        before = parent[node]
+        actions[when[before] : when[node]] = how[node]
+        node = before
+    return actions
