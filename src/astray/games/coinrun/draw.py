@@ -63,7 +63,7 @@ def pixel(cells, scale):
 def paint(s, art, scene):
     """The whole world without what moves, and the margin; nothing where no scene is kept."""
     if scene.shape[0] > 1:
-        paint_part(s, art, scene, 0, 0, scene.shape[0] / CELLS)
+        paint_part(s, art, scene, np.int64(0), np.int64(0), scene.shape[0] / CELLS)
 
 
 @shared

@@ -32,7 +32,7 @@ from astray.games.coinrun.rules import (
     stops,
 )
 from astray.kernel.jit import kernel, shared
-from astray.kernel.rng import below, share, unit
+from astray.kernel.rng import draw_u32, share, unit
 
 RUNNERS, GROUNDS, BACKGROUNDS, CRATES, LOOKS = 5, 6, 62, 4, 9  # how many looks there are
 ONE_COIN, TWO_COINS = 0, 1  # CoinRun.coins, in the order of its choices
@@ -55,29 +55,24 @@ OBJECTS = {
 }  # fmt: skip
 
 
+@shared
+def word(s):
+    """The original's next 32 random bits; one function, as literals are compiled one by one."""
+    return np.int64(draw_u32(s))
+
+
 @kernel
-def draw(s, n):
-    """`below`, but compiled once; a literal would be compiled anew for each number."""
-    return draw_any(s, np.int64(n))
-
-
-@shared
-def draw_any(s, n):
-    return below(s, n)
-
-
-@shared
 def generate(s, p):
     """Fill `s` with a new level of the variant `p`."""
-    offset, background = unit(s), draw(s, BACKGROUNDS)
+    offset, background = unit(s), word(s) % BACKGROUNDS
     unit(s)
     unit(s)  # the original draws a place to start and does not use it
     runner, ground = 0, 0
     if not p.easy:
-        runner, ground = draw(s, RUNNERS), draw(s, GROUNDS)
+        runner, ground = word(s) % RUNNERS, word(s) % GROUNDS
     percent = 0
     if p.numbering == COINRUN:
-        percent = draw(s, 100)
+        percent = word(s) % 100
     random = percent + share(s.level, PERCENT) < 100 * p.random_coin
     clear(s)
     s.background_offset, s.background = offset, 0 if p.easy else background
@@ -93,16 +88,16 @@ def generate(s, p):
     put_coins(s, p, random, random_x, random_y)
 
 
-@shared
+@kernel
 def clear(s):
     """An empty world, closed all around, with the runner in its lower left corner."""
     for y in range(WORLD):
         for x in range(WORLD):
             s.cell[y, x], s.thing[y, x], s.detail[y, x] = EMPTY, NOTHING, 0
-    fill(s.cell, 0, WORLD, 0, 1, TOP)
-    fill(s.cell, 0, WORLD, WORLD - 1, WORLD, WALL)
-    fill(s.cell, 0, 1, 0, WORLD, WALL)
-    fill(s.cell, WORLD - 1, WORLD, 0, WORLD, WALL)
+            if y == 0:
+                s.cell[y, x] = TOP
+            if x == 0 or x == WORLD - 1 or y == WORLD - 1:
+                s.cell[y, x] = WALL
     s.walkers = 0
     for k in range(WALKERS):
         s.walker_x[k], s.walker_y[k], s.walker_vx[k], s.walker_look[k] = 0, 0, 0, 0
@@ -118,28 +113,28 @@ def clear(s):
     s.timed_out = NEVER
 
 
-@shared
+@kernel
 def build_sections(s, p, in_pit):
     """Build the ground up to the end, mark pits; the cell (x, y) of the original's random coin."""
-    difficulty = 1 + draw(s, 3)
+    difficulty = 1 + word(s) % 3
     if p.difficulty:
         difficulty = p.difficulty
-    sections = difficulty + draw(s, difficulty)
+    sections = difficulty + word(s) % difficulty
     if p.sections:
         sections = p.sections
-    danger = draw(s, 3)
-    with_coin = draw(s, sections)
-    x, y = BEGIN, 1
+    danger = word(s) % 3
+    with_coin = word(s) % sections
+    x, y = np.int64(BEGIN), np.int64(1)  # as literals, all they go to is compiled twice
     random_x, random_y = NEVER, NEVER
     for section in range(sections):
-        height = 1 + draw(s, 4) + (difficulty == 3)
-        if y >= HIGH or (y >= LOW and draw(s, 2) == 1):
+        height = 1 + word(s) % 4 + (difficulty == 3)
+        if y >= HIGH or (y >= LOW and word(s) % 2 == 1):
             height = -height
-        width = 3 + draw(s, 2 * difficulty) + (difficulty == 3)
+        width = 3 + word(s) % (2 * difficulty) + (difficulty == 3)
         y = max(1, y + height)
         if section == with_coin:
             random_x, random_y = x, y
-        if width > 7 and y > 3 and draw(s, 20) >= difficulty:
+        if width > 7 and y > 3 and word(s) % 20 >= difficulty:
             build_pit(s, p, x, y, width, danger, in_pit)
         else:
             build_flat(s, p, x, y, width, difficulty)
@@ -152,34 +147,23 @@ def build_sections(s, p, in_pit):
 
 
 @kernel
-def fill(grid, left, right, low, high, what):
-    """Put `what` in columns left..right of rows low..high."""
-    fill_any(grid, np.int64(left), np.int64(right), np.int64(low), np.int64(high), np.int64(what))
-
-
-@shared
-def fill_any(grid, left, right, low, high, what):
-    for y in range(low, high):
-        for x in range(left, right):
-            grid[y, x] = what
-
-
-@shared
 def fill_ground(s, x, y, width):
     """Solid ground with its surface at height `y`."""
-    fill(s.cell, x, x + width, 0, y - 1, WALL)
-    fill(s.cell, x, x + width, y - 1, y, TOP)
+    for column in range(x, x + width):
+        for row in range(y - 1):
+            s.cell[row, column] = WALL
+        s.cell[y - 1, column] = TOP
 
 
 @shared
 def put_walker(s, p, x, y):
     """Draw a walker; it is there only in variants with hazards."""
-    left, look = draw(s, 2) == 0, draw(s, LOOKS)
+    left, look = word(s) % 2 == 0, word(s) % LOOKS
     if p.hazards:
         add_walker(s, x, y, left, look)
 
 
-@shared
+@kernel
 def add_walker(s, x, y, left, look):
     """One more walker, in the middle of cell (x, y)."""
     k = s.walkers
@@ -192,12 +176,12 @@ def add_walker(s, x, y, left, look):
     s.walkers = k + 1
 
 
-@shared
+@kernel
 def build_pit(s, p, x, y, width, danger, in_pit):
     """Two banks, and a pit of lava, saws or walkers between them; a platform if it is wide."""
-    left, right = 1 + draw(s, 3), 1 + draw(s, 3)
+    left, right = 1 + word(s) % 3, 1 + word(s) % 3
     wide = width - left - right
-    deep = 1 + draw(s, y - 3)
+    deep = 1 + word(s) % (y - 3)
     if not p.hazards:
         fill_ground(s, x, y, width)
     else:
@@ -207,50 +191,53 @@ def build_pit(s, p, x, y, width, danger, in_pit):
             in_pit[k] = True
     x += left
     if danger == 0 and p.hazards:
-        fill(s.cell, x, x + wide, 1, deep, LAVA)
-        fill(s.cell, x, x + wide, deep, deep + 1, LAVA_TOP)
+        for column in range(x, x + wide):
+            for row in range(1, deep):
+                s.cell[row, column] = LAVA
+            s.cell[deep, column] = LAVA_TOP
     elif danger == 1 and p.hazards:
-        fill(s.thing, x, x + wide, 1, 2, SAW)
+        for column in range(x, x + wide):
+            s.thing[1, column] = SAW
     elif danger == 2:
         for k in range(wide):
             put_walker(s, p, x + k, np.int64(1))
     if wide > 4:
-        gap = 1 + (wide > 5) + draw(s, 2)
-        platform = wide - gap - (2 + draw(s, 2)) if wide == 7 else 1 + draw(s, 2)
-        fill(s.cell, x + gap, x + gap + platform, y - 1, y, TOP)
+        gap = 1 + (wide > 5) + word(s) % 2
+        platform = wide - gap - (2 + word(s) % 2) if wide == 7 else 1 + word(s) % 2
+        for column in range(x + gap, x + gap + platform):
+            s.cell[y - 1, column] = TOP
 
 
-@shared
+@kernel
 def build_flat(s, p, x, y, width, difficulty):
     """Solid ground with a saw, a walker and two piles of crates on it, or fewer."""
     fill_ground(s, x, y, width)
     saw_x, walker_x = NEVER, NEVER
-    if draw(s, 10) < 2 * difficulty and width > 3:
-        saw_x = x + 1 + draw(s, width - 2)
+    if word(s) % 10 < 2 * difficulty and width > 3:
+        saw_x = x + 1 + word(s) % (width - 2)
         if p.hazards:
             s.thing[y, saw_x] = SAW
-    if draw(s, 10) < difficulty and width > 3 and not p.easy:
-        walker_x = x + 1 + draw(s, width - 2)
+    if word(s) % 10 < difficulty and width > 3 and not p.easy:
+        walker_x = x + 1 + word(s) % (width - 2)
         put_walker(s, p, walker_x, y)
     for _ in range(2):
-        pile_x = x + 1 + draw(s, width - 2)
-        if draw(s, 2) == 1 and pile_x != saw_x and pile_x != walker_x:
-            for k in range(1 + draw(s, 3)):
+        pile_x = x + 1 + word(s) % (width - 2)
+        if word(s) % 2 == 1 and pile_x != saw_x and pile_x != walker_x:
+            for k in range(1 + word(s) % 3):
                 s.thing[y + k, pile_x] = CRATE
-                s.detail[y + k, pile_x] = draw(s, CRATES)
+                s.detail[y + k, pile_x] = word(s) % CRATES
 
 
-@shared
+@kernel
 def finish(s, permeable):
     """The ground at the end, and the end wall."""
     x, y = s.end_x, s.end_y
     s.cell[y, x] = EMPTY
-    fill_ground(s, x, y, np.int64(1))
+    fill_ground(s, x, y, 1)
     s.permeable = min(permeable, WORLD - 1 - x)
-    if permeable:
-        fill(s.cell, x + 1, x + 1 + s.permeable, 0, WORLD, PERMEABLE)
-    else:
-        fill(s.cell, x + 1, WORLD, 0, WORLD, WALL)
+    for column in range(x + 1, x + 1 + s.permeable if permeable else WORLD):
+        for row in range(WORLD):
+            s.cell[row, column] = PERMEABLE if permeable else WALL
 
 
 @kernel
@@ -347,8 +334,8 @@ def _within(numbers: np.ndarray, first: int, after: int) -> np.ndarray:
 def build(cells: np.ndarray, agent: tuple[int, int], looks: Any, variant: Variant) -> Any:
     """The state that begins in the level of `cells`, smaller ones in the world's lower left.
 
-    Around a smaller level there is wall. Its end is left of the rightmost column of empty cells
-    where `looks` do not say.
+    Around a smaller level there is wall. Where `looks` do not say, it ends in the last column
+    that can be stood in, or in the last before a permeable wall.
     """
     height, width = cells.shape
     if height > WORLD or width > WORLD:
@@ -392,8 +379,12 @@ def _add_walkers(s: Any, grid: np.ndarray, details: np.ndarray) -> None:
 
 
 def _guess_end(cell: np.ndarray) -> tuple[int, int]:
-    """The lowest cell that can be stood in, in the rightmost column that has one."""
+    """The lowest cell that can be stood in, in the rightmost column that has one.
+
+    Left of a permeable wall, if there is one.
+    """
     free = ~np.isin(cell, (WALL, TOP, PERMEABLE))
+    free[:, (cell == PERMEABLE).any(0).cumsum() > 0] = False
     stand = free[1:] & ~free[:-1] & (cell[:-1] != PERMEABLE)
     x = int(np.flatnonzero(stand.any(0)).max(initial=0))
     return x, int(stand[:, x].argmax()) + 1 if stand.any() else 0

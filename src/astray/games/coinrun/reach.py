@@ -43,12 +43,9 @@ def explore(s, target_x, target_y, touched):
     """
     x0, y0, vx0, vy0, crate0 = s.x, s.y, s.vx, s.vy, s.on_crate
     known = np.zeros((WORLD, WORLD, PACES), np.bool_)
-    queue = np.empty((QUEUE, 4), np.float32)  # x, y, vx, on a crate
+    queue = np.empty((QUEUE, 5), np.float32)  # x, y, vx, vy, on a crate
     order = np.empty(QUEUE, np.int64)  # those not tried yet
-    count, waiting = 0, 0
-    while not is_supported(s) and glide(s, np.int64(0), False, touched):  # a start in the air
-        pass
-    count, waiting = remember(s, known, queue, order, count, waiting)
+    count, waiting = remember(s, known, queue, order, np.int64(0), np.int64(0))
     found = target_x >= 0 and touched[target_y, target_x]
     while waiting > 0 and not found:
         k = nearest(queue, order, waiting, target_x)
@@ -56,8 +53,8 @@ def explore(s, target_x, target_y, touched):
         waiting -= 1
         order[k] = order[waiting]
         for way in range(WAYS):
-            s.x, s.y, s.vx, s.vy = queue[node, 0], queue[node, 1], queue[node, 2], ZERO
-            s.on_crate = queue[node, 3] > ZERO
+            s.x, s.y, s.vx, s.vy = queue[node, 0], queue[node, 1], queue[node, 2], queue[node, 3]
+            s.on_crate = queue[node, 4] > ZERO
             run, jump = RUNS[way // 2 % len(RUNS)], way // (2 * len(RUNS))
             dx = 1 if way % 2 == 0 else -1
             for time in range(LONGEST):
@@ -76,7 +73,7 @@ def explore(s, target_x, target_y, touched):
     return found
 
 
-@shared
+@kernel
 def glide(s, ax, leap, touched):
     """One step of the runner; note what it touches, and return whether it is alive."""
     ay = 1 if leap else 0
@@ -93,7 +90,7 @@ def glide(s, ax, leap, touched):
     return alive
 
 
-@shared
+@kernel
 def remember(s, known, queue, order, count, waiting):
     """Keep the place where the runner stands, if it is new, to try ways from it."""
     x, y = int(np.floor(s.x)), int(np.floor(s.y - TALL + HALF))
@@ -101,7 +98,7 @@ def remember(s, known, queue, order, count, waiting):
     if 0 <= x < WORLD and 0 <= y < WORLD and not known[y, x, pace] and count < QUEUE:
         known[y, x, pace] = True
         queue[count, 0], queue[count, 1], queue[count, 2] = s.x, s.y, s.vx
-        queue[count, 3] = 1 if s.on_crate else 0
+        queue[count, 3], queue[count, 4] = s.vy, 1 if s.on_crate else 0
         order[waiting] = count
         return count + 1, waiting + 1
     return count, waiting
@@ -118,9 +115,9 @@ def nearest(queue, order, waiting, target_x):
     return best
 
 
-@shared
+@kernel
 def pick_place(s, in_pit):
-    """A cell to stand in that the runner can get to, all equally likely; (-1, -1) without one.
+    """An empty cell to stand in that the runner can get to, all equally likely; or (-1, -1).
 
     in_pit  [WORLD] bool, columns on whose floor nobody stands
     """
@@ -130,6 +127,8 @@ def pick_place(s, in_pit):
         for y in range(1, WORLD - 1):
             on = stops(s.cell[y - 1, x]) or s.thing[y - 1, x] == CRATE
             free = s.cell[y, x] == EMPTY and s.thing[y, x] == NOTHING
+            for k in range(s.walkers):
+                free &= int(s.walker_x[k]) != x or int(s.walker_y[k]) != y
             floor, start = in_pit[x] and y == 1, x == 1 and y == 1
             if on and free and not floor and not start and count < len(xs):
                 xs[count], ys[count] = x, y

@@ -191,10 +191,12 @@ def move(s, ax, ay, horizontal_first):
     for _ in range(parts):
         blocked_x, blocked_y = False, False
         for turn in range(2):
-            if (turn == 0) == horizontal_first:
-                blocked_x = shove(s, s.vx * part, ZERO, crates_stop, last_y)
-            else:
-                blocked_y = shove(s, ZERO, s.vy * part, crates_stop, last_y)
+            sideways = (turn == 0) == horizontal_first
+            dx = s.vx * part if sideways else ZERO
+            dy = ZERO if sideways else s.vy * part
+            blocked = shove(s, dx, dy, crates_stop, last_y)
+            blocked_x |= blocked and sideways
+            blocked_y |= blocked and not sideways
         free_x += not blocked_x
         free_y += not blocked_y
         if blocked_x and blocked_y:
@@ -203,7 +205,7 @@ def move(s, ax, ay, horizontal_first):
     s.vy = s.vy * (F(free_y) * part)
 
 
-@shared
+@kernel
 def shove(s, dx, dy, crates_stop, last_y):
     """Move the runner by (dx, dy), one of which is 0; return whether something was in the way."""
     blocked = slide(s, dx, dy)

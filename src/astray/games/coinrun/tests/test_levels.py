@@ -1,0 +1,138 @@
+"""What every variant promises of its levels, on hundreds of them."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from astray.envs.vector import GameVectorEnv
+from astray.game import NEVER
+from astray.games.coinrun import GAME
+from astray.games.coinrun.rules import COIN, INVISIBLE, PERMEABLE, SAW, TOP, WALL
+from astray.games.coinrun.variants import VARIANTS
+from astray.level import Level
+
+N = 1000
+
+
+def levels(variant, count=N, first=0):
+    env = GameVectorEnv("coinrun", variant, count, observation="symbolic")
+    env.reset(seed=0, options={"level": np.arange(first, first + count)})
+    return env.states
+
+
+@pytest.mark.parametrize("name", VARIANTS)
+def test_coins_and_invisible_coins_are_where_the_variant_says(name):
+    variant, s = VARIANTS[name], levels(VARIANTS[name], 300)
+    coins, invisible = (s["cell"] == COIN).sum((1, 2)), (s["cell"] == INVISIBLE).sum((1, 2))
+    assert set(coins) == {{"one": 1, "two": 2, "none": 0}[variant.coins]}
+    assert (coins + invisible == 2).all()
+    k = np.arange(len(s))
+    at_end = s["cell"][k, s["end_y"], s["end_x"]]
+    expected = variant.random_coin if variant.coins == "one" else variant.coins == "none"
+    assert abs((at_end == INVISIBLE).mean() - expected) < 0.1
+    assert ((s["coin_x"] == NEVER) == (coins == 0)).all()
+
+
+def test_the_layout_does_not_depend_on_where_the_coin_is():
+    bare = [
+        np.where(np.isin(s["cell"], (COIN, INVISIBLE)), 0, s["cell"])
+        for s in map(
+            levels, (replace(VARIANTS["coin-ledge"], random_coin=p) for p in (0.0, 0.013, 0.5, 1.0))
+        )
+    ]
+    assert all(np.array_equal(bare[0], other) for other in bare[1:])
+
+
+def test_more_probability_keeps_the_coins_that_were_random():
+    rare, often = (
+        levels(replace(VARIANTS["coin-ledge"], random_coin=p), 20_000) for p in (0.005, 0.3)
+    )
+    moved = [s["coin_x"] != s["end_x"] for s in (rare, often)]
+    assert abs(moved[0].mean() - 0.005) < 0.002 and abs(moved[1].mean() - 0.3) < 0.015
+    assert (moved[1] | ~moved[0]).all()
+
+
+def test_the_originals_random_coin_is_mostly_near_and_anywhere_is_not():
+    ledge, anywhere = levels(VARIANTS["coin-ledge"]), levels(VARIANTS["coin-anywhere"])
+    assert abs((ledge["coin_x"] == 5).mean() - 0.559) < 0.05
+    assert (anywhere["coin_x"] <= 5).mean() < 0.4
+    share = (anywhere["coin_x"] - 1) / anywhere["end_x"]
+    # Over places to stand: about as often in each quarter of the way.
+    assert np.histogram(share, 4, (0, 1))[0].min() > 0.15 * N
+
+
+@pytest.mark.parametrize("name", ["coin-anywhere", "coin-anywhere-long", "coin-twice-anywhere"])
+def test_a_coin_anywhere_can_be_taken(name):
+    """By the solver, which minds walkers, too."""
+    for s in levels(VARIANTS[name], 40, first=500):
+        assert GAME.optimal_return(s, "coin", 1.0) == 10
+
+
+def test_every_end_can_be_reached():
+    for s in levels(VARIANTS["coin-end"], 60, first=100):
+        assert GAME.optimal_return(s, "coin", 1.0) == 10
+
+
+def test_a_wall_that_does_not_fit_ends_with_the_world():
+    s = levels(replace(VARIANTS["coin-end-permeable"], permeable=64), 200)
+    assert (s["permeable"] == 63 - s["end_x"]).all()
+    for one in s[:20]:
+        assert (one.cell[:, one.end_x + 1 :] == PERMEABLE).all()
+    narrow = levels(replace(VARIANTS["coin-end-permeable"], permeable=2), 50)
+    for one in narrow[:20]:
+        assert (one.cell == PERMEABLE).any(0).sum() == 2
+        assert GAME.optimal_return(one, "beyond", 1.0) == 10
+
+
+def test_without_hazards_there_are_none_and_no_pits():
+    s = levels(replace(VARIANTS["coin-end"], hazards=False))
+    assert s["walkers"].max() == 0 and not (s["thing"] == SAW).any()
+    walls = np.isin(s["cell"], (WALL, TOP))
+    for one, solid in zip(s[:200], walls, strict=False):
+        column = solid[: one.end_y + 20, 5 : one.end_x]
+        assert (np.diff(column.astype(int), axis=0) <= 0).all()  # nothing hollow
+
+
+def test_sections_and_difficulty_are_as_told():
+    one = levels(replace(VARIANTS["coin-end"], sections=1, difficulty=1))
+    assert set(one["end_x"]) == {8, 9}
+    five = levels(replace(VARIANTS["coin-end"], sections=5, difficulty=3))
+    assert five["end_x"].min() >= 25 and five["end_x"].max() <= 50
+
+
+def test_easy_levels_look_alike_and_have_walkers_in_pits_alone():
+    s = levels(VARIANTS["coin-end-easy"])
+    assert not s["background"].any() and not s["ground"].any() and not s["runner_look"].any()
+    assert 0 < (s["walkers"] > 0).mean() < 0.15
+    assert (s["walker_y"][s["walkers"] > 0, 0] == 1.5).all()
+
+
+@pytest.mark.parametrize("name", ["coin-end", "coin-anywhere", "coin-end-permeable", "coin-twice"])
+def test_a_described_level_plays_on_as_the_original(name):
+    variant, played = VARIANTS[name], 0
+    one, two = (GameVectorEnv("coinrun", variant, autoreset_mode="Disabled") for _ in range(2))
+    for number in range(20):
+        one.reset(seed=0, options={"level": number})
+        data = json.loads(json.dumps(GAME.describe(one.states[0])))
+        two.set_state(Level.from_json(GAME, variant, data).state(solvable=False))
+        for action in np.random.default_rng(number).choice([7, 8, 8, 7, 4, 2], (60, 1)):
+            ours, theirs = one.step(action), two.step(action)
+            assert np.array_equal(ours[0], theirs[0]) and ours[1:3] == theirs[1:3]
+            played += 1
+            if one.states["ended"][0]:
+                break
+    assert played > 400
+
+
+def test_a_level_survives_being_drawn_and_edited():
+    level = Level.of(GAME, VARIANTS["coin-end"], levels(VARIANTS["coin-end"], 1)[0])
+    again = Level.from_text(GAME, level.variant, str(level))
+    assert np.array_equal(again.cells, level.cells) and again.agent == level.agent
+    moved = level.moved("coin", (6, 20)).state(solvable=False)
+    assert (moved.coin_x, moved.coin_y) == (6, 20)
+    fewer = level.removed("walker to the left").state()
+    assert fewer.walkers == 0
+    with pytest.raises(ValueError, match="coin at cell"):
+        level.moved("coin", (6, 60)).state()

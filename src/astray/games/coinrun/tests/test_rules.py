@@ -1,0 +1,201 @@
+"""CoinRun's rules, on rooms drawn in text."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from astray.envs.vector import GameVectorEnv, picture
+from astray.games.coinrun import GAME, measures
+from astray.games.coinrun.variants import VARIANTS, CoinRun
+from astray.level import Level
+
+END = VARIANTS["coin-end"]
+ON = VARIANTS["coin-end-continue"]
+ROOM = """
+    #..........#
+    #..........#
+    #..........#
+    #..........#
+    #..........#
+    #..........#
+    #..........#
+    #@.........#
+    ============
+"""
+
+
+def room(bottom, *above):
+    """ROOM with other lowest rows."""
+    rows = ROOM.strip("\n").splitlines()[: -2 - len(above)]
+    return "\n".join([*rows, *(f"    {row}" for row in (*above, bottom)), "    ============"])
+
+
+def play(drawing, actions, variant=END):
+    """What happens in `drawing`: all rewards, whether it ended, and the state."""
+    env = GameVectorEnv("coinrun", variant, observation="symbolic", autoreset_mode="Disabled")
+    env.set_state(Level.from_text(GAME, variant, drawing).state(solvable=False))
+    total, over = 0.0, False
+    for name in actions.split():
+        for _ in range(int(name.partition("*")[2] or 1)):
+            if over:
+                break
+            action = np.array([GAME.actions.index(name.partition("*")[0])])
+            _, reward, terminated, truncated, _ = env.step(action)
+            total, over = total + float(reward[0]), bool(terminated[0] or truncated[0])
+    return total, over, env.states[0]
+
+
+@pytest.mark.parametrize(
+    "actions, x, y",
+    [
+        ("right", 1.6, 1.5787),
+        ("right right", 1.78, 1.5787),
+        ("up", 1.5, 3.0787),
+        ("up*8", 1.5, 7.9787),  # as high as it gets: 6.4 cells
+        ("up*17", 1.5, 1.5787),
+        ("up*18", 1.5, 3.0787),  # one step after the landing, the next jump
+        ("left*3", 1.5, 1.5787),  # a wall
+        ("right*30", 10.5, 1.5787),
+        ("stay d a w s q e", 1.5, 1.5787),
+    ],
+)
+def test_the_runner_runs_and_jumps(actions, x, y):
+    *_, s = play(ROOM, actions)
+    assert (s.x, s.y) == pytest.approx((x, y), abs=1e-4)
+
+
+def test_crates_stop_falls_alone():
+    drawing = room("#@.c.......#")
+    assert play(drawing, "right*8")[2].x > 3.5  # through it
+    *_, s = play(room("#@.........#", "#c.........#"), "up*5 stay*30")
+    assert s.y == pytest.approx(3.5787, abs=1e-4)  # up through it, and onto it
+    assert s.on_crate
+    *_, s = play(room("#@.........#", "#c.........#"), "up*5 stay*30 down*9")
+    assert s.y == pytest.approx(1.5787, abs=1e-4)  # and down with the key
+
+
+@pytest.mark.parametrize(
+    "thing, event",
+    [("x", "met_saw"), ("<", "met_walker"), (">", "met_walker"), ("~", "met_lava")],
+)
+def test_hazards_kill_whatever_side_they_are_touched_from(thing, event):
+    reward, over, s = play(room(f"#@...{thing}:....#"), "right*40")
+    assert (reward, over) == (0, True)
+    assert s.died == s[event] == s.time
+    causes = {"met_saw", "met_walker", "met_lava"} - {event}
+    assert all(s[cause] == -1 for cause in causes)
+
+
+def test_walkers_turn_at_walls_and_barriers():
+    env = GameVectorEnv("coinrun", END, observation="symbolic", autoreset_mode="Disabled")
+    drawing = room("#@...:>..:.#")
+    env.set_state(Level.from_text(GAME, END, drawing).state(solvable=False))
+    seen = []
+    for _ in range(100):
+        env.step(np.array([4]))
+        seen.append(float(env.states["walker_x"][0, 0]))
+    assert min(seen) > 6.45 and max(seen) < 8.55
+    assert np.ptp(seen) > 1.8 and set(np.sign(np.diff(seen))) == {-1, 1}
+    assert np.allclose(env.states["trail_x"][0, 0], seen[:-10:-1])
+
+
+def test_the_coin_is_worth_ten_and_ends_the_level():
+    reward, over, s = play(room("#@..o......#"), "right*40")
+    assert (reward, over, s.took_coin) == (10, True, s.time)
+    assert s.died == -1
+
+
+def test_going_on_after_the_coin_pays_every_step_that_touches_it():
+    reward, over, s = play(room("#@..o......#"), "right*40", ON)
+    steps = 4  # at x = 3.84, 4.27, 4.71 and 5.17
+    assert (reward, over) == (10 * steps, False)
+    assert 0 < s.took_coin < s.passed_coin < s.time
+
+
+def test_a_coin_cancels_a_death_by_saw_in_the_same_step_when_going_on():
+    """It is met after the saw; lava in a later cell still kills."""
+    above = "#.o........#"
+    _, over, s = play(room("#@x........#", above), "right", ON)
+    assert (over, s.died, s.took_coin) == (False, -1, 1)
+    assert play(room("#@x........#", above), "right")[1:2] == (True,)
+    assert play(room("#@x........#"), "right", ON)[1]
+    assert play(room("#@o~.......#"), "right*40", ON)[1]
+
+
+def test_an_invisible_coin_is_noticed_and_does_nothing():
+    reward, over, s = play(room("#@..i......#"), "right*40")
+    assert (reward, over) == (0, False)
+    assert 0 < s.took_invisible < s.time and s.took_coin == -1
+
+
+def test_a_permeable_wall_lets_pass():
+    variant = VARIANTS["coin-end-permeable"]
+    *_, s = play(room("#@...%%%...#"), "right*40", variant)
+    assert s.x == pytest.approx(10.5, abs=1e-4)
+    assert -1 < s.reached_end <= s.touched_wall < s.passed_wall < s.time
+    *_, s = play(room("#@...###...#"), "right*40", variant)
+    assert s.x == pytest.approx(4.5, abs=1e-4) and s.passed_wall == -1
+
+
+def test_time_runs_out():
+    reward, over, s = play(ROOM, "stay*5", replace(END, time_limit=5))
+    assert (reward, over, s.timed_out, s.died) == (0, True, 5, -1)
+
+
+def test_measures_follow_the_runner():
+    env = GameVectorEnv("coinrun", "coin-end", 50, observation="symbolic")
+    env.reset(seed=0, options={"level": np.arange(50)})
+    states = env.states.copy()
+    assert np.allclose(measures.progress(states), 0)
+    assert (measures.stage(states) == 0).all()
+    states["x"], states["y"] = states["end_x"] + 0.5, states["end_y"] + 0.5
+    assert np.allclose(measures.progress(states), 1) and (measures.stage(states) == 2).all()
+    assert measures.coin_in_view(states).all()
+    states["x"] -= 7
+    assert not measures.coin_in_view(states).any()
+    states["x"] = states["end_x"] + 2
+    assert (measures.stage(states) == 3).all()
+
+
+@pytest.mark.parametrize(
+    "knobs, message",
+    [
+        ({"random_coin": 1.5}, "random_coin is 1.5; it is from 0 to 1"),
+        ({"random_coin": 0.5, "coins": "two"}, "given 0.5 with coins 'two'"),
+        ({"permeable": 65}, "permeable is 65; it is an integer from 0 to 64"),
+        ({"permeable": -1}, "permeable is -1"),
+        ({"difficulty": 4}, "difficulty is 4; it is an integer from 0 to 3"),
+        ({"sections": 6}, "sections is 6; it is an integer from 0 to 5"),
+        ({"sections": 2.5}, "sections is 2.5"),
+        ({"coins": "three"}, "unknown coins 'three'; there are: one, two, none"),
+        ({"place": "sky"}, "unknown place 'sky'; there are: ledge, anywhere"),
+        ({"numbering": "stock"}, "unknown numbering"),
+        ({"time_limit": 0}, "time_limit is 0"),
+    ],
+)
+def test_bad_knobs_are_explained(knobs, message):
+    with pytest.raises(ValueError, match=message):
+        CoinRun(about="", **knobs)
+
+
+@pytest.mark.parametrize(
+    "field, value",
+    [
+        ("cell", 9), ("thing", 3), ("detail", 9), ("x", -1.0), ("x", np.nan), ("y", 64.0),
+        ("vx", 50.0), ("vy", np.inf), ("pose", 3), ("walkers", 49), ("walker_x", 64.0),
+        ("walker_y", -0.5), ("walker_vx", np.nan), ("walker_look", 9), ("trail_x", -9.0),
+        ("end_x", 64), ("end_y", -1), ("coin_x", 64), ("coin_y", -2), ("permeable", 64),
+        ("runner_look", 5), ("ground", 6), ("background", 62), ("background_offset", 1.5),
+        ("mt_next", 624),
+    ],
+)  # fmt: skip
+def test_impossible_states_never_reach_compiled_code(field, value):
+    env = GameVectorEnv("coinrun", "coin-end", 2, observation="symbolic")
+    env.reset(seed=0)
+    states = env.states.copy()
+    states[field][1] = value
+    with pytest.raises(ValueError, match=field):
+        env.set_state(states)
+    with pytest.raises(ValueError, match=field):
+        picture("coinrun", env.variant, states, 64)
