@@ -31,9 +31,12 @@ def render(scale: float) -> np.ndarray:
     """All of them at `scale` pixels a cell, [COUNT, height, width, 3] uint8, top row first."""
     height, width = max(1, round(HIGH * scale)), max(1, round(WIDE * scale))
     # Each pixel is the mean of four, or edges would be jagged.
-    pictures = [_render(k, 2 * height, 2 * width) for k in range(COUNT)]
-    fine = np.stack(pictures).reshape(COUNT, height, 2, width, 2, 3)
-    return (fine.sum((2, 4), dtype=np.uint16) // 4).astype(np.uint8)
+    pictures = np.empty((COUNT, height, width, 3), np.uint8)
+    for k in range(COUNT):
+        fine = _render(k, 2 * height, 2 * width).astype(np.uint16)
+        rows = fine[0::2] + fine[1::2]
+        pictures[k] = (rows[:, 0::2] + rows[:, 1::2]) >> 2
+    return pictures
 
 
 def _render(k: int, height: int, width: int) -> np.ndarray:
@@ -52,9 +55,9 @@ def _render(k: int, height: int, width: int) -> np.ndarray:
     picture = colours.astype(np.uint8)[which]
     share = np.clip(up / HIGH, 0, 1)[:, None]
     sky = (horizon + (top - horizon) * share).astype(np.uint8)
-    cloud = _clouds(across, up, k)
-    picture = np.where((which == 0)[..., None], sky[:, None], picture)
-    pale = (which == 0) & cloud
+    is_sky = which == 0
+    np.copyto(picture, sky[:, None], where=is_sky[..., None])
+    pale = is_sky & _clouds(across, up, k)
     picture[pale] = (picture[pale].astype(np.uint16) * 2 + 255) // 3
     return picture
 
