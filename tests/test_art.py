@@ -49,9 +49,10 @@ def test_a_png_shows_what_its_drawing_renders_to(svg):
     assert np.abs(fresh - art.load(svg.parent, svg.stem)).max() <= 2
 
 
-def test_walls_and_floors_are_opaque_and_sprites_are_not():
+def test_walls_floors_and_grounds_are_opaque_and_sprites_are_not():
     opaque = {svg.stem for svg in DRAWINGS if (art.load(svg.parent, svg.stem)[..., 3] == 255).all()}
-    assert opaque == {svg.stem for svg in DRAWINGS if svg.stem.startswith(("wall-", "floor-"))}
+    whole = ("wall-", "floor-", "ground-")
+    assert opaque == {"lava", *(s.stem for s in DRAWINGS if s.stem.startswith(whole))}
 
 
 def test_a_missing_picture_is_named_with_what_there_is():

@@ -71,6 +71,8 @@ def test_crates_stop_falls_alone():
     *_, s = play(room("#@.........#", "#c.........#"), "up*5 stay*30")
     assert s.y == pytest.approx(3.5787, abs=1e-4)  # up through it, and onto it
     assert s.on_crate
+    *_, s = play(room("#@.........#", "#c.........#"), "up*5 stay*30 up")
+    assert s.y == pytest.approx(5.0787, abs=1e-4)  # it can jump from there
     *_, s = play(room("#@.........#", "#c.........#"), "up*5 stay*30 down*9")
     assert s.y == pytest.approx(1.5787, abs=1e-4)  # and down with the key
 
@@ -134,6 +136,10 @@ def test_a_permeable_wall_lets_pass():
     *_, s = play(room("#@...%%%...#"), "right*40", variant)
     assert s.x == pytest.approx(10.5, abs=1e-4)
     assert -1 < s.reached_end <= s.touched_wall < s.passed_wall < s.time
+    before, after = (
+        play(room("#@...%%%...#"), f"right*{s.passed_wall + k}", variant)[2].x for k in (-1, 0)
+    )
+    assert before < 8.5 <= after
     *_, s = play(room("#@...###...#"), "right*40", variant)
     assert s.x == pytest.approx(4.5, abs=1e-4) and s.passed_wall == -1
 
