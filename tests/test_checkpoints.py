@@ -120,8 +120,9 @@ def test_a_corrupt_state_in_a_checkpoint_never_reaches_compiled_code(run):
 @pytest.mark.parametrize(
     "architecture",
     [
-        {"width": 10**9}, {"actions": 3_000_000}, {"scale": 10**9, "name": "impala", "largest": []}, {"actions": -1},
-        {"actions": True}, {"shape": [4, 7]}, {"shape": [4, 10**9, 10**9]}, {"largest": [0] * 4},
+        {"width": 10**9}, {"actions": 3_000_000},
+        {"scale": 10**9, "name": "impala", "largest": []}, {"actions": -1}, {"actions": True},
+        {"shape": [4, 7]}, {"shape": [4, 10**9, 10**9]}, {"largest": [0] * 4},
         {"largest": [6, 6, 1, 1]}, {"name": "squid"}, {"squid": 1}, {"width": "64"},
     ],
 )  # fmt: skip

@@ -106,7 +106,9 @@ def test_a_drawing_is_a_level_or_is_refused(drawn, solvable):
     states = np.array([s], made.state)
     check(made, states, kind)
     again = Level.of(made, kind, s)
-    assert np.array_equal(again.cells, level.cells) and again.agent == level.agent
+    height, width = level.cells.shape  # CoinRun puts smaller ones into its world
+    assert np.array_equal(again.cells[:height, :width], level.cells)
+    assert again.agent == level.agent
     if solvable:
         reachable = made.reachable(s)
         assert all(reachable[y, x] for name in made.objects for x, y in level.where(name))
@@ -137,6 +139,8 @@ def test_json_is_a_level_or_is_refused(data):
             value[row][data.draw(st.integers(0, len(value[row]) - 1))] = data.draw(
                 st.sampled_from(sorted(level.game.legend.values()))
             )
+        if name == "looks" and data.draw(st.booleans()):
+            value = told["looks"] | {data.draw(st.sampled_from(list(told["looks"]))): value}
         told[name] = value
     if data.draw(st.integers(0, 9)) == 0:
         told = data.draw(ANYTHING)
@@ -207,7 +211,8 @@ def ruined(states, rng, how):
                 "u": [0, 1, 9, 255],
                 "f": [np.nan, np.inf, -np.inf, 0, -0.5, 1e300, 64.5],
             }
-            field[...] = rng.choice(values[field.dtype.kind])
+            with np.errstate(over="ignore"):
+                field[...] = rng.choice(values[field.dtype.kind])
         else:
             other = states[name][int(rng.integers(len(states)))]
             field[...] = other

@@ -94,8 +94,9 @@ def test_a_level_is_splayed_over_all_places_of_an_object(game, variant):
         assert all(len(place) == 1 for place in places)
         assert set(where[:1]) in places and len(family) == len(set(map(tuple, places)))
         assert all(np.count_nonzero(other.cells != level.cells) <= 2 for other in family)
-        for other in family[:5]:
-            other.state()  # each can be played, and the object reached
+        for other in family[:5]:  # each can be played, and the object reached
+            (x, y) = next(iter(set(other.where(name)) - set(where[1:])))
+            assert level.game.reachable(other.state(solvable=False))[y, x]
 
 
 @pytest.mark.parametrize("game", games.NAMES)

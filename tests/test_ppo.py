@@ -144,8 +144,8 @@ def test_a_saved_network_is_loaded_as_it_was(name, tmp_path):
     shape, largest = ((64, 64, 3), ()) if image else (SHAPE, LARGEST)
     architecture = Architecture(name, shape, largest, 15)
     network = architecture.build()
-    (tmp_path / "agent").write_bytes(weights(network, architecture))
-    loaded, known = load(tmp_path / "agent")
+    (tmp_path / "agent").write_bytes(weights(network, architecture, "maze"))
+    loaded, known = load(tmp_path / "agent", "maze")
     assert known == architecture
     x = torch.randint(0, 2, (3, *shape), dtype=torch.uint8)
     assert torch.equal(network(x)[0], loaded(x)[0])
@@ -155,11 +155,11 @@ def test_a_saved_network_is_loaded_as_it_was(name, tmp_path):
 def test_a_truncated_agent_is_explained(cut, tmp_path):
     architecture = Architecture("small", SHAPE, LARGEST, 15)
     path = tmp_path / "agent.safetensors"
-    path.write_bytes(weights(architecture.build(), architecture)[:cut])
+    path.write_bytes(weights(architecture.build(), architecture, "maze")[:cut])
     with pytest.raises(ValueError, match="not an agent of this version"):
-        load(path)
+        load(path, "maze")
     with pytest.raises(FileNotFoundError, match="no agent at"):
-        load(tmp_path / "none")
+        load(tmp_path / "none", "maze")
 
 
 def test_a_network_for_other_observations_is_refused():

@@ -104,7 +104,11 @@ class Level:
         if not (0 <= x < self.cells.shape[1] and 0 <= y < self.cells.shape[0]):
             raise ValueError(f"the agent is at cell {self.agent}, outside of the level")
         self._check_free(self.agent)
-        s = game.build(self.cells, self.agent, self.looks, self.variant)
+        try:
+            s = game.build(self.cells, self.agent, self.looks, self.variant)
+        except (TypeError, IndexError, OverflowError) as error:  # of looks of another kind
+            looks = dict(self.looks)
+            raise ValueError(f"a level's looks are {looks}; these cannot be: {error}") from error
         _check_told(self.looks, game.describe(s)["looks"], "a level's looks")
         if solvable:
             reachable = game.reachable(s)

@@ -11,7 +11,6 @@ from astray.games.keys.rules import (
     CHEST,
     CORNER,
     EMPTY,
-    HALF,
     HIDDEN,
     KEY,
     MOST,
@@ -235,7 +234,9 @@ def check(states: np.ndarray, variant: Variant) -> None:
     p, s = variant.records()[0], states.view(np.recarray)
     # Fields that are no numbers fail every comparison.
     with np.errstate(invalid="ignore"):
-        inside = (s.x >= HALF) & (s.x <= s.world - HALF) & (s.y >= HALF) & (s.y <= s.world - HALF)
+        # Walls are felt in the corners of a box that is a little smaller than the thief.
+        least, most = CORNER, p.world - CORNER
+        inside = (s.x >= least) & (s.x <= most) & (s.y >= least) & (s.y <= most)
         facts = {
             "world": s.world == p.world,
             "window": s.window == p.window,
