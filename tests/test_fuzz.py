@@ -23,7 +23,7 @@ from astray import cli, games
 from astray.agents import policy
 from astray.analysis.outcomes import OUTCOMES
 from astray.envs.states import load_states, save_states
-from astray.envs.vector import GameVectorEnv, check
+from astray.envs.vector import GameVectorEnv
 from astray.experiments.spec import Claim, Experiment, Plan
 from astray.level import Level
 from astray.training import checkpoint
@@ -104,7 +104,7 @@ def test_a_drawing_is_a_level_or_is_refused(drawn, solvable):
         tried("drawings", 1)
         return
     states = np.array([s], made.state)
-    check(made, states, kind)
+    made.check(states, kind)
     again = Level.of(made, kind, s)
     height, width = level.cells.shape  # CoinRun puts smaller ones into its world
     assert np.array_equal(again.cells[:height, :width], level.cells)
@@ -150,7 +150,7 @@ def test_json_is_a_level_or_is_refused(data):
     except ValueError:
         tried("levels as JSON", 1)
         return
-    check(level.game, np.array([s], level.game.state), level.variant)
+    level.game.check(np.array([s], level.game.state), level.variant)
     for name, value in made.to_json().items():
         if name in told and name not in ("game", "looks"):
             assert value == told[name] or [value] == [told[name]]
@@ -178,7 +178,7 @@ def test_a_ruined_state_is_refused_or_plays_on(game, seed, ruin):
     good = []
     for k in range(BATCH):
         try:
-            check(made, states[k : k + 1], kind)
+            made.check(states[k : k + 1], kind)
             good += [] if states["ended"][k] else [k]
         except ValueError as error:
             assert str(error)
@@ -190,7 +190,7 @@ def test_a_ruined_state_is_refused_or_plays_on(game, seed, ruin):
     seen = player.set_state(states[good])
     for _ in range(3):
         assert seen in player.observation_space
-        check(made, player.states, kind)
+        made.check(player.states, kind)
         seen = player.step(rng.integers(len(made.actions), size=len(good)))[0]
 
 
@@ -311,7 +311,7 @@ def test_a_ruined_trainer_is_refused_or_goes_on(data, saved):
     try:
         checkpoint.restore(folder.parent.parent, trainer)
         tried("trainers", 0)
-        check(trainer.player.env.game, trainer.player.env.states, trainer.player.env.variant)
+        trainer.player.env.game.check(trainer.player.env.states, trainer.player.env.variant)
     except ValueError:
         tried("trainers", 1)
     finally:
@@ -355,7 +355,7 @@ def test_knobs_are_refused_or_make_levels(data):
     env = GameVectorEnv(game, variant, 2, observation="symbolic", autoreset_mode="SameStep")
     seen, _ = env.reset(seed=0)
     assert seen in env.observation_space
-    check(made, env.states, variant)
+    made.check(env.states, variant)
     env.step(np.zeros(2, int))
     tried("knobs", 0)
 
@@ -526,7 +526,7 @@ class Environments(RuleBasedStateMachine):
     def all_is_well(self):
         if hasattr(self, "env"):
             assert self.seen in self.env.observation_space
-            check(self.game, self.env.states, self.env.variant)
+            self.game.check(self.env.states, self.env.variant)
 
     def teardown(self):
         if hasattr(self, "env"):

@@ -14,6 +14,7 @@ from astray.envs.vector import GameVectorEnv
 from astray.games.coinrun import rules as coinrun
 from astray.games.keys import rules as keys
 from astray.games.maze import rules as maze
+from astray.kernel.maze import WALL
 
 
 @dataclass(frozen=True)
@@ -51,7 +52,7 @@ def recorded_things(entities: np.ndarray) -> set:
 
 TRANSLATIONS = {
     "maze": Translation(
-        cells={100: maze.EMPTY, 51: maze.WALL, 2: maze.GOAL, 3: maze.OTHER},
+        cells={100: maze.EMPTY, 51: WALL, 2: maze.GOAL, 3: maze.OTHER},
         fields={"maze_size": "maze_size"},
     ),
     "coinrun": Translation(
@@ -63,7 +64,7 @@ TRANSLATIONS = {
         fields={"wall_theme": "ground"},
         things=coinrun_things,
     ),
-    "keys": Translation(cells={100: keys.EMPTY, 51: keys.WALL}, fields={}),
+    "keys": Translation(cells={100: keys.EMPTY, 51: WALL}, fields={}),
 }  # fmt: skip
 MAZE, COINRUN, KEYS = (games.load(game).variants for game in ("maze", "coinrun", "keys"))
 RECORDED = {

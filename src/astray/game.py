@@ -10,9 +10,10 @@ from typing import Any
 
 import numpy as np
 
-from astray.kernel.rng import RNG_FIELDS
+from astray.kernel.rng import RNG_FIELDS, WORDS
 
-NEVER = -1  # the step of an event that has not happened
+NEVER = -1  # the step of an event that has not happened; the number of a level that has none
+LEVELS = range(2**31 - 1)  # all numbers that there are; the original has no others
 KINDS = {int: np.int64, float: np.float64, bool: np.bool_}
 
 
@@ -139,7 +140,8 @@ class Game:
     scene_shape: Callable[[Variant, int], tuple[int, ...]]  # likewise; of `paint`'s scene
     planes_scene_shape: Callable[[Variant], tuple[int, ...]]  # of `paint_planes`' scene
     planes: Callable[[Variant], np.ndarray]  # [C, H, W] the largest value of each plane
-    check: Callable[[np.ndarray, Variant], None]  # an error for states that are none of it
+    facts: Callable[[np.ndarray, Variant], dict[str, np.ndarray]]  # what is true of states [N] of
+    # a variant, and compiled code relies on: its name -> [N] bool; see `check`
 
     # Levels as data; see `level.Level`.
     legend: Mapping[str, int]  # what a cell may hold: its character in drawings -> its code
@@ -162,3 +164,23 @@ class Game:
             there = ", ".join(self.variants)
             raise ValueError(f"unknown variant {name!r} of {self.name}; there are: {there}")
         return self.variants[name]
+
+    def check(self, states: np.ndarray, variant: Variant) -> None:
+        """Raise ValueError if one of states [N] is none of `variant`: compiled code trusts them."""
+        s = states.view(np.ndarray)  # a recarray's fields are slow
+        facts = {
+            "mt_next": within(s["mt_next"], 0, WORDS),
+            "turn": s["turn"] >= 0,
+            "level": within(s["level"], NEVER, LEVELS.stop),
+            "time_limit": s["time_limit"] >= 1,
+            "time": (s["time"] >= 0) & (s["time"] <= s["time_limit"]),
+        } | {event: (s[event] >= NEVER) & (s[event] <= s["time"]) for event in self.events}
+        for name, holds in (facts | self.facts(s, variant)).items():
+            if not holds.all():
+                i = int(np.argmin(holds))
+                raise ValueError(f"state {i} is none of this variant: its {name} cannot be")
+
+
+def within(numbers: np.ndarray, first: int, after: int) -> np.ndarray:
+    """Which of `numbers` are from `first` on and before `after`."""
+    return (numbers >= first) & (numbers < after)

@@ -109,6 +109,7 @@ class Level:
         except (TypeError, IndexError, OverflowError) as error:  # of looks of another kind
             looks = dict(self.looks)
             raise ValueError(f"a level's looks are {looks}; these cannot be: {error}") from error
+        game.check(np.array([s], game.state), self.variant)
         _check_told(self.looks, game.describe(s)["looks"], "a level's looks")
         if solvable:
             reachable = game.reachable(s)

@@ -14,13 +14,11 @@ from astray import games
 from astray.envs.compiled import compiled
 from astray.envs.loops import AS_SET, DISABLED, NEXT_STEP, NO_LEVEL, SAME_STEP
 from astray.envs.pool import Pool
-from astray.game import NEVER, Game, Variant
-from astray.kernel import rng
+from astray.game import LEVELS, Variant
 from astray.level import Level
 
 IMAGE = 64  # pixels a side of what the agent sees
 PICTURE = 512  # pixels a side of what people see
-LEVELS = range(2**31 - 1)  # all there are; numbers outside have no original
 MODES = {
     AutoresetMode.NEXT_STEP: NEXT_STEP,
     AutoresetMode.SAME_STEP: SAME_STEP,
@@ -203,7 +201,7 @@ class GameVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
                 f"{given.dtype.names and len(given.dtype.names)} fields of shape {given.shape}"
             )
         given = np.broadcast_to(given, self.num_envs)[which]
-        check(self.game, given, self.variant)
+        self.game.check(given, self.variant)
         if self._mode == SAME_STEP and given["ended"].any():
             raise ValueError(f"the episode of state {given['ended'].argmax()} has ended")
         kept = {name: self.states[name][which] for name in keep}
@@ -239,7 +237,7 @@ class GameVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
 def picture(game: str, variant: Variant, states: np.ndarray, pixels: int) -> np.ndarray:
     """`states` [N] of `game` as the agent would see them at any scale, [N, pixels, pixels, 3]."""
     made = games.load(game)
-    check(made, states, variant)
+    made.check(states, variant)
     scene = np.empty((1, *made.scene_shape(variant, pixels)), np.uint8)
     images = np.empty((len(states), pixels, pixels, 3), np.uint8)
     sprites = made.art(variant, pixels)
@@ -255,24 +253,6 @@ def _integers(given: Any, name: str) -> np.ndarray:
     if numbers.dtype.kind not in "iu":
         raise ValueError(f"{name} are integers; given {given!r}")
     return numbers
-
-
-def check(game: Game, states: np.ndarray, variant: Variant) -> None:
-    """Raise ValueError for states that compiled code would read out of bounds with."""
-    s = states.view(np.ndarray)  # a recarray's fields are slow
-    limit = s["time_limit"]
-    facts = {
-        "mt_next": (s["mt_next"] >= 0) & (s["mt_next"] < rng.WORDS),
-        "turn": s["turn"] >= 0,
-        "level": (s["level"] >= NO_LEVEL) & (s["level"] < LEVELS.stop),
-        "time": (s["time"] >= 0) & (s["time"] <= limit),
-        "time_limit": limit >= 1,
-    } | {event: (s[event] >= NEVER) & (s[event] <= s["time"]) for event in game.events}
-    for name, holds in facts.items():
-        if not holds.all():
-            i = int(np.argmin(holds))
-            raise ValueError(f"state {i} is none of this variant: {name} is {s[name][i]} there")
-    game.check(states, variant)
 
 
 def _checked(levels: Any) -> tuple[int, int, np.ndarray]:

@@ -49,3 +49,9 @@ def blit(target, sprite, top, left):
                     over = np.int64(sprite[row, column, c]) * opacity
                     under = np.int64(target[top + row, left + column, c]) * (255 - opacity)
                     target[top + row, left + column, c] = (over + under + 127) // 255
+
+
+@kernel
+def pixel(cells, scale):
+    """The pixel nearest to a length in cells; `scale` is in pixels per cell."""
+    return int(np.floor(cells * scale + 0.5))

@@ -1,9 +1,12 @@
-"""Mazes as the original makes them: Kruskal's algorithm on a shuffled list of passages."""
+"""Mazes: carved as the original does, by Kruskal's algorithm on a shuffled list; and drawn."""
 
 import numpy as np
 
+from astray.kernel.canvas import pixel, tile
 from astray.kernel.jit import kernel
 from astray.kernel.rng import below
+
+WALL = 1  # in a state's `cell`
 
 
 @kernel
@@ -57,3 +60,45 @@ def root(parent, node):
         parent[node] = parent[parent[node]]
         node = parent[node]
     return node
+
+
+@kernel
+def margin(s):
+    """Cells of wall around the world in the scene, so that every window is inside the scene."""
+    return s.window // 2 + 1 if s.window else 0
+
+
+@kernel
+def is_wall(s, x, y):
+    """There is a wall, or the world's end, in cell (x, y)."""
+    return not (0 <= x < s.world and 0 <= y < s.world) or s.cell[y, x] == WALL
+
+
+@kernel
+def paint_maze(s, picture, floor, wall):
+    """Floor and walls of the whole world of `s`, and the margin, on a square picture."""
+    edge = margin(s)
+    cells = s.world + 2 * edge
+    scale = picture.shape[1] / cells
+    left, width = pixel(edge, scale), pixel(s.world, scale)
+    side = floor.shape[0]
+    offset = int(s.background_offset * (floor.shape[1] - side))
+    for row in range(width):
+        for column in range(width):
+            v, u = row * side // width, offset + column * side // width
+            for c in range(3):
+                picture[left + row, left + column, c] = floor[v, u, c]
+    for y in range(cells):
+        top, bottom = pixel(cells - 1 - y, scale), pixel(cells - y, scale)
+        for x in range(cells):
+            if is_wall(s, x - edge, y - edge):
+                tile(picture, wall, top, bottom, pixel(x, scale), pixel(x + 1, scale))
+
+
+@kernel
+def paint_walls(s, plane):
+    """1 where there is wall in the world of `s` and the margin, else 0, on a symbolic plane."""
+    edge = margin(s)
+    for y in range(s.world + 2 * edge):
+        for x in range(s.world + 2 * edge):
+            plane[y, x] = is_wall(s, x - edge, y - edge)

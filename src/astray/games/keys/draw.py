@@ -22,11 +22,11 @@ from astray.games.keys.rules import (
     SLOT_DOWN,
     STAY,
     UPPER_LEFT,
-    WALL,
 )
 from astray.games.keys.variants import FLOORS
-from astray.kernel.canvas import blit, copy_flat, copy_window, tile
+from astray.kernel.canvas import blit, copy_flat, copy_window, pixel
 from astray.kernel.jit import kernel, shared
+from astray.kernel.maze import margin, paint_maze, paint_walls
 
 ART = Path(__file__).parent / "art"
 FLOOR = 256  # pixels of a floor's height; larger pictures repeat them
@@ -39,40 +39,11 @@ STRIPS = 8  # that a cell is cut into by X_PLANE and Y_PLANE, from 1 on
 
 
 @kernel
-def margin(s):
-    """Cells of wall around the world in the scene, so that every window is inside the scene."""
-    return s.window // 2 + 1 if s.window else 0
-
-
-@kernel
-def pixel(cells, scale):
-    """The pixel nearest to a length in cells; `scale` is in pixels per cell."""
-    return int(np.floor(cells * scale + 0.5))
-
-
-@kernel
 def paint(s, art, scene):
     """Floor and walls of the whole world, and the margin: twice, above with objects on them."""
     floors, wall = art[0], art[1]
-    floor, edge = floors[s.background], margin(s)
     seen, bare = scene[: scene.shape[1]], scene[scene.shape[1] :]
-    cells = s.world + 2 * edge
-    scale = scene.shape[1] / cells
-    left, width = pixel(edge, scale), pixel(s.world, scale)
-    side = floor.shape[0]
-    offset = int(s.background_offset * (floor.shape[1] - side))
-    for row in range(width):
-        for column in range(width):
-            v, u = row * side // width, offset + column * side // width
-            for c in range(3):
-                bare[left + row, left + column, c] = floor[v, u, c]
-    for y in range(cells):
-        top, bottom = pixel(cells - 1 - y, scale), pixel(cells - y, scale)
-        for x in range(cells):
-            i, j = x - edge, y - edge
-            outside = not (0 <= i < s.world and 0 <= j < s.world)
-            if outside or s.cell[j, i] == WALL:
-                tile(bare, wall, top, bottom, pixel(x, scale), pixel(x + 1, scale))
+    paint_maze(s, bare, floors[s.background], wall)
     copy_flat(seen, bare)
     for k in range(s.objects):
         if s.gone[k] < 0:
@@ -154,13 +125,8 @@ def draw_thief(s, art, height, image, top, left):
 def paint_planes(s, scene):
     """Walls, keys and chests of the whole world, and the margin."""
     edge = margin(s)
-    cells = s.world + 2 * edge
     scene[:] = 0
-    for y in range(cells):
-        for x in range(cells):
-            i, j = x - edge, y - edge
-            outside = not (0 <= i < s.world and 0 <= j < s.world)
-            scene[WALL_PLANE, y, x] = outside or s.cell[j, i] == WALL
+    paint_walls(s, scene[WALL_PLANE])
     for k in range(s.objects):
         if s.gone[k] < 0:
             scene[object_plane(s, k), edge + int(s.object_y[k]), edge + int(s.object_x[k])] = 1

@@ -4,11 +4,12 @@ import numpy as np
 
 from astray.game import NEVER, state_dtype
 from astray.kernel.jit import kernel
+from astray.kernel.maze import WALL
 from astray.kernel.rng import below
 
 LARGEST = 23  # cells a side of the largest world
 MOST = 36  # objects in a level
-EMPTY, WALL, KEY, CHEST = 0, 1, 2, 3  # what is in a cell
+EMPTY, KEY, CHEST = 0, 2, 3  # what is in a cell, if not WALL
 REWARD = 1.0  # of a chest
 
 # Lengths are float32, as all of the original's; so is all arithmetic on them.

@@ -20,7 +20,6 @@ from astray.games.keys.rules import (
     REWARD,
     STATE,
     STAY,
-    WALL,
     F,
     move,
     step,
@@ -28,6 +27,7 @@ from astray.games.keys.rules import (
 from astray.games.keys.variants import GOALS
 from astray.kernel.grid import UNREACHABLE, distances
 from astray.kernel.jit import entry, kernel, one_at_a_time, shared
+from astray.kernel.maze import WALL
 
 EXACT = 12  # objects; of more, the nearest are ordered, and all anew after each
 SLACK = float(F(0.5) - HALF)  # cells that the thief may be off the middle of a corridor

@@ -10,10 +10,10 @@ import numpy as np
 
 from astray import art as sprites
 from astray.game import NEVER, Variant
-from astray.games.maze.rules import WALL
 from astray.games.maze.variants import COLOURS, FLOORS, SHAPES, WALLS
-from astray.kernel.canvas import blit, copy_flat, copy_window, tile
+from astray.kernel.canvas import blit, copy_flat, copy_window, pixel
 from astray.kernel.jit import kernel
+from astray.kernel.maze import margin, paint_maze, paint_walls
 
 ART = Path(__file__).parent / "art"
 FLOOR = 256  # pixels of a floor's height; larger pictures repeat them
@@ -23,39 +23,10 @@ WALL_PLANE, MOUSE_PLANE, SHAPE_PLANE, COLOUR_PLANE, PLANES = 0, 1, 2, 3, 4
 
 
 @kernel
-def margin(s):
-    """Cells of wall around the world in the scene, so that every window is inside the scene."""
-    return s.window // 2 + 1 if s.window else 0
-
-
-@kernel
-def pixel(cells, scale):
-    """The pixel nearest to a length in cells; `scale` is in pixels per cell."""
-    return int(np.floor(cells * scale + 0.5))
-
-
-@kernel
 def paint(s, art, scene):
     """Floor and walls of the whole world, and the margin."""
     floors, walls, _, _ = art
-    floor, wall, edge = floors[s.background], walls[s.walls], margin(s)
-    cells = s.world + 2 * edge
-    scale = scene.shape[0] / cells
-    left, width = pixel(edge, scale), pixel(s.world, scale)
-    side = floor.shape[0]
-    offset = int(s.background_offset * (floor.shape[1] - side))
-    for row in range(width):
-        for column in range(width):
-            v, u = row * side // width, offset + column * side // width
-            for c in range(3):
-                scene[left + row, left + column, c] = floor[v, u, c]
-    for y in range(cells):
-        top, bottom = pixel(cells - 1 - y, scale), pixel(cells - y, scale)
-        for x in range(cells):
-            i, j = x - edge, y - edge
-            outside = not (0 <= i < s.world and 0 <= j < s.world)
-            if outside or s.cell[j, i] == WALL:
-                tile(scene, wall, top, bottom, pixel(x, scale), pixel(x + 1, scale))
+    paint_maze(s, scene, floors[s.background], walls[s.walls])
 
 
 @kernel
@@ -94,13 +65,8 @@ def stamp(image, sprite, scale, top, left, down, right):
 def paint_planes(s, scene):
     """Walls and objects of the whole world, and the margin."""
     edge = margin(s)
-    cells = s.world + 2 * edge
     scene[:] = 0
-    for y in range(cells):
-        for x in range(cells):
-            i, j = x - edge, y - edge
-            outside = not (0 <= i < s.world and 0 <= j < s.world)
-            scene[WALL_PLANE, y, x] = outside or s.cell[j, i] == WALL
+    paint_walls(s, scene[WALL_PLANE])
     if s.other_x != NEVER:
         scene[SHAPE_PLANE, edge + s.other_y, edge + s.other_x] = s.other_shape
         scene[COLOUR_PLANE, edge + s.other_y, edge + s.other_x] = s.other_colour

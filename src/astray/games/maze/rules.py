@@ -4,9 +4,10 @@ import numpy as np
 
 from astray.game import NEVER, state_dtype
 from astray.kernel.jit import kernel
+from astray.kernel.maze import is_wall
 
 LARGEST = 31  # cells a side of the largest world
-EMPTY, WALL, GOAL, OTHER = 0, 1, 2, 3  # what is in a cell
+EMPTY, GOAL, OTHER = 0, 2, 3  # what is in a cell, if not WALL
 REWARD = 10.0
 
 # The original's 15 actions; those after "right-up" are keys that mean nothing here.
@@ -46,7 +47,7 @@ def step(s, action):
         dy = 0  # the original steps in x first, and then no more
         s.faces_right = dx > 0
     x, y = int(s.x) + dx, int(s.y) + dy
-    if 0 <= x < s.world and 0 <= y < s.world and s.cell[y, x] != WALL:
+    if not is_wall(s, x, y):
         s.x, s.y = x + 0.5, y + 0.5
     note_arrivals(s)
     reached = s.reached_goal == s.time

@@ -8,9 +8,10 @@ from typing import Any
 import numpy as np
 
 from astray.game import NEVER
-from astray.games.maze.rules import ACTIONS, REWARD, WALL
+from astray.games.maze.rules import ACTIONS, REWARD
 from astray.games.maze.variants import GOALS
 from astray.kernel.grid import UNREACHABLE, distances
+from astray.kernel.maze import WALL
 
 STAY = ACTIONS.index("stay")
 

@@ -8,8 +8,9 @@ import pytest
 
 from astray.envs.vector import GameVectorEnv
 from astray.games.keys import GAME
-from astray.games.keys.rules import CHEST, EMPTY, KEY, WALL
+from astray.games.keys.rules import CHEST, EMPTY, KEY
 from astray.games.keys.variants import VARIANTS, Keys
+from astray.kernel.maze import WALL
 from astray.level import Level
 
 N = 500

@@ -9,8 +9,9 @@ from astray import art
 from astray.envs.vector import GameVectorEnv, picture
 from astray.games.keys import GAME
 from astray.games.keys.draw import ART, STRIPS
-from astray.games.keys.rules import CHEST, KEY, WALL
+from astray.games.keys.rules import CHEST, KEY
 from astray.games.keys.variants import FLOORS, INVENTORIES, VARIANTS
+from astray.kernel.maze import WALL
 
 MANY_KEYS = VARIANTS["many-keys"]
 

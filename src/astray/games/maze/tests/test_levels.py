@@ -8,8 +8,8 @@ import pytest
 from astray.envs.vector import GameVectorEnv
 from astray.game import NEVER
 from astray.games.maze import GAME
-from astray.games.maze.rules import WALL
 from astray.games.maze.variants import VARIANTS, Maze
+from astray.kernel.maze import WALL
 
 N = 1000
 

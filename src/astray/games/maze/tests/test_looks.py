@@ -7,8 +7,8 @@ import pytest
 
 from astray.envs.vector import GameVectorEnv, picture
 from astray.games.maze import GAME
-from astray.games.maze.rules import WALL
 from astray.games.maze.variants import COLOURS, SHAPES, VARIANTS
+from astray.kernel.maze import WALL
 
 
 def begin(variant, observation, level=3):
