@@ -16,7 +16,7 @@ test: check
 # A million inputs, and a training that is killed a hundred times; half an hour.
 fuzz: $(INSTALLED)
 	rm -f fuzz.jsonl
-	ASTRAY_FUZZ=150 ASTRAY_FUZZ_LOG=fuzz.jsonl $(BIN)/python -m pytest -n 2 tests/test_fuzz.py
+	ASTRAY_FUZZ=75 ASTRAY_FUZZ_LOG=fuzz.jsonl $(BIN)/python -m pytest -n 2 tests/test_fuzz.py
 	ASTRAY_KILLS=100 $(BIN)/python -m pytest tests/test_checkpoints.py -k killed
 	$(BIN)/python tests/golden.py --batch 256 --threads 2
 	NUMBA_DISABLE_JIT=1 $(BIN)/python tests/golden.py --steps 100

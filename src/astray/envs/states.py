@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import tokenize
 import zipfile
 import zlib
 from pathlib import Path
@@ -35,7 +36,7 @@ def load_states(path: Path, game: str) -> np.ndarray:
     except FileNotFoundError:
         raise FileNotFoundError(f"there are no states at {path}") from None
     except (OSError, ValueError, KeyError, EOFError, MemoryError, OverflowError, SyntaxError,
-            NotImplementedError, zipfile.BadZipFile, zlib.error) as error:  # fmt: skip
+            NotImplementedError, zipfile.BadZipFile, zlib.error, tokenize.TokenError) as error:  # fmt: skip
         raise ValueError(f"{path} holds no states: {error}") from error
     if kept["game"].shape or str(kept["game"]) != game:
         raise ValueError(f"{path} holds states of {kept['game']}, not of {game}")

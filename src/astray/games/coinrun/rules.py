@@ -142,7 +142,8 @@ def stroll(s):
                 edge = np.floor(x + HALF) - HALF if vx > ZERO else np.ceil(x - HALF) + HALF
                 x = TWO * edge - x
                 s.walker_vx[k] = -vx
-            s.walker_x[k] = x
+            # No walker of the original gets to the world's ends; one that was set into a wall may.
+            s.walker_x[k] = min(max(x, HALF), WORLD - HALF)
         s.trail_x[k, 0] = s.walker_x[k]
 
 
