@@ -15,6 +15,11 @@ from astray import games
 from astray.files import write_aside
 
 FORMAT = 1  # goes up when the fields of a state change their meaning
+# All that NumPy raises for what is no archive of arrays.
+BROKEN = (
+    OSError, ValueError, KeyError, EOFError, MemoryError, OverflowError, SyntaxError,
+    NotImplementedError, tokenize.TokenError, zipfile.BadZipFile, zlib.error,
+)  # fmt: skip
 
 
 def save_states(path: Path, game: str, states: np.ndarray) -> None:
@@ -35,8 +40,7 @@ def load_states(path: Path, game: str) -> np.ndarray:
             kept: dict[str, Any] = {name: file[name] for name in ("game", "format", "states")}
     except FileNotFoundError:
         raise FileNotFoundError(f"there are no states at {path}") from None
-    except (OSError, ValueError, KeyError, EOFError, MemoryError, OverflowError, SyntaxError,
-            NotImplementedError, zipfile.BadZipFile, zlib.error, tokenize.TokenError) as error:  # fmt: skip
+    except BROKEN as error:
         raise ValueError(f"{path} holds no states: {error}") from error
     if kept["game"].shape or str(kept["game"]) != game:
         raise ValueError(f"{path} holds states of {kept['game']}, not of {game}")
