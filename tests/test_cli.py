@@ -138,6 +138,8 @@ def test_an_agent_is_filmed(astray, run_folder, tmp_path):
         ("level maze corner --numbers 5-9", "levels are numbers and ranges as 5,17,100:200"),
         ("level maze corner --numbers -1", "from 0 to 2147483646"),
         ("level maze corner --numbers 99999999999999999999", "from 0 to 2147483646"),
+        ("level maze corner --numbers 0:99999999999", "from 0 to 2147483646"),
+        ("level maze corner --numbers 0:2000000000", "at most 10000000 are taken at once"),
         ("level maze corner --set region=5", "need placement 'region'"),
         ("train maze corner --seeds 0", "seeds is 0; it is at least 1"),
         ("level maze corner --set region", "a knob is set as NAME=VALUE; given 'region'"),

@@ -27,6 +27,7 @@ Preset = Literal["paper", "small"]
 Mode = Literal["sampled", "greedy"]
 Knobs = Annotated[tuple[str, ...], arg(name="set", metavar="KNOB=VALUE")]
 MISTAKE = 2  # exit code, after the mistake was explained
+AT_ONCE = 10_000_000  # level numbers of one command
 
 
 def list_(json: bool = False) -> None:
@@ -344,16 +345,22 @@ def bench(
 
 def level_numbers(text: str) -> np.ndarray:
     """Level numbers from text like 5,17,100:200."""
-    found: list[int] = []
+    spans = []
     try:
         for part in text.split(","):
             first, colon, after = part.partition(":")
-            found += range(int(first), int(after)) if colon else [int(first)]
+            spans.append(
+                range(int(first), int(after)) if colon else range(int(first), int(first) + 1)
+            )
     except ValueError:
         raise ValueError(f"levels are numbers and ranges as 5,17,100:200; given {text!r}") from None
-    if not found or min(found) < 0 or max(found) >= LEVELS.stop:
+    spans = [span for span in spans if span]
+    if not spans or any(s[0] < 0 or s[-1] >= LEVELS.stop for s in spans):
         raise ValueError(f"levels are numbers from 0 to {LEVELS.stop - 1}; given {text!r}")
-    return np.array(found)
+    count = sum(map(len, spans))
+    if count > AT_ONCE:
+        raise ValueError(f"{count} levels are given; at most {AT_ONCE} are taken at once")
+    return np.concatenate([np.arange(span.start, span.stop) for span in spans])
 
 
 def _pairs(knobs: tuple[str, ...]) -> dict[str, Any]:

@@ -93,8 +93,16 @@ def act(s, action, horizontal_first):
         ay = 0
     accelerate(s, ax, ay, supported)
     move(s, ax, ay, horizontal_first)
+    stay_inside(s)
     pose(s, ax, supported)
     return meet(s)
+
+
+@kernel
+def stay_inside(s):
+    """Keep the runner in the world; only one that was set into a wall ever gets to its ends."""
+    s.x = min(max(s.x, HALF), WORLD - HALF)
+    s.y = min(max(s.y, TALL), WORLD - TALL)
 
 
 @kernel
