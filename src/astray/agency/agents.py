@@ -1,0 +1,67 @@
+"""Agents: policies that go the shortest way to a goal, and err with probability eps."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Literal
+
+import numpy as np
+
+from astray.agency.gridworld import Trajectory, World
+from astray.agency.steps import IMPOSSIBLE, KIND
+
+AtGoal = Literal["uniform", "stay", "done", "absorb"]
+
+
+@dataclass(frozen=True, eq=False)
+class Agents:
+    """Agents of G goals in one world; where several actions are best they take any of them.
+
+    distance  [F, G] steps to each goal from each free cell, inf where there is no way
+    legal     only moves that change the cell are actions
+    at_goal   what is best on the goal itself, where no action keeps the agent there: "uniform":
+              all actions alike, and then back; "stay": bumping into a wall, or anything where
+              there is none; "done": from the first visit on, all alike everywhere; "absorb":
+              nothing comes after it
+    """
+
+    world: World
+    distance: np.ndarray
+    legal: bool = False
+    at_goal: AtGoal = "uniform"
+
+    @cached_property
+    def possible(self) -> np.ndarray:
+        """[F] int64, how many actions there are in each cell."""
+        legal = self.world.legal
+        return legal.sum(1) if self.legal else np.full(len(legal), legal.shape[1])
+
+    @cached_property
+    def best(self) -> np.ndarray:
+        """[F, 4, G] bool: the actions that come a step nearer to each goal."""
+        finite = np.isfinite(self.distance)  # else inf is a step nearer than inf
+        return (self.distance[self.world.after] == (self.distance - 1)[:, None]) & finite[:, None]
+
+    @cached_property
+    def kinds(self) -> np.ndarray:
+        """[F, 4, G] uint8: the kind of every step; impossible where no way leads to the goal."""
+        on_goal, actions = self.distance == 0, self.possible[:, None]
+        bumps = (~self.world.legal).sum(1)[:, None]
+        stays = on_goal & (bumps > 0) & (self.at_goal == "stay" and not self.legal)
+        best = self.best | (on_goal & ~stays)[:, None] | (
+            stays[:, None] & ~self.world.legal[:, :, None]
+        )  # fmt: skip
+        k = np.where(stays, bumps, np.where(on_goal, actions, self.best.sum(1)))
+        return KIND[best.astype(int), k[:, None], actions[:, None]]
+
+    def steps(self, trajectory: Trajectory) -> np.ndarray:
+        """The kind of each step of `trajectory` for each goal, [T, G] uint8."""
+        before = trajectory.cells[:-1]
+        taken = self.kinds[before, trajectory.actions]
+        if self.at_goal in ("uniform", "stay"):
+            return taken
+        arrived = np.logical_or.accumulate(self.distance[before] == 0, axis=0)
+        actions = self.possible[before][:, None]
+        after = IMPOSSIBLE if self.at_goal == "absorb" else KIND[1, actions, actions]
+        return np.where(arrived, after, taken)

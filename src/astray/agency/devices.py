@@ -1,0 +1,166 @@
+"""Devices: tables from what is seen to an action, obeyed but for a share eps of random actions."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal, get_args
+
+import numpy as np
+from scipy.special import gammaln, logsumexp
+
+from astray.agency.gridworld import ACTIONS, Trajectory, World
+from astray.agency.steps import KIND, Rule, log_product
+
+# What a device sees. "type": the type of the cell faced in the direction of the last action;
+# "type+last": and the last action; "ego": the type, its actions being turns from the last one;
+# "egowalls": the walls around, ahead first, likewise; "abswalls": the walls around, by compass;
+# "abswalls+last": and the last action; "pos": the cell; "none": nothing.
+Observation = Literal[
+    "type", "type+last", "ego", "egowalls", "abswalls", "abswalls+last", "pos", "none"
+]
+OBSERVATIONS: tuple[Observation, ...] = get_args(Observation)
+# Before the first action: "null", an observation of its own; "skip": the first action is not
+# judged; or facing a direction.
+First = Literal["null", "skip", "up", "down", "left", "right"]
+
+HEADLESS = ("abswalls", "pos", "none")  # seen without a last action, so before the first too
+
+EMPTY, WALL, START, GOAL = range(4)
+UNSEEN = -1  # before the first action
+CLOCKWISE = np.array([0, 2, 3, 1])  # action -> quarter turns from up
+COMPASS = np.argsort(CLOCKWISE)  # quarter turns from up -> action
+A = len(ACTIONS)
+
+
+@dataclass(frozen=True, eq=False)
+class Seen:
+    """What a device saw at T steps, and what each entry of its table would have done there."""
+
+    observation: np.ndarray  # [T] int64, any codes
+    kinds: np.ndarray  # [T, 4] uint8, the kind of the step if the entry is b
+    same: np.ndarray  # [T, 4] bool, whether the step is what the entry b says
+
+    def __len__(self) -> int:
+        return len(self.observation)
+
+
+def see(
+    world: World,
+    trajectory: Trajectory,
+    goal: int | None,
+    what: Observation = "type",
+    first: First = "null",
+    *,
+    legal: bool = False,
+) -> Seen:
+    """What a device saw along `trajectory`.
+
+    goal   the number of the cell where the goal is shown; None: nowhere
+    legal  only moves that change the cell are actions; an entry that points into a wall is then
+           any of them
+    """
+    before, taken = trajectory.cells[:-1], trajectory.actions
+    facing = ACTIONS.index(first) if first in ACTIONS else 0
+    last = np.append(facing, taken[:-1])[: len(taken)]
+    entries = np.broadcast_to(np.arange(A), (len(taken), A))
+    if what in ("ego", "egowalls"):
+        entries = COMPASS[(entries + CLOCKWISE[last][:, None]) % A]
+    codes = _codes(world, before, last, goal, what)
+    if first == "null" and len(codes) and what not in HEADLESS:
+        codes[0] = UNSEEN
+    same = entries == taken[:, None]
+    possible = world.legal[before].sum(1) if legal else np.full(len(before), A)
+    kinds = KIND[same.astype(int), 1, possible[:, None]]
+    if legal:
+        blocked = ~np.take_along_axis(world.legal[before], entries, 1)
+        kinds = np.where(blocked, KIND[1, possible, possible][:, None], kinds)
+    judged = slice(1 if first == "skip" else 0, None)
+    return Seen(codes[judged], kinds[judged], same[judged])
+
+
+def _codes(
+    world: World, before: np.ndarray, last: np.ndarray, goal: int | None, what: Observation
+) -> np.ndarray:
+    """[T] int64: a number for each thing that can be seen, but for the first step's."""
+    if what == "pos":
+        return before.copy()
+    if what == "none":
+        return np.zeros(len(before), np.int64)
+    walls = ~world.legal[before]
+    if what.startswith("abswalls"):
+        codes = walls @ (1 << np.arange(A))
+    elif what == "egowalls":
+        around = COMPASS[(np.arange(A) + CLOCKWISE[last][:, None]) % A]
+        codes = np.take_along_axis(walls, around, 1) @ (1 << np.arange(A))
+    else:
+        codes = _faced(world, before, last, goal)
+    return codes * A + last if what.endswith("+last") else codes
+
+
+def _faced(world: World, before: np.ndarray, last: np.ndarray, goal: int | None) -> np.ndarray:
+    """[T] int64: the type of the cell ahead; wall before goal before start before empty."""
+    faced = world.after[before, last]
+    codes = np.where(faced == before[:1], START, EMPTY)
+    codes = np.where(faced == (-1 if goal is None else goal), GOAL, codes)
+    return np.where(world.legal[before, last], codes, WALL)
+
+
+def join(seen: Sequence[Seen]) -> Seen:
+    """The steps of several trajectories, seen by one device."""
+    parts = zip(*((one.observation, one.kinds, one.same) for one in seen), strict=True)
+    return Seen(*(np.concatenate(part) for part in parts))
+
+
+def log_mixture(seen: Seen, rule: Rule, table: np.ndarray) -> float:
+    """-inf < log p_dev <= 0 nats: all tables are equally likely, eps as `rule` has it.
+
+    table  [kinds, N] of `steps.log_table`. Observations that were not seen cancel.
+    """
+    whole = np.zeros(len(rule.eps))
+    for code in np.unique(seen.observation):
+        entries = log_product(seen.kinds[seen.observation == code], table)
+        whole += logsumexp(entries, axis=0) - np.log(A)
+    return float(rule.integrate(whole))
+
+
+def log_mixture_online(seen: Seen, rule: Rule, table: np.ndarray) -> np.ndarray:
+    """`log_mixture` of the first t steps, [T + 1]."""
+    entries: dict[int, np.ndarray] = {}
+    rows = [np.zeros(len(rule.eps))]
+    for code, kinds in zip(seen.observation.tolist(), seen.kinds, strict=True):
+        old = entries.get(code, np.zeros((A, len(rule.eps))))
+        entries[code] = old + table[kinds]
+        gained = logsumexp(entries[code], axis=0) - logsumexp(old, axis=0)
+        rows.append(rows[-1] + gained)
+    return rule.integrate(np.array(rows))
+
+
+def table_of(seen: Seen) -> np.ndarray:
+    """[V, 4] int64: how often each entry's action followed each of V observations seen."""
+    _, row = np.unique(seen.observation, return_inverse=True)
+    counts = np.zeros((row.max(initial=-1) + 1, A), np.int64)
+    np.add.at(counts, row, seen.same)
+    return counts
+
+
+def log_dirichlet(seen: Seen) -> float:
+    """log p_dev if devices are random policies, each row uniform on the simplex."""
+    counts = table_of(seen)
+    rows = gammaln(A) + gammaln(counts + 1).sum(1) - gammaln(counts.sum(1) + A)
+    return float(rows.sum())
+
+
+def log_best(seen: Seen) -> float:
+    """The largest log p of any device and any eps: for e-values against all of them at once.
+
+    With n steps as the best table has them and m others, eps (A - 1) / A is m / (n + m), or
+    less where that is more than random.
+    """
+    counts = table_of(seen)
+    steps, best = int(counts.sum()), int(counts.max(1, initial=0).sum())
+    if not steps:
+        return 0.0
+    wrong = min((steps - best) / steps, (A - 1) / A)
+    others = (steps - best) * np.log(wrong / (A - 1)) if best < steps else 0.0
+    return float(best * np.log1p(-wrong) + others)

@@ -1,0 +1,154 @@
+"""A gridworld of any shape, and trajectories in it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from scipy.sparse import csr_array
+from scipy.sparse.csgraph import dijkstra
+
+ACTIONS = ("up", "down", "left", "right")
+MOVES = np.array([(-1, 0), (1, 0), (0, -1), (0, 1)])  # (row, column), row 0 on top
+WALL, FREE = "#", "."
+
+Cell = tuple[int, int]  # (row, column)
+
+
+@dataclass(frozen=True, eq=False)
+class Trajectory:
+    """What was done: T actions, and the T + 1 cells before, between and after them.
+
+    Cells are numbers of a `World`; made by its methods, which check them.
+    """
+
+    cells: np.ndarray  # [T + 1] int64
+    actions: np.ndarray  # [T] int64
+
+    def __len__(self) -> int:
+        return len(self.actions)
+
+
+@dataclass(frozen=True, eq=False)
+class World:
+    """A map [H, W] bool, True where it is free; all outside is wall. F free cells are numbered.
+
+    A move into a wall leaves the agent where it is, and still counts as an action.
+    """
+
+    free: np.ndarray
+
+    def __post_init__(self) -> None:
+        if self.free.ndim != 2 or self.free.dtype != bool or not self.free.any():
+            raise ValueError("a world is [H, W] booleans, at least one of them free")
+
+    @classmethod
+    def parse(cls, text: str | Sequence[str]) -> World:
+        """The world of a drawing: `#` is wall, `.` is free, a line a row."""
+        rows = text.split() if isinstance(text, str) else list(text)
+        if not rows or len({len(row) for row in rows}) > 1:
+            raise ValueError("a map has lines, all equally long")
+        unknown = set("".join(rows)) - {WALL, FREE}
+        if unknown:
+            raise ValueError(f"a map is drawn with # and .; it has {' '.join(sorted(unknown))}")
+        return cls(np.array([[mark == FREE for mark in row] for row in rows]))
+
+    def __str__(self) -> str:
+        return "\n".join("".join(FREE if free else WALL for free in row) for row in self.free)
+
+    @cached_property
+    def cells(self) -> np.ndarray:
+        """[F, 2] int64, row and column of every free cell."""
+        return np.argwhere(self.free)
+
+    @cached_property
+    def numbers(self) -> np.ndarray:
+        """[H, W] int64, the number of every free cell; -1 in walls."""
+        numbers = np.full(self.free.shape, -1)
+        numbers[self.free] = np.arange(len(self.cells))
+        return numbers
+
+    @cached_property
+    def after(self) -> np.ndarray:
+        """[F, 4] int64, the cell each action leads to."""
+        around = np.pad(self.numbers, 1, constant_values=-1)
+        there = self.cells[:, None] + MOVES + 1
+        found = around[there[..., 0], there[..., 1]]
+        return np.where(found < 0, np.arange(len(self.cells))[:, None], found)
+
+    @cached_property
+    def legal(self) -> np.ndarray:
+        """[F, 4] bool, the actions that change the cell."""
+        return self.after != np.arange(len(self.cells))[:, None]
+
+    @cached_property
+    def distance(self) -> np.ndarray:
+        """[F, F] float64, steps from each cell to each; inf where there is no way."""
+        rows, actions = np.nonzero(self.legal)
+        graph = csr_array((np.ones(len(rows)), (rows, self.after[rows, actions])), (len(self),) * 2)
+        return dijkstra(graph, unweighted=True)
+
+    def __len__(self) -> int:
+        return len(self.cells)
+
+    def number(self, cell: Cell) -> int:
+        """The number of a free cell; ValueError for walls and what is outside."""
+        row, column = cell
+        height, width = self.free.shape
+        if not (0 <= row < height and 0 <= column < width):
+            raise ValueError(f"cell {cell} is outside of the map of {height} x {width} cells")
+        if not self.free[row, column]:
+            raise ValueError(f"cell {cell} is a wall")
+        return int(self.numbers[row, column])
+
+    def accessible(self, cell: int) -> np.ndarray:
+        """The numbers of all cells with a way from `cell`, itself among them."""
+        return np.flatnonzero(np.isfinite(self.distance[cell]))
+
+    def walk(self, start: Cell, actions: Iterable[int]) -> Trajectory:
+        """The trajectory of `actions` (numbers in ACTIONS) from `start`."""
+        taken = np.array(list(actions), np.int64)
+        if taken.size and not (taken.min() >= 0 and taken.max() < len(ACTIONS)):
+            raise ValueError(f"actions are from 0 to {len(ACTIONS) - 1}; given {taken}")
+        cells = [self.number(start)]
+        for action in taken:
+            cells.append(int(self.after[cells[-1], action]))
+        return Trajectory(np.array(cells), taken)
+
+    def trajectory(self, steps: Sequence[tuple[Cell, int]]) -> Trajectory:
+        """The trajectory of T >= 1 pairs (cell before the action, action), as recorded."""
+        if not steps:
+            raise ValueError("a trajectory without steps has no cells; `walk` makes an empty one")
+        made = self.walk(steps[0][0], (action for _, action in steps))
+        for t, (cell, _) in enumerate(steps):
+            there = tuple(int(i) for i in self.cells[made.cells[t]])
+            if tuple(cell) != there:
+                raise ValueError(f"step {t} begins in {tuple(cell)}, but the moves lead to {there}")
+        return made
+
+    def path(self, cells: Sequence[Cell]) -> Trajectory:
+        """The trajectory through `cells`, each beside the one before it, or the same.
+
+        Where a cell is repeated nothing moved; these steps are left out.
+        """
+        visited = [self.number(cell) for cell in cells]
+        if not visited:
+            raise ValueError("a path has at least the cell in which it begins")
+        actions = []
+        for here, there in zip(visited, visited[1:], strict=False):
+            if here == there:
+                continue
+            ways = np.flatnonzero(self.after[here] == there)
+            if not len(ways):
+                one, other = (tuple(int(i) for i in self.cells[k]) for k in (here, there))
+                raise ValueError(f"no move leads from {one} to {other}")
+            actions.append(int(ways[0]))
+        return self.walk(tuple(self.cells[visited[0]]), actions)
+
+    def moves(self, trajectory: Trajectory) -> Trajectory:
+        """`trajectory` without the steps that changed nothing."""
+        moved = trajectory.cells[1:] != trajectory.cells[:-1]
+        kept = np.append(trajectory.cells[0], trajectory.cells[1:][moved])
+        return Trajectory(kept, trajectory.actions[moved])

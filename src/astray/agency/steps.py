@@ -1,0 +1,121 @@
+"""What a step says about a policy that errs, and the integral over how often it errs.
+
+A step of a policy with noise eps has the probability alpha (1 - eps) + beta eps. Agents and
+devices alike are products of such steps, so a trajectory is told by how many steps there are of
+each kind, whoever took them. Kinds are
+
+    best of L       the action is one of k that the policy would take, out of L possible ones
+    not best of L   it is not, while k others are
+
+and, where the policy is indifferent, k = L: probability 1 / L whatever eps is.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cache
+from typing import Literal
+
+import numpy as np
+from scipy.special import logsumexp
+
+from astray.agency.gridworld import ACTIONS
+
+Noise = Literal["any action", "other actions"]
+
+MOST = len(ACTIONS)
+KINDS = tuple(
+    (best, k, L)
+    for L in range(1, MOST + 1)
+    for best in (True, False)
+    for k in range(1, L + best)
+)  # fmt: skip
+IMPOSSIBLE = len(KINDS)  # a step of probability 0
+# [2, k, L]: the kind of a step; IMPOSSIBLE where there is none
+KIND = np.full((2, MOST + 1, MOST + 1), IMPOSSIBLE, np.uint8)
+for _code, (_best, _k, _L) in enumerate(KINDS):
+    KIND[int(_best), _k, _L] = _code
+
+EXACT = 1023  # the highest degree integrated by Gauss-Legendre nodes of its own
+
+
+@dataclass(frozen=True, eq=False)
+class Rule:
+    """N nodes eps in (0, 1), and the logarithm of their weights, a prior included."""
+
+    eps: np.ndarray  # [N]
+    certain: np.ndarray  # [N] 1 - eps, without cancellation
+    log_weight: np.ndarray  # [N]
+
+    def integrate(self, log_values: np.ndarray) -> np.ndarray:
+        """The logarithm of the integral of exp(log_values [..., N]) over eps."""
+        return logsumexp(log_values + self.log_weight, axis=-1)
+
+
+@cache
+def rule(degree: int, beta: float = 1.0) -> Rule:
+    """A rule for polynomials of `degree` in eps, under the prior eps ~ Beta(1, beta).
+
+    Exact to rounding up to degree EXACT; beyond it a composite rule, good to 2e-11 at 10,000.
+    """
+    if beta < 1:
+        raise ValueError(f"beta is {beta}; it is at least 1")
+    needed = degree + int(np.ceil(beta - 1))
+    x, weight = np.polynomial.legendre.leggauss(_nodes(needed)) if needed <= EXACT else _panels()
+    eps, certain = (1 + x) / 2, (1 - x) / 2
+    if needed > EXACT:  # there x is eps in (0, 1/2), mirrored
+        eps, certain = np.append(x, 1 - x), np.append(1 - x, x)
+        weight = np.append(weight, weight) * 2
+    prior = np.log(beta) + (beta - 1) * np.log(certain)
+    return Rule(eps, certain, np.log(weight / 2) + prior)
+
+
+def _nodes(degree: int) -> int:
+    """At least degree // 2 + 1, rounded up so that few different rules are ever computed."""
+    return max(16, 1 << (degree // 2).bit_length())
+
+
+def _panels() -> tuple[np.ndarray, np.ndarray]:
+    """Nodes and weights in (0, 1/2): panels that widen by sqrt 2 from 1e-7 up to 1/128."""
+    edges = [0.0, 1e-7]
+    while edges[-1] < 0.5:
+        edges.append(min(0.5, edges[-1] + min(edges[-1] * (np.sqrt(2) - 1), 1 / 128)))
+    x, weight = np.polynomial.legendre.leggauss(16)
+    low, width = np.array(edges[:-1])[:, None], np.diff(edges)[:, None]
+    return (low + width * (1 + x) / 2).ravel(), (width * weight / 2).ravel()
+
+
+def log_table(rule: Rule, noise: Noise = "any action") -> np.ndarray:
+    """The logarithm of the probability of a step of each kind, [kinds, N].
+
+    noise  "any action": with probability eps uniformly random, all L actions alike (the paper's);
+           "other actions": with probability eps one that is not best
+    """
+    rows = []
+    for best, k, L in KINDS:
+        if k == L:
+            rows.append(np.full(len(rule.eps), -np.log(L)))
+        elif noise == "other actions":
+            rows.append(np.log(rule.certain / k) if best else np.log(rule.eps / (L - k)))
+        else:
+            rows.append(np.log(best * rule.certain / k + rule.eps / L))
+    return np.array(rows)
+
+
+def count(kinds: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """How many steps there are of each kind.
+
+    kinds    [T, G] uint8, for each of G policies
+    returns  counts [G, kinds], and [G] bool whether none was impossible
+    """
+    policies = kinds.shape[1]
+    width = IMPOSSIBLE + 1
+    flat = kinds.astype(np.int64) + np.arange(policies) * width
+    counts = np.bincount(flat.ravel(), minlength=policies * width).reshape(policies, width)
+    return counts[:, :IMPOSSIBLE].astype(float), counts[:, IMPOSSIBLE] == 0
+
+
+def log_product(kinds: np.ndarray, table: np.ndarray) -> np.ndarray:
+    """The logarithm of the product over steps [T, G] of `log_table`, [G, N]; -inf if impossible."""
+    counts, possible = count(kinds)
+    return np.where(possible[:, None], counts @ table, -np.inf)
