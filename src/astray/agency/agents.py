@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Literal
 
 import numpy as np
@@ -65,3 +65,9 @@ class Agents:
         actions = self.possible[before][:, None]
         after = IMPOSSIBLE if self.at_goal == "absorb" else KIND[1, actions, actions]
         return np.where(arrived, after, taken)
+
+
+@lru_cache(maxsize=8)  # of the last few worlds; it is by far the longest part of a measurement
+def of_every_cell(world: World, legal: bool, at_goal: AtGoal) -> Agents:
+    """Agents whose goals are the free cells, in the order of their numbers."""
+    return Agents(world, world.distance, legal, at_goal)

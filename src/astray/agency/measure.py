@@ -19,9 +19,9 @@ import numpy as np
 from scipy.special import expit, logsumexp
 
 from astray.agency import devices
-from astray.agency.agents import Agents, AtGoal
+from astray.agency.agents import Agents, AtGoal, of_every_cell
 from astray.agency.devices import First, Observation
-from astray.agency.gridworld import Cell, Trajectory, World
+from astray.agency.gridworld import ACTIONS, Cell, Trajectory, World
 from astray.agency.steps import Noise, Rule, log_product, log_table, rule
 
 Goals = Literal["accessible and true", "accessible", "all cells"]
@@ -127,33 +127,33 @@ def measure(episodes: Episode | Sequence[Episode], options: Options = PAPER) -> 
     Several share one goal (a cell, or the true goal wherever it is), one eps and one device.
     An empty trajectory says nothing: p(agent) is 1/2.
     """
-    whole = _prepared(episodes, options)
-    world, start = whole[0].world, whole[0].trajectory.cells[0]
-    if any(episode.world is not world for episode in whole):
-        raise ValueError("episodes in several worlds share no cells: see `measure_named`")
-    accessible = world.accessible(start)
-    reached = set(accessible.tolist())
-    for episode in whole:
-        if int(episode.trajectory.cells[0]) not in reached:
-            raise ValueError("episodes begin in parts of the world without a way between them")
+    whole = prepared(episodes, options)
+    goals, prior, columns = goals_in(whole, options)
     nodes = _rule(whole, options)
     table = log_table(nodes, options.noise)
-    terms = np.zeros((len(accessible), len(nodes.eps)))
-    for episode in whole:
-        terms += _log_terms(episode, world.distance[:, accessible], options, table)
-    goals: list[Goal] = [(int(r), int(c)) for r, c in world.cells[accessible]]
-    if options.goals == "accessible and true":
-        pursued = np.zeros(len(nodes.eps))
-        for episode in whole:
-            if episode.true is None:
-                raise ValueError("the true goal is among the goals, but none is given")
-            column = int(np.searchsorted(accessible, _number(episode, episode.true)))
-            pursued += _log_terms(
-                episode, world.distance[:, accessible[[column]]], options, table
-            )[0]
-        terms, goals = np.vstack([terms, pursued]), [*goals, TRUE]
-    prior = world.free.size if options.goals == "all cells" else len(goals)
+    terms = np.zeros((len(goals), len(nodes.eps)))
+    for episode, chosen in zip(whole, columns, strict=True):
+        terms += log_product(cell_steps(episode, options), table)[chosen]
     return _evidence(whole, goals, prior, nodes.integrate(terms), options)
+
+
+def goals_in(
+    episodes: Sequence[Episode], options: Options
+) -> tuple[list[Goal], float, list[np.ndarray]]:
+    """The goals [G] of episodes in one world, 1 / their prior, and in each episode their cells."""
+    world, start = episodes[0].world, episodes[0].trajectory.cells[0]
+    if any(episode.world is not world for episode in episodes):
+        raise ValueError("episodes in several worlds share no cells: see `measure_named`")
+    accessible = world.accessible(start)
+    if not all(np.isin(episode.trajectory.cells[0], accessible) for episode in episodes):
+        raise ValueError("episodes begin in parts of the world without a way between them")
+    goals: list[Goal] = [(int(row), int(column)) for row, column in world.cells[accessible]]
+    columns = [accessible] * len(episodes)
+    if options.goals == "accessible and true":
+        goals.append(TRUE)
+        columns = [np.append(accessible, _true(episode)) for episode in episodes]
+    prior = world.free.size if options.goals == "all cells" else len(goals)
+    return goals, prior, columns
 
 
 def measure_named(
@@ -166,7 +166,7 @@ def measure_named(
     goals  for each episode the cells of every name; the nearest of them is the goal. One more
            goal is OTHER, another cell in each episode, so that none has to be the right one.
     """
-    whole = _prepared(episodes, options)
+    whole = prepared(episodes, options)
     if len(goals) != len(whole) or any(set(named) != set(goals[0]) for named in goals):
         raise ValueError("every episode has goals, of the same names")
     if OTHER in goals[0] or not goals[0]:
@@ -175,11 +175,10 @@ def measure_named(
     table = log_table(nodes, options.noise)
     terms = np.zeros((len(goals[0]) + 1, len(nodes.eps)))
     for episode, named in zip(whole, goals, strict=True):
-        world, start = episode.world, episode.trajectory.cells[0]
-        accessible = world.distance[:, world.accessible(start)]
-        distances = np.stack([_distance(episode, named[name]) for name in goals[0]], 1)
-        terms[:-1] += _log_terms(episode, distances, options, table)
-        each = _log_terms(episode, accessible, options, table)
+        agents = _named_agents(episode, [named[name] for name in goals[0]], options)
+        terms[:-1] += log_product(agents.steps(episode.trajectory), table)
+        accessible = episode.world.accessible(episode.trajectory.cells[0])
+        each = log_product(cell_steps(episode, options)[:, accessible], table)
         terms[-1] += logsumexp(each, axis=0) - np.log(len(each))
     names = [*goals[0], OTHER]
     return _evidence(whole, names, len(names), nodes.integrate(terms), options)
@@ -190,25 +189,14 @@ def decisions(episode: Episode, goals: Mapping[str, Sequence[Cell]], options: Op
 
     All that tells these goals apart comes from them.
     """
-    (episode,) = _prepared(episode, options)
-    distances = np.stack([_distance(episode, cells) for cells in goals.values()], 1)
-    agents = Agents(episode.world, distances, options.legal, options.at_goal)
+    (episode,) = prepared(episode, options)
+    agents = _named_agents(episode, list(goals.values()), options)
     best = agents.best[episode.trajectory.cells[:-1]]
     return int((best != best[..., :1]).any((1, 2)).sum())
 
 
-def measure_online(
-    episode: Episode, options: Options = PAPER, *, switch: float | Literal["1/(t+1)"] = 0.0
-) -> tuple[np.ndarray, np.ndarray, list[Goal]]:
-    """The evidence after every step.
-
-    switch   probability that the goal is drawn anew before a step; "1/(t+1)" after t steps
-    returns  log p_agt [T + 1]; log p_dev [T + 1]; ...
-    """
-    raise NotImplementedError
-
-
-def _prepared(episodes: Episode | Sequence[Episode], options: Options) -> list[Episode]:
+def prepared(episodes: Episode | Sequence[Episode], options: Options) -> list[Episode]:
+    """At least one episode, with the steps that count."""
     whole = [episodes] if isinstance(episodes, Episode) else list(episodes)
     if not whole:
         raise ValueError("no episodes are given")
@@ -229,48 +217,65 @@ def _number(episode: Episode, cell: Cell) -> int:
     return number
 
 
-def _distance(episode: Episode, cells: Sequence[Cell]) -> np.ndarray:
-    """[F] steps to the nearest of `cells`."""
-    if not len(cells):
+def _true(episode: Episode) -> int:
+    """The number of the cell of the true goal."""
+    if episode.true is None:
+        raise ValueError("the true goal is among the goals, but none is given")
+    return _number(episode, episode.true)
+
+
+def cell_steps(episode: Episode, options: Options) -> np.ndarray:
+    """[T, F] the kinds of the steps for agents of every free cell."""
+    agents = of_every_cell(episode.world, options.legal, options.at_goal)
+    return agents.steps(episode.trajectory)
+
+
+def _named_agents(episode: Episode, goals: Sequence[Sequence[Cell]], options: Options) -> Agents:
+    """Agents of the nearest of each goal's cells."""
+    if not all(map(len, goals)):
         raise ValueError("a goal has at least one cell")
-    return episode.world.distance[:, [_number(episode, cell) for cell in cells]].min(1)
+    numbers = [[_number(episode, cell) for cell in cells] for cells in goals]
+    distance = np.stack([episode.world.distance[:, of].min(1) for of in numbers], 1)
+    return Agents(episode.world, distance, options.legal, options.at_goal)
 
 
-def _log_terms(
-    episode: Episode, distance: np.ndarray, options: Options, table: np.ndarray
-) -> np.ndarray:
-    """[G, N] log p_eps(trajectory | goal) of goals at `distance` [F, G]."""
-    agents = Agents(episode.world, distance, options.legal, options.at_goal)
-    return log_product(agents.steps(episode.trajectory), table)
+def mix_devices(log_devices: Mapping[str, float | np.ndarray], options: Options) -> np.ndarray:
+    """The logarithm of the mixture of the classes of devices and "noise", of any shape."""
+    share = (1 - options.noise_atom) / (len(log_devices) - 1)
+    shares = [options.noise_atom if what == "noise" else share for what in log_devices]
+    with np.errstate(divide="ignore"):
+        each = [np.log(s) + log for s, log in zip(shares, log_devices.values(), strict=True)]
+    return np.logaddexp.reduce(each)
+
+
+def log_noise(episode: Episode, options: Options) -> np.ndarray:
+    """[T] the logarithm of the probability of each step if all actions are equally likely."""
+    legal = episode.world.legal[episode.trajectory.cells[:-1]]
+    return -np.log(legal.sum(1) if options.legal else np.full(len(legal), len(ACTIONS)))
 
 
 def _evidence(
-    episodes: Sequence[Episode], goals: Sequence[Goal], prior: int, log_goals: np.ndarray,
+    episodes: Sequence[Episode], goals: Sequence[Goal], prior: float, log_goals: np.ndarray,
     options: Options,
 ) -> Evidence:  # fmt: skip
     log_devices = {what: _log_device(episodes, what, options) for what in options.observations}
-    possible = [
-        e.world.legal[e.trajectory.cells[:-1]].sum(1) if options.legal
-        else np.full(len(e.trajectory), 4) for e in episodes
-    ]  # fmt: skip
-    log_devices["noise"] = -float(np.log(np.concatenate(possible)).sum())
-    shares = np.append(np.full(len(log_devices) - 1, (1 - options.noise_atom)
-                               / (len(log_devices) - 1)), options.noise_atom)  # fmt: skip
-    with np.errstate(divide="ignore"):
-        mixed = np.log(shares) + list(log_devices.values())
+    log_devices["noise"] = sum(float(log_noise(e, options).sum()) for e in episodes)
     return Evidence(
         tuple(goals), np.full(len(goals), -np.log(prior)), log_goals, log_devices,
-        float(logsumexp(mixed)),
+        float(mix_devices(log_devices, options)),
     )  # fmt: skip
 
 
 def _log_device(episodes: Sequence[Episode], what: Observation, options: Options) -> float:
-    seen = devices.join([
-        devices.see(
-            e.world, e.trajectory, None if e.true is None else e.world.number(e.true),
-            what, options.first, legal=options.legal,
-        )
-        for e in episodes
-    ])  # fmt: skip
+    seen = devices.join([seen_in(episode, what, options) for episode in episodes])
     nodes = rule(len(seen))
     return devices.log_mixture(seen, nodes, log_table(nodes))
+
+
+def seen_in(episode: Episode, what: Observation, options: Options) -> devices.Seen:
+    """What a device of that class saw."""
+    world, goal = episode.world, episode.true
+    shown = None if goal is None else world.number(goal)
+    return devices.see(
+        world, episode.trajectory, shown, what, options.first, legal=options.legal
+    )

@@ -85,6 +85,7 @@ def _panels() -> tuple[np.ndarray, np.ndarray]:
     return (low + width * (1 + x) / 2).ravel(), (width * weight / 2).ravel()
 
 
+@cache
 def log_table(rule: Rule, noise: Noise = "any action") -> np.ndarray:
     """The logarithm of the probability of a step of each kind, [kinds, N].
 
@@ -102,20 +103,23 @@ def log_table(rule: Rule, noise: Noise = "any action") -> np.ndarray:
     return np.array(rows)
 
 
-def count(kinds: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """How many steps there are of each kind.
+def log_product(
+    kinds: np.ndarray, table: np.ndarray, policy: np.ndarray | None = None
+) -> np.ndarray:
+    """The logarithm of the product of the probabilities of a policy's steps, for G policies.
 
-    kinds    [T, G] uint8, for each of G policies
-    returns  counts [G, kinds], and [G] bool whether none was impossible
+    kinds    [T, P] uint8, of steps
+    table    [kinds, N] of `log_table`
+    policy   [T, P] int64, whose step each is, from 0 on; None: a policy for each column
+    returns  [G, N]; -inf where a step is impossible
     """
-    policies = kinds.shape[1]
+    if policy is None:
+        policy, policies = np.arange(kinds.shape[1]), kinds.shape[1]
+    else:
+        policies = int(policy.max(initial=-1)) + 1
     width = IMPOSSIBLE + 1
-    flat = kinds.astype(np.int64) + np.arange(policies) * width
+    flat = kinds + width * policy.astype(np.int64)
     counts = np.bincount(flat.ravel(), minlength=policies * width).reshape(policies, width)
-    return counts[:, :IMPOSSIBLE].astype(float), counts[:, IMPOSSIBLE] == 0
-
-
-def log_product(kinds: np.ndarray, table: np.ndarray) -> np.ndarray:
-    """The logarithm of the product over steps [T, G] of `log_table`, [G, N]; -inf if impossible."""
-    counts, possible = count(kinds)
-    return np.where(possible[:, None], counts @ table, -np.inf)
+    product = counts[:, :IMPOSSIBLE].astype(float) @ table
+    product[counts[:, IMPOSSIBLE] > 0] = -np.inf
+    return product

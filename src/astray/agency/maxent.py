@@ -1,0 +1,69 @@
+"""Agents of maximum entropy: likelier the shorter their way, and not greedy.
+
+Every step costs c = -ln w, the agent would by itself walk at random, and trades one against the
+other (a linearly solvable decision problem, Todorov 2006; the likelihood p ~ exp(R) of Langosco
+et al., Section 2). w -> 1 is the random walk, w -> 0 takes all shortest paths equally often.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.special import logsumexp
+
+from astray.agency.gridworld import Trajectory, World
+
+NODES = 48  # of the integral over w
+
+
+def log_likelihood(
+    world: World, trajectory: Trajectory, w: float, *, legal: bool = False
+) -> np.ndarray:
+    """log p(trajectory | goal, w) for every free cell as goal, [F]; -inf where no way leads.
+
+    The policy is P(a|s) w z(s') / z(s) with z = 1 on the goal, where P is the random walk, so it
+    depends on where the trajectory begins, ends and how long it is. From the first visit of the
+    goal on it is the random walk.
+
+    w      in (0, 1)
+    legal  only moves that change the cell are actions
+    """
+    if not 0 < w < 1:
+        raise ValueError(f"w is {w}; it is between 0 and 1")
+    cells, steps = trajectory.cells, len(trajectory)
+    log_z = _log_z(world, w, legal)
+    actions = world.legal.sum(1) if legal else np.full(len(world), world.legal.shape[1])
+    log_walk = -np.log(actions[cells[:-1]])
+    if legal and (cells[1:] == cells[:-1]).any():
+        raise ValueError("only moves that change the cell are actions; see `World.moves`")
+    visited = cells[:, None] == np.arange(len(world))
+    hit = np.where(visited.any(0), visited.argmax(0), steps)  # [F] steps to the first visit
+    goals = np.arange(len(world))
+    log_end, log_start = log_z[cells[hit], goals], log_z[cells[0]]
+    reachable = np.isfinite(world.distance[cells[0]])
+    with np.errstate(invalid="ignore"):
+        pursued = hit * np.log(w) + log_end - log_start
+    return np.where(reachable, log_walk.sum() + pursued, -np.inf)
+
+
+def log_mixture(world: World, trajectory: Trajectory, *, legal: bool = False) -> np.ndarray:
+    """`log_likelihood` with w uniform on (0, 1), [F]."""
+    x, weight = np.polynomial.legendre.leggauss(NODES)
+    each = [log_likelihood(world, trajectory, float(w), legal=legal) for w in (1 + x) / 2]
+    return logsumexp(np.array(each) + np.log(weight / 2)[:, None], axis=0)
+
+
+def _log_z(world: World, w: float, legal: bool) -> np.ndarray:
+    """log z [F, F] of each cell, for each goal: z = G(s, g) / G(g, g), G = (I - w P)^-1."""
+    count = len(world)
+    walk = np.zeros((count, count))
+    here = np.broadcast_to(np.arange(count)[:, None], world.after.shape)
+    used = world.legal if legal else np.ones_like(world.legal)
+    share = used / np.maximum(used.sum(1, keepdims=True), 1)
+    np.add.at(walk, (here, world.after), share)
+    green = np.linalg.inv(np.eye(count) - w * walk)
+    lost = np.isfinite(world.distance) & (green < 1e-290)
+    if lost.any():
+        far = world.distance[lost].min()
+        raise ValueError(f"w = {w:.2g} is too small for ways of {far:g} steps in this world")
+    with np.errstate(divide="ignore"):
+        return np.log(np.where(np.isfinite(world.distance), green, 0.0) / np.diag(green))
