@@ -103,6 +103,11 @@ class World:
             raise ValueError(f"cell {cell} is a wall")
         return int(self.numbers[row, column])
 
+    def cell(self, number: int) -> Cell:
+        """The row and column of a free cell."""
+        row, column = self.cells[number]
+        return int(row), int(column)
+
     def accessible(self, cell: int) -> np.ndarray:
         """The numbers of all cells with a way from `cell`, itself among them."""
         return np.flatnonzero(np.isfinite(self.distance[cell]))
@@ -123,7 +128,7 @@ class World:
             raise ValueError("a trajectory without steps has no cells; `walk` makes an empty one")
         made = self.walk(steps[0][0], (action for _, action in steps))
         for t, (cell, _) in enumerate(steps):
-            there = tuple(int(i) for i in self.cells[made.cells[t]])
+            there = self.cell(made.cells[t])
             if tuple(cell) != there:
                 raise ValueError(f"step {t} begins in {tuple(cell)}, but the moves lead to {there}")
         return made
@@ -142,10 +147,9 @@ class World:
                 continue
             ways = np.flatnonzero(self.after[here] == there)
             if not len(ways):
-                one, other = (tuple(int(i) for i in self.cells[k]) for k in (here, there))
-                raise ValueError(f"no move leads from {one} to {other}")
+                raise ValueError(f"no move leads from {self.cell(here)} to {self.cell(there)}")
             actions.append(int(ways[0]))
-        return self.walk(tuple(self.cells[visited[0]]), actions)
+        return self.walk(self.cell(visited[0]), actions)
 
     def moves(self, trajectory: Trajectory) -> Trajectory:
         """`trajectory` without the steps that changed nothing."""

@@ -1,0 +1,61 @@
+"""Maps of 20 x 20 cells on which the measure is studied; the paper's own is not known."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from astray.agency.gridworld import World
+
+SIDE = 20
+
+
+def open_room() -> World:
+    """No walls at all."""
+    return World(np.ones((SIDE, SIDE), bool))
+
+
+def four_rooms() -> World:
+    """Four rooms with a door between each and the next."""
+    free = np.ones((SIDE, SIDE), bool)
+    free[SIDE // 2] = free[:, SIDE // 2] = False
+    for door in (SIDE // 4, 3 * SIDE // 4):
+        free[SIDE // 2, door] = free[door, SIDE // 2] = True
+    return World(free)
+
+
+def obstacles(share: float, seed: int) -> World:
+    """Walls in a `share` of the cells, at random; what they cut off is wall as well."""
+    free = np.random.default_rng(seed).random((SIDE, SIDE)) >= share
+    world = World(free)
+    sizes = np.isfinite(world.distance).sum(1)
+    kept = world.cells[world.accessible(int(sizes.argmax()))]
+    largest = np.zeros_like(free)
+    largest[kept[:, 0], kept[:, 1]] = True
+    return World(largest)
+
+
+def maze(seed: int) -> World:
+    """A maze without loops, dug by a depth-first walk; the last row and column are wall."""
+    rng, free = np.random.default_rng(seed), np.zeros((SIDE, SIDE), bool)
+    way = [(0, 0)]
+    free[0, 0] = True
+    while way:
+        row, column = way[-1]
+        around = [(row + dr, column + dc) for dr, dc in ((-2, 0), (2, 0), (0, -2), (0, 2))]
+        dug = [(r, c) for r, c in around if 0 <= r < SIDE - 1 and 0 <= c < SIDE - 1 and not free[r, c]]
+        if not dug:
+            way.pop()
+            continue
+        r, c = dug[rng.integers(len(dug))]
+        free[r, c] = free[(row + r) // 2, (column + c) // 2] = True
+        way.append((r, c))
+    return World(free)
+
+
+MAPS = {
+    "open room": str(open_room()),
+    "four rooms": str(four_rooms()),
+    "obstacles, 20 %": str(obstacles(0.2, 0)),
+    "obstacles, 30 %": str(obstacles(0.3, 0)),
+    "maze": str(maze(0)),
+}
