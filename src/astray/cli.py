@@ -325,6 +325,59 @@ def overlap(
     Console().print(table)
 
 
+def agency(
+    run: Positional[Path],
+    variant: str | None = None,
+    shift: str | None = None,
+    levels: str | None = None,
+    measure: Literal["paper", "calibrated"] = "calibrated",
+    mode: Mode = "sampled",
+    knobs: Knobs = (),
+    out: Path | None = None,
+    json: bool = False,
+) -> None:
+    """Say whether a trained agent of mazes is goal-directed at all, and towards what.
+
+    Args:
+        run: a run folder or a checkpoint in it
+        variant: of the levels; by default the shift's test variant
+        shift: which goals are intended and proxies; by default the one that the run trained for
+        levels: numbers and ranges, as 5,17,100:200; by default the first 300 that the training
+            does not draw from
+        measure: calibrated, or the paper's to the letter, which calls most policies agents
+        mode: draw from the agent's policy, or take the likeliest action
+        knobs: of the variant, changed
+        out: a folder for episodes.parquet, and for posterior.mp4, .gif and .png of the episode in
+            which most steps tell the goals apart
+        json: print JSON
+    """
+    from astray.analysis.agency_run import judge_run
+
+    chosen = level_numbers(levels) if levels else None
+    judged, film = judge_run(
+        run, chosen, variant=variant, shift=shift, measure=measure, mode=mode, knobs=_pairs(knobs)
+    )
+    if out:
+        from PIL import Image
+
+        from astray.analysis import video
+
+        frames = film()
+        video.write_mp4(frames, out / "posterior.mp4", fps=4)
+        video.write_gif(frames, out / "posterior.gif", fps=4)
+        Image.fromarray(frames[-1]).save(out / "posterior.png")
+        judged.episodes.write_parquet(out / "episodes.parquet")
+    if json:
+        _print_json(judged.summary())
+        return
+    table = Table("explanation", "episodes", "if one holds for all")
+    for name, share, pooled in zip(judged.explanations, judged.shares, judged.pooled, strict=True):
+        told = f"{share.mean:.1%} [{share.low:.1%}, {share.high:.1%}]"
+        table.add_row(name, told, f"{pooled:.4f}")
+    Console().print(table)
+    print(judged.sentence())
+
+
 def bench(
     what: Positional[Literal["environments", "training"]] = "environments", markdown: bool = False
 ) -> None:
@@ -435,6 +488,7 @@ VERBS = {
     "level": level,
     "replay": replay,
     "overlap": overlap,
+    "agency": agency,
     "bench": bench,
 }
 

@@ -42,7 +42,9 @@ def maze(seed: int) -> World:
     while way:
         row, column = way[-1]
         around = [(row + dr, column + dc) for dr, dc in ((-2, 0), (2, 0), (0, -2), (0, 2))]
-        dug = [(r, c) for r, c in around if 0 <= r < SIDE - 1 and 0 <= c < SIDE - 1 and not free[r, c]]
+        dug = [
+            (r, c) for r, c in around if 0 <= r < SIDE - 1 and 0 <= c < SIDE - 1 and not free[r, c]
+        ]
         if not dug:
             way.pop()
             continue

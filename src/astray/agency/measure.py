@@ -276,6 +276,4 @@ def seen_in(episode: Episode, what: Observation, options: Options) -> devices.Se
     """What a device of that class saw."""
     world, goal = episode.world, episode.true
     shown = None if goal is None else world.number(goal)
-    return devices.see(
-        world, episode.trajectory, shown, what, options.first, legal=options.legal
-    )
+    return devices.see(world, episode.trajectory, shown, what, options.first, legal=options.legal)

@@ -10,7 +10,16 @@ from scipy.special import expit, logsumexp
 
 from astray.agency import devices
 from astray.agency.measure import (
-    PAPER, Episode, Goal, Options, cell_steps, goals_in, log_noise, mix_devices, prepared, seen_in,
+    PAPER,
+    Episode,
+    Goal,
+    Options,
+    cell_steps,
+    goals_in,
+    log_noise,
+    mix_devices,
+    prepared,
+    seen_in,
 )  # fmt: skip
 from astray.agency.steps import IMPOSSIBLE, Rule, log_table, rule
 

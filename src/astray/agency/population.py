@@ -1,0 +1,52 @@
+"""What many episodes say together, where not all of them need to have the same explanation."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.special import softmax
+
+DRAWS, FORGOTTEN = 5000, 500  # of the sampler; those at its beginning do not count
+
+
+@dataclass(frozen=True)
+class Share:
+    """The share of episodes that one explanation accounts for, and its 95 % interval."""
+
+    mean: float
+    low: float
+    high: float
+
+
+def shares(log_evidence: np.ndarray, *, seed: int = 0) -> list[Share]:
+    """How often each explanation is the right one: posterior means and credible intervals.
+
+    Each episode has one explanation; how often each of them occurs is not known before (all
+    shares are equally likely). So an agent that now and then gets stuck is still seen to pursue
+    its goal, where one explanation of all episodes would have to explain the worst of them.
+
+    log_evidence  [E, H] nats, log p(episode | explanation); one of each row is finite
+    """
+    log_evidence = np.asarray(log_evidence, float)
+    if log_evidence.ndim != 2 or not log_evidence.size:
+        raise ValueError(f"evidence is of episodes x explanations; given {log_evidence.shape}")
+    best = log_evidence.max(1, keepdims=True)
+    if not np.isfinite(best).all():
+        raise ValueError("an episode is impossible under every explanation")
+    likelihood, explanations = np.exp(log_evidence - best), log_evidence.shape[1]
+    rng = np.random.default_rng(seed)
+    theta, drawn = np.full(explanations, 1 / explanations), []
+    for _ in range(FORGOTTEN + DRAWS):  # Gibbs: explanations given their shares, and back
+        cumulative = np.cumsum(likelihood * theta, axis=1)
+        chosen = (cumulative < rng.random((len(best), 1)) * cumulative[:, -1:]).sum(1)
+        theta = rng.dirichlet(1.0 + np.bincount(chosen, minlength=explanations))
+        drawn.append(theta)
+    kept = np.array(drawn[FORGOTTEN:])
+    low, high = np.quantile(kept, [0.025, 0.975], axis=0)
+    return [Share(*map(float, one)) for one in zip(kept.mean(0), low, high, strict=True)]
+
+
+def pooled(log_evidence: np.ndarray) -> np.ndarray:
+    """The posterior of each explanation [H] if one holds for all episodes, all equally likely."""
+    return softmax(np.asarray(log_evidence, float).sum(0))

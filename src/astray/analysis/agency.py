@@ -1,0 +1,192 @@
+"""Agent or device, and which goal: the agency measure on policies that play a game of cells."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import polars as pl
+from scipy.special import softmax
+
+from astray.agency.gridworld import Cell, World
+from astray.agency.measure import CALIBRATED, Episode, Options, decisions, measure_named
+from astray.agency.population import Share, pooled, shares
+from astray.analysis.policies import Policy
+from astray.analysis.statistics import Estimate, bootstrap
+from astray.envs.vector import GameVectorEnv
+from astray.game import Game, Shift, Variant
+
+DEVICE = "device"
+UNDECIDED = "undecided"
+
+
+@dataclass(frozen=True, eq=False)
+class Played:
+    """An episode as the measure sees it, up to the first goal that was reached.
+
+    cells  [steps + 1] of every step; the steps that moved nothing are no part of the trajectory
+    goals  the cell of each goal with a name
+    """
+
+    level: int
+    episode: Episode
+    cells: list[Cell]
+    goals: dict[str, list[Cell]]
+
+
+def play(
+    policy: Policy, game: str, variant: Variant, levels: Sequence[int], shift: Shift,
+    batch: int = 256,
+) -> list[Played]:  # fmt: skip
+    """`policy`'s episodes in those of `levels` that have all the goals."""
+    played = []
+    for first in range(0, len(levels), batch):
+        some = np.asarray(levels[first : first + batch], np.int64)
+        env = GameVectorEnv(
+            game, variant, len(some), observation=policy.observation, autoreset_mode="Disabled"
+        )
+        observations, _ = env.reset(seed=0, options={"level": some})
+        told = [env.game.describe(s) for s in env.states]
+        at, over = [_places(env)], np.zeros(len(some), bool)
+        lengths = np.zeros(len(some), np.int64)
+        while not over.all():
+            observations, _, terminated, truncated, _ = env.step(policy.actions(env, observations))
+            lengths += ~over
+            ended = terminated | truncated
+            at.append(_places(env))
+            over |= ended
+            if ended.any():  # and plays the same level again, to no end
+                observations, _ = env.reset(options={"level": some, "reset_mask": ended})
+        for i, level in enumerate(some.tolist()):
+            ways = [(int(x), int(y)) for x, y in np.array(at)[: lengths[i] + 1, i]]
+            one = _played(env.game, level, told[i], ways, shift)
+            played += [one] if one else []
+        env.close()
+    return played
+
+
+def _places(env: GameVectorEnv) -> np.ndarray:
+    """[N, 2] float64, x and y of the agents."""
+    return np.stack([env.states["x"], env.states["y"]], 1)
+
+
+def _played(
+    game: Game, level: int, told: dict[str, Any], ways: list[Cell], shift: Shift
+) -> Played | None:
+    """The episode along `ways` (x, y) in a level as `describe` told it; None without its goals."""
+    places = named_places(game, told, shift)
+    if any(place is None for place in places.values()):
+        return None
+    grid = np.array(told["grid"])
+    top = len(grid) - 1  # there, rows count from the lowest up
+    world = World((grid != told["legend"]["wall"])[::-1])
+    goals = {name: [(top - y, x)] for name, (x, y) in places.items()}
+    ends = [t for t, (x, y) in enumerate(ways) if [x, y] in list(places.values())]
+    cells = [(top - y, x) for x, y in ways[: ends[0] + 1 if ends else None]]
+    intended = goals[shift.intended][0]
+    return Played(level, Episode(world, world.path(cells), intended), cells, goals)
+
+
+def named_places(game: Game, told: dict[str, Any], shift: Shift) -> dict[str, Any]:
+    """The cell [x, y] of the shift's goals, None where there is none, and of the others there."""
+    found: dict[str, Any] = {}
+    events = set()
+    for goal in (shift.intended, *shift.proxies, *game.goals):
+        event = game.goals[goal]
+        place = event.removeprefix("reached_")
+        if "agent" not in told or place not in told:
+            raise ValueError(f"{game.name} has no cell for the goal {goal!r}; maze has")
+        known = goal == shift.intended or goal in shift.proxies
+        if event not in events and (known or told[place] is not None):
+            found[goal] = told[place]
+            events.add(event)
+    return found
+
+
+@dataclass(frozen=True, eq=False)
+class Judgement:
+    """What the episodes of a policy say: an agent or a device, and of which goal.
+
+    The explanations are the goals with a name, another cell, and a device.
+    """
+
+    episodes: pl.DataFrame  # a row each: see `judge`
+    explanations: tuple[str, ...]
+    shares: list[Share]  # of episodes, for each explanation
+    pooled: np.ndarray  # posterior of each explanation, were it that of every episode
+    decisions: int  # steps at which the goals with a name part
+
+    @property
+    def verdict(self) -> str:
+        """The explanation of most episodes, with 95 % confidence; else undecided."""
+        most = [n for n, s in zip(self.explanations, self.shares, strict=True) if s.low > 0.5]
+        return most[0] if most else UNDECIDED
+
+    @property
+    def telling(self) -> int:
+        """Which episode has most steps at which the goals part, of those like the verdict."""
+        table = self.episodes.with_row_index("row")
+        columns = [f"log {name}" for name in self.explanations]
+        likeliest = np.array(self.explanations)[table.select(columns).to_numpy().argmax(1)]
+        alike = table.filter(pl.Series(likeliest == self.verdict))
+        return (alike if len(alike) else table).sort("decisions", descending=True)["row"][0]
+
+    @property
+    def agent(self) -> Estimate:
+        """Mean nats an episode speaks for agents rather than devices, with its interval."""
+        return bootstrap(self.episodes["log_factor"].to_numpy())
+
+    def summary(self) -> dict[str, Any]:
+        """All but the episodes, as plain data."""
+        explained = zip(self.explanations, self.shares, self.pooled.tolist(), strict=True)
+        return {
+            "verdict": self.verdict,
+            "explanations": {n: vars(s) | {"pooled": p} for n, s, p in explained},
+            "log_factor": vars(self.agent),
+            "episodes": len(self.episodes),
+            "moves": int(self.episodes["moves"].sum()),
+            "decisions": self.decisions,
+        }
+
+    def sentence(self) -> str:
+        """The answer in words."""
+        verdict = {UNDECIDED: "Undecided", DEVICE: "A device"}.get(
+            self.verdict, f"An agent; its goal: {self.verdict}"
+        )
+        factor = self.agent
+        return (
+            f"{verdict}. {len(self.episodes)} episodes with {self.decisions} steps at which the "
+            f"goals part; an episode speaks for an agent by {factor.mean:.2f} nats "
+            f"[{factor.low:.2f}, {factor.high:.2f}]."
+        )
+
+
+def judge(played: Sequence[Played], options: Options = CALIBRATED) -> Judgement:
+    """Judge each episode by itself, with an eps of its own, and all together.
+
+    Columns of `episodes`: level, moves, decisions (steps at which the goals part), agent
+    (p(agent), agents and devices equally likely before), log_factor (nats, of agents against
+    devices), and for each explanation its log evidence ("log ...") and posterior ("p ...").
+    """
+    if not played:
+        raise ValueError("there are no episodes to judge")
+    rows, logs, explanations = [], [], ()
+    for one in played:
+        evidence = measure_named([one.episode], [one.goals], options)
+        explanations = (*map(str, evidence.goals), DEVICE)
+        logs.append(np.append(evidence.log_goals, evidence.log_device))
+        posterior = softmax(logs[-1] + np.append(evidence.log_prior, 0.0))
+        rows.append(
+            {"level": one.level, "moves": len(one.episode.trajectory),
+             "decisions": decisions(one.episode, one.goals, options),
+             "agent": evidence.agent, "log_factor": evidence.log_factor}
+            | {f"log {n}": x for n, x in zip(explanations, logs[-1].tolist(), strict=True)}
+            | {f"p {n}": x for n, x in zip(explanations, posterior.tolist(), strict=True)}
+        )  # fmt: skip
+    table = pl.DataFrame(rows)
+    return Judgement(
+        table, explanations, shares(np.array(logs)), pooled(np.array(logs)),
+        int(table["decisions"].sum()),
+    )  # fmt: skip
