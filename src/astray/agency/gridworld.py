@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -142,7 +143,7 @@ class World:
         if not visited:
             raise ValueError("a path has at least the cell in which it begins")
         actions = []
-        for here, there in zip(visited, visited[1:], strict=False):
+        for here, there in itertools.pairwise(visited):
             if here == there:
                 continue
             ways = np.flatnonzero(self.after[here] == there)

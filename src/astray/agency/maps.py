@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
+
 import numpy as np
 
 from astray.agency.gridworld import World
@@ -54,10 +57,10 @@ def maze(seed: int) -> World:
     return World(free)
 
 
-MAPS = {
-    "open room": str(open_room()),
-    "four rooms": str(four_rooms()),
-    "obstacles, 20 %": str(obstacles(0.2, 0)),
-    "obstacles, 30 %": str(obstacles(0.3, 0)),
-    "maze": str(maze(0)),
+MAPS: dict[str, Callable[[], World]] = {
+    "open room": open_room,
+    "four rooms": four_rooms,
+    "obstacles, 20 %": partial(obstacles, 0.2, seed=0),
+    "obstacles, 30 %": partial(obstacles, 0.3, seed=0),
+    "maze": partial(maze, seed=0),
 }

@@ -113,12 +113,10 @@ def log_product(
     policy   [T, P] int64, whose step each is, from 0 on; None: a policy for each column
     returns  [G, N]; -inf where a step is impossible
     """
-    if policy is None:
-        policy, policies = np.arange(kinds.shape[1]), kinds.shape[1]
-    else:
-        policies = int(policy.max(initial=-1)) + 1
+    whose = np.arange(kinds.shape[1]) if policy is None else policy
+    policies = kinds.shape[1] if policy is None else int(whose.max(initial=-1)) + 1
     width = IMPOSSIBLE + 1
-    flat = kinds + width * policy.astype(np.int64)
+    flat = kinds + width * whose
     counts = np.bincount(flat.ravel(), minlength=policies * width).reshape(policies, width)
     product = counts[:, :IMPOSSIBLE].astype(float) @ table
     product[counts[:, IMPOSSIBLE] > 0] = -np.inf

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -21,7 +22,7 @@ from astray.analysis.runs import Mode, open_run, playing, shift_of
 from astray.game import Variant
 
 LEAST, MOST = np.array([244, 243, 236]), np.array([196, 60, 20])  # of the posterior, on floor
-STONE, MOUSE = np.array([92, 92, 88]), np.array([34, 34, 34])
+STONE, MOUSE = np.array([204, 184, 142]), np.array([34, 34, 34])  # walls are sand, as in the game
 
 
 def judge_run(
@@ -66,7 +67,7 @@ def posterior_video(
         policy, game, variant, played.level, pixels=pixels, longest=max(1, steps - 1)
     ).frames[:steps]
     growth = measure_online(played.episode, replace(options, goals="accessible"))
-    moved = [a != b for a, b in zip(played.cells, played.cells[1:], strict=False)]
+    moved = [here != there for here, there in itertools.pairwise(played.cells)]
     counted = np.append(0, np.cumsum(moved)) if options.legal else np.arange(steps)
     world = played.episode.world
     numbers = [world.number(cell) for cell in growth.goals if not isinstance(cell, str)]

@@ -22,7 +22,7 @@ from astray import experiments
 from astray.analysis.outcomes import load_shift
 from astray.analysis.overlap import unseen
 from astray.analysis.runs import open_run, play_all, playing
-from astray.experiments.spec import Plan, Size
+from astray.experiments.spec import Plan, Size, Study
 from astray.training import checkpoint
 from astray.training.config import Config
 from astray.training.loop import train
@@ -35,15 +35,18 @@ def reproduce(name: str, size: Size, folder: Path, *, workers: int | None = None
 
     workers  agents trained at once; None: one for each processor
     """
-    from astray.experiments.tell import tell  # matplotlib, two seconds
-
     experiment = experiments.load(name)
     if size not in experiment.sizes:
         raise ValueError(
             f"unknown size {size!r} of {name}; there are: {', '.join(experiment.sizes)}"
         )
-    plan = experiment.sizes[size]
     folder.mkdir(parents=True, exist_ok=True)
+    if isinstance(experiment, Study):
+        return experiment.tell(experiment, name, size, folder)
+
+    from astray.experiments.tell import tell  # matplotlib, two seconds
+
+    plan = experiment.sizes[size]
     runs = train_all(plan, folder, workers or os.cpu_count() or 1)
     episodes = episodes_of(plan, runs, folder)
     return tell(experiment, name, size, plan, runs, episodes, folder)

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Literal, get_args
+from pathlib import Path
+from typing import Any, Literal, get_args
 
 from astray.analysis.outcomes import OUTCOMES, load_shift
 from astray.training.config import Config
@@ -78,3 +79,14 @@ class Experiment:
         wrong = [size for size in self.sizes if size not in SIZES]
         if wrong or not self.sizes:
             raise ValueError(f"sizes are {list(self.sizes)}; they are some of {', '.join(SIZES)}")
+
+
+@dataclass(frozen=True)
+class Study:
+    """An experiment that trains nothing: it is computed anew each time."""
+
+    title: str
+    reproduces: str
+    question: str
+    sizes: Mapping[Size, Any]  # what `tell` needs to know of each size
+    tell: Callable[[Study, str, Size, Path], Path]  # (itself, name, size, folder) -> the report
