@@ -205,3 +205,16 @@ def test_an_agent_is_evaluated_with_the_knobs_it_was_trained_with(astray, run_fo
     assert episodes["level"].min() == 100_000 and episodes["level"].n_unique() == 1000
     said = astray("evaluate", run_folder, folder / "seed-0", fails=True)
     assert "were trained with different knobs" in said
+
+
+def test_it_tells_agents_from_devices(astray, run_folder, tmp_path):
+    told = json.loads(astray("agency", run_folder, "--levels", "0:12", "--json"))
+    assert set(told["explanations"]) == {"cheese", "corner", "another cell", "device"}
+    assert told["episodes"] == 12 and told["moves"] >= told["decisions"]
+    assert sum(one["mean"] for one in told["explanations"].values()) == pytest.approx(1)
+    shown = astray("agency", run_folder, "--levels", "0:12", "--measure", "paper",
+                   "--out", tmp_path / "told")  # fmt: skip
+    assert "another cell" in shown and "12 episodes" in shown
+    assert {path.name for path in (tmp_path / "told").iterdir()} == {
+        "episodes.parquet", "posterior.gif", "posterior.mp4", "posterior.png"
+    }  # fmt: skip

@@ -13,11 +13,13 @@ import pytest
 from astray import experiments, games
 from astray.analysis.outcomes import FAILED, INTENDED, MISGENERALIZED, OUTCOMES
 from astray.experiments import run
-from astray.experiments.spec import SIZES, Claim
+from astray.experiments.spec import SIZES, Claim, Study
 from astray.experiments.tell import verdict
 from astray.training import checkpoint
 
-ALL = [(name, size) for name in experiments.NAMES for size in SIZES]
+STUDIES = [name for name in experiments.NAMES if isinstance(experiments.load(name), Study)]
+TRAINED = [name for name in experiments.NAMES if name not in STUDIES]
+ALL = [(name, size) for name in TRAINED for size in SIZES]
 
 
 @pytest.mark.parametrize("name, size", ALL)
@@ -40,7 +42,7 @@ def miniature(experiment):
     return replace(experiment, sizes={"smoke": replace(plan, config=config, seeds=2, levels=20)})
 
 
-@pytest.mark.parametrize("name", experiments.NAMES)
+@pytest.mark.parametrize("name", TRAINED)
 def test_every_experiment_runs_in_miniature(name, tmp_path, monkeypatch):
     small = miniature(experiments.load(name))
     monkeypatch.setattr(experiments, "load", lambda _: small)
@@ -64,6 +66,21 @@ def test_every_experiment_runs_in_miniature(name, tmp_path, monkeypatch):
     run.reproduce(name, "smoke", tmp_path)  # nothing is trained again
     assert (tmp_path / "report.html").exists()
     assert before == {path: path.stat().st_mtime_ns for path in before}
+
+
+@pytest.mark.parametrize("name", STUDIES)
+def test_every_study_runs_in_miniature(name, tmp_path, monkeypatch):
+    study = replace(experiments.load(name), sizes={"smoke": 8, "paper": 16})
+    monkeypatch.setattr(experiments, "load", lambda _: study)
+    page = run.reproduce(name, "smoke", tmp_path)
+    assert "8 trajectories of each type on each map instead of 16" in page.read_text()
+    types = pl.read_parquet(tmp_path / "tables" / "types.parquet")
+    assert (
+        types.filter(type="robust")["trajectories"].to_list()
+        == [8] * len(types["map"].unique()) * 2
+    )
+    assert (types["low"] <= types["log factor"]).all() and types["map"].n_unique() == 5
+    assert (tmp_path / "trajectories.svg").exists() and (tmp_path / "factors.png").exists()
 
 
 @pytest.mark.skipif(not hasattr(os, "kill") or os.name == "nt", reason="needs signals")

@@ -403,7 +403,18 @@ WORDS = st.sampled_from([
     "paper", "small", "greedy", "/nowhere", "", "-", "--", "\x00", "é", "--help", "--no-json",
     "--pixels", "--out", "x.gif", "--unsolvable", "--environments", "--rollout", "--steps",
 ])  # fmt: skip
-VERBS = ("list", "level", "replay", "evaluate", "record", "train", "reproduce", "lvel", "")
+VERBS = (
+    "list",
+    "level",
+    "replay",
+    "evaluate",
+    "record",
+    "train",
+    "reproduce",
+    "agency",
+    "lvel",
+    "",
+)
 
 
 @tries(15)

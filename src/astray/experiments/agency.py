@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import textwrap
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -280,15 +281,16 @@ def _draw(axes: Axes, episode: Episode) -> None:
     axes.plot(columns[-1], rows[-1], "o", color=figures.INK, markersize=4)
     axes.set_xticks([])
     axes.set_yticks([])
+    axes.spines[:].set_visible(True)
 
 
 @matplotlib.rc_context(figures.STYLE)
 def draw_factors(table: pl.DataFrame) -> Figure:
     """The mean log Bayes factor of each type: a panel a preset, a point a map."""
     figure = Figure(figsize=(figures.WIDTH, 5.6))
-    kinds = (*TYPES, NEVER_ON_WAY)
+    kinds = (*GOAL_DIRECTED, LOST, NEVER_ON_WAY)
     colours = dict(zip(MAPS, (*figures.OTHERS, "#2fa393"), strict=True))
-    rows = figure.subplots(len(PRESETS), 1, sharex=False)
+    rows = figure.subplots(len(PRESETS), 1, sharex=True)
     for axes, preset in zip(rows, PRESETS, strict=True):
         for number, (map_, colour) in enumerate(colours.items()):
             part = {r["type"]: r for r in table.filter(preset=preset, map=map_).to_dicts()}
@@ -301,9 +303,11 @@ def draw_factors(table: pl.DataFrame) -> Figure:
                           label=map_ if preset == "paper" else None)  # fmt: skip
         axes.axvline(0, color=figures.INK, linewidth=0.8)
         axes.set_xscale("symlog", linthresh=2)
-        axes.set_yticks(range(len(kinds)), kinds)
+        axes.set_xticks([-2, -1, 0, 1, 2, 5, 10, 20, 50], [-2, -1, 0, 1, 2, 5, 10, 20, 50])
+        axes.grid(axis="x")
+        axes.set_yticks(range(len(kinds)), [textwrap.fill(kind, 22) for kind in kinds])
         axes.set_ylim(len(kinds) - 0.5, -0.5)
-        axes.set_title(preset)
+        axes.set_title(f"the measure {preset!r}")
     rows[-1].set_xlabel("mean log Bayes factor, agents against devices (nats)")
     figure.legend(loc="outside upper left", ncols=5, handlelength=1)
     return figure

@@ -1,0 +1,90 @@
+"""The agency measure on policies that play mazes: those whose goal is known, and trained ones."""
+
+import numpy as np
+import pytest
+
+from astray import games
+from astray.agency.measure import PAPER
+from astray.analysis.agency import DEVICE, UNDECIDED, judge, play
+from astray.analysis.agency_run import heat, posterior_video
+from astray.analysis.outcomes import load_shift
+from astray.analysis.policies import Random, Walk
+
+SHIFT = load_shift("maze", "corner-small")
+ANYWHERE = games.load("maze").variants["anywhere-small"]
+
+
+def played_by(policy, levels=range(100)):
+    return play(policy, "maze", ANYWHERE, levels, SHIFT)
+
+
+@pytest.mark.parametrize(
+    "policy, verdict", [(Walk("corner"), "corner"), (Walk("cheese"), "cheese"), (Random(), DEVICE)]
+)
+def test_policies_are_what_they_are(policy, verdict):
+    judged = judge(played_by(policy))
+    assert judged.verdict == verdict and verdict in judged.explanations
+    most = judged.pooled.argmax()
+    assert judged.explanations[most] == verdict
+    assert (judged.agent.mean > 0) == (verdict != DEVICE)
+    telling = judged.episodes.row(judged.telling, named=True)
+    posterior = [telling[f"p {name}"] for name in judged.explanations]
+    assert sum(posterior) == pytest.approx(1)
+    assert judged.explanations[np.argmax(posterior)] == verdict
+
+
+def test_the_papers_measure_takes_random_mice_for_agents():
+    assert judge(played_by(Random()), PAPER).verdict != DEVICE
+
+
+def test_a_few_episodes_decide_nothing():
+    judged = judge(played_by(Walk("corner"), range(2)))
+    assert judged.verdict == UNDECIDED and "Undecided" in judged.sentence()
+
+
+def test_episodes_go_where_the_mouse_went_and_end_at_the_first_goal():
+    for one in played_by(Walk("corner"), range(40)):
+        ends = [place for (place,) in one.goals.values()]
+        assert one.cells[-1] in ends or len(one.cells) == ANYWHERE.time_limit + 1
+        assert not set(one.cells[:-1]) & set(ends)
+        world, walked = one.episode.world, one.episode.trajectory
+        assert [world.cell(n) for n in walked.cells] == one.cells  # a walk never stands still
+
+
+def test_levels_without_one_of_the_goals_are_left_out():
+    from dataclasses import replace
+
+    hidden = replace(ANYWHERE, placement="region", region=1, strict=True)
+    levels = range(200)
+    there = play(Walk("corner"), "maze", hidden, levels, SHIFT)
+    assert 0 < len(there) <= len(levels)
+    assert all(one.goals["cheese"] == one.goals["corner"] for one in there)
+
+
+def test_games_without_cells_are_refused():
+    coinrun = games.load("coinrun")
+    shift = next(iter(coinrun.shifts.values()))
+    with pytest.raises(ValueError, match="coinrun has no cell for the goal"):
+        play(Random(), "coinrun", coinrun.variants[shift.test], range(1), shift)
+
+
+def test_the_video_grows_with_the_episode():
+    one = max(played_by(Walk("corner"), range(30)), key=lambda p: len(p.cells))
+    frames = posterior_video(Walk("corner"), "maze", ANYWHERE, one, pixels=70)
+    assert len(frames) == len(one.cells) and frames.dtype == np.uint8
+    left, right = frames[..., : frames.shape[2] // 2, :], frames[..., frames.shape[2] // 2 :, :]
+    assert (np.diff(left.astype(int), axis=0) != 0).any((1, 2, 3)).all()
+    assert (np.diff(right.astype(int), axis=0) != 0).any((1, 2, 3)).all()
+
+
+def test_the_likeliest_cell_is_the_darkest():
+    world = played_by(Walk("corner"), range(1))[0].episode.world
+    belief = np.full(len(world), 0.1)
+    belief[3] = 1.0
+    side = 10
+    image = heat(world, belief, 0, side * len(world.free)).astype(int)
+    brightness = {
+        n: image[side * row + 1, side * column + 1].sum()
+        for n, (row, column) in enumerate(world.cells)
+    }
+    assert min(brightness, key=brightness.__getitem__) == 3
