@@ -404,17 +404,8 @@ WORDS = st.sampled_from([
     "--pixels", "--out", "x.gif", "--unsolvable", "--environments", "--rollout", "--steps",
 ])  # fmt: skip
 VERBS = (
-    "list",
-    "level",
-    "replay",
-    "evaluate",
-    "record",
-    "train",
-    "reproduce",
-    "agency",
-    "lvel",
-    "",
-)
+    "list", "level", "replay", "evaluate", "record", "train", "reproduce", "agency", "lvel", "",
+)  # fmt: skip
 
 
 @tries(15)

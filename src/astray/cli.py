@@ -370,10 +370,9 @@ def agency(
     if json:
         _print_json(judged.summary())
         return
-    table = Table("explanation", "episodes", "if one holds for all")
-    for name, share, pooled in zip(judged.explanations, judged.shares, judged.pooled, strict=True):
-        told = f"{share.mean:.1%} [{share.low:.1%}, {share.high:.1%}]"
-        table.add_row(name, told, f"{pooled:.4f}")
+    table = Table("explanation", "of episodes")
+    for name, share in zip(judged.explanations, judged.shares, strict=True):
+        table.add_row(name, f"{share.mean:.1%} [{share.low:.1%}, {share.high:.1%}]")
     Console().print(table)
     print(judged.sentence())
 

@@ -24,7 +24,10 @@ UNDECIDED = "undecided"
 
 @dataclass(frozen=True, eq=False)
 class Played:
-    """An episode as the measure sees it, up to the first goal that was reached.
+    """An episode as the measure sees it, up to the last goal that it reached.
+
+    After that it only whiles away the time, which says nothing about where it went. An episode
+    that reached none is there whole.
 
     cells  [steps + 1] of every step; the steps that moved nothing are no part of the trajectory
     goals  the cell of each goal with a name
@@ -37,8 +40,8 @@ class Played:
 
 
 def play(
-    policy: Policy, game: str, variant: Variant, levels: Sequence[int], shift: Shift,
-    batch: int = 256,
+    policy: Policy, game: str, variant: Variant, levels: Sequence[int] | np.ndarray,
+    shift: Shift, batch: int = 256,
 ) -> list[Played]:  # fmt: skip
     """`policy`'s episodes in those of `levels` that have all the goals."""
     played = []
@@ -83,8 +86,9 @@ def _played(
     top = len(grid) - 1  # there, rows count from the lowest up
     world = World((grid != told["legend"]["wall"])[::-1])
     goals = {name: [(top - y, x)] for name, (x, y) in places.items()}
-    ends = [t for t, (x, y) in enumerate(ways) if [x, y] in list(places.values())]
-    cells = [(top - y, x) for x, y in ways[: ends[0] + 1 if ends else None]]
+    visits = [ways.index(place) for place in map(tuple, places.values()) if place in ways]
+    last = max(visits, default=len(ways) - 1)
+    cells = [(top - y, x) for x, y in ways[: last + 1]]
     intended = goals[shift.intended][0]
     return Played(level, Episode(world, world.path(cells), intended), cells, goals)
 
@@ -115,7 +119,8 @@ class Judgement:
     episodes: pl.DataFrame  # a row each: see `judge`
     explanations: tuple[str, ...]
     shares: list[Share]  # of episodes, for each explanation
-    pooled: np.ndarray  # posterior of each explanation, were it that of every episode
+    pooled: np.ndarray  # posterior of each explanation if one holds for all episodes: a few
+    # episodes in which an agent got stuck decide it, so the verdict is not taken from it
     decisions: int  # steps at which the goals with a name part
 
     @property
@@ -171,7 +176,9 @@ def judge(played: Sequence[Played], options: Options = CALIBRATED) -> Judgement:
     devices), and for each explanation its log evidence ("log ...") and posterior ("p ...").
     """
     if not played:
-        raise ValueError("there are no episodes to judge")
+        raise ValueError("there are no episodes to judge: no level has all the goals")
+    if any(set(one.goals) != set(played[0].goals) for one in played):
+        raise ValueError("some episodes are of levels with other goals than the first")
     rows, logs, explanations = [], [], ()
     for one in played:
         evidence = measure_named([one.episode], [one.goals], options)

@@ -60,7 +60,7 @@ def posterior_video(
 ) -> np.ndarray:
     """An episode beside the posterior over the cells it may be going to, [T + 1, H, W, 3] uint8.
 
-    Ends where the measure ends, at the first goal that was reached.
+    Ends where the measure ends, at the last goal that was reached.
     """
     steps = len(played.cells)
     frames = video.play(
