@@ -10,7 +10,7 @@ import torch
 from rich.console import Console
 
 from astray import games
-from astray.bench import environments, tables, training
+from astray.bench import agency, environments, tables, training
 from astray.envs.vector import GameVectorEnv
 
 TINY = replace(training.CONFIGS[0], environments=8, rollout=8, minibatches=2, width=8)
@@ -136,3 +136,15 @@ def test_the_adapter_refuses_other_resets():
     sb3 = pytest.importorskip("astray.bench.sb3")
     with pytest.raises(ValueError, match="needs SAME_STEP"):
         sb3.GameVecEnv(GameVectorEnv("maze", "corner-small", 2))
+
+
+def test_the_agency_measure_gets_a_row_for_each_preset_and_number():
+    rows = agency.measure(numbers=(1, 2), steps=3, rounds=1)
+    assert [(row.preset, row.trajectories) for row in rows] == [
+        ("paper", 1), ("paper", 2), ("calibrated", 1), ("calibrated", 2)
+    ]  # fmt: skip
+    first = rows[0]
+    assert first.to_fewest == 1 and rows[1].to_fewest == pytest.approx(
+        rows[1].seconds / first.seconds / 2
+    )
+    assert "calibrated" in agency.markdown(rows)

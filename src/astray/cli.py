@@ -378,9 +378,10 @@ def agency(
 
 
 def bench(
-    what: Positional[Literal["environments", "training"]] = "environments", markdown: bool = False
+    what: Positional[Literal["environments", "training", "agency"]] = "environments",
+    markdown: bool = False,
 ) -> None:
-    """Measure speed against others, as ratios in one run.
+    """Measure speed, as ratios in one run, and where there are others against them.
 
     Args:
         markdown: print the table for benchmarks/README.md
