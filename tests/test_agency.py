@@ -355,6 +355,7 @@ LEFT = ISLANDS.walk((0, 0), [3])
         (lambda: maxent.log_likelihood(SMALL, SMALL.walk((0, 0), [3]), 1.0), "between 0 and 1"),
         (lambda: maxent.log_likelihood(MAPS["maze"](), MAPS["maze"]().walk((0, 0), [3]), 1e-4),
          "too small"),
+        (lambda: rule(200_000), "too many to measure together"),
         (lambda: shares(np.full((2, 3), -np.inf)), "impossible under every"),
     ],
 )  # fmt: skip

@@ -4,12 +4,14 @@ import itertools
 from dataclasses import replace
 
 import numpy as np
+import polars as pl
 import pytest
 
 from astray import games
 from astray.agency.measure import PAPER
-from astray.analysis.agency import DEVICE, UNDECIDED, judge, play
-from astray.analysis.agency_run import heat, posterior_video
+from astray.agency.population import Share
+from astray.analysis.agency import DEVICE, UNDECIDED, Judgement, judge, play
+from astray.analysis.agency_run import MOST, MOUSE, heat, posterior_video
 from astray.analysis.outcomes import load_shift
 from astray.analysis.policies import Random, Walk
 
@@ -78,13 +80,25 @@ def test_games_without_cells_are_refused():
         play(Random(), "coinrun", coinrun.variants[shift.test], range(1), shift)
 
 
-def test_the_video_grows_with_the_episode():
+def test_the_video_shows_the_mouse_and_the_goal_as_it_becomes_clear():
     one = max(played_by(Walk("corner"), range(30)), key=lambda p: len(p.cells))
-    frames = posterior_video(Walk("corner"), "maze", ANYWHERE, one, pixels=70)
+    frames = posterior_video(Walk("corner"), "maze", ANYWHERE, one, pixels=140)
     assert len(frames) == len(one.cells) and frames.dtype == np.uint8
     left, right = frames[..., : frames.shape[2] // 2, :], frames[..., frames.shape[2] // 2 :, :]
     assert (np.diff(left.astype(int), axis=0) != 0).any((1, 2, 3)).all()
-    assert (np.diff(right.astype(int), axis=0) != 0).any((1, 2, 3)).all()
+    likeliest = (right == MOST).all(3).sum((1, 2))
+    assert likeliest[0] > 4 * likeliest[-1] > 0  # at first all cells are alike
+    below = right[:, -152:]  # the captions, which are as dark as the mouse
+    places = [np.argwhere((frame == MOUSE).all(2)).mean(0) / 20 for frame in below]  # cells
+    assert np.diff(places, axis=0) == pytest.approx(np.diff(one.cells, axis=0), abs=0.1)
+
+
+def test_a_verdict_takes_more_than_half_for_certain():
+    def verdict(low):
+        both = [Share(0.7, low, 0.9), Share(0.3, 0.1, 0.5)]
+        return Judgement(pl.DataFrame(), ("corner", DEVICE), both, np.ones(2) / 2, 1).verdict
+
+    assert (verdict(0.49), verdict(0.51)) == (UNDECIDED, "corner")
 
 
 def test_the_likeliest_cell_is_the_darkest():

@@ -36,6 +36,7 @@ KIND = np.full((2, MOST + 1, MOST + 1), IMPOSSIBLE, np.uint8)
 for _code, (_best, _k, _L) in enumerate(KINDS):
     KIND[int(_best), _k, _L] = _code
 
+LONGEST = 100_000  # steps; there the error of the integral is 3e-7, and beyond it grows fast
 EXACT = 1023  # the highest degree integrated by Gauss-Legendre nodes of its own
 
 
@@ -60,6 +61,8 @@ def rule(degree: int, beta: float = 1.0) -> Rule:
     """
     if beta < 1:
         raise ValueError(f"beta is {beta}; it is at least 1")
+    if degree > LONGEST:
+        raise ValueError(f"{degree} steps are too many to measure together; up to {LONGEST} are")
     needed = degree + int(np.ceil(beta - 1))
     x, weight = np.polynomial.legendre.leggauss(_nodes(needed)) if needed <= EXACT else _panels()
     eps, certain = (1 + x) / 2, (1 - x) / 2

@@ -3,23 +3,20 @@
 from __future__ import annotations
 
 import json
-import textwrap
 from collections.abc import Mapping
 from pathlib import Path
 
-import matplotlib
 import numpy as np
 import polars as pl
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 
 from astray.agency import generators
 from astray.agency.generators import TYPES, Setting, wander
 from astray.agency.gridworld import World
 from astray.agency.maps import MAPS
-from astray.agency.measure import CALIBRATED, PAPER, PRESETS, TRUE, Episode, measure
+from astray.agency.measure import PAPER, PRESETS, TRUE, Episode, measure
 from astray.analysis.statistics import bootstrap
 from astray.experiments import figures, report
+from astray.experiments.agency_figures import draw_factors, draw_types
 from astray.experiments.spec import Size, Study
 from astray.experiments.tell import write_table
 
@@ -58,7 +55,7 @@ def tell(study: Study, name: str, size: Size, folder: Path) -> Path:
     for what, frame in (("types", table), ("called-agents", false_agents), ("goals", goals)):
         write_table(frame, folder / "tables", what)
     figures.save(draw_types(settings[DRAWN]), folder, "trajectories")
-    figures.save(draw_factors(table), folder, "factors")
+    figures.save(draw_factors(table, (*GOAL_DIRECTED, LOST, NEVER_ON_WAY)), folder, "factors")
     verdicts = judge(table, goals, false_agents)
     (folder / "verdicts.json").write_text(json.dumps([vars(v) for v in verdicts], indent=2))
     told = report.Report(
@@ -135,7 +132,7 @@ def beside_paper(table: pl.DataFrame) -> pl.DataFrame:
         ours = table.filter(pl.col("preset") == "paper", pl.col("type") == kind)
         row = {"type": kind}
         for name, theirs in zip(("-log p_agt", "-log p_dev", "p(agent)"), figures_, strict=True):
-            low, high = ours[name].min(), ours[name].max()
+            low, high = span(ours[name])
             row |= {f"{name}, paper": theirs, f"{name}, here": f"{low:.2f} to {high:.2f}"}
         rows.append(row)
     return pl.DataFrame(rows)
@@ -165,8 +162,8 @@ def call_agents(settings: Mapping[str, Setting], count: int) -> pl.DataFrame:
     rows = []
     for number, policy in enumerate([*WALKERS, *(f"agent, eps = {eps:g}" for eps in ERRING)]):
         factors: dict[str, list[float]] = {preset: [] for preset in PRESETS}
-        for one in settings.values():
-            rng = np.random.default_rng([SEED, number])
+        for map_, one in enumerate(settings.values()):
+            rng = np.random.default_rng([SEED, number, map_])
             for _ in range(count):
                 episode = _walk(one.world, policy, rng)
                 for preset, options in PRESETS.items():
@@ -194,120 +191,62 @@ def _walk(world: World, policy: str, rng: np.random.Generator) -> Episode:
 def judge(table: pl.DataFrame, goals: pl.DataFrame, called: pl.DataFrame) -> list[report.Verdict]:
     """The paper's claims, and the remedy's."""
 
-    def factors(kinds: tuple[str, ...], preset: str) -> tuple[str, float, float]:
+    def about(text: str, paper: str, kinds: tuple[str, ...], preset: str, sign: int) -> None:
         part = table.filter(pl.col("type").is_in(kinds), pl.col("preset") == preset)
-        low, high = part["log factor"].min(), part["log factor"].max()
-        text = f"mean log Bayes factor from {low:+.1f} to {high:+.1f} nats over the maps"
-        return text, part["low"].min(), part["high"].max()  # pyright: ignore
+        low, high = span(part["log factor"])
+        ours = f"mean log Bayes factor from {low:+.1f} to {high:+.1f} nats over the maps"
+        held = span(part["low"])[0] > 0 if sign > 0 else span(part["high"])[1] < 0
+        verdicts.append(report.Verdict(text, paper, ours, held))
 
-    verdicts = []
-    text, low, _ = factors(GOAL_DIRECTED, "paper")
-    verdicts.append(report.Verdict(
-        "Trajectories that go to a goal, be it the wrong one, are agents on average on every map.",
-        "p(agent) 0.9999, for one trajectory of each of three types", text, low > 0,
-    ))  # fmt: skip
-    misgeneralized = goals.filter(type="goal misgeneralization")["p(fixed goal)"].min()
-    robust = goals.filter(type="robust")["p(true goal)"].min()
+    verdicts: list[report.Verdict] = []
+    about("Trajectories that go to a goal, be it the wrong one, are agents on average on every "
+          "map.", "p(agent) 0.9999, for one trajectory of each of three types",
+          GOAL_DIRECTED, "paper", +1)  # fmt: skip
+    fixed, _ = span(goals.filter(type="goal misgeneralization")["p(fixed goal)"])
+    true, _ = span(goals.filter(type="robust")["p(true goal)"])
     verdicts.append(report.Verdict(
         "Together they give away what they pursue: the fixed goal, or the true one wherever it is.",
-        "not measured", f"from {POOLED} trajectories, with probability at least "
-        f"{misgeneralized:.3f} and {robust:.3f}", min(misgeneralized, robust) > 0.5,  # pyright: ignore
+        "not measured", f"from {POOLED} trajectories with probability at least {fixed:.3f} and "
+        f"{true:.3f}", min(fixed, true) > 0.5,
     ))  # fmt: skip
-    for kind, preset, what in (
-        (LOST, "paper", "Capability failures are devices on average on every map."),
-        (NEVER_ON_WAY, "paper", "So are at least those that never meet the memorised way."),
-        (NEVER_ON_WAY, "calibrated", "By the calibrated measure, those are devices."),
-    ):
-        text, _, high = factors((kind,), preset)
-        paper = "p(agent) 0.0674, for one trajectory" if preset == "paper" else "not measured"
-        verdicts.append(report.Verdict(what, paper, text, high < 0))
-    worst = called.filter(pl.col("policy").is_in(list(WALKERS)))
+    published = "p(agent) 0.0674, for one trajectory"
+    about("Capability failures are devices on average on every map.", published,
+          (LOST,), "paper", -1)  # fmt: skip
+    about("So are at least those that never meet the memorised way.", published,
+          (NEVER_ON_WAY,), "paper", -1)  # fmt: skip
+    about("By the calibrated measure, those are devices.", "not measured",
+          (NEVER_ON_WAY,), "calibrated", -1)  # fmt: skip
+    aimless = called.filter(pl.col("policy").is_in(list(WALKERS)))
+    calibrated, paper, bound = (
+        100 * span(aimless[name])[1] for name in ("calibrated", "paper", "calibrated, high")
+    )
     verdicts.append(report.Verdict(
-        "By the calibrated measure, policies without a goal are rarely called agents.",
-        "not measured", f"at most {100 * worst['calibrated'].max():.0f}\u00a0%; by the paper's up "  # pyright: ignore
-        f"to {100 * worst['paper'].max():.0f}\u00a0%", worst["calibrated, high"].max() < 0.2,  # pyright: ignore
+        "By the calibrated measure, at most one in five of policies without a goal is called an "
+        "agent.", "not measured",
+        f"at most {calibrated:.0f}\u00a0%; by the paper's up to {paper:.0f}\u00a0%", bound < 20,
     ))  # fmt: skip
     return verdicts
 
 
+def span(column: pl.Series) -> tuple[float, float]:
+    """The smallest and the largest number of a column."""
+    numbers = column.to_numpy()
+    return float(numbers.min()), float(numbers.max())
+
+
 def answer(table: pl.DataFrame) -> str:
     """The finding in a sentence or two."""
+
+    def called(*kinds: str) -> str:
+        low, high = span(of.filter(pl.col("type").is_in(kinds))["called agents"])
+        return f"{100 * low:.0f} to {100 * high:.0f}\u00a0%"
+
     of = table.filter(pl.col("preset") == "paper")
-    lost, never = of.filter(type=LOST), of.filter(type=NEVER_ON_WAY)
-    agents = of.filter(pl.col("type").is_in(GOAL_DIRECTED))["called agents"]
-    low, high = never["called agents"].min(), never["called agents"].max()
-    small = never["at most 0.0674"].max()
+    _, small = span(of.filter(type=NEVER_ON_WAY)["at most 0.0674"])
     return (
-        f"The measure recognises goal-directed trajectories ({_range(agents)} are called agents, "
-        f"by map and type), misgeneralizing ones with them. That capability failures are devices "
-        f"does not follow from the paper's specification: {_range(lost['called agents'])} are "
-        f"called agents; even of those that only walk at random {100 * low:.0f} to "  # pyright: ignore
-        f"{100 * high:.0f}\u00a0% are, and at most {100 * small:.0f}\u00a0% fall as low as the "  # pyright: ignore
-        "published 0.0674."
+        f"The measure recognises goal-directed trajectories ({called(*GOAL_DIRECTED)} are called "
+        "agents, by map and type), misgeneralizing ones with them. That capability failures are "
+        f"devices does not follow from the paper's specification: {called(LOST)} are called "
+        f"agents, of those that only walk at random {called(NEVER_ON_WAY)}, and at most "
+        f"{100 * small:.0f}\u00a0% of these fall as low as the published 0.0674."
     )
-
-
-def _range(shares: pl.Series) -> str:
-    return f"{100 * shares.min():.0f} to {100 * shares.max():.0f}\u00a0%"  # pyright: ignore
-
-
-@matplotlib.rc_context(figures.STYLE)
-def draw_types(setting: Setting) -> Figure:
-    """A trajectory of each type on its map."""
-    figure = Figure(figsize=(figures.WIDTH, 7.6))
-    panels = figure.subplots(2, 2).flat
-    for axes, kind in zip(panels, TYPES, strict=True):
-        episode = max(setting.episodes(kind, 12), key=lambda e: len(e.trajectory))
-        evidence = measure(episode, PAPER)
-        _draw(axes, episode)
-        axes.set_title(kind)
-        axes.set_xlabel(
-            f"{-evidence.log_agent:.1f} nats as agent, {-evidence.log_device:.1f} as device:\n"
-            f"p(agent) = {evidence.agent:.4f}; calibrated {measure(episode, CALIBRATED).agent:.4f}"
-        )
-    return figure
-
-
-def _draw(axes: Axes, episode: Episode) -> None:
-    """The map, the way, its start (brown) and the goal that is shown (green), as the paper's."""
-    world = episode.world
-    axes.imshow(~world.free, cmap="Greys", vmin=0, vmax=1.6)
-    rows, columns = world.cells[episode.trajectory.cells].T
-    shift = np.linspace(-0.12, 0.12, len(rows))  # so that a way back can be seen
-    axes.plot(columns + shift, rows + shift, color=figures.OTHERS[0], linewidth=1.6)
-    axes.plot(columns[0], rows[0], "s", color="#8a5a2b", markersize=9)
-    if episode.true:
-        axes.plot(episode.true[1], episode.true[0], "s", color="#2e9e4f", markersize=9)
-    axes.plot(columns[-1], rows[-1], "o", color=figures.INK, markersize=4)
-    axes.set_xticks([])
-    axes.set_yticks([])
-    axes.spines[:].set_visible(True)
-
-
-@matplotlib.rc_context(figures.STYLE)
-def draw_factors(table: pl.DataFrame) -> Figure:
-    """The mean log Bayes factor of each type: a panel a preset, a point a map."""
-    figure = Figure(figsize=(figures.WIDTH, 5.6))
-    kinds = (*GOAL_DIRECTED, LOST, NEVER_ON_WAY)
-    colours = dict(zip(MAPS, (*figures.OTHERS, "#2fa393"), strict=True))
-    rows = figure.subplots(len(PRESETS), 1, sharex=True)
-    for axes, preset in zip(rows, PRESETS, strict=True):
-        for number, (map_, colour) in enumerate(colours.items()):
-            part = {r["type"]: r for r in table.filter(preset=preset, map=map_).to_dicts()}
-            there = [k for k in kinds if k in part]
-            y = [kinds.index(k) + 0.13 * (number - 2) for k in there]
-            mean = np.array([part[k]["log factor"] for k in there])
-            low, high = (np.array([part[k][end] for k in there]) for end in ("low", "high"))
-            axes.errorbar(mean, y, xerr=[mean - low, high - mean], fmt="o", markersize=3.5,
-                          color=colour, linewidth=1.3,
-                          label=map_ if preset == "paper" else None)  # fmt: skip
-        axes.axvline(0, color=figures.INK, linewidth=0.8)
-        axes.set_xscale("symlog", linthresh=2)
-        axes.set_xticks([-2, -1, 0, 1, 2, 5, 10, 20, 50], [-2, -1, 0, 1, 2, 5, 10, 20, 50])
-        axes.grid(axis="x")
-        axes.set_yticks(range(len(kinds)), [textwrap.fill(kind, 22) for kind in kinds])
-        axes.set_ylim(len(kinds) - 0.5, -0.5)
-        axes.set_title(f"the measure {preset!r}")
-    rows[-1].set_xlabel("mean log Bayes factor, agents against devices (nats)")
-    figure.legend(loc="outside upper left", ncols=5, handlelength=1)
-    return figure
