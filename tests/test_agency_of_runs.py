@@ -55,6 +55,13 @@ def test_a_few_episodes_decide_nothing():
     assert judged.verdict == UNDECIDED and "Undecided" in judged.sentence()
 
 
+def test_where_goals_do_not_part_an_agent_is_one_of_an_undecided_goal():
+    training = games.load("maze").variants["corner-small"]
+    judged = judge(play(Walk("cheese"), "maze", training, range(100), SHIFT))
+    assert judged.decisions == 0 and judged.verdict == UNDECIDED
+    assert judged.sentence().startswith("An agent; its goal is undecided")
+
+
 def test_episodes_go_where_the_mouse_went_and_end_at_the_last_goal_it_reached():
     for one in played_by(Random(), range(40)):
         visited = [place for (place,) in one.goals.values() if place in one.cells]

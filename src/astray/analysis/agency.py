@@ -157,7 +157,9 @@ class Judgement:
 
     def sentence(self) -> str:
         """The answer in words."""
-        verdict = {UNDECIDED: "Undecided", DEVICE: "A device"}.get(
+        device = self.shares[self.explanations.index(DEVICE)]
+        undecided = "An agent; its goal is undecided" if device.high < 0.5 else "Undecided"
+        verdict = {UNDECIDED: undecided, DEVICE: "A device"}.get(
             self.verdict, f"An agent; its goal: {self.verdict}"
         )
         factor = self.agent
