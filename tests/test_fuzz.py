@@ -396,7 +396,7 @@ def test_an_experiment_is_refused_or_can_be_run(data):
 # The command line
 
 WORDS = st.sampled_from([
-    "maze", "coinrun", "keys", "chess", "corner", "anywhere-small", "corner-smal", "--numbers",
+    "maze", "coinrun", "keys", "chess", "corner", "anywhere-small", "corner-xs", "--numbers",
     "--set", "--json", "--text", "--level", "--level-file", "--actions", "--levels", "--variant",
     "--shift", "--mode", "--batch", "--preset", "--seeds", "--folder", "--size", "--workers", "0",
     "5:8", "-1", "3", "1e9", "99999999999999999999", "a=b", "time_limit=5", "world=x", "smoke",
@@ -404,7 +404,7 @@ WORDS = st.sampled_from([
     "--pixels", "--out", "x.gif", "--unsolvable", "--environments", "--rollout", "--steps",
 ])  # fmt: skip
 VERBS = (
-    "list", "level", "replay", "evaluate", "record", "train", "reproduce", "agency", "lvel", "",
+    "list", "level", "replay", "evaluate", "record", "train", "reproduce", "agency", "levels", "",
 )  # fmt: skip
 
 
