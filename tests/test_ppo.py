@@ -156,7 +156,7 @@ def test_a_truncated_agent_is_explained(cut, tmp_path):
     architecture = Architecture("small", SHAPE, LARGEST, 15)
     path = tmp_path / "agent.safetensors"
     path.write_bytes(weights(architecture.build(), architecture, "maze")[:cut])
-    with pytest.raises(ValueError, match="not an agent of this version"):
+    with pytest.raises(ValueError, match="not an agent that can be used"):
         load(path, "maze")
     with pytest.raises(FileNotFoundError, match="no agent at"):
         load(tmp_path / "none", "maze")
