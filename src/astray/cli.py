@@ -17,9 +17,9 @@ from rich.table import Table
 from tyro.conf import Positional, arg
 
 from astray import games
-from astray.envs.vector import LEVELS, GameVectorEnv
+from astray.envs.vector import GameVectorEnv
 from astray.experiments.spec import Size
-from astray.game import NEVER, Game, Variant
+from astray.game import LEVELS, NEVER, Game, Variant
 from astray.level import Level, read_levels
 from astray.training.config import PRESETS, Config, vary
 

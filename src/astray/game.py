@@ -154,8 +154,8 @@ class Game:
     reachable: Callable[[Any], np.ndarray]  # [H, W] bool, cells that the agent can get to
 
     # Solved; a goal is one of `goals`.
-    guide: Callable[[Any, str], Callable[[Any], int]]  # (s, goal) -> (state after s -> the action
-    # that leads to the goal; "nothing better than staying" where it was reached or none can)
+    guide: Callable[[Any, str], Callable[[Any], int]]  # (s, goal) -> a player: (a state of the
+    # same episode) -> the action that leads to the goal; to stay where it was reached or none can
     optimal_return: Callable[[Any, str, float], float]  # (s, goal, gamma)
 
     def variant(self, name: str) -> Variant:

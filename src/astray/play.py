@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from astray.envs.vector import IMAGE, LEVELS, PICTURE, GameVectorEnv
-from astray.game import Variant
+from astray.envs.vector import IMAGE, PICTURE, GameVectorEnv
+from astray.game import LEVELS, Variant
 from astray.level import Level
 
 VIEW = 256  # pixels a side of the agent's view, enlarged

@@ -45,9 +45,7 @@ SEED = 0
 
 def tell(study: Study, name: str, size: Size, folder: Path) -> Path:
     """Measure everything and write tables, figures and report.html to `folder`; the report."""
-    count, smaller = study.sizes[size], ""
-    if size != "paper":
-        smaller = f"{count} trajectories of each type on each map instead of {study.sizes['paper']}"
+    count = study.sizes[size]
     settings = {map_: setting(world()) for map_, world in MAPS.items()}
     measured = pl.concat([measure_types(m, s, count) for m, s in settings.items()])
     table, false_agents = summary(measured), call_agents(settings, count // 4)
@@ -60,7 +58,8 @@ def tell(study: Study, name: str, size: Size, folder: Path) -> Path:
     (folder / "verdicts.json").write_text(json.dumps([vars(v) for v in verdicts], indent=2))
     told = report.Report(
         name=name, title=study.title, reproduces=study.reproduces, question=study.question,
-        answer=answer(table), size=size, smaller=smaller, verdicts=verdicts, videos=[],
+        answer=answer(table), size=size, verdicts=verdicts, videos=[],
+        smaller="",  # the paper has one trajectory of each type
         figures=[
             report.Show(f"One trajectory of each type ({DRAWN}), and what the paper's measure "
                         "says of it.", folder / "trajectories.png"),

@@ -13,10 +13,9 @@ from tyro.conf import Positional, Suppress
 
 from astray import games
 from astray.agents.policy import NetworkName
-from astray.game import Variant, knobs
+from astray.game import LEVELS, Variant, knobs
 
 SEEDS = 2**28  # every seed has streams of its own for training, validation, ...
-LAST_LEVEL = 2**31 - 1
 COUNTS = (
     "levels", "steps", "environments", "rollout", "epochs", "minibatches", "scale", "width",
     "validation_every", "checkpoint_every", "threads",
@@ -27,7 +26,7 @@ RANGES = (
     {name: (1, inf) for name in COUNTS}
     | {name: (0, 1) for name in SHARES}
     | {name: (0, inf) for name in AMOUNTS}
-    | {"first_level": (0, LAST_LEVEL), "seed": (0, SEEDS - 1)}
+    | {"first_level": (0, LEVELS.stop), "seed": (0, SEEDS - 1)}
 )
 
 
@@ -90,10 +89,10 @@ class Config:
                 f"{self.environments} environments x {self.rollout} steps = {self.batch} samples "
                 f"are not divided by {self.minibatches} minibatches"
             )
-        if self.training_levels.stop >= LAST_LEVEL:
+        if self.training_levels.stop >= LEVELS.stop:
             raise ValueError(
                 f"training levels are {self.first_level} to {self.training_levels.stop - 1}; "
-                f"they are below {LAST_LEVEL - 1}, and some are left for tests"
+                f"they are below {LEVELS.stop - 1}, and some are left for tests"
             )
         self.training_variant()
         if self.validation:
@@ -122,7 +121,7 @@ class Config:
     @property
     def unseen_levels(self) -> range:
         """All numbers after the training levels."""
-        return range(self.training_levels.stop, LAST_LEVEL)
+        return range(self.training_levels.stop, LEVELS.stop)
 
     def training_variant(self) -> Variant:
         return vary(self.game, self.variant, self.knobs)

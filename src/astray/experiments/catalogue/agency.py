@@ -15,7 +15,7 @@ def _tell(study: Study, name: str, size: Size, folder: Path) -> Path:
 
 EXPERIMENT = Study(
     title="Agents and devices",
-    reproduces="Table 1 and Figure 4",
+    reproduces="Table 1 and the figure beside it",
     question="Does the measure tell goal misgeneralization from capability failure?",
     sizes={"smoke": 200, "paper": 2000},  # trajectories of each type on each map
     tell=_tell,
