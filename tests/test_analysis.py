@@ -152,7 +152,7 @@ def test_levels_that_coincide_are_counted():
 
 def test_levels_that_the_training_met_under_another_number_are_left_out():
     small = "corner-small"
-    fresh = unseen("maze", small, range(2000), small, range(5000, 9000), 30)
+    fresh = unseen("maze", [(small, range(2000))], small, range(5000, 9000), 30)
     assert len(fresh) == 30 and fresh[0] >= 5000 and (np.diff(fresh) > 0).all()
     (row,) = overlap("maze", small, range(2000), small, fresh.tolist()).to_dicts()[:1]
     assert row["same"] == "level" and row["seen"] == 0
@@ -161,4 +161,4 @@ def test_levels_that_the_training_met_under_another_number_are_left_out():
     assert row["seen"] == pytest.approx(1 - 30 / len(every))
     tiny = replace(MAZE.variants[small], world=3, largest=3, start="corner")
     with pytest.raises(ValueError, match="only 0 are none of its levels; 5 are needed"):
-        unseen("maze", tiny, range(500), tiny, range(1000, 9000), 5)
+        unseen("maze", [(tiny, range(500))], tiny, range(1000, 9000), 5)

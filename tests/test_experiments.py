@@ -6,92 +6,101 @@ import subprocess
 import sys
 import time
 from dataclasses import replace
+from pathlib import Path
 
 import polars as pl
 import pytest
 
-from astray import experiments, games
+from astray import experiments
 from astray.analysis.outcomes import FAILED, INTENDED, MISGENERALIZED, OUTCOMES
 from astray.experiments import run
-from astray.experiments.spec import SIZES, Claim, Study
-from astray.experiments.tell import verdict
+from astray.experiments.outcomes import holds_above, share
 from astray.training import checkpoint
 
-STUDIES = [name for name in experiments.NAMES if isinstance(experiments.load(name), Study)]
-TRAINED = [name for name in experiments.NAMES if name not in STUDIES]
-ALL = [(name, size) for name in TRAINED for size in SIZES]
+ALL = [(name, size) for name in experiments.NAMES for size in experiments.load(name).sizes]
 
 
 @pytest.mark.parametrize("name, size", ALL)
-def test_every_experiment_plans(name, size):
+def test_every_experiment_plans(name, size, tmp_path):
     plan = experiments.load(name).sizes[size]
-    game = games.load(plan.config.game)
-    shift = game.shifts[plan.shift]
-    assert plan.config.variant == shift.train
-    assert len({config.seed for config in run.configs(plan)}) == plan.seeds
-    assert bool(plan.smaller) == (size != "paper")
+    trainings = [config for configs in plan.trainings().values() for config in configs]
+    assert len(trainings) == plan.seeds * len(plan.agents)
+    assert len({run.run_folder(tmp_path, config) for config in trainings}) == len(trainings)
+    assert not (size == "paper" and plan.smaller)
 
 
-def miniature(experiment):
-    """Two agents of 2,048 steps, 20 levels."""
-    plan = experiment.sizes["smoke"]
-    config = replace(
-        plan.config, steps=2048, environments=16, rollout=32, minibatches=4, width=16,
-        checkpoint_every=1,
-    )  # fmt: skip
-    return replace(experiment, sizes={"smoke": replace(plan, config=config, seeds=2, levels=20)})
+def miniature(plan):
+    """The plan with two agents of each name that are trained for 2,048 steps, and 20 levels."""
+    agents = {
+        name: replace(
+            config, steps=2048, environments=16, rollout=32, minibatches=4, width=16,
+            checkpoint_every=1,
+        )
+        for name, config in plan.agents.items()
+    }  # fmt: skip
+    return replace(plan, agents=agents, seeds=2, levels=20)
 
 
-@pytest.mark.parametrize("name", TRAINED)
+@pytest.mark.parametrize("name", experiments.NAMES)
 def test_every_experiment_runs_in_miniature(name, tmp_path, monkeypatch):
-    small = miniature(experiments.load(name))
+    whole = experiments.load(name)
+    plan = miniature(whole.sizes["smoke"])
+    small = replace(whole, sizes={"smoke": plan})
     monkeypatch.setattr(experiments, "load", lambda _: small)
     page = run.reproduce(name, "smoke", tmp_path, workers=2)
-    assert page == tmp_path / "report.html"
-    for file in ("outcomes.png", "outcomes.svg", "curves.png", "tables/outcomes.csv"):
-        assert (tmp_path / file).stat().st_size > 0
-    films = {path.stem for path in (tmp_path / "videos").glob("*.mp4")}
-    assert films and films <= {outcome.replace(" ", "-") for outcome in OUTCOMES}
-    assert len(json.loads((tmp_path / "verdicts.json").read_text())) == len(small.claims)
-    shares = pl.read_parquet(tmp_path / "tables" / "outcomes.parquet")
-    agents = shares.filter(policy="sampled")
-    assert agents["agents"].unique().to_list() == [2]
-    assert (
-        agents.group_by("variant").agg(pl.col("mean").sum())["mean"].to_list()
-        == [pytest.approx(1)] * 2
-    )
+    folder = tmp_path / f"{name}-smoke"
+    assert page == folder / "report.html"
+    found = json.loads((folder / "findings.json").read_text())
+    assert found["verdicts"] and all(verdict["ours"] for verdict in found["verdicts"])
+    figures = {path.name for path in (folder / "figures").iterdir()}
+    names = {Path(figure).stem for figure in figures}
+    assert figures == {f"{n}.{kind}" for n in names for kind in ("png", "svg", "parquet")} != set()
+    if plan.tests:
+        shares = pl.read_parquet(folder / "tables" / "outcomes.parquet").filter(policy="sampled")
+        assert shares["agents"].unique().to_list() == [2]
+        sums = shares.group_by("agent", "test").agg(pl.col("mean").sum())
+        assert len(sums) == len(plan.agents) * len(plan.tests)
+        assert sums["mean"].to_list() == [pytest.approx(1)] * len(sums)
 
-    before = {path: path.stat().st_mtime_ns for path in (tmp_path / "runs").rglob("*.safetensors")}
-    (tmp_path / "report.html").unlink()
+    agents = {path: path.stat().st_mtime_ns for path in tmp_path.rglob("*.safetensors")}
+    page.unlink()
     run.reproduce(name, "smoke", tmp_path)  # nothing is trained again
-    assert (tmp_path / "report.html").exists()
-    assert before == {path: path.stat().st_mtime_ns for path in before}
+    assert page.exists()
+    assert agents == {path: path.stat().st_mtime_ns for path in agents}
 
 
-@pytest.mark.parametrize("name", STUDIES)
-def test_every_study_runs_in_miniature(name, tmp_path, monkeypatch):
-    study = replace(experiments.load(name), sizes={"smoke": 8, "paper": 16})
-    monkeypatch.setattr(experiments, "load", lambda _: study)
-    page = run.reproduce(name, "smoke", tmp_path)
-    assert "Smaller than in the paper" not in page.read_text()
-    types = pl.read_parquet(tmp_path / "tables" / "types.parquet")
-    assert (
-        types.filter(type="robust")["trajectories"].to_list()
-        == [8] * len(types["map"].unique()) * 2
-    )
-    assert (types["low"] <= types["log factor"]).all() and types["map"].n_unique() == 5
-    assert (tmp_path / "trajectories.svg").exists() and (tmp_path / "factors.png").exists()
+def test_films_are_of_outcomes_that_came_about(tmp_path, monkeypatch):
+    whole = experiments.load("maze-corner")
+    small = replace(whole, sizes={"smoke": miniature(whole.sizes["smoke"])})
+    monkeypatch.setattr(experiments, "load", lambda _: small)
+    run.reproduce("maze-corner", "smoke", tmp_path, workers=2)
+    films = {path.stem for path in tmp_path.rglob("videos/*.mp4")}
+    assert films and films <= {outcome.replace(" ", "-") for outcome in OUTCOMES}
+
+
+def test_another_plan_computes_anew_and_shares_the_agents(tmp_path, monkeypatch):
+    whole = experiments.load("maze-corner")
+    plan = replace(miniature(whole.sizes["smoke"]), seeds=1)
+    agents = set()
+    for levels in (10, 12):
+        small = replace(whole, sizes={"smoke": replace(plan, levels=levels)})
+        monkeypatch.setattr(experiments, "load", lambda _, small=small: small)
+        run.reproduce("maze-corner", "smoke", tmp_path, workers=1)
+        played = pl.read_parquet(tmp_path / "maze-corner-smoke" / "computed" / "episodes.parquet")
+        assert played.filter(policy="sampled", test="in training").height == levels
+        agents.add(tuple(path.stat().st_mtime_ns for path in tmp_path.rglob("agent.safetensors")))
+    assert len(agents) == 1
 
 
 @pytest.mark.skipif(not hasattr(os, "kill") or os.name == "nt", reason="needs signals")
 def test_trainings_end_with_the_experiment_that_began_them(tmp_path):
     words = [sys.executable, "-m", "astray", "reproduce", "maze-corner", "--folder", str(tmp_path)]
     process = subprocess.Popen(words, stderr=subprocess.DEVNULL)
-    folder = tmp_path / "runs" / "seed-0"
+    config = experiments.load("maze-corner").sizes["smoke"].config
+    folder = run.run_folder(tmp_path, config)
     wait_for((folder / "metrics.jsonl").exists, 60)
     process.kill()
     process.wait()
-    config = checkpoint.read_config(folder)
 
     def free():
         try:
@@ -117,9 +126,9 @@ def test_a_claim_holds_only_where_its_whole_interval_does(misgeneralized, failed
     outcomes = [MISGENERALIZED] * misgeneralized + [FAILED] * failed
     outcomes += [INTENDED] * (100 - len(outcomes))
     episodes = pl.DataFrame(
-        {"policy": "sampled", "where": "test", "seed": 0, "level": range(100), "outcome": outcomes}
+        {"policy": "sampled", "test": "test", "seed": 0, "level": range(100), "outcome": outcomes}
     )
-    claim = Claim("it goes astray", "test", MISGENERALIZED, above=0.0, minus=FAILED)
-    told = verdict(claim, episodes)
+    less = share(episodes, "test", MISGENERALIZED, minus=FAILED)
+    told = holds_above("it goes astray", "often", "share", less, 0.0)
     assert told.held == held
     assert f"{misgeneralized - failed}.0" in told.ours

@@ -54,21 +54,33 @@ def episode():
 
 @pytest.fixture
 def told(frames, tmp_path):
-    """A report with one of everything."""
+    """A heading, and findings with one of everything."""
     video.write_mp4(frames, tmp_path / "walk.mp4")
-    figures.save(figures.outcome_bars(SHARES), tmp_path, "bars")
-    return report.Report(
-        name="maze-corner", title="The corner mouse", reproduces="Figure 3", question="Where to?",
-        answer="It goes to the corner.", size="smoke", smaller="worlds of 9 cells",
+    heading = report.Heading(
+        name="maze-corner",
+        title="The corner mouse",
+        reproduces="Figure 3",
+        question="Where to?",
+        size="smoke",
+        smaller="worlds of 9 cells",
+        command="astray reproduce maze-corner --size smoke",
+    )
+    findings = report.Findings(
+        answer="It goes to the corner.",
         verdicts=[
             report.Verdict("It learns.", "reliably", "98.4 % [97.9, 98.9]", held=True),
             report.Verdict("It looks for cheese.", "no", "29.2 % [25.1, 33.0]", held=False),
         ],
-        videos=[report.Show("A walk.", tmp_path / "walk.mp4")],
-        figures=[report.Show("Ends where x < 3 & <b>y</b>.", tmp_path / "bars.png")],
-        tables=[report.Table("Shares.", SHARES)],
-        settings={"agents": "2"}, command="astray reproduce maze-corner --size smoke",
-    )  # fmt: skip
+        videos=[report.Video("A walk.", tmp_path / "walk.mp4")],
+        plots=[
+            report.Plot(
+                "bars", "Ends where x < 3 & <b>y</b>.", figures.outcome_bars(SHARES), SHARES
+            )
+        ],
+        tables=[report.Table("shares", "Shares.", SHARES)],
+        settings={"agents": "2"},
+    )
+    return heading, findings
 
 
 def test_an_mp4_has_the_frames_it_was_given(frames, tmp_path):
@@ -166,7 +178,7 @@ def test_a_figure_is_the_same_bytes_twice_and_its_text_is_text(name, tmp_path):
 
 
 def test_a_report_needs_nothing_from_outside(told, tmp_path):
-    page = report.write(told, tmp_path / "new").read_text()
+    page = report.write(*told, tmp_path / "new").read_text()
     sources = re.findall(r"""(?:src|href|url)\s*[=(]\s*["']?([^"'\s>)]*)""", page)
     assert [source.split(",")[0] for source in sources] == [
         "data:video/mp4;base64", "data:image/png;base64",
@@ -175,23 +187,41 @@ def test_a_report_needs_nothing_from_outside(told, tmp_path):
 
 
 def test_a_report_contains_every_verdict_and_whether_it_held(told, tmp_path):
-    page = report.write(told, tmp_path).read_text()
+    page = report.write(*told, tmp_path).read_text()
     shown = re.findall(r'<li class="(\w+)">(.*?)</li>', page, re.DOTALL)
     assert [kind for kind, _ in shown] == ["held", "not"]
-    for verdict, (_, text) in zip(told.verdicts, shown, strict=True):
+    for verdict, (_, text) in zip(told[1].verdicts, shown, strict=True):
         assert verdict.claim in text and verdict.paper in text and verdict.ours in text
         assert ("did not hold" in text) is not verdict.held
 
 
+def test_all_that_is_shown_is_in_files_too(told, tmp_path):
+    report.write(*told, tmp_path)
+    for file in ("figures/bars.parquet", "tables/shares.parquet"):
+        assert pl.read_parquet(tmp_path / file).equals(SHARES)
+    assert (tmp_path / "figures" / "bars.svg").exists()
+    assert (tmp_path / "tables" / "shares.csv").read_text().startswith("who,where,")
+
+
+def test_the_index_leads_to_every_report_and_counts_its_claims(told, tmp_path):
+    for name in ("one", "two"):
+        (tmp_path / name).mkdir()
+        report.write(replace(told[0], title=name), told[1], tmp_path / name)
+    page = report.write_index(tmp_path).read_text()
+    assert re.findall('href="(.*?)"', page) == ["one/report.html", "two/report.html"]
+    assert "2 experiments" in page and re.search(r"2 of\s+4 claims held", page)
+
+
 def test_what_is_told_is_escaped(told, tmp_path):
-    page = report.write(told, tmp_path).read_text()
+    page = report.write(*told, tmp_path).read_text()
     assert page.count("Ends where x &lt; 3 &amp; &lt;b&gt;y&lt;/b&gt;.") == 2  # alt and caption
     assert "<b>" not in page
 
 
 def test_only_a_smaller_size_says_what_is_smaller(told, tmp_path):
-    assert "Smaller than in the paper: worlds" in report.write(told, tmp_path).read_text()
-    at_paper_size = report.write(replace(told, smaller=""), tmp_path).read_text()
+    assert "Smaller than in the paper: worlds" in report.write(*told, tmp_path).read_text()
+    heading, findings = told
+    at_paper_size = report.write(replace(heading, smaller=""), findings, tmp_path).read_text()
     assert "Smaller than" not in at_paper_size
 
 

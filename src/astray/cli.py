@@ -168,20 +168,23 @@ def evaluate(
 def reproduce(
     name: Positional[str],
     size: Size = "smoke",
-    folder: Path | None = None,
+    folder: Path = Path("reports"),
     workers: int | None = None,
 ) -> None:
     """Do a figure or table of the paper: train, evaluate, report; go on where it stopped.
 
     Args:
-        name: of the experiment; `astray list` has them
+        name: of the experiment, as `astray list` has them, or all
         size: smoke (minutes on two cores), hour (of a GPU), or paper
-        folder: of the report; by default reports/<name>-<size>
+        folder: of reports; gets this one in <name>-<size>, and the agents, which are shared
         workers: agents trained at once; by default one for each processor
     """
-    from astray.experiments.run import reproduce as run
+    from astray.experiments import run
 
-    print(run(name, size, folder or Path("reports") / f"{name}-{size}", workers=workers))
+    if name == "all":
+        print(run.reproduce_all(size, folder, workers=workers))
+    else:
+        print(run.reproduce(name, size, folder, workers=workers))
 
 
 def record(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -13,6 +13,8 @@ from astray.envs.vector import GameVectorEnv
 from astray.game import Variant
 from astray.level import Level
 
+Measure = Callable[[np.ndarray], np.ndarray]  # of states [N], a number each
+
 
 def evaluate(
     policy: Policy,
@@ -21,10 +23,12 @@ def evaluate(
     levels: Sequence[int] | np.ndarray | range | Mapping[str, Level],
     *,
     batch: int = 256,
+    measures: Mapping[str, Measure] | None = None,
 ) -> pl.DataFrame:
     """A row per level, in the order of `levels`: how the policy's episode in it went.
 
-    levels  numbers, or levels that were drawn, by name; those are numbered from 0 on
+    levels    numbers, or levels that were drawn, by name; those are numbered from 0 on
+    measures  further columns, computed of the states that the episodes ended in
 
     Columns: policy, level, name (null for a numbered level), shifted, return, length (steps),
     terminated, and every event of the game (the step it first happened, null for never).
@@ -42,6 +46,7 @@ def evaluate(
     rows: list[dict[str, Any] | None] = [None] * len(levels)
     playing = np.arange(n)  # which of the levels each environment plays
     following, returns = n, np.zeros(n)
+    last = np.zeros(len(levels) if measures else 0, env.game.state)  # states
     observations, _ = env.reset(seed=0, options={kind: beginnings[:n]})
     while None in rows[playing.min() :]:
         actions = policy.actions(env, observations)
@@ -58,6 +63,8 @@ def evaluate(
                 "shifted": bool(s.shifted), "return": float(returns[i]),
                 "length": int(s.time), "terminated": bool(terminated[i]), **happened,
             }  # fmt: skip
+            if measures:
+                last[playing[i]] = env.states[i]
             if following < len(levels):  # else it plays its last level again, to no end
                 playing[i] = following
                 following += 1
@@ -66,7 +73,9 @@ def evaluate(
         observations, _ = env.reset(options=again)
     env.close()
     kinds = {"name": pl.String} | {event: pl.Int64 for event in events}
-    return pl.DataFrame(rows, schema_overrides=kinds)
+    table = pl.DataFrame(rows, schema_overrides=kinds)
+    measured = {name: measure(last) for name, measure in (measures or {}).items()}
+    return table.with_columns(pl.Series(name, values) for name, values in measured.items())
 
 
 def _beginnings(levels: Any, dtype: np.dtype) -> tuple[str, np.ndarray]:

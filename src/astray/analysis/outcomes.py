@@ -71,18 +71,21 @@ def tell_apart(episodes: pl.DataFrame, shift: Shift) -> pl.DataFrame:
     return joined.with_columns(pl.col("tells_apart").fill_null(False))
 
 
-def shares(episodes: pl.DataFrame, outcomes: Sequence[str] = OUTCOMES) -> pl.DataFrame:
-    """How often each outcome came about, per policy and variant, with 95 % intervals.
+def shares(
+    episodes: pl.DataFrame,
+    by: Sequence[str] = ("policy", "variant"),
+    outcomes: Sequence[str] = OUTCOMES,
+) -> pl.DataFrame:
+    """How often each outcome came about in each group of episodes, with 95 % intervals.
 
-    episodes  with columns policy, variant, seed (of the agent, null for a script), level, outcome
-    returns   policy, variant, outcome, mean, low, high (shares, 0 to 1), agents, levels
+    episodes  with columns seed (of the agent, null for a script), level, outcome and those of `by`
+    returns   those of `by`, outcome, mean, low, high (shares, 0 to 1), agents, levels
     """
     rows = []
-    for (policy, variant), part in episodes.group_by(["policy", "variant"], maintain_order=True):
+    for key, part in episodes.group_by(by, maintain_order=True):
         for outcome in outcomes:
             estimate = bootstrap(matrix(part, pl.col("outcome") == outcome))
-            rows.append({"policy": policy, "variant": variant, "outcome": outcome}
-                        | vars(estimate))  # fmt: skip
+            rows.append(dict(zip(by, key, strict=True)) | {"outcome": outcome} | vars(estimate))
     return pl.DataFrame(rows)
 
 

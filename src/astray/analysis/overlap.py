@@ -43,17 +43,20 @@ def overlap(
 
 def unseen(
     game: str,
-    training: str | Variant,
-    training_levels: Sequence[int] | np.ndarray | range,
+    trainings: Sequence[tuple[str | Variant, range]],
     test: str | Variant,
     candidates: range,
     count: int,
 ) -> np.ndarray:
-    """The first `count` numbers among `candidates` whose level in `test` is none of the training's.
+    """The first `count` numbers among `candidates` whose level in `test` was in no training.
+
+    trainings  the variant and the numbers of each
 
     Levels are the same where all but their looks is. ValueError where too few are different.
     """
-    known = {level for level, _ in _digests(game, training, training_levels)}
+    known = {
+        level for variant, numbers in trainings for level, _ in _digests(game, variant, numbers)
+    }
     found: list[int] = []
     looked = candidates[: SEARCHED * count]
     for first in range(0, len(looked), CHUNK):
@@ -63,8 +66,8 @@ def unseen(
         if len(found) >= count:
             return np.array(found[:count])
     raise ValueError(
-        f"of {len(looked)} levels of {game} that the training did not draw from, only {len(found)} "
-        f"are none of its levels; {count} are needed"
+        f"of {len(looked)} levels of {game} that no training drew from, only {len(found)} "
+        f"are not in them; {count} are needed"
     )
 
 

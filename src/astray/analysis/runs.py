@@ -11,7 +11,7 @@ import polars as pl
 
 from astray import games
 from astray.agents.policy import usable
-from astray.analysis.evaluate import evaluate
+from astray.analysis.evaluate import Measure, evaluate
 from astray.analysis.outcomes import label, load_shift, shares, tell_apart
 from astray.analysis.policies import Agent, Policy, Random, Walk
 from astray.game import Variant
@@ -104,8 +104,11 @@ def play_all(
     levels: np.ndarray | range | Mapping[str, Level],
     agents: Sequence[Agent],
     batch: int = 256,
+    measures: Mapping[str, Measure] | None = None,
 ) -> pl.DataFrame:
     """The episodes of `agents`, and of scripted policies that walk to each goal or at random.
+
+    measures  as for `evaluate`
 
     Beside `evaluate`'s columns: run, seed, checkpoint (null for scripts), variant (its `name`),
     outcome, tells_apart.
@@ -122,7 +125,9 @@ def play_all(
                 int(policy.path.parent.name),
             )
         parts.append(
-            evaluate(policy, game, variant, levels, batch=batch).with_columns(
+            evaluate(
+                policy, game, variant, levels, batch=batch, measures=measures
+            ).with_columns(
                 run=pl.lit(run, pl.String), seed=pl.lit(seed, pl.Int64),
                 checkpoint=pl.lit(steps, pl.Int64), variant=pl.lit(name),
             )

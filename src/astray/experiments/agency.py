@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
-from pathlib import Path
 
 import numpy as np
 import polars as pl
@@ -15,10 +13,9 @@ from astray.agency.gridworld import World
 from astray.agency.maps import MAPS
 from astray.agency.measure import PAPER, PRESETS, TRUE, Episode, measure
 from astray.analysis.statistics import bootstrap
-from astray.experiments import figures, report
 from astray.experiments.agency_figures import draw_factors, draw_types
-from astray.experiments.spec import Size, Study
-from astray.experiments.tell import write_table
+from astray.experiments.report import Findings, Plot, Table, Verdict
+from astray.experiments.spec import Work
 
 LOST = "capability failure"
 NEVER_ON_WAY = "capability failure, never on its way"
@@ -43,42 +40,33 @@ DRAWN = "four rooms"  # the map of the figure
 SEED = 0
 
 
-def tell(study: Study, name: str, size: Size, folder: Path) -> Path:
-    """Measure everything and write tables, figures and report.html to `folder`; the report."""
-    count = study.sizes[size]
+def find(work: Work) -> Findings:
+    """The measure of every type of trajectory on every map, and of policies without a goal."""
+    count = work.plan.levels
     settings = {map_: setting(world()) for map_, world in MAPS.items()}
     measured = pl.concat([measure_types(m, s, count) for m, s in settings.items()])
-    table, false_agents = summary(measured), call_agents(settings, count // 4)
+    table, called = summary(measured), call_agents(settings, count // 4)
     goals = inferred(settings)
-    for what, frame in (("types", table), ("called-agents", false_agents), ("goals", goals)):
-        write_table(frame, folder / "tables", what)
-    figures.save(draw_types(settings[DRAWN]), folder, "trajectories")
-    figures.save(draw_factors(table, (*GOAL_DIRECTED, LOST, NEVER_ON_WAY)), folder, "factors")
-    verdicts = judge(table, goals, false_agents)
-    (folder / "verdicts.json").write_text(json.dumps([vars(v) for v in verdicts], indent=2))
-    told = report.Report(
-        name=name, title=study.title, reproduces=study.reproduces, question=study.question,
-        answer=answer(table), size=size, verdicts=verdicts, videos=[],
-        smaller="",  # the paper has one trajectory of each type
-        figures=[
-            report.Show(f"One trajectory of each type ({DRAWN}), and what the paper's measure "
-                        "says of it.", folder / "trajectories.png"),
-            report.Show("How much a trajectory speaks for an agent, on average, with 95 % "
-                        "intervals: by the paper's measure and by the calibrated one.",
-                        folder / "factors.png"),
+    return Findings(
+        answer=answer(table),
+        verdicts=judge(table, goals, called),
+        plots=[
+            Plot("trajectories", f"One trajectory of each type ({DRAWN}), and what the paper's "
+                 "measure says of it.", draw_types(settings[DRAWN]), table.filter(map=DRAWN)),
+            Plot("factors", "How much a trajectory speaks for an agent, on average, with 95 % "
+                 "intervals: by the paper's measure and by the calibrated one.",
+                 draw_factors(table, (*GOAL_DIRECTED, LOST, NEVER_ON_WAY)), table),
         ],
         tables=[
-            report.Table("Beside the paper's four trajectories: means over trajectories, "
-                         "from the lowest to the highest map", beside_paper(table)),
-            report.Table("All maps; intervals of the mean log Bayes factor (nats)", table),
-            report.Table(f"Which goal {POOLED} trajectories together pursue", goals),
-            report.Table(f"Share of policies called agents after {STEPS} steps", false_agents),
+            Table("beside-paper", "Beside the paper's four trajectories: means over trajectories, "
+                  "from the lowest to the highest map", beside_paper(table)),
+            Table("types", "All maps; intervals of the mean log Bayes factor (nats)", table),
+            Table("goals", f"Which goal {POOLED} trajectories together pursue", goals),
+            Table("called-agents", f"Share of policies called agents after {STEPS} steps", called),
         ],
         settings={"maps": ", ".join(MAPS), "seed": str(SEED),
                   **{preset: str(options) for preset, options in PRESETS.items()}},
-        command=f"astray reproduce {name} --size {size}",
     )  # fmt: skip
-    return report.write(told, folder)
 
 
 def setting(world: World) -> Setting:
@@ -191,7 +179,7 @@ def _walk(world: World, policy: str, rng: np.random.Generator) -> Episode:
     return Episode(world, world.walk(begin, ended), goal)
 
 
-def judge(table: pl.DataFrame, goals: pl.DataFrame, called: pl.DataFrame) -> list[report.Verdict]:
+def judge(table: pl.DataFrame, goals: pl.DataFrame, called: pl.DataFrame) -> list[Verdict]:
     """The paper's claims, and the remedy's."""
 
     def about(text: str, paper: str, kinds: tuple[str, ...], preset: str, sign: int) -> None:
@@ -199,15 +187,15 @@ def judge(table: pl.DataFrame, goals: pl.DataFrame, called: pl.DataFrame) -> lis
         low, high = span(part["log factor"])
         ours = f"mean log Bayes factor from {low:+.1f} to {high:+.1f} nats over the maps"
         held = span(part["low"])[0] > 0 if sign > 0 else span(part["high"])[1] < 0
-        verdicts.append(report.Verdict(text, paper, ours, held))
+        verdicts.append(Verdict(text, paper, ours, held))
 
-    verdicts: list[report.Verdict] = []
+    verdicts: list[Verdict] = []
     about("Trajectories that go to a goal, be it the wrong one, are agents on average on every "
           "map.", "p(agent) 0.9999, for one trajectory of each of three types",
           GOAL_DIRECTED, "paper", +1)  # fmt: skip
     fixed, _ = span(goals.filter(type="goal misgeneralization")["p(fixed goal)"])
     true, _ = span(goals.filter(type="robust")["p(true goal)"])
-    verdicts.append(report.Verdict(
+    verdicts.append(Verdict(
         "Together they give away what they pursue: the fixed goal, or the true one wherever it is.",
         "not measured", f"from {POOLED} trajectories with probability at least {fixed:.3f} and "
         f"{true:.3f}", min(fixed, true) > 0.5,
@@ -223,7 +211,7 @@ def judge(table: pl.DataFrame, goals: pl.DataFrame, called: pl.DataFrame) -> lis
     calibrated, paper, bound = (
         100 * span(aimless[name])[1] for name in ("calibrated", "paper", "calibrated, high")
     )
-    verdicts.append(report.Verdict(
+    verdicts.append(Verdict(
         "By the calibrated measure, at most one in five of policies without a goal is called an "
         "agent.", "not measured",
         f"at most {calibrated:.0f}\u00a0%; by the paper's up to {paper:.0f}\u00a0%", bound < 20,

@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import base64
+import json
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
 import polars as pl
 from jinja2 import Environment, PackageLoader, StrictUndefined
+from matplotlib.figure import Figure
 
+from astray.experiments.figures import save
 from astray.files import write_aside
 
 MEDIA = {".png": "image/png", ".mp4": "video/mp4"}
@@ -29,52 +32,90 @@ class Verdict:
 
 
 @dataclass(frozen=True)
-class Show:
-    """A figure (a .png, the .svg beside it) or a video (an .mp4, the .gif beside it)."""
+class Video:
+    """An .mp4, and the .gif beside it."""
 
     caption: str
     path: Path
 
 
 @dataclass(frozen=True, eq=False)
+class Plot:
+    """A figure and the numbers that it shows."""
+
+    name: str  # of its files
+    caption: str
+    figure: Figure
+    data: pl.DataFrame
+
+
+@dataclass(frozen=True, eq=False)
 class Table:
     """Numbers to look up."""
 
+    name: str  # of its files
     caption: str
     frame: pl.DataFrame
 
 
-@dataclass(frozen=True, eq=False)
-class Report:
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Findings:
     """What an experiment found, most important first."""
 
+    answer: str  # in a sentence or two
+    verdicts: Sequence[Verdict]
+    videos: Sequence[Video] = ()
+    plots: Sequence[Plot] = ()
+    tables: Sequence[Table] = ()
+    settings: Mapping[str, str]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Heading:
+    """What was asked."""
+
     name: str  # of the experiment
+    size: str
     title: str
     reproduces: str  # what of the paper
     question: str
-    answer: str  # the finding, in one sentence
-    size: str
     smaller: str  # what is smaller than in the paper; empty at the paper's size
-    verdicts: Sequence[Verdict]
-    videos: Sequence[Show]
-    figures: Sequence[Show]
-    tables: Sequence[Table]
-    settings: Mapping[str, str]
     command: str  # that repeats it
 
 
-def write(report: Report, folder: Path) -> Path:
-    """Write `report.html` into `folder`, with figures and videos inside; its path."""
+def write(heading: Heading, findings: Findings, folder: Path) -> Path:
+    """Write tables, figures and `report.html`, which needs none of them, to `folder`; its path."""
+    for plot in findings.plots:
+        save(plot.figure, folder / "figures", plot.name)
+        plot.data.write_parquet(folder / "figures" / f"{plot.name}.parquet")
+    for table in findings.tables:
+        (folder / "tables").mkdir(parents=True, exist_ok=True)
+        table.frame.write_csv(folder / "tables" / f"{table.name}.csv")
+        table.frame.write_parquet(folder / "tables" / f"{table.name}.parquet")
+    found = {"answer": findings.answer, "verdicts": [asdict(v) for v in findings.verdicts]}
+    write_aside(folder / "findings.json", json.dumps(asdict(heading) | found, indent=2).encode())
+    page = _render("report.html", heading=heading, findings=findings, figures=folder / "figures")
+    write_aside(folder / "report.html", page.encode())
+    return folder / "report.html"
+
+
+def write_index(folder: Path) -> Path:
+    """Write `index.html`, which leads to all reports in folders of `folder`; its path."""
+    found = [
+        json.loads(path.read_text()) | {"folder": path.parent.name}
+        for path in sorted(folder.glob("*/findings.json"))
+    ]
+    write_aside(folder / "index.html", _render("index.html", reports=found).encode())
+    return folder / "index.html"
+
+
+def _render(template: str, **what: Any) -> str:
     environment = Environment(
         loader=PackageLoader("astray.experiments", ""),
         autoescape=True, lstrip_blocks=True, trim_blocks=True, undefined=StrictUndefined,
     )  # fmt: skip
     environment.filters |= {"embedded": embedded, "columns": columns}
-    page = environment.get_template("report.html").render(report=report)
-    path = folder / "report.html"
-    folder.mkdir(parents=True, exist_ok=True)
-    write_aside(path, page.encode())
-    return path
+    return environment.get_template(template).render(**what)
 
 
 def embedded(path: Path) -> str:

@@ -2,37 +2,30 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
-import multiprocessing
 import os
-import sys
-import threading
-import time
-from collections.abc import Sequence
-from concurrent.futures import Future, ProcessPoolExecutor
-from dataclasses import replace
+import shutil
+from dataclasses import asdict
 from pathlib import Path
 
+import numpy as np
 import polars as pl
-from rich.console import Console
-from rich.live import Live
-from rich.table import Table
 
 from astray import experiments
-from astray.analysis.outcomes import load_shift
 from astray.analysis.overlap import unseen
-from astray.analysis.runs import open_run, play_all, playing
-from astray.experiments.spec import Plan, Size, Study
-from astray.training import checkpoint
+from astray.analysis.runs import open_run, play_all
+from astray.experiments import report
+from astray.experiments.spec import Plan, Runs, Size, Test, Work, kept
+from astray.experiments.workers import train_all
+from astray.files import write_aside
 from astray.training.config import Config
-from astray.training.loop import train
-
-EPISODES = "episodes.parquet"
 
 
-def reproduce(name: str, size: Size, folder: Path, *, workers: int | None = None) -> Path:
-    """Do what is missing of the experiment in `folder` and write its report there; its path.
+def reproduce(name: str, size: Size, root: Path, *, workers: int | None = None) -> Path:
+    """Do what is missing of an experiment and write its report; the report's path.
 
+    root     gets the report, in <name>-<size>, and in `agents` the agents, which experiments share
     workers  agents trained at once; None: one for each processor
     """
     experiment = experiments.load(name)
@@ -40,116 +33,77 @@ def reproduce(name: str, size: Size, folder: Path, *, workers: int | None = None
         raise ValueError(
             f"unknown size {size!r} of {name}; there are: {', '.join(experiment.sizes)}"
         )
+    plan, folder = experiment.sizes[size], root / f"{name}-{size}"
     folder.mkdir(parents=True, exist_ok=True)
-    if isinstance(experiment, Study):
-        return experiment.tell(experiment, name, size, folder)
-
-    from astray.experiments.tell import tell  # matplotlib, two seconds
-
-    plan = experiment.sizes[size]
-    runs = train_all(plan, folder, workers or os.cpu_count() or 1)
-    episodes = episodes_of(plan, runs, folder)
-    return tell(experiment, name, size, plan, runs, episodes, folder)
-
-
-def configs(plan: Plan) -> list[Config]:
-    """The settings of every agent."""
-    return [replace(plan.config, seed=seed) for seed in range(plan.seeds)]
-
-
-def train_all(plan: Plan, folder: Path, workers: int) -> list[Path]:
-    """Train every agent that is not yet trained, several at once; the run folders."""
-    todo = {folder / "runs" / f"seed-{config.seed}": config for config in configs(plan)}
-    missing = {run: config for run, config in todo.items() if not checkpoint.finished(run, config)}
-    # Spawned, not forked: torch's and the environments' threads do not survive a fork.
-    context = multiprocessing.get_context("spawn")
-    workers = max(1, min(workers, len(missing)))
-    if missing:  # then older episodes are not these agents'
-        (folder / EPISODES).unlink(missing_ok=True)
-    with ProcessPoolExecutor(workers, context) as pool:
-        running = {run: pool.submit(_train, config, run) for run, config in missing.items()}
-        try:
-            _watch(running, missing)
-            for future in running.values():
-                future.result()
-        except BaseException:
-            pool.shutdown(cancel_futures=True)
-            raise
-    return list(todo)
+    trainings = plan.trainings()
+    train_all(
+        {run_folder(root, config): config for configs in trainings.values() for config in configs},
+        workers or os.cpu_count() or 1,
+    )
+    runs = {
+        name: [run_folder(root, config) for config in configs]
+        for name, configs in trainings.items()
+    }
+    forget_other_plans(plan, folder)
+    episodes = kept(folder, "episodes", lambda: play(plan, runs)) if plan.tests else pl.DataFrame()
+    findings = experiment.find(Work(name, size, plan, folder, runs, episodes))
+    heading = report.Heading(
+        name=name, size=size, title=experiment.title, reproduces=experiment.reproduces,
+        question=experiment.question, smaller=plan.smaller,
+        command=f"astray reproduce {name} --size {size}",
+    )  # fmt: skip
+    return report.write(heading, findings, folder)
 
 
-def _train(config: Config, run: Path) -> None:
-    threading.Thread(target=_end_with_parent, daemon=True).start()
-    train(config, run, progress=False)
+def reproduce_all(size: Size, root: Path, *, workers: int | None = None) -> Path:
+    """Every experiment that has this size, one after the other, and a page that leads to them."""
+    for name in experiments.NAMES:
+        if size in experiments.load(name).sizes:
+            reproduce(name, size, root, workers=workers)
+            report.write_index(root)
+    return report.write_index(root)
 
 
-def _end_with_parent() -> None:
-    """Else a training would go on after its experiment was killed, and hold its run folder."""
-    parent = multiprocessing.parent_process()
-    assert parent is not None
-    parent.join()
-    os._exit(1)
+def run_folder(root: Path, config: Config) -> Path:
+    """Where the agent of these settings is: all experiments that want it find it there."""
+    settings = config.to_json() | {"seed": None}
+    digest = hashlib.sha256(json.dumps(settings, sort_keys=True).encode()).hexdigest()[:8]
+    return root / "agents" / f"{config.game}-{config.variant}-{digest}" / f"seed-{config.seed}"
 
 
-def _watch(running: dict[Path, Future], configs: dict[Path, Config]) -> None:
-    """Show how the trainings go until all have ended; on a terminal a table, else a few lines."""
-    console = Console(stderr=True)
-    began, said = time.monotonic(), -1
-    with Live(console=console, transient=True, auto_refresh=False) as live:
-        while not all(future.done() for future in running.values()):
-            time.sleep(0.5)
-            for future in running.values():
-                if future.done():
-                    future.result()  # raises what it raised, before the others end
-            rows = [_progress(run, configs[run]) for run in running]
-            if console.is_terminal:
-                live.update(_table(rows), refresh=True)
-            elif (minute := int((time.monotonic() - began) // 60)) > said:
-                said = minute
-                print("; ".join(" ".join(row) for row in rows), file=sys.stderr, flush=True)
+def forget_other_plans(plan: Plan, folder: Path) -> None:
+    """Delete what was computed in `folder` by another plan."""
+    configs = {n: [c.to_json() for c in made] for n, made in plan.trainings().items()}
+    tests = {name: asdict(test) for name, test in plan.tests.items()}
+    data = [configs, tests, plan.levels, list(plan.measures)]
+    text, path = json.dumps(data, indent=1).encode(), folder / "plan.json"
+    if not path.exists() or path.read_bytes() != text:
+        shutil.rmtree(folder / "computed", ignore_errors=True)
+        write_aside(path, text)
 
 
-def _progress(run: Path, config: Config) -> tuple[str, str, str]:
-    """Name, steps done and recent return of a training."""
-    last = {"steps": 0}
-    path = run / "metrics.jsonl"
-    if path.exists():
-        lines = [line for line in path.read_text().splitlines(keepends=True) if line.endswith("\n")]
-        last = json.loads(lines[-1]) if lines else last
-    steps = f"{last['steps']:,} of {config.iterations * config.batch:,} steps"
-    return run.name, steps, f"return {last.get('training/return', 0.0):.2f}"
+def play(plan: Plan, runs: Runs) -> pl.DataFrame:
+    """The episodes of all agents, and of scripted policies, in all tests.
 
-
-def _table(rows: Sequence[tuple[str, str, str]]) -> Table:
-    table = Table("agent", "trained", "recent episodes")
-    for row in rows:
-        table.add_row(*row)
-    return table
-
-
-def episodes_of(plan: Plan, runs: Sequence[Path], folder: Path) -> pl.DataFrame:
-    """The episodes of all agents and of the scripted policies, in both variants of the shift.
-
-    As `analysis.runs.play_all`, and where: "train" or "test".
+    As `analysis.runs.play_all`; beside: agent (its name, null for scripts), test (its name),
+    and the plan's measures.
     """
-    path = folder / EPISODES
-    if path.exists():
-        there = pl.read_parquet(path)
-        played = there.filter(pl.col("seed").is_not_null()).unique(["seed", "where", "level"])
-        if len(played) == 2 * len(runs) * plan.levels:
-            return there
-    game, shift = plan.config.game, load_shift(plan.config.game, plan.shift)
-    config, trained = plan.config, plan.config.training_variant()
-    agents = [open_run(run)[0] for run in runs]
+    opened = [open_run(run)[0] for made in runs.values() for run in made]
+    owners = pl.DataFrame(
+        [{"run": str(run), "agent": name} for name, made in runs.items() for run in made]
+    )
     parts = []
-    for where, name in (("train", shift.train), ("test", shift.test)):
-        variant = playing(config, name, {})
-        levels = unseen(config.game, trained, config.training_levels, variant,
-                        config.unseen_levels, plan.levels)  # fmt: skip
-        played = play_all(game, name, variant, plan.shift, levels, agents)
-        parts.append(played.with_columns(where=pl.lit(where)))
-    table = pl.concat(parts)
-    aside = path.with_name(f".{path.name}")
-    table.write_parquet(aside)
-    aside.replace(path)
-    return table
+    for name, test in plan.tests.items():
+        played = play_all(
+            plan.game, test.variant, test.made_for(plan.config), test.shift,
+            levels_of(plan, test), opened, measures=plan.measures,
+        )  # fmt: skip
+        parts.append(played.with_columns(test=pl.lit(name)))
+    return pl.concat(parts).join(owners, on="run", how="left", maintain_order="left")
+
+
+def levels_of(plan: Plan, test: Test) -> np.ndarray:
+    """The numbers of a test's levels, which no agent of the plan has met under any number."""
+    trainings = [(c.training_variant(), c.training_levels) for c in plan.agents.values()]
+    after = max((c.unseen_levels for c in plan.agents.values()), key=lambda left: left.start)
+    return unseen(plan.game, trainings, test.made_for(plan.config), after, plan.levels)

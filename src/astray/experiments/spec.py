@@ -1,92 +1,127 @@
-"""What an experiment is: data."""
+"""What an experiment is: what is trained and played as data, and how its findings are drawn."""
 
 from __future__ import annotations
 
+import io
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal, get_args
 
-from astray.analysis.outcomes import OUTCOMES, load_shift
+import polars as pl
+
+from astray import games
+from astray.analysis.evaluate import Measure
+from astray.analysis.outcomes import load_shift
+from astray.analysis.runs import playing
+from astray.experiments.report import Findings
+from astray.files import write_aside
+from astray.game import Variant
 from astray.training.config import Config
 
 Size = Literal["smoke", "hour", "paper"]
 SIZES: tuple[Size, ...] = get_args(Size)
+Runs = Mapping[str, Sequence[Path]]  # the run folders of the agents of each name
 
 
 @dataclass(frozen=True)
-class Plan:
-    """One size of an experiment."""
+class Test:
+    """Levels that agents are played on, and what counts as going astray in them."""
 
-    config: Config  # of every agent but for its seed
-    seeds: int  # agents
-    levels: int  # played by every agent in each variant, none met in training under any number
-    shift: str  # of the game: where the agents are trained and tested
+    variant: str
+    shift: str  # of the game: which goal is intended, which are proxies
+    knobs: Mapping[str, Any] = field(default_factory=dict)  # of the variant, changed
+
+    def made_for(self, config: Config) -> Variant:
+        """The variant for agents of that training: its knobs changed likewise."""
+        return playing(config, self.variant, dict(self.knobs))
+
+
+def tests_of(game: str, shift: str) -> dict[str, Test]:
+    """The training and the test variant of a shift."""
+    there = load_shift(game, shift)
+    return {"in training": Test(there.train, shift), "in the test": Test(there.test, shift)}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Plan:
+    """One size of an experiment: all that is computed for it."""
+
+    agents: Mapping[str, Config] = field(default_factory=dict)  # by name; settings but for the seed
+    seeds: int = 1  # agents of each name
+    tests: Mapping[str, Test] = field(default_factory=dict)  # by name; all agents are played in all
+    levels: int  # of each test, none met in any training under any number
     smaller: str  # what is smaller than in the paper
+    measures: Mapping[str, Measure] = field(default_factory=dict)  # of an episode's last state
 
     def __post_init__(self) -> None:
-        shift, trained = load_shift(self.config.game, self.shift), self.config.variant
-        if shift.train != trained:
-            raise ValueError(f"shift {self.shift!r} trains on {shift.train!r}, not on {trained!r}")
         if self.seeds < 1:
             raise ValueError(f"seeds is {self.seeds}; it is at least 1")
-        if not 1 <= self.levels <= len(self.config.unseen_levels):
-            raise ValueError(
-                f"levels is {self.levels}; it is from 1 to {len(self.config.unseen_levels)}"
-            )
+        fewest = min((len(config.unseen_levels) for config in self.agents.values()), default=None)
+        if self.levels < 1 or (fewest is not None and self.levels > fewest):
+            raise ValueError(f"levels is {self.levels}; it is from 1 to {fewest}")
+        if self.tests and len({config.game for config in self.agents.values()}) != 1:
+            raise ValueError("agents that are played in the same tests are of one game")
+        for test in self.tests.values():
+            load_shift(self.game, test.shift)
+            games.load(self.game).variant(test.variant)
+
+    @property
+    def config(self) -> Config:
+        """The settings of the first agents."""
+        return next(iter(self.agents.values()))
+
+    @property
+    def game(self) -> str:
+        return self.config.game
+
+    def trainings(self) -> dict[str, list[Config]]:
+        """The settings of every agent."""
+        return {
+            name: [replace(config, seed=seed) for seed in range(self.seeds)]
+            for name, config in self.agents.items()
+        }
 
 
 @dataclass(frozen=True)
-class Claim:
-    """Something that should be true, with the band in which it counts as true.
+class Work:
+    """What was done of an experiment of one size, for its findings."""
 
-    The share of episodes with `outcome` in the variant `where`, less the share with `minus`:
-    the claim holds where the 95 % interval lies above `above`.
-    """
+    name: str
+    size: Size
+    plan: Plan
+    folder: Path  # of the report
+    runs: Runs
+    episodes: pl.DataFrame  # of all agents and scripted policies in all tests; see `run.play`
 
-    text: str
-    where: Literal["train", "test"]
-    outcome: str
-    above: float
-    minus: str | None = None
-    paper: str = "not stated"  # the paper's figure
+    def keep(self, name: str, compute: Callable[[], pl.DataFrame]) -> pl.DataFrame:
+        """The table that `compute` makes, from a file once it was made."""
+        return kept(self.folder, name, compute)
 
-    def __post_init__(self) -> None:
-        for name, given, there in (
-            ("where", self.where, ("train", "test")),
-            ("outcome", self.outcome, OUTCOMES),
-            ("minus", self.minus, (None, *OUTCOMES)),
-        ):
-            if given not in there:
-                raise ValueError(
-                    f"unknown {name} {given!r} of a claim; there are: {', '.join(map(str, there))}"
-                )
-        if not -1 <= self.above <= 1:
-            raise ValueError(f"above is {self.above}; it is from -1 to 1")
+
+def kept(folder: Path, name: str, compute: Callable[[], pl.DataFrame]) -> pl.DataFrame:
+    """The table `name` of a report's folder, made by `compute` where there is none."""
+    path = folder / "computed" / f"{name}.parquet"
+    if path.exists():
+        return pl.read_parquet(path)
+    table, file = compute(), io.BytesIO()
+    table.write_parquet(file)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    write_aside(path, file.getvalue())
+    return table
 
 
 @dataclass(frozen=True)
 class Experiment:
-    """Agents trained on a shift's training variant, and what they do on its test variant."""
+    """A figure or table of the paper, or of our own."""
 
     title: str
     reproduces: str
     question: str
     sizes: Mapping[Size, Plan]
-    claims: Sequence[Claim]
+    find: Callable[[Work], Findings]
 
     def __post_init__(self) -> None:
         wrong = [size for size in self.sizes if size not in SIZES]
         if wrong or not self.sizes:
             raise ValueError(f"sizes are {list(self.sizes)}; they are some of {', '.join(SIZES)}")
-
-
-@dataclass(frozen=True)
-class Study:
-    """An experiment that trains nothing: it is computed anew each time."""
-
-    title: str
-    reproduces: str
-    question: str
-    sizes: Mapping[Size, Any]  # what `tell` needs to know of each size
-    tell: Callable[[Study, str, Size, Path], Path]  # (itself, name, size, folder) -> the report

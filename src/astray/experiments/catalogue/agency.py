@@ -1,22 +1,15 @@
 """Agents and devices: can goal-directed failure be told from plain failure?"""
 
-from __future__ import annotations
+from astray.experiments.agency import find
+from astray.experiments.spec import Experiment, Plan
 
-from pathlib import Path
-
-from astray.experiments.spec import Size, Study
-
-
-def _tell(study: Study, name: str, size: Size, folder: Path) -> Path:
-    from astray.experiments.agency import tell  # matplotlib, two seconds
-
-    return tell(study, name, size, folder)
-
-
-EXPERIMENT = Study(
+EXPERIMENT = Experiment(
     title="Agents and devices",
     reproduces="Table 1 and the figure beside it",
     question="Does the measure tell goal misgeneralization from capability failure?",
-    sizes={"smoke": 200, "paper": 2000},  # trajectories of each type on each map
-    tell=_tell,
+    sizes={  # trajectories of each type on each map; the paper has one
+        "smoke": Plan(levels=200, smaller=""),
+        "paper": Plan(levels=2000, smaller=""),
+    },
+    find=find,
 )

@@ -1,0 +1,173 @@
+"""What agents reached first, as findings: shares, plots, verdicts and videos of a work's episodes.
+
+Everywhere the policy "sampled" stands for the agents: as in the original, actions are drawn.
+"""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+
+import polars as pl
+
+from astray import games
+from astray.analysis import video
+from astray.analysis.outcomes import load_shift, matrix, shares
+from astray.analysis.policies import Walk
+from astray.analysis.runs import open_run
+from astray.analysis.statistics import Estimate, bootstrap
+from astray.experiments import figures
+from astray.experiments.report import Plot, Table, Verdict, Video
+from astray.experiments.spec import Plan, Test, Work
+from astray.training import checkpoint
+
+AGENTS = "sampled"
+LONGEST = 120  # steps of an episode that are filmed
+
+
+def share(episodes: pl.DataFrame, test: str, outcome: str, *, minus: str | None = None) -> Estimate:
+    """The share of the agents' episodes in a test with an outcome, less that with another."""
+    part = episodes.filter(pl.col("test") == test, pl.col("policy") == AGENTS)
+    value = (pl.col("outcome") == outcome).cast(pl.Float64)
+    if minus:
+        value -= (pl.col("outcome") == minus).cast(pl.Float64)
+    return bootstrap(matrix(part, value))
+
+
+def holds_above(claim: str, paper: str, what: str, ours: Estimate, bound: float) -> Verdict:
+    """A claim that holds where the whole interval of a share, of `what`, is above `bound`."""
+    told = f"{what}: {percent(ours)}; holds above {100 * bound:g}\u00a0%"
+    return Verdict(claim, paper, told, ours.low > bound)
+
+
+def percent(estimate: Estimate) -> str:
+    """A share and its interval, in words."""
+    mean, low, high = (100 * x for x in (estimate.mean, estimate.low, estimate.high))
+    return f"{mean:.1f}\u00a0% (95\u00a0% interval {low:.1f} to {high:.1f}; {counted(estimate)})"
+
+
+def counted(estimate: Estimate) -> str:
+    """What an estimate is of."""
+    agents = "1 agent" if estimate.agents == 1 else f"{estimate.agents} agents"
+    return f"{agents}, {estimate.levels:,} levels"
+
+
+def outcome_tables(work: Work) -> tuple[Table, Table]:
+    """How often each outcome came about, in all levels and in those that tell the goals apart."""
+    by = ("agent", "policy", "test")
+    apart = work.episodes.filter("tells_apart")
+    return (
+        Table("outcomes", "All levels", shares(work.episodes, by)),
+        Table("telling-apart", "Levels that tell the goals apart", shares(apart, by)),
+    )
+
+
+def outcome_plots(work: Work, tables: tuple[Table, Table]) -> tuple[Plot, Plot]:
+    """Bars of `outcome_tables`, a panel a test."""
+    captions = (
+        "Which goal was reached first, in all levels.",
+        "Likewise, in the levels that tell the goals apart: the shortest way to either does not "
+        "pass the other.",
+    )
+    shown = [_who_and_where(work.plan, table.frame) for table in tables]
+    first, second = (
+        Plot(table.name, caption, figures.outcome_bars(data), data)
+        for table, caption, data in zip(tables, captions, shown, strict=True)
+    )
+    return first, second
+
+
+def _who_and_where(plan: Plan, table: pl.DataFrame) -> pl.DataFrame:
+    """`shares` as `figures.outcome_bars` wants them, the agents first."""
+    shift = load_shift(plan.game, next(iter(plan.tests.values())).shift)
+    scripts = {Walk(goal).name: f"walks to the {goal}, blind to all else" for goal in shift.proxies}
+    scripts |= {Walk(shift.intended).name: f"walks to the {shift.intended}", "random": "random"}
+    count = f"{plan.seeds} agents" if plan.seeds > 1 else "one agent"
+    named = [f"{name}: {count}" if len(plan.agents) > 1 else count for name in plan.agents]
+    order = {**dict(zip(plan.agents, named, strict=True)), **scripts}
+    where = {name: f"{test.variant}: {name}" for name, test in plan.tests.items()}
+    return (
+        table.with_columns(
+            who=pl.coalesce("agent", "policy").replace(order), where=pl.col("test").replace(where)
+        )
+        .sort(
+            pl.col("where").replace_strict(list(where.values()), range(len(where))),
+            pl.col("who").replace_strict(list(order.values()), range(len(order))),
+            maintain_order=True,
+        )
+        .select("who", "where", "outcome", "mean", "low", "high")
+    )
+
+
+def curves(work: Work) -> pl.DataFrame:
+    """What all trainings measured: agent (its name), seed, steps, and the metrics."""
+    tables = [
+        pl.DataFrame(checkpoint.metrics(run), infer_schema_length=None).with_columns(
+            agent=pl.lit(name), seed=pl.lit(checkpoint.read_config(run).seed)
+        )
+        for name, runs in work.runs.items()
+        for run in runs
+    ]
+    return pl.concat(tables, how="diagonal_relaxed")
+
+
+def curve_plot(work: Work) -> Plot:
+    """Mean returns of recent episodes while training, on both variants."""
+    data = curves(work)
+    series = {"training/return": "training variant", "validation/return": "test variant"}
+    there = {column: name for column, name in series.items() if column in data.columns}
+    return Plot("curves", "Mean return of recent episodes while training.",
+                figures.learning_curves(data, there, "return"), data)  # fmt: skip
+
+
+def settings(plan: Plan) -> dict[str, str]:
+    """The settings of the agents; of those of several names, all that differs with its names."""
+    every = {name: asdict(config) for name, config in plan.agents.items()}
+    told = {}
+    for key in asdict(plan.config):
+        values = {name: str(config[key]) for name, config in every.items()}
+        alike = len(set(values.values())) == 1
+        told[key] = (
+            values.popitem()[1] if alike else ", ".join(f"{n}: {v}" for n, v in values.items())
+        )
+    return told | {"seeds": str(plan.seeds), "levels evaluated": str(plan.levels)}
+
+
+def film(work: Work, *, trained: Test, tested: Test, agent: str | None = None) -> list[Video]:
+    """An agent in a training level and a test level of one number, for each outcome of the test.
+
+    The commonest outcome first; of each the first level that tells the goals apart and has a
+    longer way to the proxy than most.
+    """
+    plan = work.plan
+    name = agent or next(iter(work.runs))
+    player, config = open_run(work.runs[name][0])
+    game, shift = games.load(plan.game), load_shift(plan.game, tested.shift)
+    where = next(key for key, test in plan.tests.items() if test == tested)
+    apart = work.episodes.filter("tells_apart", test=where)
+    way = pl.col(game.goals[shift.proxies[0]])
+    far = apart.filter(policy=Walk(shift.proxies[0]).name).filter(way > way.median())
+    mine = apart.filter(policy=AGENTS, agent=name, seed=config.seed)
+    common = mine["outcome"].value_counts(sort=True)
+    shown = []
+    for outcome, count in common.rows():
+        levels = mine.filter(outcome=outcome).join(far, on="level", how="semi")["level"]
+        for level in levels[:1].to_list():
+            pair = [
+                video.play(player, game.name, test.made_for(config), level, pixels=288,
+                           longest=LONGEST)
+                for test in (trained, tested)
+            ]  # fmt: skip
+            captions = [f"{test.variant} {level}" for test in (trained, tested)]
+            frames = video.beside(*(episode.frames for episode in pair), captions=captions)
+            path = work.folder / "videos" / f"{outcome.replace(' ', '-')}.mp4"
+            video.write_mp4(frames, path, fps=8)
+            video.write_gif(frames, path.with_suffix(".gif"), fps=8)
+            percentage = f"{100 * count / len(mine):.0f}\u00a0%"
+            shown.append(
+                Video(
+                    f"{outcome.capitalize()}, as in {percentage} of these levels: one agent in "
+                    f"level {level} as in training, and in the test.",
+                    path,
+                )
+            )
+    return shown

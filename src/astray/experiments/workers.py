@@ -1,0 +1,133 @@
+"""Training many agents at once, in processes of this machine."""
+
+from __future__ import annotations
+
+import json
+import multiprocessing
+import os
+import sys
+import threading
+import time
+from collections.abc import Mapping, Sequence
+from concurrent.futures import Future, ProcessPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+
+from rich.console import Console
+from rich.live import Live
+from rich.table import Table
+
+from astray.training import checkpoint
+from astray.training.config import Config
+from astray.training.loop import train
+
+SECONDS, QUIET = 0.5, 60.0  # from one look at the runs to the next; from line to line
+TAIL = 4096  # bytes of metrics.jsonl in which its last line is
+
+
+def train_all(todo: Mapping[Path, Config], workers: int) -> None:
+    """Train every agent whose run folder does not hold it finished, so many at once."""
+    missing = {run: config for run, config in todo.items() if not checkpoint.finished(run, config)}
+    if not missing:
+        return
+    # Spawned, not forked: torch's and the environments' threads do not survive a fork.
+    context = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(max(1, min(workers, len(missing))), context) as pool:
+        running = {run: pool.submit(_train, config, run) for run, config in missing.items()}
+        try:
+            watch(running, missing)
+        except BaseException:
+            pool.shutdown(cancel_futures=True)
+            raise
+
+
+def _train(config: Config, run: Path) -> None:
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+    train(config, run, progress=False)
+
+
+def _end_with_parent() -> None:
+    """Else a training would go on after its experiment was killed, and hold its run folder."""
+    parent = multiprocessing.parent_process()
+    assert parent is not None
+    parent.join()
+    os._exit(1)
+
+
+def watch(running: Mapping[Path, Future], configs: Mapping[Path, Config]) -> None:
+    """Show how trainings go until all have ended; on a terminal a table, else a line a minute."""
+    console, said = Console(stderr=True), time.monotonic()
+    trainings = [Progress(run, configs[run]) for run in running]
+    with Live(console=console, transient=True, auto_refresh=False) as live:
+        while not all(future.done() for future in running.values()):
+            time.sleep(SECONDS)
+            for future in running.values():
+                if future.done():
+                    future.result()  # raises what it raised, before the others end
+            for training in trainings:
+                training.look()
+            if console.is_terminal:
+                live.update(_table(trainings), refresh=True)
+            elif time.monotonic() - said > QUIET:
+                said = time.monotonic()
+                done = sum(training.steps for training in trainings)
+                whole = sum(training.whole for training in trainings)
+                ended = sum(future.done() for future in running.values())
+                print(f"{done:,} of {whole:,} steps, {ended} of {len(running)} agents trained",
+                      file=sys.stderr, flush=True)  # fmt: skip
+    for future in running.values():
+        future.result()
+
+
+@dataclass
+class Progress:
+    """How far a training is, from its metrics.jsonl."""
+
+    run: Path
+    config: Config
+    began: tuple[float, int] | None = None  # when its first step was seen, and how many there were
+    steps: int = 0
+    recent: float = 0.0  # mean return
+
+    @property
+    def whole(self) -> int:
+        """Steps of the whole training."""
+        return self.config.iterations * self.config.batch
+
+    @property
+    def speed(self) -> float | None:
+        """Steps per second since it was first seen."""
+        if self.began is None or self.steps == self.began[1]:
+            return None
+        return (self.steps - self.began[1]) / (time.monotonic() - self.began[0])
+
+    def look(self) -> None:
+        """Read the last whole line."""
+        try:
+            with open(self.run / "metrics.jsonl", "rb") as file:
+                file.seek(max(0, os.fstat(file.fileno()).st_size - TAIL))
+                *lines, _ = file.read().split(b"\n")
+        except FileNotFoundError:
+            return
+        if lines:
+            last = json.loads(lines[-1])
+            self.steps, self.recent = last["steps"], last.get("training/return", 0.0)
+            self.began = self.began or (time.monotonic(), self.steps)
+
+
+def _table(trainings: Sequence[Progress]) -> Table:
+    """Those that go on; of the others how many there are."""
+    table = Table("agent", "trained", "steps/s", "return", "left")
+    for one in trainings:
+        speed = one.speed
+        if 0 < one.steps < one.whole:
+            left = "" if not speed else f"{(one.whole - one.steps) / speed / 60:.0f} min"
+            table.add_row(
+                f"{one.config.game} {one.config.variant}, seed {one.config.seed}",
+                f"{one.steps / one.whole:.0%} of {one.whole / 1e6:.1f} M steps",
+                f"{speed:,.0f}" if speed else "", f"{one.recent:.2f}", left,
+            )  # fmt: skip
+    waiting = sum(one.steps == 0 for one in trainings)
+    ended = sum(one.steps == one.whole for one in trainings)
+    table.caption = f"{ended} agents are trained, {waiting} wait"
+    return table
