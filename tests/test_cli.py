@@ -188,6 +188,33 @@ def test_the_window_opens_and_plays(monkeypatch):
     assert np.array_equal(big, env.picture(play.PICTURE)[0])
 
 
+@pytest.mark.parametrize(
+    "game, variant, steps", [("maze", "corner", 1), ("coinrun", "coin-end", 4)]
+)
+def test_time_goes_on_without_keys_where_things_move(game, variant, steps, monkeypatch):
+    pygame = pytest.importorskip("pygame")
+    monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
+    from astray import play
+    from astray.training.config import vary
+
+    told, frames = [], []
+    monkeypatch.setattr(pygame.key, "get_pressed", lambda: Keys())
+    monkeypatch.setattr(play, "_lines", lambda env, *_: told.append(int(env.states[0].time)) or [])
+
+    class Keys:
+        def __getitem__(self, key):
+            return key == pygame.K_RIGHT and len(frames) == 2
+
+    def flip():
+        frames.append(None)
+        if len(frames) == 6:
+            pygame.event.post(pygame.event.Event(pygame.KEYDOWN, key=pygame.K_ESCAPE))
+
+    monkeypatch.setattr(pygame.display, "flip", flip)
+    play.play(game, vary(game, variant, {}), level=3)
+    assert told[:3] == [0, 0, 1] and told[5] == steps
+
+
 @pytest.mark.parametrize("words", ["--preset paper", "--preset=paper"])
 def test_a_presets_settings_are_the_defaults(astray, monkeypatch, words):
     given = []

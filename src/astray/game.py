@@ -126,6 +126,7 @@ class Game:
     goals: Mapping[str, str]  # goal -> the event that it is reached
     benchmark: str  # the variant that speed is measured on,
     envpool: str  # and the environment of EnvPool that is like it
+    real_time: bool  # things move while the agent stays; else a person may take time to think
 
     # Compiled. `generate` is called with a state whose twister is seeded and whose common
     # fields are set.

@@ -18,7 +18,8 @@ HELP = ("arrows or WASD: move", "space: wait", "R: this level again", "N: the ne
 def play(game: str, variant: Variant, level: int | Level | None = None) -> None:
     """Open a window and play level after level, from `level` on or from one at random.
 
-    After a `Level` that was drawn come the numbered ones from 0 on.
+    After a `Level` that was drawn come the numbered ones from 0 on. Time stands still before
+    the first key, and in games in which nothing moves by itself between keys.
     """
     try:
         import pygame
@@ -46,6 +47,8 @@ def play(game: str, variant: Variant, level: int | Level | None = None) -> None:
                         current = 0 if isinstance(current, Level) else current + 1
                     restart |= event.key in (pygame.K_n, pygame.K_r)
             action = _action(env, pygame.key.get_pressed(), pygame)
+            if action is None and env.game.real_time and env.states[0].time > 0:
+                action = env.game.actions.index("stay")
             if restart:
                 seen, _ = env.reset(options={"level": current})
                 total, ended = 0.0, False

@@ -14,6 +14,7 @@ GAME = Game(
     goals=variants.GOALS,
     benchmark="coin-end",
     envpool="CoinrunHard-v0",
+    real_time=True,
     generate=levels.generate,
     step=rules.step,
     paint=draw.paint,

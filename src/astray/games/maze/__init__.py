@@ -14,6 +14,7 @@ GAME = Game(
     goals=variants.GOALS,
     benchmark="anywhere",
     envpool="MazeHard-v0",
+    real_time=False,
     generate=levels.generate,
     step=rules.step,
     paint=draw.paint,
