@@ -22,7 +22,7 @@ from astray.bench import sb3
 CONFIG = Config(
     game="maze", variant="corner-small", knobs={"world": 5, "largest": 5, "time_limit": 50},
     observation="symbolic", network="small", environments=64, rollout=64, minibatches=4,
-    gamma=0.99, learning_rate=3e-3, anneal=False, steps=10**6,
+    gamma=0.99, learning_rate=3e-3, anneal=False, steps=10**6, bfloat16=False,
 )  # fmt: skip
 ITERATIONS = (5, 10, 15, 20, 25, 30)  # of 4,096 environment steps
 
@@ -57,7 +57,7 @@ def test_rollouts_are_the_same():
     assert env is not None
     env.seed(int(trainer.player.env.states["seed"][0]))
     model.learn(config.batch, callback=keep)
-    ours, theirs = collect(trainer.network, trainer.player, config), keep.rollout
+    ours, theirs = collect(trainer.model, trainer.player, config), keep.rollout
     ends = trainer.player.recent
     assert 0 < sum(length < 20 for _, length, *_ in ends) < len(ends), "ends of both kinds"
     np.testing.assert_array_equal(ours.observation, theirs.observations)
@@ -98,7 +98,7 @@ def test_learning_is_the_same():
     """
     ours, theirs = np.zeros((2, 2, len(ITERATIONS)))
     for seed in range(2):
-        trainer = Trainer(replace(CONFIG, seed=seed))
+        trainer = Trainer(replace(CONFIG, seed=seed, bfloat16=None))
         theirs[seed] = sb3.learning_curve(sb3.ppo(trainer.config, trainer.network), ITERATIONS)
         for k in range(1, ITERATIONS[-1] + 1):
             training.iterate(trainer)

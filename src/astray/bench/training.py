@@ -106,7 +106,7 @@ def _measure(config: Config, turn: float, rounds: int) -> list[Row]:
 def iterate(trainer: Trainer) -> None:
     """One iteration of the training loop, at a constant learning rate and without its log."""
     config = trainer.config
-    rollout = collect(trainer.network, trainer.player, config)
+    rollout = collect(trainer.model, trainer.player, config)
     update(trainer, rollout, config.learning_rate)
     trainer.steps += config.batch
 

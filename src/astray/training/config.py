@@ -77,6 +77,10 @@ class Config:
     device: Literal["cpu", "cuda", "mps"] = "cpu"
     threads: int = 1  # that step environments; and, on a CPU, that torch uses
 
+    # How it is computed; None is what suits the device (`training.device` says what that is).
+    kernels: bool | None = None  # of our own for the small network and the loss, on a CPU
+    bfloat16: bool | None = None  # for the large products; weights and losses stay float32
+
     def __post_init__(self) -> None:
         for name, kind in typing.get_type_hints(Config).items():
             _check(name, getattr(self, name), kind)

@@ -7,9 +7,9 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from torch import Tensor, nn
+from torch import nn
 
-from astray.agents import policy, ppo
+from astray.agents import policy
 from astray.training import checkpoint
 from astray.training.config import Config
 from astray.training.log import Log
@@ -46,8 +46,8 @@ def iterate(trainer: Trainer, log: Log) -> None:
     if config.anneal:
         rate *= 1 - trainer.steps / config.steps
     if trainer.validation and trainer.iteration % config.validation_every == 0:
-        validate(trainer.network, trainer.validation, config)
-    rollout = collect(trainer.network, trainer.player, config)
+        validate(trainer.model, trainer.validation, config)
+    rollout = collect(trainer.model, trainer.player, config)
     played = time.perf_counter()
     metrics = {f"update/{name}": x for name, x in update(trainer, rollout, rate).items()}
     trainer.steps += config.batch
@@ -72,7 +72,7 @@ def update(trainer: Trainer, rollout: Rollout, rate: float) -> dict[str, float]:
         )
         for indices in order.split(size):
             # index_select: 183 us for 2,048 rows of 676 bytes, where samples[indices] takes 1,346
-            losses = loss(network, [x.index_select(0, indices) for x in samples], config)
+            losses = trainer.model.losses([x.index_select(0, indices) for x in samples])
             optimizer.zero_grad(set_to_none=True)
             losses["loss"].backward()
             losses["gradient_norm"] = nn.utils.clip_grad_norm_(parameters, config.gradient_norm)
@@ -81,24 +81,3 @@ def update(trainer: Trainer, rollout: Rollout, rate: float) -> dict[str, float]:
                 sums[name] = sums.get(name, 0) + value.detach()
     updates = config.epochs * config.minibatches
     return {name: float(total) / updates for name, total in sums.items()}
-
-
-def loss(network: nn.Module, samples: list[Tensor], config: Config) -> dict[str, Tensor]:
-    """PPO's loss on a minibatch (the fields of `Rollout`, [B, ...]), and its parts."""
-    observation, action, old_log_probability, old_value, advantage, target = samples
-    logits, value = network(observation)
-    of_all = ppo.log_probabilities(logits)
-    log_probability = of_all.gather(-1, action[:, None]).squeeze(-1)
-    log_ratio = log_probability - old_log_probability
-    surrogate = ppo.policy_loss(log_ratio, advantage, config.clip)
-    critic = ppo.value_loss(value, old_value, target, config.clip)
-    entropy = ppo.entropy(of_all)
-    with torch.no_grad():
-        ratio = log_ratio.exp()
-        kl = ((ratio - 1) - log_ratio).mean()  # Schulman's unbiased, never negative estimate
-        clipped = ((ratio - 1).abs() > config.clip).float().mean()
-    total = surrogate + config.value_weight * critic - config.entropy_weight * entropy
-    return {
-        "loss": total, "policy_loss": surrogate, "value_loss": critic, "entropy": entropy,
-        "kl": kl, "clipped": clipped,
-    }  # fmt: skip

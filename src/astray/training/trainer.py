@@ -14,6 +14,7 @@ from astray.agents.ppo import RewardNormaliser
 from astray.envs.vector import GameVectorEnv
 from astray.game import Variant
 from astray.training.config import Config
+from astray.training.device import Model
 
 RECENT = 100  # ended episodes that the logged means are over
 
@@ -101,6 +102,7 @@ class Trainer:
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(config.seed)
             self.network = self.architecture.build().to(config.device)
+        self.model = Model(self.network, config)
         self.optimizer = torch.optim.Adam(
             self.network.parameters(), config.learning_rate, eps=1e-5, fused=True
         )

@@ -1,0 +1,104 @@
+"""PPO's loss and its slope in one pass over a minibatch, on a CPU.
+
+For 1,024 samples of 15 actions 0.23 ms, where torch takes 0.55 ms for some 60 operations.
+"""
+
+from __future__ import annotations
+
+import functools
+import math
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+from torch.autograd.function import once_differentiable
+
+from astray.kernel.jit import entry, one_at_a_time
+
+PARTS = ("policy_loss", "value_loss", "entropy", "kl", "clipped")
+
+
+class Loss(torch.autograd.Function):
+    """Outputs [B, actions + 1] (logits, then the value) and samples -> loss, `PARTS` [5]."""
+
+    @staticmethod
+    def forward(
+        ctx: Any, outputs: Tensor, samples: list[Tensor], weights: tuple[float, float, float]
+    ) -> tuple[Tensor, Tensor]:
+        """samples  action, old log-probability, old value, advantage, target, all [B]
+        weights  the clip range, the weights of the value's loss and of the entropy
+        """
+        slope, parts = torch.empty_like(outputs), torch.zeros(len(PARTS), dtype=torch.float64)
+        compiled()
+        action, old_log_probability, old_value, advantage, target = (x.numpy() for x in samples)
+        evaluate(
+            outputs.detach().numpy(), action, old_log_probability, old_value, advantage, target,
+            *weights, slope.numpy(), parts.numpy(),
+        )  # fmt: skip
+        policy, value, entropy = parts[:3]
+        loss = policy + weights[1] * value - weights[2] * entropy
+        ctx.save_for_backward(slope)
+        ctx.mark_non_differentiable(parts := parts.float())
+        return loss.float(), parts
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx: Any, of_loss: Tensor, of_parts: Any) -> tuple[Tensor, None, None]:  # pyright: ignore
+        (slope,) = ctx.saved_tensors
+        return slope * of_loss, None, None
+
+
+@functools.cache
+def compiled() -> None:
+    """Compile the kernel for the types to come, or take it from the cache."""
+    table, column = np.empty((0, 2), np.float32), np.empty(0, np.float32)
+    with one_at_a_time():
+        evaluate(table, np.empty(0, np.int64), column, column, column, column, 0.2, 0.5, 0.01,
+                 table, np.zeros(len(PARTS)))  # fmt: skip
+
+
+@entry
+def evaluate(
+    outputs, action, old_log_probability, old_value, advantage, target, clip, value_weight,
+    entropy_weight, slope, parts,
+):  # fmt: skip
+    """Fill `slope` [B, A + 1] with that of the loss by `outputs`, `parts` with the means."""
+    count, actions = len(outputs), outputs.shape[1] - 1
+    log_probability, probability = np.empty((2, actions))
+    for i in range(count):
+        largest = outputs[i, 0]
+        for k in range(1, actions):
+            largest = max(largest, outputs[i, k])
+        total = 0.0
+        for k in range(actions):
+            log_probability[k] = outputs[i, k] - largest
+            probability[k] = math.exp(log_probability[k])
+            total += probability[k]
+        log_total, entropy = math.log(total), 0.0
+        for k in range(actions):
+            log_probability[k] -= log_total
+            probability[k] /= total
+            entropy -= probability[k] * log_probability[k]
+
+        log_ratio = log_probability[action[i]] - old_log_probability[i]
+        ratio = math.exp(log_ratio)
+        gain, bounded = ratio * advantage[i], min(max(ratio, 1 - clip), 1 + clip) * advantage[i]
+        by_chosen = -gain if gain <= bounded else 0.0  # slope by the action's log-probability
+        for k in range(actions):
+            by_entropy = -probability[k] * (log_probability[k] + entropy)
+            by_policy = by_chosen * ((k == action[i]) - probability[k])
+            slope[i, k] = (by_policy - entropy_weight * by_entropy) / count
+
+        value, moved = outputs[i, actions], outputs[i, actions] - old_value[i]
+        error = value - target[i]
+        near = old_value[i] + min(max(moved, -clip), clip) - target[i]
+        inside = abs(moved) <= clip or error**2 > near**2
+        slope[i, actions] = value_weight * error / count if inside else 0.0
+
+        parts[0] -= min(gain, bounded)
+        parts[1] += 0.5 * max(error**2, near**2)
+        parts[2] += entropy
+        parts[3] += ratio - 1 - log_ratio  # Schulman's unbiased, never negative estimate
+        parts[4] += abs(ratio - 1) > clip
+    parts /= max(count, 1)

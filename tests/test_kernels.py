@@ -1,0 +1,108 @@
+"""Our kernels for the small network and PPO's loss say what torch and autograd say."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from torch.nn.functional import cosine_similarity
+
+from astray.agents import fused, sparse
+from astray.agents.small import Small
+from astray.training import device
+from astray.training.config import PRESETS, Config
+from astray.training.device import means
+from astray.training.loop import update
+from astray.training.rollout import collect
+from astray.training.trainer import Trainer
+
+SMALL = replace(
+    PRESETS["small"], variant="corner-small", environments=32, rollout=16, minibatches=4, width=24
+)
+LARGEST = {"maze": (1, 1, 6, 6), "flags alone": (1, 1, 1), "categories alone": (5, 3)}
+
+
+def planes_of(largest, size=20):
+    """Random planes [size, C, 5, 3], most of them 0, one sample empty and one full."""
+    random = np.random.default_rng(0)
+    planes = random.integers(0, np.array(largest)[:, None, None] + 1, (size, len(largest), 5, 3))
+    planes *= random.random(planes.shape) < 0.4
+    planes[0], planes[1] = 0, 1
+    return torch.from_numpy(planes.astype(np.uint8))
+
+
+def gradients(network, outputs):
+    """Of an arbitrary function of `outputs` [B, actions + 1], as one vector."""
+    network.zero_grad()
+    (outputs.sin() * torch.arange(outputs.shape[1])).sum().backward()
+    return torch.cat([p.grad.flatten() for p in network.parameters()])
+
+
+@pytest.mark.parametrize("largest", LARGEST.values(), ids=LARGEST)
+def test_the_sparse_network_is_the_dense_one(largest):
+    torch.manual_seed(0)
+    planes = planes_of(largest)
+    network = Small(planes.shape[1:], list(largest), 15, width=24)
+    for bias in (network.features.linear1.bias, network.policy.bias):
+        bias.data.normal_()
+    logits, value = network(planes)
+    dense, fast = torch.cat([logits, value[:, None]], 1), sparse.outputs(network, planes)
+    torch.testing.assert_close(fast, dense, atol=1e-5, rtol=1e-5)
+    expected = gradients(network, dense)
+    torch.testing.assert_close(gradients(network, fast), expected, atol=1e-4, rtol=1e-4)
+
+
+def test_bfloat16_is_only_between_the_hidden_layers_and_near():
+    torch.manual_seed(0)
+    planes = planes_of((1, 1, 6, 6), 500)
+    network = Small(planes.shape[1:], [1, 1, 6, 6], 15, width=256)
+    exact, rounded = (
+        sparse.outputs(network, planes, kind) for kind in (torch.float32, torch.bfloat16)
+    )
+    assert 0 < (exact - rounded).abs().max() < 0.02 * exact.abs().max()
+    one, two = gradients(network, exact), gradients(network, rounded)
+    assert one.dtype == two.dtype == torch.float32
+    assert 0.999 < cosine_similarity(one, two, 0) < 1
+    assert (one.norm() / two.norm()).item() == pytest.approx(1, abs=0.01)
+
+
+def test_the_fused_loss_is_the_plain_one():
+    g, config = torch.Generator().manual_seed(0), Config()
+    outputs = (2 * torch.randn(1000, 16, generator=g)).requires_grad_()
+    noise = torch.randn(4, 1000, generator=g)
+    action = torch.randint(0, 15, (1000,), generator=g)
+    was = torch.log_softmax(outputs.detach()[:, :-1], 1).gather(1, action[:, None])[:, 0]
+    samples = [action, was + 0.3 * noise[0], outputs.detach()[:, -1] + 0.3 * noise[1], *noise[2:]]
+    plain = device.loss(lambda x: (x[:, :-1], x[:, -1]), [outputs, *samples], config)
+    plain["loss"].backward()
+    expected, outputs.grad = outputs.grad, None
+    loss, parts = fused.Loss.apply(
+        outputs, samples, (config.clip, config.value_weight, config.entropy_weight)
+    )
+    loss.backward()
+    torch.testing.assert_close(outputs.grad, expected, atol=1e-7, rtol=1e-4)
+    assert loss.item() == pytest.approx(plain["loss"].item(), rel=1e-5)
+    for name, part in zip(fused.PARTS, parts, strict=True):
+        assert part.item() == pytest.approx(plain[name].item(), rel=1e-5), name
+    assert 0.2 < plain["clipped"] < 0.8
+
+
+def test_an_iteration_with_kernels_is_the_one_without():
+    weights, metrics = [], []
+    for kernels in (False, True):
+        # So sure of its actions that rounding changes none.
+        trainer = Trainer(replace(SMALL, kernels=kernels, bfloat16=False))
+        trainer.network.get_parameter("policy.weight").data.mul_(1e6)
+        metrics.append(update(trainer, collect(trainer.model, trainer.player, SMALL), 1e-3))
+        weights.append(torch.cat([p.detach().flatten() for p in trainer.network.parameters()]))
+    one, two = weights
+    torch.testing.assert_close(one, two, atol=1e-4, rtol=1e-3)
+    assert metrics[0].keys() == metrics[1].keys()
+
+
+@pytest.mark.parametrize("change", [{"device": "cuda"}, {"network": "impala"}])
+def test_kernels_are_left_where_there_are_none_and_explained_where_asked_for(change):
+    assert not means(replace(SMALL, **change)).kernels
+    with pytest.raises(ValueError, match="there is no kernels with device="):
+        means(replace(SMALL, kernels=True, **change))
+    assert means(SMALL).kernels and not means(replace(SMALL, kernels=False)).kernels
