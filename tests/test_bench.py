@@ -10,10 +10,12 @@ import torch
 from rich.console import Console
 
 from astray import games
-from astray.bench import agency, environments, tables, training
+from astray.agents.policy import Architecture
+from astray.bench import agency, environments, profile, tables, training
+from astray.bench.plain import Loop
 from astray.envs.vector import GameVectorEnv
 
-TINY = replace(training.CONFIGS[0], environments=8, rollout=8, minibatches=2, width=8)
+TINY = replace(training.SYMBOLIC[0], environments=8, rollout=8, minibatches=2, width=8)
 
 
 def speed(row):
@@ -80,18 +82,49 @@ def test_what_is_measured_is_there(name):
 def test_training_is_measured_beside_stable_baselines3():
     pytest.importorskip("stable_baselines3")
     threads = torch.get_num_threads()
-    ours, peer = training.measure([TINY], seconds=0.02, rounds=2)
+    ours, peer, *_ = training.measure([TINY], seconds=0.02, rounds=2)
     assert 0 < speed(ours) <= (ours.best or 0) and 0 < speed(peer) <= (peer.best or 0)
-    assert ours.to_peer == speed(ours) / speed(peer)
+    assert peer.ratio == speed(ours) / speed(peer)
     assert torch.get_num_threads() == threads
 
 
 def test_without_stable_baselines3_the_row_says_how_to_install_it(monkeypatch):
     monkeypatch.delitem(sys.modules, "astray.bench.sb3", raising=False)
     monkeypatch.setitem(sys.modules, "stable_baselines3", None)
-    ours, peer = training.measure([TINY], seconds=0.02, rounds=2)
-    assert speed(ours) > 0 and ours.to_peer is None
+    ours, peer, *_ = training.measure([TINY], seconds=0.02, rounds=2)
+    assert speed(ours) > 0 and peer.ratio is None
     assert "pip install stable-baselines3" in peer.note
+
+
+def test_training_on_images_is_measured_beside_plain_loops(monkeypatch):
+    monkeypatch.setitem(sys.modules, "envpool", None)
+    config = replace(training.IMAGES, environments=4, rollout=4, minibatches=2)
+    rows = training.measure([config], seconds=0.02, rounds=1)
+    ours, missing, plain, original, *parts = rows
+    assert speed(ours) > 0 and "pip install envpool" in missing.note
+    assert plain.ratio == speed(ours) / speed(plain) and speed(original) > 0
+    assert {type(part) for part in parts} == {profile.Row}
+    assert training.markdown(rows).count("| --- |") == 2
+
+
+def test_the_parts_of_an_iteration_come_near_to_the_whole():
+    config = replace(training.SYMBOLIC[0], environments=64, rollout=16, minibatches=4)
+    *parts, minibatch, whole = profile.measure(config, rounds=3)
+    assert minibatch.part == "a minibatch, whole" and whole.share == 1
+    assert all(part.milliseconds > 0 for part in parts)
+    total = sum(part.milliseconds for part in parts)
+    assert 0.3 < total / whole.milliseconds < 3  # on a machine that does other things too
+    assert whole.floor == pytest.approx(sum(part.floor or 0 for part in parts))
+
+
+def test_a_plain_loop_learns():
+    config = replace(training.IMAGES, environments=4, rollout=4, minibatches=2)
+    network = Architecture("impala", (64, 64, 3), (), 15).build()
+    before = [weight.clone() for weight in network.parameters()]
+    for host in (True, False):
+        env = GameVectorEnv("coinrun", "coin-end", 4, autoreset_mode="SameStep")
+        Loop(config, network, env, host).iterate()
+    assert all(not torch.equal(a, b) for a, b in zip(before, network.parameters(), strict=True))
 
 
 def test_a_table_has_a_line_for_each_row(rows):

@@ -55,9 +55,9 @@ def test_rollouts_are_the_same():
     model, keep = sb3.ppo(config, trainer.network), Keep()
     env = model.get_env()
     assert env is not None
-    env.seed(int(trainer.player.env.states["seed"][0]))
+    env.seed(int(trainer.player.envs[0].states["seed"][0]))
     model.learn(config.batch, callback=keep)
-    ours, theirs = collect(trainer.model, trainer.player, config), keep.rollout
+    ours, theirs = collect(trainer.actor), keep.rollout
     ends = trainer.player.recent
     assert 0 < sum(length < 20 for _, length, *_ in ends) < len(ends), "ends of both kinds"
     np.testing.assert_array_equal(ours.observation, theirs.observations)

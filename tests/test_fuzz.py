@@ -312,7 +312,8 @@ def test_a_ruined_trainer_is_refused_or_goes_on(data, saved):
     try:
         checkpoint.restore(folder.parent.parent, trainer)
         tried("trainers", 0)
-        trainer.player.env.game.check(trainer.player.env.states, trainer.player.env.variant)
+        env = trainer.player.envs[0]
+        env.game.check(env.states, env.variant)
     except ValueError:
         tried("trainers", 1)
     finally:

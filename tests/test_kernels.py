@@ -93,7 +93,7 @@ def test_an_iteration_with_kernels_is_the_one_without():
         # So sure of its actions that rounding changes none.
         trainer = Trainer(replace(SMALL, kernels=kernels, bfloat16=False))
         trainer.network.get_parameter("policy.weight").data.mul_(1e6)
-        metrics.append(update(trainer, collect(trainer.model, trainer.player, SMALL), 1e-3))
+        metrics.append(update(trainer, collect(trainer.actor), 1e-3))
         weights.append(torch.cat([p.detach().flatten() for p in trainer.network.parameters()]))
     one, two = weights
     torch.testing.assert_close(one, two, atol=1e-4, rtol=1e-3)

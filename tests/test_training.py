@@ -159,7 +159,7 @@ def test_a_timeout_is_bootstrapped_by_default_and_terminates_on_request(tmp_path
         for weight in trainer.network.parameters():
             weight.data.zero_()
         trainer.network.value.bias.data.fill_(8.0)  # the critic says 8 everywhere
-        rollout = collect(trainer.model, trainer.player, config)
+        rollout = collect(trainer.actor)
         advantages[timeouts] = rollout.advantage.numpy()
         trainer.close()
     differ = advantages["bootstrap"] - advantages["terminate"]

@@ -383,16 +383,24 @@ def agency(
 def bench(
     what: Positional[Literal["environments", "training", "agency"]] = "environments",
     markdown: bool = False,
+    device: Literal["cpu", "cuda", "mps"] = "cpu",
 ) -> None:
     """Measure speed, as ratios in one run, and where there are others against them.
 
     Args:
         markdown: print the table for benchmarks/README.md
+        device: that trains; the environments and the agency measure are a CPU's
     """
     from importlib import import_module
 
+    from astray.agents.policy import usable
+
+    if not usable(device):
+        raise ValueError(f"there is no device {device!r} that torch can use")
+    if device != "cpu" and what != "training":
+        raise ValueError(f"device is {device!r}; {what} is measured on a CPU")
     module = import_module(f"astray.bench.{what}")
-    rows = module.measure()
+    rows = module.measure(device=device) if what == "training" else module.measure()
     if markdown:
         print(module.markdown(rows))
     else:

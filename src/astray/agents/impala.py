@@ -69,8 +69,14 @@ class Impala(nn.Module):
         initialise(self)
 
     def forward(self, images: Tensor) -> tuple[Tensor, Tensor]:
+        return self.heads(self.hidden(images))
+
+    def hidden(self, images: Tensor) -> Tensor:
+        """All but the heads: what policy and value are linear functions of, [B, FEATURES]."""
         x = images.permute(0, 3, 1, 2).to(self.policy.weight.dtype) / 255
-        features = self.features(self.block3(self.block2(self.block1(x))))
+        return self.features(self.block3(self.block2(self.block1(x))))
+
+    def heads(self, features: Tensor) -> tuple[Tensor, Tensor]:
         return self.policy(features), self.value(features).squeeze(-1)
 
 

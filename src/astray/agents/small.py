@@ -68,5 +68,11 @@ class Small(nn.Module):
         initialise(self)
 
     def forward(self, planes: Tensor) -> tuple[Tensor, Tensor]:
-        features = self.features(self.spread(planes))
+        return self.heads(self.hidden(planes))
+
+    def hidden(self, planes: Tensor) -> Tensor:
+        """All but the heads: what policy and value are linear functions of, [B, width]."""
+        return self.features(self.spread(planes))
+
+    def heads(self, features: Tensor) -> tuple[Tensor, Tensor]:
         return self.policy(features), self.value(features).squeeze(-1)

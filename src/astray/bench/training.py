@@ -1,23 +1,28 @@
-"""Steps per second of PPO, beside Stable-Baselines3's with the same settings.
+"""Steps per second of PPO, beside others with the same settings, and where its time goes.
 
-Both train on one torch thread, on the same batch of environments, with networks that begin
-with the same weights; neither writes logs. They are measured in turns, round after round;
-figures are medians over the rounds.
+All train with networks that begin with the same weights, in turns, round after round; figures
+are medians over the rounds; none writes logs. On symbolic observations ours is beside
+Stable-Baselines3's, on one thread and the same environments. On images it is beside plain loops:
+CleanRL's with EnvPool's Procgen, and one of the original's shape.
 """
 
 from __future__ import annotations
 
+import copy
 import importlib
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from statistics import median
+from typing import Any, Literal
 
 import torch
-from rich.table import Table
+from rich.console import Group
 
-from astray.bench import tables
+from astray.bench import profile, tables
+from astray.bench.plain import Loop
 from astray.bench.tables import decimal, thousands
+from astray.envs.vector import GameVectorEnv
 from astray.training.config import PRESETS, Config
 from astray.training.loop import update
 from astray.training.rollout import collect
@@ -25,10 +30,19 @@ from astray.training.trainer import Trainer
 
 # The preset as it is, and with the smaller network and more environments, where the network's
 # matrix products leave more to the rest.
-CONFIGS = tuple(
+SYMBOLIC = tuple(
     replace(PRESETS["small"], game="maze", variant="corner-small", anneal=False, **change)
     for change in ({}, {"width": 64, "environments": 1024})
 )
+IMAGES = replace(PRESETS["paper"], game="coinrun", variant="coin-end", anneal=False)
+CONFIGS: dict[str, tuple[Config, ...]] = {
+    # A CPU would need minutes for an iteration of the paper's; its minibatches are of 256 there.
+    "cpu": (*SYMBOLIC, replace(IMAGES, environments=32, rollout=16, minibatches=2)),
+    "cuda": (replace(IMAGES, device="cuda", threads=8),),
+    "mps": (replace(IMAGES, device="mps", rollout=64),),
+}
+PLAIN = {"kernels": False, "bfloat16": False, "channels_last": False, "compiled": False,
+         "graphs": False, "groups": 1}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -38,96 +52,150 @@ class Row:
     what: str
     game: str
     variant: str
-    width: int  # hidden units of the network
+    network: str
     environments: int
     steps_per_second: float | None = None  # environment steps, median over the rounds
     best: float | None = None  # of the rounds
-    to_peer: float | None = None  # ratio to Stable-Baselines3
+    ratio: float | None = None  # of ours to it
     note: str = ""
 
     def cells(self) -> dict[str, str]:
         return {
             "what": f"{self.what} ({self.note})" if self.note else self.what,
             "game": f"{self.game} {self.variant}",
-            "width": f"{self.width}",
+            "network": self.network,
             "environments": f"{self.environments}",
             "1,000 steps/s": thousands(self.steps_per_second),
             "best": thousands(self.best),
-            "x Stable-Baselines3": decimal(self.to_peer),
+            "astray's, times it": decimal(self.ratio),
         }
 
 
 def measure(
-    configs: Sequence[Config] = CONFIGS, seconds: float = 20.0, rounds: int = 5
-) -> list[Row]:
-    """With each config, train each contender for about `seconds` in all, in `rounds` turns."""
+    configs: Sequence[Config] | None = None,
+    seconds: float = 20.0,
+    rounds: int = 5,
+    device: Literal["cpu", "cuda", "mps"] = "cpu",
+) -> list[Row | profile.Row]:
+    """With each config, train each contender for about `seconds` in all, in `rounds` turns.
+
+    Then profile ours with the last config. Without `configs`, those of the `device`.
+    """
+    configs = CONFIGS[device] if configs is None else configs
     before = torch.get_num_threads()
     torch.set_num_threads(1)
     torch.set_flush_denormal(True)  # as `train` does
+    torch.backends.cudnn.benchmark = True
     try:
-        return [
-            row
-            for config in configs
-            for row in _measure(replace(config, threads=1), seconds / rounds, rounds)
-        ]
+        rows = [row for config in configs for row in _measure(config, seconds / rounds, rounds)]
+        return [*rows, *profile.measure(configs[-1], rounds)]
     finally:
         torch.set_num_threads(before)
 
 
 def _measure(config: Config, turn: float, rounds: int) -> list[Row]:
+    network = f"{config.network} {config.width if config.network == 'small' else config.scale}"
+    row = Row("astray", config.game, config.variant, network, config.environments)
     trainer = Trainer(config)
-    contenders = {"astray": lambda: iterate(trainer)}
-    rows = [
-        Row(what, config.game, config.variant, config.width, config.environments)
-        for what in ("astray", "Stable-Baselines3")
-    ]
-    closes = [trainer.close]
-    try:
-        sb3 = importlib.import_module("astray.bench.sb3")
-    except ImportError:
-        rows[1] = replace(rows[1], note="not installed: pip install stable-baselines3")
-    else:
-        model = sb3.ppo(config, trainer.network)
-        closes.append(model.env.close)
-        contenders[rows[1].what] = lambda: model.learn(config.batch, reset_num_timesteps=False)
-    for train in contenders.values():  # the first iteration allocates
+    contenders: dict[str, Callable[[], object]] = {row.what: lambda: iterate(trainer)}
+    closes: list[Callable[[], object]] = [trainer.close]
+    peers = _symbolic if config.observation == "symbolic" else _images
+    notes: dict[str, str] = {}
+    for what, made in peers(config, copy.deepcopy(trainer.network)).items():
+        if isinstance(made, str):
+            notes[what] = made
+        else:
+            contenders[what], close = made
+            closes.append(close)
+    for train in contenders.values():  # the first iteration allocates and compiles
         train()
     speeds = {what: [] for what in contenders}
     for _ in range(rounds):
         for what, train in contenders.items():
-            speeds[what].append(config.batch * _per_second(train, turn))
+            speeds[what].append(config.batch * _per_second(train, turn, config.device))
     for close in closes:
         close()
-    rows = [_measured(row, speeds.get(row.what)) for row in rows]
-    ours, peer = (row.steps_per_second for row in rows)
-    return [replace(rows[0], to_peer=ours / peer if ours and peer else None), rows[1]]
+    ours = speeds.pop(row.what)
+    rows = [replace(row, what=what, note=note) for what, note in notes.items()]
+    for what, each in speeds.items():
+        rows.append(
+            replace(row, what=what, steps_per_second=median(each), best=max(each),
+                    ratio=median(ours) / median(each))
+        )  # fmt: skip
+    return [replace(row, steps_per_second=median(ours), best=max(ours)), *rows]
+
+
+Made = tuple[Callable[[], object], Callable[[], object]]  # an iteration, and how it is closed
+
+
+def _symbolic(config: Config, network: Any) -> dict[str, Made | str]:
+    """Stable-Baselines3, or why it is not there."""
+    try:
+        sb3 = importlib.import_module("astray.bench.sb3")
+    except ImportError:
+        return {"Stable-Baselines3": "not installed: pip install stable-baselines3"}
+    model = sb3.ppo(config, network)
+    learn = lambda: model.learn(config.batch, reset_num_timesteps=False)  # noqa: E731
+    return {"Stable-Baselines3": (learn, model.env.close)}
+
+
+def _images(config: Config, network: Any) -> dict[str, Made | str]:
+    """Ours without any setting of speed, and the plain loops; or why they are not there."""
+    plain = Trainer(replace(config, **PLAIN))
+    env = GameVectorEnv(
+        config.game, config.training_variant(), config.environments,
+        levels=config.training_levels, autoreset_mode="SameStep", threads=config.threads,
+    )  # fmt: skip
+    original = Loop(config, copy.deepcopy(network), env, host=True)
+    made: dict[str, Made | str] = {
+        "astray, all settings of speed off": (lambda: iterate(plain), plain.close),
+        "original's shape, our environments": (original.iterate, env.close),
+    }
+    what = "CleanRL's shape, EnvPool's CoinrunHard-v0"
+    try:
+        envpool: Any = importlib.import_module("envpool")
+        peer = envpool.make_gymnasium(
+            "CoinrunHard-v0", num_envs=config.environments, num_threads=config.threads
+        )
+    except ImportError:
+        return made | {what: "not installed: pip install envpool"}
+    except ValueError:
+        return made | {what: "not in this EnvPool; it needs Debian's libqt5gui5"}
+    return made | {what: (Loop(config, network, peer, host=False).iterate, peer.close)}
 
 
 def iterate(trainer: Trainer) -> None:
     """One iteration of the training loop, at a constant learning rate and without its log."""
     config = trainer.config
-    rollout = collect(trainer.model, trainer.player, config)
+    rollout = collect(trainer.actor)
     update(trainer, rollout, config.learning_rate)
     trainer.steps += config.batch
 
 
-def _per_second(train: Callable[[], object], turn: float) -> float:
+def _per_second(train: Callable[[], object], turn: float, device: str) -> float:
     done, began = 0, time.perf_counter()
     while (passed := time.perf_counter() - began) < turn or not done:
         train()
+        if device == "cuda":
+            torch.cuda.synchronize()
         done += 1
     return done / passed
 
 
-def _measured(row: Row, speeds: list[float] | None) -> Row:
-    return replace(row, steps_per_second=median(speeds), best=max(speeds)) if speeds else row
+def _both(rows: Sequence[Row | profile.Row]) -> tuple[list[Row], list[profile.Row]]:
+    return (
+        [row for row in rows if isinstance(row, Row)],
+        [row for row in rows if isinstance(row, profile.Row)],
+    )
 
 
-def table(rows: Sequence[Row]) -> Table:
+def table(rows: Sequence[Row | profile.Row]) -> Group:
     """The rows for a terminal."""
-    return tables.table(rows, "PPO on one thread, in turns")
+    contenders, parts = _both(rows)
+    return Group(tables.table(contenders, "PPO, in turns"), profile.table(parts))
 
 
-def markdown(rows: Sequence[Row]) -> str:
+def markdown(rows: Sequence[Row | profile.Row]) -> str:
     """The rows for a page."""
-    return tables.markdown(rows)
+    contenders, parts = _both(rows)
+    return f"{tables.markdown(contenders)}\n\n{profile.markdown(parts)}"

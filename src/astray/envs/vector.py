@@ -142,9 +142,12 @@ class GameVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         return observations, self._begun(which)
 
     def step(
-        self, actions: np.ndarray
+        self, actions: np.ndarray, out: np.ndarray | None = None
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, Info]:
-        """Advance every environment by one step; actions [N], integers."""
+        """Advance every environment by one step; actions [N], integers.
+
+        out  where to write the observations, of their shape and contiguous; else a fresh array
+        """
         n, largest = self.num_envs, len(self.game.actions)
         actions = np.ascontiguousarray(_integers(actions, "actions"), np.int64)
         if actions.shape != (n,) or actions.min() < 0 or actions.max() >= largest:
@@ -154,7 +157,9 @@ class GameVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         before = self.states["ended"].copy() if self._mode != SAME_STEP else np.zeros(n, bool)
         if self._mode == DISABLED and before.any():
             raise RuntimeError("an episode has ended; reset(options={'reset_mask': ...}) first")
-        observations = np.empty(self._shape, np.uint8)
+        observations = np.empty(self._shape, np.uint8) if out is None else out
+        if observations.shape != self._shape or observations.dtype != np.uint8:
+            raise ValueError(f"out is {self._shape} of uint8; given {observations.shape}")
         reward, terminated, truncated = np.empty(n), np.empty(n, bool), np.empty(n, bool)
         self._run(
             self._loops.step, *self._scene, self._mode, actions, observations,

@@ -18,7 +18,7 @@ from astray.game import LEVELS, Variant, knobs
 SEEDS = 2**28  # every seed has streams of its own for training, validation, ...
 COUNTS = (
     "levels", "steps", "environments", "rollout", "epochs", "minibatches", "scale", "width",
-    "validation_every", "checkpoint_every", "threads",
+    "validation_every", "checkpoint_every", "threads", "groups",
 )  # fmt: skip
 SHARES = ("gamma", "lam", "reward_gamma")
 AMOUNTS = ("learning_rate", "clip", "value_weight", "entropy_weight", "gradient_norm")
@@ -77,21 +77,30 @@ class Config:
     device: Literal["cpu", "cuda", "mps"] = "cpu"
     threads: int = 1  # that step environments; and, on a CPU, that torch uses
 
-    # How it is computed; None is what suits the device (`training.device` says what that is).
+    # How it is computed; None is what suits the device, as `training.device.means` has it.
     kernels: bool | None = None  # of our own for the small network and the loss, on a CPU
     bfloat16: bool | None = None  # for the large products; weights and losses stay float32
+    channels_last: bool | None = None  # the layout of impala's weights and activations
+    compiled: bool | None = None  # by torch.compile, which fuses what is between the products
+    graphs: bool | None = None  # acting and learning from a minibatch are each a CUDA graph
+    groups: int | None = None  # of environments: one steps while the device infers for another
 
     def __post_init__(self) -> None:
         for name, kind in typing.get_type_hints(Config).items():
             _check(name, getattr(self, name), kind)
         for name, (low, high) in RANGES.items():
-            if not low <= getattr(self, name) <= high:
+            value = getattr(self, name)
+            if value is not None and not low <= value <= high:
                 said = f"at least {low}" if high == inf else f"from {low} to {high}"
-                raise ValueError(f"{name} is {getattr(self, name)}; it is {said}")
+                raise ValueError(f"{name} is {value}; it is {said}")
         if self.batch % self.minibatches:
             raise ValueError(
                 f"{self.environments} environments x {self.rollout} steps = {self.batch} samples "
                 f"are not divided by {self.minibatches} minibatches"
+            )
+        if self.groups and self.environments % self.groups:
+            raise ValueError(
+                f"{self.environments} environments are not divided into {self.groups} groups"
             )
         if self.training_levels.stop >= LEVELS.stop:
             raise ValueError(

@@ -1,19 +1,27 @@
 """How the device computes what PPO asks of the network: the settings of speed alone.
 
-Each can be switched off; then the plain formulas of `agents.ppo` are what runs.
+Each can be switched off; with all off the plain formulas of `agents.ppo` are what runs.
 """
 
 from __future__ import annotations
 
+import shutil
+from collections.abc import Callable
 from dataclasses import dataclass
+from importlib.util import find_spec
 
 import torch
 from llvmlite.binding import get_host_cpu_features
 from torch import Tensor, nn
+from torch.nn.functional import cosine_similarity
 
 from astray.agents import fused, ppo, sparse
+from astray.agents.impala import Impala
 from astray.agents.small import Small
 from astray.training.config import Config
+
+# Of each minibatch: the parts of the loss, and the gradient's length before it is clipped.
+MEASURED = ("loss", "policy_loss", "value_loss", "entropy", "kl", "clipped", "gradient_norm")
 
 
 @dataclass(frozen=True)
@@ -22,56 +30,102 @@ class Means:
 
     kernels: bool
     bfloat16: bool
+    channels_last: bool
+    compiled: bool
+    graphs: bool
+    groups: int
+    together: bool  # cut-off episodes are valued at once, which rounds otherwise than one by one
 
 
 def means(config: Config) -> Means:
-    """What the settings come to; ValueError where one asks for what there is not."""
-    kernels = config.device == "cpu" and config.network == "small" and sparse.usable()
-    native = get_host_cpu_features().get("avx512bf16", False)
+    """What the settings come to; ValueError where one asks for what there is not.
+
+    On a CPU the kernels, and with them bfloat16 where the processor multiplies in it. On a GPU
+    all that there is for it; torch.compile needs Triton there and elsewhere a C++ compiler.
+    """
+    cpu, cuda = config.device == "cpu", config.device == "cuda"
+    kernels = _settled("kernels", config, cpu and config.network == "small" and sparse.usable())
+    native = bool(get_host_cpu_features().get("avx512bf16"))
+    compiler = find_spec("triton") if cuda else shutil.which("g++")
     return Means(
-        kernels=_settled("kernels", config, kernels, kernels),
-        bfloat16=_settled("bfloat16", config, True, kernels and native),
+        kernels,
+        bfloat16=_settled("bfloat16", config, True, suits=cuda or (kernels and native)),
+        channels_last=_settled("channels_last", config, config.network == "impala", suits=cuda),
+        compiled=_settled("compiled", config, bool(compiler) and not kernels, suits=cuda),
+        graphs=_settled("graphs", config, cuda),
+        groups=config.groups or (2 if cuda and config.environments % 2 == 0 else 1),
+        together=kernels or cuda,
     )
 
 
-def _settled(name: str, config: Config, there: bool, suits: bool) -> bool:
+def _settled(name: str, config: Config, there: bool, suits: bool = True) -> bool:
     """Whether to use what `name` is, which may be `there`, and may suit the device."""
     asked = getattr(config, name)
     if asked and not there:
         raise ValueError(
             f"there is no {name} with device={config.device!r} and network={config.network!r} here"
         )
-    return suits if asked is None else asked
+    return there and suits if asked is None else asked
 
 
 class Model:
     """The network as it is used in training."""
 
     def __init__(self, network: nn.Module, config: Config):
+        assert isinstance(network, Impala | Small)
         self.network, self.config, self.means = network, config, means(config)
-        self.precision = torch.bfloat16 if self.means.bfloat16 else torch.float32
+        self._precision = torch.bfloat16 if self.means.bfloat16 else torch.float32
+        if self.means.channels_last:
+            network.to(memory_format=torch.channels_last)  # pyright: ignore
+        self._outputs: Callable = self
+        self._losses: Callable = self._sum
+        if self.means.compiled:  # not the whole update: torch breaks graphs at the optimizer
+            self._outputs = torch.compile(self.__call__, fullgraph=True, dynamic=False)
+            self._losses = torch.compile(self._sum, fullgraph=True, dynamic=False)
 
     def __call__(self, observation: Tensor) -> tuple[Tensor, Tensor]:
-        """Logits [B, actions] and values [B]."""
+        """Logits [B, actions] and values [B], of any number of observations."""
         if self.means.kernels:
-            assert isinstance(self.network, Small)
-            outputs = sparse.outputs(self.network, observation, self.precision)
+            outputs = self._sparse(observation)
             return outputs[:, :-1], outputs[:, -1]
-        return self.network(observation)
+        with torch.autocast(
+            observation.device.type, torch.bfloat16, self.means.bfloat16, cache_enabled=False
+        ):
+            features = self.network.hidden(observation)
+        return self.network.heads(features.float())
+
+    def act(self, observation: Tensor, noise: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """Actions drawn with `noise` [B, actions], their log-probabilities, and values, all [B]."""
+        logits, value = self._outputs(observation)
+        return *ppo.sample(logits, noise), value
 
     def losses(self, samples: list[Tensor]) -> dict[str, Tensor]:
         """PPO's loss on a minibatch (the fields of `Rollout`, [B, ...]), and its parts."""
+        return self._losses(samples)
+
+    def _sum(self, samples: list[Tensor]) -> dict[str, Tensor]:
         config = self.config
         if not self.means.kernels:
-            return loss(self.network, samples, config)
-        assert isinstance(self.network, Small)
+            return loss(self.__call__, samples, config)
         weights = (config.clip, config.value_weight, config.entropy_weight)
-        outputs = sparse.outputs(self.network, samples[0], self.precision)
-        total, parts = fused.Loss.apply(outputs, samples[1:], weights)  # pyright: ignore
+        total, parts = fused.Loss.apply(self._sparse(samples[0]), samples[1:], weights)  # pyright: ignore
         return {"loss": total, **dict(zip(fused.PARTS, parts, strict=True))}
 
+    def _sparse(self, observation: Tensor) -> Tensor:
+        assert isinstance(self.network, Small)
+        return sparse.outputs(self.network, observation, self._precision)
 
-def loss(network: nn.Module, samples: list[Tensor], config: Config) -> dict[str, Tensor]:
+    def agreement(self, samples: list[Tensor]) -> tuple[float, float]:
+        """The gradient beside that of the plain formulas in float32: cosine, ratio of lengths."""
+        parameters = list(self.network.parameters())
+        one, two = (
+            torch.cat([x.flatten() for x in torch.autograd.grad(f(samples)["loss"], parameters)])
+            for f in (self.losses, lambda given: loss(self.network, given, self.config))
+        )
+        return cosine_similarity(one, two, 0).item(), (one.norm() / two.norm()).item()
+
+
+def loss(network: Callable, samples: list[Tensor], config: Config) -> dict[str, Tensor]:
     """PPO's loss on a minibatch (the fields of `Rollout`, [B, ...]), and its parts."""
     observation, action, old_log_probability, old_value, advantage, target = samples
     logits, value = network(observation)

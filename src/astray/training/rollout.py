@@ -9,9 +9,10 @@ import torch
 from torch import Tensor
 
 from astray.agents import ppo
-from astray.training.config import Config
 from astray.training.device import Model
-from astray.training.trainer import Player
+from astray.training.pipeline import Actor
+
+AT_ONCE = 8192  # images; the largest layer has fewer than 2**31 outputs then
 
 
 @dataclass
@@ -31,46 +32,45 @@ class Rollout:
 
 
 @torch.no_grad()
-def collect(model: Model, player: Player, config: Config) -> Rollout:
-    """Play `config.rollout` steps of every environment with sampled actions."""
-    steps, n, device = config.rollout, config.environments, config.device
-    env = player.env
-    shape = env.single_observation_space.shape
-    assert shape is not None
-    observation = torch.empty((steps, n, *shape), dtype=torch.uint8, device=device)
-    action = torch.empty((steps, n), dtype=torch.int64, device=device)
-    log_probability = torch.empty((steps, n), device=device)
-    value = torch.empty((steps + 1, n), device=device)
+def collect(actor: Actor) -> Rollout:
+    """Play `config.rollout` steps of every environment with sampled actions.
+
+    The next call overwrites what this one returned.
+    """
+    player, config, device = actor.player, actor.model.config, actor.device
+    steps, n = config.rollout, len(player.images)
     reward, terminated, truncated = np.empty((steps, n)), *np.empty((2, steps, n), bool)
     last: list[tuple[int, np.ndarray, np.ndarray]] = []  # step, where, last observations there
 
+    actor.begin()
     for t in range(steps):
-        observation[t] = torch.from_numpy(player.observation)
-        logits, value[t] = model(observation[t])
-        noise = torch.rand(logits.shape, generator=player.generator, device=device)
-        action[t], log_probability[t] = ppo.sample(logits, noise)
-        player.observation, raw, terminated[t], truncated[t], info = env.step(
-            action[t].numpy(force=True)
-        )
-        ended = terminated[t] | truncated[t]
-        player.note(raw, ended, info)
-        reward[t] = player.normaliser(raw, ended) if config.normalise_reward else raw
-        if truncated[t].any():
-            last.append((t, truncated[t], np.stack(info["final_obs"][truncated[t]])))
-    _, value[steps] = model(torch.from_numpy(player.observation).to(device))
+        for group, where in enumerate(player.groups):
+            reward[t, where], terminated[t, where], truncated[t, where], info = player.step(
+                group, actor.actions(group)
+            )
+            actor.send(t + 1, group)
+            if (cut := truncated[t, where]).any():
+                there = np.flatnonzero(cut) + where.start
+                last.append((t, there, np.stack(info["final_obs"][cut])))
+    if config.normalise_reward:
+        for t in range(steps):
+            reward[t] = player.normaliser(reward[t], terminated[t] | truncated[t])
 
+    value = actor.value[: steps + 1]
     ends, cuts = (torch.from_numpy(x).to(device) for x in (terminated, truncated))
-    after = torch.where(cuts, _values_cut_off(model, last, value[1:]), value[1:])
+    after = torch.where(cuts, _values_cut_off(actor.model, last, value[1:]), value[1:])
     if config.timeouts == "terminate":
         ends = ends | cuts
-    reward_tensor = torch.from_numpy(reward).float().to(device)
     advantage = ppo.advantages(
-        reward_tensor, value[:-1], after, ends, cuts, config.gamma, config.lam
-    )
-    target = advantage + value[:-1]
-    if config.normalise_advantage:
-        advantage = ppo.normalised(advantage)
-    return Rollout(observation, action, log_probability, value[:-1], advantage, target)
+        torch.from_numpy(reward).float().to(device),
+        value[:-1], after, ends, cuts, config.gamma, config.lam,
+    )  # fmt: skip
+    actor.target.copy_(advantage + value[:-1])
+    actor.advantage.copy_(ppo.normalised(advantage) if config.normalise_advantage else advantage)
+    return Rollout(
+        actor.observation[:-1], actor.action[:-1], actor.log_probability[:-1], value[:-1],
+        actor.advantage, actor.target,
+    )  # fmt: skip
 
 
 def _values_cut_off(
@@ -78,12 +78,12 @@ def _values_cut_off(
 ) -> Tensor:
     """The critic on the `last` observations of truncated episodes; [T, N], 0 elsewhere."""
     values = torch.zeros_like(like)
-    if model.means.kernels and last:  # at once: a call for each step took a fifth of playing
-        cut = np.zeros(values.shape, bool)
-        for t, where, _ in last:
-            cut[t] = where
-        together = np.concatenate([observation for *_, observation in last])
-        values[torch.from_numpy(cut)] = model(torch.from_numpy(together))[1]
+    if model.means.together and last:  # a call for each step took a fifth of playing
+        step = np.concatenate([np.full(len(where), t) for t, where, _ in last])
+        place = np.concatenate([where for _, where, _ in last])
+        seen = torch.from_numpy(np.concatenate([observation for *_, observation in last]))
+        found = [model(part)[1] for part in seen.to(values.device).split(AT_ONCE)]
+        values[torch.from_numpy(step), torch.from_numpy(place)] = torch.cat(found)
         return values
     for t, where, observation in last:
         given = torch.from_numpy(observation).to(values.device)
@@ -92,11 +92,10 @@ def _values_cut_off(
 
 
 @torch.no_grad()
-def validate(model: Model, player: Player, config: Config) -> None:
+def validate(actor: Actor) -> None:
     """Play as `collect` does, and keep nothing but how the episodes went."""
-    for _ in range(config.rollout):
-        logits, _ = model(torch.from_numpy(player.observation).to(config.device))
-        noise = torch.rand(logits.shape, generator=player.generator, device=config.device)
-        action, _ = ppo.sample(logits, noise)
-        player.observation, reward, *ends, info = player.env.step(action.numpy(force=True))
-        player.note(reward, ends[0] | ends[1], info)
+    actor.begin()
+    for t in range(actor.model.config.rollout):
+        for group in range(len(actor.player.groups)):
+            actor.player.step(group, actor.actions(group))
+            actor.send(t + 1, group)

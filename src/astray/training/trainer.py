@@ -2,82 +2,16 @@
 
 from __future__ import annotations
 
-from collections import deque
-from typing import Any
+from collections.abc import Callable
 
-import numpy as np
 import torch
 from torch import Tensor
 
 from astray.agents.policy import Architecture
-from astray.agents.ppo import RewardNormaliser
-from astray.envs.vector import GameVectorEnv
-from astray.game import Variant
 from astray.training.config import Config
 from astray.training.device import Model
-
-RECENT = 100  # ended episodes that the logged means are over
-
-
-class Player:
-    """Environments of one variant, what they show now, and how their last episodes went."""
-
-    def __init__(self, config: Config, variant: Variant, levels: range, salt: int):
-        self.env = GameVectorEnv(
-            config.game, variant, config.environments,
-            observation=config.observation, levels=levels, autoreset_mode="SameStep",
-            threads=config.threads,
-        )  # fmt: skip
-        # Seeds far apart: environment i of a batch seeded with k is seeded with k + i.
-        self.observation, _ = self.env.reset(seed=(config.seed * 16 + salt) * 2**32)
-        self.generator = torch.Generator(config.device).manual_seed(config.seed * 16 + salt)
-        self.normaliser = RewardNormaliser(config.environments, config.reward_gamma)
-        self.running_return = np.zeros(config.environments)
-        self.events = self.env.game.events
-        self.recent: deque[list[float]] = deque(maxlen=RECENT)  # return, length, events' happening
-
-    def note(self, reward: np.ndarray, ended: np.ndarray, info: dict[str, Any]) -> None:
-        """Keep how the episodes that `ended` [N] went."""
-        self.running_return += reward
-        if not ended.any():
-            return
-        final = info["final_info"]
-        for i in np.flatnonzero(ended):
-            happened = [float(final[event][i] >= 0) for event in self.events]
-            self.recent.append([self.running_return[i], float(final["time"][i]), *happened])
-        self.running_return[ended] = 0.0
-
-    def summary(self) -> dict[str, float]:
-        """Means over the recent episodes: return, length in steps, share with each event."""
-        if not self.recent:
-            return {}
-        means = np.mean(self.recent, axis=0)
-        return dict(zip(("return", "length", *self.events), map(float, means), strict=True))
-
-    def tensors(self) -> dict[str, Tensor]:
-        """All of it, as tensors."""
-        normaliser = self.normaliser
-        moments = [normaliser.mean, normaliser.variance, normaliser.count]
-        width = 2 + len(self.events)
-        return {
-            "states": torch.from_numpy(self.env.states.view(np.uint8).copy()),
-            "generator": self.generator.get_state(),
-            "moments": torch.tensor(moments, dtype=torch.float64),
-            "normaliser_returns": torch.from_numpy(normaliser.returns.copy()),
-            "running_return": torch.from_numpy(self.running_return.copy()),
-            "recent": torch.tensor(list(self.recent), dtype=torch.float64).view(-1, width),
-        }
-
-    def restore(self, tensors: dict[str, Tensor]) -> None:
-        """Go on from what `tensors` returned."""
-        states = tensors["states"].numpy().view(self.env.game.state).reshape(-1)
-        self.observation = self.env.set_state(states)
-        self.generator.set_state(tensors["generator"])
-        normaliser = self.normaliser
-        normaliser.mean, normaliser.variance, normaliser.count = tensors["moments"].tolist()
-        normaliser.returns = tensors["normaliser_returns"].numpy().copy()
-        self.running_return = tensors["running_return"].numpy().copy()
-        self.recent = deque(tensors["recent"].tolist(), maxlen=RECENT)
+from astray.training.pipeline import Actor, Captured
+from astray.training.player import Player
 
 
 class Trainer:
@@ -91,7 +25,7 @@ class Trainer:
         if config.validation:
             variant = config.validation_variant()
             self.validation = Player(config, variant, config.unseen_levels, salt=2)
-        game, space = self.player.env.game, self.player.env.single_observation_space
+        game, space = self.player.game, self.player.space
         largest = ()
         if config.observation == "symbolic":
             largest = tuple(int(k) for k in game.planes(config.training_variant()).max((1, 2)))
@@ -103,9 +37,36 @@ class Trainer:
             torch.manual_seed(config.seed)
             self.network = self.architecture.build().to(config.device)
         self.model = Model(self.network, config)
+        self.actor = Actor(self.model, self.player, config.rollout)
+        self.validator = Actor(self.model, self.validation, 1) if self.validation else None
+        self._captured: Captured | None = None
+        graphs, rate = self.model.means.graphs, config.learning_rate
         self.optimizer = torch.optim.Adam(
-            self.network.parameters(), config.learning_rate, eps=1e-5, fused=True
-        )
+            self.network.parameters(),
+            torch.tensor(rate, device=config.device) if graphs else rate,  # graphs read it
+            eps=1e-5, fused=True, capturable=graphs,
+        )  # fmt: skip
+
+    def set_rate(self, rate: float) -> None:
+        """Learn at `rate` from now on."""
+        for group in self.optimizer.param_groups:
+            if isinstance(group["lr"], Tensor):
+                group["lr"].fill_(rate)
+            else:
+                group["lr"] = rate
+
+    def repeat(self, function: Callable[[Tensor], Tensor], indices: Tensor) -> Tensor:
+        """`function(indices)`; with graphs the first call's function, replayed."""
+        if not self.model.means.graphs:
+            return function(indices)
+        if self._captured is None:
+            self._captured = Captured(function, indices, state=self.learned)
+        return self._captured(indices)
+
+    def learned(self) -> list[Tensor]:
+        """What a step of the optimizer changes: the weights, and their moments once there are."""
+        moments = [x for state in self.optimizer.state.values() for x in state.values()]
+        return [*self.network.parameters(), *moments]
 
     @property
     def iteration(self) -> int:
@@ -133,10 +94,14 @@ class Trainer:
         count = len(adam["param_groups"][0]["params"])
         adam["state"] = {k: _below(tensors, f"adam.{k}.") for k in range(count)}
         self.optimizer.load_state_dict(adam)
+        for weight, state in self.optimizer.state.items():
+            for name in ("exp_avg", "exp_avg_sq"):  # laid out as the weights are
+                state[name] = torch.empty_like(weight).copy_(state[name])
 
     def close(self) -> None:
         for player in self.players().values():
-            player.env.close()
+            for env in player.envs:
+                env.close()
 
 
 def _below(tensors: dict[str, Tensor], prefix: str) -> dict[str, Tensor]:

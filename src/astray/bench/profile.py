@@ -1,0 +1,169 @@
+"""Where an iteration of training spends its time, part by part, beside the least it could take.
+
+Each part is run alone, again and again, on a real rollout, and takes its median times how often
+an iteration has it. Parts overlap in an iteration where the device works while the processor
+goes on, and a graph's or the compiler's parts are one; the last row has the iteration itself.
+The floor of a product is its operations at the rate of a large product of the same type on the
+same device; of what is moved, its bytes at the rate of a copy.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from statistics import median
+
+import numpy as np
+import torch
+from rich.table import Table
+from torch import nn
+from torch.utils.flop_counter import FlopCounterMode
+
+from astray.agents import ppo
+from astray.bench import tables
+from astray.bench.tables import decimal
+from astray.training.config import Config
+from astray.training.loop import learn, update
+from astray.training.rollout import collect
+from astray.training.trainer import Trainer
+
+SIDE = 4096  # of the large product on a GPU; a quarter of it on a CPU
+
+
+@dataclass(frozen=True)
+class Row:
+    """A part of an iteration."""
+
+    part: str
+    times: int  # in an iteration
+    milliseconds: float  # in an iteration, all together
+    share: float  # of the iteration's
+    floor: float | None = None  # milliseconds
+
+    def cells(self) -> dict[str, str]:
+        return {
+            "part": self.part,
+            "times": f"{self.times:,}",
+            "ms an iteration": f"{self.milliseconds:,.1f}",
+            "share": f"{self.share:.0%}",
+            "floor, ms": decimal(self.floor, 1),
+        }
+
+
+def measure(config: Config, rounds: int = 5) -> list[Row]:
+    """Profile the training with `config`; the last row is the whole iteration."""
+    trainer = Trainer(config)
+    actor, player, model = trainer.actor, trainer.player, trainer.model
+    whole = [_seconds(lambda: _iterate(trainer), config.device) for _ in range(rounds + 1)]
+    rollout = collect(actor)
+    samples, size = rollout.flat(), config.batch // config.minibatches
+    indices = torch.randperm(config.batch, device=config.device)[:size]
+    batch = [x.index_select(0, indices) for x in samples]
+    where = player.groups[0]
+    seen, noise = rollout.observation[0, where], actor.noise[0, where]
+    logits = model(seen)[0].detach()
+    played = config.rollout * len(player.groups)
+    updates = config.epochs * config.minibatches
+    env, waits = player.envs[0], np.zeros(where.stop - where.start, np.int64)
+    ends = torch.zeros_like(rollout.value, dtype=torch.bool)
+    acting, learning = _operations(trainer, seen), _operations(trainer, batch[0])
+    rate, copied = _product_rate(model.means.bfloat16, config.device), _copy_rate(config.device)
+
+    def backward() -> float:
+        loss = model.losses(batch)["loss"]
+        trainer.optimizer.zero_grad(set_to_none=True)
+        return _seconds(loss.backward, config.device)
+
+    def step() -> None:
+        nn.utils.clip_grad_norm_(list(trainer.network.parameters()), config.gradient_norm)
+        trainer.optimizer.step()
+
+    def infer() -> None:
+        with torch.no_grad():
+            model._outputs(seen)
+
+    gathered = 2 * sum(x.nbytes for x in batch)
+    parts: list[tuple[str, int, Callable[[], object], float | None]] = [
+        ("environments: step and draw", played, lambda: env.step(waits), None),
+        ("transfer", played, lambda: seen.copy_(player.images[where]), 2 * seen.nbytes / copied),
+        ("inference", played, infer, acting / rate),
+        ("sampling", played, lambda: ppo.sample(logits, noise), None),
+        ("advantages", 1, lambda: ppo.advantages(
+            rollout.target, rollout.value, rollout.value, ends, ends, config.gamma, config.lam,
+        ), None),
+        ("gather", updates, lambda: [x.index_select(0, indices) for x in samples],
+         gathered / copied),
+        ("forward and loss", updates, lambda: model.losses(batch), learning / rate),
+        ("backward", updates, backward, 2 * learning / rate),
+        ("clip and optimizer", updates, step, None),
+        ("a minibatch, whole", updates, lambda: trainer.repeat(
+            lambda chosen: learn(trainer, samples, chosen), indices), 3 * learning / rate),
+    ]  # fmt: skip
+    total = median(whole[1:])
+    rows = []
+    for name, times, run, floor in parts:
+        taken = _median(run, config.device, rounds) * times
+        least = None if floor is None else 1e3 * floor * times
+        rows.append(Row(name, times, 1e3 * taken, taken / total, least))
+    trainer.close()
+    least = sum(row.floor or 0 for row in rows[:-1])
+    return [*rows, Row("iteration", 1, 1e3 * total, 1.0, least)]
+
+
+def _iterate(trainer: Trainer) -> None:
+    update(trainer, collect(trainer.actor), trainer.config.learning_rate)
+
+
+def _median(run: Callable[[], object], device: str, rounds: int) -> float:
+    """Seconds that `run` takes; or what it returns, where it has measured itself."""
+    taken = []
+    for _ in range(3 * rounds):
+        began = _now(device)
+        told = run()
+        taken.append(told if isinstance(told, float) else _now(device) - began)
+    return median(taken)
+
+
+def _seconds(run: Callable[[], object], device: str) -> float:
+    began = _now(device)
+    run()
+    return _now(device) - began
+
+
+def _now(device: str) -> float:
+    """The time, once the device has done all that it was given."""
+    if device == "cuda":
+        torch.cuda.synchronize()
+    return time.perf_counter()
+
+
+def _operations(trainer: Trainer, observation: torch.Tensor) -> float:
+    """Floating-point operations of the plain network on `observation`."""
+    with FlopCounterMode(display=False) as counter, torch.no_grad():
+        trainer.network(observation[:16])
+    return counter.get_total_flops() / 16 * len(observation)
+
+
+def _product_rate(bfloat16: bool, device: str) -> float:
+    """Operations per second of a large square product."""
+    side = SIDE if device == "cuda" else SIDE // 4
+    x = torch.randn((side, side), device=device).to(torch.bfloat16 if bfloat16 else torch.float32)
+    return 2 * side**3 / _median(lambda: x @ x, device, 5)
+
+
+def _copy_rate(device: str) -> float:
+    """Bytes per second read and written by a copy within the device's memory."""
+    x = torch.ones(2**27, dtype=torch.uint8, device=device)
+    y = torch.empty_like(x)
+    return 2 * len(x) / _median(lambda: y.copy_(x), device, 5)
+
+
+def table(rows: Sequence[Row]) -> Table:
+    """The rows for a terminal."""
+    return tables.table(rows, "Where an iteration spends its time")
+
+
+def markdown(rows: Sequence[Row]) -> str:
+    """The rows for a page."""
+    return tables.markdown(rows)
