@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 import polars as pl
 
-from astray.analysis.evaluate import beginnings
+from astray.analysis.evaluate import Measure, beginnings
 from astray.analysis.policies import Agent, episode_noise
 from astray.envs.vector import GameVectorEnv
 from astray.game import Variant
@@ -26,7 +26,6 @@ from astray.level import Level
 
 STEP_SALT = 2**33  # no agent has this seed, or a larger one
 
-Measure = Callable[[np.ndarray], np.ndarray]  # states [N] -> [N]
 Edit = Callable[[np.ndarray], np.ndarray]  # states [N] -> others [N]; those given stay as they are
 
 

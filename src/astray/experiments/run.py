@@ -66,7 +66,8 @@ def reproduce_all(size: Size, root: Path, *, workers: int | None = None) -> Path
 
 def run_folder(root: Path, config: Config) -> Path:
     """Where the agent of these settings is: all experiments that want it find it there."""
-    settings = config.to_json() | {"seed": None}
+    usual = asdict(Config())  # left out, so that a new setting changes no folder
+    settings = {k: v for k, v in asdict(config).items() if k != "seed" and v != usual[k]}
     digest = hashlib.sha256(json.dumps(settings, sort_keys=True).encode()).hexdigest()[:8]
     return root / "agents" / f"{config.game}-{config.variant}-{digest}" / f"seed-{config.seed}"
 
