@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import polars as pl
 import pytest
+import scipy.stats
 from scipy.stats import binomtest
 
 from astray import games
@@ -13,7 +14,7 @@ from astray.analysis.evaluate import evaluate
 from astray.analysis.outcomes import FAILED, INTENDED, MISGENERALIZED, label, load_shift, tell_apart
 from astray.analysis.overlap import overlap, unseen
 from astray.analysis.policies import Agent, Random, Walk
-from astray.analysis.statistics import bootstrap
+from astray.analysis.statistics import bootstrap, over_agents
 
 MAZE = games.load("maze")
 LEVELS = range(1_000_000, 1_000_060)
@@ -134,6 +135,25 @@ def test_intervals_resample_agents_and_levels():
     assert bootstrap(same_agents).low < 0.45  # levels vary
     assert bootstrap(same_levels).low < 0.35  # agents vary
     assert bootstrap(np.ones((3, 10))).low == 1
+
+
+def test_the_middle_of_agents_is_the_interquartile_mean_with_its_percentiles():
+    values = np.random.default_rng(0).normal([0, 5, 10], 1, (9, 3))
+    values[0] = 1000  # a stray agent
+    middle, low, high = over_agents(values)
+    assert middle == pytest.approx(np.sort(values, 0)[2:7].mean(0))  # the middle 5 of 9
+    for point in range(3):
+        naive = scipy.stats.bootstrap(
+            [values[:, point]], lambda x: np.sort(x)[2:7].mean(), vectorized=False,
+            method="percentile", n_resamples=4000, rng=1,
+        ).confidence_interval  # fmt: skip
+        assert (low[point], high[point]) == pytest.approx(naive, rel=0.15, abs=0.15)
+
+
+def test_few_agents_have_their_mean_and_one_alone_has_no_interval():
+    middle, low, high = over_agents(np.array([[0.0], [0.0], [3.0]]))
+    assert (middle, low, high) == (1, 0, 3)
+    assert np.isnan(over_agents(np.ones((1, 2)))).tolist() == [[False] * 2, [True] * 2, [True] * 2]
 
 
 def test_levels_that_coincide_are_counted():

@@ -7,8 +7,27 @@ from dataclasses import dataclass
 
 import numpy as np
 import polars as pl
+from scipy.stats import trim_mean
 
 RESAMPLES = 10_000
+QUARTILES = 4  # with fewer agents there is nothing to trim
+
+
+def over_agents(values: np.ndarray, *, seed: int = 0) -> np.ndarray:
+    """The middle of `values` [agents, points] at each point and its 95 % interval, [3, points].
+
+    The middle is the interquartile mean, which a stray agent does not pull (Agarwal et al.,
+    NeurIPS 2021), or of fewer than 4 agents the mean; the interval is its percentiles over
+    resamples of agents. One agent has no interval: NaN.
+    """
+    agents, points = values.shape
+    cut = 0.25 if agents >= QUARTILES else 0.0
+    middle = trim_mean(values, cut, axis=0)
+    if agents == 1:
+        return np.stack([middle, *np.full((2, points), np.nan)])
+    drawn = np.random.default_rng(seed).integers(agents, size=(RESAMPLES, agents))
+    ends = [np.quantile(trim_mean(v[drawn], cut, axis=1), [0.025, 0.975]) for v in values.T]
+    return np.column_stack([middle, np.array(ends).reshape(points, 2)]).T
 
 
 @dataclass(frozen=True)
