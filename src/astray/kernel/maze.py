@@ -80,7 +80,8 @@ def paint_maze(s, picture, floor, wall):
     edge = margin(s)
     cells = s.world + 2 * edge
     scale = picture.shape[1] / cells
-    left, width = pixel(edge, scale), pixel(s.world, scale)
+    left = pixel(edge, scale)
+    width = pixel(edge + s.world, scale) - left
     side = floor.shape[0]
     offset = int(s.background_offset * (floor.shape[1] - side))
     for row in range(width):

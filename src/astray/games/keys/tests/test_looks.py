@@ -80,6 +80,16 @@ def test_a_level_that_was_drawn_step_by_step_is_drawn_as_it_is_anew(name, observ
             assert np.array_equal(seen, env.picture(64))
 
 
+@pytest.mark.parametrize("window", [0, 5, 8, 9, 13])
+def test_nothing_of_the_level_before_is_seen(window):
+    variant = replace(MANY_KEYS, window=window, shifted=None)
+    env, _ = begin(variant, "image")
+    for level in range(20):
+        seen, _ = env.reset(options={"level": level})
+        other = GameVectorEnv("keys", variant, observation="image")
+        assert np.array_equal(seen, other.reset(seed=0, options={"level": level})[0])
+
+
 def test_y_goes_up_in_the_picture():
     env, _ = begin(MANY_KEYS, "image")
     s = env.states[0]
