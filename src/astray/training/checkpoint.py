@@ -29,6 +29,7 @@ from safetensors.torch import save as to_bytes
 from astray.agents import policy
 from astray.files import write_aside
 from astray.kernel.jit import source_digest
+from astray.training import parallel
 from astray.training.config import Config
 from astray.training.trainer import Trainer
 
@@ -37,7 +38,14 @@ AGENT, TRAINER = "agent.safetensors", "trainer.safetensors"
 
 @contextlib.contextmanager
 def claim(folder: Path, config: Config) -> Iterator[None]:
-    """Hold the run folder for this process alone, and see that it is this configuration's."""
+    """Hold the run folder for this process alone, and see that it is this configuration's.
+
+    Of several processes that train one agent the first holds it for all.
+    """
+    if not parallel.first():
+        parallel.wait()
+        yield
+        return
     try:
         folder.mkdir(parents=True, exist_ok=True)
         lock = FileLock(folder / ".lock", timeout=0)
@@ -62,6 +70,7 @@ def claim(folder: Path, config: Config) -> Iterator[None]:
             }  # fmt: skip
             data = {"config": config.to_json(), "versions": versions}
             write_aside(path, json.dumps(data, indent=2).encode())
+        parallel.wait()
         yield
     finally:
         lock.release()
@@ -98,6 +107,8 @@ def save(folder: Path, trainer: Trainer) -> None:
     game = trainer.config.game
     tensors = {name: tensor.contiguous() for name, tensor in trainer.tensors().items()}
     header = policy.header(game, config=trainer.config.to_json())
+    if not parallel.first():
+        return
     try:
         aside.mkdir(parents=True, exist_ok=True)
         write_aside(aside / AGENT, policy.weights(trainer.network, trainer.architecture, game))

@@ -115,14 +115,20 @@ class Model:
         assert isinstance(self.network, Small)
         return sparse.outputs(self.network, observation, self._precision)
 
-    def agreement(self, samples: list[Tensor]) -> tuple[float, float]:
-        """The gradient beside that of the plain formulas in float32: cosine, ratio of lengths."""
+    def agreement(self, samples: list[Tensor]) -> dict[str, float]:
+        """The gradient beside that of the plain formulas in float32: cosine, ratio of lengths.
+
+        Convolutions in bfloat16 have been wrong on some GPUs (pytorch issue 150700).
+        """
         parameters = list(self.network.parameters())
         one, two = (
             torch.cat([x.flatten() for x in torch.autograd.grad(f(samples)["loss"], parameters)])
             for f in (self.losses, lambda given: loss(self.network, given, self.config))
         )
-        return cosine_similarity(one, two, 0).item(), (one.norm() / two.norm()).item()
+        return {
+            "gradient/cosine": cosine_similarity(one, two, 0).item(),
+            "gradient/ratio": (one.norm() / two.norm()).item(),
+        }
 
 
 def loss(network: Callable, samples: list[Tensor], config: Config) -> dict[str, Tensor]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import time
 from pathlib import Path
@@ -10,7 +11,7 @@ import torch
 from torch import Tensor, nn
 
 from astray.agents import policy
-from astray.training import checkpoint
+from astray.training import checkpoint, parallel
 from astray.training.config import Config
 from astray.training.device import MEASURED
 from astray.training.log import Log
@@ -28,21 +29,25 @@ def train(config: Config, folder: Path, *, progress: bool = True) -> Path:
     torch.set_num_threads(config.threads)
     torch.set_flush_denormal(True)
     torch.backends.cudnn.benchmark = True  # shapes stay the same, so that searching once pays
-    with checkpoint.claim(folder, config):
+    with parallel.processes(config.device), checkpoint.claim(folder, config):
         trainer = Trainer(config)
         checkpoint.restore(folder, trainer)
-        with Log(folder, trainer.steps, config, progress) as log:
+        writes = Log(folder, trainer.steps, config, progress) if parallel.first() else None
+        with writes or contextlib.nullcontext() as log:
             while trainer.iteration < config.iterations:
-                iterate(trainer, log)
+                metrics, speed = iterate(trainer)
+                if log:
+                    log.write(trainer.steps, metrics, speed)
                 done = trainer.iteration == config.iterations
                 if done or trainer.iteration % config.checkpoint_every == 0:
                     checkpoint.save(folder, trainer)
         trainer.close()
+        parallel.wait()
     return checkpoint.latest(folder)
 
 
-def iterate(trainer: Trainer, log: Log) -> None:
-    """Play a rollout, learn from it, tell how it went."""
+def iterate(trainer: Trainer) -> tuple[dict[str, float], dict[str, float]]:
+    """Play a rollout and learn from it: how it went, which is reproducible, and how fast."""
     config, began = trainer.config, time.perf_counter()
     rate = config.learning_rate
     if config.anneal:
@@ -51,13 +56,17 @@ def iterate(trainer: Trainer, log: Log) -> None:
         validate(trainer.validator)
     rollout = collect(trainer.actor)
     played = time.perf_counter()
-    metrics = {f"update/{name}": x for name, x in update(trainer, rollout, rate).items()}
+    metrics = {}
+    if trainer.iteration == 0 and trainer.model.means.bfloat16:
+        samples = [x[: config.batch // config.minibatches] for x in rollout.flat()]
+        metrics |= trainer.model.agreement(samples)
+    metrics |= {f"update/{name}": x for name, x in update(trainer, rollout, rate).items()}
     trainer.steps += config.batch
     for name, player in trainer.players().items():
         metrics |= {f"{name}/{what}": x for what, x in player.summary().items()}
     seconds = time.perf_counter() - began
     speed = {"steps_per_second": config.batch / seconds, "playing": (played - began) / seconds}
-    log.write(trainer.steps, metrics | {"update/learning_rate": rate}, speed)
+    return metrics | {"update/learning_rate": rate}, speed
 
 
 def update(trainer: Trainer, rollout: Rollout, rate: float) -> dict[str, float]:
@@ -65,16 +74,19 @@ def update(trainer: Trainer, rollout: Rollout, rate: float) -> dict[str, float]:
     config, samples = trainer.config, rollout.flat()
     trainer.set_rate(rate)
     step = functools.partial(trainer.repeat, functools.partial(learn, trainer, samples))
-    sums = first_kl = None
+    sums, first_kl, count = None, None, len(samples[0])
     for _ in range(config.epochs):
         order = torch.randperm(
             config.batch, generator=trainer.player.generator, device=config.device
         )
-        for indices in order.split(config.batch // config.minibatches):
+        if count < config.batch:  # of several processes, which draw alike
+            order = order[order < count]
+        for indices in order.split(count // config.minibatches):
             measured = step(indices)
             sums = measured.clone() if sums is None else sums + measured
             first_kl = measured[MEASURED.index("kl")].clone() if first_kl is None else first_kl
     assert sums is not None and first_kl is not None
+    parallel.average([sums, first_kl])
     updates = config.epochs * config.minibatches
     means = {name: x / updates for name, x in zip(MEASURED, sums.tolist(), strict=True)}
     return means | {"first_kl": float(first_kl)}  # not 0 where acting and learning round apart
@@ -87,6 +99,7 @@ def learn(trainer: Trainer, samples: list[Tensor], indices: Tensor) -> Tensor:
     trainer.optimizer.zero_grad(set_to_none=True)
     losses["loss"].backward()
     parameters = list(trainer.network.parameters())
+    parallel.average([x.grad for x in parameters if x.grad is not None])
     norm = nn.utils.clip_grad_norm_(parameters, trainer.config.gradient_norm)
     trainer.optimizer.step()
     return torch.stack([*(losses[name].detach() for name in MEASURED[:-1]), norm])

@@ -84,7 +84,8 @@ class Actor:
         player, config = self.player, self.model.config
         shape = (config.rollout, config.environments, player.actions)
         # All of a rollout's at once, so that it does not depend on how they are grouped.
-        self.noise = torch.rand(shape, generator=player.generator, device=self.device)
+        noise = torch.rand(shape, generator=player.generator, device=self.device)
+        self.noise = noise[:, player.here]
         for group in range(len(player.groups)):
             self.send(0, group)
 

@@ -12,6 +12,7 @@ from torch import Tensor
 from astray.agents.ppo import RewardNormaliser
 from astray.envs.vector import GameVectorEnv
 from astray.game import Variant
+from astray.training import parallel
 from astray.training.config import Config
 from astray.training.device import means
 
@@ -22,7 +23,10 @@ class Player:
     """Environments of one variant, what they show now, and how their last episodes went."""
 
     def __init__(self, config: Config, variant: Variant, levels: range, salt: int):
-        n, count = config.environments, means(config).groups
+        self.here = parallel.share(config.environments)  # of all environments, this process's
+        n, count = self.here.stop - self.here.start, means(config).groups
+        if n % count:
+            raise ValueError(f"{n} environments are not divided into {count} groups")
         self.groups = [slice(k * n // count, (k + 1) * n // count) for k in range(count)]
         self.envs = [
             GameVectorEnv(
@@ -40,26 +44,27 @@ class Player:
             dtype=torch.uint8, pin_memory=config.device == "cuda",
         )  # fmt: skip
         # Seeds far apart: environment i of a batch seeded with k is seeded with k + i.
-        seed = (config.seed * 16 + salt) * 2**32
+        seed = (config.seed * 16 + salt) * 2**32 + self.here.start
         for env, group in zip(self.envs, self.groups, strict=True):
             self.images[group] = torch.from_numpy(env.reset(seed=seed + group.start)[0])
         self.generator = torch.Generator(config.device).manual_seed(config.seed * 16 + salt)
-        self.normaliser = RewardNormaliser(n, config.reward_gamma)
+        self.normaliser = RewardNormaliser(config.environments, config.reward_gamma)
         self.running_return = np.zeros(n)
         self.events = self.game.events
         self.recent: deque[list[float]] = deque(maxlen=RECENT)  # return, length, events' happening
+        self._ended: list[tuple[int, int, list[float]]] = []  # since `settle`: step, environment
 
     def step(
-        self, group: int, actions: np.ndarray
+        self, t: int, group: int, actions: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
-        """Step the environments of a group: reward, terminated, truncated [n], and info."""
+        """Take step `t` of a rollout in a group: reward, terminated, truncated [n], and info."""
         env, where = self.envs[group], self.groups[group]
         _, reward, terminated, truncated, info = env.step(actions, self.images[where].numpy())
-        self._note(where, reward, terminated | truncated, info)
+        self._note(t, where, reward, terminated | truncated, info)
         return reward, terminated, truncated, info
 
     def _note(
-        self, where: slice, reward: np.ndarray, ended: np.ndarray, info: dict[str, Any]
+        self, t: int, where: slice, reward: np.ndarray, ended: np.ndarray, info: dict[str, Any]
     ) -> None:
         """Keep how the episodes that `ended` went, of the environments `where`."""
         running = self.running_return[where]
@@ -69,8 +74,15 @@ class Player:
         final = info["final_info"]
         for i in np.flatnonzero(ended):
             happened = [float(final[event][i] >= 0) for event in self.events]
-            self.recent.append([running[i], float(final["time"][i]), *happened])
+            row = [float(running[i]), float(final["time"][i]), *happened]
+            self._ended.append((t, self.here.start + where.start + int(i), row))
         running[ended] = 0.0
+
+    def settle(self) -> None:
+        """After a rollout: take in the episodes that ended, of all processes."""
+        ended = sorted(row for rows in parallel.gathered(self._ended) for row in rows)
+        self.recent.extend(row for *_, row in ended)
+        self._ended = []
 
     def summary(self) -> dict[str, float]:
         """Means over the recent episodes: return, length in steps, share with each event."""
@@ -85,22 +97,24 @@ class Player:
         moments = [normaliser.mean, normaliser.variance, normaliser.count]
         width = 2 + len(self.events)
         return {
-            "states": torch.cat([torch.from_numpy(env.states.view(np.uint8)) for env in self.envs]),
+            "states": torch.from_numpy(
+                parallel.joined(np.concatenate([env.states.view(np.uint8) for env in self.envs]))
+            ),
             "generator": self.generator.get_state(),
             "moments": torch.tensor(moments, dtype=torch.float64),
             "normaliser_returns": torch.from_numpy(normaliser.returns.copy()),
-            "running_return": torch.from_numpy(self.running_return.copy()),
+            "running_return": torch.from_numpy(parallel.joined(self.running_return)),
             "recent": torch.tensor(list(self.recent), dtype=torch.float64).view(-1, width),
         }
 
     def restore(self, tensors: dict[str, Tensor]) -> None:
         """Go on from what `tensors` returned."""
-        states = tensors["states"].numpy().view(self.game.state).reshape(-1)
+        states = tensors["states"].numpy().view(self.game.state).reshape(-1)[self.here]
         for env, group in zip(self.envs, self.groups, strict=True):
             self.images[group] = torch.from_numpy(env.set_state(states[group]))
         self.generator.set_state(tensors["generator"])
         normaliser = self.normaliser
         normaliser.mean, normaliser.variance, normaliser.count = tensors["moments"].tolist()
         normaliser.returns = tensors["normaliser_returns"].numpy().copy()
-        self.running_return = tensors["running_return"].numpy().copy()
+        self.running_return = tensors["running_return"].numpy()[self.here].copy()
         self.recent = deque(tensors["recent"].tolist(), maxlen=RECENT)

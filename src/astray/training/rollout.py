@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 from astray.agents import ppo
+from astray.training import parallel
 from astray.training.device import Model
 from astray.training.pipeline import Actor
 
@@ -46,15 +47,17 @@ def collect(actor: Actor) -> Rollout:
     for t in range(steps):
         for group, where in enumerate(player.groups):
             reward[t, where], terminated[t, where], truncated[t, where], info = player.step(
-                group, actor.actions(group)
+                t, group, actor.actions(group)
             )
             actor.send(t + 1, group)
             if (cut := truncated[t, where]).any():
                 there = np.flatnonzero(cut) + where.start
                 last.append((t, there, np.stack(info["final_obs"][cut])))
-    if config.normalise_reward:
+    player.settle()
+    if config.normalise_reward:  # over the environments of all processes
+        of_all, ended = (parallel.joined(x, 1) for x in (reward, terminated | truncated))
         for t in range(steps):
-            reward[t] = player.normaliser(reward[t], terminated[t] | truncated[t])
+            reward[t] = player.normaliser(of_all[t], ended[t])[player.here]
 
     value = actor.value[: steps + 1]
     ends, cuts = (torch.from_numpy(x).to(device) for x in (terminated, truncated))
@@ -66,7 +69,10 @@ def collect(actor: Actor) -> Rollout:
         value[:-1], after, ends, cuts, config.gamma, config.lam,
     )  # fmt: skip
     actor.target.copy_(advantage + value[:-1])
-    actor.advantage.copy_(ppo.normalised(advantage) if config.normalise_advantage else advantage)
+    if config.normalise_advantage:
+        of_all = torch.from_numpy(parallel.joined(advantage.numpy(force=True), 1)).to(device)
+        advantage = ppo.normalised(of_all)[:, player.here]
+    actor.advantage.copy_(advantage)
     return Rollout(
         actor.observation[:-1], actor.action[:-1], actor.log_probability[:-1], value[:-1],
         actor.advantage, actor.target,
@@ -97,5 +103,6 @@ def validate(actor: Actor) -> None:
     actor.begin()
     for t in range(actor.model.config.rollout):
         for group in range(len(actor.player.groups)):
-            actor.player.step(group, actor.actions(group))
+            actor.player.step(t, group, actor.actions(group))
             actor.send(t + 1, group)
+    actor.player.settle()

@@ -8,6 +8,7 @@ import torch
 from torch import Tensor
 
 from astray.agents.policy import Architecture
+from astray.training import parallel
 from astray.training.config import Config
 from astray.training.device import Model
 from astray.training.pipeline import Actor, Captured
@@ -18,6 +19,11 @@ class Trainer:
     """The network, its optimizer, and the players of the training and validation variants."""
 
     def __init__(self, config: Config):
+        if config.batch // parallel.size() % config.minibatches:
+            raise ValueError(
+                f"{config.batch} samples of {parallel.size()} processes are not divided by "
+                f"{config.minibatches} minibatches"
+            )
         self.config = config
         self.steps = 0  # environment steps done
         self.player = Player(config, config.training_variant(), config.training_levels, salt=1)

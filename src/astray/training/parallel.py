@@ -1,0 +1,82 @@
+"""Several processes, one agent: each plays its share of the environments, gradients are averaged.
+
+`torchrun --nproc-per-node 2 -m astray train ...` starts them, each on a GPU of its own or on a
+CPU. They begin with the same weights and draw the same noise, so that they stay the same, and
+play what one process would play. Only the first writes. A minibatch has the same number of
+samples of every process, which is the one difference from one process.
+"""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+from torch import distributed as dist
+
+
+@contextlib.contextmanager
+def processes(device: str) -> Iterator[None]:
+    """Join the others, where torchrun has started several processes."""
+    if not dist.is_available() or not dist.is_torchelastic_launched() or dist.is_initialized():
+        yield
+        return
+    if device == "cuda":
+        torch.cuda.set_device(dist.get_node_local_rank(0))  # pyright: ignore
+    dist.init_process_group("nccl" if device == "cuda" else "gloo")
+    try:
+        yield
+    finally:
+        dist.destroy_process_group()
+
+
+def size() -> int:
+    """How many processes train this agent."""
+    return dist.get_world_size() if dist.is_available() and dist.is_initialized() else 1
+
+
+def first() -> bool:
+    """Whether this is the process that writes."""
+    return size() == 1 or dist.get_rank() == 0
+
+
+def wait() -> None:
+    """Until all processes are here."""
+    if size() > 1:
+        dist.barrier()
+
+
+def share(environments: int) -> slice:
+    """This process's environments."""
+    count = size()
+    if environments % count:
+        raise ValueError(f"{environments} environments are not divided among {count} processes")
+    rank, each = dist.get_rank() if count > 1 else 0, environments // count
+    return slice(rank * each, (rank + 1) * each)
+
+
+def average(tensors: Sequence[Tensor]) -> None:
+    """Replace each of `tensors` by its mean over the processes."""
+    if size() == 1:
+        return
+    flat = torch.cat([x.flatten() for x in tensors])
+    dist.all_reduce(flat)
+    for x, mean in zip(tensors, (flat / size()).split([x.numel() for x in tensors]), strict=True):
+        x.copy_(mean.view_as(x))
+
+
+def gathered(x: Any) -> list[Any]:
+    """What each process has for `x`."""
+    if size() == 1:
+        return [x]
+    result: list[Any] = [None] * size()
+    dist.all_gather_object(result, x)
+    return result
+
+
+def joined(x: np.ndarray, axis: int = 0) -> np.ndarray:
+    """The processes' arrays end to end, a copy; their shares become all environments."""
+    return np.concatenate(gathered(x), axis)
