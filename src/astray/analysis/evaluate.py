@@ -41,13 +41,13 @@ def evaluate(
     n = min(batch, len(levels))
     env = GameVectorEnv(game, variant, n, observation=policy.observation, autoreset_mode="Disabled")
     events = env.game.events
-    kind, beginnings = _beginnings(levels, env.game.state)
+    kind, begin = beginnings(levels, env.game.state)
     names = list(levels) if isinstance(levels, Mapping) else [None] * len(levels)
     rows: list[dict[str, Any] | None] = [None] * len(levels)
     playing = np.arange(n)  # which of the levels each environment plays
     following, returns = n, np.zeros(n)
     last = np.zeros(len(levels) if measures else 0, env.game.state)  # states
-    observations, _ = env.reset(seed=0, options={kind: beginnings[:n]})
+    observations, _ = env.reset(seed=0, options={kind: begin[:n]})
     while None in rows[playing.min() :]:
         actions = policy.actions(env, observations)
         observations, reward, terminated, truncated, _ = env.step(actions)
@@ -69,7 +69,7 @@ def evaluate(
                 playing[i] = following
                 following += 1
             returns[i] = 0.0
-        again = {kind: beginnings[playing], "reset_mask": ended}
+        again = {kind: begin[playing], "reset_mask": ended}
         observations, _ = env.reset(options=again)
     env.close()
     kinds = {"name": pl.String} | {event: pl.Int64 for event in events}
@@ -78,7 +78,7 @@ def evaluate(
     return table.with_columns(pl.Series(name, values) for name, values in measured.items())
 
 
-def _beginnings(levels: Any, dtype: np.dtype) -> tuple[str, np.ndarray]:
+def beginnings(levels: Any, dtype: np.dtype) -> tuple[str, np.ndarray]:
     """The option of a reset that begins each of `levels`, and its values."""
     if not isinstance(levels, Mapping):
         return "level", np.array(levels, np.int64)

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import polars as pl
 
 RESAMPLES = 10_000
 
@@ -20,20 +22,68 @@ class Estimate:
     levels: int
 
 
-def bootstrap(values: np.ndarray, *, seed: int = 0) -> Estimate:
+def bootstrap(values: np.ndarray, weights: np.ndarray | None = None, *, seed: int = 0) -> Estimate:
     """The mean of `values` [agents, levels] and its 95 % interval.
 
     A resample draws agents with replacement, then levels with replacement, the same for all of
     them since they share what is hard about a level; the interval is the percentiles of its
     means. One agent alone speaks for itself: then only levels are resampled.
+
+    weights  [agents, levels], not below 0: each value is a sum over so much, and the mean is the
+             sum of values over that of weights; resamples without weight do not count, and
+             where there is no weight at all, all is NaN
     """
     values = np.atleast_2d(np.asarray(values, float))
     agents, levels = values.shape
     rng = np.random.default_rng(seed)
     by_agent = rng.multinomial(agents, np.full(agents, 1 / agents), RESAMPLES).astype(float)
-    means = np.empty(RESAMPLES)
+    sums, weight = np.empty(RESAMPLES), np.full(RESAMPLES, float(agents * levels))
+    if weights is not None:
+        weights = np.atleast_2d(np.asarray(weights, float))
     for part in np.array_split(np.arange(RESAMPLES), max(1, RESAMPLES * levels // 4_000_000)):
         by_level = rng.multinomial(levels, np.full(levels, 1 / levels), len(part)).astype(float)
-        means[part] = np.einsum("ra,al,rl->r", by_agent[part], values, by_level, optimize=True)
-    low, high = np.quantile(means / (agents * levels), [0.025, 0.975])
-    return Estimate(float(values.mean()), float(low), float(high), agents, levels)
+        drawn = by_agent[part], by_level
+        sums[part] = _sums(values, *drawn)
+        if weights is not None:
+            weight[part] = _sums(weights, *drawn)
+    if not weight.any():
+        return Estimate(np.nan, np.nan, np.nan, agents, levels)
+    low, high = np.quantile(sums[weight > 0] / weight[weight > 0], [0.025, 0.975])
+    mean = values.mean() if weights is None else values.sum() / weights.sum()
+    return Estimate(float(mean), float(low), float(high), agents, levels)
+
+
+def _sums(values: np.ndarray, by_agent: np.ndarray, by_level: np.ndarray) -> np.ndarray:
+    """The sum of `values` [agents, levels] in resamples that draw each so often, [R]."""
+    return np.einsum("ra,al,rl->r", by_agent, values, by_level, optimize=True)
+
+
+def group_means(
+    rows: pl.DataFrame, value: str, by: Sequence[str], *, per: str | None = None, seed: int = 0
+) -> pl.DataFrame:
+    """The mean of the column `value` in each group of `rows`, with 95 % intervals.
+
+    The steps of an episode are alike, so it is not rows that are resampled but, as in
+    `bootstrap`, agents (column "agent"; without it all rows are of one) and levels.
+
+    by   columns; rows that have all of them in common are a group
+    per  a column, not below 0: the mean is then the sum of `value` over that of it
+
+    Columns: those of `by`, mean, low, high (null where the sum of `per` is 0), agents, levels,
+    rows. Rows where `value` is null do not count.
+    """
+    missing = {value, "level", *by, *([per] if per else [])} - set(rows.columns)
+    if missing:
+        raise ValueError(f"no column {', '.join(sorted(missing))}; there are: {rows.columns}")
+    agent = [name for name in ("agent",) if name in rows.columns]
+    found = []
+    for key, group in rows.drop_nulls(value).group_by(by):
+        codes = [np.unique(group[name], return_inverse=True)[1] for name in (*agent, "level")]
+        cell = (codes[0] if agent else np.zeros(len(group), int), codes[-1])
+        totals = np.zeros([int(code.max()) + 1 for code in cell])
+        weights = totals.copy()
+        np.add.at(totals, cell, group[value].cast(pl.Float64).to_numpy())
+        np.add.at(weights, cell, group[per].to_numpy() if per else 1.0)
+        estimate = bootstrap(totals, weights, seed=seed)
+        found.append(dict(zip(by, key, strict=True)) | vars(estimate) | {"rows": len(group)})
+    return pl.DataFrame(found).sort(by).with_columns(pl.col("mean", "low", "high").fill_nan(None))

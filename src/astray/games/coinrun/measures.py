@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 
 from astray.games.coinrun.draw import VIEW
-from astray.games.coinrun.rules import COIN, WORLD
+from astray.games.coinrun.rules import COIN, HALF, WORLD
 
 START = 1.5  # where the runner begins, in cells
 STAGES = ("beginning", "middle", "end", "beyond")  # thirds of the way, and past the end wall's face
@@ -27,9 +27,17 @@ def stage(states: np.ndarray) -> np.ndarray:
 
 
 def coin_in_view(states: np.ndarray) -> np.ndarray:
-    """Whether any part of a coin's picture is in the window around the runner."""
+    """Whether any part of a coin's picture is in the window around the runner.
+
+    But for slivers at the window's edge; `analysis.critic.sees` finds them, too.
+    """
     reach = VIEW / 2 + 0.5 - QUARTER
     centres = np.arange(WORLD) + 0.5
     near_x = abs(centres - states["x"][:, None]) < reach
     near_y = abs(centres - states["y"][:, None]) < reach
     return ((states["cell"] == COIN) & near_y[:, :, None] & near_x[:, None, :]).any((1, 2))
+
+
+def to_wall(states: np.ndarray) -> np.ndarray:
+    """Cells from the runner's front to the face of the end wall; below 0 in it and beyond."""
+    return states["end_x"] + 1 - (states["x"] + HALF)

@@ -157,8 +157,9 @@ def test_measures_follow_the_runner():
     assert (measures.stage(states) == 0).all()
     states["x"], states["y"] = states["end_x"] + 0.5, states["end_y"] + 0.5
     assert np.allclose(measures.progress(states), 1) and (measures.stage(states) == 2).all()
-    assert measures.coin_in_view(states).all()
+    assert measures.coin_in_view(states).all() and (measures.to_wall(states) == 0).all()
     states["x"] -= 7
+    assert (measures.to_wall(states) == 7).all()
     assert not measures.coin_in_view(states).any()
     states["x"] = states["end_x"] + 2
     assert (measures.stage(states) == 3).all()

@@ -1,0 +1,209 @@
+"""What in an observation the critic's value depends on: maps of it, and what is where.
+
+    maps = gradients(agent, observe(agent, variant, states))
+    where = masks(agent, variant, states, edits.PARTS)
+    group_means(shares(rows, maps, where), "attribution", ["part"], per="area")
+
+A map is [N, H, W] for an agent that sees images, the mean over colours as in the paper, and
+[N, C, H, W] for one that sees symbolic planes. The methods are Captum's: `pip install
+'astray[insight]'`. What a part amounts to as a whole tells `critic.counterfactual`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any, cast
+
+import numpy as np
+import polars as pl
+import torch
+from PIL import Image
+from scipy.ndimage import gaussian_filter
+from torch import Tensor
+
+from astray.agents.small import Small
+from astray.analysis.critic import Edit, observe
+from astray.analysis.policies import Agent
+from astray.game import Variant
+
+CHUNK = 64  # observations at a time
+REST, NOTHING = "rest", "nothing"  # parts that are what no other is
+
+# Of the paper's pictures. What is above 255 wraps around in theirs, and is cut off here.
+DIMMED, GAIN = 0.2, 9
+SIGMA, RADIUS = 5.0, 2  # pixels, of the blur; its kernel is 5 a side
+
+
+def gradients(agent: Agent, observations: np.ndarray) -> np.ndarray:
+    """The value's gradient, as in the paper (Simonyan et al. 2013), float64.
+
+    Of images it is per unit of brightness, from 0 to 1. Of planes of 0 and 1 it is per unit; of
+    planes of categories it is towards more of the category that is there, 0 where none is.
+    """
+    method = _captum().Saliency(_value(agent))
+
+    def attribute(x: Tensor) -> Tensor:
+        gradient = method.attribute(x.requires_grad_(), abs=False)
+        if agent.observation == "symbolic":
+            flags = _small(agent).spread.flags
+            gradient[:, flags:] *= x.detach()[:, flags:]
+        return gradient
+
+    return _maps(agent, attribute, observations)
+
+
+def integrated_gradients(
+    agent: Agent, observations: np.ndarray, baseline: np.ndarray | None = None, *, steps: int = 64
+) -> np.ndarray:
+    """Gradients along the way from a baseline (Sundararajan et al. 2017), float64.
+
+    A map adds up to the value's difference from that of the baseline; one of images to a third
+    of it, being the mean over three colours.
+
+    baseline  one observation, or one for each, as of the states without a coin; None: black
+              images, planes with nothing in them
+    """
+    method = _captum().IntegratedGradients(_value(agent))
+    baseline = np.zeros_like(observations) if baseline is None else baseline
+
+    def attribute(x: Tensor, before: Tensor) -> Tensor:
+        return method.attribute(x, before, n_steps=steps, internal_batch_size=4 * CHUNK)
+
+    return _maps(agent, attribute, observations, np.broadcast_to(baseline, observations.shape))
+
+
+def occlusion(
+    agent: Agent, observations: np.ndarray, *, window: int = 4, colour: int = 0
+) -> np.ndarray:
+    """How much higher the value is than with a part covered (Zeiler & Fergus 2014), float64.
+
+    Images are covered square by square; of planes, one cell of one plane at a time becomes 0.
+
+    window  pixels a side of a square, for images; 4 are most of a cell of CoinRun
+    colour  of the squares, from 0 (black) to 255
+    """
+    _check(agent, observations)
+    image = agent.observation == "image"
+    shape = (window, window, observations.shape[3]) if image else (1, 1, 1)
+    method = _captum().Occlusion(lambda x: agent.network(x)[1])
+    maps = []
+    for x in torch.from_numpy(observations).split(CHUNK):
+        fallen = method.attribute(
+            x.float().to(agent.device), shape, strides=shape, baselines=colour if image else 0,
+            perturbations_per_eval=max(1, CHUNK // len(x)),
+        )  # fmt: skip
+        maps.append(fallen.double().numpy(force=True))
+    return np.concatenate(maps).mean(3) if image else np.concatenate(maps)
+
+
+def masks(
+    agent: Agent, variant: str | Variant, states: np.ndarray, parts: Mapping[str, Edit]
+) -> dict[str, np.ndarray]:
+    """Where each part is seen in `states` [N], bool, of the shape of maps; and REST.
+
+    parts  an edit for each, that takes it away (or changes nothing but its look, of what cannot
+           be absent): the part is where the observation then differs. What would be of several,
+           as the soft edge of a coin before the sky, is of the first of them.
+
+    Of planes, only cells that hold something are of these; all that hold 0 are NOTHING, to
+    which a gradient gives much, and the other methods nothing.
+    """
+    shown = observe(agent, variant, states)
+    if agent.observation == "image":
+        colours, where, left = 3, {}, np.ones(shown.shape[:3], bool)
+    else:
+        colours, where, left = (), {NOTHING: shown == 0}, shown != 0
+    for name, edit in parts.items():
+        differs = (observe(agent, variant, edit(states.copy())) != shown).any(colours)
+        where[name] = differs & left
+        left &= ~differs
+    return where | {REST: left}
+
+
+def shares(rows: pl.DataFrame, maps: np.ndarray, where: Mapping[str, np.ndarray]) -> pl.DataFrame:
+    """`rows` [N], once for each part, with how much of each map is on it.
+
+    More columns: part; attribution, the part's share of the sum of absolute values (null where
+    all is 0); area, its share of pixels, or of cells of planes. Both are from 0 to 1, and their
+    ratio is 1 for what matters no more than its size.
+    """
+    size, found = maps[0].size, []
+    absolute = abs(maps).reshape(len(maps), size)
+    total = absolute.sum(1)
+    for part, mask in where.items():
+        if mask.shape != maps.shape or len(rows) != len(maps):
+            raise ValueError(
+                f"{len(rows)} rows, maps {maps.shape} and a mask {mask.shape} do not go together"
+            )
+        flat = mask.reshape(len(maps), size)
+        unknown = np.full(len(maps), np.nan)
+        share = np.divide((absolute * flat).sum(1), total, where=total > 0, out=unknown)
+        told = {"part": [part] * len(maps), "attribution": share, "area": flat.mean(1)}
+        found.append(rows.hstack(pl.DataFrame(told)))
+    return pl.concat(found).with_columns(pl.col("attribution").fill_nan(None))
+
+
+def overlay(images: np.ndarray, maps: np.ndarray) -> np.ndarray:
+    """The paper's pictures: maps [N, H, W] laid over images [N, H, W, 3], uint8.
+
+    Each map is divided by its largest absolute value and blurred; blue is where the value rises
+    with brightness, red where it falls. The image beneath is grey and dimmed.
+    """
+    pictures = []
+    for image, one in zip(images, maps, strict=True):
+        scaled = one / max(abs(one).max(), np.finfo(float).tiny)
+        blurred = GAIN * 255 * gaussian_filter(scaled, SIGMA, radius=RADIUS, mode="mirror")
+        grey = DIMMED * np.asarray(Image.fromarray(image).convert("L"), float)
+        red, blue = np.maximum(-blurred, 0), np.maximum(blurred, 0)
+        pictures.append(np.stack([grey + red, grey, grey + blue], -1).clip(0, 255))
+    return np.stack(pictures).astype(np.uint8)
+
+
+def _captum() -> Any:
+    try:
+        import captum.attr
+    except ImportError:
+        raise ImportError("attribution needs captum: pip install 'astray[insight]'") from None
+    return captum.attr
+
+
+def _small(agent: Agent) -> Small:
+    return cast(Small, agent.network)  # the network that sees planes
+
+
+def _value(agent: Agent) -> Callable[[Tensor], Tensor]:
+    """The value [N] as a function of what `_inputs` returns, with gradients."""
+    if agent.observation == "image":
+        return lambda x: agent.network(255 * x)[1]
+    network = _small(agent)
+    return lambda x: network.value(network.features(x)).squeeze(-1)
+
+
+def _inputs(agent: Agent, observations: np.ndarray) -> Tensor:
+    """What there are gradients of: images from 0 to 1, or planes as `Spread` makes them."""
+    x = torch.from_numpy(observations.copy()).to(agent.device)
+    return x.float() / 255 if agent.observation == "image" else _small(agent).spread(x)
+
+
+def _maps(agent: Agent, attribute: Callable[..., Tensor], *observations: np.ndarray) -> np.ndarray:
+    """`attribute` of the inputs, chunk by chunk, as maps; see the top."""
+    _check(agent, observations[0])
+    found = []
+    for first in range(0, len(observations[0]), CHUNK):
+        chunk = [_inputs(agent, some[first : first + CHUNK]) for some in observations]
+        found.append(attribute(*chunk).detach().double().numpy(force=True))
+    maps = np.concatenate(found)
+    if agent.observation == "image":
+        return maps.mean(3)
+    flags = _small(agent).spread.flags  # then two planes for each plane of categories
+    one, other = np.split(maps[:, flags:], 2, axis=1)
+    return np.concatenate([maps[:, :flags], one + other], axis=1)
+
+
+def _check(agent: Agent, observations: np.ndarray) -> None:
+    shape = agent.architecture.shape
+    if observations.shape[1:] != shape or not len(observations):
+        raise ValueError(
+            f"the agent sees observations [N, {', '.join(map(str, shape))}], "
+            f"not {observations.shape}"
+        )

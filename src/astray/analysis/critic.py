@@ -1,0 +1,190 @@
+"""What an agent's critic says of states: along episodes, and of a state that is made otherwise.
+
+    rows, states = visit(agent, "coin-anywhere", range(200_000, 201_000), per_episode=5,
+                         measures={"stage": measures.stage, "coin": measures.coin_in_view})
+    bars = group_means(rows, "value", ["stage", "coin"])
+    pairs = counterfactual(agent, "coin-anywhere", states, edits.without_coin)
+
+Values are in the unit of the rewards that the agent was trained on: with `normalise_reward`, in
+standard deviations of returns, as in the paper.
+"""
+
+from __future__ import annotations
+
+import heapq
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import polars as pl
+
+from astray.analysis.evaluate import beginnings
+from astray.analysis.policies import Agent, episode_noise
+from astray.envs.vector import GameVectorEnv
+from astray.game import Variant
+from astray.level import Level
+
+STEP_SALT = 2**33  # no agent has this seed, or a larger one
+
+Measure = Callable[[np.ndarray], np.ndarray]  # states [N] -> [N]
+Edit = Callable[[np.ndarray], np.ndarray]  # states [N] -> others [N]; those given stay as they are
+
+
+def visit(
+    agent: Agent,
+    variant: str | Variant,
+    levels: Sequence[int] | np.ndarray | range | Mapping[str, Level],
+    *,
+    per_episode: int | None = None,
+    measures: Mapping[str, Measure] | None = None,
+    seed: int = 0,
+    batch: int = 256,
+) -> tuple[pl.DataFrame, np.ndarray]:
+    """A row per step of the agent's episodes in `levels`, and the states [rows] it began in.
+
+    levels       numbers, or levels that were drawn, by name; those are numbered from 0 on
+    per_episode  steps at most, drawn from all of an episode with `seed`; None: every step. A
+                 state of CoinRun takes 17 kB
+    measures     more columns, functions of the states
+
+    Columns: level, step, value (of the state before the step), action, reward, and the measures.
+    Rows are in the order of `levels`, then of steps, and do not depend on `batch`.
+    """
+    if not len(levels):
+        raise ValueError("no levels to visit")
+    if per_episode is not None and per_episode < 1:
+        raise ValueError(f"per_episode is {per_episode}; it is at least 1 step")
+    if batch < 1:
+        raise ValueError(f"batch is {batch}; it is at least 1")
+    heaps = _play(agent, variant, levels, per_episode, seed, min(batch, len(levels)))
+    rows = [row for heap in heaps for row in sorted(heap, key=lambda row: row[1])]
+    *_, states, action, reward = (np.concatenate(column) for column in zip(*rows, strict=True))
+    states = states.view(np.recarray)
+    states["seed"], states["turn"] = 0, 0  # of levels to come, which depend on the batch
+    value = judge(agent, observe(agent, variant, states))[1]
+    columns = {"value": value, "action": action, "reward": reward}
+    return _table(states, columns, measures), states
+
+
+def _play(
+    agent: Agent, variant: str | Variant, levels: Any, per_episode: int | None, seed: int, n: int
+) -> list[list[tuple]]:
+    """For each of `levels` a heap of (-noise, step, state, action, reward), arrays of one each.
+
+    Every step has its noise, and an episode's steps with the least are kept.
+    """
+    env = _environments(agent, variant, n)
+    kind, begin = beginnings(levels, env.game.state)
+    playing, following = np.arange(n), n  # which of the levels each environment plays
+    over, limit = np.zeros(n, bool), np.full(n, np.inf)  # of the noise, for a step to be kept
+    heaps: list[list[tuple]] = [[] for _ in begin]
+    observations, _ = env.reset(seed=0, options={kind: begin[:n]})
+    while not over.all():
+        noise = episode_noise(STEP_SALT + seed, env.states, 1)
+        keeping = np.flatnonzero(~over & (noise[:, 0] < limit))
+        steps, states = env.states["time"][:, None].copy(), env.states[keeping].copy()
+        actions = agent.actions(env, observations)
+        observations, reward, terminated, truncated, _ = env.step(actions)
+        for k, i in enumerate(keeping):
+            heap, one = heaps[playing[i]], slice(i, i + 1)
+            row = (-noise[i], steps[i], states[k : k + 1].copy(), actions[one], reward[one])
+            heapq.heappush(heap, row)
+            if per_episode is not None and len(heap) > per_episode:
+                heapq.heappop(heap)
+            if len(heap) == per_episode:
+                limit[i] = -heap[0][0][0]
+        ended = terminated | truncated
+        for i in np.flatnonzero(ended):
+            over[i] |= following >= len(begin)  # then it plays its last level again, to no end
+            if not over[i]:
+                playing[i], limit[i] = following, np.inf
+                following += 1
+        if ended.any():
+            observations, _ = env.reset(options={kind: begin[playing], "reset_mask": ended})
+    env.close()
+    return heaps
+
+
+def counterfactual(
+    agent: Agent,
+    variant: str | Variant,
+    states: np.ndarray,
+    edit: Edit,
+    *,
+    measures: Mapping[str, Measure] | None = None,
+) -> pl.DataFrame:
+    """What becomes of values and policy when states [N] are made otherwise, a row for each.
+
+    Columns: level, step, value and value_edited; change, of the value; seen, whether the agent
+    sees the edit at all; policy and policy_edited, the probabilities [A] of actions;
+    policy_change, the total variation between them (0: the same, 1: nothing in common); and the
+    measures, of the states before the edit.
+    """
+    shown, edited = observe(agent, variant, states), observe(agent, variant, _edited(states, edit))
+    (policy, value), (policy_edited, value_edited) = judge(agent, shown), judge(agent, edited)
+    columns = {
+        "value": value,
+        "value_edited": value_edited,
+        "change": value_edited - value,
+        "seen": (shown != edited).any((1, 2, 3)),
+        "policy": policy,
+        "policy_edited": policy_edited,
+        "policy_change": abs(policy_edited - policy).sum(1) / 2,
+    }
+    return _table(states, columns, measures)
+
+
+def sees(agent: Agent, variant: str | Variant, edit: Edit) -> Measure:
+    """The measure of whether `edit` changes what the agent sees: with `without_coin`, a coin."""
+
+    def seen(states: np.ndarray) -> np.ndarray:
+        edited = observe(agent, variant, _edited(states, edit))
+        return (observe(agent, variant, states) != edited).any((1, 2, 3))
+
+    return seen
+
+
+def judge(agent: Agent, observations: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The probabilities of actions [N, A] and the values [N], float64, of `observations` [N]."""
+    logits, values = agent.outputs(observations)
+    return logits.double().softmax(-1).numpy(force=True), values.double().numpy(force=True)
+
+
+def observe(
+    agent: Agent, variant: str | Variant, states: np.ndarray, *, batch: int = 64
+) -> np.ndarray:
+    """What the agent sees in `states` [N] of its game: images [N, 64, 64, 3] or [N, C, H, W]."""
+    if not len(states):
+        raise ValueError("no states are given")
+    n = min(batch, len(states))
+    env = _environments(agent, variant, n)
+    shown = np.concatenate([
+        env.set_state(states[np.arange(first, first + n) % len(states)])
+        for first in range(0, len(states), n)
+    ])  # fmt: skip
+    env.close()
+    return shown[: len(states)]
+
+
+def _environments(agent: Agent, variant: str | Variant, n: int) -> GameVectorEnv:
+    return GameVectorEnv(
+        agent.game, variant, n, observation=agent.observation, autoreset_mode="Disabled"
+    )
+
+
+def _edited(states: np.ndarray, edit: Edit) -> np.ndarray:
+    edited = edit(states.copy())
+    if edited.shape != states.shape or edited.dtype != states.dtype:
+        raise ValueError(f"an edit returns as many states as it is given, {len(states)}")
+    return edited
+
+
+def _table(
+    states: np.ndarray, columns: dict[str, np.ndarray], measures: Mapping[str, Measure] | None
+) -> pl.DataFrame:
+    """`columns` between the states' levels and steps and the measures of them."""
+    told = {"level": states["level"], "step": states["time"]} | columns
+    taken = sorted(set(measures or {}) & set(told))
+    if taken:
+        raise ValueError(f"measures have the names of other columns: {', '.join(taken)}")
+    return pl.DataFrame(told | {name: m(states) for name, m in (measures or {}).items()})

@@ -1,0 +1,146 @@
+"""What could be otherwise in a state: for studies of what an agent sees in it.
+
+All take states [N] and return other ones [N]; those given stay as they are.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from astray.game import NEVER
+from astray.games.coinrun.draw import VIEW
+from astray.games.coinrun.levels import BACKGROUNDS, RUNNERS
+from astray.games.coinrun.rules import (
+    COIN,
+    CRATE,
+    EMPTY,
+    HALF,
+    INVISIBLE,
+    NOTHING,
+    PERMEABLE,
+    SAW,
+    TALL,
+    TOP,
+    WALL,
+    WORLD,
+)
+
+CENTRES = np.arange(WORLD) + 0.5
+IN_VIEW = VIEW / 2 - 0.5  # cells from the runner to the centre of a cell that all of is seen
+
+
+def without_coin(states: np.ndarray) -> np.ndarray:
+    """Without any coin."""
+    edited = states.copy()
+    edited["cell"][edited["cell"] == COIN] = EMPTY
+    edited["coin_x"], edited["coin_y"] = NEVER, NEVER
+    return edited
+
+
+def with_coin_at_end(states: np.ndarray) -> np.ndarray:
+    """With a coin where it lies in training, unless the runner touches that cell."""
+    edited = states.copy()
+    for s in edited:
+        x, y = int(s["end_x"]), int(s["end_y"])
+        if _free(s)[y, x]:
+            _add_coin(s, x, y)
+    return edited
+
+
+def with_coin_in_view(states: np.ndarray, *, seed: int = 0) -> np.ndarray:
+    """With one more coin at a place to stand that is in view, if there is any.
+
+    All such places are equally likely; which one it is depends on seed, level and step alone.
+    """
+    edited = states.copy()
+    for s in edited:
+        near_x, near_y = abs(CENTRES - s["x"]) <= IN_VIEW, abs(CENTRES - s["y"]) <= IN_VIEW
+        places = np.argwhere(_free(s) & _above_ground(s) & near_y[:, None] & near_x)
+        if len(places):
+            random = np.random.default_rng([seed, int(s["level"]) + 1, int(s["time"])])
+            y, x = places[random.integers(len(places))]
+            _add_coin(s, int(x), int(y))
+    return edited
+
+
+def _free(s: Any) -> np.ndarray:
+    """[WORLD, WORLD] bool, the cells with nothing in them, nor the runner, nor a walker."""
+    free = np.isin(s["cell"], (EMPTY, INVISIBLE)) & (s["thing"] == NOTHING)
+    touched_x, touched_y = abs(CENTRES - s["x"]) < 2 * HALF, abs(CENTRES - s["y"]) < HALF + TALL
+    free &= ~(touched_y[:, None] & touched_x)
+    walkers = slice(int(s["walkers"]))
+    free[s["walker_y"][walkers].astype(int), s["walker_x"][walkers].astype(int)] = False
+    return free
+
+
+def _above_ground(s: Any) -> np.ndarray:
+    """[WORLD, WORLD] bool, the cells above one that can be stood on."""
+    ground = np.isin(s["cell"], (WALL, TOP)) | (s["thing"] == CRATE)
+    return np.vstack([np.zeros((1, WORLD), bool), ground[:-1]])
+
+
+def _add_coin(s: Any, x: int, y: int) -> None:
+    s["cell"][y, x] = COIN
+    if x > s["coin_x"]:
+        s["coin_x"], s["coin_y"] = x, y
+
+
+def without_walkers(states: np.ndarray) -> np.ndarray:
+    """Without walkers and their trails."""
+    edited = states.copy()
+    edited["walkers"] = 0
+    return edited
+
+
+def without_saws(states: np.ndarray) -> np.ndarray:
+    """Without saws."""
+    edited = states.copy()
+    edited["thing"][edited["thing"] == SAW] = NOTHING
+    return edited
+
+
+def without_crates(states: np.ndarray) -> np.ndarray:
+    """Without crates; a runner on one stands on air."""
+    edited = states.copy()
+    edited["thing"][edited["thing"] == CRATE] = NOTHING
+    return edited
+
+
+def without_end_wall(states: np.ndarray) -> np.ndarray:
+    """Without the end wall, from the ground before it up; the ground goes on beneath."""
+    edited, columns = states.copy(), np.arange(WORLD)
+    end, permeable = states["end_x"][:, None], states["permeable"][:, None]
+    in_wall = (columns > end) & ((permeable == 0) | (columns <= end + permeable))
+    above = columns >= states["end_y"][:, None]  # rows, as many as columns
+    solid = np.isin(states["cell"], (WALL, TOP, PERMEABLE))
+    edited["cell"][solid & above[:, :, None] & in_wall[:, None, :]] = EMPTY
+    return edited
+
+
+def with_other_runner(states: np.ndarray) -> np.ndarray:
+    """With a runner of another colour."""
+    edited = states.copy()
+    edited["runner_look"] = (states["runner_look"] + 1) % RUNNERS
+    return edited
+
+
+def with_other_background(states: np.ndarray) -> np.ndarray:
+    """Before another backdrop, as far from it in the list as there is."""
+    edited = states.copy()
+    edited["background"] = (states["background"] + BACKGROUNDS // 2) % BACKGROUNDS
+    return edited
+
+
+# What a picture consists of, for `analysis.attribution.masks`: what is soft at its edge comes
+# before the background that shines through. What is left is ground and lava.
+PARTS = {
+    "coin": without_coin,
+    "walkers": without_walkers,
+    "saws": without_saws,
+    "end wall": without_end_wall,
+    "crates": without_crates,
+    "runner": with_other_runner,
+    "background": with_other_background,
+}
