@@ -107,8 +107,8 @@ def _states(
 
 def _differ(one: np.ndarray, other: np.ndarray) -> np.ndarray:
     """Which of states [N] are not the same to the byte."""
-    words = (s.view(np.ndarray).view(np.uint64).reshape(len(s), -1) for s in (one, other))
-    return np.not_equal(*words).any(1)
+    words, others = (s.view(np.ndarray).view(np.uint64).reshape(len(s), -1) for s in (one, other))
+    return (words != others).any(1)
 
 
 def _told(game: str, states: np.ndarray) -> Iterator[tuple[bytes, bytes]]:
