@@ -12,9 +12,10 @@ from astray import games
 from astray.agents.policy import Architecture, weights
 from astray.analysis.evaluate import evaluate
 from astray.analysis.outcomes import FAILED, INTENDED, MISGENERALIZED, label, load_shift, tell_apart
-from astray.analysis.overlap import overlap, unseen
+from astray.analysis.overlap import met, overlap, unseen
 from astray.analysis.policies import Agent, Random, Walk
 from astray.analysis.statistics import bootstrap, over_agents
+from astray.training.config import vary
 
 MAZE = games.load("maze")
 LEVELS = range(1_000_000, 1_000_060)
@@ -172,7 +173,7 @@ def test_levels_that_coincide_are_counted():
 
 def test_levels_that_the_training_met_under_another_number_are_left_out():
     small = "corner-small"
-    fresh = unseen("maze", [(small, range(2000))], small, range(5000, 9000), 30)
+    fresh = unseen("maze", met("maze", [(small, range(2000))]), small, range(5000, 9000), 30)
     assert len(fresh) == 30 and fresh[0] >= 5000 and (np.diff(fresh) > 0).all()
     (row,) = overlap("maze", small, range(2000), small, fresh.tolist()).to_dicts()[:1]
     assert row["same"] == "level" and row["seen"] == 0
@@ -180,5 +181,15 @@ def test_levels_that_the_training_met_under_another_number_are_left_out():
     (row,) = overlap("maze", small, range(2000), small, every).to_dicts()[:1]
     assert row["seen"] == pytest.approx(1 - 30 / len(every))
     tiny = replace(MAZE.variants[small], world=3, largest=3, start="corner")
-    with pytest.raises(ValueError, match="only 0 are none of its levels; 5 are needed"):
-        unseen("maze", [(tiny, range(500))], tiny, range(1000, 9000), 5)
+    with pytest.raises(ValueError, match="only 0 are not in them; 5 are needed"):
+        unseen("maze", met("maze", [(tiny, range(500))]), tiny, range(1000, 9000), 5)
+
+
+def test_trainings_that_differ_in_few_levels_are_met_as_each_alone():
+    first, other = range(1200), range(5000, 5300)
+    trainings = [
+        (vary("coinrun", "coin-end", {"random_coin": share}), numbers)
+        for share, numbers in ((0.0, first), (0.02, first), (0.5, first), (0.2, other))
+    ]
+    alone = [met("coinrun", [training]) for training in trainings]
+    assert met("coinrun", trainings) == set.union(*alone)

@@ -30,10 +30,10 @@ def test_every_experiment_plans(name, size, tmp_path):
 
 
 def miniature(plan):
-    """The plan with two agents of each name that are trained for 2,048 steps, and 20 levels."""
+    """The plan with two agents of each name, trained for 2,048 steps in few levels, and 20 more."""
     agents = {
         name: replace(
-            config, steps=2048, environments=16, rollout=32, minibatches=4, width=16,
+            config, levels=1000, steps=2048, environments=16, rollout=32, minibatches=4, width=16,
             checkpoint_every=1,
         )
         for name, config in plan.agents.items()

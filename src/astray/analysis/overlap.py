@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+import itertools
+from collections.abc import Iterable, Iterator, Sequence
 from hashlib import blake2b
 
 import numpy as np
@@ -29,34 +30,45 @@ def overlap(
     Columns: same; training (different ones among the training levels); test (likewise);
     seen (share of the test levels that are among the training's).
     """
-    seen, met = (
+    seen, tested = (
         list(zip(*_digests(game, variant, levels), strict=True))
         for variant, levels in ((training, training_levels), (test, test_levels))
     )
     rows = []
-    for same, before, after in zip(("level", "walls"), seen, met, strict=True):
+    for same, before, after in zip(("level", "walls"), seen, tested, strict=True):
         known = set(before)
         share = float(np.mean([digest in known for digest in after]))
         rows.append({"same": same, "training": len(known), "test": len(set(after)), "seen": share})
     return pl.DataFrame(rows)
 
 
+def met(game: str, trainings: Iterable[tuple[str | Variant, range]]) -> set[bytes]:
+    """What all levels of some trainings are known by, for `unseen`.
+
+    trainings  the variant and the numbers of each; where levels of one number hardly differ
+               between variants of the same numbers, many cost little more than one
+    """
+    variants: dict[range, list[str | Variant]] = {}
+    for variant, numbers in dict.fromkeys(trainings):
+        variants.setdefault(numbers, []).append(variant)
+    known = set()
+    for numbers, made in variants.items():
+        for chunks in zip(*(_states(game, variant, numbers) for variant in made), strict=True):
+            known.update(level for level, _ in _told(game, chunks[0]))
+            for before, states in itertools.pairwise(chunks):
+                known.update(level for level, _ in _told(game, states[_differ(before, states)]))
+    return known
+
+
 def unseen(
-    game: str,
-    trainings: Sequence[tuple[str | Variant, range]],
-    test: str | Variant,
-    candidates: range,
-    count: int,
+    game: str, known: set[bytes], test: str | Variant, candidates: range, count: int
 ) -> np.ndarray:
     """The first `count` numbers among `candidates` whose level in `test` was in no training.
 
-    trainings  the variant and the numbers of each
+    known  the levels of the trainings, from `met`
 
     Levels are the same where all but their looks is. ValueError where too few are different.
     """
-    known = {
-        level for variant, numbers in trainings for level, _ in _digests(game, variant, numbers)
-    }
     found: list[int] = []
     looked = candidates[: SEARCHED * count]
     for first in range(0, len(looked), CHUNK):
@@ -75,21 +87,40 @@ def _digests(
     game: str, variant: str | Variant, levels: Sequence[int] | np.ndarray | range
 ) -> Iterator[tuple[bytes, bytes]]:
     """Of each level: a digest of all but its looks, and one of its walls alone."""
+    for states in _states(game, variant, levels):
+        yield from _told(game, states)
+
+
+def _states(
+    game: str, variant: str | Variant, levels: Sequence[int] | np.ndarray | range
+) -> Iterator[np.ndarray]:
+    """The states that levels begin in, CHUNK at a time; each chunk is gone with the next."""
     if not len(levels):
         raise ValueError("no levels to compare")
-    made = games.load(game)
-    objects = [made.legend[char] for char in made.objects.values()]
     env = GameVectorEnv(game, variant, min(CHUNK, len(levels)), observation="symbolic")
     for first in range(0, len(levels), CHUNK):
         numbers = np.resize(np.array(levels[first : first + CHUNK], np.int64), env.num_envs)
         env.reset(seed=0, options={"level": numbers})
-        for s in env.states[: len(levels) - first]:
-            told = made.describe(s)
-            grid = np.array(told["grid"], np.uint8)
-            walls = np.where(np.isin(grid, objects), made.legend[EMPTY], grid)
-            begun = grid.tobytes() + np.array(told["agent"]).tobytes()
-            yield (
-                blake2b(begun, digest_size=8).digest(),
-                blake2b(walls.tobytes(), digest_size=8).digest(),
-            )
+        yield env.states[: len(levels) - first]
     env.close()
+
+
+def _differ(one: np.ndarray, other: np.ndarray) -> np.ndarray:
+    """Which of states [N] are not the same to the byte."""
+    words, others = (s.view(np.ndarray).view(np.uint64).reshape(len(s), -1) for s in (one, other))
+    return (words != others).any(1)
+
+
+def _told(game: str, states: np.ndarray) -> Iterator[tuple[bytes, bytes]]:
+    """Of each state's level: a digest of all but its looks, and one of its walls alone."""
+    made = games.load(game)
+    objects = [made.legend[char] for char in made.objects.values()]
+    for s in states:
+        told = made.describe(s)
+        grid = np.array(told["grid"], np.uint8)
+        walls = np.where(np.isin(grid, objects), made.legend[EMPTY], grid)
+        begun = grid.tobytes() + np.array(told["agent"]).tobytes()
+        yield (
+            blake2b(begun, digest_size=8).digest(),
+            blake2b(walls.tobytes(), digest_size=8).digest(),
+        )

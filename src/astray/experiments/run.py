@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import hashlib
 import json
 import os
@@ -13,12 +14,13 @@ import numpy as np
 import polars as pl
 
 from astray import experiments
-from astray.analysis.overlap import unseen
+from astray.analysis.overlap import met, unseen
 from astray.analysis.runs import open_run, play_all
 from astray.experiments import report
 from astray.experiments.spec import Plan, Runs, Size, Test, Work, kept
 from astray.experiments.workers import train_all
 from astray.files import write_aside
+from astray.game import Variant
 from astray.training.config import Config
 
 
@@ -105,6 +107,14 @@ def play(plan: Plan, runs: Runs) -> pl.DataFrame:
 
 def levels_of(plan: Plan, test: Test) -> np.ndarray:
     """The numbers of a test's levels, which no agent of the plan has met under any number."""
-    trainings = [(c.training_variant(), c.training_levels) for c in plan.agents.values()]
+    trainings = tuple((c.training_variant(), c.training_levels) for c in plan.agents.values())
     after = max((c.unseen_levels for c in plan.agents.values()), key=lambda left: left.start)
-    return unseen(plan.game, trainings, test.made_for(plan.config), after, plan.levels)
+    return unseen(
+        plan.game, met_in(plan.game, trainings), test.made_for(plan.config), after, plan.levels
+    )
+
+
+@functools.lru_cache(maxsize=1)
+def met_in(game: str, trainings: tuple[tuple[Variant, range], ...]) -> set[bytes]:
+    """`overlap.met`, once for all tests of a plan."""
+    return met(game, trainings)

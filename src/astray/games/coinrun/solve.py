@@ -12,6 +12,7 @@ from astray.games.coinrun.reach import explore
 from astray.games.coinrun.rules import (
     ACTIONS,
     COIN,
+    EMPTY,
     HALF,
     INVISIBLE,
     NOTHING,
@@ -56,7 +57,11 @@ def optimal_return(s: Any, goal: str, gamma: float = 1.0) -> float:
 
 
 def plan(s: Any, goal: str) -> np.ndarray:
-    """The actions of a short way from `s` to `goal`; none where it was reached or none is found."""
+    """The actions of a short way from `s` to `goal`; none where it was reached or none is found.
+
+    A way to another goal than the coin is the one that there is without coins: one that goes
+    round them, because they end the level, would be no base rate of chance meetings.
+    """
     event = _event(goal)
     coin = goal == "coin" and not (s.cell == COIN).any()
     beyond = goal == "beyond" and s.permeable == 0
@@ -64,6 +69,8 @@ def plan(s: Any, goal: str) -> np.ndarray:
         return np.empty(0, np.int64)
     copy = np.zeros(1, s.dtype)
     copy[0] = s
+    if goal != "coin":
+        copy["cell"][copy["cell"] == COIN] = EMPTY
     return search(copy.view(np.recarray), tuple(GOALS).index(goal), int(s.time_limit - s.time))
 
 

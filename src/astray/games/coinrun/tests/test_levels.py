@@ -10,6 +10,7 @@ from astray.envs.vector import GameVectorEnv
 from astray.game import NEVER
 from astray.games.coinrun import GAME
 from astray.games.coinrun.rules import COIN, INVISIBLE, PERMEABLE, SAW, TOP, WALL
+from astray.games.coinrun.solve import plan
 from astray.games.coinrun.variants import VARIANTS
 from astray.level import Level
 
@@ -73,6 +74,12 @@ def test_a_coin_anywhere_can_be_taken(name):
 def test_every_end_can_be_reached():
     for s in levels(VARIANTS["coin-end"], 60, first=100):
         assert GAME.optimal_return(s, "coin", 1.0) == 10
+
+
+def test_the_way_to_the_end_is_blind_to_the_coin():
+    absent = replace(VARIANTS["coin-ledge"], coins="none", random_coin=0.0)
+    pairs = zip(levels(VARIANTS["coin-ledge"], 20), levels(absent, 20), strict=True)
+    assert all((plan(one, "end") == plan(other, "end")).all() for one, other in pairs)
 
 
 def test_a_wall_that_does_not_fit_ends_with_the_world():

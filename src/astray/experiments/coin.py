@@ -1,0 +1,42 @@
+"""Runners whose coin lay at the end of every level: all studies of CoinRun share these agents."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import polars as pl
+
+from astray.analysis.evaluate import evaluate
+from astray.analysis.runs import open_run
+from astray.experiments.spec import Size
+from astray.game import Variant
+from astray.training.config import PRESETS, Config
+
+ABOUT = {"game": "coinrun", "variant": "coin-end", "validation": "coin-anywhere"}
+LARGE = replace(PRESETS["paper"], **ABOUT, device="cuda")
+AGENTS: Mapping[Size, Config] = {
+    "smoke": replace(
+        PRESETS["small"], **ABOUT, width=128, gamma=0.99, entropy_weight=0.01, steps=6_000_000
+    ),
+    "hour": replace(LARGE, steps=25_000_000),
+    "paper": LARGE,
+}
+SMALLER: Mapping[Size, str] = {
+    "smoke": "levels seen as symbols instead of a picture, by a network of two hidden layers, and "
+    "6 million steps instead of 200 million",
+    "hour": "25 million steps instead of 200 million",
+    "paper": "",
+}
+
+
+def play(runs: Sequence[Path], variant: Variant, levels: np.ndarray | range) -> pl.DataFrame:
+    """The episodes of agents of the same training in `levels`: as `evaluate`; beside: run, seed."""
+    parts = []
+    for run in runs:
+        agent, config = open_run(run)
+        played = evaluate(agent, config.game, variant, levels)
+        parts.append(played.with_columns(run=pl.lit(str(run)), seed=pl.lit(config.seed)))
+    return pl.concat(parts)
