@@ -67,7 +67,7 @@ def plan(s: Any, goal: str) -> np.ndarray:
     beyond = goal == "beyond" and s.permeable == 0
     if s[event] != NEVER or s.ended or coin or beyond:
         return np.empty(0, np.int64)
-    copy = np.zeros(1, s.dtype)
+    copy: Any = np.zeros(1, s.dtype)
     copy[0] = s
     if goal != "coin":
         copy["cell"][copy["cell"] == COIN] = EMPTY
@@ -85,7 +85,7 @@ def reachable(s: Any) -> np.ndarray:
 
     And those of what stands or walks about, which nobody needs to get to.
     """
-    copy = np.zeros(1, s.dtype)
+    copy: Any = np.zeros(1, s.dtype)
     copy[0] = s
     touched = all_touched(copy.view(np.recarray))
     touched |= (s.thing != NOTHING) | (s.cell == INVISIBLE)
