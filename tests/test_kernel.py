@@ -5,6 +5,7 @@ import subprocess
 import sys
 import textwrap
 
+import numba
 import numpy as np
 import pytest
 from scipy.sparse.csgraph import shortest_path
@@ -13,6 +14,7 @@ from astray.envs.pool import Pool
 from astray.game import state_dtype
 from astray.kernel import rng
 from astray.kernel.grid import UNREACHABLE, distances
+from astray.kernel.jit import kernel
 
 MASK = 2**64 - 1
 
@@ -66,6 +68,27 @@ def test_distances_are_scipys():
                     graph[y * 9 + x, v * 9 + u] = graph[v * 9 + u, y * 9 + x] = 1
         far = shortest_path(graph, unweighted=True, indices=3 * 9 + 4).reshape(7, 9)
         assert np.array_equal(distances(is_open, 4, 3), np.where(far < 99, far, UNREACHABLE))
+
+
+@kernel
+def doubled(x):
+    return x + x
+
+
+@numba.njit
+def fourfold(x):
+    return doubled(doubled(x))
+
+
+@pytest.mark.skipif(numba.config.DISABLE_JIT, reason="nothing is compiled")
+def test_a_kernel_is_interpreted_or_part_of_what_calls_it():
+    assert doubled("ab") == "abab"  # which is not compiled for it
+    assert fourfold(3) == 12
+    (part,) = doubled.compiled.overloads.values()
+    engine = part.target_context.codegen()._engine
+    assert not engine.is_symbol_defined(part.fndesc.mangled_name)
+    (whole,) = fourfold.overloads.values()
+    assert engine.is_symbol_defined(whole.fndesc.mangled_name)
 
 
 def test_a_pool_does_every_share_once_and_raises_what_fails():

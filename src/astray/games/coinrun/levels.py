@@ -61,7 +61,7 @@ def word(s):
     return np.int64(draw_u32(s))
 
 
-@kernel
+@shared
 def generate(s, p):
     """Fill `s` with a new level of the variant `p`."""
     offset, background = unit(s), word(s) % BACKGROUNDS
@@ -88,7 +88,7 @@ def generate(s, p):
     put_coins(s, p, random, random_x, random_y)
 
 
-@kernel
+@shared
 def clear(s):
     """An empty world, closed all around, with the runner in its lower left corner."""
     for y in range(WORLD):
@@ -113,7 +113,7 @@ def clear(s):
     s.timed_out = NEVER
 
 
-@kernel
+@shared
 def build_sections(s, p, in_pit):
     """Build the ground up to the end, mark pits; the cell (x, y) of the original's random coin."""
     difficulty = 1 + word(s) % 3
@@ -176,7 +176,7 @@ def add_walker(s, x, y, left, look):
     s.walkers = k + 1
 
 
-@kernel
+@shared
 def build_pit(s, p, x, y, width, danger, in_pit):
     """Two banks, and a pit of lava, saws or walkers between them; a platform if it is wide."""
     left, right = 1 + word(s) % 3, 1 + word(s) % 3
@@ -208,7 +208,7 @@ def build_pit(s, p, x, y, width, danger, in_pit):
             s.cell[y - 1, column] = TOP
 
 
-@kernel
+@shared
 def build_flat(s, p, x, y, width, difficulty):
     """Solid ground with a saw, a walker and two piles of crates on it, or fewer."""
     fill_ground(s, x, y, width)

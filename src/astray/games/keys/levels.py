@@ -41,7 +41,7 @@ def real(s):
     return unit(s)
 
 
-@kernel
+@shared
 def generate(s, p):
     """Fill `s` with a new level of the variant `p`."""
     offset = real(s)

@@ -9,7 +9,7 @@ import numpy as np
 from astray.game import NEVER, Variant, within
 from astray.games.maze.rules import EMPTY, GOAL, LARGEST, OTHER, STATE, note_arrivals
 from astray.games.maze.variants import AS_NUMBERED, COLOURS, FLOORS, SHAPES, WALLS
-from astray.kernel.jit import kernel
+from astray.kernel.jit import kernel, shared
 from astray.kernel.maze import WALL, carve
 from astray.kernel.rng import below, share, unit
 
@@ -20,7 +20,7 @@ LEGEND = {"#": WALL, ".": EMPTY, "G": GOAL, "o": OTHER}
 OBJECTS = {"goal": "G", "other": "o"}
 
 
-@kernel
+@shared
 def generate(s, p):
     """Fill `s` with a new level of the variant `p`."""
     offset = unit(s)
