@@ -1,6 +1,6 @@
-"""The batch loops, written once; `compiled.py` binds them to a game.
+"""The batch loop, written once; `compiled.py` binds it to a game.
 
-Each runs over the environments [low, high), so that threads can share a batch; what happens in
+It runs over the environments [low, high), so that threads can share a batch; what happens in
 an environment depends on its own record alone, never on how the batch is cut.
 """
 
@@ -10,7 +10,7 @@ from astray.kernel.jit import kernel
 from astray.kernel.rng import mix_two, seed_twister, share
 
 SHIFT = 0x5817F7  # salt of the hash that decides which levels come from the shifted distribution
-NO_LEVEL, AS_SET = -1, -2  # instead of a level's number, in `reset_all`
+NEXT_LEVEL, AS_SET, STEP, NOTHING = -1, -2, -3, -4  # to do, instead of a level's number
 NEXT_STEP, SAME_STEP, DISABLED = 0, 1, 2
 
 
@@ -40,7 +40,7 @@ def draw_planes(s, scene, planes) -> None:
 
 
 # Bound to the function below it, once that is bound to a game.
-def begin_one(s, params, art, symbolic, scene, level) -> None:
+def begin_one(s, params, level) -> None:
     raise NotImplementedError
 
 
@@ -52,15 +52,14 @@ def observe_one(s, art, symbolic, scene, observation) -> None:
     raise NotImplementedError
 
 
-def begin(s, params, art, symbolic, scene, level):
-    """Begin an episode in level number `level` and paint it."""
+def begin(s, params, level):
+    """Begin an episode in level number `level`."""
     s.level = level
     s.shifted = share(level, SHIFT) < params[0].shift_probability
     p = params[1] if s.shifted else params[0]
     s.time, s.time_limit, s.ended = 0, p.time_limit, False
     seed_twister(s, level)
     generate(s, p)
-    paint_one(s, art, symbolic, scene)
 
 
 def paint_any(s, art, symbolic, scene):
@@ -93,60 +92,41 @@ def next_level(s, i, n, levels, first, count):
     return first + np.int64(mix_two(s.seed, turn) % np.uint64(count))
 
 
-def reset_all(
+def run(
     states, params, art, symbolic, scenes, levels, first, count,
-    which, chosen, observations, low, high,
-):  # fmt: skip
-    """Begin an episode in every environment of `which`; observe all.
-
-    chosen  [N] int64, the number of the level to begin; NO_LEVEL: the next one;
-            AS_SET: the one that the state is in already
-    """
-    n = states.shape[0]
-    for i in range(low, high):
-        s = states[i]
-        if which[i]:
-            level = chosen[i]
-            if level == NO_LEVEL:
-                level = next_level(s, i, n, levels, first, count)
-            if level == AS_SET:
-                paint_one(s, art, symbolic, scenes[i])
-            else:
-                begin_one(s, params, art, symbolic, scenes[i], level)
-        observe_one(s, art, symbolic, scenes[i], observations[i])
-
-
-def step_all(
-    states, params, art, symbolic, scenes, levels, first, count,
-    mode, actions, observations, final_states, final_observations,
+    mode, what, actions, observations, final_states, final_observations,
     reward, terminated, truncated, low, high,
 ):  # fmt: skip
-    """Step every environment, and begin anew those that ended, as `mode` says.
+    """Do what `what` says in every environment, and observe it.
 
+    One loop for all, as every other would compile the game once more.
+
+    what  [N] int64, the number of the level to begin; NEXT_LEVEL: whichever comes next;
+          AS_SET: paint the one that the state is in; STEP: step, and begin anew where an episode
+          ended, as `mode` says; NOTHING
+    reward, terminated, truncated  [N], written where it steps
     final_states, final_observations  [N, ...], written where an episode ended, in SAME_STEP
     """
     n = states.shape[0]
     for i in range(low, high):
-        s = states[i]
-        reward[i], terminated[i], truncated[i] = 0.0, False, False
-        if s.ended and mode == NEXT_STEP:
+        s, level = states[i], what[i]
+        if level == STEP:
+            reward[i], terminated[i], truncated[i] = 0.0, False, False
+            if s.ended and mode == NEXT_STEP:
+                level = NEXT_LEVEL
+            else:
+                s.time += 1
+                reward[i], terminated[i] = step(s, actions[i])
+                truncated[i] = s.time >= s.time_limit and not terminated[i]
+                s.ended = terminated[i] or truncated[i]
+                if s.ended and mode == SAME_STEP:
+                    final_states[i] = s
+                    observe_one(s, art, symbolic, scenes[i], final_observations[i])
+                    level = NEXT_LEVEL
+        if level == NEXT_LEVEL:
             level = next_level(s, i, n, levels, first, count)
-            begin_one(s, params, art, symbolic, scenes[i], level)
-        else:
-            s.time += 1
-            reward[i], terminated[i] = step(s, actions[i])
-            truncated[i] = s.time >= s.time_limit and not terminated[i]
-            s.ended = terminated[i] or truncated[i]
-            if s.ended and mode == SAME_STEP:
-                final_states[i] = s
-                observe_one(s, art, symbolic, scenes[i], final_observations[i])
-                level = next_level(s, i, n, levels, first, count)
-                begin_one(s, params, art, symbolic, scenes[i], level)
+        if level >= 0:
+            begin_one(s, params, level)
+        if level >= 0 or level == AS_SET:
+            paint_one(s, art, symbolic, scenes[i])
         observe_one(s, art, symbolic, scenes[i], observations[i])
-
-
-def repaint_all(states, art, symbolic, scenes, observations, low, high):
-    """Observe states that were set from outside."""
-    for i in range(low, high):
-        paint_one(states[i], art, symbolic, scenes[i])
-        observe_one(states[i], art, symbolic, scenes[i], observations[i])

@@ -12,7 +12,7 @@ from gymnasium.vector.utils import batch_space
 
 from astray import games
 from astray.envs.compiled import compiled
-from astray.envs.loops import AS_SET, DISABLED, NEXT_STEP, NO_LEVEL, SAME_STEP
+from astray.envs.loops import AS_SET, DISABLED, NEXT_LEVEL, NEXT_STEP, NOTHING, SAME_STEP, STEP
 from astray.envs.pool import Pool
 from astray.game import LEVELS, Variant
 from astray.level import Level
@@ -24,6 +24,7 @@ MODES = {
     AutoresetMode.SAME_STEP: SAME_STEP,
     AutoresetMode.DISABLED: DISABLED,
 }
+NUMBERS, REALS, FLAGS = np.empty(0, np.int64), np.empty(0), np.empty(0, bool)
 Info = dict[str, Any]
 
 
@@ -85,12 +86,13 @@ class GameVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         self.action_space = batch_space(self.single_action_space, num_envs)
         self._shape = (num_envs, *self.single_observation_space.shape)
 
-        self._loops = compiled(game)
+        self._loop = compiled(game)
         self._pool = Pool(threads) if threads > 1 else None
         self.states = np.zeros(num_envs, self.game.state).view(np.recarray)
         kept = num_envs if self._mode == SAME_STEP else 0  # ends that a new beginning overwrites
         self._final_states = np.empty(kept, self.game.state).view(np.recarray)
         self._final = np.empty((kept, *self._shape[1:]), np.uint8)
+        self._steps = np.full(num_envs, STEP)
         self._seeded = False
         self._first, self._count, self._list = _checked(levels)
         self._scenes = np.zeros((num_envs, *scene), np.uint8)
@@ -118,7 +120,7 @@ class GameVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
                 raise ValueError(f"reset_mask is {self.num_envs} booleans; given {which}")
         if not self._seeded and not which.all():
             raise ValueError("the first reset is of all environments")
-        chosen = np.full(self.num_envs, NO_LEVEL)
+        chosen = np.full(self.num_envs, NEXT_LEVEL)
         level, state = options.get("level"), options.get("state")
         if isinstance(level, Level):
             level, state = None, level.state(solvable=False)
@@ -137,9 +139,7 @@ class GameVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
             self.states["seed"][which] = seeds[which]
             self.states["turn"][which] = 0
             self._seeded = True
-        observations = np.empty(self._shape, np.uint8)
-        self._run(self._loops.reset, *self._scene, which, chosen, observations)
-        return observations, self._begun(which)
+        return self._run(np.where(which, chosen, NOTHING)), self._begun(which)
 
     def step(
         self, actions: np.ndarray, out: np.ndarray | None = None
@@ -157,14 +157,10 @@ class GameVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         before = self.states["ended"].copy() if self._mode != SAME_STEP else np.zeros(n, bool)
         if self._mode == DISABLED and before.any():
             raise RuntimeError("an episode has ended; reset(options={'reset_mask': ...}) first")
-        observations = np.empty(self._shape, np.uint8) if out is None else out
-        if observations.shape != self._shape or observations.dtype != np.uint8:
-            raise ValueError(f"out is {self._shape} of uint8; given {observations.shape}")
+        if out is not None and (out.shape != self._shape or out.dtype != np.uint8):
+            raise ValueError(f"out is {self._shape} of uint8; given {out.shape} of {out.dtype}")
         reward, terminated, truncated = np.empty(n), np.empty(n, bool), np.empty(n, bool)
-        self._run(
-            self._loops.step, *self._scene, self._mode, actions, observations,
-            self._final_states, self._final, reward, terminated, truncated,
-        )  # fmt: skip
+        observations = self._run(self._steps, actions, reward, terminated, truncated, out)
 
         info: Info = {}
         ended = terminated | truncated
@@ -193,9 +189,7 @@ class GameVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         """
         self._take(states, np.ones(self.num_envs, bool))
         self._seeded = True
-        observations = np.empty(self._shape, np.uint8)
-        self._run(self._loops.repaint, self._art, self.symbolic, self._scenes, observations)
-        return observations
+        return self._run(np.full(self.num_envs, AS_SET))
 
     def _take(self, states: Any, which: np.ndarray, keep: Sequence[str] = ()) -> None:
         """Put `states` in place of those in `which`, but for the fields to `keep`."""
@@ -226,11 +220,26 @@ class GameVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         if self._pool:
             self._pool.close()
 
-    def _run(self, loop: Any, *arguments: Any) -> None:
+    def _run(
+        self,
+        what: np.ndarray,
+        actions: np.ndarray = NUMBERS,
+        reward: np.ndarray = REALS,
+        terminated: np.ndarray = FLAGS,
+        truncated: np.ndarray = FLAGS,
+        out: np.ndarray | None = None,
+    ) -> np.ndarray:
+        """Do `what` in every environment; what they show then. The rest is of steps alone."""
+        observations = np.empty(self._shape, np.uint8) if out is None else out
+        arguments = (
+            self.states, *self._scene, self._mode, what, actions, observations,
+            self._final_states, self._final, reward, terminated, truncated,
+        )  # fmt: skip
         if self._pool:
-            self._pool.run(loop, (self.states, *arguments), self.num_envs)
+            self._pool.run(self._loop, arguments, self.num_envs)
         else:
-            loop(self.states, *arguments, 0, self.num_envs)
+            self._loop(*arguments, 0, self.num_envs)
+        return observations
 
     def _begun(self, which: np.ndarray) -> Info:
         return _columns(self.states, ("level", "shifted"), which)
@@ -245,10 +254,13 @@ def picture(game: str, variant: Variant, states: np.ndarray, pixels: int) -> np.
     made.check(states, variant)
     scene = np.empty((1, *made.scene_shape(variant, pixels)), np.uint8)
     images = np.empty((len(states), pixels, pixels, 3), np.uint8)
-    sprites = made.art(variant, pixels)
+    sprites, params, as_set = made.art(variant, pixels), variant.records(), np.full(1, AS_SET)
     for k in range(len(states)):
         one = states[k : k + 1].view(np.recarray)
-        compiled(game).repaint(one, sprites, False, scene, images[k : k + 1], 0, 1)
+        compiled(game)(
+            one, params, sprites, False, scene, NUMBERS, 0, 1, DISABLED, as_set, NUMBERS,
+            images[k : k + 1], one, images, REALS, FLAGS, FLAGS, 0, 1,
+        )  # fmt: skip
     return images
 
 
