@@ -158,7 +158,7 @@ class GameVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         if self._mode == DISABLED and before.any():
             raise RuntimeError("an episode has ended; reset(options={'reset_mask': ...}) first")
         if out is not None and (out.shape != self._shape or out.dtype != np.uint8):
-            raise ValueError(f"out is {self._shape} of uint8; given {out.shape}")
+            raise ValueError(f"out is {self._shape} of uint8; given {out.shape} of {out.dtype}")
         reward, terminated, truncated = np.empty(n), np.empty(n, bool), np.empty(n, bool)
         observations = self._run(self._steps, actions, reward, terminated, truncated, out)
 
