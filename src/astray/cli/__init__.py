@@ -19,6 +19,7 @@ VERBS = {
     "train": agents.train,
     "evaluate": agents.evaluate,
     "reproduce": experiments.reproduce,
+    "keep": agents.keep,
     "record": agents.record,
     "level": levels.level,
     "replay": levels.replay,

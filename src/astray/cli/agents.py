@@ -10,7 +10,8 @@ from rich.console import Console
 from rich.table import Table
 from tyro.conf import Positional, arg
 
-from astray.cli.arguments import Knobs, Mode, level_numbers, one_level, pairs, print_json
+from astray.analysis.kept import KEPT
+from astray.cli.arguments import Knobs, Mode, chosen, level_numbers, one_level, pairs, print_json
 from astray.training.config import Config
 
 Preset = Literal["paper", "small"]
@@ -45,7 +46,8 @@ def train(
 
 
 def evaluate(
-    runs: Positional[tuple[Path, ...]],
+    runs: Positional[tuple[Path, ...]] = (),
+    agent: str | None = None,
     variant: str | None = None,
     shift: str | None = None,
     levels: str | None = None,
@@ -60,6 +62,7 @@ def evaluate(
 
     Args:
         runs: run folders, or checkpoints in them; several agents of one kind
+        agent: instead, the name of a kept one, as `astray list` has them
         variant: of the levels; by default the shift's test variant
         shift: which goals are intended and proxies; by default the one that the run trained for
         levels: numbers and ranges, as 5,17,100:200, or a file or folder of levels as
@@ -74,12 +77,12 @@ def evaluate(
     """
     from astray.analysis.runs import evaluate_runs
 
-    chosen = None
+    played = None
     if levels:
-        chosen = Path(levels) if Path(levels).exists() else level_numbers(levels)
+        played = Path(levels) if Path(levels).exists() else level_numbers(levels)
     shares, episodes = evaluate_runs(
-        runs, chosen, variant=variant, shift=shift, mode=mode, knobs=pairs(knobs), batch=batch,
-        solvable=not unsolvable,
+        chosen(runs, agent), played, variant=variant, shift=shift, mode=mode,
+        knobs=pairs(knobs), batch=batch, solvable=not unsolvable,
     )  # fmt: skip
     if out:
         episodes.write_parquet(out)
@@ -89,8 +92,28 @@ def evaluate(
         show(shares)
 
 
-def record(
+def keep(
     run: Positional[Path],
+    name: Annotated[str, arg(name="as")],
+    shift: str | None = None,
+    folder: Path = KEPT,
+) -> None:
+    """Keep a trained agent by a name, with a card that tells what it pursues.
+
+    Args:
+        run: a run folder or a checkpoint in it
+        name: by which --agent finds it
+        shift: which goals are intended and proxies; by default the one that the run trained for
+        folder: to keep it in, as a run folder; --agent finds those in the default one alone
+    """
+    from astray.experiments.keep import keep as write
+
+    print(write(run, name, shift=shift, folder=folder))
+
+
+def record(
+    run: Positional[Path | None] = None,
+    agent: str | None = None,
     variant: str | None = None,
     level: int | None = None,
     level_file: Path | None = None,
@@ -104,6 +127,7 @@ def record(
 
     Args:
         run: a run folder or a checkpoint in it
+        agent: instead, the name of a kept one, as `astray list` has them
         variant: of the level; by default that of the training
         level: its number; by default 1000000
         level_file: the level instead; `astray level` prints such
@@ -119,18 +143,19 @@ def record(
     write = {".mp4": video.write_mp4, ".gif": video.write_gif}.get(out.suffix)
     if write is None:
         raise ValueError(f"a video is an .mp4 or a .gif file, not {out}")
-    agent, config = open_run(run, mode)
+    player, config = open_run(chosen((run,) if run else (), agent)[0], mode)
     made = playing(config, variant or config.variant, pairs(knobs))
     begun = one_level(config.game, made, level, level_file, unsolvable)
     if begun is None:
         begun = 1_000_000
-    episode = video.play(agent, config.game, made, begun, pixels=pixels)
+    episode = video.play(player, config.game, made, begun, pixels=pixels)
     write(episode.frames, out)
     print(out)
 
 
 def agency(
-    run: Positional[Path],
+    run: Positional[Path | None] = None,
+    agent: str | None = None,
     variant: str | None = None,
     shift: str | None = None,
     levels: str | None = None,
@@ -144,6 +169,7 @@ def agency(
 
     Args:
         run: a run folder or a checkpoint in it
+        agent: instead, the name of a kept one, as `astray list` has them
         variant: of the levels; by default the shift's test variant
         shift: which goals are intended and proxies; by default the one that the run trained for
         levels: numbers and ranges, as 5,17,100:200; by default the first 300 that the training
@@ -157,9 +183,14 @@ def agency(
     """
     from astray.analysis.agency_run import judge_run
 
-    chosen = level_numbers(levels) if levels else None
     judged, film = judge_run(
-        run, chosen, variant=variant, shift=shift, measure=measure, mode=mode, knobs=pairs(knobs)
+        chosen((run,) if run else (), agent)[0],
+        level_numbers(levels) if levels else None,
+        variant=variant,
+        shift=shift,
+        measure=measure,
+        mode=mode,
+        knobs=pairs(knobs),
     )
     if out:
         from PIL import Image

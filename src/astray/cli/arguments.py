@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -10,6 +11,7 @@ import numpy as np
 from tyro.conf import arg
 
 from astray import games
+from astray.analysis import kept
 from astray.game import LEVELS, NEVER, Game, Variant
 from astray.level import Level, read_levels
 from astray.training.config import vary
@@ -17,6 +19,15 @@ from astray.training.config import vary
 Mode = Literal["sampled", "greedy"]
 Knobs = Annotated[tuple[str, ...], arg(name="set", metavar="KNOB=VALUE")]
 AT_ONCE = 10_000_000  # level numbers of one command
+
+
+def chosen(runs: Sequence[Path], agent: str | None) -> tuple[Path, ...]:
+    """The run folders that were asked for: these, or that of a kept agent."""
+    if agent is not None and runs:
+        raise ValueError("an agent is given by a run folder or by --agent NAME, not both")
+    if agent is None and not runs:
+        raise ValueError("name a run folder, or an --agent")
+    return tuple(runs) if agent is None else (kept.find(agent),)
 
 
 def level_numbers(text: str) -> np.ndarray:

@@ -10,13 +10,15 @@ from rich.table import Table
 from tyro.conf import Positional
 
 from astray import games
+from astray.analysis import kept
 from astray.cli.arguments import print_json
 from astray.experiments.spec import Size
+from astray.training import checkpoint
 from astray.training.config import PRESETS
 
 
 def list_(json: bool = False) -> None:
-    """What there is: games, variants, shifts, experiments, presets.
+    """What there is: games, variants, shifts, experiments, kept agents, presets.
 
     Args:
         json: print JSON
@@ -35,6 +37,7 @@ def list_(json: bool = False) -> None:
             for game in [games.load(name)]
         },
         "experiments": {name: experiments.load(name).title for name in experiments.NAMES},
+        "agents": {name: vars(checkpoint.read_config(kept.find(name))) for name in kept.names()},
         "presets": list(PRESETS),
     }
     if json:
@@ -53,6 +56,9 @@ def list_(json: bool = False) -> None:
     console.print("[bold]experiments[/]")
     for name, title in found["experiments"].items():
         console.print(f"  {name}: {title}")
+    console.print("[bold]agents[/]")
+    for name, config in found["agents"].items():
+        console.print(f"  {name}: {config['game']}, trained on {config['variant']}")
 
 
 def reproduce(
