@@ -96,7 +96,7 @@ def keep(
     run: Positional[Path],
     name: Annotated[str, arg(name="as")],
     shift: str | None = None,
-    folder: Path = KEPT,
+    folder: Path | None = None,
 ) -> None:
     """Keep a trained agent by a name, with a card that tells what it pursues.
 
@@ -104,11 +104,11 @@ def keep(
         run: a run folder or a checkpoint in it
         name: by which --agent finds it
         shift: which goals are intended and proxies; by default the one that the run trained for
-        folder: to keep it in, as a run folder; --agent finds those in the default one alone
+        folder: to keep it in, as a run folder; by default astray's, where --agent finds it
     """
     from astray.experiments.keep import keep as write
 
-    print(write(run, name, shift=shift, folder=folder))
+    print(write(run, name, shift=shift, folder=folder or KEPT))
 
 
 def record(

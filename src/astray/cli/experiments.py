@@ -13,6 +13,7 @@ from astray import games
 from astray.analysis import kept
 from astray.cli.arguments import print_json
 from astray.experiments.spec import Size
+from astray.experiments.workers import Place
 from astray.training import checkpoint
 from astray.training.config import PRESETS
 
@@ -66,6 +67,7 @@ def reproduce(
     size: Size = "smoke",
     folder: Path = Path("reports"),
     workers: int | None = None,
+    on: Place = "here",
 ) -> None:
     """Do a figure or table of the paper: train, evaluate, report; go on where it stopped.
 
@@ -73,14 +75,15 @@ def reproduce(
         name: of the experiment, as `astray list` has them, or all
         size: smoke (minutes on two cores), hour (of a GPU), or paper
         folder: of reports; gets this one in <name>-<size>, and the agents, which are shared
-        workers: agents trained at once; by default one for each processor
+        workers: agents trained at once here; by default one for each processor
+        on: train on this machine, or on a Ray cluster whose nodes all see the folder
     """
     from astray.experiments import run
 
     if name == "all":
-        print(run.reproduce_all(size, folder, workers=workers))
+        print(run.reproduce_all(size, folder, workers=workers, on=on))
     else:
-        print(run.reproduce(name, size, folder, workers=workers))
+        print(run.reproduce(name, size, folder, workers=workers, on=on))
 
 
 def bench(
