@@ -3,14 +3,14 @@ PYTHON ?= python3
 BIN := .venv/bin
 INSTALLED := .venv/installed
 
-.PHONY: demo test fuzz check bench clean
+.PHONY: demo test fuzz check docs bench clean
 
 # Train mice on cheese in the corner, test them on cheese anywhere, report what they pursue.
 demo: $(INSTALLED)
 	$(BIN)/astray reproduce maze-corner --size smoke
 
-# All checks, then all tests.
-test: check
+# All checks, the documentation, then all tests.
+test: check docs
 	$(BIN)/python -m pytest -n 2
 
 # A million inputs, and a training that is killed a hundred times; half an hour.
@@ -29,6 +29,10 @@ check: $(INSTALLED)
 	$(BIN)/lint-imports
 	$(BIN)/pyright --pythonpath $(BIN)/python
 
+# The documentation, to site/index.html; a dead link is an error.
+docs: $(INSTALLED)
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
+
 # Speed beside EnvPool (its Procgen needs Debian's libqt5gui5) and Stable-Baselines3.
 bench: $(INSTALLED)
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt envpool
@@ -42,4 +46,4 @@ $(INSTALLED): pyproject.toml constraints.txt
 	touch $@
 
 clean:
-	rm -rf .venv reports runs
+	rm -rf .venv reports runs site

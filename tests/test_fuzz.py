@@ -22,6 +22,7 @@ from safetensors.torch import save as to_bytes
 from astray import cli, games
 from astray.agents import policy
 from astray.analysis.outcomes import OUTCOMES
+from astray.cli import arguments
 from astray.envs.states import load_states, save_states
 from astray.envs.vector import GameVectorEnv
 from astray.experiments.spec import Claim, Experiment, Plan
@@ -434,7 +435,7 @@ def test_a_command_does_something_or_says_what_is_wrong(verb, words):
 @given(st.text(string.digits + ",:- x", max_size=12))
 def test_level_numbers_are_refused_or_in_range(text):
     try:
-        found = cli.level_numbers(text)
+        found = arguments.level_numbers(text)
     except ValueError as error:
         assert "level" in str(error)
         tried("level numbers", 1)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import functools
 import hashlib
 import json
-import os
 import shutil
 from dataclasses import asdict
 from pathlib import Path
@@ -18,17 +17,21 @@ from astray.analysis.overlap import met, unseen
 from astray.analysis.runs import open_run, play_all
 from astray.experiments import report
 from astray.experiments.spec import Plan, Runs, Size, Test, Work, kept
-from astray.experiments.workers import train_all
+from astray.experiments.workers import Place, train_all
 from astray.files import write_aside
 from astray.game import Variant
 from astray.training.config import Config
 
 
-def reproduce(name: str, size: Size, root: Path, *, workers: int | None = None) -> Path:
+def reproduce(
+    name: str, size: Size, root: Path, *, workers: int | None = None, on: Place = "here"
+) -> Path:
     """Do what is missing of an experiment and write its report; the report's path.
 
-    root     gets the report, in <name>-<size>, and in `agents` the agents, which experiments share
-    workers  agents trained at once; None: one for each processor
+    root     gets the report, in <name>-<size>, and in `agents` the agents, which experiments share;
+             on a cluster all nodes see it
+    workers  agents trained at once here; None: one for each processor
+    on       where agents are trained; they are evaluated here
     """
     experiment = experiments.load(name)
     if size not in experiment.sizes:
@@ -40,8 +43,8 @@ def reproduce(name: str, size: Size, root: Path, *, workers: int | None = None) 
     trainings = plan.trainings()
     train_all(
         {run_folder(root, config): config for configs in trainings.values() for config in configs},
-        workers or os.cpu_count() or 1,
-    )
+        workers, on,
+    )  # fmt: skip
     runs = {
         name: [run_folder(root, config) for config in configs]
         for name, configs in trainings.items()
@@ -57,11 +60,13 @@ def reproduce(name: str, size: Size, root: Path, *, workers: int | None = None) 
     return report.write(heading, findings, folder)
 
 
-def reproduce_all(size: Size, root: Path, *, workers: int | None = None) -> Path:
+def reproduce_all(
+    size: Size, root: Path, *, workers: int | None = None, on: Place = "here"
+) -> Path:
     """Every experiment that has this size, one after the other, and a page that leads to them."""
     for name in experiments.NAMES:
         if size in experiments.load(name).sizes:
-            reproduce(name, size, root, workers=workers)
+            reproduce(name, size, root, workers=workers, on=on)
             report.write_index(root)
     return report.write_index(root)
 

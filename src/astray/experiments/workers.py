@@ -1,17 +1,20 @@
-"""Training many agents at once, in processes of this machine."""
+"""Training many agents at once, in processes of this machine or on a Ray cluster."""
 
 from __future__ import annotations
 
+import contextlib
+import functools
 import json
 import multiprocessing
 import os
 import sys
 import threading
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
 from rich.console import Console
 from rich.live import Live
@@ -25,17 +28,38 @@ SECONDS, QUIET = 0.5, 60.0  # from one look at the runs to the next; from line t
 TAIL = 4096  # bytes of metrics.jsonl in which its last line is
 
 
-def train_all(todo: Mapping[Path, Config], workers: int) -> None:
-    """Train every agent whose run folder does not hold it finished, so many at once."""
+Place = Literal["here", "ray"]
+Submit = Callable[[Config, Path], Future[None]]  # begins a training in a run folder
+
+
+def train_all(todo: Mapping[Path, Config], workers: int | None = None, on: Place = "here") -> None:
+    """Train every agent whose run folder does not hold it finished.
+
+    workers  how many at once, here; None: one for each processor
+    """
+    if on == "ray" and workers is not None:
+        raise ValueError("a cluster's processors and GPUs say how many agents are trained at once")
     missing = {run: config for run, config in todo.items() if not checkpoint.finished(run, config)}
     if not missing:
         return
+    if on == "ray":
+        from astray.experiments.cluster import on_ray
+
+        place = on_ray()
+    else:
+        place = in_processes(min(workers or os.cpu_count() or 1, len(missing)))
+    with place as submit:
+        watch({run: submit(config, run) for run, config in missing.items()}, missing)
+
+
+@contextlib.contextmanager
+def in_processes(count: int) -> Iterator[Submit]:
+    """Trainings wait for one of so many processes of this machine."""
     # Spawned, not forked: torch's and the environments' threads do not survive a fork.
     context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(max(1, min(workers, len(missing))), context) as pool:
-        running = {run: pool.submit(_train, config, run) for run, config in missing.items()}
+    with ProcessPoolExecutor(count, context) as pool:
         try:
-            watch(running, missing)
+            yield functools.partial(pool.submit, _train)
         except BaseException:
             pool.shutdown(cancel_futures=True)
             raise

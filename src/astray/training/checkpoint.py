@@ -36,6 +36,10 @@ from astray.training.trainer import Trainer
 AGENT, TRAINER = "agent.safetensors", "trainer.safetensors"
 
 
+class Claimed(RuntimeError):
+    """Another process is training in the run folder."""
+
+
 @contextlib.contextmanager
 def claim(folder: Path, config: Config) -> Iterator[None]:
     """Hold the run folder for this process alone, and see that it is this configuration's.
@@ -51,7 +55,7 @@ def claim(folder: Path, config: Config) -> Iterator[None]:
         lock = FileLock(folder / ".lock", timeout=0)
         lock.acquire()
     except Timeout:
-        raise RuntimeError(f"another process is training in {folder}") from None
+        raise Claimed(f"another process is training in {folder}") from None
     except OSError as error:
         raise OSError(
             error.errno, f"{error.strerror}; no run can be kept in", str(folder)

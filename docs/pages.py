@@ -1,0 +1,328 @@
+"""Pages of the site that are made from the code: games, experiments, agents, verbs, modules.
+
+A hook of MkDocs. Nothing lists what there is; a new game, experiment, verb or module has its page.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import functools
+import inspect
+import io
+import itertools
+import os
+import pkgutil
+import re
+import sys
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import MISSING, fields
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+from unittest import mock
+
+from mkdocs.config.defaults import MkDocsConfig
+from mkdocs.exceptions import PluginError
+from mkdocs.structure.files import File, Files
+from PIL import Image
+
+import astray
+from astray import cli, experiments, games
+from astray.analysis import kept
+from astray.envs.vector import GameVectorEnv
+from astray.experiments.spec import Plan
+from astray.game import Game, Variant, knobs
+from astray.training.config import Config
+
+ROOT = Path(__file__).parents[1]
+SIDE = 256  # pixels of a level's picture
+WIDTH = "90"  # characters of a help text
+MOST = 40  # rows of settings; a sweep may have more agents
+
+
+FETCHED = re.compile(
+    r'<(?:script|img|iframe|video|source|link)\b[^>]*\b(?:src|href)="(?:https?:)?//[^>]*'
+)
+
+
+def on_config(config: MkDocsConfig) -> MkDocsConfig:
+    """Let the navigation lead to the pages that are made."""
+    parts = {part: [page for page in pages() if page.startswith(part + "/")]
+             for part in ("games", "experiments", "agents", "api")}  # fmt: skip
+    named = [{name.capitalize(): made} for name, made in parts.items() if name != "api"]
+    config.nav = [*config.nav[:1], *named, *config.nav[1:], "cli.md", {"API": parts["api"]}]
+    return config
+
+
+def on_files(files: Files, config: MkDocsConfig) -> Files:
+    for name, text in pages().items():
+        files.append(File.generated(config, name, content=text))
+    for game in map(games.load, games.NAMES):
+        for name, image in pictures(game):
+            files.append(File.generated(config, name, content=image))
+    for name in kept.names():
+        for path in (p for p in kept.find(name).iterdir() if p.suffix in (".png", ".gif", ".csv")):
+            files.append(
+                File.generated(config, f"agents/{name}/{path.name}", abs_src_path=str(path))
+            )
+    return files
+
+
+def on_post_build(config: MkDocsConfig) -> None:
+    """See that no page fetches anything from elsewhere."""
+    for path in Path(config.site_dir).rglob("*.html"):
+        if found := FETCHED.search(path.read_text()):
+            raise PluginError(f"{path} would fetch something: {found[0]}")
+
+
+@functools.cache
+def pages() -> dict[str, str]:
+    """All pages that are made: their paths and Markdown."""
+    return {
+        "index.md": from_root("README.md"),
+        "speed.md": from_root("benchmarks/README.md"),
+        **{f"games/{name}.md": game_page(games.load(name)) for name in games.NAMES},
+        **{f"experiments/{name}.md": experiment_page(name) for name in experiments.NAMES},
+        "agents/index.md": kept_page(),
+        **{f"agents/{name}/card.md": (kept.find(name) / "README.md").read_text()
+           for name in kept.names()},
+        "cli.md": verbs_page(),
+        **dict(api_pages()),
+    }  # fmt: skip
+
+
+def from_root(name: str) -> str:
+    """A text of the repository, its links those of the site."""
+    folder = Path(name).parent
+
+    def moved(match: re.Match) -> str:
+        path = os.path.normpath(folder / match[1])
+        if path.startswith("docs/"):
+            return f"]({path.removeprefix('docs/')})"
+        if path.startswith("src/astray/"):
+            module = path.removeprefix("src/").removesuffix(".py").replace("/", ".")
+            return f"]({api_page(module)}#{module})"
+        return "](" + {"benchmarks/README.md": "speed.md", "agents": "agents/index.md"}[path] + ")"
+
+    return re.sub(r"\]\((?!https?:)([^)#]+)\)", moved, (ROOT / name).read_text())
+
+
+# Games
+
+
+def game_page(game: Game) -> str:
+    kind = type(next(iter(game.variants.values())))
+    package = inspect.getmodule(kind)
+    assert package is not None and package.__name__.endswith(".variants")
+    told = inspect.getdoc(sys.modules[package.__name__.removesuffix(".variants")]) or ""
+    title, _, about = told.partition(": ")
+    parts = [
+        f"# {title}", about[:1].upper() + about[1:],
+        "## Shifts",
+        "What an agent is trained on, what it is tested on, and which goals come apart between.",
+        table(
+            ("shift", "training variant", "test variant", "intended goal", "proxies"),
+            [(code(name), code(s.train), code(s.test), s.intended, ", ".join(s.proxies))
+             for name, s in game.shifts.items()],
+        ),
+        "## Goals and events",
+        "Rules report events, with the step of each; a goal is reached when its event happens.",
+        table(("event", "goals"), [
+            (code(event), ", ".join(g for g, e in game.goals.items() if e == event))
+            for event in game.events
+        ]),
+        "## Variants",
+        "A variant is a distribution of levels: these knobs, set to numbers. What differs from the "
+        "knobs' defaults is named; the picture is the variant's level 0.",
+        gallery(game),
+        table(("variant", "levels", "knobs"), [
+            (code(name), variant.about, ", ".join(map(code, changed(variant))))
+            for name, variant in game.variants.items()
+        ]),
+        "## Knobs",
+        inspect.getdoc(kind),
+        "Set on the command line as `--set name=value`, in code with `dataclasses.replace`.",
+        table(("knob", "type", "default", "meaning"), list(knob_rows(kind))),
+        "## Actions",
+        ", ".join(f"{number} {code(action)}" for number, action in enumerate(game.actions)) + ".",
+    ]  # fmt: skip
+    return "\n\n".join(str(part) for part in parts)
+
+
+def gallery(game: Game) -> str:
+    shown = [
+        f'<figure><img src="{game.name}/{name}.png" alt="level 0 of {name}">'
+        f"<figcaption>{name}</figcaption></figure>"
+        for name in drawn(game)
+    ]
+    return '<div class="pictures">\n' + "\n".join(shown) + "\n</div>"
+
+
+def drawn(game: Game) -> list[str]:
+    """The variants with pictures: of a series that differs in a number only the first."""
+    firsts = itertools.groupby(game.variants, lambda name: re.sub(r"\d+$", "", name))
+    return [next(names) for _, names in firsts]
+
+
+def pictures(game: Game) -> Iterator[tuple[str, bytes]]:
+    """Level 0 of each variant."""
+    for name in drawn(game):
+        env = GameVectorEnv(game.name, name, 1, observation="symbolic")
+        env.reset(seed=0, options={"level": 0})
+        file = io.BytesIO()
+        Image.fromarray(env.picture(SIDE)[0]).save(file, "PNG", optimize=True)
+        env.close()
+        yield f"games/{game.name}/{name}.png", file.getvalue()
+
+
+def changed(variant: Variant) -> list[str]:
+    """The knobs that are not at their defaults."""
+    plain = {f.name: f.default for f in fields(variant)}
+    return [
+        f"{name}={getattr(variant, name)}"
+        for name in knobs(type(variant))
+        if getattr(variant, name) != plain[name]
+    ]
+
+
+def knob_rows(kind: type[Variant]) -> Iterator[tuple[str, ...]]:
+    hints = knobs(kind)
+    for field in fields(kind):
+        if field.name in hints:
+            said = next(filter(None, (comment(owner, field.name) for owner in kind.__mro__)), "")
+            default = "" if field.default is MISSING else code(field.default)
+            choices = getattr(hints[field.name], "__args__", None)
+            shown = " ".join(map(code, choices)) if choices else code(field.type)
+            yield code(field.name), shown, default, said
+
+
+def comment(owner: type, field: str) -> str:
+    """What the source says behind the declaration of a field."""
+    if owner is object:
+        return ""
+    found = re.search(rf"^    {field}: [^#\n]*# (.*)$", inspect.getsource(owner), re.MULTILINE)
+    return found[1] if found else ""
+
+
+# Experiments
+
+
+def experiment_page(name: str) -> str:
+    experiment = experiments.load(name)
+    module = sys.modules[f"astray.experiments.catalogue.{name.replace('-', '_')}"]
+    parts = [
+        f"# {experiment.title}", inspect.getdoc(module),
+        f"*{experiment.question}* Reproduces: {experiment.reproduces}.",
+        "\n".join(["```bash", *(f"astray reproduce {name} --size {s}" for s in experiment.sizes),
+                   "```"]),
+        "Run again, it goes on where it stopped; agents are shared with the experiments that want "
+        "the same. The report is one HTML file with claims, figures, tables and videos.",
+    ]  # fmt: skip
+    for size, plan in experiment.sizes.items():
+        parts += [f"## Size {size}", *size_parts(plan)]
+    return "\n\n".join(map(str, parts))
+
+
+def size_parts(plan: Plan) -> Iterator[str]:
+    if plan.smaller:
+        yield f"Smaller than in the paper: {plan.smaller}."
+    if plan.agents:
+        yield (
+            f"Agents that are trained: {len(plan.agents) * plan.seeds}, of each name with "
+            f"{plan.seeds} {'seed' if plan.seeds == 1 else 'seeds'}. Levels of each test: "
+            f"{plan.levels:,}."
+        )
+        names = list(settings(plan.config))
+        yield table(("agent", *names), [
+            (name, *settings(config).values()) for name, config in
+            itertools.islice(plan.agents.items(), MOST)
+        ])  # fmt: skip
+    if plan.tests:
+        yield table(("test", "variant", "shift", "knobs changed"), [
+            (name, link(plan.game, test.variant), code(test.shift),
+             " ".join(code(f"{k}={v}") for k, v in test.knobs.items()))
+            for name, test in plan.tests.items()
+        ])  # fmt: skip
+
+
+def settings(config: Config) -> dict[str, str]:
+    """What tells agents apart, for a table."""
+    return {
+        "variant": link(config.game, config.variant),
+        "knobs changed": " ".join(code(f"{k}={v}") for k, v in config.knobs.items()),
+        "steps": f"{config.steps / 1e6:g} million",
+        "sees": config.observation,
+        "network": f"{config.network}, {config.scale} x" if config.network == "impala"
+        else f"{config.network}, {config.width} units",
+    }  # fmt: skip
+
+
+def link(game: str, variant: str) -> str:
+    return f"[{code(variant)}](../games/{game}.md#variants)"
+
+
+# Agents, verbs, modules
+
+
+def kept_page() -> str:
+    rows = [
+        (f"[{name}]({name}/card.md)", text.split("\n\n")[1].replace("\n", " "))
+        for name in kept.names()
+        for text in [(kept.find(name) / "README.md").read_text()]
+    ]
+    return (kept.KEPT / "README.md").read_text() + "\n\n" + (
+        table(("agent", "what it is"), rows) if rows else "None is kept yet."
+    )  # fmt: skip
+
+
+def verbs_page() -> str:
+    text = "# Commands\n\n" + (inspect.getdoc(cli) or "") + "\n"
+    for verb in cli.VERBS:
+        text += f"\n## {verb}\n\n```text\n{help_of(verb)}\n```\n"
+    return text
+
+
+def help_of(verb: str) -> str:
+    """What `astray VERB --help` prints."""
+    out, env = io.StringIO(), {"COLUMNS": WIDTH, "NO_COLOR": "1"}
+    with (
+        mock.patch.object(sys, "argv", ["astray", verb, "--help"]),
+        mock.patch.dict(os.environ, env),
+        contextlib.redirect_stdout(out),
+        contextlib.suppress(SystemExit),
+    ):
+        cli.main()
+    return out.getvalue().strip()
+
+
+def api_pages() -> Iterator[tuple[str, str]]:
+    """A page for each package of the first level, and one for the modules beside them."""
+    by_page: dict[str, list[str]] = {}
+    for module in ["astray", *sorted(modules(astray))]:
+        by_page.setdefault(api_page(module), []).append(module)
+    for page, names in sorted(by_page.items(), key=lambda item: item[0] != api_page("astray")):
+        title = "astray" + ("." + Path(page).stem if page != api_page("astray") else "")
+        yield page, f"# {title}\n\n" + "\n\n".join(f"::: {name}" for name in names)
+
+
+def api_page(module: str) -> str:
+    """The page that a module is told on."""
+    parts = module.split(".")
+    package = (ROOT / "src" / "/".join(parts[:2])).is_dir() and len(parts) > 1
+    return f"api/{parts[1]}.md" if package else "api/index.md"
+
+
+def modules(package: ModuleType) -> Iterator[str]:
+    """The public modules in a package, tests and main programs left out."""
+    for module in pkgutil.walk_packages(package.__path__, package.__name__ + "."):
+        if not re.search(r"\.(_|tests\b)", module.name):
+            yield module.name
+
+
+def table(heading: Sequence[str], rows: Iterable[Sequence[Any]]) -> str:
+    lines = [heading, ["---"] * len(heading), *rows]
+    return "\n".join(f"| {' | '.join(str(cell) for cell in line)} |" for line in lines)
+
+
+def code(text: Any) -> str:
+    return f"`{text}`"

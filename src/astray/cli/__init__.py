@@ -1,0 +1,48 @@
+"""The command line: one plain function per verb."""
+
+from __future__ import annotations
+
+import argparse
+import functools
+import sys
+
+import tyro
+
+from astray.cli import agents, experiments, levels
+from astray.training.config import PRESETS
+
+MISTAKE = 2  # exit code, after the mistake was explained
+
+VERBS = {
+    "list": experiments.list_,
+    "play": levels.play,
+    "train": agents.train,
+    "evaluate": agents.evaluate,
+    "reproduce": experiments.reproduce,
+    "keep": agents.keep,
+    "record": agents.record,
+    "level": levels.level,
+    "replay": levels.replay,
+    "overlap": levels.overlap,
+    "agency": agents.agency,
+    "bench": experiments.bench,
+}
+
+
+def main() -> None:
+    """Entry point of the `astray` command."""
+    # The preset gives the other settings their defaults, so it is read before them.
+    first = argparse.ArgumentParser(add_help=False, allow_abbrev=False, exit_on_error=False)
+    first.add_argument("--preset", nargs="?")
+    preset = first.parse_known_args()[0].preset
+    defaults = PRESETS.get(preset, PRESETS["small"])  # tyro refuses an unknown one
+    verbs = VERBS | {"train": functools.partial(agents.train, config=defaults)}
+    try:
+        tyro.extras.subcommand_cli_from_dict(
+            verbs, prog="astray", description="Find out which goal a trained agent really pursues."
+        )
+    except (ValueError, OSError, RuntimeError, ImportError, OverflowError) as error:
+        print(f"astray: {error}", file=sys.stderr)
+        sys.exit(MISTAKE)
+    except KeyboardInterrupt:
+        sys.exit(130)

@@ -1,0 +1,224 @@
+"""Verbs for agents: train, evaluate, film, judge them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Literal
+
+import polars as pl
+from rich.console import Console
+from rich.table import Table
+from tyro.conf import Positional, arg
+
+from astray.analysis.kept import KEPT
+from astray.cli.arguments import Knobs, Mode, chosen, level_numbers, one_level, pairs, print_json
+from astray.training.config import Config
+
+Preset = Literal["paper", "small"]
+
+
+def train(
+    config: Annotated[Config, arg(name="")],
+    preset: Preset = "small",
+    knobs: Knobs = (),
+    seeds: int = 1,
+    folder: Path | None = None,
+) -> None:
+    """Train agents, or go on where they stopped.
+
+    Args:
+        preset: whose settings are the defaults of all others
+        knobs: of the variant, changed
+        seeds: agents to train one after the other, with this seed, the next, ...
+        folder: of the runs; by default runs/<game>-<variant>
+    """
+    from dataclasses import replace
+
+    from astray.training.loop import train as run
+
+    if seeds < 1:
+        raise ValueError(f"seeds is {seeds}; it is at least 1")
+    changed = replace(config, knobs=pairs(knobs))
+    there = folder or Path("runs") / f"{config.game}-{config.variant}"
+    for seed in range(config.seed, config.seed + seeds):
+        last = run(replace(changed, seed=seed), there / f"seed-{seed}")
+        print(last)
+
+
+def evaluate(
+    runs: Positional[tuple[Path, ...]] = (),
+    agent: str | None = None,
+    variant: str | None = None,
+    shift: str | None = None,
+    levels: str | None = None,
+    unsolvable: bool = False,
+    mode: Mode = "sampled",
+    knobs: Knobs = (),
+    batch: int = 256,
+    out: Path | None = None,
+    json: bool = False,
+) -> None:
+    """Play agents on explicit levels and say which goal they pursued.
+
+    Args:
+        runs: run folders, or checkpoints in them; several agents of one kind
+        agent: instead, the name of a kept one, as `astray list` has them
+        variant: of the levels; by default the shift's test variant
+        shift: which goals are intended and proxies; by default the one that the run trained for
+        levels: numbers and ranges, as 5,17,100:200, or a file or folder of levels as
+            `astray level` prints them; by default the first 1,000 numbers that the first run's
+            training does not draw from
+        unsolvable: let levels from files have objects that cannot be reached
+        mode: draw from the agent's policy, or take the likeliest action
+        knobs: of the variant, changed
+        batch: episodes at once; the rows do not depend on it
+        out: a Parquet file for the episodes, a row each
+        json: print JSON
+    """
+    from astray.analysis.runs import evaluate_runs
+
+    played = None
+    if levels:
+        played = Path(levels) if Path(levels).exists() else level_numbers(levels)
+    shares, episodes = evaluate_runs(
+        chosen(runs, agent), played, variant=variant, shift=shift, mode=mode,
+        knobs=pairs(knobs), batch=batch, solvable=not unsolvable,
+    )  # fmt: skip
+    if out:
+        episodes.write_parquet(out)
+    if json:
+        print_json(shares.to_dicts())
+    else:
+        show(shares)
+
+
+def keep(
+    run: Positional[Path],
+    name: Annotated[str, arg(name="as")],
+    shift: str | None = None,
+    folder: Path | None = None,
+) -> None:
+    """Keep a trained agent by a name, with a card that tells what it pursues.
+
+    Args:
+        run: a run folder or a checkpoint in it
+        name: by which --agent finds it
+        shift: which goals are intended and proxies; by default the one that the run trained for
+        folder: to keep it in, as a run folder; by default astray's, where --agent finds it
+    """
+    from astray.experiments.keep import keep as write
+
+    print(write(run, name, shift=shift, folder=folder or KEPT))
+
+
+def record(
+    run: Positional[Path | None] = None,
+    agent: str | None = None,
+    variant: str | None = None,
+    level: int | None = None,
+    level_file: Path | None = None,
+    unsolvable: bool = False,
+    mode: Mode = "sampled",
+    knobs: Knobs = (),
+    pixels: int = 512,
+    out: Path = Path("episode.mp4"),
+) -> None:
+    """Film an agent in one level.
+
+    Args:
+        run: a run folder or a checkpoint in it
+        agent: instead, the name of a kept one, as `astray list` has them
+        variant: of the level; by default that of the training
+        level: its number; by default 1000000
+        level_file: the level instead; `astray level` prints such
+        unsolvable: let it have objects that cannot be reached
+        mode: draw from the agent's policy, or take the likeliest action
+        knobs: of the variant, changed
+        pixels: a side of the picture
+        out: an .mp4 or .gif file
+    """
+    from astray.analysis import video
+    from astray.analysis.runs import open_run, playing
+
+    write = {".mp4": video.write_mp4, ".gif": video.write_gif}.get(out.suffix)
+    if write is None:
+        raise ValueError(f"a video is an .mp4 or a .gif file, not {out}")
+    player, config = open_run(chosen((run,) if run else (), agent)[0], mode)
+    made = playing(config, variant or config.variant, pairs(knobs))
+    begun = one_level(config.game, made, level, level_file, unsolvable)
+    if begun is None:
+        begun = 1_000_000
+    episode = video.play(player, config.game, made, begun, pixels=pixels)
+    write(episode.frames, out)
+    print(out)
+
+
+def agency(
+    run: Positional[Path | None] = None,
+    agent: str | None = None,
+    variant: str | None = None,
+    shift: str | None = None,
+    levels: str | None = None,
+    measure: Literal["paper", "calibrated"] = "calibrated",
+    mode: Mode = "sampled",
+    knobs: Knobs = (),
+    out: Path | None = None,
+    json: bool = False,
+) -> None:
+    """Say whether a trained agent of mazes is goal-directed at all, and towards what.
+
+    Args:
+        run: a run folder or a checkpoint in it
+        agent: instead, the name of a kept one, as `astray list` has them
+        variant: of the levels; by default the shift's test variant
+        shift: which goals are intended and proxies; by default the one that the run trained for
+        levels: numbers and ranges, as 5,17,100:200; by default the first 300 that the training
+            does not draw from
+        measure: calibrated, or the paper's to the letter, which calls most policies agents
+        mode: draw from the agent's policy, or take the likeliest action
+        knobs: of the variant, changed
+        out: a folder for episodes.parquet, and for posterior.mp4, .gif and .png of the episode in
+            which most steps tell the goals apart
+        json: print JSON
+    """
+    from astray.analysis.agency_run import judge_run
+
+    judged, film = judge_run(
+        chosen((run,) if run else (), agent)[0],
+        level_numbers(levels) if levels else None,
+        variant=variant,
+        shift=shift,
+        measure=measure,
+        mode=mode,
+        knobs=pairs(knobs),
+    )
+    if out:
+        from PIL import Image
+
+        from astray.analysis import video
+
+        frames = film()
+        video.write_mp4(frames, out / "posterior.mp4", fps=4)
+        video.write_gif(frames, out / "posterior.gif", fps=4)
+        Image.fromarray(frames[-1]).save(out / "posterior.png")
+        judged.episodes.write_parquet(out / "episodes.parquet")
+    if json:
+        print_json(judged.summary())
+        return
+    table = Table("explanation", "of episodes")
+    for name, share in zip(judged.explanations, judged.shares, strict=True):
+        table.add_row(name, f"{share.mean:.1%} [{share.low:.1%}, {share.high:.1%}]")
+    Console().print(table)
+    print(judged.sentence())
+
+
+def show(shares: pl.DataFrame) -> None:
+    """`outcomes.shares` as a table: a row a policy, a column an outcome, with 95 % intervals."""
+    outcomes = shares["outcome"].unique(maintain_order=True).to_list()
+    shown = Table("policy", "agents", "levels", *outcomes, title=shares["variant"][0])
+    for rows in shares.partition_by("policy", "levels_played", maintain_order=True):
+        first = rows.row(0, named=True)
+        levels = f"{first['levels']} {first['levels_played']}"
+        told = [f"{r['mean']:.1%} [{r['low']:.1%}, {r['high']:.1%}]" for r in rows.to_dicts()]
+        shown.add_row(first["policy"], f"{first['agents']}", levels, *told)
+    Console(width=120).print(shown)

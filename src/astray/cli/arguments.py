@@ -1,0 +1,94 @@
+"""What several verbs take and print: levels, knobs, actions, JSON."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from tyro.conf import arg
+
+from astray import games
+from astray.analysis import kept
+from astray.game import LEVELS, NEVER, Game, Variant
+from astray.level import Level, read_levels
+from astray.training.config import vary
+
+Mode = Literal["sampled", "greedy"]
+Knobs = Annotated[tuple[str, ...], arg(name="set", metavar="KNOB=VALUE")]
+AT_ONCE = 10_000_000  # level numbers of one command
+
+
+def chosen(runs: Sequence[Path], agent: str | None) -> tuple[Path, ...]:
+    """The run folders that were asked for: these, or that of a kept agent."""
+    if agent is not None and runs:
+        raise ValueError("an agent is given by a run folder or by --agent NAME, not both")
+    if agent is None and not runs:
+        raise ValueError("name a run folder, or an --agent")
+    return tuple(runs) if agent is None else (kept.find(agent),)
+
+
+def level_numbers(text: str) -> np.ndarray:
+    """Level numbers from text like 5,17,100:200."""
+    spans = []
+    try:
+        for part in text.split(","):
+            first, colon, after = part.partition(":")
+            spans.append(
+                range(int(first), int(after)) if colon else range(int(first), int(first) + 1)
+            )
+    except ValueError:
+        raise ValueError(f"levels are numbers and ranges as 5,17,100:200; given {text!r}") from None
+    spans = [span for span in spans if span]
+    if not spans or any(s[0] < 0 or s[-1] >= LEVELS.stop for s in spans):
+        raise ValueError(f"levels are numbers from 0 to {LEVELS.stop - 1}; given {text!r}")
+    count = sum(map(len, spans))
+    if count > AT_ONCE:
+        raise ValueError(f"{count} levels are given; at most {AT_ONCE} are taken at once")
+    return np.concatenate([np.arange(span.start, span.stop) for span in spans])
+
+
+def pairs(knobs: tuple[str, ...]) -> dict[str, Any]:
+    wrong = [knob for knob in knobs if "=" not in knob]
+    if wrong:
+        raise ValueError(f"a knob is set as NAME=VALUE; given {wrong[0]!r}")
+    return dict(knob.split("=", 1) for knob in knobs)
+
+
+def varied(game: str, variant: str, knobs: tuple[str, ...]) -> Variant:
+    return vary(game, variant, pairs(knobs))
+
+
+def one_level(
+    game: str, variant: Variant, number: int | None, file: Path | None, unsolvable: bool
+) -> int | Level | None:
+    """The level that was asked for by number or file; None where neither was."""
+    if file is None:
+        return number
+    if number is not None:
+        raise ValueError("a level is given by its number or in a file, not both")
+    found = read_levels(file, games.load(game), variant, solvable=not unsolvable)
+    if len(found) > 1:
+        raise ValueError(f"one level is played; {file} holds {len(found)}")
+    return next(iter(found.values()))
+
+
+def action_numbers(game: Game, text: str) -> list[int]:
+    """Actions by name or number."""
+    found = []
+    for word in text.replace(",", " ").replace("[", " ").replace("]", " ").split():
+        name = word.strip("\"'")
+        number = int(name) if name.isdecimal() else NEVER
+        if name in game.actions:
+            number = game.actions.index(name)
+        if not 0 <= number < len(game.actions):
+            there = ", ".join(f"{k} {a}" for k, a in enumerate(game.actions))
+            raise ValueError(f"unknown action {name!r}; there are: {there}")
+        found.append(number)
+    return found
+
+
+def print_json(data: Any) -> None:
+    print(json.dumps(data))

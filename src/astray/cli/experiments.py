@@ -1,0 +1,113 @@
+"""Verbs for what is more than one agent: what there is, experiments, measured speed."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Literal
+
+from rich.console import Console
+from rich.table import Table
+from tyro.conf import Positional
+
+from astray import games
+from astray.analysis import kept
+from astray.cli.arguments import print_json
+from astray.experiments.spec import Size
+from astray.experiments.workers import Place
+from astray.training import checkpoint
+from astray.training.config import PRESETS
+
+
+def list_(json: bool = False) -> None:
+    """What there is: games, variants, shifts, experiments, kept agents, presets.
+
+    Args:
+        json: print JSON
+    """
+    from astray import experiments
+
+    found = {
+        "games": {
+            name: {
+                "about": game.about,
+                "variants": {k: v.about for k, v in game.variants.items()},
+                "goals": list(game.goals),
+                "shifts": {k: vars(v) for k, v in game.shifts.items()},
+            }
+            for name in games.NAMES
+            for game in [games.load(name)]
+        },
+        "experiments": {name: experiments.load(name).title for name in experiments.NAMES},
+        "agents": {name: vars(checkpoint.read_config(kept.find(name))) for name in kept.names()},
+        "presets": list(PRESETS),
+    }
+    if json:
+        print_json(found)
+        return
+    console = Console()
+    for name, game in found["games"].items():
+        console.print(f"[bold]{name}[/]: {game['about']}")
+        table = Table("variant", "levels", box=None, padding=(0, 2))
+        for variant, about in game["variants"].items():
+            table.add_row(variant, about)
+        console.print(table)
+        for shift, what in game["shifts"].items():
+            goals = f"{what['intended']}, or {' or '.join(what['proxies'])}?"
+            console.print(f"  shift {shift}: {what['train']} -> {what['test']}: {goals}")
+    console.print("[bold]experiments[/]")
+    for name, title in found["experiments"].items():
+        console.print(f"  {name}: {title}")
+    console.print("[bold]agents[/]")
+    for name, config in found["agents"].items():
+        console.print(f"  {name}: {config['game']}, trained on {config['variant']}")
+
+
+def reproduce(
+    name: Positional[str],
+    size: Size = "smoke",
+    folder: Path = Path("reports"),
+    workers: int | None = None,
+    on: Place = "here",
+) -> None:
+    """Do a figure or table of the paper: train, evaluate, report; go on where it stopped.
+
+    Args:
+        name: of the experiment, as `astray list` has them, or all
+        size: smoke (minutes on two cores), hour (of a GPU), or paper
+        folder: of reports; gets this one in <name>-<size>, and the agents, which are shared
+        workers: agents trained at once here; by default one for each processor
+        on: train on this machine, or on a Ray cluster whose nodes all see the folder
+    """
+    from astray.experiments import run
+
+    if name == "all":
+        print(run.reproduce_all(size, folder, workers=workers, on=on))
+    else:
+        print(run.reproduce(name, size, folder, workers=workers, on=on))
+
+
+def bench(
+    what: Positional[Literal["environments", "training", "agency"]] = "environments",
+    markdown: bool = False,
+    device: Literal["cpu", "cuda", "mps"] = "cpu",
+) -> None:
+    """Measure speed, as ratios in one run, and where there are others against them.
+
+    Args:
+        markdown: print the table for benchmarks/README.md
+        device: that trains; the environments and the agency measure are a CPU's
+    """
+    from importlib import import_module
+
+    from astray.agents.policy import usable
+
+    if not usable(device):
+        raise ValueError(f"there is no device {device!r} that torch can use")
+    if device != "cpu" and what != "training":
+        raise ValueError(f"device is {device!r}; {what} is measured on a CPU")
+    module = import_module(f"astray.bench.{what}")
+    rows = module.measure(device=device) if what == "training" else module.measure()
+    if markdown:
+        print(module.markdown(rows))
+    else:
+        Console().print(module.table(rows))

@@ -1,0 +1,59 @@
+"""Training agents on a Ray cluster, whose nodes all see the run folders."""
+
+from __future__ import annotations
+
+import contextlib
+import time
+from collections.abc import Iterator
+from concurrent.futures import Future
+from pathlib import Path
+
+from astray.experiments.workers import Submit
+from astray.training import checkpoint
+from astray.training.config import Config
+from astray.training.loop import train
+
+RETRIES = 20  # of a training whose node or process died; each goes on from its last checkpoint
+PATIENCE = 300.0  # seconds: a file server may hold a dead node's lock for minutes
+PAUSE = 5.0  # seconds between two looks at the lock
+
+
+@contextlib.contextmanager
+def on_ray() -> Iterator[Submit]:
+    """Trainings wait until the cluster has processors, and a GPU if they want one; all end here."""
+    try:
+        import ray  # pyright: ignore[reportMissingImports]
+    except ImportError as error:
+        raise ImportError("a Ray cluster needs ray: pip install 'astray[cluster]'") from error
+    try:
+        ray.init(address="auto", log_to_driver=False)
+    except ConnectionError:
+        raise ConnectionError("no Ray cluster is running; `ray start --head` begins one") from None
+
+    def submit(config: Config, run: Path) -> Future[None]:
+        run.mkdir(parents=True, exist_ok=True)  # each node sees whether it is there
+        task = ray.remote(train_on_node).options(
+            name=str(run), num_cpus=config.threads, num_gpus=float(config.device == "cuda"),
+            max_retries=RETRIES, retry_exceptions=[OSError],
+        )  # fmt: skip
+        return task.remote(config, run.resolve()).future()
+
+    try:
+        yield submit
+    finally:
+        ray.shutdown()  # and with it all that still trains
+
+
+def train_on_node(config: Config, run: Path) -> None:
+    """Train in `run`, once the process that did so before is surely gone."""
+    if not run.is_dir():
+        raise ValueError(f"{run} is not seen by every node; --folder is to be one that is")
+    until = time.monotonic() + PATIENCE
+    while True:
+        try:
+            train(config, run, progress=False)
+            return
+        except checkpoint.Claimed:
+            if time.monotonic() > until:
+                raise
+        time.sleep(PAUSE)

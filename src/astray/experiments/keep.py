@@ -1,0 +1,152 @@
+"""Keeping an agent: its weights without the training, and a card that tells what it pursues."""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+from collections.abc import Iterator
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import polars as pl
+from jinja2 import Environment, PackageLoader, StrictUndefined
+
+from astray import experiments, games
+from astray.analysis import video
+from astray.analysis.kept import KEPT
+from astray.analysis.outcomes import OUTCOMES, load_shift
+from astray.analysis.policies import Agent
+from astray.analysis.runs import evaluate_runs, open_run, playing, shift_of
+from astray.experiments import figures
+from astray.experiments.outcomes import AGENTS
+from astray.files import write_aside
+from astray.game import Shift
+from astray.training import checkpoint
+from astray.training.config import Config
+
+LARGEST = 3_000_000  # bytes of an agent that is kept
+POINTS = 300  # of its curve, at most
+SIDE, LONGEST = 224, 100  # of its film: pixels, steps
+
+
+def keep(
+    run: Path, name: str, *, shift: str | None = None, folder: Path = KEPT, levels: int = 1000
+) -> Path:
+    """Keep the agent of a run (or of a checkpoint in it) as `folder`/`name`; that folder.
+
+    shift   which goals are intended and proxies; None: the one that the run trained for
+    levels  that it is evaluated on, the first that its training does not draw from
+    """
+    if not re.fullmatch(r"[a-z0-9]+(-[a-z0-9]+)*", name):
+        raise ValueError(f"an agent's name is of a-z, 0-9 and -, as maze-corner; given {name!r}")
+    if (folder / name).exists():
+        raise ValueError(f"there is an agent {name!r} in {folder} already")
+    agent, config = open_run(run)
+    if (size := agent.path.stat().st_size) > LARGEST:
+        raise ValueError(
+            f"the agent is {size / 1e6:.1f} MB; one that is kept is at most {LARGEST / 1e6:g} MB"
+        )
+    source, named = agent.path.parents[2], shift or shift_of(config)
+    aside = folder / f".{name}"
+    try:
+        there = aside / "checkpoints" / agent.path.parent.name
+        there.mkdir(parents=True, exist_ok=True)
+        shutil.copyfile(agent.path, there / checkpoint.AGENT)
+        shutil.copyfile(source / "config.json", aside / "config.json")
+        draw_curve(source, config, int(there.name), aside)
+        write_card(name, aside, named, levels)
+        os.replace(aside, folder / name)
+    finally:
+        shutil.rmtree(aside, ignore_errors=True)
+    return folder / name
+
+
+def draw_curve(run: Path, config: Config, steps: int, folder: Path) -> None:
+    """Write `curve.csv`, some of the run's metrics up to `steps`, and `curve.png` of them."""
+    metrics = pl.DataFrame(checkpoint.metrics(run), infer_schema_length=None)
+    there = {"training/return": config.variant}
+    if config.validation:
+        there["validation/return"] = config.validation
+    data = metrics.filter(pl.col("steps") <= steps).select("steps", *there)
+    every = -(-len(data) // POINTS)
+    data = data.gather_every(every, (len(data) - 1) % every)  # with the last
+    data.write_csv(folder / "curve.csv")
+    drawn = figures.learning_curves(data.with_columns(seed=pl.lit(config.seed)), there, "return")
+    drawn.savefig(folder / "curve.png")
+
+
+def write_card(name: str, run: Path, shift: str, levels: int) -> None:
+    """Write `README.md` and `episode.gif` to `run`, of its agent evaluated on so many levels."""
+    agent, config = open_run(run)
+    between, game = load_shift(config.game, shift), games.load(config.game)
+    numbers = np.array(config.unseen_levels[:levels])
+    played = {
+        variant: evaluate_runs([run], numbers, variant=variant, shift=shift)
+        for variant in (config.variant, between.test)
+    }
+    film(agent, config, between, played[between.test][1], run / "episode.gif")
+    environment = Environment(
+        loader=PackageLoader("astray.experiments", ""),
+        lstrip_blocks=True, trim_blocks=True, keep_trailing_newline=True, undefined=StrictUndefined,
+    )  # fmt: skip
+    text = environment.get_template("card.md").render(
+        name=name, about=game.about, config=config, steps=int(agent.path.parent.name),
+        trained_on=config.training_variant().about, commands=commands(config), shift=shift,
+        between=between, levels=f"{levels:,}", outcomes=OUTCOMES,
+        rows=[row for variant, (shares, _) in played.items() for row in _rows(variant, shares)],
+        settings=asdict(config),
+    )  # fmt: skip
+    write_aside(run / "README.md", text.encode())
+
+
+def film(agent: Agent, config: Config, between: Shift, episodes: pl.DataFrame, path: Path) -> None:
+    """Film the agent in one level, as in training and in the test that `episodes` are of.
+
+    The level's outcome is the commonest, it tells the goals apart if one does, and is not short.
+    """
+    mine = episodes.filter(policy=agent.name)
+    apart = mine.filter("tells_apart")
+    mine = apart if len(apart) else mine
+    mine = mine.filter(outcome=mine["outcome"].mode().sort()[0])
+    level = mine.filter(pl.col("length") >= pl.col("length").quantile(0.75))["level"][0]
+    variants = (config.variant, between.test)
+    shown = [
+        video.play(
+            agent, config.game, playing(config, variant, {}), level, pixels=SIDE, longest=LONGEST
+        ).frames
+        for variant in variants
+    ]
+    captions = [f"{variant} {level}" for variant in variants]
+    video.write_gif(video.beside(*shown, captions=captions), path, fps=8)
+
+
+def commands(config: Config) -> list[str]:
+    """The commands that train the agent of these settings."""
+    return [
+        f"astray reproduce {name} --size {size}"
+        for name in experiments.NAMES
+        for size, plan in experiments.load(name).sizes.items()
+        if any(config in configs for configs in plan.trainings().values())
+    ]
+
+
+def _rows(variant: str, shares: pl.DataFrame) -> Iterator[list[Any]]:
+    """A row for each policy, the agent's first: its levels, its name, its outcomes."""
+    order = shares.sort(
+        pl.col("levels_played") != "all", pl.col("policy") != AGENTS, maintain_order=True
+    )
+    for part in order.partition_by("levels_played", "policy", maintain_order=True):
+        first = part.row(0, named=True)
+        where = f"`{variant}`"
+        if first["levels_played"] != "all":
+            where += f", the {first['levels']} that tell the goals apart"
+        who = "the agent" if first["policy"] == AGENTS else first["policy"]
+        yield [where, who, *(_told(row) for row in part.to_dicts())]
+
+
+def _told(share: dict[str, Any]) -> str:
+    mean, low, high = (f"{100 * share[key]:.1f}" for key in ("mean", "low", "high"))
+    return f"{mean} % ({low} to {high})"
