@@ -19,6 +19,7 @@ from astray.experiments import figures
 from astray.experiments.report import Plot, Table, Verdict, Video
 from astray.experiments.spec import Plan, Test, Work
 from astray.training import checkpoint
+from astray.training.config import Config
 
 AGENTS = "sampled"
 LONGEST = 120  # steps of an episode that are filmed
@@ -99,24 +100,52 @@ def _who_and_where(plan: Plan, table: pl.DataFrame) -> pl.DataFrame:
 
 
 def curves(work: Work) -> pl.DataFrame:
-    """What all trainings measured: agent (its name), seed, steps, and the metrics."""
-    tables = [
-        pl.DataFrame(checkpoint.metrics(run), infer_schema_length=None).with_columns(
-            agent=pl.lit(name), seed=pl.lit(checkpoint.read_config(run).seed)
-        )
-        for name, runs in work.runs.items()
-        for run in runs
-    ]
+    """What all trainings measured: agent (its name), seed, steps, and the metrics.
+
+    What episodes were like is null until the first could have timed out: till then only those
+    had ended that ended early.
+    """
+    tables = []
+    for name, runs in work.runs.items():
+        for run in runs:
+            config = checkpoint.read_config(run)
+            table = pl.DataFrame(checkpoint.metrics(run), infer_schema_length=None)
+            tables.append(
+                table.with_columns(
+                    agent=pl.lit(name), seed=pl.lit(config.seed), **fair(table, config)
+                )
+            )
     return pl.concat(tables, how="diagonal_relaxed")
 
 
-def curve_plot(work: Work) -> Plot:
-    """Mean returns of recent episodes while training, on both variants."""
+def fair(table: pl.DataFrame, config: Config) -> dict[str, pl.Expr]:
+    """The columns of a training's metrics that tell of episodes, null where those are few."""
+    iteration = pl.col("steps") // config.batch
+    rounds = {"training": (iteration, config.training_variant())}
+    if config.validation:
+        every = config.validation_every
+        rounds["validation"] = ((iteration + every - 1) // every, config.validation_variant())
+    return {
+        column: pl.when(rounds[which][0] * config.rollout >= rounds[which][1].time_limit).then(
+            pl.col(column)
+        )
+        for column in table.columns
+        if (which := column.split("/")[0]) in rounds
+    }
+
+
+def curve_plot(
+    work: Work,
+    metric: str = "return",
+    label: str = "return",
+    caption: str = "Mean return of recent episodes while training.",
+) -> Plot:
+    """A metric of recent episodes while training, on both variants."""
     data = curves(work)
-    series = {"training/return": "training variant", "validation/return": "test variant"}
+    series = {f"training/{metric}": "training variant", f"validation/{metric}": "test variant"}
     there = {column: name for column, name in series.items() if column in data.columns}
-    return Plot("curves", "Mean return of recent episodes while training.",
-                figures.learning_curves(data, there, "return"), data)  # fmt: skip
+    name = "curves" if metric == "return" else f"curves-{metric.replace('_', '-')}"
+    return Plot(name, caption, figures.learning_curves(data, there, label), data)
 
 
 def settings(plan: Plan) -> dict[str, str]:

@@ -96,8 +96,8 @@ MANY_KEYS = Keys(about="two keys a chest", keys=2, strict=True)
 
 EASY = dict(world=9, largest=9)
 MEMORY = dict(world=23, largest=23, window=8, fewest=1, most=4)
-# For small networks, which learn ten times faster with the thief in the middle of what they see,
-# which is all the world wherever the thief is.
+# For small networks, which learn much faster with the thief in the middle of what they see. The
+# window shows all the world wherever the thief is.
 SMALL = dict(world=7, largest=7, window=13, strict=False, time_limit=200)
 
 VARIANTS = {
