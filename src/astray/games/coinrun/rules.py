@@ -345,13 +345,13 @@ def note_death(s, saw, walker, lava):
 def note_places(s):
     """Keep the step at which the runner first gets to a place.
 
-    The end is the cell before the end wall, or anything further right; the coin is passed
-    when all of the runner is to its right, and so is a wall.
+    The end is the cell before the end wall, where the coin of `coin-end` is, or all that is
+    beyond it; a coin is passed when all of the runner is to its right, and so is a wall.
     """
     left, right = s.x - HALF, s.x + HALF
     wall = F(s.end_x) + ONE
-    beside = s.y + TALL - NEAR > F(s.end_y) and s.y - TALL + NEAR < F(s.end_y) + ONE
-    if s.reached_end == NEVER and ((right - NEAR >= F(s.end_x) and beside) or right - NEAR >= wall):
+    beside = s.y + TALL - NEAR >= F(s.end_y) and s.y - TALL + NEAR < F(s.end_y) + ONE
+    if s.reached_end == NEVER and ((right - NEAR >= F(s.end_x) and beside) or left >= wall):
         s.reached_end = s.time
     if s.touched_wall == NEVER and right >= wall:
         s.touched_wall = s.time

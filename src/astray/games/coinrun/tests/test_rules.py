@@ -206,3 +206,20 @@ def test_impossible_states_never_reach_compiled_code(field, value):
         env.set_state(states)
     with pytest.raises(ValueError, match=field):
         picture("coinrun", env.variant, states, 64)
+
+
+def test_where_the_coin_is_at_the_end_both_are_reached_at_once():
+    env = GameVectorEnv(
+        "coinrun", "coin-end", 64, observation="symbolic", levels=range(500),
+        autoreset_mode="SameStep",
+    )  # fmt: skip
+    env.reset(seed=0)
+    env.action_space.seed(0)
+    steps = []
+    for _ in range(600):
+        *_, info = env.step(env.action_space.sample())
+        if "final_info" in info:
+            final, ended = info["final_info"], info["_final_info"]
+            steps += zip(final["took_coin"][ended], final["reached_end"][ended], strict=True)
+    assert sum(coin >= 0 for coin, _ in steps) > 50
+    assert all(coin == end for coin, end in steps)
