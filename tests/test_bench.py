@@ -4,6 +4,7 @@ import sys
 from dataclasses import replace
 from io import StringIO
 
+import numba
 import numpy as np
 import pytest
 import torch
@@ -11,7 +12,7 @@ from rich.console import Console
 
 from astray import games
 from astray.agents.policy import Architecture
-from astray.bench import agency, environments, profile, tables, training
+from astray.bench import agency, environments, profile, start, tables, training
 from astray.bench.plain import Loop
 from astray.envs.vector import GameVectorEnv
 
@@ -77,6 +78,13 @@ def test_without_envpool_the_row_says_how_to_install_it(monkeypatch):
 @pytest.mark.parametrize("name", games.NAMES)
 def test_what_is_measured_is_there(name):
     assert games.load(name).benchmark in games.load(name).variants
+
+
+@pytest.mark.skipif(numba.config.DISABLE_JIT, reason="nothing is compiled")
+def test_a_first_start_compiles_and_a_later_one_does_not():
+    row = start.measure_game("maze", "corner-small", rounds=1)
+    assert 0 < 2 * row.later_cpu < row.first_cpu
+    assert f"| maze corner-small | {row.first:.1f} |" in start.markdown([row])
 
 
 def test_training_is_measured_beside_stable_baselines3():

@@ -87,7 +87,7 @@ def reproduce(
 
 
 def bench(
-    what: Positional[Literal["environments", "training", "agency"]] = "environments",
+    what: Positional[Literal["environments", "training", "agency", "start"]] = "environments",
     markdown: bool = False,
     device: Literal["cpu", "cuda", "mps"] = "cpu",
 ) -> None:
