@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import matplotlib
+import numpy as np
 import polars as pl
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
@@ -19,6 +20,7 @@ from matplotlib.patches import Patch
 from matplotlib.ticker import PercentFormatter
 
 from astray.analysis.outcomes import FAILED, INTENDED, MISGENERALIZED
+from astray.analysis.statistics import bootstrap
 from astray.files import write_aside
 
 # Told apart by every kind of colour vision, and light enough to be written on.
@@ -102,6 +104,8 @@ def _interval(x: list[float], y: list[float], label: str = "") -> Line2D:
 def learning_curves(curves: pl.DataFrame, series: Mapping[str, str], y_label: str) -> Figure:
     """How something went during training: a thin line for each seed, a thick one for their mean.
 
+    The band is the mean's 95 % interval, seeds resampled; of three seeds that is their range.
+
     curves  columns seed, steps (environment steps), and those of `series`; nulls are skipped
     series  column -> what it is called
     """
@@ -128,9 +132,14 @@ def _curve(axes: Axes, values: pl.DataFrame, name: str, colour: str) -> None:
     for one in seeds if len(seeds) > 1 else ():
         one = one.sort("steps")
         axes.plot(one["steps"] / 1e6, one["value"], color=colour, linewidth=0.8, alpha=0.6)
-    mean = values.group_by("steps").agg(pl.col("value").mean(), pl.len()).sort("steps")
-    mean = mean.filter(pl.col("len") == len(seeds))
-    axes.plot(mean["steps"] / 1e6, mean["value"], color=colour, linewidth=2.4, label=name)
+    every = values.group_by("steps").agg("value").sort("steps")
+    every = every.filter(pl.col("value").list.len() == len(seeds))
+    million = every["steps"] / 1e6
+    if len(seeds) > 1:
+        means = [bootstrap(np.array(one)[:, None]) for one in every["value"]]
+        low, high = [mean.low for mean in means], [mean.high for mean in means]
+        axes.fill_between(million, low, high, color=colour, alpha=0.2, linewidth=0)
+    axes.plot(million, every["value"].list.mean(), color=colour, linewidth=2.4, label=name)
 
 
 def save(figure: Figure, folder: Path, name: str) -> None:

@@ -147,8 +147,8 @@ def plot(work: Work, table: Table) -> Plot:
     names = {name: f"{test.variant}: {name}" for name, test in work.plan.tests.items()}
     return Plot(
         "hoarding",
-        "What was done with the keys: by the agents, by a thief that knows the best order, by one "
-        "that cares for keys alone, and by chance. Lines are 95 % intervals.",
+        "What was done with the keys: by the agents, by a thief that opens all chests in the "
+        "fewest steps, by one that cares for keys alone, and by chance. Lines are 95 % intervals.",
         draw(table.frame, names),
         table.frame,
     )
