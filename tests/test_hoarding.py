@@ -39,7 +39,7 @@ def mean(episodes, test, policy, measure):
 
 def test_who_fetches_what_it_needs_loses_little_and_leaves_no_chest(episodes):
     for test in PLAN.tests:
-        assert 0 <= mean(episodes, test, NEED, LOST) < 0.1  # fastest, if not best when discounted
+        assert -1e-9 < mean(episodes, test, NEED, LOST) < 0.1  # the fewest steps, undiscounted
         assert mean(episodes, test, NEED, PER_CHEST) == 1
         assert mean(episodes, test, NEED, LEFT) == 0
         assert mean(episodes, test, "random", LOST) > 0.5
