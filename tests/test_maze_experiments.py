@@ -116,3 +116,5 @@ def test_a_difference_of_regions_is_over_the_same_levels():
     found = maze_region.less(many, few)
     assert found.mean == pytest.approx(many.mean() - few.mean())
     assert 0.2 < found.low < 0.3 < found.high < 0.4
+    others = maze_region.less(many, few[:, ::-1])
+    assert found.high - found.low < 0.9 * (others.high - others.low)
