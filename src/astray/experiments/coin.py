@@ -19,7 +19,7 @@ ABOUT = {"game": "coinrun", "variant": "coin-end", "validation": "coin-anywhere"
 LARGE = replace(PRESETS["paper"], **ABOUT, device="cuda")
 AGENTS: Mapping[Size, Config] = {
     "smoke": replace(
-        PRESETS["small"], **ABOUT, width=128, gamma=0.99, entropy_weight=0.01, steps=6_000_000
+        PRESETS["small"], **ABOUT, width=128, gamma=0.99, entropy_weight=0.01, steps=10_000_000
     ),
     "hour": replace(LARGE, steps=25_000_000),
     "paper": LARGE,
@@ -27,7 +27,7 @@ AGENTS: Mapping[Size, Config] = {
 RUNNER = "runner"  # the name of the agents where there are no others
 SMALLER: Mapping[Size, str] = {
     "smoke": "levels seen as symbols instead of a picture, by a network of two hidden layers, and "
-    "6 million steps instead of 200 million",
+    "10 million steps instead of 200 million",
     "hour": "25 million steps instead of 200 million",
     "paper": "",
 }

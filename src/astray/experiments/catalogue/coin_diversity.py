@@ -214,7 +214,10 @@ EXPERIMENT = Experiment(
     question="How many training levels must have their coin elsewhere, for runners to look for "
     "the coin and not for the end of the level?",
     sizes={
-        "smoke": plan("smoke", SHARES, 2, 500, coin.SMALLER["smoke"]),
+        "smoke": plan(
+            "smoke", (0, 2, 6, 20), 2, 500,
+            f"four of the eight shares; {coin.SMALLER['smoke']}",
+        ),
         "hour": plan("hour", (0, 2, 10), 1, 1000, f"{coin.SMALLER['hour']}; three shares of random "
                      "coins instead of eight"),
         "paper": plan("paper", SHARES, 3, 10_000, ""),
