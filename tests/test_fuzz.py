@@ -21,11 +21,11 @@ from safetensors.torch import save as to_bytes
 
 from astray import cli, games
 from astray.agents import policy
-from astray.analysis.outcomes import OUTCOMES
 from astray.cli import arguments
 from astray.envs.states import load_states, save_states
 from astray.envs.vector import GameVectorEnv
-from astray.experiments.spec import Claim, Experiment, Plan
+from astray.experiments import spec
+from astray.experiments.spec import SIZES, Experiment, Plan
 from astray.level import Level
 from astray.training import checkpoint
 from astray.training.config import PRESETS, Config, vary
@@ -371,27 +371,37 @@ def test_knobs_are_refused_or_make_levels(data):
 def test_an_experiment_is_refused_or_can_be_run(data):
     game = data.draw(st.sampled_from(GAMES))
     made = games.load(game)
-    words = st.sampled_from([*made.variants, *made.shifts, *OUTCOMES, "train", "test", "more"])
+    words = st.sampled_from([*made.variants, *made.shifts, *GAMES, "more"])
 
     def mostly(*right):  # one draw in ten is of anything
         return data.draw(words if data.draw(st.integers(0, 9)) == 0 else st.sampled_from(right))
 
     shift = mostly(*made.shifts)
     train = made.shifts[shift].train if shift in made.shifts else "corner"
+    knobs = (
+        {mostly("time_limit"): data.draw(st.integers(-1, 9))} if data.draw(st.booleans()) else {}
+    )
+    played = data.draw(st.booleans())
     try:
-        config = replace(CONFIG, game=game, variant=mostly(train))
-        levels = data.draw(st.integers(-1, 10) | st.integers(2**31 - 200_000, 2**31))
-        plan = Plan(config, data.draw(st.integers(0, 9)), levels, shift, "")
-        above = data.draw(st.floats(-1, 1) | st.floats())
-        claim = Claim("", mostly("train", "test"), mostly(*OUTCOMES), above, mostly(*OUTCOMES))
+        agents = {
+            name: replace(CONFIG, game=mostly(game), variant=mostly(train))
+            for name in ("one", "two")[: data.draw(st.integers(0, 2))]
+        }
+        plan = Plan(
+            agents=agents, seeds=data.draw(st.integers(0, 9)),
+            tests={"test": spec.Test(mostly(*made.variants), shift, knobs)} if played else {},
+            levels=data.draw(st.integers(-1, 10) | st.integers(2**31 - 200_000, 2**31)), smaller="",
+        )  # fmt: skip
         size = data.draw(st.sampled_from(["smoke", "hour", "paper", "tiny"]))
-        Experiment("", "", "", {size: plan}, [claim])
+        Experiment("", "", "", {size: plan}, find=print)
     except ValueError:
         tried("experiments", 1)
         return
-    assert made.shifts[plan.shift].train == config.variant and plan.seeds >= 1
-    assert {claim.outcome, claim.minus} <= set(OUTCOMES) and claim.where in ("train", "test")
-    assert plan.levels <= len(config.unseen_levels)
+    assert plan.seeds >= 1 and size in SIZES and len(plan.trainings()) == len(agents)
+    for config in agents.values():
+        assert 1 <= plan.levels <= len(config.unseen_levels)
+        for test in plan.tests.values():
+            assert test.made_for(config).time_limit >= 1 and test.shift in made.shifts
     tried("experiments", 0)
 
 

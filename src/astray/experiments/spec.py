@@ -10,7 +10,6 @@ from typing import Any, Literal, get_args
 
 import polars as pl
 
-from astray import games
 from astray.analysis.evaluate import Measure
 from astray.analysis.outcomes import load_shift
 from astray.analysis.runs import playing
@@ -61,10 +60,11 @@ class Plan:
         if self.levels < 1 or (fewest is not None and self.levels > fewest):
             raise ValueError(f"levels is {self.levels}; it is from 1 to {fewest}")
         if self.tests and len({config.game for config in self.agents.values()}) != 1:
-            raise ValueError("agents that are played in the same tests are of one game")
+            raise ValueError("what is played in the same tests are agents, and of one game")
         for test in self.tests.values():
             load_shift(self.game, test.shift)
-            games.load(self.game).variant(test.variant)
+            for config in self.agents.values():
+                test.made_for(config)
 
     @property
     def config(self) -> Config:
