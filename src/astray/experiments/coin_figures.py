@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Sequence
 from typing import Any
 
@@ -23,6 +24,7 @@ BASES: tuple[dict[str, Any], ...] = (
     {"color": figures.INK, "linestyle": "--"},
     {"color": figures.INK, "linestyle": ":"},
 )
+SHADES = ("#1f4e79", "#6fa3cf", "#cfd8de")  # of methods, told apart in grey too
 PALE = 0.22  # opacity of an interval
 
 
@@ -164,4 +166,70 @@ def episode(data: pl.DataFrame, drawn: Sequence[int], pictures: np.ndarray) -> F
     axes.grid(axis="y")
     axes.set_xlabel("step")
     axes.set_title("the critic's value", fontweight="normal", fontsize=10.5)
+    return figure
+
+
+@matplotlib.rc_context(figures.STYLE)
+def parts(bars: pl.DataFrame, sizes: pl.DataFrame) -> Figure:
+    """Shares of attribution: a panel a test, a group of bars a part, a bar a method.
+
+    bars   columns test, method, part, mean, low, high (0 to 1)
+    sizes  columns test, part, area: marked beside the bars
+    """
+    panels = sizes["test"].unique(maintain_order=True).to_list()
+    names = sizes["part"].unique(maintain_order=True).to_list()
+    methods = bars["method"].unique(maintain_order=True).sort().to_list()
+    figure = Figure(figsize=(figures.WIDTH, 0.9 + 3.1 * len(panels)))
+    rows = figure.subplots(len(panels), 1, sharex=True, squeeze=False)[:, 0]
+    height = 0.8 / len(methods)
+    for axes, test in zip(rows, panels, strict=True):
+        for number, (method, colour) in enumerate(zip(methods, SHADES, strict=True)):
+            part = bars.filter(test=test, method=method)
+            y = np.array([names.index(name) for name in part["part"]])
+            at = y + height * (number - (len(methods) - 1) / 2)
+            axes.barh(
+                at, part["mean"], height * 0.9, color=colour, label=method,
+                xerr=_whiskers(part), error_kw={"ecolor": figures.INK, "elinewidth": 1},
+            )  # fmt: skip
+        size = sizes.filter(test=test)
+        axes.plot(
+            size["area"], [names.index(name) for name in size["part"]], "D", markersize=4.5,
+            color=figures.INK, markerfacecolor="white", label="share of what is seen",
+        )  # fmt: skip
+        axes.set_yticks(range(len(names)), names)
+        axes.set_ylim(len(names) - 0.5, -0.5)
+        axes.xaxis.set_major_formatter(PercentFormatter(1, symbol=" %"))
+        axes.grid(axis="x")
+        axes.set_title(test)
+    rows[-1].set_xlabel("share of attribution")
+    figure.legend(*rows[0].get_legend_handles_labels(), loc="outside upper left", ncols=4,
+                  handlelength=1)  # fmt: skip
+    return figure
+
+
+@matplotlib.rc_context(figures.STYLE)
+def maps(examples: pl.DataFrame) -> Figure:
+    """A row for each example: its picture, then its map by each method over it.
+
+    examples  columns name, picture (rows of grey, 0 to 255), and maps by method (rows of -1 to 1)
+    """
+    methods = [name for name in examples.columns if name not in ("name", "picture")]
+    figure = Figure(figsize=(figures.WIDTH, 0.3 + 1.95 * len(examples)))
+    grid = figure.subplots(len(examples), 1 + len(methods), squeeze=False)
+    for axes, example in zip(grid, examples.to_dicts(), strict=True):
+        image = np.array(example["picture"], float)
+        for panel, method in zip(axes, (None, *methods), strict=True):
+            panel.imshow(image, cmap="gray", vmin=0, vmax=255, alpha=1 if method is None else 0.35)
+            if method:
+                one = np.array(example[method])
+                side = (-0.5, image.shape[1] - 0.5, image.shape[0] - 0.5, -0.5)
+                panel.imshow(
+                    one, cmap="RdBu", vmin=-1, vmax=1, alpha=np.sqrt(abs(one)), extent=side
+                )
+            panel.set_xticks([])
+            panel.set_yticks([])
+            panel.spines[:].set_visible(True)
+        axes[0].set_ylabel(textwrap.fill(example["name"], 16), fontsize=9)
+    for panel, method in zip(grid[0], ("state", *methods), strict=True):
+        panel.set_title(method, fontsize=9.5)
     return figure

@@ -1,0 +1,200 @@
+"""What in a picture the critic's value depends on: the end wall, or the coin."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import polars as pl
+
+from astray.analysis import attribution
+from astray.analysis.critic import observe, visit
+from astray.analysis.policies import Agent
+from astray.analysis.runs import open_run
+from astray.analysis.statistics import group_means
+from astray.envs.vector import picture
+from astray.experiments import coin, coin_figures, outcomes
+from astray.experiments.coin import RUNNER
+from astray.experiments.report import Findings, Plot, Table, Verdict
+from astray.experiments.run import levels_of
+from astray.experiments.spec import Experiment, Plan, Size, Test, Work
+from astray.games.coinrun.edits import PARTS
+
+TESTS = {
+    "in training": Test("coin-end", "coin-end"),
+    "in the test": Test("coin-anywhere", "coin-end"),
+}
+METHODS: dict[str, Callable[[Agent, np.ndarray], np.ndarray]] = {
+    "gradient": attribution.gradients,  # the paper's
+    "integrated gradients": attribution.integrated_gradients,
+    "occlusion": attribution.occlusion,
+}
+COIN, WALL = "coin", "end wall"
+DRAWN = 3  # states of each episode
+PIXELS = 208  # a side of a picture for people
+
+
+def find(work: Work) -> Findings:
+    """How much of each map is on each part of what is seen, and some maps."""
+    table = work.keep("shares", lambda: shares(work))
+    bars = group_means(table, "attribution", ["test", "method", "part"])
+    by_size = group_means(table, "attribution", ["test", "method", "part"], per="area")
+    gaps = {method: gap(table.filter(method=method)) for method in METHODS}
+    paper = gaps["gradient"]
+    wall = by_size.filter(part=WALL, method="gradient")
+    examples = work.keep("maps", lambda: maps_of_some(work))
+    return Findings(
+        answer="Where both are in view, the end wall has "
+        + "; ".join(
+            f"{100 * row['wall']:.1f}\u00a0% of the attribution by {method} and the coin "
+            f"{100 * row['coin']:.1f}\u00a0%"
+            for method, row in gaps.items()
+        )
+        + ".",
+        verdicts=[
+            Verdict(
+                "The end wall is highlighted at least as much as the coin.",
+                "at least as much (by eye)",
+                f"share of the gradient, end wall less coin, where both are in view: "
+                f"{percent(paper)}; holds where the interval is not below 0",
+                bool(paper["low"] >= 0),
+            ),
+            Verdict(
+                "In training and in the test the end wall is assigned a large attribution.",
+                "large (by eye)",
+                "share of the gradient over share of the observation: "
+                + "; ".join(
+                    f"{row['test']} {row['mean']:.1f} (95\u00a0% interval {row['low']:.1f} to "
+                    f"{row['high']:.1f}; {row['rows']:,} states)"
+                    for row in wall.to_dicts()
+                )
+                + "; holds where both intervals are above 1",
+                len(wall) == len(TESTS) and bool((wall["low"] > 1).all()),
+            ),
+        ],
+        plots=[
+            Plot("parts", "The share of attribution on each part, by three methods, with 95\u00a0% "
+                 "intervals over agents and levels; the mark is the part's share of what is seen, "
+                 "which it would have if it mattered no more than its size.",
+                 coin_figures.parts(bars, sizes(table)), bars),
+            Plot("maps", "Maps of some states: blue is what raises the value, red what lowers it.",
+                 coin_figures.maps(examples), examples),
+        ],
+        tables=[
+            Table("shares", "Share of attribution on each part", bars),
+            Table("by-size", "Share of attribution over share of what is seen", by_size),
+        ],
+        settings=outcomes.settings(work.plan) | {
+            "states": f"up to {DRAWN} of each episode",
+            "the paper and its code": "There eight pictures were looked at. Here parts are found "
+            "in every state by drawing it without them. Of symbols, cells in which there is "
+            "nothing are a part of their own, for a gradient asks what adding something would do.",
+        },
+    )  # fmt: skip
+
+
+def visited(work: Work, where: str, seed: int) -> tuple[Agent, pl.DataFrame, np.ndarray]:
+    """An agent, and states of its episodes in a test, with their rows."""
+    test = TESTS[where]
+    agent, config = open_run(work.runs[RUNNER][seed])
+    levels = levels_of(work.plan, test)
+    rows, states = visit(agent, test.made_for(config), levels, per_episode=DRAWN)
+    told = pl.lit(config.seed).alias("agent"), pl.lit(where).alias("test")
+    return agent, rows.select("level", "step", *told), states
+
+
+def shares(work: Work) -> pl.DataFrame:
+    """A row for each state, method and part: agent, test, level, step, method, part, attribution,
+    area."""
+    parts = []
+    for where in TESTS:
+        for seed in range(work.plan.seeds):
+            agent, rows, states = visited(work, where, seed)
+            variant = TESTS[where].made_for(work.plan.config)
+            seen = attribution.masks(agent, variant, states, PARTS)
+            shown = observe(agent, variant, states)
+            for method, attribute in METHODS.items():
+                told = attribution.shares(rows, attribute(agent, shown), seen)
+                parts.append(told.with_columns(method=pl.lit(method)))
+    return pl.concat(parts)
+
+
+def gap(table: pl.DataFrame) -> dict:
+    """By how much the end wall has more than the coin, of states in which both are seen."""
+    keys = ["agent", "test", "level", "step"]
+    wall, other = (
+        table.filter(part=part).filter(pl.col("area") > 0).select(*keys, "attribution")
+        for part in (WALL, COIN)
+    )
+    both = wall.join(other, on=keys, suffix="_coin").with_columns(
+        what=pl.lit("gap"), gap=pl.col("attribution") - pl.col("attribution_coin")
+    )
+    means = {
+        "wall": both["attribution"].mean(),
+        "coin": both["attribution_coin"].mean(),
+    }
+    return group_means(both, "gap", ["what"]).row(0, named=True) | means
+
+
+def percent(row: dict) -> str:
+    """A share's estimate in words."""
+    mean, low, high = (100 * row[name] for name in ("mean", "low", "high"))
+    return (
+        f"{mean:.1f}\u00a0% (95\u00a0% interval {low:.1f} to {high:.1f}; "
+        f"n\u00a0=\u00a0{row['rows']:,})"
+    )
+
+
+def sizes(table: pl.DataFrame) -> pl.DataFrame:
+    """The mean area of each part in each test."""
+    return table.group_by("test", "part", maintain_order=True).agg(pl.col("area").mean())
+
+
+def maps_of_some(work: Work) -> pl.DataFrame:
+    """Of each test a state at the end wall, and one of which most is hazards: name, picture
+    (values of grey), and the map of each method, as lists of rows."""
+    found = []
+    for where in TESTS:
+        agent, _, states = visited(work, where, 0)
+        variant = TESTS[where].made_for(work.plan.config)
+        seen = attribution.masks(agent, variant, states, PARTS)
+        area = {part: mask.reshape(len(states), -1).sum(1) for part, mask in seen.items()}
+        hazards = (area["walkers"] + area["saws"]) * (area[WALL] == 0)
+        for what, much in (("the end wall", area[WALL]), ("hazards", hazards)):
+            if not much.any():
+                continue
+            one = states[[int(much.argmax())]]
+            shown = observe(agent, variant, one)
+            row = {"name": f"{what}, {where}", "picture": grey(variant, one)}
+            for method, attribute in METHODS.items():
+                row[method] = flat(attribute(agent, shown)[0]).tolist()
+            found.append(row)
+    return pl.DataFrame(found)
+
+
+def grey(variant, states: np.ndarray) -> list:
+    """The picture of one state for people, [PIXELS, PIXELS] from 0 to 255."""
+    return picture("coinrun", variant, states, PIXELS)[0].mean(2).round().astype(int).tolist()
+
+
+def flat(one: np.ndarray) -> np.ndarray:
+    """A map as [H, W], planes added up, its largest absolute value 1."""
+    added = one.sum(0) if one.ndim == 3 else one
+    return added / max(abs(added).max(), np.finfo(float).tiny)
+
+
+def plan(size: Size, seeds: int, levels: int) -> Plan:
+    """The runners whose coin was always at the end."""
+    return Plan(
+        agents={RUNNER: coin.AGENTS[size]}, seeds=seeds, levels=levels, smaller=coin.SMALLER[size]
+    )
+
+
+EXPERIMENT = Experiment(
+    title="What the critic looks at",
+    reproduces="Figure 8",
+    question="What in view does the critic's value depend on: the coin, the end wall, hazards?",
+    sizes={"smoke": plan("smoke", 2, 100), "hour": plan("hour", 1, 200),
+           "paper": plan("paper", 3, 500)},
+    find=find,
+)  # fmt: skip
