@@ -26,16 +26,16 @@ def region_lines(success: pl.DataFrame, first: pl.DataFrame) -> Figure:
     """
     figure = Figure(figsize=(WIDTH, 6.4))
     upper, lower = figure.subplots(2, 1, sharex=True)
-    trained = success.drop_nulls("region")
-    for marker, colour, (who, line) in zip(MARKERS, OTHERS, _parts(trained, "who"), strict=False):
-        _line(upper, line, who, colour, marker)
+    trained = success.drop_nulls("region").partition_by("who", maintain_order=True)
+    for number, (colour, line) in enumerate(zip(OTHERS, trained, strict=False)):
+        _line(upper, line, line["who"][0], colour, number)
     base_rates = success.filter(pl.col("region").is_null()).to_dicts()
     for dashes, row in zip(("--", ":"), base_rates, strict=True):
         upper.axhline(row["mean"], color=INK, linewidth=1.2, linestyle=dashes, label=row["who"])
     upper.set_title("The cheese is reached")
     colours = [COLOURS[INTENDED], COLOURS[MISGENERALIZED], FAILED_LINE]
-    for marker, colour, outcome in zip(MARKERS, colours, OUTCOMES, strict=False):
-        _line(lower, first.filter(outcome=outcome), outcome, colour, marker)
+    for number, (colour, outcome) in enumerate(zip(colours, OUTCOMES, strict=True)):
+        _line(lower, first.filter(outcome=outcome), outcome, colour, number)
     lower.set_title("Reached first, in levels that tell the goals apart")
     lower.set_xlabel("region of the cheese in training (cells a side)")
     lower.xaxis.set_major_locator(MaxNLocator(integer=True))
@@ -47,15 +47,12 @@ def region_lines(success: pl.DataFrame, first: pl.DataFrame) -> Figure:
     return figure
 
 
-def _parts(table: pl.DataFrame, column: str) -> list[tuple[str, pl.DataFrame]]:
-    return [(part[column][0], part) for part in table.partition_by(column, maintain_order=True)]
-
-
-def _line(axes: Axes, line: pl.DataFrame, name: str, colour: str, marker: str) -> None:
-    """The means of `line`, with their intervals where there are any."""
+def _line(axes: Axes, line: pl.DataFrame, name: str, colour: str, number: int) -> None:
+    """The means of `line` with their intervals, beside those of the lines before it."""
     line = line.sort("region")
-    axes.plot(line["region"], line["mean"], color=colour, marker=marker, linewidth=2, label=name)
-    axes.vlines(line["region"], line["low"], line["high"], color=colour, linewidth=1.3)
+    x = line["region"] + 0.07 * number
+    axes.plot(x, line["mean"], color=colour, marker=MARKERS[number], linewidth=2, label=name)
+    axes.vlines(x, line["low"], line["high"], color=colour, linewidth=1.3)
 
 
 @matplotlib.rc_context(STYLE)
