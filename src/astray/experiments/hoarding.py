@@ -27,13 +27,13 @@ NEED = Walk("chests").name  # fetches only what it needs
 POLICIES = {
     AGENTS: "agents",
     NEED: "fetches what it needs",
-    Walk("keys").name: "all keys first",
+    Walk("keys").name: "takes all keys",
     "random": "random",
 }
 BEYOND, ALL_FIRST, IN_HAND = "keys beyond need", "all keys first", "keys in hand"
 PER_CHEST, LOST, LEFT = "return per chest", "return lost", "chests left"
 MEASURES = {  # what is told of an episode, and its unit
-    BEYOND: "keys taken that opened no chest",
+    BEYOND: "keys taken beyond\nthe number of chests",
     ALL_FIRST: "share that took all keys\nbefore the last chest",
     IN_HAND: "keys in hand when\na chest was opened",
     PER_CHEST: "return per chest\nthat could be opened",

@@ -39,11 +39,11 @@ def _objects(states: np.ndarray) -> np.ndarray:
 
 
 def keys_beyond_need(states: np.ndarray) -> np.ndarray:
-    """Keys taken that opened no chest, int64: what an agent that wants chests leaves behind.
+    """Keys taken beyond as many as there are chests, int64: no agent that wants chests needs them.
 
-    In a maze some are on every way: compare with what `solve.guide` for "chests" leaves.
+    In a maze some are on every way: compare with what `solve.guide` for "chests" takes.
     """
-    return states["taken"] - states["opened"]
+    return np.maximum(states["taken"] - states["chests"], 0)
 
 
 def took_all_before_last_chest(states: np.ndarray) -> np.ndarray:
