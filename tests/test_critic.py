@@ -109,14 +109,14 @@ def test_rows_and_states_are_the_same_in_any_batch_and_order(agent, per_episode)
 def test_so_many_steps_are_drawn_from_all_of_an_episode(agent, visited):
     lengths = dict(visited[0].group_by("level").len().iter_rows())
     seen = []
-    for seed in range(30):
+    for seed in range(12):
         rows, _ = critic.visit(agent, SHORT, LEVELS, per_episode=3, seed=seed)
         drawn = dict(rows.group_by("level").len().iter_rows())
         assert drawn == {level: min(3, length) for level, length in lengths.items()}
         assert rows.join(visited[0], on=rows.columns).height == rows.height
         long = rows.filter(rows["level"].replace_strict(lengths) == 40)
         seen += long["step"].to_list()
-    assert len(seen) > 300 and np.histogram(seen, 4, (0, 40))[0].min() > 0.2 * len(seen)
+    assert len(seen) > 200 and np.histogram(seen, 4, (0, 40))[0].min() > 0.15 * len(seen)
 
 
 def test_levels_that_were_drawn_are_visited(agent):
