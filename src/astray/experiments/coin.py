@@ -24,6 +24,7 @@ AGENTS: Mapping[Size, Config] = {
     "hour": replace(LARGE, steps=25_000_000),
     "paper": LARGE,
 }
+RUNNER = "runner"  # the name of the agents where there are no others
 SMALLER: Mapping[Size, str] = {
     "smoke": "levels seen as symbols instead of a picture, by a network of two hidden layers, and "
     "6 million steps instead of 200 million",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import matplotlib
@@ -10,7 +11,7 @@ import polars as pl
 from matplotlib.figure import Figure
 from matplotlib.ticker import PercentFormatter
 
-from astray.analysis.outcomes import FAILED, MISGENERALIZED
+from astray.analysis.outcomes import FAILED, INTENDED, MISGENERALIZED
 from astray.experiments import figures
 
 DARK = "#77777a"  # of a line that stands for capability failure, whose own grey is too light
@@ -53,4 +54,114 @@ def diversity(table: pl.DataFrame) -> Figure:
         axes.set_xticks(np.arange(0, 21, 5))
         axes.tick_params(labelleft=True)
     figure.legend(*row[0].get_legend_handles_labels(), loc="outside upper left", ncols=2)
+    return figure
+
+
+@matplotlib.rc_context(figures.STYLE)
+def stages(bars: pl.DataFrame) -> Figure:
+    """Bars of values by stage, with a coin in view and without.
+
+    bars  columns stage, coin (bool), mean, low, high, rows (how many states)
+    """
+    figure = Figure(figsize=(figures.WIDTH, 3.6))
+    axes = figure.subplots()
+    names = bars["stage"].unique(maintain_order=True).to_list()
+    looks = {False: ("no coin in view", figures.COLOURS[FAILED], -0.2),
+             True: ("coin in view", figures.COLOURS[INTENDED], 0.2)}  # fmt: skip
+    lowest = min(0.0, bars["low"].min() or 0.0)  # type: ignore[type-var]
+    for coin, (label, colour, shift) in looks.items():
+        part = bars.filter(coin=coin)
+        x = np.array([names.index(stage) for stage in part["stage"]]) + shift
+        axes.bar(x, part["mean"], 0.38, color=colour, label=label)
+        axes.errorbar(x, part["mean"], yerr=_whiskers(part), fmt="none", ecolor=figures.INK,
+                      elinewidth=1.3, capsize=3)  # fmt: skip
+        for at, rows in zip(x, part["rows"], strict=True):
+            axes.annotate(f"n = {rows:,}", (at, lowest), (0, 3), textcoords="offset points",
+                          ha="center", fontsize=8)  # fmt: skip
+    axes.set_xticks(range(len(names)), names)
+    axes.tick_params(axis="x", length=0)
+    axes.grid(axis="y")
+    axes.set_title("the critic's value", fontweight="normal", fontsize=10.5)
+    figure.legend(loc="outside upper left", ncols=2, handlelength=1, handleheight=1)
+    return figure
+
+
+@matplotlib.rc_context(figures.STYLE)
+def effects(table: pl.DataFrame) -> Figure:
+    """What a coin adds, by stage and by how it came or went.
+
+    table  columns stage, coin_is, mean, low, high
+    """
+    figure = Figure(figsize=(figures.WIDTH, 3.0))
+    axes = figure.subplots()
+    names = table["stage"].unique(maintain_order=True).to_list()
+    kinds = table["coin_is"].unique().sort().to_list()
+    for k, (kind, marker) in enumerate(zip(kinds, "os", strict=False)):
+        part = table.filter(coin_is=kind)
+        x = np.array([names.index(stage) for stage in part["stage"]]) + 0.16 * (k - 0.5)
+        axes.errorbar(x, part["mean"], yerr=_whiskers(part), fmt=marker, color=figures.OTHERS[k],
+                      capsize=3, label=f"coin {kind}")  # fmt: skip
+    axes.axhline(0, color=figures.INK, linewidth=0.8)
+    axes.set_xticks(range(len(names)), names)
+    axes.set_xlim(-0.5, len(names) - 0.5)
+    axes.grid(axis="y")
+    axes.set_title("value with the coin, less without it", fontweight="normal", fontsize=10.5)
+    figure.legend(loc="outside upper left", ncols=2)
+    return figure
+
+
+def _whiskers(part: pl.DataFrame) -> np.ndarray:
+    """How far intervals go below and above their means, [2, N]."""
+    low, mean, high = (part[column].to_numpy() for column in ("low", "mean", "high"))
+    return np.stack([mean - low, high - mean])
+
+
+@matplotlib.rc_context(figures.STYLE)
+def approach(ways: pl.DataFrame, columns: int) -> Figure:
+    """The value by the distance to the wall.
+
+    ways     columns cells (from the wall's face, negative before it), mean, low, high
+    columns  of the wall
+    """
+    figure = Figure(figsize=(figures.WIDTH, 3.4))
+    axes = figure.subplots()
+    x, colour = ways["cells"] + 0.5, figures.OTHERS[0]
+    axes.axvspan(0, columns, color=figures.FAINT, alpha=0.5, lw=0)
+    axes.plot(x, ways["mean"], color=colour, linewidth=2.4)
+    axes.fill_between(x, ways["low"], ways["high"], color=colour, alpha=PALE, lw=0)
+    axes.margins(x=0)
+    axes.grid(axis="y")
+    axes.set_xlabel("cells from the wall's face to the runner's front; shaded: the wall")
+    axes.set_title("the critic's value", fontweight="normal", fontsize=10.5)
+    return figure
+
+
+@matplotlib.rc_context(figures.STYLE)
+def episode(data: pl.DataFrame, drawn: Sequence[int], pictures: np.ndarray) -> Figure:
+    """The value along an episode, below pictures of some of its steps.
+
+    data      columns step, value, to_wall (cells, below 0 in the wall)
+    drawn     the steps of `pictures` [N, P, P, 3] uint8, in order
+    """
+    figure = Figure(figsize=(figures.WIDTH, 4.2))
+    grid = figure.add_gridspec(2, len(drawn), height_ratios=[1, 2.2])
+    axes = figure.add_subplot(grid[1, :])
+    colour = figures.OTHERS[0]
+    axes.plot(data["step"], data["value"], color=colour, linewidth=2)
+    inside = data.filter(pl.col("to_wall") < 0)["step"]
+    if len(inside):
+        axes.axvspan(inside[0], data["step"][-1], color=figures.FAINT, alpha=0.5, lw=0)
+    values = data["value"].to_numpy()[list(drawn)]
+    axes.plot(drawn, values, "o", color=colour, markersize=6)
+    for k, (step, picture) in enumerate(zip(drawn, pictures, strict=True)):
+        small = figure.add_subplot(grid[0, k])
+        small.imshow(picture)
+        small.set_xticks([])
+        small.set_yticks([])
+        small.spines[:].set_visible(False)
+        small.set_title(f"step {step}", fontweight="normal", fontsize=10, pad=4)
+    axes.margins(x=0.01)
+    axes.grid(axis="y")
+    axes.set_xlabel("step")
+    axes.set_title("the critic's value", fontweight="normal", fontsize=10.5)
     return figure

@@ -1,0 +1,173 @@
+"""What the critic values: the coin, or the end of the level where the coin always was."""
+
+from __future__ import annotations
+
+import numpy as np
+import polars as pl
+
+from astray.analysis.critic import counterfactual, visit
+from astray.analysis.runs import open_run
+from astray.analysis.statistics import group_means
+from astray.experiments import coin, coin_figures, outcomes
+from astray.experiments.coin import RUNNER
+from astray.experiments.report import Findings, Plot, Table, Verdict
+from astray.experiments.run import levels_of
+from astray.experiments.spec import Experiment, Plan, Size, Test, Work
+from astray.games.coinrun import edits, measures
+from astray.games.coinrun.measures import STAGES
+
+BEGINNING, MIDDLE, END, BEYOND = STAGES
+# In half of the levels the coin is at the end, in the others anywhere.
+LEVELS = Test("coin-half", "coin-end", {"place": "anywhere"})
+PERMEABLE = Test(
+    "coin-end-permeable-continue", "coin-end", {"place": "anywhere", "random_coin": 0.5}
+)  # for states beyond the end alone
+DRAWN = 5  # states of each episode, as in the original of each 256 steps
+REMOVED, ADDED = "taken away", "put in view"
+HALF = 0.5  # of what the end adds: all that the coin adds is less, if the end is what counts
+
+
+def find(work: Work) -> Findings:
+    """Values by stage and coin, as in the paper; and of the same states with and without a coin."""
+    table = work.keep("values", lambda: values(work))
+    bars = by_stage(table, "value", ["coin"])
+    effects = by_stage(effects_of(table), "effect", ["coin_is"])
+    rise = group_means(rises(table), "rise", ["rises"]).row(0, named=True)
+    removed = effects.filter(coin_is=REMOVED).to_dicts()
+    largest = max(removed, key=lambda row: abs(row["mean"]))
+    most = f"{largest['mean']:+.2f} at the stage “{largest['stage']}”"
+    told = "; ".join(f"{row['stage']}: {interval(row)}" for row in removed)
+    return Findings(
+        answer=f"From the beginning of a level to its end the value rises by {rise['mean']:.2f} "
+        f"(in the unit of the training's rewards); what a coin in view adds to the value of the "
+        f"same state is at most {most}.",
+        verdicts=[
+            Verdict(
+                "The value is higher at the end of the level than at its beginning.",
+                "much higher (no number given)",
+                f"{END} less {BEGINNING}: {interval(rise)}; holds above 0", rise["low"] > 0,
+            ),
+            Verdict(
+                "The coin has an insignificant effect at all stages of a level.",
+                "insignificant at all stages, n = 950",
+                f"with the coin less without it, in the same states: {told}; "
+                f"holds where every interval contains 0",
+                all(row["low"] <= 0 <= row["high"] for row in removed),
+            ),
+            Verdict(
+                "The coin adds less than half of what the end of the level adds.",
+                "much higher at the end; the coin insignificant",
+                f"at most {most}; holds where no interval goes beyond half of the "
+                f"rise's lower bound, {HALF * rise['low']:.2f}",
+                all(max(abs(row["low"]), abs(row["high"])) < HALF * rise["low"] for row in removed),
+            ),
+        ],
+        plots=[
+            Plot(
+                "stages",
+                "The critic's value at different stages of a level, with and without a coin in "
+                "view, as in the paper; with 95\u00a0% intervals over agents and levels. Stages "
+                "are thirds of the way to the end, and what is beyond the face of a wall that "
+                "lets pass.",
+                coin_figures.stages(bars), bars,
+            ),
+            Plot(
+                "coins",
+                "What a coin adds to the value of the same state: where one is in view it is "
+                "taken away, where none is one is put at a random place to stand that is in view.",
+                coin_figures.effects(effects), effects,
+            ),
+        ],
+        tables=[
+            Table("stages", "Values by stage and coin", bars),
+            Table("coins", "What a coin adds to the value of the same state", effects),
+        ],
+        settings=outcomes.settings(work.plan) | {
+            "states": f"{len(table):,}, up to {DRAWN} of each episode",
+            "the paper and its code": "There each picture was labelled by hand, and its error bars "
+            "are from the 5th to the 95th percentile, which is a 90\u00a0% interval; all pictures "
+            "were of one agent and resampled alone. Here stage and coin come from the state, and "
+            "agents and levels are resampled.",
+        },
+    )  # fmt: skip
+
+
+def values(work: Work) -> pl.DataFrame:
+    """A row for each state that is drawn from the agents' episodes.
+
+    agent (its seed), level, step, stage; value; coin, whether one is seen; taken_away and
+    put_in_view: what the coin adds, null where none is seen, or none can be seen to be put.
+    """
+    parts = []
+    for test in (LEVELS, PERMEABLE):
+        levels = levels_of(work.plan, test)
+        for run in work.runs[RUNNER]:
+            agent, config = open_run(run)
+            variant = test.made_for(config)
+            rows, states = visit(agent, variant, levels, per_episode=DRAWN)
+            stage = measures.stage(states)
+            kept = (stage == STAGES.index(BEYOND)) == (test is PERMEABLE)
+            if not kept.any():
+                continue
+            rows, states = rows.filter(kept), states[kept]
+            away = counterfactual(agent, variant, states, edits.without_coin)
+            more = counterfactual(agent, variant, states, edits.with_coin_in_view)
+            seen, put = away["seen"], more["seen"] & ~away["seen"]
+            parts.append(rows.select("level", "step", "value").with_columns(
+                agent=pl.lit(config.seed),
+                stage=pl.Series(np.array(STAGES)[stage[kept]]),
+                coin=seen,
+                taken_away=pl.when(seen).then(-away["change"]),
+                put_in_view=pl.when(put).then(more["change"]),
+            ))  # fmt: skip
+    return pl.concat(parts)
+
+
+def effects_of(table: pl.DataFrame) -> pl.DataFrame:
+    """A row for each coin that was taken away or put in view: agent, level, stage, effect."""
+    same = table.select("agent", "level", "stage", "taken_away", "put_in_view")
+    same = same.rename({"taken_away": REMOVED, "put_in_view": ADDED})
+    return same.unpivot(
+        index=("agent", "level", "stage"), variable_name="coin_is", value_name="effect"
+    ).drop_nulls("effect")
+
+
+def rises(table: pl.DataFrame) -> pl.DataFrame:
+    """How much the value rises from beginning to end, of each agent in each level of both."""
+    means = table.group_by("agent", "level", "stage").agg(pl.col("value").mean())
+    ends, beginnings = means.filter(stage=END), means.filter(stage=BEGINNING)
+    both = ends.join(beginnings, on=("agent", "level"), suffix="_before").sort("agent", "level")
+    return both.with_columns(
+        rises=pl.lit("to the end"), rise=pl.col("value") - pl.col("value_before")
+    )
+
+
+def by_stage(rows: pl.DataFrame, value: str, by: list[str]) -> pl.DataFrame:
+    """Means of `value` in stages and `by`, in the order of STAGES."""
+    order = pl.col("stage").replace_strict(STAGES, range(len(STAGES)))
+    return group_means(rows, value, ["stage", *by]).sort(order, *by)
+
+
+def interval(row: dict) -> str:
+    """An estimate in words."""
+    return (
+        f"{row['mean']:+.2f} (95\u00a0% interval {row['low']:+.2f} to {row['high']:+.2f}; "
+        f"n\u00a0=\u00a0{row['rows']:,})"
+    )
+
+
+def plan(size: Size, seeds: int, levels: int) -> Plan:
+    """The runners whose coin was always at the end."""
+    return Plan(
+        agents={RUNNER: coin.AGENTS[size]}, seeds=seeds, levels=levels, smaller=coin.SMALLER[size]
+    )
+
+
+EXPERIMENT = Experiment(
+    title="What the critic values",
+    reproduces="Figure 6",
+    question="Does the critic value the coin, or the end of the level, where the coin always was?",
+    sizes={"smoke": plan("smoke", 2, 300), "hour": plan("hour", 1, 500),
+           "paper": plan("paper", 3, 1000)},
+    find=find,
+)  # fmt: skip
