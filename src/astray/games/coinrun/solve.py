@@ -69,9 +69,10 @@ def plan(s: Any, goal: str) -> np.ndarray:
         return np.empty(0, np.int64)
     copy: Any = np.zeros(1, s.dtype)
     copy[0] = s
+    states = copy.view(np.recarray)
     if goal != "coin":
-        copy["cell"][copy["cell"] == COIN] = EMPTY
-    return search(copy.view(np.recarray), tuple(GOALS).index(goal), int(s.time_limit - s.time))
+        states.cell[states.cell == COIN] = EMPTY
+    return search(states, tuple(GOALS).index(goal), int(s.time_limit - s.time))
 
 
 def _event(goal: str) -> str:
