@@ -30,9 +30,9 @@ def find(work: Work) -> Findings:
         answer=f"On unseen levels like those of its training, the thief gets {opened.mean:.0%} of "
         f"the reward there is. With two keys a chest it gets {in_test(PER_CHEST):.0%}, takes "
         f"{in_test(BEYOND):.1f} more keys than there are chests (a thief that fetches what it "
-        f"needs {in_test(BEYOND, NEED):.1f}), and in {first.mean:.0%} of levels takes all keys before it "
-        f"opens the last chest ({in_test(ALL_FIRST, NEED):.0%}); in {in_test(LEFT):.0%} it then "
-        f"never opens it.",
+        f"needs {in_test(BEYOND, NEED):.1f}), and in {first.mean:.0%} of levels takes all keys "
+        f"before it opens the last chest ({in_test(ALL_FIRST, NEED):.0%}); in "
+        f"{in_test(LEFT):.0%} it then never opens it.",
         verdicts=[
             holds_above(
                 "In unseen levels like those of its training, the thief opens the chests that "
