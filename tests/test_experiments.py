@@ -30,11 +30,11 @@ def test_every_experiment_plans(name, size, tmp_path):
 
 
 def miniature(plan):
-    """The plan with two agents of each name, trained for 2,048 steps in few levels, and 20 more."""
+    """The plan with two agents of each name, trained for 2,048 steps in few short levels."""
     agents = {
         name: replace(
             config, levels=1000, steps=2048, environments=16, rollout=32, minibatches=4, width=16,
-            checkpoint_every=1,
+            checkpoint_every=1, knobs={**config.knobs, "time_limit": 100},
         )
         for name, config in plan.agents.items()
     }  # fmt: skip

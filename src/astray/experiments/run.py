@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import polars as pl
+import torch
 
 from astray import experiments
 from astray.analysis.overlap import met, unseen
@@ -38,6 +39,7 @@ def reproduce(
         raise ValueError(
             f"unknown size {size!r} of {name}; there are: {', '.join(experiment.sizes)}"
         )
+    torch.set_num_threads(1)  # several cost small networks more than they save
     plan, folder = experiment.sizes[size], root / f"{name}-{size}"
     folder.mkdir(parents=True, exist_ok=True)
     trainings = plan.trainings()
