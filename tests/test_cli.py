@@ -145,7 +145,7 @@ def test_an_agent_is_filmed(astray, run_folder, tmp_path):
         ("level maze corner --set region", "a knob is set as NAME=VALUE; given 'region'"),
         ("level maze corner --set squid=5", "unknown knob 'squid' of maze; there are: time_limit"),
         ("level maze corner --set region=5.5", "region is 5.5; it is a int"),
-        ("reproduce maze-cornr", "unknown experiment 'maze-cornr'; there are: agency, maze-corner"),
+        ("reproduce maze-cornr", "unknown experiment 'maze-cornr'; there are: agency, "),
         ("evaluate nowhere", "nowhere is neither a run folder nor a checkpoint in one"),
         ("replay maze corner --level 1 --actions nowhere.txt", "nowhere.txt"),
     ],
