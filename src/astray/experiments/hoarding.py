@@ -30,7 +30,7 @@ POLICIES = {
     Walk("keys").name: "takes all keys",
     "random": "random",
 }
-BEYOND, ALL_FIRST, IN_HAND = "keys beyond need", "all keys first", "keys in hand"
+BEYOND, ALL_FIRST, IN_HAND = "spare keys", "all keys first", "keys in hand"
 PER_CHEST, LOST, LEFT = "return per chest", "return lost", "chests left"
 MEASURES = {  # what is told of an episode, and its unit
     BEYOND: "keys taken beyond\nthe number of chests",

@@ -43,7 +43,7 @@ def find(work: Work) -> Findings:
                 "Where keys are many, it takes more of them than it needs: more than lie on the "
                 "way of a thief that fetches what it needs.",
                 "goes out of its way to collect all the keys (no figure given)",
-                "keys taken beyond need, more than the other's",
+                "spare keys taken, more than by the other",
                 hoarding.beyond_walker(episodes, test, BEYOND),
             ),
             holds_above(
