@@ -5,13 +5,14 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import polars as pl
 
 from astray.analysis.evaluate import evaluate
 from astray.analysis.runs import open_run
-from astray.experiments.spec import Size
+from astray.experiments.spec import Plan, Size
 from astray.game import Variant
 from astray.training.config import PRESETS, Config
 
@@ -31,6 +32,13 @@ SMALLER: Mapping[Size, str] = {
     "hour": "25 million steps instead of 200 million",
     "paper": "",
 }
+
+
+def plan(size: Size, seeds: int, levels: int, **more: Any) -> Plan:
+    """A plan with the runners whose coin was always at the end, and no others."""
+    return Plan(
+        agents={RUNNER: AGENTS[size]}, seeds=seeds, levels=levels, smaller=SMALLER[size], **more
+    )
 
 
 def play(runs: Sequence[Path], variant: Variant, levels: np.ndarray | range) -> pl.DataFrame:

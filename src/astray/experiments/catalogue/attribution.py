@@ -17,7 +17,7 @@ from astray.experiments import coin, coin_figures, outcomes
 from astray.experiments.coin import RUNNER
 from astray.experiments.report import Findings, Plot, Table, Verdict
 from astray.experiments.run import levels_of
-from astray.experiments.spec import Experiment, Plan, Size, Test, Work
+from astray.experiments.spec import Experiment, Test, Work
 from astray.games.coinrun.edits import PARTS
 
 TESTS = {
@@ -183,18 +183,11 @@ def flat(one: np.ndarray) -> np.ndarray:
     return added / max(abs(added).max(), np.finfo(float).tiny)
 
 
-def plan(size: Size, seeds: int, levels: int) -> Plan:
-    """The runners whose coin was always at the end."""
-    return Plan(
-        agents={RUNNER: coin.AGENTS[size]}, seeds=seeds, levels=levels, smaller=coin.SMALLER[size]
-    )
-
-
 EXPERIMENT = Experiment(
     title="What the critic looks at",
     reproduces="Figure 8",
     question="What in view does the critic's value depend on: the coin, the end wall, hazards?",
-    sizes={"smoke": plan("smoke", 2, 100), "hour": plan("hour", 1, 200),
-           "paper": plan("paper", 3, 500)},
+    sizes={"smoke": coin.plan("smoke", 2, 100), "hour": coin.plan("hour", 1, 200),
+           "paper": coin.plan("paper", 3, 500)},
     find=find,
 )  # fmt: skip

@@ -12,7 +12,7 @@ from astray.experiments import coin, coin_figures, outcomes
 from astray.experiments.coin import RUNNER
 from astray.experiments.report import Findings, Plot, Table, Verdict
 from astray.experiments.run import levels_of
-from astray.experiments.spec import Experiment, Plan, Size, Test, Work
+from astray.experiments.spec import Experiment, Test, Work
 from astray.games.coinrun import edits, measures
 from astray.games.coinrun.measures import STAGES
 
@@ -156,18 +156,11 @@ def interval(row: dict) -> str:
     )
 
 
-def plan(size: Size, seeds: int, levels: int) -> Plan:
-    """The runners whose coin was always at the end."""
-    return Plan(
-        agents={RUNNER: coin.AGENTS[size]}, seeds=seeds, levels=levels, smaller=coin.SMALLER[size]
-    )
-
-
 EXPERIMENT = Experiment(
     title="What the critic values",
     reproduces="Figure 6",
     question="Does the critic value the coin, or the end of the level, where the coin always was?",
-    sizes={"smoke": plan("smoke", 2, 300), "hour": plan("hour", 1, 500),
-           "paper": plan("paper", 3, 1000)},
+    sizes={"smoke": coin.plan("smoke", 2, 300), "hour": coin.plan("hour", 1, 500),
+           "paper": coin.plan("paper", 3, 1000)},
     find=find,
 )  # fmt: skip

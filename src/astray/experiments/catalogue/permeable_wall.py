@@ -16,7 +16,7 @@ from astray.experiments.coin import RUNNER
 from astray.experiments.outcomes import AGENTS
 from astray.experiments.report import Findings, Plot, Table, Verdict, Video
 from astray.experiments.run import levels_of
-from astray.experiments.spec import Experiment, Plan, Size, Test, Work
+from astray.experiments.spec import Experiment, Test, Work
 from astray.games.coinrun import measures
 
 COLUMNS = 15  # of the wall
@@ -250,20 +250,17 @@ def moments(data: pl.DataFrame) -> list[int]:
     return steps.tolist()
 
 
-def plan(size: Size, seeds: int, levels: int) -> Plan:
-    """The runners whose coin was always at the end."""
-    return Plan(
-        agents={RUNNER: coin.AGENTS[size]}, seeds=seeds, tests=TESTS, levels=levels,
-        smaller=coin.SMALLER[size], measures={"to_wall": measures.to_wall},
-    )  # fmt: skip
-
+PLAYED: dict[str, Any] = {"tests": TESTS, "measures": {"to_wall": measures.to_wall}}
 
 EXPERIMENT = Experiment(
     title="The permeable wall",
     reproduces="Figure 7",
     question="Do actor and critic pursue the same? A wall that lets pass tells moving right from "
     "moving to the wall.",
-    sizes={"smoke": plan("smoke", 2, 200), "hour": plan("hour", 1, 300),
-           "paper": plan("paper", 3, 1000)},
+    sizes={
+        "smoke": coin.plan("smoke", 2, 200, **PLAYED),
+        "hour": coin.plan("hour", 1, 300, **PLAYED),
+        "paper": coin.plan("paper", 3, 1000, **PLAYED),
+    },
     find=find,
 )  # fmt: skip
