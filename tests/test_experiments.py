@@ -34,7 +34,7 @@ def miniature(plan):
     agents = {
         name: replace(
             config, levels=1000, steps=2048, environments=16, rollout=32, minibatches=4, width=16,
-            checkpoint_every=1, knobs={**config.knobs, "time_limit": 100},
+            checkpoint_every=1, knobs={**config.knobs, "time_limit": 400},
         )
         for name, config in plan.agents.items()
     }  # fmt: skip

@@ -83,3 +83,11 @@ def test_equal_weights_change_nothing():
 def test_columns_that_are_missing_are_named():
     with pytest.raises(ValueError, match=r"no column colour, worth; there are: \['agent'"):
         group_means(steps(), "worth", ["colour"])
+
+
+def test_no_rows_have_no_means():
+    rows = pl.DataFrame(
+        {"level": [1], "what": ["a"], "value": [None]}, schema_overrides={"value": float}
+    )
+    with pytest.raises(ValueError, match="no row of 1 has a value of 'value'"):
+        group_means(rows, "value", ["what"])

@@ -95,8 +95,10 @@ def group_means(
     if missing:
         raise ValueError(f"no column {', '.join(sorted(missing))}; there are: {rows.columns}")
     agent = [name for name in ("agent",) if name in rows.columns]
-    found = []
-    for key, group in rows.drop_nulls(value).group_by(by):
+    known, found = rows.drop_nulls(value), []
+    if known.is_empty():
+        raise ValueError(f"no row of {len(rows)} has a value of {value!r}")
+    for key, group in known.group_by(by):
         codes = [np.unique(group[name], return_inverse=True)[1] for name in (*agent, "level")]
         cell = (codes[0] if agent else np.zeros(len(group), int), codes[-1])
         totals = np.zeros([int(code.max()) + 1 for code in cell])
