@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from math import inf
 from pathlib import Path
 from typing import Any, Literal, get_args
 
@@ -56,8 +57,8 @@ class Plan:
     def __post_init__(self) -> None:
         if self.seeds < 1:
             raise ValueError(f"seeds is {self.seeds}; it is at least 1")
-        fewest = min((len(config.unseen_levels) for config in self.agents.values()), default=None)
-        if self.levels < 1 or (fewest is not None and self.levels > fewest):
+        fewest = min((len(config.unseen_levels) for config in self.agents.values()), default=inf)
+        if not 1 <= self.levels <= fewest:
             raise ValueError(f"levels is {self.levels}; it is from 1 to {fewest}")
         if self.tests and len({config.game for config in self.agents.values()}) != 1:
             raise ValueError("what is played in the same tests are agents, and of one game")
