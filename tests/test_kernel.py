@@ -13,6 +13,7 @@ from scipy.sparse.csgraph import shortest_path
 from astray.envs.pool import Pool
 from astray.game import state_dtype
 from astray.kernel import rng
+from astray.kernel.canvas import blit, copy_window
 from astray.kernel.grid import UNREACHABLE, distances
 from astray.kernel.jit import kernel
 
@@ -54,6 +55,40 @@ def test_shares_are_uniform():
     values = [rng.share(k, 3) for k in range(2000)]
     assert min(values) >= 0 and max(values) < 1
     assert np.histogram(values, 10, (0, 1))[0].min() > 150
+
+
+@pytest.mark.parametrize("top, left", [(0, 0), (-2, 1), (3, -3), (6, 5), (-9, 0), (8, 8)])
+def test_a_sprite_is_laid_over_a_picture_to_the_nearest_shade(top, left):
+    random = np.random.default_rng(0)
+    picture = random.integers(0, 256, (8, 8, 3), np.uint8)
+    sprite = random.integers(0, 256, (5, 4, 4), np.uint8)
+    sprite[0, :, 3], sprite[1, :, 3] = 0, 255
+    padded = np.pad(picture.astype(float), ((9, 9), (9, 9), (0, 0)))
+    under, opacity = padded[9 + top : 14 + top, 9 + left : 13 + left], sprite[..., 3:] / 255
+    under[:] = sprite[..., :3] * opacity + under * (1 - opacity)
+    blit(picture, sprite, top, left)
+    assert np.array_equal(picture, np.rint(padded[9:17, 9:17]))
+
+
+def test_every_shade_over_every_shade_at_every_opacity_is_the_nearest():
+    over, under = np.meshgrid(np.arange(256, dtype=np.uint8), np.arange(256, dtype=np.uint8))
+    opaque = np.empty((256, 256, 4), np.uint8)
+    opaque[..., :3] = over[..., None]
+    lay = numba.njit(lambda picture, sprite: blit(picture, sprite, 0, 0))
+    for opacity in range(256):
+        opaque[..., 3] = opacity
+        picture = np.repeat(under[..., None], 3, 2)
+        lay(picture, opaque)
+        exact = (over * float(opacity) + under * (255.0 - opacity)) / 255
+        assert np.abs(picture - exact[..., None]).max() < 0.5
+
+
+@pytest.mark.parametrize("width", [64, 20])
+def test_a_window_is_a_slice(width):
+    scene = np.random.default_rng(0).integers(0, 256, (50, 80, 3), np.uint8)
+    window = np.empty((30, width, 3), np.uint8)
+    numba.njit(lambda to, of: copy_window(to, of, 7, 11))(window, scene)
+    assert np.array_equal(window, scene[7:37, 11 : 11 + width])
 
 
 def test_distances_are_scipys():

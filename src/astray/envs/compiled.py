@@ -43,7 +43,7 @@ def _compile(name: str, run: Callable) -> None:
     """Run over no environment, so that it is compiled for the types to come."""
     game = games.load(name)
     variant = next(iter(game.variants.values()))
-    states, params = np.zeros(0, game.state).view(np.recarray), variant.records()
+    states, params = np.zeros(0, game.state), variant.records()
     pictures, numbers, flags = (
         np.empty((0, 1, 1, 1), np.uint8),
         np.empty(0, np.int64),

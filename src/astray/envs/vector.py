@@ -88,9 +88,9 @@ class GameVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
 
         self._loop = compiled(game)
         self._pool = Pool(threads) if threads > 1 else None
-        self.states = np.zeros(num_envs, self.game.state).view(np.recarray)
+        self._states = np.zeros(num_envs, self.game.state)
         kept = num_envs if self._mode == SAME_STEP else 0  # ends that a new beginning overwrites
-        self._final_states = np.empty(kept, self.game.state).view(np.recarray)
+        self._final_states = np.empty(kept, self.game.state)
         self._final = np.empty((kept, *self._shape[1:]), np.uint8)
         self._steps = np.full(num_envs, STEP)
         self._seeded = False
@@ -100,6 +100,11 @@ class GameVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
             self.variant.records(), self._art, self.symbolic, self._scenes,
             self._list, self._first, self._count,
         )  # fmt: skip
+
+    @property
+    def states(self) -> np.recarray:
+        """The record of each environment, [N]."""
+        return self._states.view(np.recarray)  # with which numba's calls are slow
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -136,8 +141,8 @@ class GameVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
             seed = int(self.np_random.integers(2**62))
         if seed is not None:
             seeds = np.arange(self.num_envs, dtype=np.uint64) + np.uint64(seed)
-            self.states["seed"][which] = seeds[which]
-            self.states["turn"][which] = 0
+            self._states["seed"][which] = seeds[which]
+            self._states["turn"][which] = 0
             self._seeded = True
         return self._run(np.where(which, chosen, NOTHING)), self._begun(which)
 
@@ -154,7 +159,7 @@ class GameVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
             raise ValueError(f"actions are {n} integers from 0 to {largest - 1}; given {actions}")
         if not self._seeded:
             raise RuntimeError("the environment must be reset before it is stepped")
-        before = self.states["ended"].copy() if self._mode != SAME_STEP else np.zeros(n, bool)
+        before = self._states["ended"].copy() if self._mode != SAME_STEP else np.zeros(n, bool)
         if self._mode == DISABLED and before.any():
             raise RuntimeError("an episode has ended; reset(options={'reset_mask': ...}) first")
         if out is not None and (out.shape != self._shape or out.dtype != np.uint8):
@@ -175,7 +180,7 @@ class GameVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
             if before.any():
                 info = self._begun(before)
             if ended.any():
-                info = _merge(info, self._events(self.states, ended))
+                info = _merge(info, self._events(self._states, ended))
         return observations, reward, terminated, truncated, info
 
     def get_state(self) -> np.ndarray:
@@ -203,10 +208,10 @@ class GameVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         self.game.check(given, self.variant)
         if self._mode == SAME_STEP and given["ended"].any():
             raise ValueError(f"the episode of state {given['ended'].argmax()} has ended")
-        kept = {name: self.states[name][which] for name in keep}
-        self.states[which] = given
+        kept = {name: self._states[name][which] for name in keep}
+        self._states[which] = given
         for name, values in kept.items():
-            self.states[name][which] = values
+            self._states[name][which] = values
 
     def render(self) -> tuple[np.ndarray, ...] | None:
         """Pictures for people, [512, 512, 3] each, with render_mode "rgb_array"."""
@@ -232,7 +237,7 @@ class GameVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         """Do `what` in every environment; what they show then. The rest is of steps alone."""
         observations = np.empty(self._shape, np.uint8) if out is None else out
         arguments = (
-            self.states, *self._scene, self._mode, what, actions, observations,
+            self._states, *self._scene, self._mode, what, actions, observations,
             self._final_states, self._final, reward, terminated, truncated,
         )  # fmt: skip
         if self._pool:
@@ -242,7 +247,7 @@ class GameVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         return observations
 
     def _begun(self, which: np.ndarray) -> Info:
-        return _columns(self.states, ("level", "shifted"), which)
+        return _columns(self._states, ("level", "shifted"), which)
 
     def _events(self, states: np.ndarray, which: np.ndarray) -> Info:
         return _columns(states, ("level", "shifted", "time", *self.game.events), which)
@@ -256,7 +261,7 @@ def picture(game: str, variant: Variant, states: np.ndarray, pixels: int) -> np.
     images = np.empty((len(states), pixels, pixels, 3), np.uint8)
     sprites, params, as_set = made.art(variant, pixels), variant.records(), np.full(1, AS_SET)
     for k in range(len(states)):
-        one = states[k : k + 1].view(np.recarray)
+        one = states[k : k + 1].view(np.ndarray)
         compiled(game)(
             one, params, sprites, False, scene, NUMBERS, 0, 1, DISABLED, as_set, NUMBERS,
             images[k : k + 1], one, images, REALS, FLAGS, FLAGS, 0, 1,
@@ -294,10 +299,9 @@ def _checked(levels: Any) -> tuple[int, int, np.ndarray]:
 def _columns(states: np.ndarray, names: Sequence[str], which: np.ndarray) -> Info:
     """Gymnasium's vector info: an array for each name, 0 where not in `which`, and its mask."""
     info: Info = {}
-    # Fields of a recarray are slow; so is a mask for each name, hence one for all.
-    plain, rows, mask = states.view(np.ndarray), np.flatnonzero(which), which.copy()
+    rows, mask = np.flatnonzero(which), which.copy()  # one mask for all: one for each is slow
     for name in names:
-        column = plain[name]
+        column = states[name]
         info[name] = np.zeros(len(column), column.dtype)
         info[name][rows] = column[rows]
         info[f"_{name}"] = mask

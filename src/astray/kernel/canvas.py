@@ -8,6 +8,9 @@ import numpy as np
 
 from astray.kernel.jit import kernel
 
+USUAL = 64 * 3  # bytes in a row of what the agent sees
+HALVES, LOW_BYTES = 0x0080_0080_0080, 0x00FF_00FF_00FF  # of 16 bits each
+
 
 @kernel
 def copy_flat(target, source):
@@ -22,11 +25,19 @@ def copy_window(target, source, top, left):
     """Fill `target` with the part of `source` whose upper left pixel is (top, left)."""
     height, width, depth = target.shape
     a, b, n = target.reshape(-1), source.reshape(-1), width * depth
-    for row in range(height):
-        begin = ((top + row) * source.shape[1] + left) * depth
-        to, of = a[row * n : row * n + n], b[begin : begin + n]
-        for k in range(n):  # from 0, so that it is vectorised: 0.3 us for 64 x 64 x 3, not 18
-            to[k] = of[k]
+    begin, stride = (top * source.shape[1] + left) * depth, source.shape[1] * depth
+    if n == USUAL:
+        for row in range(height):
+            to = a[row * USUAL : row * USUAL + USUAL]
+            of = b[begin + row * stride : begin + row * stride + USUAL]
+            for k in range(USUAL):  # a fifth faster, as the compiler knows how many
+                to[k] = of[k]
+    else:
+        for row in range(height):
+            to = a[row * n : row * n + n]
+            of = b[begin + row * stride : begin + row * stride + n]
+            for k in range(n):  # from 0, so that it is vectorised: 0.3 us for 64 x 64 x 3, not 18
+                to[k] = of[k]
 
 
 @kernel
@@ -41,14 +52,27 @@ def tile(target, sprite, top, bottom, left, right):
 @kernel
 def blit(target, sprite, top, left):
     """Draw `sprite` [h, w, 4] (the last channel is opacity) at (top, left), clipped."""
+    first, after = max(0, -left), min(sprite.shape[1], target.shape[1] - left)
     for row in range(max(0, -top), min(sprite.shape[0], target.shape[0] - top)):
-        for column in range(max(0, -left), min(sprite.shape[1], target.shape[1] - left)):
-            opacity = np.int64(sprite[row, column, 3])
-            if opacity:
+        over, under = sprite[row], target[top + row]
+        for column in range(first, after):
+            opacity = np.int64(over[column, 3])
+            if opacity == 255:
                 for c in range(3):
-                    over = np.int64(sprite[row, column, c]) * opacity
-                    under = np.int64(target[top + row, left + column, c]) * (255 - opacity)
-                    target[top + row, left + column, c] = (over + under + 127) // 255
+                    under[left + column, c] = over[column, c]
+            elif opacity:
+                mixed = lanes(over[column]) * opacity
+                mixed += lanes(under[left + column]) * (255 - opacity) + HALVES
+                mixed += mixed >> 8 & LOW_BYTES  # and 8 bits on it is a 255th, to the nearest
+                under[left + column, 0] = mixed >> 8 & 255
+                under[left + column, 1] = mixed >> 24 & 255
+                under[left + column, 2] = mixed >> 40 & 255
+
+
+@kernel
+def lanes(pixel):
+    """The three channels of a pixel in one number, 16 bits for each, to be mixed at once."""
+    return np.int64(pixel[0]) | np.int64(pixel[1]) << 16 | np.int64(pixel[2]) << 32
 
 
 @kernel

@@ -35,6 +35,7 @@ RUNNERS = ("beige", "blue", "green", "pink", "yellow")
 POSES = ("stand", "walk-0", "walk-1")
 WALKERS, CRATES = 9, 4
 VIEW = 13  # cells a side that are seen, with the runner in the middle
+SPAN = 16  # cells of a row that are looked through for saws, at least those in view
 MARGIN = 7  # cells of wall around the world in the scene, so that every window is inside it
 CELLS = WORLD + 2 * MARGIN
 LARGEST = 128  # pixels a side of a picture; for larger ones no scene is kept, it would be huge
@@ -61,9 +62,23 @@ def pixel(cells, scale):
 
 @shared
 def paint(s, art, scene):
-    """The whole world without what moves, and the margin; nothing where no scene is kept."""
+    """The level without what moves, and the margin; nothing where no scene is kept."""
     if scene.shape[0] > 1:
-        paint_part(s, art, scene, np.int64(0), np.int64(0), scene.shape[0] / CELLS)
+        level = reached(s, scene)
+        paint_part(s, art, level, np.int64(0), np.int64(0), scene.shape[0] / CELLS)
+
+
+@kernel
+def reached(s, scene):
+    """As much of the scene as the runner can see, in rows that are no longer than that.
+
+    The end wall is mostly before half of the world: the rows of short levels lie closer together
+    in memory, and windows of them are read faster.
+    """
+    height = scene.shape[0]
+    cells = WORLD if s.permeable else s.end_x + 1
+    width = min(pixel(cells + 2 * MARGIN, height / CELLS), scene.shape[1])
+    return scene.reshape(-1)[: height * width * 3].reshape((height, width, 3))
 
 
 @shared
@@ -182,9 +197,10 @@ def draw(s, art, scene, image):
     scale = image.shape[0] / VIEW
     left = pixel(s.x + MARGIN - VIEW / 2, scale)
     top = pixel(CELLS - MARGIN - s.y - VIEW / 2, scale)
-    if scene.shape[0] > 1:
-        copy_window(image, scene, top, left)
-    else:
+    level = reached(s, scene)
+    if left + image.shape[1] <= level.shape[1]:
+        copy_window(image, level, top, left)
+    else:  # no scene is kept, or the runner was set into a wall
         paint_part(s, art, image, top, left, scale)
     draw_saws(s, saws, scale, top, left, image)
     runner = runners[s.runner_look, s.pose, int(s.faces_left)]
@@ -204,9 +220,12 @@ def stamp(image, sprite, scale, top, left, x, y):
 def draw_saws(s, saws, scale, top, left, image):
     """The saws in view, which turn with every step."""
     around = VIEW // 2 + 1
-    i, j = int(s.x), int(s.y)
+    first, j = min(max(int(s.x) - around, 0), WORLD - SPAN), int(s.y)
     for y in range(max(j - around, 0), min(j + around + 1, WORLD)):
-        for x in range(max(i - around, 0), min(i + around + 1, WORLD)):
+        many = 0
+        for k in range(SPAN):  # the compiler knows how many, and compares all at once
+            many += s.thing[y, first + k] == SAW
+        for x in range(first, first + SPAN if many else first):
             if s.thing[y, x] == SAW:
                 row, column = pixel(CELLS - MARGIN - y - 1, scale), pixel(x + MARGIN, scale)
                 put(image, saws[s.time % 2], row - top, column - left)

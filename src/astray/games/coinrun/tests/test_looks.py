@@ -129,3 +129,12 @@ def test_a_permeable_wall_looks_like_dirt_on_every_ground():
     states["x"], states["y"] = states["end_x"] + 8.5, 30.5
     images = picture("coinrun", variant, states, 64)
     assert all(np.array_equal(images[0], image) for image in images[1:])
+
+
+def test_a_runner_in_the_end_wall_sees_what_is_not_in_the_scene_either(monkeypatch):
+    env, _ = begin("coin-end", "image", level=3)
+    states = np.repeat(env.states.copy(), 4)
+    states["x"] = [states["end_x"][0] + 0.5, states["end_x"][0] + 3.2, 50.5, 63.5]
+    images = picture("coinrun", env.variant, states, 64)
+    monkeypatch.setattr(draw, "LARGEST", 0)  # no scene: painted anew
+    assert np.array_equal(images, picture("coinrun", env.variant, states, 64))
