@@ -4,6 +4,7 @@ import os
 import subprocess
 import sys
 import textwrap
+import time
 
 import numba
 import numpy as np
@@ -13,6 +14,7 @@ from scipy.sparse.csgraph import shortest_path
 from astray.envs.pool import Pool
 from astray.game import state_dtype
 from astray.kernel import rng
+from astray.kernel.atomic import store, wait_for
 from astray.kernel.canvas import blit, copy_window
 from astray.kernel.grid import UNREACHABLE, distances
 from astray.kernel.jit import kernel
@@ -128,12 +130,40 @@ def test_a_kernel_is_interpreted_or_part_of_what_calls_it():
 
 def test_a_pool_does_every_share_once_and_raises_what_fails():
     pool, seen = Pool(3), []
-    pool.run(lambda low, high: seen.extend(range(low, high)), (), 10)
+    pool.run(lambda low, high, *_: seen.extend(range(low, high)), (), 10)
     assert sorted(seen) == list(range(10))
     with pytest.raises(ZeroDivisionError):
-        pool.run(lambda low, high: 1 // (low - 6), (), 10)  # the last share, in a thread
-    pool.run(lambda low, high: seen.extend(range(low, high)), (), 10)
+        pool.run(lambda low, high, *_: 1 // (low - 6), (), 10)  # the last share, in a thread
+    pool.run(lambda low, high, *_: seen.extend(range(low, high)), (), 10)
     assert len(seen) == 20
+    pool.close()
+
+
+@numba.njit(nogil=True)
+def add_up(numbers, sums, low, high, turns, thread, turn):
+    """Shares as in the games' loop: who is not the caller waits for the next turn."""
+    if thread == 0:
+        store(turns, thread, turn)
+    sums[thread] = numbers[low:high].sum()
+    if thread == 0:
+        for k in range(1, turns.shape[0]):
+            wait_for(turns, k, turn)
+    else:
+        store(turns, thread, turn)
+        wait_for(turns, 0, turn + 1)
+
+
+def test_no_turn_is_lost_or_done_twice_however_long_threads_wait():
+    pool, sums = Pool(3), np.zeros(3, np.int64)
+    random = np.random.default_rng(0)
+    for turn in range(3000):
+        numbers = random.integers(0, 100, 50)
+        pool.run(add_up, (numbers, sums), 50)
+        assert sums.sum() == numbers.sum()
+        sums[:] = -1  # a late thread would put its share here
+        if turn % 10 == 0:
+            time.sleep(random.choice([0, 5e-5, 1e-4, 3e-4, 2e-3]))  # so that it sleeps, or nearly
+        assert (sums == -1).all()
     pool.close()
 
 

@@ -9,6 +9,7 @@ import numpy as np
 
 from astray import games
 from astray.envs import loops
+from astray.envs.pool import ALONE
 from astray.kernel import rng
 from astray.kernel.grid import distances
 from astray.kernel.jit import kernel, one_at_a_time, shared, specialise
@@ -51,5 +52,5 @@ def _compile(name: str, run: Callable) -> None:
     )
     run(
         states, params, game.art(variant, 1), False, pictures, numbers, 0, 1,
-        0, numbers, numbers, pictures, states, pictures, np.empty(0), flags, flags, 0, 0,
+        0, numbers, numbers, pictures, states, pictures, np.empty(0), flags, flags, 0, 0, *ALONE,
     )  # fmt: skip

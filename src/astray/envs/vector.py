@@ -13,7 +13,7 @@ from gymnasium.vector.utils import batch_space
 from astray import games
 from astray.envs.compiled import compiled
 from astray.envs.loops import AS_SET, DISABLED, NEXT_LEVEL, NEXT_STEP, NOTHING, SAME_STEP, STEP
-from astray.envs.pool import Pool
+from astray.envs.pool import ALONE, Pool
 from astray.game import LEVELS, Variant
 from astray.level import Level
 
@@ -243,7 +243,7 @@ class GameVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         if self._pool:
             self._pool.run(self._loop, arguments, self.num_envs)
         else:
-            self._loop(*arguments, 0, self.num_envs)
+            self._loop(*arguments, 0, self.num_envs, *ALONE)
         return observations
 
     def _begun(self, which: np.ndarray) -> Info:
@@ -264,7 +264,7 @@ def picture(game: str, variant: Variant, states: np.ndarray, pixels: int) -> np.
         one = states[k : k + 1].view(np.ndarray)
         compiled(game)(
             one, params, sprites, False, scene, NUMBERS, 0, 1, DISABLED, as_set, NUMBERS,
-            images[k : k + 1], one, images, REALS, FLAGS, FLAGS, 0, 1,
+            images[k : k + 1], one, images, REALS, FLAGS, FLAGS, 0, 1, *ALONE,
         )  # fmt: skip
     return images
 
