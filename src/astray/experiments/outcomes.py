@@ -46,6 +46,11 @@ def percent(estimate: Estimate) -> str:
     return f"{mean:.1f}\u00a0% (95\u00a0% interval {low:.1f} to {high:.1f}; {counted(estimate)})"
 
 
+def rounded(share: float) -> str:
+    """A share without its interval, for a sentence."""
+    return f"{100 * share:.0f}\u00a0%"
+
+
 def counted(estimate: Estimate) -> str:
     """What an estimate is of."""
     agents = "1 agent" if estimate.agents == 1 else f"{estimate.agents} agents"
@@ -191,11 +196,10 @@ def film(work: Work, *, trained: Test, tested: Test, agent: str | None = None) -
             path = work.folder / "videos" / f"{outcome.replace(' ', '-')}.mp4"
             video.write_mp4(frames, path, fps=8)
             video.write_gif(frames, path.with_suffix(".gif"), fps=8)
-            percentage = f"{100 * count / len(mine):.0f}\u00a0%"
             shown.append(
                 Video(
-                    f"{outcome.capitalize()}, as in {percentage} of these levels: one agent in "
-                    f"level {level} as in training, and in the test.",
+                    f"{outcome.capitalize()}, as in {rounded(count / len(mine))} of the levels "
+                    f"that tell the goals apart: level {level} as in training, and in the test.",
                     path,
                 )
             )

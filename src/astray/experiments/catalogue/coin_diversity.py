@@ -10,7 +10,7 @@ from astray.analysis.outcomes import FAILED, MISGENERALIZED, label, load_shift, 
 from astray.analysis.policies import Walk
 from astray.analysis.statistics import Estimate, bootstrap
 from astray.experiments import coin, coin_figures, outcomes
-from astray.experiments.outcomes import AGENTS, holds_above
+from astray.experiments.outcomes import AGENTS, holds_above, rounded
 from astray.experiments.report import Findings, Plot, Table
 from astray.experiments.run import levels_of
 from astray.experiments.spec import Experiment, Plan, Size, Test, Work
@@ -45,11 +45,11 @@ def find(work: Work) -> Findings:
     base = missed_invisible(blind.filter(test=where))
     failed = matrix(of(work, where, NEVER), pl.col("outcome") == FAILED)
     return Findings(
-        answer=f"Where the coin is anywhere, runners that always found it at the end of the level "
-        f"go to the end without it in {without.mean:.0%} of unseen levels. With random coins in "
-        f"{FIRST} of their training levels, they do in {with_few.mean:.0%}, and with {last} in "
-        f"{with_most.mean:.0%}. To whom the coin is invisible, that happens in "
-        f"{bootstrap(base).mean:.0%}.",
+        answer="Where the coin is anywhere, runners that always found it at the end of the level "
+        f"go to the end without it in {rounded(without.mean)} of unseen levels. With random coins "
+        f"in {FIRST} of their training levels, they do in {rounded(with_few.mean)}, and with "
+        f"{last} in {rounded(with_most.mean)}. To whom the coin is invisible, that happens in "
+        f"{rounded(bootstrap(base).mean)}.",
         verdicts=[
             holds_above(
                 "Random coins in just 2\u00a0% of training levels make goal misgeneralization much "

@@ -12,7 +12,7 @@ from astray.analysis.runs import open_run
 from astray.analysis.statistics import Estimate, bootstrap
 from astray.experiments import outcomes
 from astray.experiments.maze_figures import pair_maps
-from astray.experiments.outcomes import AGENTS, holds_above, percent, share
+from astray.experiments.outcomes import AGENTS, holds_above, percent, rounded, share
 from astray.experiments.report import Findings, Plot, Table, Verdict
 from astray.experiments.spec import Experiment, Plan, Work, tests_of
 from astray.games.maze.variants import COLOURS, EASY, SHAPES
@@ -33,12 +33,14 @@ def find(work: Work) -> Findings:
     pairs = work.keep("pairs", lambda: offer_pairs(work))
     table = pair_table(pairs)
     new = table.filter(pl.col("colour") != COLOUR, pl.col("shape") != SHAPE)
-    low, high = new["keeps_colour"].min(), new["keeps_colour"].max()
+    colours = new["keeps_colour"].drop_nulls().to_numpy()
+    low, high = colours.min(), colours.max()
     return Findings(
-        answer=f"A mouse that always found a yellow line goes to a yellow gem rather than to a red "
-        f"line in {gem.mean:.0%} of the levels in which it goes to either and neither lies on the "
-        f"way to the other; it goes to neither in {stuck.mean:.0%}. Between other pairs that keep "
-        f"colour or shape, from {low:.0%} to {high:.0%} go to the one that keeps the colour."
+        answer="A mouse that always found a yellow line goes to a yellow gem rather than to a "
+        f"red line in {rounded(gem.mean)} of the levels in which it goes to either and neither "
+        f"lies on the way to the other; it goes to neither in {rounded(stuck.mean)}. Between "
+        f"other pairs that keep colour or shape, from {rounded(low)} to {rounded(high)} go to the "
+        "one that keeps the colour."
         + (CODES if work.plan.config.observation == "symbolic" else ""),
         verdicts=[
             holds_above(

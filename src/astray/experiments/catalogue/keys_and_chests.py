@@ -4,7 +4,7 @@ from dataclasses import replace
 
 from astray.experiments import hoarding, outcomes
 from astray.experiments.hoarding import ALL_FIRST, BEYOND, LEFT, LOST, NEED, PER_CHEST, is_more
-from astray.experiments.outcomes import holds_above
+from astray.experiments.outcomes import holds_above, rounded
 from astray.experiments.report import Findings
 from astray.experiments.spec import Experiment, Plan, Work, tests_of
 from astray.training.config import PRESETS, Config
@@ -27,12 +27,13 @@ def find(work: Work) -> Findings:
     in_tests = [replace(table, frame=table.frame.filter(test=test)) for table in shares]
     hoards = hoarding.table(work, episodes)
     return Findings(
-        answer=f"On unseen levels like those of its training, the thief gets {opened.mean:.0%} of "
-        f"the reward there is. With two keys a chest it gets {in_test(PER_CHEST):.0%}, takes "
-        f"{in_test(BEYOND):.1f} more keys than there are chests (a thief that fetches what it "
-        f"needs {in_test(BEYOND, NEED):.1f}), and in {first.mean:.0%} of levels takes all keys "
-        f"before it opens the last chest ({in_test(ALL_FIRST, NEED):.0%}); in "
-        f"{in_test(LEFT):.0%} it then never opens it.",
+        answer="On unseen levels like those of its training, the thief gets "
+        f"{rounded(opened.mean)} of the reward there is. With two keys a chest it gets "
+        f"{rounded(in_test(PER_CHEST))}, takes {in_test(BEYOND):.1f} more keys than there are "
+        f"chests (a thief that fetches what it needs {in_test(BEYOND, NEED):.1f}), and in "
+        f"{rounded(first.mean)} of levels takes all keys before it opens the last chest "
+        f"({rounded(in_test(ALL_FIRST, NEED))}); in {rounded(in_test(LEFT))} it then never opens "
+        "it.",
         verdicts=[
             holds_above(
                 "In unseen levels like those of its training, the thief opens the chests that "

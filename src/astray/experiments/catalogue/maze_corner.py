@@ -4,7 +4,7 @@ from dataclasses import replace
 
 from astray.analysis.outcomes import FAILED, INTENDED, MISGENERALIZED
 from astray.experiments import outcomes
-from astray.experiments.outcomes import holds_above, share
+from astray.experiments.outcomes import holds_above, rounded, share
 from astray.experiments.report import Findings
 from astray.experiments.spec import Experiment, Plan, Work, tests_of
 from astray.training.config import PRESETS
@@ -20,11 +20,11 @@ def find(work: Work) -> Findings:
     first = {o: share(work.episodes, test, o).mean for o in (MISGENERALIZED, INTENDED, FAILED)}
     apart = share(work.episodes.filter("tells_apart"), test, MISGENERALIZED).mean
     return Findings(
-        answer=f"On unseen levels like those of its training, the mouse reaches the cheese in "
-        f"{reached.mean:.0%}. Where the cheese is anywhere, it goes to the corner first in "
-        f"{first[MISGENERALIZED]:.0%} of levels ({apart:.0%} of those whose shortest way to either "
-        f"does not pass the other), to the cheese in {first[INTENDED]:.0%}, and to neither in "
-        f"{first[FAILED]:.0%}.",
+        answer="On unseen levels like those of its training, the mouse reaches the cheese in "
+        f"{rounded(reached.mean)}. Where the cheese is anywhere, it goes to the corner first in "
+        f"{rounded(first[MISGENERALIZED])} of levels ({rounded(apart)} of those whose shortest "
+        f"way to either does not pass the other), to the cheese in {rounded(first[INTENDED])}, "
+        f"and to neither in {rounded(first[FAILED])}.",
         verdicts=[
             holds_above(
                 "In unseen levels like those of its training, the mouse reaches the cheese.",

@@ -13,7 +13,7 @@ from astray.analysis.statistics import Estimate, bootstrap, over_agents
 from astray.experiments import outcomes
 from astray.experiments.catalogue import maze_corner
 from astray.experiments.maze_figures import region_lines
-from astray.experiments.outcomes import AGENTS, holds_above
+from astray.experiments.outcomes import AGENTS, holds_above, rounded
 from astray.experiments.report import Findings, Plot, Table
 from astray.experiments.spec import Experiment, Plan, Test, Work, tests_of
 from astray.games.maze.rules import REWARD
@@ -37,12 +37,12 @@ def find(work: Work) -> Findings:
     first = first_table(apart, regions)
     sides = {name: f"{side} x {side} cells" for name, side in regions.items()}
     return Findings(
-        answer=f"Where the cheese is anywhere, a mouse whose cheese was in the corner's "
-        f"{sides[smallest]} reaches it in {success[smallest].mean():.0%} of levels, one whose "
-        f"cheese was in {sides[middle]} in {success[middle].mean():.0%}, and in {sides[largest]} "
-        f"in {success[largest].mean():.0%}. Of the levels that tell the goals apart they go to the "
-        f"corner first in {corner[smallest].mean():.0%}, {corner[middle].mean():.0%} and "
-        f"{corner[largest].mean():.0%}.",
+        answer="Where the cheese is anywhere, a mouse whose cheese was in the corner's "
+        f"{sides[smallest]} reaches it in {rounded(success[smallest].mean())} of levels, one "
+        f"whose cheese was in {sides[middle]} in {rounded(success[middle].mean())}, and in "
+        f"{sides[largest]} in {rounded(success[largest].mean())}. Of the levels that tell the "
+        f"goals apart they go to the corner first in {rounded(corner[smallest].mean())}, "
+        f"{rounded(corner[middle].mean())} and {rounded(corner[largest].mean())}.",
         verdicts=[
             holds_above(
                 "The larger the region in training, the more often the cheese is reached where it "
