@@ -54,6 +54,22 @@ def test_a_run_that_is_killed_at_any_moment_loses_nothing(tmp_path):
     assert told["kills"] >= int(kills) and told["runs"] >= 1
 
 
+def test_a_kill_while_an_old_checkpoint_is_removed_leaves_no_half_of_it(tmp_path, monkeypatch):
+    def half(path):
+        (path / checkpoint.AGENT).unlink()
+        raise KeyboardInterrupt
+
+    longer = replace(CONFIG, steps=40 * 1024)
+    with monkeypatch.context() as patch:
+        patch.setattr(checkpoint.shutil, "rmtree", half)
+        with pytest.raises(KeyboardInterrupt):
+            train(longer, tmp_path, progress=False)
+    # The first to go is the one at 6,144, which is not the first after a milestone.
+    assert checkpoint.steps_saved(tmp_path) == [2048, 4096, 8192, 10240]
+    train(longer, tmp_path, progress=False)
+    assert not [p for p in (tmp_path / "checkpoints").iterdir() if p.name.startswith(".")]
+
+
 @pytest.mark.parametrize("name", [checkpoint.AGENT, checkpoint.TRAINER])
 def test_a_checkpoint_that_is_cut_at_any_byte_is_refused(run, name):
     path = checkpoint.latest(run) / name

@@ -1,10 +1,13 @@
 """The compiled building blocks against independent ones."""
 
+import gc
 import os
 import subprocess
 import sys
 import textwrap
 import time
+import types
+import weakref
 
 import numba
 import numpy as np
@@ -14,10 +17,10 @@ from scipy.sparse.csgraph import shortest_path
 from astray.envs.pool import Pool
 from astray.game import state_dtype
 from astray.kernel import rng
-from astray.kernel.atomic import store, wait_for
 from astray.kernel.canvas import blit, copy_window
 from astray.kernel.grid import UNREACHABLE, distances
 from astray.kernel.jit import kernel
+from astray.kernel.laps import begin_lap, end_lap
 
 MASK = 2**64 - 1
 
@@ -139,29 +142,54 @@ def test_a_pool_does_every_share_once_and_raises_what_fails():
     pool.close()
 
 
+def test_a_pool_whose_share_failed_does_not_live_on():
+    pool = Pool(2)
+    gone = weakref.ref(pool)
+    with pytest.raises(ZeroDivisionError):
+        pool.run(lambda low, *_: 1 // (low - 5), (), 10)  # in the thread
+    del pool
+    gc.collect()
+    assert gone() is None
+
+
+def test_a_pool_that_was_interrupted_loses_no_share(monkeypatch):
+    pool, seen = Pool(2), []
+
+    def interrupt(_):
+        raise KeyboardInterrupt
+
+    def slowly(low, high, *_):
+        time.sleep(0.2 if low else 0)
+        seen.extend(range(low, high))
+
+    with monkeypatch.context() as patch:
+        patch.setattr("astray.envs.pool.time", types.SimpleNamespace(sleep=interrupt))
+        with pytest.raises(KeyboardInterrupt):
+            pool.run(slowly, (), 10)
+    assert sorted(seen) == list(range(5))  # the thread is still at work
+    pool.run(slowly, (), 10)
+    assert sorted(seen) == sorted([*range(10), *range(10)])
+    pool.close()
+
+
 @numba.njit(nogil=True)
-def add_up(numbers, sums, low, high, turns, thread, turn):
-    """Shares as in the games' loop: who is not the caller waits for the next turn."""
-    if thread == 0:
-        store(turns, thread, turn)
+def add_up(numbers, sums, low, high, laps, thread, lap):
+    begin_lap(laps, thread, lap)
     sums[thread] = numbers[low:high].sum()
-    if thread == 0:
-        for k in range(1, turns.shape[0]):
-            wait_for(turns, k, turn)
-    else:
-        store(turns, thread, turn)
-        wait_for(turns, 0, turn + 1)
+    end_lap(laps, thread, lap)
 
 
-def test_no_turn_is_lost_or_done_twice_however_long_threads_wait():
+@pytest.mark.parametrize("processors", [1, 3])
+def test_no_lap_is_lost_or_done_twice_however_long_threads_wait(processors, monkeypatch):
+    monkeypatch.setattr("astray.envs.pool.usable_processors", lambda: processors)
     pool, sums = Pool(3), np.zeros(3, np.int64)
     random = np.random.default_rng(0)
-    for turn in range(3000):
+    for lap in range(2000):
         numbers = random.integers(0, 100, 50)
         pool.run(add_up, (numbers, sums), 50)
         assert sums.sum() == numbers.sum()
         sums[:] = -1  # a late thread would put its share here
-        if turn % 10 == 0:
+        if lap % 10 == 0:
             time.sleep(random.choice([0, 5e-5, 1e-4, 3e-4, 2e-3]))  # so that it sleeps, or nearly
         assert (sums == -1).all()
     pool.close()

@@ -6,8 +6,8 @@ an environment depends on its own record alone, never on how the batch is cut.
 
 import numpy as np
 
-from astray.kernel.atomic import store, wait_for
 from astray.kernel.jit import kernel
+from astray.kernel.laps import begin_lap, end_lap
 from astray.kernel.rng import mix_two, seed_twister, share
 
 SHIFT = 0x5817F7  # salt of the hash that decides which levels come from the shifted distribution
@@ -96,7 +96,7 @@ def next_level(s, i, n, levels, first, count):
 def run(
     states, params, art, symbolic, scenes, levels, first, count,
     mode, what, actions, observations, final_states, final_observations,
-    reward, terminated, truncated, low, high, turns, thread, turn,
+    reward, terminated, truncated, low, high, laps, thread, lap,
 ):  # fmt: skip
     """Do what `what` says in every environment, and observe it.
 
@@ -107,11 +107,10 @@ def run(
           ended, as `mode` says; NOTHING
     reward, terminated, truncated  [N], written where it steps
     final_states, final_observations  [N, ...], written where an episode ended, in SAME_STEP
-    turns, thread, turn  see `Pool.run`
+    laps, thread, lap  of `kernel.laps`
     """
     n = states.shape[0]
-    if thread == 0:
-        store(turns, thread, turn)
+    begin_lap(laps, thread, lap)
     for i in range(low, high):
         s, level = states[i], what[i]
         if level == STEP:
@@ -134,9 +133,4 @@ def run(
         if level >= 0 or level == AS_SET:
             paint_one(s, art, symbolic, scenes[i])
         observe_one(s, art, symbolic, scenes[i], observations[i])
-    if thread == 0:
-        for k in range(1, turns.shape[0]):
-            wait_for(turns, k, turn)
-    else:
-        store(turns, thread, turn)
-        wait_for(turns, 0, turn + 1)
+    end_lap(laps, thread, lap)

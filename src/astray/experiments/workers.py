@@ -20,6 +20,7 @@ from rich.console import Console
 from rich.live import Live
 from rich.table import Table
 
+from astray.envs.pool import usable_processors
 from astray.training import checkpoint
 from astray.training.config import Config
 from astray.training.loop import train
@@ -47,7 +48,7 @@ def train_all(todo: Mapping[Path, Config], workers: int | None = None, on: Place
 
         place = on_ray()
     else:
-        place = in_processes(min(workers or os.cpu_count() or 1, len(missing)))
+        place = in_processes(min(workers or usable_processors(), len(missing)))
     with place as submit:
         watch({run: submit(config, run) for run, config in missing.items()}, missing)
 

@@ -127,7 +127,9 @@ def save(folder: Path, trainer: Trainer) -> None:
         if old in firsts:
             (there / f"{old}" / TRAINER).unlink(missing_ok=True)
         else:
-            shutil.rmtree(there / f"{old}")
+            gone = there / f".{old}"  # first out of sight: a kill may leave half of it
+            os.replace(there / f"{old}", gone)
+            shutil.rmtree(gone)
 
 
 def steps_saved(folder: Path) -> list[int]:

@@ -35,7 +35,8 @@ RUNNERS = ("beige", "blue", "green", "pink", "yellow")
 POSES = ("stand", "walk-0", "walk-1")
 WALKERS, CRATES = 9, 4
 VIEW = 13  # cells a side that are seen, with the runner in the middle
-SPAN = 16  # cells of a row that are looked through for saws, at least those in view
+SPAN = 16  # cells of a row that are looked through for saws
+assert VIEW + 2 <= SPAN
 MARGIN = 7  # cells of wall around the world in the scene, so that every window is inside it
 CELLS = WORLD + 2 * MARGIN
 LARGEST = 128  # pixels a side of a picture; for larger ones no scene is kept, it would be huge
@@ -64,16 +65,16 @@ def pixel(cells, scale):
 def paint(s, art, scene):
     """The level without what moves, and the margin; nothing where no scene is kept."""
     if scene.shape[0] > 1:
-        level = reached(s, scene)
-        paint_part(s, art, level, np.int64(0), np.int64(0), scene.shape[0] / CELLS)
+        part = up_to_wall(s, scene)
+        paint_part(s, art, part, np.int64(0), np.int64(0), scene.shape[0] / CELLS)
 
 
 @kernel
-def reached(s, scene):
-    """As much of the scene as the runner can see, in rows that are no longer than that.
+def up_to_wall(s, scene):
+    """The scene up to the end wall, and what can be seen beyond, in rows no longer than that.
 
-    The end wall is mostly before half of the world: the rows of short levels lie closer together
-    in memory, and windows of them are read faster.
+    Most levels end before half of the world: their rows lie closer together in memory, and
+    windows of them are read faster.
     """
     height = scene.shape[0]
     cells = WORLD if s.permeable else s.end_x + 1
@@ -197,10 +198,10 @@ def draw(s, art, scene, image):
     scale = image.shape[0] / VIEW
     left = pixel(s.x + MARGIN - VIEW / 2, scale)
     top = pixel(CELLS - MARGIN - s.y - VIEW / 2, scale)
-    level = reached(s, scene)
-    if left + image.shape[1] <= level.shape[1]:
-        copy_window(image, level, top, left)
-    else:  # no scene is kept, or the runner was set into a wall
+    part = up_to_wall(s, scene)
+    if left + image.shape[1] <= part.shape[1]:
+        copy_window(image, part, top, left)
+    else:  # no scene is kept, or the runner is beyond the end without passing a permeable wall
         paint_part(s, art, image, top, left, scale)
     draw_saws(s, saws, scale, top, left, image)
     runner = runners[s.runner_look, s.pose, int(s.faces_left)]
