@@ -35,6 +35,7 @@ SIDE = 4096  # of the large product on a GPU; a quarter of it on a CPU
 class Row:
     """A part of an iteration."""
 
+    training: str
     part: str
     times: int  # in an iteration
     milliseconds: float  # in an iteration, all together
@@ -43,6 +44,7 @@ class Row:
 
     def cells(self) -> dict[str, str]:
         return {
+            "training": self.training,
             "part": self.part,
             "times": f"{self.times:,}",
             "ms an iteration": f"{self.milliseconds:,.1f}",
@@ -101,14 +103,14 @@ def measure(config: Config, rounds: int = 5) -> list[Row]:
             lambda chosen: learn(trainer, samples, chosen), indices), 3 * learning / rate),
     ]  # fmt: skip
     total = median(whole[1:])
-    rows = []
-    for name, times, run, floor in parts:
+    name, rows = f"{config.game}, {tables.network(config)}", []
+    for part, times, run, floor in parts:
         taken = _median(run, config.device, rounds) * times
         least = None if floor is None else 1e3 * floor * times
-        rows.append(Row(name, times, 1e3 * taken, taken / total, least))
+        rows.append(Row(name, part, times, 1e3 * taken, taken / total, least))
     trainer.close()
     least = sum(row.floor or 0 for row in rows[:-1])
-    return [*rows, Row("iteration", 1, 1e3 * total, 1.0, least)]
+    return [*rows, Row(name, "iteration", 1, 1e3 * total, 1.0, least)]
 
 
 def _iterate(trainer: Trainer) -> None:

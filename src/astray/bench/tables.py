@@ -12,6 +12,8 @@ from typing import Protocol
 from rich import box
 from rich.table import Table
 
+from astray.training.config import Config
+
 PACKAGES = ("numpy", "numba", "gymnasium", "torch", "envpool", "stable-baselines3")
 NOTHING = "-"  # in a cell to which the column does not apply
 
@@ -22,6 +24,11 @@ class Row(Protocol):
     def cells(self) -> dict[str, str]:
         """Column -> text; the same columns in each row of a table."""
         ...
+
+
+def network(config: Config) -> str:
+    """The network of a training and its size."""
+    return f"{config.network} {config.width if config.network == 'small' else config.scale}"
 
 
 def table(rows: Sequence[Row], title: str) -> Table:

@@ -79,7 +79,7 @@ def measure(
 ) -> list[Row | profile.Row]:
     """With each config, train each contender for about `seconds` in all, in `rounds` turns.
 
-    Then profile ours with the last config. Without `configs`, those of the `device`.
+    Then profile ours with each. Without `configs`, those of the `device`.
     """
     configs = CONFIGS[device] if configs is None else configs
     before = torch.get_num_threads()
@@ -88,13 +88,13 @@ def measure(
     torch.backends.cudnn.benchmark = True
     try:
         rows = [row for config in configs for row in _measure(config, seconds / rounds, rounds)]
-        return [*rows, *profile.measure(configs[-1], rounds)]
+        return [*rows, *(part for config in configs for part in profile.measure(config, rounds))]
     finally:
         torch.set_num_threads(before)
 
 
 def _measure(config: Config, turn: float, rounds: int) -> list[Row]:
-    network = f"{config.network} {config.width if config.network == 'small' else config.scale}"
+    network = tables.network(config)
     row = Row("astray", config.game, config.variant, network, config.environments)
     trainer = Trainer(config)
     contenders: dict[str, Callable[[], object]] = {row.what: lambda: iterate(trainer)}

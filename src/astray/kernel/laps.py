@@ -70,12 +70,12 @@ def load(laps: np.ndarray, thread: int) -> int:
 # Their compiled forms are atomic. Not strict, as the forms would need the same annotations.
 @overload(store, strict=False)
 def _store(laps: Any, thread: Any, lap: Any) -> Any:
-    return lambda laps, thread, lap: _store_atomic(laps, thread, lap)
+    return lambda laps, thread, lap: _store_atomic(laps, thread, lap)  # pyright: ignore
 
 
 @overload(load, strict=False)
 def _load(laps: Any, thread: Any) -> Any:
-    return lambda laps, thread: _load_atomic(laps, thread)
+    return lambda laps, thread: _load_atomic(laps, thread)  # pyright: ignore
 
 
 @intrinsic
