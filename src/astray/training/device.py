@@ -40,16 +40,18 @@ class Means:
 def means(config: Config) -> Means:
     """What the settings come to; ValueError where one asks for what there is not.
 
-    On a CPU the kernels, and with them bfloat16 where the processor multiplies in it. On a GPU
-    all that there is for it; torch.compile needs Triton there and elsewhere a C++ compiler.
+    On a CPU the kernels, and for them and convolutions bfloat16 where the processor multiplies
+    in it. On a GPU all that there is for it; torch.compile needs Triton there and elsewhere a
+    C++ compiler.
     """
     cpu, cuda = config.device == "cpu", config.device == "cuda"
     kernels = _settled("kernels", config, cpu and config.network == "small" and sparse.usable())
-    native = bool(get_host_cpu_features().get("avx512bf16"))
+    native = cpu and bool(get_host_cpu_features().get("avx512bf16"))
+    large = kernels or config.network == "impala"  # enough for bfloat16 to be worth it on a CPU
     compiler = find_spec("triton") if cuda else shutil.which("g++")
     return Means(
         kernels,
-        bfloat16=_settled("bfloat16", config, True, suits=cuda or (kernels and native)),
+        bfloat16=_settled("bfloat16", config, True, suits=cuda or (native and large)),
         channels_last=_settled("channels_last", config, config.network == "impala", suits=cuda),
         compiled=_settled("compiled", config, bool(compiler) and not kernels, suits=cuda),
         graphs=_settled("graphs", config, cuda),

@@ -86,7 +86,6 @@ def up_to_wall(s, scene):
 def paint_part(s, art, target, top, left, scale):
     """Paint the part of the world whose upper left pixel in the scene is (top, left)."""
     backgrounds, strips, lavas, crates, _, coin, _, _, _ = art
-    paint_sky(s, backgrounds[s.background], target, top, left, scale)
     first_x, first_y = int(left / scale) - MARGIN, CELLS - MARGIN - int(top / scale) - 1
     after_x = min(first_x + int(target.shape[1] / scale) + 2, CELLS - MARGIN)
     after_y = max(first_y - int(target.shape[0] / scale) - 2, -MARGIN - 1)
@@ -98,11 +97,15 @@ def paint_part(s, art, target, top, left, scale):
             kind, begin = opaque(s, x, y), x
             while x < after_x and opaque(s, x, y) == kind:
                 x += 1
-            if kind != OPEN:
+            column = max(pixel(begin + MARGIN, scale) - left, 0)
+            beside = min(pixel(x + MARGIN, scale) - left, target.shape[1])
+            if kind == OPEN:
+                sky = backgrounds[s.background]
+                lay_sky(s, target, sky, row, beneath, column, beside, top, left, scale)
+            else:
                 ground = 0 if kind == PERMEABLE else s.ground  # whatever the level's
                 strip = strips[ground, 1 if kind == TOP else 0]
-                column, beside = pixel(begin + MARGIN, scale), pixel(x + MARGIN, scale)
-                lay(target, strip, row, beneath, column - left, beside - left, left)
+                lay(target, strip, row, beneath, column, beside, left)
     for y in range(max(after_y + 1, 0), min(first_y + 1, WORLD)):
         for x in range(max(first_x, 0), min(after_x, WORLD)):
             cell, crate = s.cell[y, x], s.thing[y, x] == CRATE
@@ -128,12 +131,11 @@ def opaque(s, x, y):
 
 @shared
 def lay(target, strip, top, bottom, left, right, shift):
-    """Fill rows top..bottom, columns left..right with a strip, clipped.
+    """Fill rows top..bottom, those that are there, and columns left..right with a strip.
 
     shift  the column of the strip that is at the target's left edge
     """
     height, width = target.shape[:2]
-    left, right = max(left, 0), min(right, width)
     flat, n = target.reshape(-1), (right - left) * 3
     for row in range(max(top, 0), min(bottom, height)):
         begin = (row * width + left) * 3
@@ -149,20 +151,25 @@ def put(target, sprite, top, left):
 
 
 @shared
-def paint_sky(s, picture, target, top, left, scale):
-    """The backdrop, from the world's floor up; higher up its topmost row."""
+def lay_sky(s, target, picture, first, after, left, right, top, shift, scale):
+    """Likewise rows first..after with the backdrop, from the world's floor up; higher up its
+    topmost row.
+
+    top, shift  the row and column of the scene that are at the target's upper left
+    """
     height, width = picture.shape[:2]
     fine = width / backdrops.WIDE / scale  # the backdrop's pixels per pixel
     floor = pixel(CELLS - MARGIN, scale) - top
     offset = s.background_offset * width
-    for row in range(target.shape[0]):
+    for row in range(max(first, 0), min(after, target.shape[0])):
         if scale <= FINEST:  # pixel by pixel
             v = min(max(height - floor + row, 0), height - 1)
-            copy_round(target[row].reshape(-1), picture[v].reshape(-1), (int(offset) + left) * 3)
+            part, begin = target[row, left:right].reshape(-1), int(offset) + shift + left
+            copy_round(part, picture[v].reshape(-1), begin * 3)
         else:
             v = min(max(height - (floor - row - 0.5) * fine - 0.5, 0.0), height - 1.0)
             one, two = picture[int(v)], picture[min(int(v) + 1, height - 1)]
-            blend(target[row], one, two, v - int(v), fine, left * fine + offset)
+            blend(target[row], left, right, one, two, v - int(v), fine, shift * fine + offset)
 
 
 @kernel
@@ -178,10 +185,10 @@ def copy_round(target, source, begin):
 
 
 @kernel
-def blend(target, one, two, share, fine, begin):
-    """Fill a row with what is between two rows of a coarser picture, which repeat."""
+def blend(target, left, right, one, two, share, fine, begin):
+    """Fill part of a row with what is between two rows of a coarser picture, which repeat."""
     down, width = int(share * 256), one.shape[0]
-    for column in range(target.shape[0]):
+    for column in range(left, right):
         u = (column + 0.5) * fine + begin + width - 0.5
         a, b = int(u) % width, (int(u) + 1) % width
         right = int((u - int(u)) * 256)
