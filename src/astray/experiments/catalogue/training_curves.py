@@ -155,15 +155,15 @@ def collected(size: Size) -> Plan:
     """The first agents of every other experiment of a size, as many as all of them train."""
     found = [experiments.load(name) for name in experiments.NAMES if name != NAME]
     plans = {one.title: one.sizes[size] for one in found if size in one.sizes}
-    plans = {title: plan for title, plan in plans.items() if plan.agents}
-    agents = {}
+    firsts: dict[str, Plan] = {}
     for title, plan in plans.items():
-        if plan.config not in agents.values():
-            agents[title] = plan.config
-    smaller = [f"{title}: {plan.smaller}" for title, plan in plans.items() if title in agents]
+        if plan.agents and plan.config not in [first.config for first in firsts.values()]:
+            name = f"{plan.config.game} {plan.config.variant}"
+            firsts[f"{name}, {title}" if name in firsts else name] = plan
+    smaller = [f"{name}: {plan.smaller}" for name, plan in firsts.items()]
     return Plan(
-        agents=agents,
-        seeds=min(plan.seeds for plan in plans.values()),
+        agents={name: plan.config for name, plan in firsts.items()},
+        seeds=min(plan.seeds for plan in plans.values() if plan.agents),
         levels=1,  # there are no tests
         smaller="" if size == "paper" else "; ".join(smaller),
     )
