@@ -81,6 +81,7 @@ class _Worker:
 
     def give(self, function: Callable, arguments: tuple[Any, ...]) -> None:
         """Have it call `function`; the last of `arguments` is the lap."""
+        self.error = None  # of a lap that was interrupted, and told nobody
         self.job, self.given = (function, arguments), arguments[-1]
         if self.asleep:
             self.wakes.put(None)
