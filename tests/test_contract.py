@@ -223,14 +223,25 @@ def test_bad_steps_are_explained():
     with pytest.raises(RuntimeError, match="must be reset"):
         env.step(np.array([0, 0]))
     env.reset(seed=0)
-    with pytest.raises(ValueError, match="from 0 to 14"):
-        env.step(np.array([0, 15]))
     with pytest.raises(ValueError, match="actions are integers"):
         env.step(np.array([0.5, 1]))
     with pytest.raises(ValueError, match="level is -2"):
         env.reset(options={"level": -2})
     with pytest.raises(ValueError, match="level are integers"):
         env.reset(options={"level": 2.5})
+
+
+@pytest.mark.parametrize("threads", [1, 3])
+@pytest.mark.parametrize("wrong", [[1] * 29 + [15], [-1] + [1] * 29, [1] * 29, [1] * 31])
+def test_a_wrong_action_changes_nothing(wrong, threads):
+    env = GameVectorEnv("maze", "corner", 30, threads=threads)
+    env.reset(seed=0)
+    before = env.get_state()
+    with pytest.raises(ValueError, match="actions are 30 integers from 0 to 14"):
+        env.step(np.array(wrong))
+    assert (env.get_state() == before).all()
+    env.step(np.full(30, 14))
+    env.close()
 
 
 def test_a_masked_reset_seeds_only_what_it_resets():

@@ -20,7 +20,7 @@ from astray.kernel import rng
 from astray.kernel.canvas import blit, copy_window
 from astray.kernel.grid import UNREACHABLE, distances
 from astray.kernel.jit import kernel
-from astray.kernel.laps import begin_lap, end_lap
+from astray.kernel.laps import begin_lap, end_lap, take
 
 MASK = 2**64 - 1
 
@@ -131,14 +131,23 @@ def test_a_kernel_is_interpreted_or_part_of_what_calls_it():
     assert engine.is_symbol_defined(whole.fndesc.mangled_name)
 
 
-def test_a_pool_does_every_share_once_and_raises_what_fails():
-    pool, seen = Pool(3), []
-    pool.run(lambda low, high, *_: seen.extend(range(low, high)), (), 10)
-    assert sorted(seen) == list(range(10))
+def test_a_pool_does_every_piece_once_and_raises_what_fails():
+    pool, seen, threads = Pool(3), [], set()
+
+    def see(laps, thread, lap):
+        while (low := take(laps, 3)) < 1000:
+            seen.extend(range(low, min(low + 3, 1000)))
+            threads.add(thread)
+            time.sleep(1e-4)
+        return thread
+
+    for lap in range(1, 4):
+        assert pool.run(see, ()) == 0
+        assert sorted(seen) == sorted([*range(1000)] * lap)
+    assert threads == {0, 1, 2}
     with pytest.raises(ZeroDivisionError):
-        pool.run(lambda low, high, *_: 1 // (low - 6), (), 10)  # the last share, in a thread
-    pool.run(lambda low, high, *_: seen.extend(range(low, high)), (), 10)
-    assert len(seen) == 20
+        pool.run(lambda laps, thread, lap: 1 // (thread - 2), ())
+    assert pool.run(see, ()) == 0
     pool.close()
 
 
@@ -146,7 +155,7 @@ def test_a_pool_whose_share_failed_does_not_live_on():
     pool = Pool(2)
     gone = weakref.ref(pool)
     with pytest.raises(ZeroDivisionError):
-        pool.run(lambda low, *_: 1 // (low - 5), (), 10)  # in the thread
+        pool.run(lambda laps, thread, lap: 1 // (thread - 1), ())
     del pool
     gc.collect()
     assert gone() is None
@@ -158,26 +167,46 @@ def test_a_pool_that_was_interrupted_loses_no_share(monkeypatch):
     def interrupt(_):
         raise KeyboardInterrupt
 
-    def slowly(low, high, *_):
-        time.sleep(0.2 if low else 0)
-        seen.extend(range(low, high))
+    def slowly(laps, thread, lap):
+        time.sleep(0.2 * thread)
+        seen.append((lap, thread))
 
     with monkeypatch.context() as patch:
         patch.setattr("astray.envs.pool.time", types.SimpleNamespace(sleep=interrupt))
         for _ in range(2):
             with pytest.raises(KeyboardInterrupt):
-                pool.run(slowly, (), 10)
-    assert sorted(seen) == list(range(5))  # the thread is still at the first
-    pool.run(slowly, (), 10)
-    assert sorted(seen) == sorted([*range(10), *range(10)])
+                pool.run(slowly, ())
+    assert seen == [(1, 0)]  # the thread is still at the first lap; the second was not begun
+    pool.run(slowly, ())
+    assert sorted(seen) == [(1, 0), (1, 1), (2, 0), (2, 1)]
     pool.close()
 
 
 @numba.njit(nogil=True)
-def add_up(numbers, sums, low, high, laps, thread, lap):
+def add_up(numbers, sums, laps, thread, lap):
     begin_lap(laps, thread, lap)
-    sums[thread] = numbers[low:high].sum()
+    sums[thread] = 0
+    i = take(laps, 1)
+    while i < numbers.size:
+        sums[thread] += numbers[i]
+        i = take(laps, 1)
     end_lap(laps, thread, lap)
+
+
+@numba.njit(nogil=True)
+def count_pieces(times, laps, thread, lap):
+    i = take(laps, 1)
+    while i < times.size:
+        times[i] += 1
+        i = take(laps, 1)
+
+
+def test_threads_that_take_at_once_take_different_pieces():
+    pool, times = Pool(3), np.zeros(10_000 if numba.config.DISABLE_JIT else 3_000_000, np.int64)
+    for lap in range(1, 4):
+        pool.run(count_pieces, (times,))
+        assert (times == lap).all()
+    pool.close()
 
 
 @pytest.mark.parametrize("processors", [1, 3])
@@ -187,9 +216,9 @@ def test_no_lap_is_lost_or_done_twice_however_long_threads_wait(processors, monk
     random = np.random.default_rng(0)
     for lap in range(2000):
         numbers = random.integers(0, 100, 50)
-        pool.run(add_up, (numbers, sums), 50)
+        pool.run(add_up, (numbers, sums))
         assert sums.sum() == numbers.sum()
-        sums[:] = -1  # a late thread would put its share here
+        sums[:] = -1  # a late thread would put its sum here
         if lap % 10 == 0:
             time.sleep(random.choice([0, 5e-5, 1e-4, 3e-4, 2e-3]))  # so that it sleeps, or nearly
         assert (sums == -1).all()

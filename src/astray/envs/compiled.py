@@ -9,7 +9,7 @@ import numpy as np
 
 from astray import games
 from astray.envs import loops
-from astray.envs.pool import ALONE
+from astray.envs.pool import alone
 from astray.kernel import rng
 from astray.kernel.grid import distances
 from astray.kernel.jit import kernel, one_at_a_time, shared, specialise
@@ -30,13 +30,13 @@ def compiled(name: str) -> Callable:
     functions["paint_one"] = specialise(loops.paint_any, name, shared, **functions)
     functions["begin_one"] = specialise(loops.begin, name, shared, **functions)
     functions["observe_one"] = specialise(loops.observe, name, kernel, **functions)
-    run = specialise(loops.run, name, **functions)
+    run = specialise(loops.run, name, ACTIONS=len(game.actions), **functions)
     with one_at_a_time():
         _compile(name, run)
+        numbers, table = np.empty(0, np.int64), np.empty((0, 1), np.int64)
+        loops.fill(table, table, numbers, np.empty(0, bool))
         distances(np.ones((1, 1), bool), 0, 0)
-        rng.fill_noise(
-            0, np.empty(0, np.int64), np.empty(0, np.int64), np.empty((0, 1), np.float32)
-        )
+        rng.fill_noise(0, numbers, numbers, np.empty((0, 1), np.float32))
     return run
 
 
@@ -52,5 +52,5 @@ def _compile(name: str, run: Callable) -> None:
     )
     run(
         states, params, game.art(variant, 1), False, pictures, numbers, 0, 1,
-        0, numbers, numbers, pictures, states, pictures, np.empty(0), flags, flags, 0, 0, *ALONE,
+        0, numbers, numbers, pictures, states, pictures, np.empty(0), flags, flags, *alone(),
     )  # fmt: skip

@@ -1,21 +1,24 @@
 """The batch loop, written once; `compiled.py` binds it to a game.
 
-It runs over the environments [low, high), so that threads can share a batch; what happens in
-an environment depends on its own record alone, never on how the batch is cut.
+Threads that run it at once share a batch, each taking a few environments when it has done its
+last; what happens in one depends on its own record alone, never on who does it.
 """
 
 import numpy as np
 
-from astray.kernel.jit import kernel
-from astray.kernel.laps import begin_lap, end_lap
+from astray.kernel.jit import entry, kernel
+from astray.kernel.laps import begin_lap, end_lap, take
 from astray.kernel.rng import mix_two, seed_twister, share
 
 SHIFT = 0x5817F7  # salt of the hash that decides which levels come from the shifted distribution
 NEXT_LEVEL, AS_SET, STEP, NOTHING = -1, -2, -3, -4  # to do, instead of a level's number
 NEXT_STEP, SAME_STEP, DISABLED = 0, 1, 2
+PIECE = 8  # environments that a thread takes at once: some 5 us of work
+
+# Bound to the number of a game's actions, and to its functions of the same names.
+ACTIONS = 0
 
 
-# Bound to a game's functions of the same names.
 def generate(s, p) -> None:
     raise NotImplementedError
 
@@ -96,9 +99,9 @@ def next_level(s, i, n, levels, first, count):
 def run(
     states, params, art, symbolic, scenes, levels, first, count,
     mode, what, actions, observations, final_states, final_observations,
-    reward, terminated, truncated, low, high, laps, thread, lap,
+    reward, terminated, truncated, laps, thread, lap,
 ):  # fmt: skip
-    """Do what `what` says in every environment, and observe it.
+    """Do what `what` says in every environment, and observe it; False: an action is not known.
 
     One loop for all, as every other would compile the game once more.
 
@@ -110,27 +113,43 @@ def run(
     laps, thread, lap  of `kernel.laps`
     """
     n = states.shape[0]
+    for action in actions:
+        if not 0 <= action < ACTIONS:
+            return False  # all threads do
     begin_lap(laps, thread, lap)
-    for i in range(low, high):
-        s, level = states[i], what[i]
-        if level == STEP:
-            reward[i], terminated[i], truncated[i] = 0.0, False, False
-            if s.ended and mode == NEXT_STEP:
-                level = NEXT_LEVEL
-            else:
-                s.time += 1
-                reward[i], terminated[i] = step(s, actions[i])
-                truncated[i] = s.time >= s.time_limit and not terminated[i]
-                s.ended = terminated[i] or truncated[i]
-                if s.ended and mode == SAME_STEP:
-                    final_states[i] = s
-                    observe_one(s, art, symbolic, scenes[i], final_observations[i])
+    low = take(laps, PIECE)
+    while low < n:
+        for i in range(low, min(low + PIECE, n)):
+            s, level = states[i], what[i]
+            if level == STEP:
+                reward[i], terminated[i], truncated[i] = 0.0, False, False
+                if s.ended and mode == NEXT_STEP:
                     level = NEXT_LEVEL
-        if level == NEXT_LEVEL:
-            level = next_level(s, i, n, levels, first, count)
-        if level >= 0:
-            begin_one(s, params, level)
-        if level >= 0 or level == AS_SET:
-            paint_one(s, art, symbolic, scenes[i])
-        observe_one(s, art, symbolic, scenes[i], observations[i])
+                else:
+                    s.time += 1
+                    reward[i], terminated[i] = step(s, actions[i])
+                    truncated[i] = s.time >= s.time_limit and not terminated[i]
+                    s.ended = terminated[i] or truncated[i]
+                    if s.ended and mode == SAME_STEP:
+                        final_states[i] = s
+                        observe_one(s, art, symbolic, scenes[i], final_observations[i])
+                        level = NEXT_LEVEL
+            if level == NEXT_LEVEL:
+                level = next_level(s, i, n, levels, first, count)
+            if level >= 0:
+                begin_one(s, params, level)
+            if level >= 0 or level == AS_SET:
+                paint_one(s, art, symbolic, scenes[i])
+            observe_one(s, art, symbolic, scenes[i], observations[i])
+        low = take(laps, PIECE)
     end_lap(laps, thread, lap)
+    return True
+
+
+@entry
+def fill(columns, words, places, which):
+    """columns[k, i] = words[i, places[k]], of all i in `which`."""
+    for i in range(which.size):
+        if which[i]:
+            for k in range(places.size):
+                columns[k, i] = words[i, places[k]]

@@ -12,18 +12,17 @@ from typing import Any
 
 import numpy as np
 
-from astray.kernel.laps import MOST_LOOKS, load, new_laps, store
+from astray.kernel.laps import MOST_LOOKS, TAKEN, load, new_laps, store
 
-ALONE = (new_laps(1, 0), 0, 0)  # laps, thread and lap of a caller without threads
 PAUSE = 2e-5  # seconds between looks of one who waited long
 
 
 class Pool:
-    """Persistent threads; the caller does the first share itself.
+    """Persistent threads; the caller is the first.
 
     Waking a thread that sleeps takes 20 to 60 us, stepping 256 environments not much more. So a
-    thread that has done its share looks out for the next lap for a while, and the caller for
-    the others' end: in compiled code, where nobody waits for the interpreter's lock.
+    thread that finds nothing left to do looks out for the next lap for a while, and the caller
+    for the others' end: in compiled code, where nobody waits for the interpreter's lock.
     """
 
     def __init__(self, threads: int):
@@ -36,13 +35,13 @@ class Pool:
         self._workers = [_Worker(self._laps, k) for k in range(1, self.threads)]
         self.close = weakref.finalize(self, _stop, self._workers)
 
-    def run(self, function: Callable, arguments: tuple, n: int) -> None:
-        """Call `function` on shares of range(n), all at once.
+    def run(self, function: Callable, arguments: tuple) -> Any:
+        """Call `function` in all threads at once; what it returns in the caller's.
 
-        Its arguments are `arguments`, the first of its share and the one after the last, and
-        laps, thread and lap for `begin_lap` and `end_lap`, which it may call before all else
-        and after all else; without them all takes longer. A thread may keep `arguments` for
-        some 100 us more.
+        Its arguments are `arguments`, and laps, thread and lap for what is in `kernel.laps`: it
+        takes pieces of the work by `take`, until none is left. It may call `begin_lap` before
+        all else and `end_lap` after all else; without them all takes longer. A thread may keep
+        `arguments` for some 100 us more.
         """
         if not self.close.alive:
             raise RuntimeError("the environments are closed")
@@ -51,15 +50,16 @@ class Pool:
             self._start()
         self._join()  # where an interrupt left them at work
         self._lap += 1
-        edges = [n * k // self.threads for k in range(self.threads + 1)]
-        for worker, low, high in zip(self._workers, edges[1:-1], edges[2:], strict=True):
-            worker.give(function, (*arguments, low, high, self._laps, worker.number, self._lap))
+        self._laps[0, TAKEN] = 0
+        for worker in self._workers:
+            worker.give(function, (*arguments, self._laps, worker.number, self._lap))
         try:
-            function(*arguments, edges[0], edges[1], self._laps, 0, self._lap)
+            returned = function(*arguments, self._laps, 0, self._lap)
         finally:
             self._join()
         for worker in self._workers:
             worker.throw()
+        return returned
 
     def _join(self) -> None:
         for worker in self._workers:
@@ -120,6 +120,11 @@ class _Worker:
 def _stop(workers: list[_Worker]) -> None:
     for worker in workers:
         worker.stop()
+
+
+def alone() -> tuple[np.ndarray, int, int]:
+    """Laps, thread and lap for a function that is called without a pool."""
+    return new_laps(1, 0), 0, 1
 
 
 def usable_processors() -> int:

@@ -11,9 +11,10 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
 from astray import games
+from astray.envs import loops
 from astray.envs.compiled import compiled
 from astray.envs.loops import AS_SET, DISABLED, NEXT_LEVEL, NEXT_STEP, NOTHING, SAME_STEP, STEP
-from astray.envs.pool import ALONE, Pool
+from astray.envs.pool import Pool, alone
 from astray.game import LEVELS, Variant
 from astray.level import Level
 
@@ -87,11 +88,14 @@ class GameVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         self._shape = (num_envs, *self.single_observation_space.shape)
 
         self._loop = compiled(game)
-        self._pool = Pool(threads) if threads > 1 else None
+        self._pool = Pool(threads)
         self._states = np.zeros(num_envs, self.game.state)
         kept = num_envs if self._mode == SAME_STEP else 0  # ends that a new beginning overwrites
         self._final_states = np.empty(kept, self.game.state)
         self._final = np.empty((kept, *self._shape[1:]), np.uint8)
+        over = self._final_states if kept else self._states
+        self._begun = _Columns(self._states, ("level", "shifted"))
+        self._events = _Columns(over, ("level", "shifted", "time", *self.game.events))
         self._steps = np.full(num_envs, STEP)
         self._seeded = False
         self._first, self._count, self._list = _checked(levels)
@@ -144,7 +148,7 @@ class GameVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
             self._states["seed"][which] = seeds[which]
             self._states["turn"][which] = 0
             self._seeded = True
-        return self._run(np.where(which, chosen, NOTHING)), self._begun(which)
+        return self._do(np.where(which, chosen, NOTHING)), self._begun(which)
 
     def step(
         self, actions: np.ndarray, out: np.ndarray | None = None
@@ -153,35 +157,37 @@ class GameVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
 
         out  where to write the observations, of their shape and contiguous; else a fresh array
         """
-        n, largest = self.num_envs, len(self.game.actions)
-        actions = np.ascontiguousarray(_integers(actions, "actions"), np.int64)
-        if actions.shape != (n,) or actions.min() < 0 or actions.max() >= largest:
-            raise ValueError(f"actions are {n} integers from 0 to {largest - 1}; given {actions}")
         if not self._seeded:
             raise RuntimeError("the environment must be reset before it is stepped")
-        before = self._states["ended"].copy() if self._mode != SAME_STEP else np.zeros(n, bool)
+        same_step = self._mode == SAME_STEP
+        before = FLAGS if same_step else self._states["ended"].copy()
         if self._mode == DISABLED and before.any():
             raise RuntimeError("an episode has ended; reset(options={'reset_mask': ...}) first")
-        if out is not None and (out.shape != self._shape or out.dtype != np.uint8):
+        if out is None:
+            out = np.empty(self._shape, np.uint8)
+        elif out.shape != self._shape or out.dtype != np.uint8:
             raise ValueError(f"out is {self._shape} of uint8; given {out.shape} of {out.dtype}")
+        n, largest = self.num_envs, len(self.game.actions) - 1
+        actions = np.ascontiguousarray(_integers(actions, "actions"), np.int64)
         reward, terminated, truncated = np.empty(n), np.empty(n, bool), np.empty(n, bool)
-        observations = self._run(self._steps, actions, reward, terminated, truncated, out)
+        if actions.shape != (n,) or not self._run(
+            self._steps, out, actions, reward, terminated, truncated
+        ):
+            raise ValueError(f"actions are {n} integers from 0 to {largest}; given {actions}")
 
         info: Info = {}
         ended = terminated | truncated
-        if self._mode == SAME_STEP and ended.any():
-            info = self._begun(ended) | {
-                "final_obs": _objects(self._final, ended),
-                "_final_obs": ended,
-                "final_info": self._events(self._final_states, ended),
-                "_final_info": ended,
-            }
-        elif self._mode != SAME_STEP:
-            if before.any():
-                info = self._begun(before)
-            if ended.any():
-                info = _merge(info, self._events(self._states, ended))
-        return observations, reward, terminated, truncated, info
+        begun = ended if same_step else before
+        if np.count_nonzero(begun):  # faster than `any`
+            info = self._begun(begun)
+        if np.count_nonzero(ended):
+            final = self._events(ended)
+            if same_step:
+                info["final_obs"], info["final_info"] = _objects(self._final, ended), final
+                info["_final_obs"] = info["_final_info"] = ended
+            else:
+                info = _merge(info, final)
+        return out, reward, terminated, truncated, info
 
     def get_state(self) -> np.ndarray:
         """A copy of all states, [N] records: all that decides what comes."""
@@ -194,7 +200,7 @@ class GameVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         """
         self._take(states, np.ones(self.num_envs, bool))
         self._seeded = True
-        return self._run(np.full(self.num_envs, AS_SET))
+        return self._do(np.full(self.num_envs, AS_SET))
 
     def _take(self, states: Any, which: np.ndarray, keep: Sequence[str] = ()) -> None:
         """Put `states` in place of those in `which`, but for the fields to `keep`."""
@@ -222,35 +228,29 @@ class GameVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         return picture(self.game.name, self.variant, self.states, pixels)
 
     def close_extras(self, **kwargs: Any) -> None:
-        if self._pool:
-            self._pool.close()
+        self._pool.close()
+
+    def _do(self, what: np.ndarray) -> np.ndarray:
+        """Do `what` in every environment, which is not to step; what they show then."""
+        observations = np.empty(self._shape, np.uint8)
+        self._run(what, observations, NUMBERS, REALS, FLAGS, FLAGS)
+        return observations
 
     def _run(
         self,
         what: np.ndarray,
-        actions: np.ndarray = NUMBERS,
-        reward: np.ndarray = REALS,
-        terminated: np.ndarray = FLAGS,
-        truncated: np.ndarray = FLAGS,
-        out: np.ndarray | None = None,
-    ) -> np.ndarray:
-        """Do `what` in every environment; what they show then. The rest is of steps alone."""
-        observations = np.empty(self._shape, np.uint8) if out is None else out
+        observations: np.ndarray,
+        actions: np.ndarray,
+        reward: np.ndarray,
+        terminated: np.ndarray,
+        truncated: np.ndarray,
+    ) -> bool:
+        """`loops.run`, by all threads."""
         arguments = (
             self._states, *self._scene, self._mode, what, actions, observations,
             self._final_states, self._final, reward, terminated, truncated,
         )  # fmt: skip
-        if self._pool:
-            self._pool.run(self._loop, arguments, self.num_envs)
-        else:
-            self._loop(*arguments, 0, self.num_envs, *ALONE)
-        return observations
-
-    def _begun(self, which: np.ndarray) -> Info:
-        return _columns(self._states, ("level", "shifted"), which)
-
-    def _events(self, states: np.ndarray, which: np.ndarray) -> Info:
-        return _columns(states, ("level", "shifted", "time", *self.game.events), which)
+        return self._pool.run(self._loop, arguments)
 
 
 def picture(game: str, variant: Variant, states: np.ndarray, pixels: int) -> np.ndarray:
@@ -264,7 +264,7 @@ def picture(game: str, variant: Variant, states: np.ndarray, pixels: int) -> np.
         one = states[k : k + 1].view(np.ndarray)
         compiled(game)(
             one, params, sprites, False, scene, NUMBERS, 0, 1, DISABLED, as_set, NUMBERS,
-            images[k : k + 1], one, images, REALS, FLAGS, FLAGS, 0, 1, *ALONE,
+            images[k : k + 1], one, images, REALS, FLAGS, FLAGS, *alone(),
         )  # fmt: skip
     return images
 
@@ -296,16 +296,29 @@ def _checked(levels: Any) -> tuple[int, int, np.ndarray]:
     return first, count, numbers
 
 
-def _columns(states: np.ndarray, names: Sequence[str], which: np.ndarray) -> Info:
-    """Gymnasium's vector info: an array for each name, 0 where not in `which`, and its mask."""
-    info: Info = {}
-    rows, mask = np.flatnonzero(which), which.copy()  # one mask for all: one for each is slow
-    for name in names:
-        column = states[name]
-        info[name] = np.zeros(len(column), column.dtype)
-        info[name][rows] = column[rows]
-        info[f"_{name}"] = mask
-    return info
+class _Columns:
+    """Gymnasium's vector info of some fields of `states`, as they are when it is called.
+
+    In every other step of a batch some episode ends, and NumPy takes its time over each field of
+    a record; so integers are taken all at once, by where they are in it.
+    """
+
+    def __init__(self, states: np.ndarray, names: Sequence[str]):
+        fields: Any = states.dtype.fields
+        self.integers = [name for name in names if fields[name][0] == np.int64]
+        self.places = np.array([fields[name][1] // 8 for name in self.integers])
+        self.words = states.view(np.int64).reshape(len(states), -1)
+        self.flags = {name: states[name] for name in names if fields[name][0] == np.bool_}
+        assert len(self.integers) + len(self.flags) == len(names), "fields of other types"
+        self.masks = [f"_{name}" for name in names]
+
+    def __call__(self, which: np.ndarray) -> Info:
+        """For each name an array [N], 0 where not in `which` [N] bool, and `which` as its mask."""
+        columns = np.zeros((len(self.places), len(which)), np.int64)
+        loops.fill(columns, self.words, self.places, which)
+        info: Info = dict(zip(self.integers, columns, strict=True))
+        info |= {name: which & flag for name, flag in self.flags.items()}
+        return info | dict.fromkeys(self.masks, which)
 
 
 def _merge(one: Info, two: Info) -> Info:

@@ -1,12 +1,14 @@
-"""How threads in compiled code wait for each other, a lap of work at a time.
+"""How threads in compiled code share a lap of work, and wait for each other.
 
 laps  [threads, LINE] int64: in its row each thread has the last lap that it has done, and the
       caller of the others, thread 0, the one that it has begun; beside it, in LOOKS, how often
-      to look at a number that is waited for
+      to look at a number that is waited for, and in TAKEN of row 0 how much of the lap's work
+      somebody does or has done
 """
 
 from __future__ import annotations
 
+import threading
 from typing import Any
 
 import numba
@@ -18,7 +20,7 @@ from numba.extending import intrinsic, overload
 from astray.kernel.jit import kernel
 
 LINE = 8  # int64 of a processor's cache line: threads that share one wait for each other
-LAP, LOOKS = 0, 1  # columns
+LAP, LOOKS, TAKEN = 0, 1, 2  # columns
 # Some 150 us; longer than Python takes between two steps. It never lets go of the interpreter's
 # lock where nothing is compiled.
 MOST_LOOKS = 0 if numba.config.DISABLE_JIT else 600_000  # pyright: ignore
@@ -67,6 +69,17 @@ def load(laps: np.ndarray, thread: int) -> int:
     return laps[thread, LAP]
 
 
+def take(laps: np.ndarray, count: int) -> int:
+    """The first of the next `count` pieces of this lap's work, which are the caller's now."""
+    with _TAKING:
+        first = laps[0, TAKEN]
+        laps[0, TAKEN] = first + count
+    return first
+
+
+_TAKING = threading.Lock()
+
+
 # Their compiled forms are atomic. Not strict, as the forms would need the same annotations.
 @overload(store, strict=False)
 def _store(laps: Any, thread: Any, lap: Any) -> Any:
@@ -76,6 +89,11 @@ def _store(laps: Any, thread: Any, lap: Any) -> Any:
 @overload(load, strict=False)
 def _load(laps: Any, thread: Any) -> Any:
     return lambda laps, thread: _load_atomic(laps, thread)  # pyright: ignore
+
+
+@overload(take, strict=False)
+def _take(laps: Any, count: Any) -> Any:
+    return lambda laps, count: _take_atomic(laps, count)  # pyright: ignore
 
 
 @intrinsic
@@ -97,7 +115,19 @@ def _load_atomic(typing: Any, laps: Any, thread: Any) -> Any:
     return types.int64(laps, types.intp), generate
 
 
-def _pointer(context: Any, builder: Any, kind: Any, array: Any, thread: Any) -> Any:
+@intrinsic
+def _take_atomic(typing: Any, laps: Any, count: Any) -> Any:
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        thread = context.get_constant(types.intp, 0)
+        pointer = _pointer(context, builder, signature.args[0], arguments[0], thread, column=TAKEN)
+        return builder.atomic_rmw("add", pointer, arguments[1], "monotonic")
+
+    return types.int64(laps, types.int64), generate
+
+
+def _pointer(
+    context: Any, builder: Any, kind: Any, array: Any, thread: Any, column: int = LAP
+) -> Any:
     made = context.make_array(kind)(context, builder, array)
-    column = context.get_constant(types.intp, LAP)
-    return cgutils.get_item_pointer(context, builder, kind, made, [thread, column])
+    place = [thread, context.get_constant(types.intp, column)]
+    return cgutils.get_item_pointer(context, builder, kind, made, place)
