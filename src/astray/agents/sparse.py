@@ -11,6 +11,8 @@ from typing import Any
 import numba
 import numpy as np
 import torch
+from numba import types
+from numba.extending import overload
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
@@ -31,49 +33,48 @@ def outputs(network: Small, planes: Tensor, between: torch.dtype = torch.float32
     planes   [B, C, H, W] uint8, on a CPU
     between  of the products between the two hidden layers; most of the time goes there
     """
-    one, two = network.features.linear1, network.features.linear2
-    heads = [
-        torch.cat(both) for both in zip(*map(_linear, (network.policy, network.value)), strict=True)
-    ]
-    return Forward.apply(  # pyright: ignore
-        planes, network.spread, between, *_linear(one), *_linear(two), *heads
-    )
-
-
-def _linear(layer: Any) -> tuple[Tensor, Tensor]:
-    return layer.weight, layer.bias
+    return Forward.apply(planes, network.spread, between, *network.parameters())  # pyright: ignore
 
 
 class Forward(torch.autograd.Function):
-    """`Small`, its two heads as one layer [actions + 1, width]: planes -> [B, actions + 1]."""
+    """`Small`, its two heads as one layer: planes -> [B, actions + 1]."""
 
     @staticmethod
     def forward(
         ctx: Any, planes: Tensor, spread: Spread, between: torch.dtype,
-        w1: Tensor, b1: Tensor, w2: Tensor, b2: Tensor, w3: Tensor, b3: Tensor,
+        w1: Tensor, b1: Tensor, w2: Tensor, b2: Tensor,
+        policy: Tensor, policy_bias: Tensor, value: Tensor, value_bias: Tensor,
     ) -> Tensor:  # fmt: skip
         ctx.found = ends, rows, values = _found(planes, spread)
-        h1 = planes.new_empty((len(planes), len(w1)), dtype=torch.float32)
+        h1 = planes.new_empty((len(planes), len(w1)), dtype=between)
         weight, bias = w1.detach().T.contiguous().numpy(), b1.detach().numpy()
-        add_rows(ends, rows, values, weight, bias, h1.numpy())
-        rounded, w2 = h1.to(between), w2.to(between)
-        h2 = torch.addmm(b2.to(between), rounded, w2.T).float().relu_()
-        ctx.save_for_backward(w1, h1, rounded, w2, h2, w3)
-        return torch.addmm(b3, h2, w3.T)
+        add_rows(ends, rows, values, weight, bias, _array(h1))
+        w2 = w2.to(between)
+        h2 = torch.addmm(b2.to(between), h1, w2.T).float().relu_()
+        w3 = torch.cat([policy, value])
+        ctx.save_for_backward(w1, h1, w2, h2, w3)
+        return torch.addmm(torch.cat([policy_bias, value_bias]), h2, w3.T)
 
     @staticmethod
     @once_differentiable
     def backward(ctx: Any, slope: Tensor) -> tuple[Tensor | None, ...]:  # pyright: ignore
-        w1, h1, rounded, w2, h2, w3 = ctx.saved_tensors
-        slope2 = torch.ops.aten.threshold_backward(slope @ w3, h2, 0)  # through the ReLU
-        rounded2 = slope2.to(w2.dtype)
-        slope1, grad2 = (rounded2 @ w2).float(), (rounded2.T @ rounded).float()
+        w1, h1, w2, h2, w3 = ctx.saved_tensors
+        slope2, bias2 = torch.empty_like(h1), w1.new_zeros(len(w2))
+        pass_relu((slope @ w3).numpy(), h2.numpy(), _array(slope2), bias2.numpy())
+        slope1, grad2 = slope2 @ w2, (slope2.T @ h1).float()
         grad1, bias1 = w1.new_zeros(w1.shape[::-1]), w1.new_zeros(len(w1))
         ends, rows, values = ctx.found
-        add_to_rows(ends, rows, values, h1.numpy(), slope1.numpy(), grad1.numpy(), bias1.numpy())
+        add_to_rows(ends, rows, values, _array(h1), _array(slope1), grad1.numpy(), bias1.numpy())
+        grad3, bias3 = slope.T @ h2, slope.sum(0)
         return (
-            None, None, None, grad1.T, bias1, grad2, slope2.sum(0), slope.T @ h2, slope.sum(0),
+            None, None, None, grad1.T, bias1, grad2, bias2,
+            grad3[:-1], bias3[:-1], grad3[-1:], bias3[-1:],
         )  # fmt: skip
+
+
+def _array(x: Tensor) -> np.ndarray:
+    """`x` for the kernels: of bfloat16, which NumPy does not have, the bits."""
+    return (x.view(torch.int16) if x.dtype == torch.bfloat16 else x).numpy()
 
 
 def _found(planes: Tensor, spread: Spread) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -94,8 +95,10 @@ def compiled() -> None:
         ends, rows = np.zeros(1, np.int64), np.empty(0, np.int64)
         values, table = np.empty(0, np.float32), np.empty((0, 1), np.float32)
         find(np.empty((0, 1, 1), np.uint8), 0, np.empty((2, 256), np.float32), ends, rows, values)
-        add_rows(ends, rows, values, table, values, table)
-        add_to_rows(ends, rows, values, table, table, table, values)
+        for hidden in (table, np.empty((0, 1), np.int16)):
+            add_rows(ends, rows, values, table, values, hidden)
+            pass_relu(table, table, hidden, values)
+            add_to_rows(ends, rows, values, hidden, hidden, table, values)
 
 
 @entry
@@ -134,17 +137,31 @@ def find(planes, flags, circle, ends, rows, values):
 @entry
 def add_rows(ends, rows, values, weight, bias, hidden):
     """Fill `hidden` [B, width] with the ReLU of the first layer; `weight` is [inputs, width]."""
+    total = np.empty(len(bias), np.float32)
     for i in range(len(hidden)):
         for x in range(len(bias)):
-            hidden[i, x] = bias[x]
+            total[x] = bias[x]
         for n in range(ends[i], ends[i + 1], TOGETHER):
             a, b, c, d = rows[n], rows[n + 1], rows[n + 2], rows[n + 3]
             p, q, r, s = values[n], values[n + 1], values[n + 2], values[n + 3]
             for x in range(len(bias)):
                 pair = p * weight[a, x] + q * weight[b, x]
-                hidden[i, x] += pair + (r * weight[c, x] + s * weight[d, x])
+                total[x] += pair + (r * weight[c, x] + s * weight[d, x])
         for x in range(len(bias)):
-            hidden[i, x] = max(hidden[i, x], np.float32(0))
+            put(hidden, i, x, max(total[x], np.float32(0)))
+
+
+@entry
+def pass_relu(slope, output, below, bias):
+    """Fill `below` [B, width] with the gradient below a ReLU, and add it to that of `bias`.
+
+    slope, output  [B, width], the gradient of the ReLU's output, and this
+    """
+    for i in range(len(slope)):
+        for x in range(len(bias)):
+            through = slope[i, x] if output[i, x] > 0 else np.float32(0)
+            bias[x] += through
+            put(below, i, x, through)
 
 
 @entry
@@ -153,9 +170,49 @@ def add_to_rows(ends, rows, values, hidden, slope, weight, bias):
     through = np.empty(len(bias), np.float32)
     for i in range(len(hidden)):
         for x in range(len(bias)):
-            through[x] = slope[i, x] if hidden[i, x] > 0 else np.float32(0)
+            through[x] = real(slope[i, x]) if hidden[i, x] > 0 else np.float32(0)
             bias[x] += through[x]
         for n in range(ends[i], ends[i + 1]):
             row, value = rows[n], values[n]
             for x in range(len(bias)):
                 weight[row, x] += value * through[x]
+
+
+# What a kernel's table holds is float32; or int16 with the bits of a bfloat16, the upper half of
+# a float32, which is above 0 where that is.
+def real(x: Any) -> Any:
+    """The number that is held as `x`."""
+    return (_real_float if isinstance(x, np.floating) else _real_half)(x)
+
+
+def put(table: Any, i: Any, x: Any, number: Any) -> None:
+    """Hold `number` at table[i, x]."""
+    (_put_float if table.dtype == np.float32 else _put_half)(table, i, x, number)
+
+
+def _real_float(x):
+    return x
+
+
+def _real_half(x):
+    return np.uint32(np.uint32(np.uint16(x)) << np.uint32(16)).view(np.float32)
+
+
+def _put_float(table, i, x, number):
+    table[i, x] = number
+
+
+def _put_half(table, i, x, number):
+    bits = np.float32(number).view(np.uint32)
+    even = (bits >> np.uint32(16)) & np.uint32(1)  # in the middle it goes to the even one
+    table[i, x] = np.int16(np.uint32(bits + even + np.uint32(0x7FFF)) >> np.uint32(16))
+
+
+@overload(real, strict=False)
+def _real(x: Any) -> Any:
+    return _real_float if isinstance(x, types.Float) else _real_half
+
+
+@overload(put, strict=False)
+def _put(table: Any, i: Any, x: Any, number: Any) -> Any:
+    return _put_float if isinstance(table.dtype, types.Float) else _put_half
