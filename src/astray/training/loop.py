@@ -29,8 +29,11 @@ def train(config: Config, folder: Path, *, progress: bool = True) -> Path:
     torch.set_num_threads(config.threads)
     torch.set_flush_denormal(True)
     torch.backends.cudnn.benchmark = True  # shapes stay the same, so that searching once pays
-    with parallel.processes(config.device), checkpoint.claim(folder, config):
-        trainer = Trainer(config)
+    with (
+        parallel.processes(config.device),
+        checkpoint.claim(folder, config),
+        contextlib.closing(Trainer(config)) as trainer,
+    ):
         checkpoint.restore(folder, trainer)
         writes = Log(folder, trainer.steps, config, progress) if parallel.first() else None
         with writes or contextlib.nullcontext() as log:
@@ -41,7 +44,6 @@ def train(config: Config, folder: Path, *, progress: bool = True) -> Path:
                 done = trainer.iteration == config.iterations
                 if done or trainer.iteration % config.checkpoint_every == 0:
                     checkpoint.save(folder, trainer)
-        trainer.close()
         parallel.wait()
     return checkpoint.latest(folder)
 
@@ -58,7 +60,7 @@ def iterate(trainer: Trainer) -> tuple[dict[str, float], dict[str, float]]:
     played = time.perf_counter()
     metrics = {}
     if trainer.iteration == 0 and trainer.model.means.bfloat16:
-        samples = [x[: config.batch // config.minibatches] for x in rollout.flat()]
+        samples = [x[: len(x) // config.minibatches] for x in rollout.flat()]
         metrics |= trainer.model.agreement(samples)
     metrics |= {f"update/{name}": x for name, x in update(trainer, rollout, rate).items()}
     trainer.steps += config.batch

@@ -24,13 +24,13 @@ def processes(device: str) -> Iterator[None]:
     if not dist.is_available() or not dist.is_torchelastic_launched() or dist.is_initialized():
         yield
         return
+    gpu = None
     if device == "cuda":
-        torch.cuda.set_device(dist.get_node_local_rank(0))  # pyright: ignore
-    dist.init_process_group("nccl" if device == "cuda" else "gloo")
-    try:
-        yield
-    finally:
-        dist.destroy_process_group()
+        gpu = torch.device("cuda", dist.get_node_local_rank(0))  # pyright: ignore
+        torch.cuda.set_device(gpu)
+    dist.init_process_group("nccl" if gpu else "gloo", device_id=gpu)
+    yield
+    dist.destroy_process_group()  # not after an error: it may wait for others, whom torchrun ends
 
 
 def size() -> int:

@@ -105,6 +105,9 @@ class Trainer:
                 state[name] = torch.empty_like(weight).copy_(state[name])
 
     def close(self) -> None:
+        """End what would outlive this: a communicator waits for the graphs that use it."""
+        if self._captured:
+            self._captured.graph.reset()
         for player in self.players().values():
             for env in player.envs:
                 env.close()
