@@ -94,7 +94,8 @@ class Actor:
         """Take what the group's environments show at step `t`, and begin to infer for them."""
         where, slot = self.player.groups[group], t % (self.slots + 1)
         seen = self.observation[slot, where]
-        seen.copy_(self.player.images[where], non_blocking=True)
+        later = self._sent is not None  # on other devices than CUDA's nothing says when it is done
+        seen.copy_(self.player.images[where], non_blocking=later)
         noise = self.noise[min(t, len(self.noise) - 1), where]
         if self._act is None:
             graphs = self.model.means.graphs
@@ -103,7 +104,7 @@ class Actor:
         self.action[slot, where] = action
         self.log_probability[slot, where] = log_probability
         self.value[slot, where] = value
-        self.chosen[where].copy_(action, non_blocking=True)
+        self.chosen[where].copy_(action, non_blocking=later)
         if self._sent:
             self._sent[group].record()
 
