@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Literal, get_args
@@ -114,7 +115,9 @@ def usable(device: str) -> bool:
 
 
 @torch.no_grad()
-def outputs(network: nn.Module, observations: Tensor, chunk: int = 64) -> tuple[Tensor, Tensor]:
+def outputs(
+    network: Callable[[Tensor], tuple[Tensor, Tensor]], observations: Tensor, chunk: int = 64
+) -> tuple[Tensor, Tensor]:
     """Logits [B, A] and values [B], the same for an observation whatever stands beside it.
 
     A matrix product of another size may round differently, so the network always sees exactly
