@@ -5,10 +5,15 @@ Each can be switched off; with all off the plain formulas of `agents.ppo` are wh
 
 from __future__ import annotations
 
+import os
 import shutil
+import sysconfig
+import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
 from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
 
 import torch
 from llvmlite.binding import get_host_cpu_features
@@ -18,6 +23,7 @@ from torch.nn.functional import cosine_similarity
 from astray.agents import fused, ppo, sparse
 from astray.agents.impala import Impala
 from astray.agents.small import Small
+from astray.training import parallel
 from astray.training.config import Config
 
 # Of each minibatch: the parts of the loss, and the gradient's length before it is clipped.
@@ -41,23 +47,33 @@ def means(config: Config) -> Means:
     """What the settings come to; ValueError where one asks for what there is not.
 
     On a CPU the kernels, and for them and convolutions bfloat16 where the processor multiplies
-    in it. On a GPU all that there is for it; torch.compile needs Triton there and elsewhere a
-    C++ compiler.
+    in it. On a GPU all that there is for it.
     """
     cpu, cuda = config.device == "cpu", config.device == "cuda"
+    here = config.environments // parallel.size()
     kernels = _settled("kernels", config, cpu and config.network == "small" and sparse.usable())
     native = cpu and bool(get_host_cpu_features().get("avx512bf16"))
     large = kernels or config.network == "impala"  # enough for bfloat16 to be worth it on a CPU
-    compiler = find_spec("triton") if cuda else shutil.which("g++")
+    # GPUs from before 2020 only imitate it.
+    old = cuda and torch.cuda.is_available() and not torch.cuda.is_bf16_supported(False)
     return Means(
         kernels,
-        bfloat16=_settled("bfloat16", config, True, suits=cuda or (native and large)),
+        bfloat16=_settled("bfloat16", config, True, suits=(cuda and not old) or (native and large)),
         channels_last=_settled("channels_last", config, config.network == "impala", suits=cuda),
-        compiled=_settled("compiled", config, bool(compiler) and not kernels, suits=cuda),
+        compiled=_settled("compiled", config, compiles(config.device) and not kernels, suits=cuda),
         graphs=_settled("graphs", config, cuda),
-        groups=config.groups or (2 if cuda and config.environments % 2 == 0 else 1),
+        groups=config.groups or (2 if cuda and here % 2 == 0 else 1),
         together=kernels or cuda,
     )
+
+
+def compiles(device: str) -> bool:
+    """torch.compile finds what it needs: a C++ compiler; for CUDA Triton, and what that needs."""
+    if device != "cuda":
+        return bool(shutil.which("g++"))
+    compiler = os.environ.get("CC") or shutil.which("gcc") or shutil.which("clang")
+    headers = Path(sysconfig.get_config_var("INCLUDEPY") or "", "Python.h")
+    return bool(find_spec("triton") and compiler and headers.exists())
 
 
 def _settled(name: str, config: Config, there: bool, suits: bool = True) -> bool:
@@ -82,8 +98,17 @@ class Model:
         self._outputs: Callable = self
         self._losses: Callable = self._sum
         if self.means.compiled:  # not the whole update: torch breaks graphs at the optimizer
+            # A process may train more agents of different shapes than torch allows a function.
+            limits: Any = torch._dynamo.config
+            limits.recompile_limit = limits.accumulated_recompile_limit
+            warnings.filterwarnings("ignore", "TensorFloat32")  # the heads stay float32
             self._outputs = torch.compile(self.__call__, fullgraph=True, dynamic=False)
             self._losses = torch.compile(self._sum, fullgraph=True, dynamic=False)
+        elif config.device == "cuda" and config.compiled is None:
+            warnings.warn(
+                "learning is slower without torch.compile, which needs Triton, a C compiler and "
+                "Python's headers", stacklevel=2,
+            )  # fmt: skip
 
     def __call__(self, observation: Tensor) -> tuple[Tensor, Tensor]:
         """Logits [B, actions] and values [B], of any number of observations."""
