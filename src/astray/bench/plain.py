@@ -22,7 +22,8 @@ class Loop:
     """One network that learns in `env`, a batch of Gymnasium's or EnvPool's environments."""
 
     def __init__(self, config: Config, network: nn.Module, env: Any, host: bool):
-        self.config, self.network, self.env = config, network.to(config.device), env
+        network.to(config.device, memory_format=torch.contiguous_format)  # pyright: ignore
+        self.config, self.network, self.env = config, network, env
         self.keep = "cpu" if host else config.device
         self.optimizer = torch.optim.Adam(network.parameters(), config.learning_rate, eps=1e-5)
         self.seen, self.done = env.reset()[0], np.zeros(config.environments)
