@@ -166,6 +166,7 @@ def test_an_iteration_on_a_gpu_is_the_plain_one(change):
 
 
 @ON_GPU
+@pytest.mark.filterwarnings("ignore:learning is slower")
 def test_all_of_it_together_learns_on_a_gpu():
     trainer = Trainer(replace(PICTURES, device="cuda", environments=32, **dict.fromkeys(OFF)))
     for _ in range(3):
