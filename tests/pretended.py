@@ -1,5 +1,6 @@
 """A CUDA device that is not there: the processor computes, and what CUDA would not allow fails.
 
+Memory of the processor and of the device do not meet in an operation, but for copies.
 Whoever touches memory before an event says that a copy is done finds what a device that is late
 leaves there. A graph does again what was done while it was captured, with the same memory and the
 same numbers; capturing it changes nothing, and may neither wait, nor draw, nor read a number.
@@ -11,14 +12,45 @@ import contextlib
 
 import torch
 from torch import Tensor
+from torch.multiprocessing.reductions import StorageWeakRef
 from torch.overrides import TorchFunctionMode
 from torch.utils._python_dispatch import TorchDispatchMode
 from torch.utils._pytree import tree_leaves
 
 from astray.agents import policy
 
+MIXED = ("copy_", "index", "index_put_")  # copies; and indices may be the processor's
 # What waits for the device, copies a number to it, or draws from a generator.
 FORBIDDEN = ("_local_scalar_dense", "nonzero", "masked_select", "lift_fresh", "rand", "bernoulli")
+
+
+class Memory(TorchDispatchMode):
+    """Knows which tensors are the device's: those made there, and what is computed from them."""
+
+    def __init__(self):
+        super().__init__()
+        self.storages: dict[int, StorageWeakRef] = {}
+
+    def has(self, x: Tensor) -> bool:
+        kept = self.storages.get(x.untyped_storage()._cdata)
+        return kept is not None and not kept.expired()
+
+    def take(self, results) -> None:
+        for x in tree_leaves(results):
+            if isinstance(x, Tensor):
+                storage = x.untyped_storage()
+                self.storages[storage._cdata] = StorageWeakRef(storage)
+
+    def __torch_dispatch__(self, function, types, args=(), kwargs=None):
+        name, kwargs = function._schema.name.removeprefix("aten::"), kwargs or {}
+        given = [x for x in tree_leaves((args, kwargs)) if isinstance(x, Tensor)]
+        results = function(*args, **kwargs)
+        if name not in MIXED and any(map(self.has, given)):
+            assert all(self.has(x) or not x.dim() for x in given), f"{name} on two devices"
+            self.take(results)
+        elif name == "index" and self.has(given[0]):
+            self.take(results)
+        return results
 
 
 class Device(TorchFunctionMode):
@@ -26,18 +58,33 @@ class Device(TorchFunctionMode):
 
     def __init__(self):
         super().__init__()
+        self.memory = Memory()
         self.pinned: set[int] = set()  # where storages begin
         self.under_way: list[tuple[Tensor, Tensor, Tensor]] = []  # to, from, what was sent
         self.graphs: list[Graph] = []
 
     def __torch_function__(self, function, types, args=(), kwargs=None):
-        kwargs = {k: _here(v) if k == "device" else v for k, v in (kwargs or {}).items()}
-        pin = kwargs.pop("pin_memory", False)
+        if getattr(function, "__self__", None) is Tensor.device and self.memory.has(args[0]):
+            return torch.device("cuda")
+        kwargs = dict(kwargs or {})
+        pin, there = kwargs.pop("pin_memory", False), _there(kwargs.get("device"))
         if function is Tensor.copy_ and kwargs.pop("non_blocking", False):
             return self._copy(*args)
-        if function is Tensor.to:
-            args = tuple(map(_here, args))
+        if function is Tensor.to and any(map(_there, args)):
+            there, args = True, [_here(x) for x in args]
+            args[0] = args[0] if self.memory.has(args[0]) else args[0].clone()
+        if function is Tensor.numpy:
+            assert kwargs.get("force") or not self.memory.has(args[0]), (
+                "it is not in numpy's memory"
+            )
+        if there:
+            kwargs = {k: _here(x) if k == "device" else x for k, x in kwargs.items()}
         result = function(*args, **kwargs)
+        if there:
+            self.memory.take(result)
+        elif function is Tensor.cpu or (function is Tensor.to and any(map(_left, args))):
+            with torch._C._DisableTorchDispatch():  # a copy in the processor's memory
+                result = result.clone()
         if pin:
             self.pinned.add(result.untyped_storage().data_ptr())
         return result
@@ -126,19 +173,28 @@ class Capture(TorchDispatchMode):
                 changed.copy_(before)
 
 
+def _there(x) -> bool:
+    return isinstance(x, str | torch.device) and torch.device(x).type == "cuda"
+
+
+def _left(x) -> bool:
+    return isinstance(x, str) and x == "cpu"  # a torch.device is torch's own, of what is pretended
+
+
 def _here(x):
-    return "cpu" if isinstance(x, str | torch.device) and torch.device(x).type == "cuda" else x
+    return "cpu" if _there(x) else x
 
 
 @contextlib.contextmanager
 def cuda(monkeypatch):
     """A device "cuda" that is pretended as long as this lasts."""
-    device, generator = Device(), torch.Generator
+    device, generator, autocast = Device(), torch.Generator, torch.autocast
     # Classes, since modules that are imported meanwhile have them in annotations.
     made = {"__new__": lambda cls, name: generator(_here(name))}
-    with monkeypatch.context() as patch, device:
+    with monkeypatch.context() as patch, device, device.memory:
         patch.setattr(policy, "usable", lambda name: True)
         patch.setattr(torch, "Generator", type("Generator", (), made))
+        patch.setattr(torch, "autocast", lambda name, *how, **more: autocast("cpu", *how, **more))
         patch.setattr(torch.cuda, "Event", type("Event", (Event,), {"device": device}))
         patch.setattr(torch.cuda, "Stream", Stream)
         patch.setattr(torch.cuda, "current_stream", Stream)

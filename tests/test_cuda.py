@@ -45,11 +45,11 @@ def test_graphs_learn_what_plain_calls_learn(config, monkeypatch):
 
 
 def test_two_groups_wait_for_their_actions_and_images(monkeypatch):
-    config = replace(PLAIN, rollout=40)
+    plain = learned(replace(PLAIN, rollout=40))
     with cuda(monkeypatch):
-        pairs = zip(learned(config), learned(replace(GRAPHS, rollout=40, groups=2)), strict=True)
-        for plain, late in pairs:
-            torch.testing.assert_close(plain, late, atol=1e-4, rtol=1e-3)
+        late = learned(replace(GRAPHS, rollout=40, groups=2))
+    for a, b in zip(plain, late, strict=True):
+        torch.testing.assert_close(a, b, atol=1e-4, rtol=1e-3)
 
 
 def test_only_what_cuda_pinned_is_copied_later(monkeypatch):
