@@ -37,7 +37,7 @@ docs: $(INSTALLED)
 bench: $(INSTALLED)
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt envpool
 	$(BIN)/astray bench environments
-	$(BIN)/astray bench training
+	$(BIN)/astray bench train
 
 $(INSTALLED): pyproject.toml constraints.txt
 	$(PYTHON) -m venv .venv

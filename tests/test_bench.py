@@ -12,11 +12,11 @@ from rich.console import Console
 
 from astray import games
 from astray.agents.policy import Architecture
-from astray.bench import agency, environments, profile, start, tables, training
+from astray.bench import agency, environments, profile, start, tables, train
 from astray.bench.plain import Loop
 from astray.envs.vector import GameVectorEnv
 
-TINY = replace(training.SYMBOLIC[0], environments=8, rollout=8, minibatches=2, width=8)
+TINY = replace(train.SYMBOLIC[0], environments=8, rollout=8, minibatches=2, width=8)
 
 
 def speed(row):
@@ -90,7 +90,7 @@ def test_a_first_start_compiles_and_a_later_one_does_not():
 def test_training_is_measured_beside_stable_baselines3():
     pytest.importorskip("stable_baselines3")
     threads = torch.get_num_threads()
-    ours, peer, *_ = training.measure([TINY], seconds=0.02, rounds=2)
+    ours, peer, *_ = train.measure([TINY], seconds=0.02, rounds=2)
     assert 0 < speed(ours) <= (ours.best or 0) and 0 < speed(peer) <= (peer.best or 0)
     assert peer.ratio == speed(ours) / speed(peer)
     assert torch.get_num_threads() == threads
@@ -99,20 +99,20 @@ def test_training_is_measured_beside_stable_baselines3():
 def test_without_stable_baselines3_the_row_says_how_to_install_it(monkeypatch):
     monkeypatch.delitem(sys.modules, "astray.bench.sb3", raising=False)
     monkeypatch.setitem(sys.modules, "stable_baselines3", None)
-    ours, peer, *_ = training.measure([TINY], seconds=0.02, rounds=2)
+    ours, peer, *_ = train.measure([TINY], seconds=0.02, rounds=2)
     assert speed(ours) > 0 and peer.ratio is None
     assert "pip install stable-baselines3" in peer.note
 
 
 def test_training_on_images_is_measured_beside_plain_loops(monkeypatch):
     monkeypatch.setitem(sys.modules, "envpool", None)
-    config = replace(training.IMAGES, environments=4, rollout=4, minibatches=2)
-    rows = training.measure([config], seconds=0.02, rounds=1)
+    config = replace(train.IMAGES, environments=4, rollout=4, minibatches=2)
+    rows = train.measure([config], seconds=0.02, rounds=1)
     ours, missing, plain, original, *parts = rows
     assert speed(ours) > 0 and "pip install envpool" in missing.note
     assert plain.ratio == speed(ours) / speed(plain) and speed(original) > 0
     assert {type(part) for part in parts} == {profile.Row}
-    assert training.markdown(rows).count("| --- | ---:") == 2
+    assert train.markdown(rows).count("| --- | ---:") == 2
 
 
 @pytest.fixture
@@ -124,7 +124,7 @@ def one_thread():
 
 
 def test_the_parts_of_an_iteration_come_near_to_the_whole(one_thread):
-    config = replace(training.SYMBOLIC[0], environments=64, rollout=16, minibatches=4)
+    config = replace(train.SYMBOLIC[0], environments=64, rollout=16, minibatches=4)
     *parts, minibatch, whole = profile.measure(config, rounds=3)
     assert minibatch.part == "a minibatch, whole" and whole.share == 1
     assert all(part.milliseconds > 0 for part in parts)
@@ -134,7 +134,7 @@ def test_the_parts_of_an_iteration_come_near_to_the_whole(one_thread):
 
 
 def test_a_plain_loop_learns():
-    config = replace(training.IMAGES, environments=4, rollout=4, minibatches=2)
+    config = replace(train.IMAGES, environments=4, rollout=4, minibatches=2)
     network = Architecture("impala", (64, 64, 3), (), 15).build()
     before = [weight.clone() for weight in network.parameters()]
     for host in (True, False):

@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from astray.agents.ppo import normalised
-from astray.bench import training
+from astray.bench import train
 from astray.training.config import Config
 from astray.training.loop import update
 from astray.training.rollout import Rollout, collect
@@ -101,7 +101,7 @@ def test_learning_is_the_same():
         trainer = Trainer(replace(CONFIG, seed=seed, bfloat16=None))
         theirs[seed] = sb3.learning_curve(sb3.ppo(trainer.config, trainer.network), ITERATIONS)
         for k in range(1, ITERATIONS[-1] + 1):
-            training.iterate(trainer)
+            train.iterate(trainer)
             if k in ITERATIONS:
                 ours[seed, ITERATIONS.index(k)] = trainer.player.summary()["length"]
     assert ours[:, -1].max() < 20 and theirs[:, -1].max() < 20

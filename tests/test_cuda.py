@@ -12,7 +12,7 @@ from test_pipeline import OFF, PICTURES, PLAIN
 from test_training import digest
 
 from astray.bench import profile
-from astray.bench import training as bench
+from astray.bench import train as bench
 from astray.training import checkpoint, device, parallel
 from astray.training.device import means
 from astray.training.loop import train, update

@@ -87,7 +87,7 @@ def reproduce(
 
 
 def bench(
-    what: Positional[Literal["environments", "training", "agency", "start"]] = "environments",
+    what: Positional[Literal["environments", "train", "agency", "start"]] = "environments",
     markdown: bool = False,
     device: Literal["cpu", "cuda", "mps"] = "cpu",
 ) -> None:
@@ -103,10 +103,10 @@ def bench(
 
     if not usable(device):
         raise ValueError(f"there is no device {device!r} that torch can use")
-    if device != "cpu" and what != "training":
+    if device != "cpu" and what != "train":
         raise ValueError(f"device is {device!r}; {what} is measured on a CPU")
     module = import_module(f"astray.bench.{what}")
-    rows = module.measure(device=device) if what == "training" else module.measure()
+    rows = module.measure(device=device) if what == "train" else module.measure()
     if markdown:
         print(module.markdown(rows))
     else:
