@@ -78,7 +78,7 @@ def measure(config: Config, rounds: int = 5) -> list[Row]:
         return _seconds(loss.backward, config.device)
 
     def step() -> None:
-        nn.utils.clip_grad_norm_(list(trainer.network.parameters()), config.gradient_norm)
+        nn.utils.clip_grad_norm_(trainer.weights, config.gradient_norm)
         trainer.optimizer.step()
 
     def infer() -> None:

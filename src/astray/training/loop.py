@@ -98,10 +98,10 @@ def learn(trainer: Trainer, samples: list[Tensor], indices: Tensor) -> Tensor:
     """One step of the optimizer, on the samples at `indices`; what is `MEASURED` there."""
     # index_select: 183 us for 2,048 rows of 676 bytes, where samples[indices] takes 1,346
     losses = trainer.model.losses([x.index_select(0, indices) for x in samples])
-    trainer.optimizer.zero_grad(set_to_none=True)
+    for x in trainer.weights:  # 10 us, where zero_grad takes 160
+        x.grad = None
     losses["loss"].backward()
-    parameters = list(trainer.network.parameters())
-    parallel.average([x.grad for x in parameters if x.grad is not None])
-    norm = nn.utils.clip_grad_norm_(parameters, trainer.config.gradient_norm)
+    parallel.average([x.grad for x in trainer.weights if x.grad is not None])
+    norm = nn.utils.clip_grad_norm_(trainer.weights, trainer.config.gradient_norm)
     trainer.optimizer.step()
     return torch.stack([*(losses[name].detach() for name in MEASURED[:-1]), norm])

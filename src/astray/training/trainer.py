@@ -42,13 +42,14 @@ class Trainer:
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(config.seed)
             self.network = self.architecture.build().to(config.device)
+        self.weights = list(self.network.parameters())
         self.model = Model(self.network, config)
         self.actor = Actor(self.model, self.player, config.rollout)
         self.validator = Actor(self.model, self.validation, 1) if self.validation else None
         self._captured: Captured | None = None
         graphs, rate = self.model.means.graphs, config.learning_rate
         self.optimizer = torch.optim.Adam(
-            self.network.parameters(),
+            self.weights,
             torch.tensor(rate, device=config.device) if graphs else rate,  # graphs read it
             eps=1e-5, fused=True, capturable=graphs,
         )  # fmt: skip
@@ -72,7 +73,7 @@ class Trainer:
     def learned(self) -> list[Tensor]:
         """What a step of the optimizer changes: the weights, and their moments once there are."""
         moments = [x for state in self.optimizer.state.values() for x in state.values()]
-        return [*self.network.parameters(), *moments]
+        return [*self.weights, *moments]
 
     @property
     def iteration(self) -> int:
