@@ -2,6 +2,7 @@
 
 import json
 import os
+import shutil
 import subprocess
 import sys
 import time
@@ -91,6 +92,27 @@ def test_another_plan_computes_anew_and_shares_the_agents(tmp_path, monkeypatch)
         assert played.filter(policy="sampled", test="in training").height == levels
         agents.add(tuple(path.stat().st_mtime_ns for path in tmp_path.rglob("agent.safetensors")))
     assert len(agents) == 1
+
+
+def test_other_agents_and_other_code_compute_anew(tmp_path, monkeypatch):
+    whole = experiments.load("maze-corner")
+    small = replace(whole, sizes={"smoke": miniature(whole.sizes["smoke"])})
+    monkeypatch.setattr(experiments, "load", lambda _: small)
+
+    def computed():
+        run.reproduce("maze-corner", "smoke", tmp_path, workers=2)
+        episodes = tmp_path / "maze-corner-smoke" / "computed" / "episodes.parquet"
+        return episodes.stat().st_mtime_ns
+
+    first = computed()
+    assert computed() == first
+    (one, two) = sorted((tmp_path / "agents").glob("*/seed-*"))
+    agents = [checkpoint.latest(folder) / checkpoint.AGENT for folder in (one, two)]
+    shutil.copy(*agents)
+    second = computed()
+    assert second > first
+    monkeypatch.setattr(run, "source_digest", lambda patterns: "of other sources")
+    assert computed() > second
 
 
 @pytest.mark.skipif(not hasattr(os, "kill") or os.name == "nt", reason="needs signals")

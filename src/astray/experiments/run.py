@@ -21,7 +21,15 @@ from astray.experiments.spec import Plan, Runs, Size, Test, Work, kept
 from astray.experiments.workers import Place, train_all
 from astray.files import write_aside
 from astray.game import Variant
+from astray.kernel.jit import source_digest
+from astray.training import checkpoint
 from astray.training.config import Config
+
+# The sources of what agents do, and of what is computed of it.
+COMPUTING = (
+    "*.py", "kernel/*.py", "games/*/*.py", "envs/*.py", "agents/*.py", "agency/*.py",
+    "analysis/*.py", "experiments/**/*.py",
+)  # fmt: skip
 
 
 def reproduce(
@@ -51,7 +59,7 @@ def reproduce(
         name: [run_folder(root, config) for config in configs]
         for name, configs in trainings.items()
     }
-    forget_other_plans(plan, folder)
+    forget_stale(plan, runs, folder)
     episodes = kept(folder, "episodes", lambda: play(plan, runs)) if plan.tests else pl.DataFrame()
     findings = experiment.find(Work(name, size, plan, folder, runs, episodes))
     heading = report.Heading(
@@ -81,15 +89,26 @@ def run_folder(root: Path, config: Config) -> Path:
     return root / "agents" / f"{config.game}-{config.variant}-{digest}" / f"seed-{config.seed}"
 
 
-def forget_other_plans(plan: Plan, folder: Path) -> None:
-    """Delete what was computed in `folder` by another plan."""
-    configs = {n: [c.to_json() for c in made] for n, made in plan.trainings().items()}
-    tests = {name: asdict(test) for name, test in plan.tests.items()}
-    data = [configs, tests, plan.levels, list(plan.measures)]
+def forget_stale(plan: Plan, runs: Runs, folder: Path) -> None:
+    """Delete what was computed in `folder` by another plan, of other agents, or by other code."""
+    data = {
+        "configs": {n: [c.to_json() for c in made] for n, made in plan.trainings().items()},
+        "agents": {n: [agent_digest(run) for run in made] for n, made in runs.items()},
+        "tests": {name: asdict(test) for name, test in plan.tests.items()},
+        "levels": plan.levels,
+        "measures": list(plan.measures),
+        "sources": source_digest(COMPUTING),
+    }
     text, path = json.dumps(data, indent=1).encode(), folder / "plan.json"
     if not path.exists() or path.read_bytes() != text:
         shutil.rmtree(folder / "computed", ignore_errors=True)
         write_aside(path, text)
+
+
+def agent_digest(run: Path) -> str:
+    """Of the last agent of a run folder."""
+    data = (checkpoint.latest(run) / checkpoint.AGENT).read_bytes()
+    return hashlib.sha256(data).hexdigest()[:16]
 
 
 def play(plan: Plan, runs: Runs) -> pl.DataFrame:

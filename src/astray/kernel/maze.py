@@ -36,8 +36,9 @@ def carve(s, size, is_open, free_x, free_y):
         passage = int(passages[pick])
         x, y = passage // size, passage % size
         count -= 1
-        for k in range(pick, count):
-            passages[k] = passages[k + 1]  # the order of the rest matters to later draws
+        rest = passages[pick : count + 1]  # whose order matters to later draws
+        for k in range(count - pick):
+            rest[k] = rest[k + 1]
         dx = x % 2
         dy = 1 - dx
         one = root(parent, (x - dx) * size + y - dy)
