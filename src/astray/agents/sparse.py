@@ -59,15 +59,15 @@ class Forward(torch.autograd.Function):
     @once_differentiable
     def backward(ctx: Any, slope: Tensor) -> tuple[Tensor | None, ...]:  # pyright: ignore
         w1, h1, w2, h2, w3 = ctx.saved_tensors
-        slope2, bias2 = torch.empty_like(h1), w1.new_zeros(len(w2))
-        pass_relu((slope @ w3).numpy(), h2.numpy(), _array(slope2), bias2.numpy())
+        exact, slope2 = slope @ w3, torch.empty_like(h1)
+        pass_relu(exact.numpy(), h2.numpy(), _array(slope2))
         slope1, grad2 = slope2 @ w2, (slope2.T @ h1).float()
         grad1, bias1 = w1.new_zeros(w1.shape[::-1]), w1.new_zeros(len(w1))
         ends, rows, values = ctx.found
         add_to_rows(ends, rows, values, _array(h1), _array(slope1), grad1.numpy(), bias1.numpy())
         grad3, bias3 = slope.T @ h2, slope.sum(0)
         return (
-            None, None, None, grad1.T, bias1, grad2, bias2,
+            None, None, None, grad1.T, bias1, grad2, exact.sum(0),
             grad3[:-1], bias3[:-1], grad3[-1:], bias3[-1:],
         )  # fmt: skip
 
@@ -97,7 +97,7 @@ def compiled() -> None:
         find(np.empty((0, 1, 1), np.uint8), 0, np.empty((2, 256), np.float32), ends, rows, values)
         for hidden in (table, np.empty((0, 1), np.int16)):
             add_rows(ends, rows, values, table, values, hidden)
-            pass_relu(table, table, hidden, values)
+            pass_relu(table, table, hidden)
             add_to_rows(ends, rows, values, hidden, hidden, table, values)
 
 
@@ -152,15 +152,12 @@ def add_rows(ends, rows, values, weight, bias, hidden):
 
 
 @entry
-def pass_relu(slope, output, below, bias):
-    """Fill `below` [B, width] with the gradient below a ReLU, and add it to that of `bias`.
-
-    slope, output  [B, width], the gradient of the ReLU's output, and this
-    """
+def pass_relu(slope, output, below):
+    """Make the gradient of a ReLU's `output` that below it, in `slope` and `below` [B, width]."""
     for i in range(len(slope)):
-        for x in range(len(bias)):
+        for x in range(slope.shape[1]):
             through = slope[i, x] if output[i, x] > 0 else np.float32(0)
-            bias[x] += through
+            slope[i, x] = through
             put(below, i, x, through)
 
 
