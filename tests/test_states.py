@@ -1,5 +1,7 @@
 """States of every game: kept, restored, cloned; what is none never reaches compiled code."""
 
+import copy
+import pickle
 import zipfile
 from dataclasses import replace
 
@@ -56,6 +58,21 @@ def test_a_restored_state_plays_on_byte_for_byte(game, variant, mode, observatio
             for env in (one, two):
                 env.reset(options={"reset_mask": env.states.ended.copy()})
     assert one.states.tobytes() == two.states.tobytes()
+
+
+@pytest.mark.parametrize("threads", [1, 3])
+@pytest.mark.parametrize("mode", ["NextStep", "SameStep"])
+@pytest.mark.parametrize("copied", [copy.deepcopy, lambda env: pickle.loads(pickle.dumps(env))])
+def test_a_copied_environment_goes_on_alone(copied, mode, threads):
+    one = played("maze", "anywhere", mode, threads=threads)
+    states, two = one.get_state(), copied(one)
+    plays = np.random.default_rng(1).integers(15, size=(40, 4))  # in which episodes end
+    ours = [one.step(actions) for actions in plays]
+    assert two.get_state().tobytes() == states.tobytes()
+    one.close()
+    theirs = [two.step(actions) for actions in plays]
+    assert all(data_equivalence(a, b) for a, b in zip(ours, theirs, strict=True))
+    two.close()
 
 
 @pytest.mark.parametrize("game, variant", ALL)

@@ -88,14 +88,11 @@ class GameVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         self._shape = (num_envs, *self.single_observation_space.shape)
 
         self._loop = compiled(game)
-        self._pool = Pool(threads)
+        self._threads = threads
         self._states = np.zeros(num_envs, self.game.state)
         kept = num_envs if self._mode == SAME_STEP else 0  # ends that a new beginning overwrites
         self._final_states = np.empty(kept, self.game.state)
         self._final = np.empty((kept, *self._shape[1:]), np.uint8)
-        over = self._final_states if kept else self._states
-        self._begun = _Columns(self._states, ("level", "shifted"))
-        self._events = _Columns(over, ("level", "shifted", "time", *self.game.events))
         self._steps = np.full(num_envs, STEP)
         self._seeded = False
         self._first, self._count, self._list = _checked(levels)
@@ -104,6 +101,22 @@ class GameVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
             self.variant.records(), self._art, self.symbolic, self._scenes,
             self._list, self._first, self._count,
         )  # fmt: skip
+        self._bind()
+
+    def _bind(self) -> None:
+        """Make what is no data: threads, and views into the arrays."""
+        over = self._final_states if self._mode == SAME_STEP else self._states
+        self._begun = _Columns(self._states, ("level", "shifted"))
+        self._events = _Columns(over, ("level", "shifted", "time", *self.game.events))
+        self._pool = Pool(self._threads)
+
+    def __getstate__(self) -> dict[str, Any]:
+        made = ("_begun", "_events", "_pool")
+        return {name: x for name, x in vars(self).items() if name not in made}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        vars(self).update(state)
+        self._bind()
 
     @property
     def states(self) -> np.recarray:
