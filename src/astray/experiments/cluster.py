@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import contextlib
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from concurrent.futures import Future
 from pathlib import Path
 
-from astray.experiments.workers import Submit
 from astray.training import checkpoint
 from astray.training.config import Config
 from astray.training.loop import train
@@ -16,6 +15,8 @@ from astray.training.loop import train
 RETRIES = 20  # of a training whose node or process died; each goes on from its last checkpoint
 PATIENCE = 300.0  # seconds: a file server may hold a dead node's lock for minutes
 PAUSE = 5.0  # seconds between two looks at the lock
+
+Submit = Callable[[Config, Path], Future[None]]  # begins a training in a run folder
 
 
 @contextlib.contextmanager

@@ -10,7 +10,7 @@ import os
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,6 +21,7 @@ from rich.live import Live
 from rich.table import Table
 
 from astray.envs.pool import usable_processors
+from astray.experiments.cluster import Submit, on_ray
 from astray.training import checkpoint
 from astray.training.config import Config
 from astray.training.loop import train
@@ -30,7 +31,6 @@ TAIL = 4096  # bytes of metrics.jsonl in which its last line is
 
 
 Place = Literal["here", "ray"]
-Submit = Callable[[Config, Path], Future[None]]  # begins a training in a run folder
 
 
 def train_all(todo: Mapping[Path, Config], workers: int | None = None, on: Place = "here") -> None:
@@ -43,13 +43,8 @@ def train_all(todo: Mapping[Path, Config], workers: int | None = None, on: Place
     missing = {run: config for run, config in todo.items() if not checkpoint.finished(run, config)}
     if not missing:
         return
-    if on == "ray":
-        from astray.experiments.cluster import on_ray
-
-        place = on_ray()
-    else:
-        place = in_processes(min(workers or usable_processors(), len(missing)))
-    with place as submit:
+    count = min(workers or usable_processors(), len(missing))
+    with on_ray() if on == "ray" else in_processes(count) as submit:
         watch({run: submit(config, run) for run, config in missing.items()}, missing)
 
 
