@@ -1,6 +1,8 @@
 """Training: it learns, repeats itself, and goes on after a stop as if there had been none."""
 
+import contextlib
 import json
+import sys
 from dataclasses import replace
 
 import numpy as np
@@ -36,6 +38,14 @@ def test_a_run_holds_what_it_should(tmp_path):
     assert {"training/return", "validation/return", "update/entropy"} <= lines[-1].keys()
     assert list((tmp_path / "tensorboard").iterdir())
     assert not list(tmp_path.rglob(".*safetensors"))
+
+
+def test_small_numbers_are_flushed_in_training_alone(tmp_path, monkeypatch):
+    seen = []
+    monkeypatch.setattr(checkpoint, "save", lambda *_: seen.append(sys.float_info.min / 2))
+    with contextlib.suppress(FileNotFoundError):  # nothing was saved
+        train(TINY, tmp_path, progress=False)
+    assert set(seen) == {0.0} and sys.float_info.min / 2 > 0
 
 
 def test_agents_of_milestones_are_kept_and_the_rest_of_the_last_two(tmp_path):

@@ -24,6 +24,7 @@ from astray.bench.plain import Loop
 from astray.bench.tables import decimal, thousands
 from astray.envs.vector import GameVectorEnv
 from astray.training.config import PRESETS, Config
+from astray.training.device import flushed_denormals
 from astray.training.loop import update
 from astray.training.rollout import collect
 from astray.training.trainer import Trainer
@@ -84,11 +85,12 @@ def measure(
     configs = CONFIGS[device] if configs is None else configs
     before = torch.get_num_threads()
     torch.set_num_threads(1)
-    torch.set_flush_denormal(True)  # as `train` does
     torch.backends.cudnn.benchmark = True
     try:
-        rows = [row for config in configs for row in _measure(config, seconds / rounds, rounds)]
-        return [*rows, *(part for config in configs for part in profile.measure(config, rounds))]
+        with flushed_denormals():  # as `train` does
+            rows = [row for config in configs for row in _measure(config, seconds / rounds, rounds)]
+            parts = [part for config in configs for part in profile.measure(config, rounds)]
+        return [*rows, *parts]
     finally:
         torch.set_num_threads(before)
 

@@ -5,11 +5,13 @@ Each can be switched off; with all off the plain formulas of `agents.ppo` are wh
 
 from __future__ import annotations
 
+import contextlib
 import os
 import shutil
+import sys
 import sysconfig
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
@@ -41,6 +43,17 @@ class Means:
     graphs: bool
     groups: int
     together: bool  # cut-off episodes are valued at once, which rounds otherwise than one by one
+
+
+@contextlib.contextmanager
+def flushed_denormals() -> Iterator[None]:
+    """Numbers too near 0 for all their digits count as 0, since they are slow; then as before."""
+    kept = sys.float_info.min / 2 > 0
+    torch.set_flush_denormal(True)
+    try:
+        yield
+    finally:
+        torch.set_flush_denormal(not kept)
 
 
 def means(config: Config) -> Means:

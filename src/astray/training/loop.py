@@ -13,7 +13,7 @@ from torch import Tensor, nn
 from astray.agents import policy
 from astray.training import checkpoint, parallel
 from astray.training.config import Config
-from astray.training.device import MEASURED
+from astray.training.device import MEASURED, flushed_denormals
 from astray.training.log import Log
 from astray.training.rollout import Rollout, collect, validate
 from astray.training.trainer import Trainer
@@ -27,9 +27,9 @@ def train(config: Config, folder: Path, *, progress: bool = True) -> Path:
     if not policy.usable(config.device):
         raise ValueError(f"there is no device {config.device!r} that torch can use")
     torch.set_num_threads(config.threads)
-    torch.set_flush_denormal(True)
     torch.backends.cudnn.benchmark = True  # shapes stay the same, so that searching once pays
     with (
+        flushed_denormals(),
         parallel.processes(config.device),
         checkpoint.claim(folder, config),
         contextlib.closing(Trainer(config)) as trainer,
