@@ -171,6 +171,23 @@ def test_the_runner_moves_as_the_originals(name):
         np.testing.assert_allclose([s.x, s.y, s.vx, s.vy], expected, atol=1e-6)
 
 
+def test_walkers_turn_and_slow_down_as_the_originals(reference: Path):
+    lines = (reference / "coinrun.walkers.jsonl").read_text().splitlines()
+    for episode in map(json.loads, lines):
+        env, _ = begin("coinrun", [episode["level"]])
+        recorded = iter(zip(episode["runner"], episode["walkers"], strict=True))
+        for t, action in enumerate(episode["actions"]):
+            _, _, terminated, _, _ = env.step(np.array([action]))
+            s, last = env.states[0], t == len(episode["actions"]) - 1
+            assert bool(terminated[0]) == (last and episode["done"])
+            if t % 10 == 0 and not terminated[0]:
+                runner, walkers = next(recorded)
+                np.testing.assert_allclose([s.x, s.y], runner, atol=6e-5)  # of 4 digits
+                ours = np.stack([s.walker_x, s.walker_vx], 1)[: s.walkers]
+                np.testing.assert_allclose(ours, walkers, atol=6e-5)
+        assert next(recorded, None) is None
+
+
 def test_the_thief_speeds_up_turns_and_stops_as_the_originals(reference: Path):
     for trace in json.loads((reference / "keys.traces.json").read_text()):
         env, _ = begin("keys_many_chests", [trace["seed"]])

@@ -78,13 +78,14 @@ STAND, WALK = 0, 1
 def step(s, action):
     """Move walkers and runner; return the reward and whether the episode is over."""
     horizontal_first = below(s, TIES) % 2 == 0
-    stroll(s)
-    return act(s, action, horizontal_first)
+    reward, ended = act(s, action, horizontal_first)
+    leave_trails(s)
+    return reward, ended
 
 
 @shared
 def act(s, action, horizontal_first):
-    """The runner's part of a step: it moves, then meets what it overlaps."""
+    """A step but for its draw and trails: all move, then the runner meets what it overlaps."""
     ax, ay = 0, 0
     if action < MOVES:
         ax, ay = action // 3 - 1, action % 3 - 1
@@ -92,6 +93,7 @@ def act(s, action, horizontal_first):
     if ay == 1 and not supported:
         ay = 0
     accelerate(s, ax, ay, supported)
+    stroll(s, s.vy < ZERO and ay >= 0)
     move(s, ax, ay, horizontal_first)
     stay_inside(s)
     pose(s, ax, supported)
@@ -125,34 +127,72 @@ def is_solid(s, x, y):
 
 
 @kernel
-def turns(s, x, y):
-    """Whether the point (x, y) turns a walker."""
+def turned_by(s, x, y):
+    """What is at (x, y) that turns a walker: WALL, as outside the world, TOP, BARRIER; or EMPTY."""
     i, j = int(np.floor(x)), int(np.floor(y))
-    return is_solid(s, x, y) or s.cell[j, i] == BARRIER
+    if not (0 <= i < WORLD and 0 <= j < WORLD):
+        return WALL
+    cell = s.cell[j, i]
+    return cell if stops(cell) or cell == BARRIER else EMPTY
 
 
 @shared
-def stroll(s):
-    """Every walker goes on to a wall or a barrier, and turns there; it leaves a trail."""
+def stroll(s, crates_stop):
+    """Every walker goes on to a wall or a barrier, and turns there.
+
+    WALL turns a walker and also stops it for that part of the step, which costs a quarter of its
+    speed; a wall's top and a barrier cost nothing.
+
+    crates_stop  the runner falls and would land on crates: one that it is above also stops a
+                 walker inside of it that WALL stops, and the rest of its step is lost
+    """
     reach = HALF * CORNER
     quarter = F(0.25)
     for k in range(s.walkers):
-        y = s.walker_y[k]
-        for age in range(PUFFS - 1, 0, -1):
-            s.trail_x[k, age] = s.trail_x[k, age - 1]
+        y, free = s.walker_y[k], 0
         for _ in range(4):  # parts of a step
             vx = s.walker_vx[k]
             x = s.walker_x[k] + vx * quarter
-            if (
-                turns(s, x - reach, y - reach) or turns(s, x - reach, y + reach)
-                or turns(s, x + reach, y - reach) or turns(s, x + reach, y + reach)
-            ):  # fmt: skip
+            one, two = turned_by(s, x - reach, y - reach), turned_by(s, x - reach, y + reach)
+            three, four = turned_by(s, x + reach, y - reach), turned_by(s, x + reach, y + reach)
+            if one or two or three or four:
                 edge = np.floor(x + HALF) - HALF if vx > ZERO else np.ceil(x - HALF) + HALF
                 x = TWO * edge - x
                 s.walker_vx[k] = -vx
             # No walker of the original gets to the world's ends; one that was set into a wall may.
             s.walker_x[k] = min(max(x, HALF), WORLD - HALF)
+            if one == WALL or two == WALL or three == WALL or four == WALL:
+                if crates_stop and is_in_crate(s, s.walker_x[k], y):
+                    break
+            else:
+                free += 1
+        s.walker_vx[k] = s.walker_vx[k] * (F(free) * quarter)
+
+
+@shared
+def leave_trails(s):
+    """Keep where every walker is, and was at the ends of the steps before."""
+    for k in range(s.walkers):
+        for age in range(PUFFS - 1, 0, -1):
+            s.trail_x[k, age] = s.trail_x[k, age - 1]
         s.trail_x[k, 0] = s.walker_x[k]
+
+
+@kernel
+def is_in_crate(s, x, y):
+    """Whether a walker at (x, y) overlaps a crate that the runner was above before this step."""
+    i, j = int(np.floor(x - HALF)), int(np.floor(y - HALF))
+    for row in range(max(j, 0), min(j + 2, WORLD)):
+        for column in range(max(i, 0), min(i + 2, WORLD)):
+            away_x, away_y = abs(x - (F(column) + HALF)), abs(y - (F(row) + HALF))
+            if (
+                s.thing[row, column] == CRATE
+                and away_x < HALF + HALF - NEAR
+                and away_y < HALF + HALF - NEAR
+                and s.y >= F(row) + HALF + HALF + TALL
+            ):
+                return True
+    return False
 
 
 @kernel

@@ -18,11 +18,9 @@ from astray.games.coinrun.rules import (
     NOTHING,
     REWARD,
     TIES,
-    WALKERS,
     WORLD,
     F,
     act,
-    stroll,
 )
 from astray.games.coinrun.variants import GOALS
 from astray.kernel.jit import entry, kernel
@@ -107,14 +105,14 @@ def all_touched(states):
 def search(states, goal, left):
     """The actions of a way from `states[0]`, which is written over, to `goal` in `left` steps."""
     s = states[0]
-    paths, ties = np.empty((left, WALKERS), np.float32), np.empty(left, np.bool_)
+    ties = np.empty(left, np.bool_)
     for t in range(left):
         ties[t] = below(s, TIES) % 2 == 0
-        stroll(s)
-        paths[t] = s.walker_x
     targets = columns(s, goal)
     begin, seen = s.time, np.zeros(SLOTS, np.int64)
     body = np.empty((NODES, 5), np.float32)  # x, y, vx, vy, on a crate
+    # Of all walkers x and vx: how they go on depends, if rarely, on what the runner does.
+    walkers = np.empty((NODES, 2, s.walkers), np.float32)
     when, parent, how = (
         np.zeros(NODES, np.int64),
         np.zeros(NODES, np.int64),
@@ -122,7 +120,7 @@ def search(states, goal, left):
     )
     # Nodes wait in lists, one for each cost in steps: the first of a list, and the one after.
     first, after = np.full(left + 8 * WORLD, -1), np.full(NODES, -1)
-    keep(s, body, 0)
+    keep(s, body, walkers, 0)
     first[0], count, cost = 0, 1, 0
     while cost < len(first) and count + len(TRIED) <= NODES:
         node = first[cost]
@@ -131,12 +129,10 @@ def search(states, goal, left):
             continue
         first[cost] = after[node]
         for action in TRIED:
-            s.x, s.y, s.vx, s.vy = body[node, 0], body[node, 1], body[node, 2], body[node, 3]
-            s.on_crate = body[node, 4] > 0
+            go_back(s, body, walkers, node)
             s.took_coin, s.reached_end, s.touched_wall, s.passed_wall = NEVER, NEVER, NEVER, NEVER
             time, ended = when[node], False
             for _ in range(min(HELD, left - time)):
-                s.walker_x[:] = paths[time]
                 time += 1
                 s.time = begin + time
                 _, ended = act(s, action, ties[time - 1])
@@ -146,7 +142,7 @@ def search(states, goal, left):
                     break
             if not ended and time < left and is_new(s, time, seen):
                 price = min(time + int(GREED * steps_left(s, goal, targets)), len(first) - 1)
-                keep(s, body, count)
+                keep(s, body, walkers, count)
                 when[count], parent[count], how[count] = time, node, action
                 after[count], first[price] = first[price], count
                 cost = min(cost, price)
@@ -155,10 +151,21 @@ def search(states, goal, left):
 
 
 @kernel
-def keep(s, body, k):
-    """Write down the runner's motion as node `k`."""
+def keep(s, body, walkers, k):
+    """Write down the motion of the runner and of walkers as node `k`."""
     body[k, 0], body[k, 1], body[k, 2], body[k, 3] = s.x, s.y, s.vx, s.vy
     body[k, 4] = 1 if s.on_crate else 0
+    for i in range(s.walkers):
+        walkers[k, 0, i], walkers[k, 1, i] = s.walker_x[i], s.walker_vx[i]
+
+
+@kernel
+def go_back(s, body, walkers, k):
+    """Give the runner and the walkers the motion of node `k`."""
+    s.x, s.y, s.vx, s.vy = body[k, 0], body[k, 1], body[k, 2], body[k, 3]
+    s.on_crate = body[k, 4] > 0
+    for i in range(s.walkers):
+        s.walker_x[i], s.walker_vx[i] = walkers[k, 0, i], walkers[k, 1, i]
 
 
 @kernel

@@ -102,6 +102,49 @@ def test_walkers_turn_at_walls_and_barriers():
     assert np.allclose(env.states["trail_x"][0, 0], seen[:-10:-1])
 
 
+@pytest.mark.parametrize(
+    "walls, speeds",
+    [
+        (("...:>..#.", "...:...#."), {0.15, 0.1125, 0.1125 * 0.75}),  # WALL
+        (("...:>..=.", "...:...=."), {0.15}),  # a wall's top
+        (("...:>..:.", "...:...:."), {0.15}),  # a barrier
+    ],
+)
+def test_walls_alone_slow_walkers_down(walls, speeds):
+    env = GameVectorEnv("coinrun", END, observation="symbolic", autoreset_mode="Disabled")
+    drawing = room(f"#@{walls[0]}#", f"#.{walls[1]}#")
+    env.set_state(Level.from_text(GAME, END, drawing).state(solvable=False))
+    seen = set()
+    for _ in range(65):
+        env.step(np.array([4]))
+        seen.add(float(abs(env.states["walker_vx"][0, 0])))
+    assert np.allclose(sorted(seen), sorted(speeds), rtol=1e-6)
+
+
+@pytest.mark.parametrize(
+    "crate, height, vy, action, speed",
+    [
+        ("c", 4, -1, "stay", 0.15 / 4),  # one of four parts is gone when the crate stops the rest
+        ("c", 4, -1, "left", 0.15 / 4),
+        ("c", 4, -1, "down", 0.1125),  # the runner falls through crates
+        ("c", 4, -1, "left-down", 0.1125),
+        ("c", 4, 1, "stay", 0.1125),  # it rises
+        ("c", 2.5, -1, "stay", 0.1125),  # it was not above the crate
+        (".", 4, -1, "stay", 0.1125),
+    ],
+)
+def test_a_runner_coming_down_stops_walkers_in_crates(crate, height, vy, action, speed):
+    env = GameVectorEnv("coinrun", END, observation="symbolic", autoreset_mode="Disabled")
+    drawing = room(f"#@...>.{crate}#..#", "#.......#..#")
+    states = Level.from_text(GAME, END, drawing).state(solvable=False)
+    s = np.array([states], env.game.state)
+    s["walker_x"][0, 0] = 7.46  # its corner comes to the wall at 8 in the second of four parts
+    s["y"], s["vy"] = height, vy
+    env.set_state(s)
+    env.step(np.array([GAME.actions.index(action)]))
+    assert env.states["walker_vx"][0, 0] == pytest.approx(-speed, rel=1e-6)
+
+
 def test_the_coin_is_worth_ten_and_ends_the_level():
     reward, over, s = play(room("#@..o......#"), "right*40")
     assert (reward, over, s.took_coin) == (10, True, s.time)
