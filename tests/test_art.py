@@ -11,14 +11,14 @@ import pytest
 from PIL import Image
 
 import astray
-from astray import art
+from astray.art import own
 
 GAMES = Path(astray.__file__).parent / "games"
 MAZE = GAMES / "maze" / "art"
 DRAWINGS = sorted(GAMES.glob("*/art/*.svg"))
 FLOORS = range(9)
 WALLS = ["wall-sand", "wall-stone", "wall-hedge"]
-OBJECTS = list(product(art.COLOURS, ["cheese", "line", "gem", "star", "ring", "cross"]))
+OBJECTS = list(product(own.COLOURS, ["cheese", "line", "gem", "star", "ring", "cross"]))
 PLACES = [(0, 0), (5, 90), (13, 37), (22, 64), (31, 8), (40, 111), (47, 52), (56, 23)]  # y, x
 
 PICTURE = 64  # pixels a side of what the agent sees
@@ -31,7 +31,7 @@ MEAN = 25  # between two stamps, over all their pixels
 @pytest.mark.parametrize("svg", DRAWINGS, ids=lambda svg: svg.stem)
 def test_a_png_is_as_fresh_as_its_drawing(svg):
     with Image.open(svg.with_suffix(".png")) as png:
-        assert png.text["svg"] == art.digest(svg), "stale: run python -m astray.art"
+        assert png.text["svg"] == own.digest(svg), "stale: run python -m astray.art.own"
 
 
 def test_every_png_has_a_drawing_and_together_they_are_small():
@@ -43,21 +43,21 @@ def test_every_png_has_a_drawing_and_together_they_are_small():
 @pytest.mark.parametrize("svg", DRAWINGS, ids=lambda svg: svg.stem)
 def test_a_png_shows_what_its_drawing_renders_to(svg):
     pytest.importorskip("resvg_py")
-    with Image.open(BytesIO(art.render(svg))) as png:
+    with Image.open(BytesIO(own.render(svg))) as png:
         fresh = np.array(png.convert("RGBA"), int)
     # Another release of the renderer may round an edge otherwise.
-    assert np.abs(fresh - art.load(svg.parent, svg.stem)).max() <= 2
+    assert np.abs(fresh - own.load(svg.parent, svg.stem)).max() <= 2
 
 
 def test_walls_floors_and_grounds_are_opaque_and_sprites_are_not():
-    opaque = {svg.stem for svg in DRAWINGS if (art.load(svg.parent, svg.stem)[..., 3] == 255).all()}
+    opaque = {svg.stem for svg in DRAWINGS if (own.load(svg.parent, svg.stem)[..., 3] == 255).all()}
     whole = ("wall-", "floor-", "ground-")
     assert opaque == {"lava", *(s.stem for s in DRAWINGS if s.stem.startswith(whole))}
 
 
 def test_a_missing_picture_is_named_with_what_there_is():
     with pytest.raises(FileNotFoundError, match=r"no picture 'mause' .* cheese, cross"):
-        art.load(MAZE, "mause")
+        own.load(MAZE, "mause")
 
 
 def nearest(numerator, denominator):
@@ -97,24 +97,24 @@ def test_resize_is_an_exact_area_average(before, after):
     rng = np.random.default_rng([*before, *after])
     image = rng.integers(0, 256, (*before, 4), np.uint8)
     image[rng.random(before) < 0.4, 3] = 0
-    assert np.array_equal(art.resize(image, *after), naive(image, *after))
+    assert np.array_equal(own.resize(image, *after), naive(image, *after))
 
 
 @pytest.mark.parametrize("height, width", [(3, 3), (64, 128), (77, 1), (512, 1024)])
 def test_resize_keeps_a_constant_picture_constant(height, width):
     image = np.full((37, 50, 4), [3, 250, 129, 7], np.uint8)
-    assert (art.resize(image, height, width) == [3, 250, 129, 7]).all()
+    assert (own.resize(image, height, width) == [3, 250, 129, 7]).all()
 
 
 def test_resize_refuses_a_picture_without_alpha():
     with pytest.raises(ValueError, match=r"not \(4, 4, 3\) uint8"):
-        art.resize(np.zeros((4, 4, 3), np.uint8), 2, 2)
+        own.resize(np.zeros((4, 4, 3), np.uint8), 2, 2)
 
 
 def test_tint_gives_white_the_colour_and_keeps_alpha():
     shades = np.array([[[255, 255, 255, 9], [128, 128, 128, 255], [0, 0, 0, 0]]], np.uint8)
     tinted = [[[200, 100, 0, 9], [100, 50, 0, 255], [0, 0, 0, 0]]]
-    assert art.tint(shades, (200, 100, 0)).tolist() == tinted
+    assert own.tint(shades, (200, 100, 0)).tolist() == tinted
 
 
 def over(background, stamp):
@@ -129,11 +129,11 @@ def seen(side):
     Returns the names, and [floor x place, name, side, side, 3] float.
     """
     names = [*OBJECTS, "mouse", *WALLS, "floor"]
-    shapes = [art.resize(art.load(MAZE, shape), side, side) for _, shape in OBJECTS]
-    stamps = [art.tint(s, art.COLOURS[c]) for s, (c, _) in zip(shapes, OBJECTS, strict=True)]
-    stamps += [art.resize(art.load(MAZE, name), side, side) for name in ["mouse", *WALLS]]
+    shapes = [own.resize(own.load(MAZE, shape), side, side) for _, shape in OBJECTS]
+    stamps = [own.tint(s, own.COLOURS[c]) for s, (c, _) in zip(shapes, OBJECTS, strict=True)]
+    stamps += [own.resize(own.load(MAZE, name), side, side) for name in ["mouse", *WALLS]]
     stamps.append(np.zeros((side, side, 4), np.uint8))
-    floors = [art.resize(art.load(MAZE, f"floor-{k}"), PICTURE, 2 * PICTURE) for k in FLOORS]
+    floors = [own.resize(own.load(MAZE, f"floor-{k}"), PICTURE, 2 * PICTURE) for k in FLOORS]
     patches = [f[y : y + side, x : x + side, :3] for f in floors for y, x in PLACES]
     return names, over(np.stack(patches)[:, None], np.stack(stamps))
 
@@ -159,7 +159,7 @@ def test_only_the_mouse_is_white(side):
 
 def luminance(name):
     """The mean luminance of a picture, 0 to 255 (Rec. 709 weights)."""
-    return float((art.load(MAZE, name)[..., :3] @ [0.2126, 0.7152, 0.0722]).mean())
+    return float((own.load(MAZE, name)[..., :3] @ [0.2126, 0.7152, 0.0722]).mean())
 
 
 def test_every_floor_is_much_darker_than_every_wall():

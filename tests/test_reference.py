@@ -23,31 +23,29 @@ class Translation:
 
     cells: Mapping[int, int]  # the original's value -> the game's
     fields: Mapping[str, str]  # recorded for a level -> in the state
-    things: Callable[[Any], set] | None = None  # (type, look, x, y, vx) in a state
+    things: Callable[[Any], list] | None = None  # (type, look, x, y, vx) in a state
 
 
-def coinrun_things(s: Any) -> set:
+def coinrun_things(s: Any) -> list:
     saws, crates = np.argwhere(s.thing == coinrun.SAW), np.argwhere(s.thing == coinrun.CRATE)
     w = slice(s.walkers)
-    return (
-        {(2, 0, x + 0.5, y + 0.5, 0) for y, x in saws}
-        | {(20, s.detail[y, x], x + 0.5, y + 0.5, 0) for y, x in crates}
-        | {
+    looks = [(x, y, *divmod(s.detail[y, x], 4)) for y, x in crates]
+    return sorted(
+        [(2, 0, x + 0.5, y + 0.5, 0) for y, x in saws]
+        + [(20, look, x + 0.5, y + 0.5, 0) for x, y, _, look in looks]
+        + [(20, before - 1, x + 0.5, y + 0.5, 0) for x, y, before, _ in looks if before]
+        + [
             (5, *walker)
             for walker in zip(
                 s.walker_look[w], s.walker_x[w], s.walker_y[w], s.walker_vx[w], strict=True
             )
-        }
+        ]
     )
 
 
-def recorded_things(entities: np.ndarray) -> set:
-    """What stands and walks about; of two crates in a cell the one that is seen."""
-    seen = {}
-    for kind, look, x, y, vx in entities[1:, :5]:
-        if not np.isnan(kind):
-            seen[kind, x, y, vx] = (kind, look, x, y, vx)
-    return set(seen.values())
+def recorded_things(entities: np.ndarray) -> list:
+    """What stands and walks about."""
+    return sorted((k, look, x, y, vx) for k, look, x, y, vx in entities[1:, :5] if not np.isnan(k))
 
 
 TRANSLATIONS = {

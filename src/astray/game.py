@@ -14,6 +14,7 @@ from astray.kernel.rng import RNG_FIELDS, WORDS
 
 NEVER = -1  # the step of an event that has not happened; the number of a level that has none
 LEVELS = range(2**31 - 1)  # all numbers that there are; the original has no others
+OWN = "own"  # the art that is drawn here
 KINDS = {int: np.int64, float: np.float64, bool: np.bool_}
 
 
@@ -107,13 +108,27 @@ class Shift:
 
 
 @dataclass(frozen=True)
+class Looks:
+    """How a game is drawn: two compiled functions, and the pictures that they draw with.
+
+    `scene` is the part of an image that does not move, `art` what `art` gives, `image`
+    [side, side, 3]; scenes and images are uint8.
+    """
+
+    name: str  # that compiled code is kept under; looks of one name have the same functions
+    paint: Callable  # (s, art, scene)
+    draw: Callable  # (s, art, scene, image)
+    art: Callable[[Variant, int], tuple[np.ndarray, ...]]  # (variant, pixels a side of an image)
+    scene_shape: Callable[[Variant, int], tuple[int, ...]]  # likewise
+
+
+@dataclass(frozen=True)
 class Game:
     """The rules, levels and looks of one game.
 
     World coordinates are cells, x to the right, y upward; arrays are indexed [y, x]; only
-    drawing flips. `s` is a state, `p` a variant's record, `scene` the part of a picture (or of
-    the symbolic observation) that does not move, `art` the sprites at the picture's scale.
-    All pictures are uint8.
+    drawing flips. `s` is a state, `p` a variant's record, `scene` the part of the symbolic
+    observation that does not move. All pictures are uint8.
     """
 
     name: str
@@ -132,13 +147,10 @@ class Game:
     # fields are set.
     generate: Callable  # (s, p): fill `s` with a new level
     step: Callable  # (s, action) -> (reward, terminated)
-    paint: Callable  # (s, art, scene)
-    draw: Callable  # (s, art, scene, image)
     paint_planes: Callable  # (s, scene)
     draw_planes: Callable  # (s, scene, planes)
 
-    art: Callable[[Variant, int], tuple[np.ndarray, ...]]  # (variant, pixels a side of a picture)
-    scene_shape: Callable[[Variant, int], tuple[int, ...]]  # likewise; of `paint`'s scene
+    looks: Mapping[str, Looks]  # by the name of the art; OWN is there always
     planes_scene_shape: Callable[[Variant], tuple[int, ...]]  # of `paint_planes`' scene
     planes: Callable[[Variant], np.ndarray]  # [C, H, W] the largest value of each plane
     facts: Callable[[np.ndarray, Variant], dict[str, np.ndarray]]  # what is true of states [N] of
@@ -165,6 +177,13 @@ class Game:
             there = ", ".join(self.variants)
             raise ValueError(f"unknown variant {name!r} of {self.name}; there are: {there}")
         return self.variants[name]
+
+    def drawn(self, art: str) -> Looks:
+        """How the game looks with the art of that name."""
+        if art not in self.looks:
+            there = ", ".join(self.looks)
+            raise ValueError(f"unknown art {art!r} of {self.name}; there are: {there}")
+        return self.looks[art]
 
     def check(self, states: np.ndarray, variant: Variant) -> None:
         """Raise ValueError if one of states [N] is none of `variant`: compiled code trusts them."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from astray.envs.vector import IMAGE, PICTURE, GameVectorEnv
-from astray.game import LEVELS, Variant
+from astray.game import LEVELS, OWN, Variant
 from astray.level import Level
 
 VIEW = 256  # pixels a side of the agent's view, enlarged
@@ -15,7 +15,7 @@ HELP = ("arrows or WASD: move", "space: wait", "R: this level again", "N: the ne
         "Esc: leave")  # fmt: skip
 
 
-def play(game: str, variant: Variant, level: int | Level | None = None) -> None:
+def play(game: str, variant: Variant, level: int | Level | None = None, art: str = OWN) -> None:
     """Open a window and play level after level, from `level` on or from one at random.
 
     After a `Level` that was drawn come the numbered ones from 0 on. Time stands still before
@@ -26,7 +26,7 @@ def play(game: str, variant: Variant, level: int | Level | None = None) -> None:
     except ImportError:
         raise ImportError("playing needs pygame-ce: pip install 'astray[play]'") from None
 
-    env = GameVectorEnv(game, variant, autoreset_mode="Disabled")
+    env = GameVectorEnv(game, variant, art=art, autoreset_mode="Disabled")
     current = int(np.random.default_rng().integers(LEVELS.stop)) if level is None else level
     pygame.display.init()
     pygame.font.init()

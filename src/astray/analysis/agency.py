@@ -48,8 +48,9 @@ def play(
     for first in range(0, len(levels), batch):
         some = np.asarray(levels[first : first + batch], np.int64)
         env = GameVectorEnv(
-            game, variant, len(some), observation=policy.observation, autoreset_mode="Disabled"
-        )
+            game, variant, len(some), observation=policy.observation, art=policy.art,
+            autoreset_mode="Disabled",
+        )  # fmt: skip
         observations, _ = env.reset(seed=0, options={"level": some})
         told = [env.game.describe(s) for s in env.states]
         at, over = [_places(env)], np.zeros(len(some), bool)

@@ -33,14 +33,16 @@ def judge_run(
     shift: str | None = None,
     measure: str = "calibrated",
     mode: Mode = "sampled",
+    art: str | None = None,
     knobs: dict[str, Any] | None = None,
 ) -> tuple[Judgement, Callable[[], np.ndarray]]:
     """Judge a trained agent; also a function that films its most telling episode.
 
     levels   numbers; None: the first 300 that the training does not draw from
     measure  of `PRESETS`
+    art      that the agent is shown; None: what it was trained on
     """
-    agent, config = open_run(run, mode)
+    agent, config = open_run(run, mode, art)
     between = load_shift(config.game, shift or shift_of(config))
     made = playing(config, variant or between.test, knobs or {})
     chosen = config.unseen_levels[:300] if levels is None else levels

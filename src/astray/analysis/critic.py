@@ -167,8 +167,9 @@ def observe(
 
 def _environments(agent: Agent, variant: str | Variant, n: int) -> GameVectorEnv:
     return GameVectorEnv(
-        agent.game, variant, n, observation=agent.observation, autoreset_mode="Disabled"
-    )
+        agent.game, variant, n, observation=agent.observation, art=agent.art,
+        autoreset_mode="Disabled",
+    )  # fmt: skip
 
 
 def _edited(states: np.ndarray, edit: Edit) -> np.ndarray:

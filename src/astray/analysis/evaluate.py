@@ -39,7 +39,9 @@ def evaluate(
     if batch < 1:
         raise ValueError(f"batch is {batch}; it is at least 1")
     n = min(batch, len(levels))
-    env = GameVectorEnv(game, variant, n, observation=policy.observation, autoreset_mode="Disabled")
+    env = GameVectorEnv(
+        game, variant, n, observation=policy.observation, art=policy.art, autoreset_mode="Disabled"
+    )
     events = env.game.events
     kind, begin = beginnings(levels, env.game.state)
     names = list(levels) if isinstance(levels, Mapping) else [None] * len(levels)

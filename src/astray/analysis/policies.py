@@ -13,6 +13,7 @@ import torch
 from astray.agents import policy as trained
 from astray.agents import ppo
 from astray.envs.vector import GameVectorEnv
+from astray.game import OWN
 from astray.kernel.rng import fill_noise
 
 Observation = Literal["image", "symbolic"]
@@ -27,6 +28,9 @@ class Policy(Protocol):
 
     @property
     def observation(self) -> Observation: ...
+
+    @property
+    def art(self) -> str: ...  # that images are drawn with, for it and for films of it
 
     def actions(self, env: GameVectorEnv, observations: np.ndarray) -> np.ndarray: ...
 
@@ -47,6 +51,7 @@ class Agent:
     mode: Literal["sampled", "greedy"] = "sampled"
     seed: int = 0  # of the sampling
     device: str = "cpu"
+    art: str = OWN  # that it is shown
     network: torch.nn.Module = field(init=False, repr=False)
     architecture: trained.Architecture = field(init=False)
 
@@ -71,6 +76,10 @@ class Agent:
         return trained.outputs(self.network, torch.from_numpy(observations).to(self.device))
 
     def actions(self, env: GameVectorEnv, observations: np.ndarray) -> np.ndarray:
+        if self.observation == "image" and env.art != self.art:
+            raise ValueError(
+                f"the agent is to see art {self.art!r}; these images are drawn with {env.art!r}"
+            )
         logits, _ = self.outputs(observations)
         if self.mode == "greedy":
             return logits.argmax(-1).numpy(force=True)
@@ -85,6 +94,7 @@ class Random:
     seed: int = 0
     name: str = "random"
     observation: Observation = "symbolic"
+    art: str = OWN
 
     def actions(self, env: GameVectorEnv, observations: np.ndarray) -> np.ndarray:
         return episode_noise(RANDOM_SALT + self.seed, env.states, len(env.game.actions)).argmax(1)
@@ -96,6 +106,7 @@ class Walk:
 
     goal: str
     observation: Observation = "symbolic"
+    art: str = OWN
     _guides: dict[int, Callable] = field(default_factory=dict, repr=False)  # by level
 
     @property

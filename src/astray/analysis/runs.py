@@ -22,15 +22,20 @@ from astray.training.config import Config, vary_as
 Mode = Literal["sampled", "greedy"]
 
 
-def open_run(run: Path, mode: Mode = "sampled") -> tuple[Agent, Config]:
-    """The last agent of a run folder (or that of a checkpoint in it), and the run's settings."""
+def open_run(run: Path, mode: Mode = "sampled", art: str | None = None) -> tuple[Agent, Config]:
+    """The last agent of a run folder (or that of a checkpoint in it), and the run's settings.
+
+    art  that it is shown; None: what it was trained on
+    """
     folder = run if (run / "config.json").exists() else run.parent.parent
     if not (folder / "config.json").exists():
         raise FileNotFoundError(f"{run} is neither a run folder nor a checkpoint in one")
     path = checkpoint.latest(folder) if folder == run else run
     config = checkpoint.read_config(folder)
     device = config.device if usable(config.device) else "cpu"
-    return Agent(path / checkpoint.AGENT, config.game, mode, config.seed, device), config
+    shown = config.art if art is None else art
+    games.load(config.game).drawn(shown)
+    return Agent(path / checkpoint.AGENT, config.game, mode, config.seed, device, shown), config
 
 
 def shift_of(config: Config) -> str:
@@ -57,6 +62,7 @@ def evaluate_runs(
     variant: str | None = None,
     shift: str | None = None,
     mode: Mode = "sampled",
+    art: str | None = None,
     knobs: dict[str, Any] | None = None,
     batch: int = 256,
     solvable: bool = True,
@@ -65,6 +71,7 @@ def evaluate_runs(
 
     levels    numbers, or a file or folder of levels for `read_levels`; None: the first 1,000
               that the first run's training does not draw from
+    art       that the agents are shown; None: what they were trained on, which is then alike
     solvable  see that in levels from files every object can be reached
 
     Returns `outcomes.shares` of all levels and of those that tell the goals apart (column
@@ -72,10 +79,10 @@ def evaluate_runs(
     """
     if not runs:
         raise ValueError("no run is given to evaluate")
-    opened = [open_run(run, mode) for run in runs]
+    opened = [open_run(run, mode, art) for run in runs]
     config = opened[0][1]
     for run, (_, other) in zip(runs, opened, strict=True):
-        for name in ("game", "variant", "knobs"):
+        for name in ("game", "variant", "knobs", *(["art"] if art is None else [])):
             if getattr(other, name) != getattr(config, name):
                 raise ValueError(f"{runs[0]} and {run} were trained with different {name}")
     named = shift or shift_of(config)

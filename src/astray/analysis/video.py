@@ -54,7 +54,9 @@ def play(
     """
     if longest is not None and longest < 1:
         raise ValueError(f"longest is {longest}; it is at least 1 step")
-    env = GameVectorEnv(game, variant, 1, observation=policy.observation, autoreset_mode="Disabled")
+    env = GameVectorEnv(
+        game, variant, 1, observation=policy.observation, art=policy.art, autoreset_mode="Disabled"
+    )
     shown, _ = env.reset(seed=0, options={"level": level})
     observations, states, rewards = [shown], [env.states.copy()], []
     terminated = truncated = np.array([False])
@@ -68,7 +70,7 @@ def play(
     whole = np.concatenate(states)
     steps = {event: int(whole[event][-1]) for event in env.game.events}
     return Episode(
-        frames=picture(game, env.variant, whole, pixels),
+        frames=picture(game, env.variant, whole, pixels, policy.art),
         observations=np.concatenate(observations),
         states=whole,
         rewards=np.concatenate(rewards),

@@ -8,7 +8,7 @@ import sys
 
 import tyro
 
-from astray.cli import agents, experiments, levels
+from astray.cli import agents, art, experiments, levels
 from astray.training.config import PRESETS
 
 MISTAKE = 2  # exit code, after the mistake was explained
@@ -25,6 +25,7 @@ VERBS = {
     "replay": levels.replay,
     "overlap": levels.overlap,
     "agency": agents.agency,
+    "art": art.art,
     "bench": experiments.bench,
 }
 

@@ -53,6 +53,7 @@ def evaluate(
     levels: str | None = None,
     unsolvable: bool = False,
     mode: Mode = "sampled",
+    art: str | None = None,
     knobs: Knobs = (),
     batch: int = 256,
     out: Path | None = None,
@@ -70,6 +71,7 @@ def evaluate(
             training does not draw from
         unsolvable: let levels from files have objects that cannot be reached
         mode: draw from the agent's policy, or take the likeliest action
+        art: that images are drawn with, own or original; by default what it was trained on
         knobs: of the variant, changed
         batch: episodes at once; the rows do not depend on it
         out: a Parquet file for the episodes, a row each
@@ -82,7 +84,7 @@ def evaluate(
         played = Path(levels) if Path(levels).exists() else level_numbers(levels)
     shares, episodes = evaluate_runs(
         chosen(runs, agent), played, variant=variant, shift=shift, mode=mode,
-        knobs=pairs(knobs), batch=batch, solvable=not unsolvable,
+        art=art, knobs=pairs(knobs), batch=batch, solvable=not unsolvable,
     )  # fmt: skip
     if out:
         episodes.write_parquet(out)
@@ -119,6 +121,7 @@ def record(
     level_file: Path | None = None,
     unsolvable: bool = False,
     mode: Mode = "sampled",
+    art: str | None = None,
     knobs: Knobs = (),
     pixels: int = 512,
     out: Path = Path("episode.mp4"),
@@ -133,6 +136,7 @@ def record(
         level_file: the level instead; `astray level` prints such
         unsolvable: let it have objects that cannot be reached
         mode: draw from the agent's policy, or take the likeliest action
+        art: that images are drawn with, own or original; by default what it was trained on
         knobs: of the variant, changed
         pixels: a side of the picture
         out: an .mp4 or .gif file
@@ -143,7 +147,7 @@ def record(
     write = {".mp4": video.write_mp4, ".gif": video.write_gif}.get(out.suffix)
     if write is None:
         raise ValueError(f"a video is an .mp4 or a .gif file, not {out}")
-    player, config = open_run(chosen((run,) if run else (), agent)[0], mode)
+    player, config = open_run(chosen((run,) if run else (), agent)[0], mode, art)
     made = playing(config, variant or config.variant, pairs(knobs))
     begun = one_level(config.game, made, level, level_file, unsolvable)
     if begun is None:
@@ -161,6 +165,7 @@ def agency(
     levels: str | None = None,
     measure: Literal["paper", "calibrated"] = "calibrated",
     mode: Mode = "sampled",
+    art: str | None = None,
     knobs: Knobs = (),
     out: Path | None = None,
     json: bool = False,
@@ -176,6 +181,7 @@ def agency(
             does not draw from
         measure: calibrated, or the paper's to the letter, which calls most policies agents
         mode: draw from the agent's policy, or take the likeliest action
+        art: that images are drawn with, own or original; by default what it was trained on
         knobs: of the variant, changed
         out: a folder for episodes.parquet, and for posterior.mp4, .gif and .png of the episode in
             which most steps tell the goals apart
@@ -190,6 +196,7 @@ def agency(
         shift=shift,
         measure=measure,
         mode=mode,
+        art=art,
         knobs=pairs(knobs),
     )
     if out:

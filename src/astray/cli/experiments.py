@@ -14,6 +14,7 @@ from astray.analysis import kept
 from astray.cli.arguments import print_json
 from astray.experiments.spec import Size
 from astray.experiments.workers import Place
+from astray.game import OWN
 from astray.training import checkpoint
 from astray.training.config import PRESETS
 
@@ -68,6 +69,7 @@ def reproduce(
     folder: Path = Path("reports"),
     workers: int | None = None,
     on: Place = "here",
+    art: str = OWN,
 ) -> None:
     """Do a figure or table of the paper: train, evaluate, report; go on where it stopped.
 
@@ -77,13 +79,14 @@ def reproduce(
         folder: of reports; gets this one in <name>-<size>, and the agents, which are shared
         workers: agents trained at once here; by default one for each processor
         on: train on this machine, or on a Ray cluster whose nodes all see the folder
+        art: that images are drawn with, own or original
     """
     from astray.experiments import run
 
     if name == "all":
-        print(run.reproduce_all(size, folder, workers=workers, on=on))
+        print(run.reproduce_all(size, folder, workers=workers, on=on, art=art))
     else:
-        print(run.reproduce(name, size, folder, workers=workers, on=on))
+        print(run.reproduce(name, size, folder, workers=workers, on=on, art=art))
 
 
 def bench(

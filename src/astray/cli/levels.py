@@ -20,7 +20,7 @@ from astray.cli.arguments import (
     varied,
 )  # fmt: skip
 from astray.envs.vector import GameVectorEnv
-from astray.game import Variant
+from astray.game import OWN, Variant
 from astray.level import Level
 
 
@@ -55,6 +55,7 @@ def play(
     level: int | None = None,
     level_file: Path | None = None,
     unsolvable: bool = False,
+    art: str = OWN,
     knobs: Knobs = (),
 ) -> None:
     """Play a game in a window, what an agent sees of it beside.
@@ -63,12 +64,13 @@ def play(
         level: the first level's number; by default one at random
         level_file: a level to play first; `astray level` prints such
         unsolvable: let the level have objects that cannot be reached
+        art: that it is drawn with, own or original
         knobs: of the variant, changed
     """
     from astray.play import play as window
 
     kind = varied(game, variant, knobs)
-    window(game, kind, one_level(game, kind, level, level_file, unsolvable))
+    window(game, kind, one_level(game, kind, level, level_file, unsolvable), art)
 
 
 def replay(

@@ -10,29 +10,37 @@ import numpy as np
 from astray import games
 from astray.envs import loops
 from astray.envs.pool import alone
+from astray.game import OWN, Game, Looks
 from astray.kernel import rng
 from astray.kernel.grid import distances
 from astray.kernel.jit import kernel, one_at_a_time, shared, specialise
 
 
+def compiled(name: str, art: str = OWN) -> Callable:
+    """`loops.run` of the game called `name` with that art, compiled or taken from the cache."""
+    looks = games.load(name).drawn(art)
+    return _compiled(name, looks.name)
+
+
 @functools.cache
-def compiled(name: str) -> Callable:
-    """`loops.run` of the game called `name`, compiled or taken from the cache."""
+def _compiled(name: str, art: str) -> Callable:
     game = games.load(name)
+    looks = game.drawn(art)
     functions = {
         "generate": game.generate,
         "step": game.step,
-        "paint": game.paint,
-        "draw": game.draw,
+        "paint": looks.paint,
+        "draw": looks.draw,
         "paint_planes": game.paint_planes,
         "draw_planes": game.draw_planes,
     }
-    functions["paint_one"] = specialise(loops.paint_any, name, shared, **functions)
-    functions["begin_one"] = specialise(loops.begin, name, shared, **functions)
-    functions["observe_one"] = specialise(loops.observe, name, kernel, **functions)
-    run = specialise(loops.run, name, ACTIONS=len(game.actions), **functions)
+    label = name if art == OWN else f"{name}_{art}"
+    functions["paint_one"] = specialise(loops.paint_any, label, shared, **functions)
+    functions["begin_one"] = specialise(loops.begin, label, shared, **functions)
+    functions["observe_one"] = specialise(loops.observe, label, kernel, **functions)
+    run = specialise(loops.run, label, ACTIONS=len(game.actions), **functions)
     with one_at_a_time():
-        _compile(name, run)
+        _compile(game, looks, run)
         numbers, table = np.empty(0, np.int64), np.empty((0, 1), np.int64)
         loops.fill(table, table, numbers, np.empty(0, bool))
         distances(np.ones((1, 1), bool), 0, 0)
@@ -40,9 +48,8 @@ def compiled(name: str) -> Callable:
     return run
 
 
-def _compile(name: str, run: Callable) -> None:
+def _compile(game: Game, looks: Looks, run: Callable) -> None:
     """Run over no environment, so that it is compiled for the types to come."""
-    game = games.load(name)
     variant = next(iter(game.variants.values()))
     states, params = np.zeros(0, game.state), variant.records()
     pictures, numbers, flags = (
@@ -51,6 +58,6 @@ def _compile(name: str, run: Callable) -> None:
         np.empty(0, bool),
     )
     run(
-        states, params, game.art(variant, 1), False, pictures, numbers, 0, 1,
+        states, params, looks.art(variant, 1), False, pictures, numbers, 0, 1,
         0, numbers, numbers, pictures, states, pictures, np.empty(0), flags, flags, *alone(),
     )  # fmt: skip

@@ -15,7 +15,7 @@ from astray.envs import loops
 from astray.envs.compiled import compiled
 from astray.envs.loops import AS_SET, DISABLED, NEXT_LEVEL, NEXT_STEP, NOTHING, SAME_STEP, STEP
 from astray.envs.pool import Pool, alone
-from astray.game import LEVELS, Variant
+from astray.game import LEVELS, OWN, Variant
 from astray.level import Level
 
 IMAGE = 64  # pixels a side of what the agent sees
@@ -34,6 +34,8 @@ class GameVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
 
     game, variant  names, or a variant of your own
     observation    "image": [64, 64, 3] uint8, or "symbolic": [C, H, W] uint8 planes
+    art            that images are drawn with: "own", or what else the game's `looks` have, as
+                   "original", the original's to the pixel
     levels         a range of numbers to draw from with replacement, or a list to walk:
                    environment i takes every num_envs-th from the i-th on, and then again
     autoreset_mode what happens after the end of an episode (Gymnasium's AutoresetMode)
@@ -51,6 +53,7 @@ class GameVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         num_envs: int = 1,
         *,
         observation: Literal["image", "symbolic"] = "image",
+        art: str = OWN,
         levels: range | Sequence[int] | np.ndarray = LEVELS,
         autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
         threads: int = 1,
@@ -66,6 +69,7 @@ class GameVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
             raise ValueError(f"unknown render_mode {render_mode!r}; there are: None, rgb_array")
         self.num_envs, self.render_mode, self.observation = num_envs, render_mode, observation
         self.symbolic = observation == "symbolic"
+        self.art, looks = art, self.game.drawn(art)
         mode = AutoresetMode(autoreset_mode)
         self._mode = MODES[mode]
         self.autoreset_mode = mode  # as Gymnasium's own have it; others look for it here
@@ -77,17 +81,14 @@ class GameVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
                 np.zeros_like(largest), largest, dtype=np.uint8
             )
             scene = self.game.planes_scene_shape(self.variant)
-            self._art = self.game.art(self.variant, 1)
         else:
             self.single_observation_space = spaces.Box(0, 255, (IMAGE, IMAGE, 3), np.uint8)
-            scene = self.game.scene_shape(self.variant, IMAGE)
-            self._art = self.game.art(self.variant, IMAGE)
+            scene = looks.scene_shape(self.variant, IMAGE)
         self.single_action_space = spaces.Discrete(len(self.game.actions))
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
         self._shape = (num_envs, *self.single_observation_space.shape)
 
-        self._loop = compiled(game)
         self._threads = threads
         self._states = np.zeros(num_envs, self.game.state)
         kept = num_envs if self._mode == SAME_STEP else 0  # ends that a new beginning overwrites
@@ -97,21 +98,25 @@ class GameVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         self._seeded = False
         self._first, self._count, self._list = _checked(levels)
         self._scenes = np.zeros((num_envs, *scene), np.uint8)
-        self._scene = (
-            self.variant.records(), self._art, self.symbolic, self._scenes,
-            self._list, self._first, self._count,
-        )  # fmt: skip
         self._bind()
 
     def _bind(self) -> None:
-        """Make what is no data: threads, and views into the arrays."""
+        """Make what is no data of its own: pictures, compiled code, threads, views into arrays."""
+        # Symbols are not drawn: no pictures are needed, whatever the art.
+        art = OWN if self.symbolic else self.art
+        self._loop = compiled(self.game.name, art)
+        self._scene = (
+            self.variant.records(),
+            self.game.drawn(art).art(self.variant, 1 if self.symbolic else IMAGE),
+            self.symbolic, self._scenes, self._list, self._first, self._count,
+        )  # fmt: skip
         over = self._final_states if self._mode == SAME_STEP else self._states
         self._begun = _Columns(self._states, ("level", "shifted"))
         self._events = _Columns(over, ("level", "shifted", "time", *self.game.events))
         self._pool = Pool(self._threads)
 
     def __getstate__(self) -> dict[str, Any]:
-        made = ("_begun", "_events", "_pool")
+        made = ("_begun", "_events", "_pool", "_loop", "_scene")
         return {name: x for name, x in vars(self).items() if name not in made}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
@@ -238,7 +243,7 @@ class GameVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
 
     def picture(self, pixels: int) -> np.ndarray:
         """Every state at any scale, [N, pixels, pixels, 3] uint8."""
-        return picture(self.game.name, self.variant, self.states, pixels)
+        return picture(self.game.name, self.variant, self.states, pixels, self.art)
 
     def close_extras(self, **kwargs: Any) -> None:
         self._pool.close()
@@ -266,16 +271,19 @@ class GameVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         return self._pool.run(self._loop, arguments)
 
 
-def picture(game: str, variant: Variant, states: np.ndarray, pixels: int) -> np.ndarray:
+def picture(
+    game: str, variant: Variant, states: np.ndarray, pixels: int, art: str = OWN
+) -> np.ndarray:
     """`states` [N] of `game` as the agent would see them at any scale, [N, pixels, pixels, 3]."""
     made = games.load(game)
     made.check(states, variant)
-    scene = np.empty((1, *made.scene_shape(variant, pixels)), np.uint8)
+    looks, loop = made.drawn(art), compiled(game, art)
+    scene = np.empty((1, *looks.scene_shape(variant, pixels)), np.uint8)
     images = np.empty((len(states), pixels, pixels, 3), np.uint8)
-    sprites, params, as_set = made.art(variant, pixels), variant.records(), np.full(1, AS_SET)
+    sprites, params, as_set = looks.art(variant, pixels), variant.records(), np.full(1, AS_SET)
     for k in range(len(states)):
         one = states[k : k + 1].view(np.ndarray)
-        compiled(game)(
+        loop(
             one, params, sprites, False, scene, NUMBERS, 0, 1, DISABLED, as_set, NUMBERS,
             images[k : k + 1], one, images, REALS, FLAGS, FLAGS, *alone(),
         )  # fmt: skip

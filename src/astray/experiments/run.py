@@ -20,7 +20,7 @@ from astray.experiments import report
 from astray.experiments.spec import Plan, Runs, Size, Test, Work, kept
 from astray.experiments.workers import Place, train_all
 from astray.files import write_aside
-from astray.game import Variant
+from astray.game import OWN, Variant
 from astray.kernel.jit import source_digest
 from astray.training import checkpoint
 from astray.training.config import Config
@@ -33,14 +33,16 @@ COMPUTING = (
 
 
 def reproduce(
-    name: str, size: Size, root: Path, *, workers: int | None = None, on: Place = "here"
-) -> Path:
+    name: str, size: Size, root: Path, *, workers: int | None = None, on: Place = "here",
+    art: str = OWN,
+) -> Path:  # fmt: skip
     """Do what is missing of an experiment and write its report; the report's path.
 
     root     gets the report, in <name>-<size>, and in `agents` the agents, which experiments share;
              on a cluster all nodes see it
     workers  agents trained at once here; None: one for each processor
     on       where agents are trained; they are evaluated here
+    art      of all images; the report of another than our own is in <name>-<size>-<art>
     """
     experiment = experiments.load(name)
     if size not in experiment.sizes:
@@ -48,7 +50,8 @@ def reproduce(
             f"unknown size {size!r} of {name}; there are: {', '.join(experiment.sizes)}"
         )
     torch.set_num_threads(1)  # several cost small networks more than they save
-    plan, folder = experiment.sizes[size], root / f"{name}-{size}"
+    plan, ending = experiment.sizes[size].drawn_with(art), "" if art == OWN else f"-{art}"
+    folder = root / f"{name}-{size}{ending}"
     folder.mkdir(parents=True, exist_ok=True)
     trainings = plan.trainings()
     train_all(
@@ -65,18 +68,18 @@ def reproduce(
     heading = report.Heading(
         name=name, size=size, title=experiment.title, reproduces=experiment.reproduces,
         question=experiment.question, smaller=plan.smaller,
-        command=f"astray reproduce {name} --size {size}",
+        command=f"astray reproduce {name} --size {size}" + (f" --art {art}" if ending else ""),
     )  # fmt: skip
     return report.write(heading, findings, folder)
 
 
 def reproduce_all(
-    size: Size, root: Path, *, workers: int | None = None, on: Place = "here"
+    size: Size, root: Path, *, workers: int | None = None, on: Place = "here", art: str = OWN
 ) -> Path:
     """Every experiment that has this size, one after the other, and a page that leads to them."""
     for name in experiments.NAMES:
         if size in experiments.load(name).sizes:
-            reproduce(name, size, root, workers=workers, on=on)
+            reproduce(name, size, root, workers=workers, on=on, art=art)
             report.write_index(root)
     return report.write_index(root)
 

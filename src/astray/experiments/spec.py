@@ -76,6 +76,11 @@ class Plan:
     def game(self) -> str:
         return self.config.game
 
+    def drawn_with(self, art: str) -> Plan:
+        """The same with other images."""
+        agents = {name: replace(config, art=art) for name, config in self.agents.items()}
+        return replace(self, agents=agents)
+
     def trainings(self) -> dict[str, list[Config]]:
         """The settings of every agent."""
         return {

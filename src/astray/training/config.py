@@ -13,7 +13,7 @@ from tyro.conf import Positional, Suppress
 
 from astray import games
 from astray.agents.policy import NetworkName
-from astray.game import LEVELS, Variant, knobs
+from astray.game import LEVELS, OWN, Variant, knobs
 
 SEEDS = 2**28  # every seed has streams of its own for training, validation, ...
 COUNTS = (
@@ -50,6 +50,7 @@ class Config:
     seed: int = 0
 
     observation: Literal["image", "symbolic"] = "image"
+    art: str = OWN  # that images are drawn with; "original" has to be imported: astray art import
     network: NetworkName = "impala"
     scale: int = 1  # of impala's channels; the paper's sweeps have 4
     width: int = 64  # hidden units of the small network
@@ -108,6 +109,7 @@ class Config:
                 f"they are below {LEVELS.stop - 1}, and some are left for tests"
             )
         self.training_variant()
+        games.load(self.game).drawn(self.art)
         if self.validation:
             self.validation_variant()
 

@@ -31,8 +31,8 @@ class Player:
         self.envs = [
             GameVectorEnv(
                 config.game, variant, group.stop - group.start,
-                observation=config.observation, levels=levels, autoreset_mode="SameStep",
-                threads=config.threads,
+                observation=config.observation, art=config.art, levels=levels,
+                autoreset_mode="SameStep", threads=config.threads,
             )
             for group in self.groups
         ]  # fmt: skip

@@ -165,16 +165,17 @@ def maps_of_some(work: Work) -> pl.DataFrame:
                 continue
             one = states[[int(much.argmax())]]
             shown = observe(agent, variant, one)
-            row = {"name": f"{what}, {where}", "picture": grey(variant, one)}
+            row = {"name": f"{what}, {where}", "picture": grey(agent, variant, one)}
             for method, attribute in METHODS.items():
                 row[method] = flat(attribute(agent, shown)[0]).tolist()
             found.append(row)
     return pl.DataFrame(found)
 
 
-def grey(variant, states: np.ndarray) -> list:
+def grey(agent, variant, states: np.ndarray) -> list:
     """The picture of one state for people, [PIXELS, PIXELS] from 0 to 255."""
-    return picture("coinrun", variant, states, PIXELS)[0].mean(2).round().astype(int).tolist()
+    shown = picture("coinrun", variant, states, PIXELS, agent.art)[0]
+    return shown.mean(2).round().astype(int).tolist()
 
 
 def flat(one: np.ndarray) -> np.ndarray:

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
-from astray import art as sprites
-from astray.game import Variant
+from astray.art import own
+from astray.game import OWN, Looks, Variant
 from astray.games.coinrun import backdrops
 from astray.games.coinrun.rules import (
     COIN,
@@ -113,7 +113,7 @@ def paint_part(s, art, target, top, left, scale):
                 row = pixel(CELLS - MARGIN - y - 1, scale) - top
                 column = pixel(x + MARGIN, scale) - left
                 if crate:
-                    put(target, crates[min(s.detail[y, x], CRATES - 1)], row, column)
+                    put(target, crates[s.detail[y, x] % CRATES], row, column)
                 elif cell == COIN:
                     put(target, coin, row, column)
                 else:
@@ -337,7 +337,7 @@ def _art(scale: float) -> tuple[np.ndarray, ...]:
     side = int(np.ceil(scale))
 
     def load(name: str, height: int = side, width: int = side) -> np.ndarray:
-        return sprites.resize(sprites.load(ART, name), height, width)
+        return own.resize(own.load(ART, name), height, width)
 
     def facing(picture: np.ndarray) -> list[np.ndarray]:
         return [picture, picture[:, ::-1]]
@@ -374,7 +374,7 @@ def _strips(grounds: list[list[np.ndarray]], scale: float) -> np.ndarray:
 
 def _puffs(scale: float) -> np.ndarray:
     """The puffs of a trail, youngest first, in the middle of pictures as large as the last."""
-    white = sprites.load(ART, "puff")
+    white = own.load(ART, "puff")
     sizes = [
         [max(1, round(cells * PUFF_GROWTH**age * scale)) for cells in (PUFF_HEIGHT, PUFF_WIDTH)]
         for age in range(PUFFS)
@@ -382,8 +382,11 @@ def _puffs(scale: float) -> np.ndarray:
     high, wide = sizes[-1]
     puffs = np.zeros((PUFFS, high, wide, 4), np.uint8)
     for age, (height, width) in enumerate(sizes):
-        puff = sprites.resize(white, height, width)
+        puff = own.resize(white, height, width)
         puff[..., 3] = puff[..., 3] * (PUFF_OPACITY * PUFF_FADE**age)
         row, column = (high - height) // 2, (wide - width) // 2
         puffs[age, row : row + height, column : column + width] = puff
     return puffs
+
+
+LOOKS = {OWN: Looks(OWN, paint, draw, art, scene_shape)}

@@ -35,9 +35,10 @@ from astray.kernel.jit import kernel, shared
 from astray.kernel.rng import draw_u32, share, unit
 
 RUNNERS, GROUNDS, BACKGROUNDS, CRATES, LOOKS = 5, 6, 62, 4, 9  # how many looks there are
+DETAILS = CRATES * (CRATES + 1)  # of cells: looks of walkers, or of one or two crates
 ONE_COIN, TWO_COINS = 0, 1  # CoinRun.coins, in the order of its choices
 ANYWHERE = 1  # CoinRun.place
-COINRUN = 0  # CoinRun.numbering
+COINRUN, PROCGEN = 0, 2  # CoinRun.numbering
 BEGIN = 5  # column of the first section
 HIGH, LOW = 20, 5  # surfaces from here up only go down, below here only up, in cells
 PERCENT = 0xC0117  # salt of the hash that refines the original's draw of a whole percent
@@ -123,7 +124,8 @@ def build_sections(s, p, in_pit):
     if p.sections:
         sections = p.sections
     danger = word(s) % 3
-    with_coin = word(s) % sections
+    # The released game has no random place, and so no draw of its section.
+    with_coin = NEVER if p.numbering == PROCGEN else word(s) % sections
     x, y = np.int64(BEGIN), np.int64(1)  # as literals, all they go to is compiled twice
     random_x, random_y = NEVER, NEVER
     for section in range(sections):
@@ -224,8 +226,14 @@ def build_flat(s, p, x, y, width, difficulty):
         pile_x = x + 1 + word(s) % (width - 2)
         if word(s) % 2 == 1 and pile_x != saw_x and pile_x != walker_x:
             for k in range(1 + word(s) % 3):
-                s.thing[y + k, pile_x] = CRATE
-                s.detail[y + k, pile_x] = word(s) % CRATES
+                add_crate(s, pile_x, y + k, word(s) % CRATES)
+
+
+@kernel
+def add_crate(s, x, y, look):
+    """A crate in cell (x, y); one that was there is seen at the corners of the new one."""
+    before = s.detail[y, x] % CRATES + 1 if s.thing[y, x] == CRATE else 0
+    s.thing[y, x], s.detail[y, x] = CRATE, look + CRATES * before
 
 
 @kernel
@@ -249,7 +257,8 @@ def put_coins(s, p, random, random_x, random_y):
         at_end, at_random = not random, random
     else:
         at_end, at_random = False, False
-    s.cell[random_y, random_x] = COIN if at_random else INVISIBLE
+    if random_x != NEVER:
+        s.cell[random_y, random_x] = COIN if at_random else INVISIBLE
     s.cell[s.end_y, s.end_x] = COIN if at_end else INVISIBLE
     if at_end:
         s.coin_x, s.coin_y = s.end_x, s.end_y
@@ -285,7 +294,7 @@ def describe(s: Any) -> dict[str, Any]:
             "ground": int(s.ground),
             "background": int(s.background),
             "background_offset": float(s.background_offset),
-            # [x, y, which] of crates and walkers
+            # [x, y, which] of crates and walkers; of two crates which + 4 (1 + the lower's)
             "details": [[int(x), int(y), int(details[y, x])] for y, x in np.argwhere(details)],
             "end": [int(s.end_x), int(s.end_y)],
             "permeable": int(s.permeable),
@@ -299,7 +308,7 @@ def facts(states: np.ndarray, variant: Variant) -> dict[str, np.ndarray]:
     found = {
         "cell": (s.cell <= PERMEABLE).all((1, 2)),
         "thing": (s.thing <= SAW).all((1, 2)),
-        "detail": (s.detail < LOOKS).all((1, 2)),
+        "detail": (s.detail < DETAILS).all((1, 2)),
         "x": (s.x > 0) & (s.x < WORLD),
         "y": (s.y > 0) & (s.y < WORLD),
         "vx": abs(s.vx) <= 2,
@@ -347,7 +356,7 @@ def build(cells: np.ndarray, agent: tuple[int, int], looks: Any, variant: Varian
     s.background_offset = looks.get("background_offset", 0.0)
     details = np.zeros((WORLD, WORLD), int)
     for x, y, which in looks.get("details", []):
-        if not (0 <= x < WORLD and 0 <= y < WORLD and 0 <= which < LOOKS):
+        if not (0 <= x < WORLD and 0 <= y < WORLD and 0 <= which < DETAILS):
             raise ValueError(f"looks: details [{x}, {y}, {which}] are of no cell or no look")
         details[y, x] = which
     _add_walkers(s, grid, details)

@@ -46,7 +46,9 @@ TIES = 1_000_000  # the original's draw each step, of which parity alone matters
 STATE = state_dtype(
     ("cell", np.uint8, (WORLD, WORLD)),  # at [y, x]
     ("thing", np.uint8, (WORLD, WORLD)),  # crates and saws
-    ("detail", np.uint8, (WORLD, WORLD)),  # the look of the crate or walker that begins there
+    # the look of the walker that begins there, or of the crate, and 4 (1 + the look of another
+    # crate beneath it)
+    ("detail", np.uint8, (WORLD, WORLD)),
     ("x", np.float32), ("y", np.float32),  # the runner's centre, in cells
     ("vx", np.float32), ("vy", np.float32),  # cells per step
     ("on_crate", np.bool_),  # a crate stopped its fall in this step

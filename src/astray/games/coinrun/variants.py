@@ -31,7 +31,8 @@ class CoinRun(Variant):
     easy: bool = False  # walkers in pits only, one look
     difficulty: int = AS_NUMBERED  # 1 to 3: more, longer sections, higher steps, more hazards
     sections: int = AS_NUMBERED  # 1 to 5
-    numbering: Literal["coinrun", "coinrun_aisc"] = "coinrun"  # whose level k is level k
+    # Whose level k is level k: of two of the paper's games, or of Procgen's as released.
+    numbering: Literal["coinrun", "coinrun_aisc", "procgen"] = "coinrun"
     time_limit: int = 1000  # steps
 
     def __post_init__(self) -> None:
@@ -42,6 +43,12 @@ class CoinRun(Variant):
             raise ValueError(
                 f"random_coin says where the one coin is; given {self.random_coin} "
                 f"with coins {self.coins!r}"
+            )
+        ledge = self.place == "ledge" and (self.random_coin or self.coins == "two")
+        if self.numbering == "procgen" and ledge:
+            raise ValueError(
+                "levels of numbering 'procgen' have no ledge for a random coin; place 'anywhere' "
+                "has one in all"
             )
         for name, largest in (
             ("permeable", WORLD),
@@ -67,6 +74,10 @@ VARIANTS = {
     "coin-anywhere": ANYWHERE,
     "coin-ledge-aisc": replace(
         LEDGE, about="coin-ledge, in the levels of the separate game", numbering="coinrun_aisc"
+    ),
+    "procgen": replace(END, about="the levels of Procgen as released", numbering="procgen"),
+    "procgen-easy": replace(
+        EASY, about="the levels of Procgen as released, easy", numbering="procgen"
     ),
     "coin-half": replace(LEDGE, about="the coin at the end or on a ledge", random_coin=0.5),
     "coin-absent": replace(END, about="no coin", coins="none"),

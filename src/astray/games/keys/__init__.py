@@ -1,7 +1,7 @@
 """Keys and Chests: a thief opens chests with keys; in training there are fewer keys than chests."""
 
 from astray.game import Game
-from astray.games.keys import draw, levels, rules, solve, variants
+from astray.games.keys import draw, levels, original, rules, solve, variants
 
 GAME = Game(
     name="keys",
@@ -17,12 +17,9 @@ GAME = Game(
     real_time=True,
     generate=levels.generate,
     step=rules.step,
-    paint=draw.paint,
-    draw=draw.draw,
     paint_planes=draw.paint_planes,
     draw_planes=draw.draw_planes,
-    art=draw.art,
-    scene_shape=draw.scene_shape,
+    looks=draw.LOOKS | original.LOOKS,
     planes_scene_shape=draw.planes_scene_shape,
     planes=draw.planes,
     facts=levels.facts,

@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from astray import art as sprites
-from astray.game import Variant
+from astray.art import own
+from astray.game import OWN, Looks, Variant
 from astray.games.keys.rules import (
     ACTIONS,
     FIRST_SLOT,
@@ -195,7 +195,7 @@ def art(variant: Variant, pixels: int) -> tuple[np.ndarray, ...]:
 @functools.cache
 def _art(scale: float, height: int, pixels: int) -> tuple[np.ndarray, ...]:
     def load(name: str, height: int, width: int) -> np.ndarray:
-        return sprites.resize(sprites.load(ART, name), height, width)
+        return own.resize(own.load(ART, name), height, width)
 
     cell, key = int(np.ceil(scale)), int(np.ceil(KEY_SIDE * scale))
     body = int(np.ceil(2 * HALF * scale))
@@ -228,3 +228,6 @@ def _scale(variant: Variant, pixels: int) -> float:
 def _scene_cells(variant: Variant) -> int:
     p: Any = variant
     return p.world + 2 * (p.window // 2 + 1 if p.window else 0)
+
+
+LOOKS = {OWN: Looks(OWN, paint, draw, art, scene_shape)}

@@ -91,11 +91,11 @@ def place(s, inside, groups, p):
     each = p.keys + p.chests
     if not p.strict:
         groups = min(groups, count // each)
-    objects = min(groups * each, count)
-    for k in range(objects):
-        which = k if objects == count else pick(s, count - k)
+    too_few = groups * each > count  # then all are taken, without a draw
+    for k in range(min(groups * each, count)):
+        which = k if too_few else pick(s, count - k)
         cell = cells[which]
-        if objects < count:
+        if not too_few:
             for j in range(which, count - k - 1):
                 cells[j] = cells[j + 1]
         inside[cell // size, cell % size] = CHEST if k < groups * p.chests else KEY

@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from astray import art as sprites
-from astray.game import NEVER, Variant
+from astray.art import own
+from astray.game import NEVER, OWN, Looks, Variant
 from astray.games.maze.variants import COLOURS, FLOORS, SHAPES, WALLS
 from astray.kernel.canvas import blit, copy_flat, copy_window, pixel
 from astray.kernel.jit import kernel
@@ -126,7 +126,7 @@ def art(variant: Variant, pixels: int) -> tuple[np.ndarray, ...]:
 @functools.cache
 def _art(side: int, height: int) -> tuple[np.ndarray, ...]:
     def load(name: str, height: int, width: int) -> np.ndarray:
-        return sprites.resize(sprites.load(ART, name), height, width)
+        return own.resize(own.load(ART, name), height, width)
 
     floors = [load(f"floor-{k}", height, 2 * height)[..., :3] for k in range(FLOORS)]
     walls = [load(f"wall-{name}", side, side)[..., :3] for name in WALLS]
@@ -134,7 +134,7 @@ def _art(side: int, height: int) -> tuple[np.ndarray, ...]:
     for i, shape in enumerate(SHAPES[1:], 1):
         white = load(shape, side, side)
         for j, colour in enumerate(COLOURS[1:], 1):
-            objects[i, j] = sprites.tint(white, sprites.COLOURS[colour])
+            objects[i, j] = own.tint(white, own.COLOURS[colour])
     mouse = load("mouse", side, side)
     pair = [mouse, mouse[:, ::-1]]
     # All contiguous, or compiled code would be compiled anew for another layout.
@@ -149,3 +149,6 @@ def _scale(variant: Variant, pixels: int) -> float:
 def _scene_cells(variant: Variant) -> int:
     p: Any = variant
     return p.world + 2 * (p.window // 2 + 1 if p.window else 0)
+
+
+LOOKS = {OWN: Looks(OWN, paint, draw, art, scene_shape)}

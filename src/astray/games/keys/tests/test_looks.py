@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from astray import art
+from astray.art import own
 from astray.envs.vector import GameVectorEnv, picture
 from astray.games.keys import GAME
 from astray.games.keys.draw import ART, STRIPS
@@ -150,10 +150,10 @@ def test_everything_is_told_apart_on_every_floor():
     """The mean colours of what a cell of 5 pixels shows are far from each other, of 441."""
     names = ["key", "chest", "thief-right", "wall-brick"]
     for k in range(FLOORS):
-        floor = art.resize(art.load(ART, f"floor-{k}"), 64, 128)[:, :, :3].reshape(-1, 3).mean(0)
+        floor = own.resize(own.load(ART, f"floor-{k}"), 64, 128)[:, :, :3].reshape(-1, 3).mean(0)
         seen = [floor]
         for name in names:
-            sprite = art.resize(art.load(ART, name), 5, 5).reshape(-1, 4).astype(float)
+            sprite = own.resize(own.load(ART, name), 5, 5).reshape(-1, 4).astype(float)
             weight = sprite[:, 3:] / 255
             seen.append((sprite[:, :3] * weight + floor * (1 - weight)).mean(0))
         apart = [np.linalg.norm(a - b) for i, a in enumerate(seen) for b in seen[i + 1 :]]

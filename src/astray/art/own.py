@@ -1,7 +1,7 @@
 """Pictures: masters drawn as SVG, kept as PNG, shrunk to the pixel sizes that a game asks for.
 
 Everything at run time is integer arithmetic on the committed PNGs, so that every machine
-sees the same bytes. `python -m astray.art` renders the PNGs anew after an SVG was edited.
+sees the same bytes. `python -m astray.art.own` renders the PNGs anew after an SVG was edited.
 """
 
 import hashlib
@@ -115,7 +115,7 @@ def render(svg: Path) -> bytes:
 
 def main() -> None:
     """Render every game's drawings beside themselves."""
-    for svg in sorted((Path(__file__).parent / "games").glob("*/art/*.svg")):
+    for svg in sorted((Path(__file__).parents[1] / "games").glob("*/art/*.svg")):
         png = render(svg)
         svg.with_suffix(".png").write_bytes(png)
         print(f"{svg.with_suffix('.png')}  {len(png):,} bytes")

@@ -1,0 +1,274 @@
+"""The original's pictures: imported by the user from Procgen's package, never part of this one.
+
+`astray art import` takes them out of the wheel of Procgen 0.10.7, or out of a checkout of the
+paper's fork, and keeps them in the user's data folder. What they are is in `original.csv`: a
+picture of another digest is never used.
+"""
+
+from __future__ import annotations
+
+import csv
+import hashlib
+import io
+import os
+import subprocess
+import sys
+import tempfile
+import zipfile
+import zlib
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path, PurePosixPath
+
+import numpy as np
+import platformdirs
+from PIL import Image
+
+from astray.files import write_aside
+
+WHEEL = "procgen-0.10.7-cp310-cp310-manylinux_2_17_x86_64.manylinux2014_x86_64.whl"
+DOWNLOAD = (
+    "download", "--no-deps", "--only-binary=:all:", "--implementation=cp", "--abi=cp310",
+    "--python-version=3.10", "--platform=manylinux2014_x86_64", "procgen==0.10.7",
+)  # fmt: skip
+INSIDE = "procgen/data/assets/"  # of a wheel
+FORK = "github.com/JacobPfau/procgenAISC"
+FORK_ALONE = ("kenney/Items/yellow_line_diag.png", "kenney/Items/red_line_diag.png")
+COMMAND = "astray art import"
+
+# As ASSET_LICENSES.md of github.com/openai/procgen has them, of all its games' pictures; the two
+# lines are the fork's own, which has Procgen's licence (MIT).
+LICENCES = (
+    ("Many Game Asset Packs", "kenney", "CC0", "www.kenney.nl/assets"),
+    ("Frog Asset", "GameArtGuppy.com", "CC-BY 4.0", "www.gameartguppy.com/shop/frog-lilypad"),
+    ("Food Icons", "thekingphoenix", "CC0", "opengameart.org/content/icons-food"),
+    ("Space Background", "ansimuz", "CC0", "opengameart.org/content/space-background-3"),
+    ("Sci-Fi Background", "ansimuz", "CC0", "ansimuz.itch.io/sideview-sci-fi"),
+    ("Mountain Background", "ansimuz", "CC-BY 4.0",
+     "ansimuz.itch.io/mountain-dusk-parallax-background"),
+    ("Forest Background", "ansimuz", "CC-BY 4.0", "ansimuz.itch.io/parallax-forest"),
+    ("Background", "rubberduck", "CC0", "opengameart.org/content/background-from-glitch-assets"),
+    ("Space Backgrounds", "Rawdanitsu", "CC0", "opengameart.org/content/space-backgrounds-3"),
+    ("Snow Background", "ramses2099", "CC0", "opengameart.org/content/background-2"),
+    ("Top-Down Backgrounds", "davis123", "CC-BY 3.0",
+     "opengameart.org/content/backgrounds-topdown-games"),
+    ("Water Backgrounds", "rh0", "CC0",
+     "opengameart.org/content/few-water-backgrounds-1366%C3%97768"),
+    ("Water Backgrounds", "Alucard", "CC-BY 3.0",
+     "opengameart.org/content/2d-background-underwater"),
+    ("Water Backgrounds", "SugarMoonWitch", "CC-BY 3.0", "opengameart.org/content/underwater-bg"),
+    ("Water Backgrounds", "lzubiaur", "CC0", "opengameart.org/content/underwater-background-0"),
+    ("2D Background Set", "Alucard", "CC-BY 3.0", "opengameart.org/content/2d-backgrounds-set"),
+    ("Parallax 2D Backgrounds", "CraftPix.net 2D Game Assets", "OGA-BY 3.0",
+     "opengameart.org/content/parallax-2d-backgrounds"),
+    ("Fantasy Cartoon Game Backgrounds", "CraftPix.net 2D Game Assets", "OGA-BY 3.0",
+     "opengameart.org/content/fantasy-cartoon-game-backgrounds"),
+    ("Beach Backgrounds", "CraftPix.net 2D Game Assets", "OGA-BY 3.0",
+     "opengameart.org/content/beach-2d-backgrounds"),
+    ("Battle Backgrounds", "Nidhoggn", "CC0", "opengameart.org/content/backgrounds-3"),
+    ("Sunrise Background", "tgfcoder", "CC0",
+     "opengameart.org/content/morning-sunrise-background"),
+)  # fmt: skip
+LINES = ("Diagonal lines", "the paper's fork", "MIT", FORK)
+
+
+@dataclass(frozen=True)
+class Picture:
+    """A file of the original: its path among Procgen's assets, size in bytes and SHA-256."""
+
+    path: str
+    bytes: int
+    sha256: str
+
+    def is_this(self, data: bytes) -> bool:
+        """Whether `data` is the file, to the last bit."""
+        return len(data) == self.bytes and hashlib.sha256(data).hexdigest() == self.sha256
+
+    @property
+    def kept(self) -> Path:
+        """Where it is kept, once imported."""
+        return folder() / PurePosixPath(self.path)
+
+
+def _pictures() -> dict[str, Picture]:
+    text = Path(__file__).with_name("original.csv").read_text(encoding="utf-8")
+    rows = csv.DictReader(io.StringIO(text))
+    return {row["path"]: Picture(row["path"], int(row["bytes"]), row["sha256"]) for row in rows}
+
+
+PICTURES = _pictures()
+
+
+def folder() -> Path:
+    """Where the pictures are kept: the environment's ASTRAY_ART, else the user's data folder."""
+    chosen = os.environ.get("ASTRAY_ART")
+    return Path(chosen) if chosen else platformdirs.user_data_path("astray", False) / "original"
+
+
+def missing() -> list[str]:
+    """The paths of the pictures that were not imported."""
+    return [path for path, picture in PICTURES.items() if not picture.kept.is_file()]
+
+
+def take(source: Path | None = None) -> list[str]:
+    """Import the pictures from a wheel or a checkout, None: from PyPI; those still missing.
+
+    All are checked before the first is written, and one that is there already stays there.
+
+    Raises ValueError where `source` is no such wheel or checkout, OSError where the pictures
+    cannot be read or written.
+    """
+    if source is None:
+        with tempfile.TemporaryDirectory(prefix="astray-") as passing:
+            return take(_download(Path(passing)))
+    if source.is_dir():
+        found = _read_all(source, _reader(source))
+    elif source.is_file():
+        found = _read_wheel(source)
+    else:
+        raise FileNotFoundError(f"there is no wheel and no checkout of Procgen at {source}")
+    for path, data in found.items():
+        kept = PICTURES[path].kept
+        if not (kept.is_file() and PICTURES[path].is_this(kept.read_bytes())):
+            kept.parent.mkdir(parents=True, exist_ok=True)
+            write_aside(kept, data)
+    return missing()
+
+
+def _download(to: Path) -> Path:
+    """Have pip download Procgen's wheel; it is never installed, so any Python will do."""
+    by_hand = f"download {WHEEL} from PyPI by hand, and: {COMMAND} {WHEEL}"
+    try:
+        pip = [sys.executable, "-m", "pip", *DOWNLOAD, f"--dest={to}", "--quiet"]
+        done = subprocess.run(pip, capture_output=True, text=True, stdin=subprocess.DEVNULL)
+    except OSError as error:
+        raise OSError(f"pip cannot be run ({error}); {by_hand}") from error
+    wheels = list(to.glob("procgen-0.10.7-*.whl"))
+    if done.returncode or not wheels:
+        said = done.stderr.strip().splitlines() or [f"it ended with {done.returncode}"]
+        raise OSError(f"pip could not download Procgen ({said[-1]}); {by_hand}")
+    return wheels[0]
+
+
+def _read_wheel(wheel: Path) -> dict[str, bytes]:
+    try:
+        with zipfile.ZipFile(wheel) as archive:
+            names = set(archive.namelist())
+            for name in names:
+                if name.startswith(("/", "\\")) or ".." in PurePosixPath(name).parts:
+                    raise ValueError(f"{wheel} is refused: it holds {name!r}, outside of itself")
+
+            def read(picture: Picture) -> bytes | None:
+                if INSIDE + picture.path not in names:
+                    return None
+                with archive.open(INSIDE + picture.path) as file:
+                    return file.read(picture.bytes + 1)  # never more: a few bytes may unpack to all
+
+            return _read_all(wheel, read)
+    except (zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, RuntimeError) as error:
+        raise ValueError(f"{wheel} is no wheel, or not all of one: {error}") from error
+
+
+def _reader(checkout: Path) -> Callable[[Picture], bytes | None]:
+    """What reads a picture out of a checkout of Procgen or the fork, or out of its assets."""
+    inside = [checkout / part for part in (INSIDE, "data/assets", "")]
+    assets = next((path for path in inside if (path / "kenney").is_dir()), None)
+    if assets is None:
+        raise ValueError(f"{checkout} is no checkout of Procgen: it has no {INSIDE}")
+
+    def read(picture: Picture) -> bytes | None:
+        path = assets / PurePosixPath(picture.path)
+        if not path.is_file():
+            return None
+        with open(path, "rb") as file:
+            return file.read(picture.bytes + 1)
+
+    return read
+
+
+def _read_all(source: Path, read: Callable[[Picture], bytes | None]) -> dict[str, bytes]:
+    """All pictures of a source, checked; only the fork has all."""
+    found = {}
+    for path, picture in PICTURES.items():
+        data = read(picture)
+        if data is None and path not in FORK_ALONE:
+            raise ValueError(f"{source} is not all of Procgen 0.10.7: it lacks {path}")
+        if data is not None and not picture.is_this(data):
+            raise ValueError(f"{source} is not Procgen 0.10.7: its {path} is another picture")
+        if data is not None:
+            found[path] = data
+    return found
+
+
+def atlas(paths: Sequence[str], backgrounds: int = 0) -> tuple[np.ndarray, np.ndarray]:
+    """Imported pictures as one array for `kernel.qt`, and where in it each of them is.
+
+    backgrounds  how many of the first are: their opacity is ignored, as the original does
+    returns      pixels [N] uint32, a file of them mapped into memory, as all processes share it;
+                 places [len(paths), 3] int64: where it begins, height, width
+    """
+    lacking = [path for path in paths if not PICTURES[path].kept.is_file()]
+    if lacking and lacking[0] in FORK_ALONE:
+        raise FileNotFoundError(
+            f"{lacking[0]} is not among the original's pictures in {folder()}: "
+            f"only the paper's fork has it: {COMMAND} CHECKOUT, of {FORK}"
+        )
+    if lacking:
+        raise FileNotFoundError(
+            f"the original's pictures are not in {folder()}; to get them: {COMMAND}"
+        )
+    digest = hashlib.sha256(repr((backgrounds, *(PICTURES[p] for p in paths))).encode())
+    file = folder() / f"decoded-{digest.hexdigest()[:16]}.npy"
+    kept = _open_atlas(file, len(paths))
+    if kept is None:
+        made = _decode(paths, backgrounds)
+        try:
+            data = io.BytesIO()
+            np.save(data, made)
+            write_aside(file, data.getvalue())
+        except OSError:  # the folder may be read-only; then each process has its own
+            kept = made
+        else:
+            kept = _open_atlas(file, len(paths))
+            kept = made if kept is None else kept
+    sizes = kept[: 2 * len(paths)].reshape(-1, 2).astype(np.int64)
+    begins = 2 * len(paths) + np.concatenate([[0], np.cumsum(sizes.prod(1))])
+    return kept, np.column_stack([begins[:-1], sizes])
+
+
+def _open_atlas(file: Path, count: int) -> np.ndarray | None:
+    """The array that `_decode` made of `count` pictures; None where the file does not hold it."""
+    try:
+        # Copied where written to, which nobody does: compiled code takes no read-only arrays.
+        kept = np.asarray(np.load(file, mmap_mode="c"))
+    except (OSError, ValueError, EOFError):
+        return None
+    whole = kept.dtype == np.uint32 and kept.ndim == 1 and len(kept) >= 2 * count
+    sizes = kept[: 2 * count].reshape(-1, 2).astype(np.int64) if whole else np.zeros((1, 2))
+    return kept if whole and len(kept) == 2 * count + sizes.prod(1).sum() else None
+
+
+def _decode(paths: Sequence[str], backgrounds: int) -> np.ndarray:
+    """Heights and widths of all, then all their pixels."""
+    parts, sizes = [], []
+    for k, path in enumerate(paths):
+        data = PICTURES[path].kept.read_bytes()
+        if not PICTURES[path].is_this(data):
+            raise ValueError(f"{PICTURES[path].kept} is not what was imported; again: {COMMAND}")
+        with Image.open(io.BytesIO(data)) as image:
+            rgba = np.array(image.convert("RGBA")).astype(np.uint32)
+        sizes += rgba.shape[:2]
+        parts.append(_packed(rgba, opaque=k < backgrounds).reshape(-1))
+    return np.concatenate([np.array(sizes, np.uint32), *parts])
+
+
+def _packed(rgba: np.ndarray, opaque: bool) -> np.ndarray:
+    """[H, W] uint32 of RGBA [H, W, 4], red in the lowest byte, multiplied by opacity as Qt does."""
+    alpha = rgba[..., 3:]
+    if opaque:
+        alpha, colours = np.full_like(alpha, 255), rgba[..., :3]
+    else:
+        product = rgba[..., :3] * alpha
+        colours = (product + (product >> 8) + 128) >> 8
+    red, green, blue = np.moveaxis(colours, -1, 0)
+    return red | green << 8 | blue << 16 | alpha[..., 0] << 24

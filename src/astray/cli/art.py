@@ -1,0 +1,54 @@
+"""The verb for pictures: import the original's, and say what is there."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Literal
+
+from tyro.conf import Positional
+
+from astray.art import original
+from astray.cli.arguments import print_json
+from astray.game import OWN
+
+
+def art(
+    what: Positional[Literal["list", "import"]] = "list",
+    source: Positional[Path | None] = None,
+    json: bool = False,
+) -> None:
+    """List the pictures that games are drawn with, or import the original's.
+
+    Args:
+        what: list; or import, which checks each picture by its digest and keeps it in the user's
+            data folder, or where ASTRAY_ART says
+        source: the wheel of procgen 0.10.7, or a checkout of it or of the paper's fork, which alone
+            has the lines of Maze; by default pip downloads the wheel
+        json: print JSON
+    """
+    if what == "list" and source is not None:
+        raise ValueError(f"pictures are taken from {source} by: {original.COMMAND} {source}")
+    missing = original.take(source) if what == "import" else original.missing()
+    found = {
+        "folder": str(original.folder()),
+        "pictures": len(original.PICTURES) - len(missing),
+        "missing": missing,
+        "licences": [dict(zip(("pictures", "author", "licence", "source"), row, strict=True))
+                     for row in (*original.LICENCES, original.LINES)],
+    }  # fmt: skip
+    if json:
+        print_json({OWN: {"pictures": "all", "licence": "MIT"}, "original": found})
+        return
+    print(f"{OWN}: drawn for astray, part of it")
+    print(f"original: {found['pictures']} of {len(original.PICTURES)} in {found['folder']}")
+    if len(missing) == len(original.PICTURES):
+        print(f"  to get them: {original.COMMAND}")
+    elif missing:
+        print(f"  without {', '.join(missing)}")
+        if set(missing) <= set(original.FORK_ALONE):
+            print(f"  which only the paper's fork has: {original.COMMAND} CHECKOUT, of "
+                  f"{original.FORK}; variants of Maze with a line need them")  # fmt: skip
+    if len(missing) < len(original.PICTURES):
+        print("  licences of Procgen's pictures:")
+        for pictures, author, licence, where in (*original.LICENCES, original.LINES):
+            print(f"  {licence:10}  {pictures}, by {author}: {where}")

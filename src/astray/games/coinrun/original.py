@@ -1,0 +1,229 @@
+"""CoinRun as the original draws it, pixel by pixel, with its pictures."""
+
+from __future__ import annotations
+
+import functools
+
+import numpy as np
+
+from astray.art import original
+from astray.game import Looks, Variant
+from astray.games.coinrun.draw import PERIOD, VIEW
+from astray.games.coinrun.levels import BACKGROUNDS, CRATES
+from astray.games.coinrun.rules import (
+    COIN,
+    CRATE,
+    HALF,
+    LAVA,
+    LAVA_TOP,
+    PERMEABLE,
+    PUFFS,
+    SAW,
+    TALL,
+    TOP,
+    WALK,
+    WALL,
+    WORLD,
+    F,
+)
+from astray.kernel.jit import kernel, shared
+from astray.kernel.qt import (
+    GENERIC,
+    OPEN,
+    SPRITE,
+    around,
+    blit,
+    blit_faded,
+    camera,
+    paint_cells,
+)
+
+SEEN = F(VIEW) / F(2) + F(1)  # cells from the runner to the last that are looked at
+PLAYERS = ("Beige", "Blue", "Green", "Pink", "Yellow")
+GROUND = ("Dirt", "Grass", "Planet", "Sand", "Snow", "Stone")
+ENEMIES = (
+    "slimeBlock", "slimePurple", "slimeBlue", "slimeGreen", "mouse", "snail", "ladybug",
+    "wormGreen", "wormPink",
+)  # fmt: skip
+BEHIND = {
+    "platform_backgrounds": (
+        "alien_bg", "another_world_bg", "back_cave", "caverns", "cyberpunk_bg", "parallax_forest",
+        "scifi_bg", "scifi2_bg", "living_tissue_bg", "airadventurelevel1", "airadventurelevel2",
+        "airadventurelevel3", "airadventurelevel4", "cave_background", "blue_desert", "blue_grass",
+        "blue_land", "blue_shroom", "colored_desert", "colored_grass", "colored_land",
+        "colored_shroom", "landscape1", "landscape2", "landscape3", "landscape4", "battleback1",
+        "battleback2", "battleback3", "battleback4", "battleback5", "battleback6", "battleback7",
+        "battleback8", "battleback9", "battleback10", "sunrise",
+    ),
+    "platform_backgrounds_2": (
+        "beach1", "beach2", "beach3", "beach4", "fantasy1", "fantasy2", "fantasy3", "fantasy4",
+        "candy1", "candy2", "candy3", "candy4",
+    ),
+    "space_backgrounds": (
+        "deep_space_01", "spacegen_01", "milky_way_01", "ez_space_lite_01", "meyespace_v1_01",
+        "eye_nebula_01", "deep_sky_01", "space_nebula_01", "Background-1", "Background-2",
+        "Background-3", "Background-4", "parallax-space-backgound",
+    ),
+}  # fmt: skip
+BOXES = ("boxCrate", "boxCrate_double", "boxCrate_single", "boxCrate_warning")
+# The pictures in the order of their numbers, and the number of the first of each kind.
+KINDS = {
+    "backgrounds": [f"{folder}/{name}.png" for folder, names in BEHIND.items() for name in names],
+    "centres": [f"kenney/Ground/{name}/{name.lower()}Center.png" for name in GROUND],
+    "tops": [f"kenney/Ground/{name}/{name.lower()}Mid.png" for name in GROUND],
+    "lava": ["kenney/Tiles/lava.png"],
+    "lava top": ["kenney/Tiles/lavaTop_low.png"],
+    "coin": ["kenney/Items/coinGold.png"],
+    "saws": ["kenney/Enemies/sawHalf.png", "kenney/Enemies/sawHalf_move.png"],
+    "crates": [f"kenney/Tiles/{name}.png" for name in BOXES],
+    "walkers": [f"kenney/Enemies/{name}{move}.png" for name in ENEMIES for move in ("", "_move")],
+    "runners": [f"kenney/Players/128x256/{name}/alien{name}_{pose}.png"
+                for name in PLAYERS for pose in ("stand", "walk1", "walk2")],
+    "puff": ["misc_assets/iconCircle_white.png"],
+}  # fmt: skip
+PICTURES = tuple(path for paths in KINDS.values() for path in paths)
+(BACKGROUND_PLACE, CENTRE_PLACE, TOP_PLACE, LAVA_PLACE, LAVA_TOP_PLACE, COIN_PLACE, SAW_PLACE,
+ CRATE_PLACE, WALKER_PLACE, RUNNER_PLACE, PUFF_PLACE) = (
+    PICTURES.index(paths[0]) for paths in KINDS.values()
+)  # fmt: skip
+
+HEAD = 0.7415  # of the runner's box, how far its picture is higher than it
+PUFF_DOWN, PUFF_RISE = F(0.25), F(0.01)  # cells below the walker's centre; cells per step
+PUFF_WIDE, PUFF_HIGH, PUFF_GROWTH = F(0.3), F(0.2), F(1.05)  # halves, cells; per step
+PUFF_OPACITY, PUFF_FADE = F(0.5), F(0.8)  # per step
+
+
+def _puffs() -> tuple[np.ndarray, np.ndarray]:
+    """By age: half a puff's width and height [PUFFS, 2], and what of 255 is left of its opacity."""
+    half, opacity = np.empty((PUFFS, 2), F), np.empty(PUFFS, np.int64)
+    wide, high, left = PUFF_WIDE, PUFF_HIGH, PUFF_OPACITY
+    for age in range(PUFFS):
+        half[age], opacity[age] = (wide, high), 255 * int(256 * left) >> 8
+        wide, high, left = wide * PUFF_GROWTH, high * PUFF_GROWTH, left * PUFF_FADE
+    return half, opacity
+
+
+PUFF_HALF, PUFF_LEFT = _puffs()
+
+
+@shared
+def paint(s, art, scene):
+    """Nothing: the camera follows the runner, and no part of the image stays."""
+
+
+@shared
+def draw(s, art, scene, image):
+    """The window around the runner."""
+    pixels, places, rule = art
+    seen = camera(image.shape[0], VIEW, s.x, s.y)
+    draw_cells(s, pixels, places, rule[0], seen, image)
+    draw_things(s, pixels, places, seen, image)
+    draw_trails(s, pixels, places, rule[0], seen, image)
+    draw_runner(s, pixels, places, seen, image)
+    draw_walkers(s, pixels, places, seen, image)
+
+
+@kernel
+def draw_cells(s, pixels, places, rule, seen, image):
+    """Background, ground, lava and coins; around the world there is wall."""
+    picture = np.full(PERMEABLE + 1, OPEN)  # of what is in a cell, as `paint_cells` has it
+    picture[WALL], picture[TOP] = CENTRE_PLACE + s.ground, TOP_PLACE + s.ground
+    picture[PERMEABLE] = CENTRE_PLACE  # of dirt, whatever the level's ground
+    picture[LAVA], picture[LAVA_TOP] = LAVA_PLACE, -2 - LAVA_TOP_PLACE
+    picture[COIN] = -2 - COIN_PLACE
+    left, low = int(s.x - SEEN), int(s.y - SEEN)
+    columns, rows = int(s.x + SEEN) - left + 1, int(s.y + SEEN) - low + 1
+    cells = np.full((rows, columns), picture[WALL])
+    first, after = max(-left, 0), min(WORLD - left, columns)
+    for j in range(max(-low, 0), min(WORLD - low, rows)):
+        line = s.cell[low + j]
+        for i in range(first, after):
+            cells[j, i] = picture[line[left + i]]
+    background = s.background + BACKGROUND_PLACE, s.background_offset
+    paint_cells(image, pixels, places, cells, seen, left, low, WORLD, background, rule)
+
+
+@shared
+def draw_things(s, pixels, places, seen, image):
+    """Saws, which turn with every step, then crates."""
+    left, after = max(int(s.x - SEEN), 0), min(int(s.x + SEEN) + 1, WORLD)
+    low, high = max(int(s.y - SEEN), 0), min(int(s.y + SEEN) + 1, WORLD)
+    saws, crates = 0, 0
+    for y in range(low, high):
+        line = s.thing[y]
+        for x in range(left, after):
+            saws += line[x] == SAW
+            crates += line[x] == CRATE
+    for thing in (SAW, CRATE):
+        many = saws if thing == SAW else crates
+        for x in range(left, after if many else left):
+            for y in range(low, high):
+                if s.thing[y, x] == thing:
+                    rect = around(seen, F(x) + HALF, F(y) + HALF, HALF, HALF)
+                    if thing == SAW:
+                        blit(image, pixels, places[SAW_PLACE + s.time % 2], rect, False)
+                    else:
+                        draw_crate(s.detail[y, x], pixels, places, rect, image)
+
+
+@kernel
+def draw_crate(detail, pixels, places, rect, image):
+    """A crate, and before it the one that it was put upon."""
+    if detail >= CRATES:
+        blit(image, pixels, places[CRATE_PLACE + detail // CRATES - 1], rect, False)
+    blit(image, pixels, places[CRATE_PLACE + detail % CRATES], rect, False)
+
+
+@shared
+def draw_trails(s, pixels, places, rule, seen, image):
+    """The trails of walkers, from the oldest puffs on; of one step's, the last walker's first."""
+    far = SEEN + F(3)
+    for age in range(min(s.time, PUFFS) - 1, -1, -1):
+        for k in range(s.walkers - 1, -1, -1):
+            x, y = s.trail_x[k, age], s.walker_y[k] - PUFF_DOWN
+            if abs(x - s.x) < far and abs(y - s.y) < far:
+                for _ in range(age):
+                    y += PUFF_RISE
+                rect = around(seen, x, y, PUFF_HALF[age, 0], PUFF_HALF[age, 1])
+                blit_faded(image, pixels, places[PUFF_PLACE], rect, PUFF_LEFT[age], rule)
+
+
+@kernel
+def draw_runner(s, pixels, places, seen, image):
+    """The runner, who begins a level as if walking; its picture is higher than what it touches."""
+    left, top, wide, high = around(seen, s.x, s.y, HALF, TALL)
+    rect = left, top - HEAD * high, wide, 1.7415 * high
+    pose = s.pose if s.time > 0 else WALK
+    blit(image, pixels, places[RUNNER_PLACE + 3 * s.runner_look + pose], rect, s.faces_left)
+
+
+@shared
+def draw_walkers(s, pixels, places, seen, image):
+    """The walkers in view, which look to the left at the beginning, wherever they go."""
+    far = SEEN + F(1)
+    for k in range(s.walkers):
+        x, y = s.walker_x[k], s.walker_y[k]
+        if abs(x - s.x) < far and abs(y - s.y) < far:
+            rect = around(seen, x, y, HALF, HALF)
+            place = WALKER_PLACE + 2 * s.walker_look[k] + s.time // PERIOD % 2
+            blit(image, pixels, places[place], rect, s.time > 0 and s.walker_vx[k] > 0)
+
+
+def scene_shape(variant: Variant, pixels: int) -> tuple[int, ...]:
+    return (1, 1, 3)
+
+
+def art(rule: int, variant: Variant, pixels: int) -> tuple[np.ndarray, ...]:
+    """Pixels [N] and places [K, 3] of all pictures, the rule [1]."""
+    return _art(rule)
+
+
+@functools.cache
+def _art(rule: int) -> tuple[np.ndarray, ...]:
+    return *original.atlas(PICTURES, BACKGROUNDS), np.array([rule])
+
+
+LOOKS = {
+    name: Looks("original", paint, draw, functools.partial(art, rule), scene_shape)
+    for name, rule in {"original": GENERIC, "original-5.12": SPRITE}.items()
+}

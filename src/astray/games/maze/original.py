@@ -1,0 +1,130 @@
+"""Maze as the original draws it, pixel by pixel, with its pictures."""
+
+from __future__ import annotations
+
+import functools
+from typing import Any
+
+import numpy as np
+
+from astray.art import original
+from astray.game import NEVER, Looks, Variant
+from astray.games.maze.variants import COLOURS, FLOORS, SHAPES, WALLS
+from astray.kernel.canvas import copy_flat
+from astray.kernel.jit import kernel, shared
+from astray.kernel.maze import is_wall
+from astray.kernel.qt import GENERIC, OPEN, SPRITE, around, blit, camera, paint_cells
+
+F = np.float32
+HALF = F(0.5)  # half a side of the mouse, cells
+FLOOR_PICTURES = (
+    "topdown_backgrounds/floortiles.png",
+    *(f"topdown_backgrounds/backgrounddetailed{k}.png" for k in range(1, FLOORS)),
+)
+WALL_PICTURE, MOUSE_PICTURE = "kenney/Ground/Sand/sandCenter.png", "kenney/Enemies/mouse_move.png"
+OBJECT_PICTURES = {
+    ("cheese", "yellow"): "misc_assets/cheese.png",
+    ("line", "yellow"): "kenney/Items/yellow_line_diag.png",
+    ("line", "red"): "kenney/Items/red_line_diag.png",
+    ("star", "yellow"): "kenney/Items/star.png",
+    ("gem", "yellow"): "kenney/Items/gemYellow.png",
+    ("gem", "red"): "kenney/Items/gemRed.png",
+}
+WALL_PLACE, MOUSE_PLACE, OBJECT_PLACES = FLOORS, FLOORS + 1, FLOORS + 2  # among the pictures
+
+
+@shared
+def paint(s, art, scene):
+    """The whole world without the mouse; nothing where a window moves with it."""
+    if s.window == 0:
+        paint_world(s, art, scene)
+
+
+@shared
+def paint_world(s, art, image):
+    """All that is in cells, of the whole world or of the window around the mouse."""
+    pixels, places, objects, rule = art
+    side = image.shape[0]
+    if s.window:
+        seen, half = camera(side, s.window, F(s.x), F(s.y)), F(s.window) / F(2) + F(1)
+        left, low = int(F(s.x) - half), int(F(s.y) - half)
+        columns, rows = int(F(s.x) + half) - left + 1, int(F(s.y) + half) - low + 1
+    else:
+        seen = camera(side, s.world, F(s.world) * HALF, F(s.world) * HALF)
+        left, low, columns, rows = 0, 0, s.world, s.world
+    cells = np.full((rows, columns), OPEN)
+    for j in range(rows):
+        for i in range(columns):
+            if is_wall(s, left + i, low + j):
+                cells[j, i] = WALL_PLACE
+    if s.other_x != NEVER:
+        put(cells, s.other_x - left, s.other_y - low, objects[s.other_shape, s.other_colour])
+    if s.goal_x != NEVER and s.reached_goal == NEVER:
+        put(cells, s.goal_x - left, s.goal_y - low, objects[s.goal_shape, s.goal_colour])
+    background = s.background, s.background_offset
+    paint_cells(image, pixels, places, cells, seen, left, low, s.world, background, rule[0])
+
+
+@kernel
+def put(cells, x, y, picture):
+    """Put an object that has a picture into cell (x, y), where that is in view."""
+    if picture >= 0 and 0 <= y < cells.shape[0] and 0 <= x < cells.shape[1]:
+        cells[y, x] = -2 - picture
+
+
+@shared
+def draw(s, art, scene, image):
+    """The scene, or the window of it around the mouse, with the mouse on it."""
+    pixels, places, _, _ = art
+    if s.window or s.reached_goal != NEVER:  # then the goal is gone
+        paint_world(s, art, image)
+    else:
+        copy_flat(image, scene)
+    side, cells = image.shape[0], s.window if s.window else s.world
+    if s.window:
+        seen = camera(side, cells, F(s.x), F(s.y))
+    else:
+        seen = camera(side, cells, F(s.world) * HALF, F(s.world) * HALF)
+    rect = around(seen, F(s.x), F(s.y), HALF, HALF)
+    blit(image, pixels, places[MOUSE_PLACE], rect, s.faces_right)
+
+
+def scene_shape(variant: Variant, pixels: int) -> tuple[int, ...]:
+    p: Any = variant
+    return (1, 1, 3) if p.window else (pixels, pixels, 3)
+
+
+def art(rule: int, variant: Variant, pixels: int) -> tuple[np.ndarray, ...]:
+    """Pixels [N] and places [K, 3] of all pictures, those of objects [7, 7], the rule [1].
+
+    Of objects by shape and colour there is the number of the picture, NEVER where there is none.
+    """
+    needed = set()
+    p: Any
+    for p in filter(None, (variant, variant.shifted)):
+        needed |= {(p.goal_shape, p.goal_colour), (p.other_shape, p.other_colour)}
+        if p.walls != WALLS[0]:
+            raise ValueError(f"the original has walls of {WALLS[0]} alone; these are of {p.walls}")
+    for shape, colour in needed:
+        if shape != "none" and (shape, colour) not in OBJECT_PICTURES:
+            there = ", ".join(f"{c} {s}" for s, c in OBJECT_PICTURES)
+            raise ValueError(f"the original has no {colour} {shape}; it has: {there}")
+    # The lines may not be there, as only the fork has them.
+    objects = tuple(o for o in OBJECT_PICTURES if o[0] != "line" or needed & {o})
+    return _art(rule, objects)
+
+
+@functools.cache
+def _art(rule: int, objects: tuple[tuple[str, str], ...]) -> tuple[np.ndarray, ...]:
+    names = [*FLOOR_PICTURES, WALL_PICTURE, MOUSE_PICTURE, *(OBJECT_PICTURES[o] for o in objects)]
+    pixels, places = original.atlas(names, FLOORS)
+    numbers = np.full((len(SHAPES), len(COLOURS)), NEVER)
+    for k, (shape, colour) in enumerate(objects):
+        numbers[SHAPES.index(shape), COLOURS.index(colour)] = OBJECT_PLACES + k
+    return pixels, places, numbers, np.array([rule])
+
+
+LOOKS = {
+    name: Looks("original", paint, draw, functools.partial(art, rule), scene_shape)
+    for name, rule in {"original": GENERIC, "original-5.12": SPRITE}.items()
+}
