@@ -9,6 +9,8 @@ and it resets every environment at once, so that short measurements hold either 
 from __future__ import annotations
 
 import importlib
+import subprocess
+import sys
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
@@ -22,10 +24,15 @@ from astray import games
 from astray.bench import tables
 from astray.bench.tables import NOTHING, count, decimal, thousands
 from astray.envs.vector import GameVectorEnv
+from astray.game import OWN
 
 ACTIONS = 64  # prepared steps of actions, used again and again
 COPIED = 2**27  # bytes of the plain copy: more than a processor's caches hold
 COPY = "memory copy"
+IMAGES, SYMBOLS = "images", "symbolic"
+ORIGINAL = "original"  # the art of EnvPool's images
+BESIDE = "images beside a busy process"
+BUSY = "while True: pass"  # what that process does
 
 
 @dataclass(frozen=True)
@@ -41,6 +48,7 @@ class Row:
     best: float | None = None  # of the rounds, in steps per second
     gigabytes_per_second: float | None = None  # of observations, or of what is copied
     to_peer: float | None = None  # ratio to EnvPool
+    to_own: float | None = None  # ratio to images with our own art
     to_one_thread: float | None = None  # ratio to the same with one thread
     of_copy: float | None = None  # share of the bytes per second that a plain copy moves
     note: str = ""
@@ -55,6 +63,7 @@ class Row:
             "best": thousands(self.best),
             "GB/s": decimal(self.gigabytes_per_second),
             "x EnvPool": decimal(self.to_peer, 1),
+            "x own art": decimal(self.to_own),
             "x 1 thread": decimal(self.to_one_thread),
             "of a copy": NOTHING if self.of_copy is None else f"{self.of_copy:.0%}",
         }
@@ -118,12 +127,16 @@ def measure_game(
              5% slower than 256, and 1,024 4% faster
     """
     contenders = [
-        _ours(game, variant, "images", batch, threads, seed)
+        _ours(game, variant, IMAGES, batch, threads, seed)
         for batch in batches
         for threads in (1, 2)
     ]
-    contenders += [_ours(game, variant, "symbolic", batch, 1, seed) for batch in batches]
     missing = []
+    try:
+        contenders += [_ours(game, variant, _images(ORIGINAL), n, 1, seed) for n in batches]
+    except FileNotFoundError as error:
+        missing.append(Row(game, variant, _images(ORIGINAL), note=str(error)))
+    contenders += [_ours(game, variant, SYMBOLS, batch, 1, seed) for batch in batches]
     steps = games.load(game).variant(variant).time_limit
     made = _envpool(Row(game, variant, f"EnvPool {peer}"), peer, batches[0], steps, seed)
     if isinstance(made, Contender):
@@ -131,6 +144,23 @@ def measure_game(
     else:
         missing.append(made)
     contenders.append(_copy(game, variant))
+    _take_turns(contenders, seconds, rounds)
+    beside = [_ours(game, variant, BESIDE, batches[0], threads, seed) for threads in (1, 2)]
+    with subprocess.Popen([sys.executable, "-c", BUSY]) as busy:
+        try:
+            _take_turns(beside, seconds, rounds)
+        finally:
+            busy.kill()
+    *rows, copy = [contender.result() for contender in contenders]
+    rows += [contender.result() for contender in beside]
+    return _with_ratios([*rows, *missing, copy])
+
+
+def _images(art: str) -> str:
+    return IMAGES if art == OWN else f"{IMAGES}, {art} art"
+
+
+def _take_turns(contenders: Sequence[Contender], seconds: float, rounds: int) -> None:
     for contender in contenders:
         contender.once(0)  # the first time touches memory that is given only then
     for _ in range(rounds):
@@ -138,13 +168,12 @@ def measure_game(
             contender.take_turn(seconds)
     for contender in contenders:
         contender.close()
-    *rows, copy = [contender.result() for contender in contenders]
-    return _with_ratios([*rows, *missing, copy])
 
 
 def _ours(game: str, variant: str, what: str, batch: int, threads: int, seed: int) -> Contender:
     env = GameVectorEnv(
-        game, variant, batch, observation="image" if what == "images" else "symbolic",
+        game, variant, batch, observation="symbolic" if what == SYMBOLS else "image",
+        art=ORIGINAL if what == _images(ORIGINAL) else OWN,
         autoreset_mode="SameStep", threads=threads,
     )  # fmt: skip
     rng = np.random.default_rng(seed)
@@ -194,14 +223,19 @@ def _with_ratios(rows: list[Row]) -> list[Row]:
     alone = {(row.what, row.batch): row.steps_per_second for row in rows if row.threads == 1}
     result = []
     for row in rows:
-        if row.what == "images":
+        if row.what.startswith(IMAGES) and row.steps_per_second:
             single = alone[row.what, row.batch] if row.threads != 1 else None
             row = replace(
                 row,
                 to_peer=_ratio(row.steps_per_second, peer and peer.steps_per_second),
+                to_own=_ratio(row.steps_per_second, alone[IMAGES, row.batch])
+                if row.what == _images(ORIGINAL)
+                else None,
                 to_one_thread=_ratio(row.steps_per_second, single),
                 of_copy=_ratio(row.gigabytes_per_second, copy.gigabytes_per_second),
             )
+        if row.what == BESIDE:
+            row = replace(row, to_peer=None, of_copy=None)  # which were measured beside nothing
         result.append(row)
     return result
 

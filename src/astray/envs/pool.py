@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import queue
+import statistics
 import threading
 import time
 import weakref
@@ -15,6 +16,11 @@ import numpy as np
 from astray.kernel.laps import MOST_LOOKS, TAKEN, load, new_laps, store
 
 PAUSE = 2e-5  # seconds between looks of one who waited long
+SEEN = 5  # laps alone of which it is seen how long they take
+# Seconds that laps are then shared, at least and at most; that they are done alone where sharing
+# took longer, likewise; and that sharing may cost before it is given up: a few slices of a
+# scheduler, as one may be lost to anything.
+SHARED, ALONE, HOPELESS = (0.06, 0.5), (0.06, 4.0), 0.015
 
 
 class Pool:
@@ -23,6 +29,9 @@ class Pool:
     Waking a thread that sleeps takes 20 to 60 us, stepping 256 environments not much more. So a
     thread that finds nothing left to do looks out for the next lap for a while, and the caller
     for the others' end: in compiled code, where nobody waits for the interpreter's lock.
+
+    Where other processes want the processors too, threads that wait for each other lose more than
+    they share: two did a third of what one does. Then the caller works alone, and they sleep.
     """
 
     def __init__(self, threads: int):
@@ -33,6 +42,7 @@ class Pool:
         looks = MOST_LOOKS if self.threads <= usable_processors() else 0
         self._process, self._lap, self._laps = os.getpid(), 0, new_laps(self.threads, looks)
         self._workers = [_Worker(self._laps, k) for k in range(1, self.threads)]
+        self._pace = _Pace()
         self.close = weakref.finalize(self, _stop, self._workers)
 
     def run(self, function: Callable, arguments: tuple) -> Any:
@@ -49,6 +59,18 @@ class Pool:
             self.close.detach()
             self._start()
         self._join()  # where an interrupt left them at work
+        if not self._workers:
+            return function(*arguments, *alone())
+        begin = time.perf_counter()
+        shared = self._share if self._pace.shared else self._do_alone
+        returned = shared(function, arguments)
+        self._pace.note(time.perf_counter() - begin)
+        return returned
+
+    def _do_alone(self, function: Callable, arguments: tuple) -> Any:
+        return function(*arguments, *alone())
+
+    def _share(self, function: Callable, arguments: tuple) -> Any:
         self._lap += 1
         self._laps[0, TAKEN] = 0
         for worker in self._workers:
@@ -65,6 +87,37 @@ class Pool:
         for worker in self._workers:
             while load(self._laps, worker.number) < worker.given:
                 time.sleep(PAUSE)
+
+
+class _Pace:
+    """Whether laps are shared: whether that was sooner done, lately, than to do them alone."""
+
+    def __init__(self) -> None:
+        self.shared = False
+        self._times: list[float] = []  # of laps since it was decided last, in seconds
+        self._spent = self._until = 0.0  # seconds since then, and until it is decided anew
+        self._alone = 0.0  # seconds of a lap
+        self._next_shared, self._next_alone = SHARED[0], ALONE[0]
+
+    def note(self, seconds: float) -> None:
+        """Take in how long the last lap took, and decide about the next."""
+        self._times.append(seconds)
+        self._spent += seconds
+        lost = self._spent - len(self._times) * self._alone
+        if self.shared and lost > HOPELESS:
+            self._until = 0.0
+        if self._spent < self._until or len(self._times) < SEEN:
+            return
+        if not self.shared:
+            self._alone = statistics.median(self._times[-100:])
+            self._until = self._next_shared
+        elif lost < 0:
+            self._until, self._next_alone = 0.0, ALONE[0]
+            self._next_shared = min(2 * self._next_shared, SHARED[1])
+        else:
+            self._until, self._next_shared = self._next_alone, SHARED[0]
+            self._next_alone = min(2 * self._next_alone, ALONE[1])
+        self.shared, self._times, self._spent = not self.shared, [], 0.0
 
 
 class _Worker:

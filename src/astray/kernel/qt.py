@@ -135,7 +135,7 @@ def blit(image, pixels, place, rect, mirrored):
 
 @kernel
 def faded(over, opacity):
-    """A pixel of which `opacity` 255ths are left."""
+    """A pixel with `opacity` of 255 left."""
     channels = (over & 255) | (over >> 8 & 255) << 16 | (over >> 16 & 255) << 32
     channels *= opacity
     channels = (channels + (channels >> 8 & LOW_BYTES) + HALVES) >> 8 & LOW_BYTES
