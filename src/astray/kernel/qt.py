@@ -17,6 +17,7 @@ from numba import types
 from numba.core import cgutils
 from numba.extending import intrinsic, overload
 
+from astray.kernel.canvas import copy_flat
 from astray.kernel.jit import kernel, shared
 
 F = np.float32
@@ -292,9 +293,11 @@ def paint_cells(image, pixels, places, cells, seen, left, low, world, background
                 is wider than the world
     """
     side, (rows, columns) = image.shape[0], cells.shape
-    tables = np.empty((10, side), np.int64)
-    across, down = tables[:5], tables[5:]
-    edges = np.empty((4, max(rows, columns)), np.int64)
+    # All arrays are parts of one, as each would take as long as a few rows of the image.
+    memory = np.empty(12 * side + rows * columns + 6 * (rows + columns) + 3, np.int64)
+    across, memory = part(memory, 5, side)
+    down, memory = part(memory, 5, side)
+    edges, memory = part(memory, 4, max(rows, columns))
     across[FIRST], down[FIRST] = -1, -1
     for k in range(columns):
         begin, _, length, _ = cell_box(seen, left + k, low)
@@ -303,12 +306,21 @@ def paint_cells(image, pixels, places, cells, seen, left, low, world, background
         _, begin, _, length = cell_box(seen, left, low + k)
         lay(down, edges[2:], k, begin, length)
     lay_background(across, down, places[background[0]], seen, F(world), F(background[1]), rule)
-    fill_rows(image, pixels, places, cells, across, down, edges)
-    for k in range(columns):
+    begins, memory = part(memory, rows, columns)
+    kinds, memory = part(memory, 2, rows)
+    through = sort_rows(begins, kinds, places, cells)
+    fill_rows(image, pixels, begins, kinds, across, down, edges, memory)
+    for k in range(columns if through else 0):
         for j in range(rows):
             if cells[j, k] < OPEN:
                 rect = cell_box(seen, left + k, low + j)
                 blit_cell(image, pixels, places[-2 - cells[j, k]], rect, cells, edges, j, k)
+
+
+@kernel
+def part(memory, rows, columns):
+    """An array [rows, columns] from the beginning of another, and what is left of that."""
+    return memory[: rows * columns].reshape((rows, columns)), memory[rows * columns :]
 
 
 @kernel
@@ -347,28 +359,44 @@ def lay_background(across, down, place, seen, world, offset, rule):
         down[SKY, pixel] = begin + ((base + (pixel - first) * step) >> 16) * width
 
 
+# Rows of `kinds`: the first of the rows of cells that are alike up to this one; whether the
+# background is seen in it.
+ALIKE, IS_OPEN = range(2)
+
+
+@kernel
+def sort_rows(begins, kinds, places, cells):
+    """Write what rows of cells hold; whether the background is seen through a picture in any.
+
+    begins  filled with where in the flat array the picture that fills the cell begins, or OPEN
+    """
+    through = False
+    for j in range(cells.shape[0]):
+        same, is_open = j > 0, False
+        for k in range(cells.shape[1]):
+            cell = cells[j, k]
+            begins[j, k] = places[cell, 0] if cell > OPEN else OPEN
+            same = same and begins[j, k] == begins[j - 1, k]
+            is_open = is_open or cell <= OPEN
+            through = through or cell < OPEN
+        kinds[ALIKE, j], kinds[IS_OPEN, j] = kinds[ALIKE, j - 1] if same else j, is_open
+    return through
+
+
 @shared
-def fill_rows(image, pixels, places, cells, across, down, edges):
+def fill_rows(image, pixels, begins, kinds, across, down, edges, memory):
     """Fill the image with what the tables say, but for pictures that the background is seen by."""
-    side, (rows, columns) = image.shape[0], cells.shape
-    flat, known = image.reshape(-1), -1
-    source, sky = np.empty(side, np.uint64), np.empty(side, np.uint64)
+    side, flat, known = image.shape[0], image.reshape(-1), -1
+    tables, stretches = part(memory, 2, side)
+    sky, source = tables[0].view(np.uint64), tables[1].view(np.uint64)
     for x in range(side):
         sky[x] = across[SKY, x]
-    begins, kind = np.empty((rows, columns), np.int64), np.zeros(rows, np.int64)
-    for j in range(rows):
-        same = j > 0
-        for k in range(columns):
-            begins[j, k] = places[cells[j, k], 0] if cells[j, k] > OPEN else OPEN
-            same = same and begins[j, k] == begins[j - 1, k]
-        kind[j] = kind[j - 1] if same else j  # the first of rows that are alike
-    # The first and last-but-one pixels of stretches, by turns of the background and of pictures.
-    stretches = np.zeros(2 * columns + 3, np.int64)
+    # `stretches` are the first and last-but-one pixels of the background and of pictures, by turns.
     for y in range(side):
-        one, two = kind[down[FIRST, y]], kind[down[LAST, y]]
+        one, two = kinds[ALIKE, down[FIRST, y]], kinds[ALIKE, down[LAST, y]]
         row = flat[y * side * 3 : (y + 1) * side * 3 + (y + 1 < side)]
         behind, tile = np.uint64(down[SKY, y]), np.uint64(down[OF_LAST, y] * TILE)
-        if y + AHEAD < side:
+        if y + AHEAD < side and kinds[IS_OPEN, down[LAST, y + AHEAD]]:
             fetch(pixels, np.uint64(down[SKY, y + AHEAD]), sky)
         if one != two:
             known = -1
@@ -378,6 +406,9 @@ def fill_rows(image, pixels, places, cells, across, down, edges):
         if one != known:
             known = one
             find_stretches(stretches, source, begins[known], across, edges)
+        elif stretches[1] == side and down[SKY, y] == down[SKY, y - 1]:
+            copy_flat(row[: side * 3], flat[(y - 1) * side * 3 : y * side * 3])
+            continue
         k, after = 0, 0
         while after < side:
             begin, after = stretches[k], stretches[k + 1]
@@ -398,7 +429,7 @@ def find_stretches(stretches, source, begins, across, edges):
     side, columns = source.size, begins.size
     for x in range(side):
         source[x] = begins[across[LAST, x]] + across[OF_LAST, x]
-    count, filled = 0, False
+    count, filled, stretches[0] = 0, False, 0
     for k in range(columns):
         if begins[k] > OPEN and not filled:
             filled = True
