@@ -55,13 +55,14 @@ def test_a_run_that_is_killed_at_any_moment_loses_nothing(tmp_path):
 
 
 def test_a_kill_while_an_old_checkpoint_is_removed_leaves_no_half_of_it(tmp_path, monkeypatch):
-    def half(path):
-        (path / checkpoint.AGENT).unlink()
-        raise KeyboardInterrupt
+    def half(folder, names):
+        for agent in folder.glob(f".*/{checkpoint.AGENT}"):
+            agent.unlink()
+            raise KeyboardInterrupt
 
     longer = replace(CONFIG, steps=40 * 1024)
     with monkeypatch.context() as patch:
-        patch.setattr(checkpoint.shutil, "rmtree", half)
+        patch.setattr(checkpoint, "remove_left", half)
         with pytest.raises(KeyboardInterrupt):
             train(longer, tmp_path, progress=False)
     # The first to go is the one at 6,144, which is not the first after a milestone.

@@ -1,16 +1,28 @@
-"""Files that are whole or not there."""
+"""Files that are whole or not there, and the removal of nothing but what astray made."""
 
 from __future__ import annotations
 
+import contextlib
 import os
+import re
+import shutil
+import uuid
+from collections.abc import Collection, Iterator
 from pathlib import Path
+
+ASIDE = re.compile(r"\..+\.[0-9a-f]{32}")  # names that `aside_of` makes, and nobody else
+
+
+def aside_of(path: Path) -> Path:
+    """A path beside `path` that nothing has ever had, for what is to be renamed to it."""
+    return path.with_name(f".{path.name}.{uuid.uuid4().hex}")
 
 
 def write_aside(path: Path, data: bytes) -> None:
     """Write `data` to `path` so that a kill or a full disk leaves the old file or the new one."""
-    aside = path.with_name(f".{path.name}")
+    aside = aside_of(path)
     try:
-        with open(aside, "wb") as file:
+        with open(aside, "xb") as file:
             file.write(data)
             file.flush()
             os.fsync(file.fileno())
@@ -19,3 +31,38 @@ def write_aside(path: Path, data: bytes) -> None:
         aside.unlink(missing_ok=True)
         what = "what was there is still there" if path.exists() else "nothing was written"
         raise OSError(error.errno, f"{error.strerror}; {what}", str(path)) from error
+
+
+@contextlib.contextmanager
+def folder_aside(path: Path) -> Iterator[Path]:
+    """A new folder beside `path`, to be renamed to it when it is whole; removed if it was not."""
+    aside = aside_of(path)
+    aside.mkdir(parents=True)
+    try:
+        yield aside
+    finally:
+        if aside.exists():
+            shutil.rmtree(aside, ignore_errors=True)
+
+
+def remove_left(folder: Path, names: Collection[str]) -> None:
+    """Remove what killed processes left of files of these `names`, or of folders of such.
+
+    Nothing through a link, and no folder with anything else in it.
+    """
+    if folder.is_symlink() or not folder.is_dir():
+        return
+
+    def is_ours(path: Path) -> bool:
+        name = path.name[1:-33] if ASIDE.fullmatch(path.name) else path.name
+        return name in names and path.is_file() and not path.is_symlink()
+
+    for left in folder.iterdir():
+        if not ASIDE.fullmatch(left.name) or left.is_symlink():
+            continue
+        if is_ours(left):
+            left.unlink()
+        elif left.is_dir() and all(map(is_ours, inside := list(left.iterdir()))):
+            for path in inside:
+                path.unlink()
+            left.rmdir()

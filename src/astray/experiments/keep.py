@@ -22,7 +22,7 @@ from astray.analysis.policies import Agent
 from astray.analysis.runs import evaluate_runs, open_run, playing, shift_of
 from astray.experiments import figures
 from astray.experiments.outcomes import AGENTS
-from astray.files import write_aside
+from astray.files import folder_aside, write_aside
 from astray.game import Shift
 from astray.training import checkpoint
 from astray.training.config import Config
@@ -50,8 +50,7 @@ def keep(
             f"the agent is {size / 1e6:.1f} MB; one that is kept is at most {LARGEST / 1e6:g} MB"
         )
     source, named = agent.path.parents[2], shift or shift_of(config)
-    aside = folder / f".{name}"
-    try:
+    with folder_aside(folder / name) as aside:
         there = aside / "checkpoints" / agent.path.parent.name
         there.mkdir(parents=True, exist_ok=True)
         shutil.copyfile(agent.path, there / checkpoint.AGENT)
@@ -59,8 +58,6 @@ def keep(
         draw_curve(source, config, int(there.name), aside)
         write_card(name, aside, named, levels)
         os.replace(aside, folder / name)
-    finally:
-        shutil.rmtree(aside, ignore_errors=True)
     return folder / name
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import functools
 import hashlib
 import json
-import shutil
 from dataclasses import asdict
 from pathlib import Path
 
@@ -17,7 +16,7 @@ from astray import experiments
 from astray.analysis.overlap import met, unseen
 from astray.analysis.runs import open_run, play_all
 from astray.experiments import report
-from astray.experiments.spec import Plan, Runs, Size, Test, Work, kept
+from astray.experiments.spec import COMPUTED, Plan, Runs, Size, Test, Work, kept
 from astray.experiments.workers import Place, train_all
 from astray.files import write_aside
 from astray.game import OWN, Variant
@@ -104,7 +103,8 @@ def forget_stale(plan: Plan, runs: Runs, folder: Path) -> None:
     }
     text, path = json.dumps(data, indent=1).encode(), folder / "plan.json"
     if not path.exists() or path.read_bytes() != text:
-        shutil.rmtree(folder / "computed", ignore_errors=True)
+        for table in (folder / COMPUTED).glob("*.parquet"):
+            table.unlink()
         write_aside(path, text)
 
 

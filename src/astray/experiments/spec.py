@@ -20,6 +20,7 @@ from astray.game import Variant
 from astray.training.config import Config
 
 Size = Literal["smoke", "hour", "paper"]
+COMPUTED = "computed"  # the folder of a report's tables, which `forget_stale` deletes
 SIZES: tuple[Size, ...] = get_args(Size)
 Runs = Mapping[str, Sequence[Path]]  # the run folders of the agents of each name
 
@@ -107,7 +108,7 @@ class Work:
 
 def kept(folder: Path, name: str, compute: Callable[[], pl.DataFrame]) -> pl.DataFrame:
     """The table `name` of a report's folder, made by `compute` where there is none."""
-    path = folder / "computed" / f"{name}.parquet"
+    path = folder / COMPUTED / f"{name}.parquet"
     if path.exists():
         return pl.read_parquet(path)
     table, file = compute(), io.BytesIO()

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import atexit
+import contextlib
 import hashlib
 import os
+import re
 import shutil
 import tempfile
 import time
@@ -21,6 +23,7 @@ from numba.core.compiler import Compiler
 
 PACKAGE = Path(__file__).parents[1]
 KERNELS = ("kernel/*.py", "games/*/*.py", "envs/loops.py", "game.py")  # all that is compiled
+DIGEST = re.compile("[0-9a-f]{16}")  # what `source_digest` returns
 KEPT_FOR = 30 * 24 * 3600  # seconds that the compiled code of another version is kept
 
 
@@ -45,9 +48,21 @@ def _cache_folder() -> Path:
         return _passing_folder()
     for other in home.iterdir():
         used = other / "used"
-        if used.exists() and used.stat().st_mtime < time.time() - KEPT_FOR:
-            shutil.rmtree(other, ignore_errors=True)
+        is_ours = DIGEST.fullmatch(other.name) and not other.is_symlink() and used.is_file()
+        if is_ours and used.stat().st_mtime < time.time() - KEPT_FOR:
+            _remove(other)
     return folder
+
+
+def _remove(folder: Path) -> None:
+    """Remove the compiled code of another version, and the folder if nothing else is in it."""
+    with contextlib.suppress(OSError):
+        for path in folder.glob("**/*"):
+            if path.suffix in (".nbi", ".nbc", ".lock") or path == folder / "used":
+                path.unlink()
+        for path in sorted((p for p in folder.glob("**/*") if p.is_dir()), reverse=True):
+            path.rmdir()
+        folder.rmdir()
 
 
 def _passing_folder() -> Path:

@@ -12,7 +12,6 @@ import contextlib
 import json
 import os
 import platform
-import shutil
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -27,7 +26,7 @@ from safetensors.torch import load as from_bytes
 from safetensors.torch import save as to_bytes
 
 from astray.agents import policy
-from astray.files import write_aside
+from astray.files import aside_of, folder_aside, remove_left, write_aside
 from astray.kernel.jit import source_digest
 from astray.training import parallel
 from astray.training.config import Config
@@ -61,8 +60,6 @@ def claim(folder: Path, config: Config) -> Iterator[None]:
             error.errno, f"{error.strerror}; no run can be kept in", str(folder)
         ) from error
     try:
-        for left in (folder / "checkpoints").glob(".*"):  # of a save that was killed
-            shutil.rmtree(left, ignore_errors=True)
         path = folder / "config.json"
         if path.exists():
             check(folder, config)
@@ -74,6 +71,8 @@ def claim(folder: Path, config: Config) -> Iterator[None]:
             }  # fmt: skip
             data = {"config": config.to_json(), "versions": versions}
             write_aside(path, json.dumps(data, indent=2).encode())
+        remove_left(folder, (path.name,))
+        remove_left(folder / "checkpoints", (AGENT, TRAINER))
         parallel.wait()
         yield
     finally:
@@ -107,34 +106,31 @@ def read_config(folder: Path) -> Config:
 def save(folder: Path, trainer: Trainer) -> None:
     """Write a checkpoint; of those before the last two keep the agents of milestones alone."""
     there = folder / "checkpoints"
-    aside, final = there / f".{trainer.steps}", there / f"{trainer.steps}"
     game = trainer.config.game
     tensors = {name: tensor.contiguous() for name, tensor in trainer.tensors().items()}
     header = policy.header(game, config=trainer.config.to_json())
     if not parallel.first():
         return
-    try:
-        aside.mkdir(parents=True, exist_ok=True)
+    final = there / f"{trainer.steps}"
+    with folder_aside(final) as aside:
         write_aside(aside / AGENT, policy.weights(trainer.network, trainer.architecture, game))
         write_aside(aside / TRAINER, to_bytes(tensors, header))
         os.replace(aside, final)
-    except OSError:
-        shutil.rmtree(aside, ignore_errors=True)
-        raise
     saved = steps_saved(folder)
     firsts = {next((s for s in saved if s >= m), None) for m in trainer.config.milestones}
     for old in saved[:-2]:
         if old in firsts:
             (there / f"{old}" / TRAINER).unlink(missing_ok=True)
         else:
-            gone = there / f".{old}"  # first out of sight: a kill may leave half of it
+            gone = aside_of(there / f"{old}")  # first out of sight: a kill may leave half of it
             os.replace(there / f"{old}", gone)
-            shutil.rmtree(gone)
+            remove_left(there, (AGENT, TRAINER))
 
 
 def steps_saved(folder: Path) -> list[int]:
     """The steps of all checkpoints, ascending."""
-    return sorted(int(p.name) for p in (folder / "checkpoints").glob("[0-9]*"))
+    names = (path.name for path in (folder / "checkpoints").glob("[0-9]*"))
+    return sorted(int(name) for name in names if name.isascii() and name.isdecimal())
 
 
 def latest(folder: Path) -> Path:

@@ -1,0 +1,100 @@
+"""What is not astray's is never removed, whatever it is called and wherever it is."""
+
+import os
+import time
+from dataclasses import replace
+
+import pytest
+
+from astray.files import aside_of, folder_aside, remove_left, write_aside
+from astray.kernel import jit
+from astray.training import checkpoint
+from astray.training.config import PRESETS
+from astray.training.loop import train
+
+NAMES = (checkpoint.AGENT, checkpoint.TRAINER)
+TINY = replace(
+    PRESETS["small"], variant="corner-small", environments=8, rollout=4, minibatches=1, width=4,
+    steps=32, validation_every=1,
+)  # fmt: skip
+
+
+def home(folder):
+    """A folder with what people have in theirs; and what is in it."""
+    for path in (".ssh/id", ".2048/notes", ".config.json", ".mouse/agent.safetensors", "run/x"):
+        (folder / path).parent.mkdir(parents=True, exist_ok=True)
+        (folder / path).write_text(path)
+    return {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+
+
+def test_a_file_is_written_beside_hidden_ones_of_its_name(tmp_path):
+    there = home(tmp_path)
+    write_aside(tmp_path / "config.json", b"new")
+    write_aside(tmp_path / "config.json", b"newer")
+    assert (tmp_path / "config.json").read_bytes() == b"newer"
+    assert all(path.read_bytes() == data for path, data in there.items())
+    assert len(list(tmp_path.iterdir())) == 6  # and nothing is left of it
+
+
+def test_a_folder_that_was_not_finished_is_removed_alone(tmp_path):
+    there = home(tmp_path)
+    with pytest.raises(RuntimeError), folder_aside(tmp_path / "ssh") as aside:
+        (aside / "file").write_text("half")
+        raise RuntimeError
+    with folder_aside(tmp_path / "mouse") as aside:
+        os.replace(aside, tmp_path / "mouse")
+    assert (tmp_path / "mouse").is_dir() and not aside.exists()
+    assert all(path.read_bytes() == data for path, data in there.items())
+
+
+def test_what_killed_processes_left_is_removed_and_nothing_else(tmp_path):
+    there = home(tmp_path)
+    left = aside_of(tmp_path / "2048")
+    left.mkdir()
+    for name in (*NAMES, aside_of(left / checkpoint.AGENT).name):
+        (left / name).write_text("half")
+    with_more = aside_of(tmp_path / "4096")
+    with_more.mkdir()
+    (with_more / "thesis.tex").write_text("mine")
+    linked = aside_of(tmp_path / "1024")
+    linked.symlink_to(tmp_path / ".mouse")
+    remove_left(tmp_path, NAMES)
+    assert not left.exists() and linked.is_symlink()
+    assert (with_more / "thesis.tex").exists()
+    assert all(path.read_bytes() == data for path, data in there.items())
+
+
+def test_training_leaves_hidden_folders_alone_also_through_a_link(tmp_path):
+    (tmp_path / "home").mkdir()
+    there = home(tmp_path / "home")
+    (tmp_path / "run").mkdir()
+    (tmp_path / "run/checkpoints").symlink_to(tmp_path / "home", target_is_directory=True)
+    train(TINY, tmp_path / "run")
+    with pytest.raises(ValueError, match="holds a run with other settings"):
+        train(replace(TINY, steps=64), tmp_path / "run")
+    assert all(path.read_bytes() == data for path, data in there.items())
+
+
+def test_a_copy_of_a_checkpoint_is_none(tmp_path):
+    train(TINY, tmp_path)
+    (tmp_path / "checkpoints/32").rename(tmp_path / "checkpoints/32.bak")
+    (tmp_path / "checkpoints/\u00b2").mkdir()
+    assert checkpoint.steps_saved(tmp_path) == []
+    train(TINY, tmp_path)
+    assert checkpoint.steps_saved(tmp_path) == [32]
+    assert (tmp_path / "checkpoints/32.bak" / checkpoint.AGENT).exists()
+
+
+def test_old_compiled_code_is_removed_and_nothing_else(tmp_path, monkeypatch):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    old, other, strange = (tmp_path / "astray" / n for n in ("0" * 16, "photos", "1" * 16))
+    for folder in (old, other, strange):
+        (folder / "envs_0").mkdir(parents=True)
+        for name in ("used", "compile.lock", "envs_0/loops.nbi", "envs_0/loops.1.nbc"):
+            (folder / name).write_text("")
+        os.utime(folder / "used", (0, time.time() - 2 * jit.KEPT_FOR))
+    (strange / "thesis.tex").write_text("mine")
+    (tmp_path / "astray" / ("2" * 16)).symlink_to(other)
+    folder = jit._cache_folder()
+    assert folder.name == jit.source_digest() and not old.exists()
+    assert (other / "envs_0/loops.nbi").exists() and (strange / "thesis.tex").exists()
