@@ -405,8 +405,8 @@ def test_what_the_original_never_drew_is_refused(changes, said):
 
 
 def test_unknown_art_is_refused():
-    with pytest.raises(ValueError, match="unknown art 'originl' of maze; there are: own, original"):
-        GameVectorEnv("maze", "corner", art="originl")
+    with pytest.raises(ValueError, match="unknown art 'stock' of maze; there are: own, original"):
+        GameVectorEnv("maze", "corner", art="stock")
 
 
 def test_an_agent_is_shown_what_it_was_trained_on(tmp_path):
