@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from scipy.sparse.csgraph import shortest_path
 
-from astray.envs.pool import Pool
+from astray.envs.pool import Pace, Pool
 from astray.game import state_dtype
 from astray.kernel import rng
 from astray.kernel.canvas import blit, copy_window
@@ -131,8 +131,14 @@ def test_a_kernel_is_interpreted_or_part_of_what_calls_it():
     assert engine.is_symbol_defined(whole.fndesc.mangled_name)
 
 
+class Shared(Pace):
+    """Every lap is shared, however long it takes."""
+
+    shared = property(lambda self: True, lambda self, shared: None)
+
+
 def test_a_pool_does_every_piece_once_and_raises_what_fails():
-    pool, seen, threads = Pool(3), [], set()
+    pool, seen, threads = Pool(3, Shared()), [], set()
 
     def see(laps, thread, lap):
         while (low := take(laps, 3)) < 1000:
@@ -152,7 +158,7 @@ def test_a_pool_does_every_piece_once_and_raises_what_fails():
 
 
 def test_a_pool_whose_share_failed_does_not_live_on():
-    pool = Pool(2)
+    pool = Pool(2, Shared())
     gone = weakref.ref(pool)
     with pytest.raises(ZeroDivisionError):
         pool.run(lambda laps, thread, lap: 1 // (thread - 1), ())
@@ -162,7 +168,7 @@ def test_a_pool_whose_share_failed_does_not_live_on():
 
 
 def test_a_pool_that_was_interrupted_loses_no_share(monkeypatch):
-    pool, seen = Pool(2), []
+    pool, seen = Pool(2, Shared()), []
 
     def interrupt(_):
         raise KeyboardInterrupt
@@ -172,7 +178,9 @@ def test_a_pool_that_was_interrupted_loses_no_share(monkeypatch):
         seen.append((lap, thread))
 
     with monkeypatch.context() as patch:
-        patch.setattr("astray.envs.pool.time", types.SimpleNamespace(sleep=interrupt))
+        patch.setattr(
+            "astray.envs.pool.time", types.SimpleNamespace(sleep=interrupt, perf_counter=float)
+        )
         for _ in range(2):
             with pytest.raises(KeyboardInterrupt):
                 pool.run(slowly, ())
@@ -202,7 +210,10 @@ def count_pieces(times, laps, thread, lap):
 
 
 def test_threads_that_take_at_once_take_different_pieces():
-    pool, times = Pool(3), np.zeros(10_000 if numba.config.DISABLE_JIT else 3_000_000, np.int64)
+    pool, times = (
+        Pool(3, Shared()),
+        np.zeros(10_000 if numba.config.DISABLE_JIT else 3_000_000, np.int64),
+    )
     for lap in range(1, 4):
         pool.run(count_pieces, (times,))
         assert (times == lap).all()
@@ -212,7 +223,7 @@ def test_threads_that_take_at_once_take_different_pieces():
 @pytest.mark.parametrize("processors", [1, 3])
 def test_no_lap_is_lost_or_done_twice_however_long_threads_wait(processors, monkeypatch):
     monkeypatch.setattr("astray.envs.pool.usable_processors", lambda: processors)
-    pool, sums = Pool(3), np.zeros(3, np.int64)
+    pool, sums = Pool(3, Shared()), np.zeros(3, np.int64)
     random = np.random.default_rng(0)
     for lap in range(2000):
         numbers = random.integers(0, 100, 50)
@@ -223,6 +234,27 @@ def test_no_lap_is_lost_or_done_twice_however_long_threads_wait(processors, monk
             time.sleep(random.choice([0, 5e-5, 1e-4, 3e-4, 2e-3]))  # so that it sleeps, or nearly
         assert (sums == -1).all()
     pool.close()
+
+
+def pass_laps(pace, seconds, alone, shared):
+    """Go on for `seconds`; the share of laps shared, and how much sooner they were done."""
+    laps, together, spent = 0, 0, 0.0
+    while spent < seconds:
+        lap = shared(laps) if pace.shared else alone
+        laps, together, spent = laps + 1, together + pace.shared, spent + lap
+        pace.note(lap)
+    return together / laps, laps * alone / spent
+
+
+def test_laps_are_shared_while_that_is_sooner():
+    pace = Pace()
+    assert min(pass_laps(pace, 10, 2e-4, lambda k: 1.2e-4)) > 0.95
+    # Beside a busy process one lap in ten waits for a slice of the scheduler's.
+    share, sooner = pass_laps(pace, 20, 2e-4, lambda k: 4e-3 if k % 10 == 0 else 1.2e-4)
+    assert share < 0.05 and sooner > 0.95
+    assert pass_laps(pace, 20, 2e-4, lambda k: 1.2e-4)[0] > 0.75
+    # A slice lost now and then is no reason.
+    assert pass_laps(pace, 10, 2e-4, lambda k: 4e-3 if k % 1000 == 0 else 1.2e-4)[0] > 0.9
 
 
 PROBE = """

@@ -34,15 +34,15 @@ class Pool:
     they share: two did a third of what one does. Then the caller works alone, and they sleep.
     """
 
-    def __init__(self, threads: int):
+    def __init__(self, threads: int, pace: Pace | None = None):
         self.threads = threads
+        self._pace = Pace() if pace is None else pace
         self._start()
 
     def _start(self) -> None:
         looks = MOST_LOOKS if self.threads <= usable_processors() else 0
         self._process, self._lap, self._laps = os.getpid(), 0, new_laps(self.threads, looks)
         self._workers = [_Worker(self._laps, k) for k in range(1, self.threads)]
-        self._pace = _Pace()
         self.close = weakref.finalize(self, _stop, self._workers)
 
     def run(self, function: Callable, arguments: tuple) -> Any:
@@ -89,7 +89,7 @@ class Pool:
                 time.sleep(PAUSE)
 
 
-class _Pace:
+class Pace:
     """Whether laps are shared: whether that was sooner done, lately, than to do them alone."""
 
     def __init__(self) -> None:

@@ -221,6 +221,8 @@ def test_measures_follow_the_runner():
         ({"coins": "three"}, "unknown coins 'three'; there are: one, two, none"),
         ({"place": "sky"}, "unknown place 'sky'; there are: ledge, anywhere"),
         ({"numbering": "stock"}, "unknown numbering"),
+        ({"numbering": "procgen", "random_coin": 0.5}, "have no ledge for a random coin"),
+        ({"numbering": "procgen", "coins": "two"}, "have no ledge for a random coin"),
         ({"time_limit": 0}, "time_limit is 0"),
     ],
 )
@@ -232,7 +234,7 @@ def test_bad_knobs_are_explained(knobs, message):
 @pytest.mark.parametrize(
     "field, value",
     [
-        ("cell", 9), ("thing", 3), ("detail", 9), ("x", -1.0), ("x", np.nan), ("y", 64.0),
+        ("cell", 9), ("thing", 3), ("detail", 20), ("x", -1.0), ("x", np.nan), ("y", 64.0),
         ("vx", 50.0), ("vy", np.inf), ("pose", 3), ("walkers", 49), ("walker_x", 64.0),
         ("walker_y", -0.5), ("walker_vx", np.nan), ("walker_look", 9), ("trail_x", -9.0),
         ("end_x", 64), ("end_y", -1), ("coin_x", 64), ("coin_y", -2), ("permeable", 64),
