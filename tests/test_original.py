@@ -23,6 +23,7 @@ from astray.cli import main
 from astray.envs.vector import GameVectorEnv, picture
 from astray.games.maze.variants import Maze
 from astray.kernel import qt
+from astray.kernel.cells import OPEN, TILE, cell_box, paint_cells
 from astray.training.config import Config
 
 EASY = {"world": 15, "largest": 15}
@@ -188,7 +189,7 @@ def made_pictures(random, kinds):
 @pytest.mark.parametrize("seed", range(12))
 def test_cells_painted_at_once_are_those_drawn_one_by_one(seed):
     random, side = np.random.default_rng(seed), int(np.random.default_rng(seed).choice([64, 50]))
-    tile = (qt.TILE, qt.TILE, True)
+    tile = (TILE, TILE, True)
     pictures, pixels, places = made_pictures(
         random, [(70, 90, True), tile, tile, (27, 31, False), (128, 128, False)]
     )
@@ -201,7 +202,7 @@ def test_cells_painted_at_once_are_those_drawn_one_by_one(seed):
     left, low = (int(v - half) if visible < world else 0 for v in (x, y))
     count = world if visible == world else int(x + half) - left + 1
     rows = world if visible == world else int(y + half) - low + 1
-    choices = [qt.OPEN] * 6 + [1, 1, 1, 2, 2, -2 - 3, -2 - 4]
+    choices = [OPEN] * 6 + [1, 1, 1, 2, 2, -2 - 3, -2 - 4]
     cells = np.full((rows, count), 1)
     for j in range(rows):
         for i in range(count):
@@ -209,7 +210,7 @@ def test_cells_painted_at_once_are_those_drawn_one_by_one(seed):
                 cells[j, i] = random.choice(choices)
     offset = float(np.float32(random.random()))
     image, expected = np.zeros((side, side, 3), np.uint8), np.zeros((side, side, 3), np.uint8)
-    qt.paint_cells(image, pixels, places, cells, seen, left, low, world, (0, offset), qt.GENERIC)
+    paint_cells(image, pixels, places, cells, seen, left, low, world, (0, offset), qt.GENERIC)
 
     size = np.float32(world)
     begin, top, wide, high = qt.rectangle(seen, np.float32(0), size, size, size, np.float32(0))
@@ -218,9 +219,9 @@ def test_cells_painted_at_once_are_those_drawn_one_by_one(seed):
     naive_draw(expected, pictures[0], (begin - shift, top, wide * float(aspect), high), qt.GENERIC)
     for i in range(count):
         for j in range(rows):
-            if cells[j, i] != qt.OPEN:
+            if cells[j, i] != OPEN:
                 which = cells[j, i] if cells[j, i] > 0 else -2 - cells[j, i]
-                naive_draw(expected, pictures[which], qt.cell_box(seen, left + i, low + j))
+                naive_draw(expected, pictures[which], cell_box(seen, left + i, low + j))
     assert np.array_equal(image, expected)
 
 

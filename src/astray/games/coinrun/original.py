@@ -26,17 +26,9 @@ from astray.games.coinrun.rules import (
     WORLD,
     F,
 )
+from astray.kernel.cells import OPEN, paint_cells
 from astray.kernel.jit import kernel, shared
-from astray.kernel.qt import (
-    GENERIC,
-    OPEN,
-    SPRITE,
-    around,
-    blit,
-    blit_faded,
-    camera,
-    paint_cells,
-)
+from astray.kernel.qt import GENERIC, SPRITE, around, blit, blit_faded, camera
 
 SEEN = F(VIEW) / F(2) + F(1)  # cells from the runner to the last that are looked at
 PLAYERS = ("Beige", "Blue", "Green", "Pink", "Yellow")

@@ -20,18 +20,10 @@ from astray.games.keys.rules import (
 )
 from astray.games.keys.variants import FLOORS
 from astray.kernel.canvas import copy_flat
+from astray.kernel.cells import OPEN, paint_cells
 from astray.kernel.jit import kernel, shared
 from astray.kernel.maze import is_wall
-from astray.kernel.qt import (
-    GENERIC,
-    OPEN,
-    SPRITE,
-    around,
-    blit,
-    blit_turned,
-    camera,
-    paint_cells,
-)
+from astray.kernel.qt import GENERIC, SPRITE, around, blit, blit_turned, camera
 
 FLOOR_PICTURES = (
     "topdown_backgrounds/floortiles.png",

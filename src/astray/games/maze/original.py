@@ -11,9 +11,10 @@ from astray.art import original
 from astray.game import NEVER, Looks, Variant
 from astray.games.maze.variants import COLOURS, FLOORS, SHAPES, WALLS
 from astray.kernel.canvas import copy_flat
+from astray.kernel.cells import OPEN, paint_cells
 from astray.kernel.jit import kernel, shared
 from astray.kernel.maze import is_wall
-from astray.kernel.qt import GENERIC, OPEN, SPRITE, around, blit, camera, paint_cells
+from astray.kernel.qt import GENERIC, SPRITE, around, blit, camera
 
 F = np.float32
 HALF = F(0.5)  # half a side of the mouse, cells
