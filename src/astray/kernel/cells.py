@@ -44,8 +44,9 @@ def paint_cells(image, pixels, places, cells, seen, left, low, world, background
                 is wider than the world
     """
     side, (rows, columns) = image.shape[0], cells.shape
-    # All arrays are parts of one, as each would take as long as a few rows of the image.
-    memory = np.empty(12 * side + rows * columns + 6 * (rows + columns) + 3, np.int64)
+    # All arrays are parts of one, as each would take as long as a few rows of the image; zeros, so
+    # that a pixel that no cell covers is a wrong pixel and no wrong address.
+    memory = np.zeros(12 * side + rows * columns + 6 * (rows + columns) + 3, np.int64)
     across, memory = part(memory, 5, side)
     down, memory = part(memory, 5, side)
     edges, memory = part(memory, 4, max(rows, columns))
