@@ -7,11 +7,10 @@ import numpy as np
 import pytest
 import torch
 
-from astray.agents.ppo import normalised
 from astray.bench import train
 from astray.training.config import Config
-from astray.training.loop import update
-from astray.training.rollout import Rollout, collect
+from astray.training.loop import collect, update
+from astray.training.ppo import Samples, normalised
 from astray.training.trainer import Trainer
 
 pytest.importorskip("stable_baselines3")
@@ -57,7 +56,7 @@ def test_rollouts_are_the_same():
     assert env is not None
     env.seed(int(trainer.player.envs[0].states["seed"][0]))
     model.learn(config.batch, callback=keep)
-    ours, theirs = collect(trainer.actor), keep.rollout
+    ours, theirs = collect(trainer), keep.rollout
     ends = trainer.player.recent
     assert 0 < sum(length < 20 for _, length, *_ in ends) < len(ends), "ends of both kinds"
     np.testing.assert_array_equal(ours.observation, theirs.observations)
@@ -81,7 +80,7 @@ def test_updates_are_the_same():
         (kept.observations, kept.actions[:, :, 0], kept.log_probs, kept.values,
          kept.advantages, kept.returns),
     )  # fmt: skip
-    rollout = Rollout(observation, action, log_probability, value, normalised(advantage), target)
+    rollout = Samples(observation, action, log_probability, value, normalised(advantage), target)
     update(trainer, rollout, config.learning_rate)
     for old, ours, theirs in zip(
         before.parameters(), trainer.network.parameters(), model.policy.parameters(), strict=True

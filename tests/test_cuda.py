@@ -13,10 +13,10 @@ from test_training import digest
 
 from astray.bench import profile
 from astray.bench import train as bench
-from astray.training import checkpoint, device, parallel
-from astray.training.device import means
-from astray.training.loop import train, update
-from astray.training.rollout import collect
+from astray.training import checkpoint, parallel
+from astray.training.fast import acceleration
+from astray.training.fast.acceleration import resolve
+from astray.training.loop import collect, train, update
 from astray.training.trainer import Trainer
 
 GRAPHS = replace(PLAIN, device="cuda", graphs=True, steps=1024, checkpoint_every=1)
@@ -27,7 +27,7 @@ def learned(config):
     """All that several iterations with different learning rates came to."""
     trainer, result = Trainer(config), []
     for rate in (2**-9, 2**-10, 2**-10):
-        rollout = collect(trainer.actor)
+        rollout = collect(trainer)
         result += [x.clone() for x in vars(rollout).values()]
         result.append(torch.tensor(list(update(trainer, rollout, rate).values())))
     return [*result, *trainer.network.parameters()]
@@ -54,7 +54,7 @@ def test_two_groups_wait_for_their_actions_and_images(monkeypatch):
 
 def test_only_what_cuda_pinned_is_copied_later(monkeypatch):
     with cuda(monkeypatch) as pretended:
-        collect(Trainer(PLAIN).actor)  # what later copies to other memory leave, nobody knows
+        collect(Trainer(PLAIN))  # what later copies to other memory leave, nobody knows
         assert not pretended.under_way
 
 
@@ -62,7 +62,7 @@ def test_a_gpu_sees_as_many_at_once_as_ever(monkeypatch):
     with cuda(monkeypatch):
         trainer, seen = Trainer(replace(PLAIN, device="cuda", rollout=40, groups=2)), set()
         trainer.network.features.register_forward_pre_hook(lambda _, x: seen.add(len(x[0])))
-        collect(trainer.actor)
+        collect(trainer)
     assert len(trainer.player.recent) and seen == {PLAIN.environments // 2}
 
 
@@ -113,13 +113,13 @@ def test_the_benchmark_runs_on_a_gpu(monkeypatch):
 
 def test_a_gpu_learns_without_a_compiler_and_says_so(monkeypatch):
     config = replace(ALL, compiled=None)
-    monkeypatch.setattr(device, "find_spec", lambda name: True)
+    monkeypatch.setattr(acceleration, "find_spec", lambda name: True)
     monkeypatch.setenv("CC", "gcc")
-    monkeypatch.setattr(device.Path, "exists", lambda path: path.name == "Python.h")
-    assert means(config).compiled
+    monkeypatch.setattr(acceleration.Path, "exists", lambda path: path.name == "Python.h")
+    assert resolve(config).compiled
     monkeypatch.delenv("CC")
     monkeypatch.setattr(shutil, "which", lambda name: None)
-    assert not means(config).compiled
+    assert not resolve(config).compiled
     with cuda(monkeypatch), pytest.warns(UserWarning, match="slower without torch.compile"):
         Trainer(config)
 
@@ -127,8 +127,8 @@ def test_a_gpu_learns_without_a_compiler_and_says_so(monkeypatch):
 def test_a_process_compiles_for_more_agents_than_torch_lets_it(monkeypatch):
     limits, compile = torch._dynamo.config, torch.compile
     monkeypatch.setattr(torch, "compile", lambda f, **x: compile(f, backend="eager", **x))
-    monkeypatch.setattr(device, "compiles", lambda name: True)
+    monkeypatch.setattr(acceleration, "compiles", lambda name: True)
     monkeypatch.setattr(limits, "recompile_limit", 1)
     for width in (8, 9, 10):
         trainer = Trainer(replace(PLAIN, compiled=True, width=width))
-        collect(trainer.actor)
+        collect(trainer)

@@ -7,13 +7,12 @@ import pytest
 import torch
 from torch.nn.functional import cosine_similarity
 
-from astray.agents import fused, sparse
 from astray.agents.small import Small
-from astray.training import device
+from astray.training import ppo
 from astray.training.config import PRESETS, Config
-from astray.training.device import means
-from astray.training.loop import update
-from astray.training.rollout import collect
+from astray.training.fast import fused, sparse
+from astray.training.fast.acceleration import resolve
+from astray.training.loop import collect, update
 from astray.training.trainer import Trainer
 
 SMALL = replace(
@@ -88,8 +87,9 @@ def test_the_fused_loss_is_the_plain_one():
     noise = torch.randn(4, 1000, generator=g)
     action = torch.randint(0, 15, (1000,), generator=g)
     was = torch.log_softmax(outputs.detach()[:, :-1], 1).gather(1, action[:, None])[:, 0]
-    samples = [action, was + 0.3 * noise[0], outputs.detach()[:, -1] + 0.3 * noise[1], *noise[2:]]
-    plain = device.loss(lambda x: (x[:, :-1], x[:, -1]), [outputs, *samples], config)
+    value = outputs.detach()[:, -1] + 0.3 * noise[1]
+    samples = ppo.Samples(outputs, action, was + 0.3 * noise[0], value, *noise[2:])
+    plain = ppo.loss(lambda x: (x[:, :-1], x[:, -1]), samples, config)
     plain["loss"].backward()
     expected, outputs.grad = outputs.grad, None
     loss, parts = fused.Loss.apply(
@@ -100,7 +100,7 @@ def test_the_fused_loss_is_the_plain_one():
     assert loss.item() == pytest.approx(plain["loss"].item(), rel=1e-5)
     for name, part in zip(fused.PARTS, parts, strict=True):
         assert part.item() == pytest.approx(plain[name].item(), rel=1e-5), name
-    assert 0.2 < plain["clipped"] < 0.8
+    assert 0.2 < plain["clip_fraction"] < 0.8
 
 
 def test_an_iteration_with_kernels_is_the_one_without():
@@ -109,7 +109,7 @@ def test_an_iteration_with_kernels_is_the_one_without():
         # So sure of its actions that rounding changes none.
         trainer = Trainer(replace(SMALL, kernels=kernels, bfloat16=False))
         trainer.network.get_parameter("policy.weight").data.mul_(1e6)
-        metrics.append(update(trainer, collect(trainer.actor), 1e-3))
+        metrics.append(update(trainer, collect(trainer), 1e-3))
         weights.append(torch.cat([p.detach().flatten() for p in trainer.network.parameters()]))
     one, two = weights
     torch.testing.assert_close(one, two, atol=1e-4, rtol=1e-3)
@@ -118,7 +118,7 @@ def test_an_iteration_with_kernels_is_the_one_without():
 
 @pytest.mark.parametrize("change", [{"device": "cuda"}, {"network": "impala"}])
 def test_kernels_are_left_where_there_are_none_and_explained_where_asked_for(change):
-    assert not means(replace(SMALL, **change)).kernels
-    with pytest.raises(ValueError, match="there is no kernels with device="):
-        means(replace(SMALL, kernels=True, **change))
-    assert means(SMALL).kernels and not means(replace(SMALL, kernels=False)).kernels
+    assert not resolve(replace(SMALL, **change)).kernels
+    with pytest.raises(ValueError, match="kernels must be off with device="):
+        resolve(replace(SMALL, kernels=True, **change))
+    assert resolve(SMALL).kernels and not resolve(replace(SMALL, kernels=False)).kernels

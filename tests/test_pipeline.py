@@ -15,10 +15,9 @@ from test_training import TINY, digest
 from astray.agents.policy import usable
 from astray.training import checkpoint
 from astray.training.config import PRESETS
-from astray.training.device import means
-from astray.training.loop import train, update
-from astray.training.pipeline import restore
-from astray.training.rollout import collect
+from astray.training.fast.acceleration import agreement, resolve
+from astray.training.fast.graphs import restore
+from astray.training.loop import collect, train, update
 from astray.training.trainer import Trainer
 
 OFF = {"kernels": False, "bfloat16": False, "channels_last": False, "compiled": False,
@@ -34,32 +33,32 @@ ON_GPU = pytest.mark.skipif(not usable("cuda"), reason="there is no CUDA device"
 def iteration(config):
     """A trainer, the rollout it played, and what its weights became."""
     trainer = Trainer(config)
-    rollout = collect(trainer.actor)
+    rollout = collect(trainer)
     metrics = update(trainer, rollout, 1e-3)
     weights = torch.cat([p.detach().flatten().cpu() for p in trainer.network.parameters()])
     return trainer, rollout, weights, metrics
 
 
 def test_what_suits_a_cpu():
-    suits = means(TINY)
+    suits = resolve(TINY)
     assert suits.kernels and not (suits.channels_last or suits.compiled or suits.graphs)
     assert suits.groups == 1
-    assert not any(vars(means(replace(PRESETS["paper"], **OFF)))[name] for name in list(OFF)[:5])
+    assert not any(vars(resolve(replace(PRESETS["paper"], **OFF)))[name] for name in list(OFF)[:5])
 
 
 def test_what_suits_a_gpu():
-    suits = means(replace(PRESETS["paper"], device="cuda"))
+    suits = resolve(replace(PRESETS["paper"], device="cuda"))
     assert suits.bfloat16 and suits.channels_last and suits.graphs and suits.groups == 2
     assert not suits.kernels
-    off = means(replace(PRESETS["paper"], **OFF, device="cuda"))
+    off = resolve(replace(PRESETS["paper"], **OFF, device="cuda"))
     assert not (off.bfloat16 or off.channels_last or off.compiled or off.graphs)
 
 
 @pytest.mark.parametrize(
     "change, message",
     [
-        ({"graphs": True}, "there is no graphs with device='cpu'"),
-        ({"channels_last": True}, "there is no channels_last with .* network='small'"),
+        ({"graphs": True}, "graphs must be off with device='cpu'"),
+        ({"channels_last": True}, "channels_last must be off with .* network='small'"),
         ({"groups": 3}, "16 environments are not divided into 3 groups"),
         ({"groups": 0}, "groups is 0; it is at least 1"),
         ({"graphs": 1}, "graphs is 1; it is a bool"),
@@ -72,9 +71,9 @@ def test_what_is_not_there_is_explained(change, message):
 
 def test_without_a_compiler_nothing_is_compiled(monkeypatch):
     monkeypatch.setattr(shutil, "which", lambda name: None)
-    assert not means(PLAIN).compiled
-    with pytest.raises(ValueError, match="there is no compiled"):
-        means(replace(PLAIN, compiled=True))
+    assert not resolve(PLAIN).compiled
+    with pytest.raises(ValueError, match="compiled must be off"):
+        resolve(replace(PLAIN, compiled=True))
 
 
 def test_groups_play_what_all_play_together():
@@ -91,19 +90,20 @@ def test_acting_and_learning_round_alike_without_speed():
 
 
 def test_the_next_rollout_overwrites_the_last():
-    trainer = Trainer(PLAIN)
-    first = collect(trainer.actor)
+    trainer = Trainer(replace(TINY, validation=None))
+    first = collect(trainer)
     kept = first.action.clone()
-    assert collect(trainer.actor).action.data_ptr() == first.action.data_ptr()
+    assert collect(trainer).action.data_ptr() == first.action.data_ptr()
     assert not torch.equal(first.action, kept)
 
 
 @pytest.mark.parametrize("change", [{"bfloat16": True}, {"channels_last": True}], ids=str)
 def test_impalas_gradient_is_near_the_plain_one(change):
     trainer = Trainer(replace(PICTURES, **change))
-    samples, g = collect(trainer.actor).flat(), torch.Generator().manual_seed(0)
-    samples[-2:] = torch.randn(2, len(samples[-1]), generator=g)  # as if much had happened
-    cosine, ratio = trainer.model.agreement(samples).values()
+    samples, g = collect(trainer).flat(), torch.Generator().manual_seed(0)
+    noise = torch.randn(2, len(samples), generator=g)
+    samples = replace(samples, advantage=noise[0], target=noise[1])  # as if much had happened
+    cosine, ratio = agreement(trainer.fast, trainer.network, samples, trainer.config).values()
     exact = "channels_last" in change
     assert cosine > (0.999999 if exact else 0.99) and abs(ratio - 1) < (1e-4 if exact else 0.03)
     assert exact or cosine < 0.999999, "it is rounded"
@@ -117,7 +117,10 @@ def test_the_compiled_loss_is_the_plain_one(monkeypatch):
     plain, compiled = (iteration(replace(PLAIN, compiled=on)) for on in (False, True))
     assert torch.equal(plain[1].action, compiled[1].action)
     torch.testing.assert_close(plain[2], compiled[2], atol=1e-4, rtol=1e-3)
-    cosine, ratio = compiled[0].model.agreement(compiled[1].flat()).values()
+    trainer, rollout = compiled[:2]
+    cosine, ratio = agreement(
+        trainer.fast, trainer.network, rollout.flat(), trainer.config
+    ).values()
     assert cosine > 0.9999 and ratio == pytest.approx(1, abs=1e-3)
 
 
@@ -146,7 +149,7 @@ def test_a_resumed_run_is_the_one_that_was_not_stopped(config, tmp_path, monkeyp
 def test_what_a_warm_up_learned_is_undone():
     trainer = Trainer(PLAIN)
     before = {id(x): x.detach().clone() for x in trainer.learned()}
-    update(trainer, collect(trainer.actor), 1e-3)
+    update(trainer, collect(trainer), 1e-3)
     changed = [x.clone() for x in trainer.learned()]
     restore(trainer.learned(), before)
     for weight in trainer.network.parameters():
@@ -170,8 +173,8 @@ def test_an_iteration_on_a_gpu_is_the_plain_one(change):
 def test_all_of_it_together_learns_on_a_gpu():
     trainer = Trainer(replace(PICTURES, device="cuda", environments=32, **dict.fromkeys(OFF)))
     for _ in range(3):
-        metrics = update(trainer, collect(trainer.actor), 1e-3)
+        metrics = update(trainer, collect(trainer), 1e-3)
     assert np.isfinite(list(metrics.values())).all() and metrics["first_kl"] < 1e-2
-    samples = [x[:64] for x in collect(trainer.actor).flat()]
-    cosine, ratio = trainer.model.agreement(samples).values()
+    samples = collect(trainer).flat().at(torch.arange(64, device="cuda"))
+    cosine, ratio = agreement(trainer.fast, trainer.network, samples, trainer.config).values()
     assert cosine > 0.99 and ratio == pytest.approx(1, abs=0.05)

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 import torch
 
-from astray.agents import ppo
 from astray.agents.impala import Impala
 from astray.agents.policy import Architecture, load, outputs, weights
-from astray.agents.ppo import RewardNormaliser
 from astray.agents.small import Small, Spread
+from astray.training import ppo
+from astray.training.ppo import RewardNormaliser
 
 SHAPE, LARGEST = (4, 7, 7), (1, 1, 6, 6)
 

@@ -158,7 +158,7 @@ def test_a_truncated_checkpoint_is_explained_and_kept(tmp_path):
 
 
 def test_a_timeout_is_bootstrapped_by_default_and_terminates_on_request(tmp_path):
-    from astray.training.rollout import collect
+    from astray.training.loop import collect
     from astray.training.trainer import Trainer
 
     advantages = {}
@@ -169,7 +169,7 @@ def test_a_timeout_is_bootstrapped_by_default_and_terminates_on_request(tmp_path
         for weight in trainer.network.parameters():
             weight.data.zero_()
         trainer.network.value.bias.data.fill_(8.0)  # the critic says 8 everywhere
-        rollout = collect(trainer.actor)
+        rollout = collect(trainer)
         advantages[timeouts] = rollout.advantage.numpy()
         trainer.close()
     differ = advantages["bootstrap"] - advantages["terminate"]

@@ -11,10 +11,10 @@ import numpy as np
 import torch
 
 from astray.agents import policy as trained
-from astray.agents import ppo
 from astray.envs.vector import GameVectorEnv
 from astray.game import OWN
 from astray.kernel.rng import fill_noise
+from astray.training import ppo
 
 Observation = Literal["image", "symbolic"]
 RANDOM_SALT = 2**32  # no agent has this seed, or a larger one

@@ -20,12 +20,11 @@ from rich.table import Table
 from torch import nn
 from torch.utils.flop_counter import FlopCounterMode
 
-from astray.agents import ppo
 from astray.bench import tables
 from astray.bench.tables import decimal
+from astray.training import ppo
 from astray.training.config import Config
-from astray.training.loop import learn, update
-from astray.training.rollout import collect
+from astray.training.loop import collect, learn, update
 from astray.training.trainer import Trainer
 
 SIDE = 4096  # of the large product on a GPU; a quarter of it on a CPU
@@ -56,24 +55,24 @@ class Row:
 def measure(config: Config, rounds: int = 5) -> list[Row]:
     """Profile the training with `config`; the last row is the whole iteration."""
     trainer = Trainer(config)
-    actor, player, model = trainer.actor, trainer.player, trainer.model
+    player, fast = trainer.player, trainer.fast
     whole = [_seconds(lambda: _iterate(trainer), config.device) for _ in range(rounds + 1)]
-    rollout = collect(actor)
+    rollout = collect(trainer)
     samples, size = rollout.flat(), config.batch // config.minibatches
     indices = torch.randperm(config.batch, device=config.device)[:size]
-    batch = [x.index_select(0, indices) for x in samples]
+    minibatch = samples.at(indices)
     where = player.groups[0]
-    seen, noise = rollout.observation[0, where], actor.noise[0, where]
-    logits = model(seen)[0].detach()
+    seen, noise = rollout.observation[0, where], player.noise(1)[0, where]
+    logits = fast.any_number(seen)[0].detach()
     played = config.rollout * len(player.groups)
     updates = config.epochs * config.minibatches
     env, waits = player.envs[0], np.zeros(where.stop - where.start, np.int64)
     ends = torch.zeros_like(rollout.value, dtype=torch.bool)
-    acting, learning = _operations(trainer, seen), _operations(trainer, batch[0])
-    rate, copied = _product_rate(model.means.bfloat16, config.device), _copy_rate(config.device)
+    acting, learning = (_operations(trainer, x) for x in (seen, minibatch.observation))
+    rate, copied = _product_rate(fast.using.bfloat16, config.device), _copy_rate(config.device)
 
     def backward() -> float:
-        loss = model.losses(batch)["loss"]
+        loss = fast.loss(minibatch)["loss"]
         trainer.optimizer.zero_grad(set_to_none=True)
         return _seconds(loss.backward, config.device)
 
@@ -83,9 +82,9 @@ def measure(config: Config, rounds: int = 5) -> list[Row]:
 
     def infer() -> None:
         with torch.no_grad():
-            model._outputs(seen)
+            fast.network(seen)
 
-    gathered = 2 * sum(x.nbytes for x in batch)
+    gathered = 2 * sum(x.nbytes for x in vars(minibatch).values())
     parts: list[tuple[str, int, Callable[[], object], float | None]] = [
         ("environments: step and draw", played, lambda: env.step(waits), None),
         ("transfer", played, lambda: seen.copy_(player.images[where]), 2 * seen.nbytes / copied),
@@ -94,9 +93,8 @@ def measure(config: Config, rounds: int = 5) -> list[Row]:
         ("advantages", 1, lambda: ppo.advantages(
             rollout.target, rollout.value, rollout.value, ends, ends, config.gamma, config.lam,
         ), None),
-        ("gather", updates, lambda: [x.index_select(0, indices) for x in samples],
-         gathered / copied),
-        ("forward and loss", updates, lambda: model.losses(batch), learning / rate),
+        ("gather", updates, lambda: samples.at(indices), gathered / copied),
+        ("forward and loss", updates, lambda: fast.loss(minibatch), learning / rate),
         ("backward", updates, backward, 2 * learning / rate),
         ("clip and optimizer", updates, step, None),
         ("a minibatch, whole", updates, lambda: trainer.repeat(
@@ -114,7 +112,7 @@ def measure(config: Config, rounds: int = 5) -> list[Row]:
 
 
 def _iterate(trainer: Trainer) -> None:
-    update(trainer, collect(trainer.actor), trainer.config.learning_rate)
+    update(trainer, collect(trainer), trainer.config.learning_rate)
 
 
 def _median(run: Callable[[], object], device: str, rounds: int) -> float:

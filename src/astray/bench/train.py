@@ -24,9 +24,8 @@ from astray.bench.plain import Loop
 from astray.bench.tables import decimal, thousands
 from astray.envs.vector import GameVectorEnv
 from astray.training.config import PRESETS, Config
-from astray.training.device import flushed_denormals
-from astray.training.loop import update
-from astray.training.rollout import collect
+from astray.training.fast.acceleration import torch_settings
+from astray.training.loop import collect, update
 from astray.training.trainer import Trainer
 
 # The preset as it is, and with the smaller network and more environments, where the network's
@@ -83,16 +82,10 @@ def measure(
     Then profile ours with each. Without `configs`, those of the `device`.
     """
     configs = CONFIGS[device] if configs is None else configs
-    before = torch.get_num_threads()
-    torch.set_num_threads(1)
-    torch.backends.cudnn.benchmark = True
-    try:
-        with flushed_denormals():  # as `train` does
-            rows = [row for config in configs for row in _measure(config, seconds / rounds, rounds)]
-            parts = [part for config in configs for part in profile.measure(config, rounds)]
-        return [*rows, *parts]
-    finally:
-        torch.set_num_threads(before)
+    with torch_settings(threads=1):  # as `train` does
+        rows = [row for config in configs for row in _measure(config, seconds / rounds, rounds)]
+        parts = [part for config in configs for part in profile.measure(config, rounds)]
+    return [*rows, *parts]
 
 
 def _measure(config: Config, turn: float, rounds: int) -> list[Row]:
@@ -169,7 +162,7 @@ def _images(config: Config, network: Any) -> dict[str, Made | str]:
 def iterate(trainer: Trainer) -> None:
     """One iteration of the training loop, at a constant learning rate and without its log."""
     config = trainer.config
-    rollout = collect(trainer.actor)
+    rollout = collect(trainer)
     update(trainer, rollout, config.learning_rate)
     trainer.steps += config.batch
 

@@ -78,7 +78,7 @@ class Config:
     device: Literal["cpu", "cuda", "mps"] = "cpu"
     threads: int = 1  # that step environments; and, on a CPU, that torch uses
 
-    # How it is computed; None is what suits the device, as `training.device.means` has it.
+    # How it is computed; None is what suits the device, as `training.fast` resolves it.
     kernels: bool | None = None  # of our own for the small network and the loss, on a CPU
     bfloat16: bool | None = None  # for the large products; weights and losses stay float32
     channels_last: bool | None = None  # the layout of impala's weights and activations

@@ -1,38 +1,58 @@
-"""The training loop, top to bottom."""
+"""Proximal policy optimisation, top to bottom: act, step, advantages, epochs, loss, clip, step.
+
+What is here is plain torch. `training.fast` does the same sooner; a `trainer` uses it where it
+computes what the network and the loss say, and this loop runs as well without it.
+"""
 
 from __future__ import annotations
 
 import contextlib
 import functools
 import time
+from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
 import torch
 from torch import Tensor, nn
 
 from astray.agents import policy
-from astray.training import checkpoint, parallel
+from astray.agents.policy import Architecture
+from astray.training import checkpoint, parallel, ppo
 from astray.training.config import Config
-from astray.training.device import MEASURED, flushed_denormals
+from astray.training.fast import acceleration, actor
+from astray.training.fast.acceleration import Loss
 from astray.training.log import Log
-from astray.training.rollout import Rollout, collect, validate
+from astray.training.ppo import Samples
+from astray.training.rollout import estimate
 from astray.training.trainer import Trainer
 
 
-def train(config: Config, folder: Path, *, progress: bool = True) -> Path:
+def train(
+    config: Config,
+    folder: Path,
+    *,
+    network: Callable[[Architecture], nn.Module] | None = None,
+    loss: Loss = ppo.loss,
+    progress: bool = True,
+) -> Path:
     """Train an agent in the run folder `folder`, or go on where it stopped; its last checkpoint.
 
+    network  makes a network of your own: observations [B, ...] -> logits [B, actions], values [B]
+    loss     a loss of your own, of the arguments of `ppo.loss`; what it returns is logged
+
     On a CPU, a run that was stopped and resumed has the weights and metrics of one that was not.
+
+    Raises ValueError where the folder holds another run or there is no such device, OSError where
+    it cannot be written, `checkpoint.Claimed` where another process trains in it.
     """
     if not policy.usable(config.device):
         raise ValueError(f"there is no device {config.device!r} that torch can use")
-    torch.set_num_threads(config.threads)
-    torch.backends.cudnn.benchmark = True  # shapes stay the same, so that searching once pays
     with (
-        flushed_denormals(),
+        acceleration.torch_settings(config.threads),
         parallel.processes(config.device),
         checkpoint.claim(folder, config),
-        contextlib.closing(Trainer(config)) as trainer,
+        contextlib.closing(Trainer(config, network, loss)) as trainer,
     ):
         checkpoint.restore(folder, trainer)
         writes = Log(folder, trainer.steps, config, progress) if parallel.first() else None
@@ -54,14 +74,15 @@ def iterate(trainer: Trainer) -> tuple[dict[str, float], dict[str, float]]:
     rate = config.learning_rate
     if config.anneal:
         rate *= 1 - trainer.steps / config.steps
-    if trainer.validator and trainer.iteration % config.validation_every == 0:
-        validate(trainer.validator)
-    rollout = collect(trainer.actor)
+    if trainer.validation and trainer.iteration % config.validation_every == 0:
+        validate(trainer)
+    rollout = collect(trainer)
     played = time.perf_counter()
     metrics = {}
-    if trainer.iteration == 0 and trainer.model.means.bfloat16:
-        samples = [x[: len(x) // config.minibatches] for x in rollout.flat()]
-        metrics |= trainer.model.agreement(samples)
+    if trainer.iteration == 0 and trainer.fast.using.bfloat16:
+        first = torch.arange(config.batch // config.minibatches, device=config.device)
+        minibatch = rollout.flat().at(first)
+        metrics |= acceleration.agreement(trainer.fast, trainer.network, minibatch, config)
     metrics |= {f"update/{name}": x for name, x in update(trainer, rollout, rate).items()}
     trainer.steps += config.batch
     for name, player in trainer.players().items():
@@ -71,37 +92,83 @@ def iterate(trainer: Trainer) -> tuple[dict[str, float], dict[str, float]]:
     return metrics | {"update/learning_rate": rate}, speed
 
 
-def update(trainer: Trainer, rollout: Rollout, rate: float) -> dict[str, float]:
-    """Several passes of PPO over a rollout; the means of what was measured on the way."""
+@torch.no_grad()
+def collect(trainer: Trainer) -> Samples:
+    """Play `config.rollout` steps of every environment with sampled actions, [T, N]."""
+    if trainer.actor:
+        return actor.collect(trainer.actor)
+    config, player, network = trainer.config, trainer.player, trainer.fast.network
+    steps, n, device = config.rollout, len(player.images), config.device
+    observation = torch.empty((steps, *player.images.shape), dtype=torch.uint8, device=device)
+    action = torch.empty((steps, n), dtype=torch.int64, device=device)
+    log_probability = torch.empty((steps, n), device=device)
+    value, last_value = torch.zeros((2, steps + 1, n), device=device)
+    reward, terminated, truncated = np.empty((steps, n)), *np.empty((2, steps, n), bool)
+    noise = player.noise(steps)
+    for t in range(steps):
+        observation[t] = player.images
+        logits, value[t] = network(observation[t])
+        action[t], log_probability[t] = ppo.sample(logits, noise[t])
+        reward[t], terminated[t], truncated[t], info = player.step(t, action[t].numpy(force=True))
+        if (cut := truncated[t]).any():  # of what nobody acts on: the next episode has begun
+            last = torch.from_numpy(np.stack(info["final_obs"][cut])).to(device)
+            last_value[t, torch.from_numpy(cut)] = trainer.fast.any_number(last)[1]
+    value[steps] = network(player.images.to(device))[1]
+    player.settle()
+    next_value = torch.where(torch.from_numpy(truncated).to(device), last_value[:-1], value[1:])
+    value = value[:-1]
+    advantage, target = estimate(player, config, value, next_value, reward, terminated, truncated)
+    return Samples(observation, action, log_probability, value, advantage, target)
+
+
+@torch.no_grad()
+def validate(trainer: Trainer) -> None:
+    """Play as many steps on the validation variant, and learn nothing from them."""
+    if trainer.validator:
+        return actor.validate(trainer.validator)
+    assert trainer.validation
+    player, noise = trainer.validation, trainer.validation.noise(trainer.config.rollout)
+    for t in range(trainer.config.rollout):
+        logits, _ = trainer.fast.network(player.images.to(trainer.config.device))
+        action, _ = ppo.sample(logits, noise[t])
+        player.step(t, action.numpy(force=True))
+    player.settle()
+
+
+def update(trainer: Trainer, rollout: Samples, rate: float) -> dict[str, float]:
+    """Learn from a rollout in several epochs; the means of what was measured on the way."""
     config, samples = trainer.config, rollout.flat()
     trainer.set_rate(rate)
+    explained = ppo.explained_variance(samples.value, samples.target)
     step = functools.partial(trainer.repeat, functools.partial(learn, trainer, samples))
-    sums, first_kl, count = None, None, len(samples[0])
+    names, sums, first_kl = [], None, None
     for _ in range(config.epochs):
         order = torch.randperm(
             config.batch, generator=trainer.player.generator, device=config.device
         )
-        if count < config.batch:  # of several processes, which draw alike
-            order = order[order < count]
-        for indices in order.split(count // config.minibatches):
+        if len(samples) < config.batch:  # of several processes, which draw alike
+            order = order[order < len(samples)]
+        for indices in order.split(len(samples) // config.minibatches):
             measured = step(indices)
-            sums = measured.clone() if sums is None else sums + measured
-            first_kl = measured[MEASURED.index("kl")].clone() if first_kl is None else first_kl
+            names, values = list(measured), torch.stack(list(measured.values()))
+            first_kl = measured.get("approx_kl", values[0]).clone() if sums is None else first_kl
+            sums = values if sums is None else sums + values
     assert sums is not None and first_kl is not None
     parallel.average([sums, first_kl])
-    updates = config.epochs * config.minibatches
-    means = {name: x / updates for name, x in zip(MEASURED, sums.tolist(), strict=True)}
-    return means | {"first_kl": float(first_kl)}  # not 0 where acting and learning round apart
+    count = config.epochs * config.minibatches
+    means = {name: x / count for name, x in zip(names, sums.tolist(), strict=True)}
+    # Not 0 where acting and learning round apart.
+    return means | {"first_kl": float(first_kl), "explained_variance": explained}
 
 
-def learn(trainer: Trainer, samples: list[Tensor], indices: Tensor) -> Tensor:
-    """One step of the optimizer, on the samples at `indices`; what is `MEASURED` there."""
-    # index_select: 183 us for 2,048 rows of 676 bytes, where samples[indices] takes 1,346
-    losses = trainer.model.losses([x.index_select(0, indices) for x in samples])
-    for x in trainer.weights:  # 10 us, where zero_grad takes 160
-        x.grad = None
+def learn(trainer: Trainer, samples: Samples, indices: Tensor) -> dict[str, Tensor]:
+    """One step of the optimizer, on the samples at `indices`: the loss's parts, and the gradient's
+    length before it is clipped."""
+    losses = trainer.fast.loss(samples.at(indices))
+    for weight in trainer.weights:  # 10 us, where zero_grad takes 160
+        weight.grad = None
     losses["loss"].backward()
     parallel.average([x.grad for x in trainer.weights if x.grad is not None])
     norm = nn.utils.clip_grad_norm_(trainer.weights, trainer.config.gradient_norm)
     trainer.optimizer.step()
-    return torch.stack([*(losses[name].detach() for name in MEASURED[:-1]), norm])
+    return {name: x.detach() for name, x in losses.items()} | {"gradient_norm": norm}

@@ -9,25 +9,27 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from astray.agents.ppo import RewardNormaliser
 from astray.envs.vector import GameVectorEnv
 from astray.game import Variant
 from astray.training import parallel
 from astray.training.config import Config
-from astray.training.device import means
+from astray.training.ppo import RewardNormaliser
 
 RECENT = 100  # ended episodes that the logged means are over
 
 
 class Player:
-    """Environments of one variant, what they show now, and how their last episodes went."""
+    """Environments of one variant, what they show now, and how their last episodes went.
 
-    def __init__(self, config: Config, variant: Variant, levels: range, salt: int):
+    They may be in several groups, which are stepped one by one.
+    """
+
+    def __init__(self, config: Config, variant: Variant, levels: range, salt: int, groups: int):
         self.here = parallel.share(config.environments)  # of all environments, this process's
-        n, count = self.here.stop - self.here.start, means(config).groups
-        if n % count:
-            raise ValueError(f"{n} environments are not divided into {count} groups")
-        self.groups = [slice(k * n // count, (k + 1) * n // count) for k in range(count)]
+        n = self.here.stop - self.here.start
+        if n % groups:
+            raise ValueError(f"{n} environments are not divided into {groups} groups")
+        self.groups = [slice(k * n // groups, (k + 1) * n // groups) for k in range(groups)]
         self.envs = [
             GameVectorEnv(
                 config.game, variant, group.stop - group.start,
@@ -37,7 +39,7 @@ class Player:
             for group in self.groups
         ]  # fmt: skip
         self.game, self.space = self.envs[0].game, self.envs[0].single_observation_space
-        self.actions = len(self.game.actions)
+        self.environments, self.actions = config.environments, len(self.game.actions)
         # What the environments show now; a GPU reads pinned memory while the processor goes on.
         self.images = torch.empty(
             (n, *self.space.shape),  # pyright: ignore
@@ -47,6 +49,7 @@ class Player:
         seed = (config.seed * 16 + salt) * 2**32 + self.here.start
         for env, group in zip(self.envs, self.groups, strict=True):
             self.images[group] = torch.from_numpy(env.reset(seed=seed + group.start)[0])
+        self.device = config.device
         self.generator = torch.Generator(config.device).manual_seed(config.seed * 16 + salt)
         self.normaliser = RewardNormaliser(config.environments, config.reward_gamma)
         self.running_return = np.zeros(n)
@@ -54,8 +57,16 @@ class Player:
         self.recent: deque[list[float]] = deque(maxlen=RECENT)  # return, length, events' happening
         self._ended: list[tuple[int, int, list[float]]] = []  # since `settle`: step, environment
 
+    def noise(self, steps: int) -> Tensor:
+        """What the actions of a rollout are drawn with, [T, N, actions], uniform in [0, 1).
+
+        All at once, and of all processes, so that it depends neither on groups nor on processes.
+        """
+        shape = (steps, self.environments, self.actions)
+        return torch.rand(shape, generator=self.generator, device=self.device)[:, self.here]
+
     def step(
-        self, t: int, group: int, actions: np.ndarray
+        self, t: int, actions: np.ndarray, group: int = 0
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
         """Take step `t` of a rollout in a group: reward, terminated, truncated [n], and info."""
         env, where = self.envs[group], self.groups[group]

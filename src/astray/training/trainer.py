@@ -5,20 +5,31 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
 from astray.agents.policy import Architecture
-from astray.training import parallel
+from astray.training import parallel, ppo
 from astray.training.config import Config
-from astray.training.device import Model
-from astray.training.pipeline import Actor, Captured
+from astray.training.fast import acceleration
+from astray.training.fast.acceleration import Loss
+from astray.training.fast.actor import Actor
+from astray.training.fast.graphs import Captured
 from astray.training.player import Player
 
 
 class Trainer:
-    """The network, its optimizer, and the players of the training and validation variants."""
+    """The network, its optimizer, and the players of the training and validation variants.
 
-    def __init__(self, config: Config):
+    network  makes another network than `config.network`; it is given an `Architecture`
+    loss     takes the place of `ppo.loss`
+    """
+
+    def __init__(
+        self,
+        config: Config,
+        network: Callable[[Architecture], nn.Module] | None = None,
+        loss: Loss = ppo.loss,
+    ):
         if config.batch // parallel.size() % config.minibatches:
             raise ValueError(
                 f"{config.batch} samples of {parallel.size()} processes are not divided by "
@@ -26,28 +37,33 @@ class Trainer:
             )
         self.config = config
         self.steps = 0  # environment steps done
-        self.player = Player(config, config.training_variant(), config.training_levels, salt=1)
+        variant, groups = config.training_variant(), acceleration.groups(config)
+        self.player = Player(config, variant, config.training_levels, 1, groups)
         self.validation: Player | None = None
         if config.validation:
-            variant = config.validation_variant()
-            self.validation = Player(config, variant, config.unseen_levels, salt=2)
+            other = config.validation_variant()
+            self.validation = Player(config, other, config.unseen_levels, 2, groups)
         game, space = self.player.game, self.player.space
         largest = ()
         if config.observation == "symbolic":
-            largest = tuple(int(k) for k in game.planes(config.training_variant()).max((1, 2)))
+            largest = tuple(int(k) for k in game.planes(variant).max((1, 2)))
         self.architecture = Architecture(
             config.network, space.shape, largest, len(game.actions),  # pyright: ignore
             config.scale, config.width,
         )  # fmt: skip
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(config.seed)
-            self.network = self.architecture.build().to(config.device)
+            made = network(self.architecture) if network else self.architecture.build()
+            self.network = made.to(config.device)
         self.weights = list(self.network.parameters())
-        self.model = Model(self.network, config)
-        self.actor = Actor(self.model, self.player, config.rollout)
-        self.validator = Actor(self.model, self.validation, 1) if self.validation else None
+        self.fast = acceleration.accelerate(self.network, loss, config, self.architecture)
+        self.actor = self.validator = None  # where `loop` plays itself
+        if self.fast.using.of_playing:
+            self.actor = Actor(self.fast, self.player, config, config.rollout)
+            if self.validation:
+                self.validator = Actor(self.fast, self.validation, config, 1)
         self._captured: Captured | None = None
-        graphs, rate = self.model.means.graphs, config.learning_rate
+        graphs, rate = self.fast.using.graphs, config.learning_rate
         self.optimizer = torch.optim.Adam(
             self.weights,
             torch.tensor(rate, device=config.device) if graphs else rate,  # graphs read it
@@ -62,9 +78,11 @@ class Trainer:
             else:
                 group["lr"] = rate
 
-    def repeat(self, function: Callable[[Tensor], Tensor], indices: Tensor) -> Tensor:
+    def repeat(
+        self, function: Callable[[Tensor], dict[str, Tensor]], indices: Tensor
+    ) -> dict[str, Tensor]:
         """`function(indices)`; with graphs the first call's function, replayed."""
-        if not self.model.means.graphs:
+        if not self.fast.using.graphs:
             return function(indices)
         if self._captured is None:
             self._captured = Captured(function, indices, state=self.learned)

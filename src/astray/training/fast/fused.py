@@ -1,4 +1,4 @@
-"""PPO's loss and its slope in one pass over a minibatch, on a CPU.
+"""PPO's loss and its gradient in one pass over a minibatch, on a CPU.
 
 For 1,024 samples of 15 actions 0.23 ms, where torch takes 0.55 ms for some 60 operations.
 """
@@ -15,38 +15,37 @@ from torch import Tensor
 from torch.autograd.function import once_differentiable
 
 from astray.kernel.jit import entry, one_at_a_time
+from astray.training.ppo import Samples
 
-PARTS = ("policy_loss", "value_loss", "entropy", "kl", "clipped")
+PARTS = ("policy_loss", "value_loss", "entropy", "approx_kl", "clip_fraction")
 
 
 class Loss(torch.autograd.Function):
-    """Outputs [B, actions + 1] (logits, then the value) and samples -> loss, `PARTS` [5]."""
+    """Outputs [B, actions + 1] (logits, then the value) and a minibatch -> loss, `PARTS` [5]."""
 
     @staticmethod
     def forward(
-        ctx: Any, outputs: Tensor, samples: list[Tensor], weights: tuple[float, float, float]
+        ctx: Any, outputs: Tensor, minibatch: Samples, weights: tuple[float, float, float]
     ) -> tuple[Tensor, Tensor]:
-        """samples  action, old log-probability, old value, advantage, target, all [B]
-        weights  the clip range, the weights of the value's loss and of the entropy
-        """
-        slope, parts = torch.empty_like(outputs), torch.zeros(len(PARTS), dtype=torch.float64)
+        """weights: the clip range, the weights of the value's loss and of the entropy."""
+        grad, parts = torch.empty_like(outputs), torch.zeros(len(PARTS), dtype=torch.float64)
         compiled()
-        action, old_log_probability, old_value, advantage, target = (x.numpy() for x in samples)
         evaluate(
-            outputs.detach().numpy(), action, old_log_probability, old_value, advantage, target,
-            *weights, slope.numpy(), parts.numpy(),
+            outputs.detach().numpy(), minibatch.action.numpy(), minibatch.log_probability.numpy(),
+            minibatch.value.numpy(), minibatch.advantage.numpy(), minibatch.target.numpy(),
+            *weights, grad.numpy(), parts.numpy(),
         )  # fmt: skip
         policy, value, entropy = parts[:3]
         loss = policy + weights[1] * value - weights[2] * entropy
-        ctx.save_for_backward(slope)
+        ctx.save_for_backward(grad)
         ctx.mark_non_differentiable(parts := parts.float())
         return loss.float(), parts
 
     @staticmethod
     @once_differentiable
     def backward(ctx: Any, of_loss: Tensor, of_parts: Any) -> tuple[Tensor, None, None]:  # pyright: ignore
-        (slope,) = ctx.saved_tensors
-        return slope * of_loss, None, None
+        (grad,) = ctx.saved_tensors
+        return grad * of_loss, None, None
 
 
 @functools.cache
@@ -61,9 +60,9 @@ def compiled() -> None:
 @entry
 def evaluate(
     outputs, action, old_log_probability, old_value, advantage, target, clip, value_weight,
-    entropy_weight, slope, parts,
+    entropy_weight, grad, parts,
 ):  # fmt: skip
-    """Fill `slope` [B, A + 1] with that of the loss by `outputs`, `parts` with the means."""
+    """Fill `grad` [B, A + 1] with the gradient of the loss by `outputs`, `parts` with the means."""
     count, actions = len(outputs), outputs.shape[1] - 1
     log_probability, probability = np.empty((2, actions))
     for i in range(count):
@@ -84,17 +83,17 @@ def evaluate(
         log_ratio = log_probability[action[i]] - old_log_probability[i]
         ratio = math.exp(log_ratio)
         gain, bounded = ratio * advantage[i], min(max(ratio, 1 - clip), 1 + clip) * advantage[i]
-        by_chosen = -gain if gain <= bounded else 0.0  # slope by the action's log-probability
+        by_chosen = -gain if gain <= bounded else 0.0  # gradient by the action's log-probability
         for k in range(actions):
             by_entropy = -probability[k] * (log_probability[k] + entropy)
             by_policy = by_chosen * ((k == action[i]) - probability[k])
-            slope[i, k] = (by_policy - entropy_weight * by_entropy) / count
+            grad[i, k] = (by_policy - entropy_weight * by_entropy) / count
 
         value, moved = outputs[i, actions], outputs[i, actions] - old_value[i]
         error = value - target[i]
         near = old_value[i] + min(max(moved, -clip), clip) - target[i]
         inside = abs(moved) <= clip or error**2 > near**2
-        slope[i, actions] = value_weight * error / count if inside else 0.0
+        grad[i, actions] = value_weight * error / count if inside else 0.0
 
         parts[0] -= min(gain, bounded)
         parts[1] += 0.5 * max(error**2, near**2)

@@ -57,18 +57,20 @@ class Forward(torch.autograd.Function):
 
     @staticmethod
     @once_differentiable
-    def backward(ctx: Any, slope: Tensor) -> tuple[Tensor | None, ...]:  # pyright: ignore
+    def backward(ctx: Any, grad: Tensor) -> tuple[Tensor | None, ...]:  # pyright: ignore
         w1, h1, w2, h2, w3 = ctx.saved_tensors
-        exact, slope2 = slope @ w3, torch.empty_like(h1)
-        pass_relu(exact.numpy(), h2.numpy(), _array(slope2))
-        slope1, grad2 = slope2 @ w2, (slope2.T @ h1).float()
-        grad1, bias1 = w1.new_zeros(w1.shape[::-1]), w1.new_zeros(len(w1))
+        exact, grad_h2 = grad @ w3, torch.empty_like(h1)
+        pass_relu(exact.numpy(), h2.numpy(), _array(grad_h2))
+        grad_h1, grad_w2 = grad_h2 @ w2, (grad_h2.T @ h1).float()
+        grad_w1, grad_b1 = w1.new_zeros(w1.shape[::-1]), w1.new_zeros(len(w1))
         ends, rows, values = ctx.found
-        add_to_rows(ends, rows, values, _array(h1), _array(slope1), grad1.numpy(), bias1.numpy())
-        grad3, bias3 = slope.T @ h2, slope.sum(0)
+        add_to_rows(
+            ends, rows, values, _array(h1), _array(grad_h1), grad_w1.numpy(), grad_b1.numpy()
+        )
+        grad_w3, grad_b3 = grad.T @ h2, grad.sum(0)
         return (
-            None, None, None, grad1.T, bias1, grad2, exact.sum(0),
-            grad3[:-1], bias3[:-1], grad3[-1:], bias3[-1:],
+            None, None, None, grad_w1.T, grad_b1, grad_w2, exact.sum(0),
+            grad_w3[:-1], grad_b3[:-1], grad_w3[-1:], grad_b3[-1:],
         )  # fmt: skip
 
 
@@ -152,22 +154,22 @@ def add_rows(ends, rows, values, weight, bias, hidden):
 
 
 @entry
-def pass_relu(slope, output, below):
-    """Make the gradient of a ReLU's `output` that below it, in `slope` and `below` [B, width]."""
-    for i in range(len(slope)):
-        for x in range(slope.shape[1]):
-            through = slope[i, x] if output[i, x] > 0 else np.float32(0)
-            slope[i, x] = through
+def pass_relu(grad, output, below):
+    """Make the gradient of a ReLU's `output` that below it, in `grad` and `below` [B, width]."""
+    for i in range(len(grad)):
+        for x in range(grad.shape[1]):
+            through = grad[i, x] if output[i, x] > 0 else np.float32(0)
+            grad[i, x] = through
             put(below, i, x, through)
 
 
 @entry
-def add_to_rows(ends, rows, values, hidden, slope, weight, bias):
-    """Add to `weight` and `bias` their gradients, given that of `hidden`, `slope` [B, width]."""
+def add_to_rows(ends, rows, values, hidden, grad, weight, bias):
+    """Add to `weight` and `bias` their gradients, given that of `hidden`, `grad` [B, width]."""
     through = np.empty(len(bias), np.float32)
     for i in range(len(hidden)):
         for x in range(len(bias)):
-            through[x] = real(slope[i, x]) if hidden[i, x] > 0 else np.float32(0)
+            through[x] = real(grad[i, x]) if hidden[i, x] > 0 else np.float32(0)
             bias[x] += through[x]
         for n in range(ends[i], ends[i + 1]):
             row, value = rows[n], values[n]

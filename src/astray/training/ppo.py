@@ -1,12 +1,70 @@
-"""Proximal policy optimisation (Schulman et al. 2017) as pure functions of tensors."""
+"""Proximal policy optimisation (Schulman et al. 2017) as pure functions of tensors.
+
+`loss` is its one definition: what `training.fast` computes sooner is checked against it.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
 import torch
 from torch import Tensor
+
+from astray.training.config import Config
+
+
+@dataclass(frozen=True)
+class Samples:
+    """What PPO learns from: a rollout, with first axes [T, N], or a minibatch of it, with [B]."""
+
+    observation: Tensor  # [..., H, W, C] or [..., C, H, W] uint8
+    action: Tensor  # [...] int64
+    log_probability: Tensor  # [...] float32, of the action when it was taken
+    value: Tensor  # [...] float32, the critic's before the step
+    advantage: Tensor  # [...] float32
+    target: Tensor  # [...] float32, what the critic should have said
+
+    def flat(self) -> Samples:
+        """The same with steps and environments as one axis, [T * N]."""
+        return Samples(*(x.flatten(0, 1) for x in vars(self).values()))
+
+    def at(self, indices: Tensor) -> Samples:
+        """Those at `indices` [B] of the first axis."""
+        # index_select: 183 us for 2,048 rows of 676 bytes, where x[indices] takes 1,346
+        return Samples(*(x.index_select(0, indices) for x in vars(self).values()))
+
+    def __len__(self) -> int:
+        return len(self.action)
+
+
+def loss(network: Callable, minibatch: Samples, config: Config) -> dict[str, Tensor]:
+    """PPO's loss on a minibatch, "loss", and what is logged beside it; scalars.
+
+    network  observations [B, ...] -> logits [B, actions], values [B]
+
+    A function of the same arguments can take its place: see `training.loop.train`.
+    """
+    logits, value = network(minibatch.observation)
+    of_all = log_probabilities(logits)
+    log_probability = of_all.gather(-1, minibatch.action[:, None]).squeeze(-1)
+    log_ratio = log_probability - minibatch.log_probability
+    actor = policy_loss(log_ratio, minibatch.advantage, config.clip)
+    critic = value_loss(value, minibatch.value, minibatch.target, config.clip)
+    mean_entropy = entropy(of_all)
+    with torch.no_grad():
+        ratio = log_ratio.exp()
+        approx_kl = ((ratio - 1) - log_ratio).mean()  # Schulman's unbiased, never negative one
+        clip_fraction = ((ratio - 1).abs() > config.clip).float().mean()
+    return {
+        "loss": actor + config.value_weight * critic - config.entropy_weight * mean_entropy,
+        "policy_loss": actor,
+        "value_loss": critic,
+        "entropy": mean_entropy,
+        "approx_kl": approx_kl,
+        "clip_fraction": clip_fraction,
+    }
 
 
 def log_probabilities(logits: Tensor) -> Tensor:
@@ -30,7 +88,7 @@ def sample(logits: Tensor, noise: Tensor) -> tuple[Tensor, Tensor]:
 def advantages(
     reward: Tensor,
     value: Tensor,
-    after: Tensor,
+    next_value: Tensor,
     terminated: Tensor,
     truncated: Tensor,
     gamma: float,
@@ -38,24 +96,30 @@ def advantages(
 ) -> Tensor:
     """Generalised advantage estimates (Schulman et al. 2016) of a rollout, all [T, N].
 
-    value       the critic before step t
-    after       the critic after step t, on the episode's own last observation where it stopped
+    value       the critic's before step t
+    next_value  the critic's after step t, of the episode's own last observation where it stopped
     terminated  nothing comes after
     truncated   more would have come
     """
     result = torch.zeros_like(reward)
-    carry = torch.zeros_like(reward[0])
+    gae = torch.zeros_like(reward[0])
     goes_on, same_episode = (~terminated).float(), (~(terminated | truncated)).float()
-    error = reward + gamma * after * goes_on - value
+    delta = reward + gamma * next_value * goes_on - value
     for t in reversed(range(len(reward))):
-        carry = error[t] + gamma * lam * same_episode[t] * carry
-        result[t] = carry
+        gae = delta[t] + gamma * lam * same_episode[t] * gae
+        result[t] = gae
     return result
 
 
 def normalised(x: Tensor) -> Tensor:
     """`x` with mean 0 and (unbiased) standard deviation 1 over all its entries."""
     return (x - x.mean()) / (x.std() + 1e-8)
+
+
+def explained_variance(value: Tensor, target: Tensor) -> float:
+    """The share of the targets' variance that the critic explains, 1 at best; 0 without any."""
+    spread = target.var()
+    return float(1 - (target - value).var() / spread) if spread > 0 else 0.0
 
 
 def policy_loss(log_ratio: Tensor, advantage: Tensor, clip: float) -> Tensor:

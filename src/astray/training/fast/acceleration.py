@@ -1,0 +1,261 @@
+"""What of `training.fast` a training uses, and the network and the loss with it.
+
+Each setting can be switched off; with all off, and always with a network or a loss that is not
+astray's own, what runs is `training.loop` with `ppo.loss`, as they are written.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import shutil
+import sys
+import sysconfig
+import warnings
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from llvmlite.binding import get_host_cpu_features
+from torch import Tensor, nn
+from torch.nn.functional import cosine_similarity
+
+from astray.agents.impala import Impala
+from astray.agents.policy import Architecture
+from astray.agents.small import Small
+from astray.training import parallel, ppo
+from astray.training.config import Config
+from astray.training.fast import fused, sparse
+from astray.training.ppo import Samples
+
+Loss = Callable[[Any, Samples, Config], dict[str, Tensor]]
+NEAR = 1e-3  # that the kernels' loss and gradient may differ by, relative, in float32
+
+
+@dataclass(frozen=True)
+class Acceleration:
+    """What is in use, of the settings of the same names."""
+
+    kernels: bool = False
+    bfloat16: bool = False
+    channels_last: bool = False
+    compiled: bool = False
+    graphs: bool = False
+    groups: int = 1
+    together: bool = False  # cut-off episodes are valued at once, which rounds otherwise
+
+    @property
+    def of_network(self) -> bool:
+        """Whether the network is computed otherwise than as it is written."""
+        return self.kernels or self.bfloat16 or self.channels_last or self.compiled
+
+    @property
+    def of_playing(self) -> bool:
+        """Whether `actor.collect` plays, instead of `loop.collect`."""
+        return self.graphs or self.together or self.groups > 1
+
+
+@contextlib.contextmanager
+def torch_settings(threads: int) -> Iterator[None]:
+    """Torch as training has it, in all of the process; then as it was before.
+
+    Numbers too near 0 for all their digits count as 0, since they are slow; and cuDNN searches
+    for what is soonest, as shapes stay the same.
+    """
+    denormals, count = sys.float_info.min / 2 > 0, torch.get_num_threads()
+    search = torch.backends.cudnn.benchmark
+    torch.set_num_threads(threads)
+    torch.backends.cudnn.benchmark = True
+    torch.set_flush_denormal(True)
+    try:
+        yield
+    finally:
+        torch.set_flush_denormal(not denormals)
+        torch.backends.cudnn.benchmark = search
+        torch.set_num_threads(count)
+
+
+def resolve(config: Config, ours: bool = True) -> Acceleration:
+    """What the settings come to.
+
+    On a CPU the kernels, and for them and convolutions bfloat16 where the processor multiplies
+    in it. On a GPU all that there is for it.
+
+    ours  network and loss are astray's own; else nothing is in use
+
+    Raises ValueError where a setting asks for what is not there.
+    """
+    cpu, cuda = config.device == "cpu", config.device == "cuda"
+    sparse_here = ours and cpu and config.network == "small" and sparse.usable()
+    kernels = _settled("kernels", config, sparse_here)
+    native = cpu and bool(get_host_cpu_features().get("avx512bf16"))
+    large = kernels or config.network == "impala"  # enough for bfloat16 to be worth it on a CPU
+    # GPUs from before 2020 only imitate it.
+    old = cuda and torch.cuda.is_available() and not torch.cuda.is_bf16_supported(False)
+    layout, compiler = config.network == "impala", compiles(config.device) and not kernels
+    return Acceleration(
+        kernels,
+        bfloat16=_settled("bfloat16", config, ours, suits=(cuda and not old) or (native and large)),
+        channels_last=_settled("channels_last", config, ours and layout, suits=cuda),
+        compiled=_settled("compiled", config, ours and compiler, suits=cuda),
+        graphs=_settled("graphs", config, ours and cuda),
+        groups=groups(config),
+        together=kernels or cuda,
+    )
+
+
+def groups(config: Config) -> int:
+    """How many groups of environments there are: one is inferred for while another steps."""
+    here = config.environments // parallel.size()
+    return config.groups or (2 if config.device == "cuda" and here % 2 == 0 else 1)
+
+
+def compiles(device: str) -> bool:
+    """torch.compile finds what it needs: a C++ compiler; for CUDA Triton, and what that needs."""
+    if device != "cuda":
+        return bool(shutil.which("g++"))
+    compiler = os.environ.get("CC") or shutil.which("gcc") or shutil.which("clang")
+    headers = Path(sysconfig.get_config_var("INCLUDEPY") or "", "Python.h")
+    return bool(find_spec("triton") and compiler and headers.exists())
+
+
+def _settled(name: str, config: Config, there: bool, suits: bool = True) -> bool:
+    """Whether to use what `name` is, which may be `there`, and may suit the device."""
+    asked = getattr(config, name)
+    if asked and not there:
+        raise ValueError(
+            f"{name} must be off with device={config.device!r}, this network and this loss; "
+            f"got network={config.network!r}"
+        )
+    return there and suits if asked is None else asked
+
+
+@dataclass(frozen=True)
+class Accelerated:
+    """A network and a loss as they are computed in training."""
+
+    using: Acceleration
+    network: Callable  # observations, always as many -> logits, values
+    any_number: Callable  # likewise of any number of observations
+    loss: Callable[[Samples], dict[str, Tensor]]
+
+
+def accelerate(
+    network: nn.Module, loss: Loss, config: Config, architecture: Architecture
+) -> Accelerated:
+    """A network and a loss as they are soonest computed; as they are written, where not ours.
+
+    Then it says so: a warning names which of the two is not what `training.fast` computes.
+    """
+    known = type(network) in (Impala, Small)
+    using = resolve(config, known and loss is ppo.loss)
+    if using.kernels and not agree(network, config, architecture):
+        known, using = False, resolve(replace(config, kernels=None), ours=False)
+    if not (known and loss is ppo.loss):
+        other = f"network {type(network).__name__}" if not known else f"loss {loss!r}"
+        warnings.warn(
+            f"training runs the {other} as it is written, which takes longer: astray.training.fast "
+            "computes another", stacklevel=2,
+        )  # fmt: skip
+    elif config.device == "cuda" and config.compiled is None and not using.compiled:
+        warnings.warn(
+            "learning is slower without torch.compile, which needs Triton, a C compiler and "
+            "Python's headers", stacklevel=2,
+        )  # fmt: skip
+    if using.of_network:
+        model = Model(network, config, using)
+        return Accelerated(using, model.outputs, model, model.loss)
+    return Accelerated(using, network, network, lambda batch: loss(network, batch, config))
+
+
+def agree(network: nn.Module, config: Config, architecture: Architecture) -> bool:
+    """Whether the kernels compute the network and `ppo.loss` as they are written now.
+
+    An edit of either is in none of the kernels; on made-up samples the two differ then.
+    """
+    random, actions, many = np.random.default_rng(0), architecture.actions, 64
+    largest = np.array(architecture.largest)[:, None, None] + 1
+    planes = random.integers(0, largest, (many, *architecture.shape)).astype(np.uint8)
+    noise = torch.from_numpy(random.normal(size=(4, many)).astype(np.float32))
+    action = torch.from_numpy(random.integers(0, actions, many))
+    with torch.no_grad():
+        logits, value = network(torch.from_numpy(planes))
+        old = ppo.log_probabilities(logits).gather(1, action[:, None])[:, 0]
+    batch = Samples(
+        torch.from_numpy(planes), action, old + 0.3 * noise[0], value + 0.3 * noise[1],
+        noise[2], value + noise[3],
+    )  # fmt: skip
+    model = Model(network, config, Acceleration(kernels=True))
+    plain, fast = ppo.loss(network, batch, config), model.loss(batch)
+    parts = [torch.stack([x.detach() for x in each.values()]) for each in (plain, fast)]
+    one, two = (_gradient(network, each["loss"]) for each in (plain, fast))
+    return (
+        plain.keys() == fast.keys()
+        and torch.allclose(*parts, rtol=NEAR, atol=NEAR)
+        and bool((one - two).norm() <= NEAR * one.norm())
+    )
+
+
+def agreement(fast: Accelerated, network: nn.Module, batch: Samples, config: Config) -> dict:
+    """The gradient beside that of `ppo.loss` in float32: cosine, ratio of lengths.
+
+    Convolutions in bfloat16 have been wrong on some GPUs (pytorch issue 150700).
+    """
+    one = _gradient(network, fast.loss(batch)["loss"])
+    two = _gradient(network, ppo.loss(network, batch, config)["loss"])
+    return {
+        "gradient/cosine": cosine_similarity(one, two, 0).item(),
+        "gradient/ratio": (one.norm() / two.norm()).item(),
+    }
+
+
+def _gradient(network: nn.Module, loss: Tensor) -> Tensor:
+    """The gradient of a loss by all weights, as one vector."""
+    gradients = torch.autograd.grad(loss, list(network.parameters()))
+    return torch.cat([x.flatten() for x in gradients])
+
+
+class Model:
+    """One of astray's own networks, and `ppo.loss` of it, as a device computes them soonest."""
+
+    def __init__(self, network: nn.Module, config: Config, using: Acceleration):
+        assert isinstance(network, Impala | Small)
+        self.own, self.config, self.using = network, config, using
+        self._precision = torch.bfloat16 if using.bfloat16 else torch.float32
+        if using.channels_last:
+            network.to(memory_format=torch.channels_last)  # pyright: ignore
+        self.outputs: Callable = self.__call__
+        self.loss: Callable = self._loss
+        if using.compiled:  # not the whole update: torch breaks graphs at the optimizer
+            # A process may train more agents of different shapes than torch allows a function.
+            limits: Any = torch._dynamo.config
+            limits.recompile_limit = limits.accumulated_recompile_limit
+            warnings.filterwarnings("ignore", "TensorFloat32")  # the heads stay float32
+            self.outputs = torch.compile(self.__call__, fullgraph=True, dynamic=False)
+            self.loss = torch.compile(self._loss, fullgraph=True, dynamic=False)
+
+    def __call__(self, observation: Tensor) -> tuple[Tensor, Tensor]:
+        """Logits [B, actions] and values [B], of any number of observations."""
+        if self.using.kernels:
+            outputs = self._sparse(observation)
+            return outputs[:, :-1], outputs[:, -1]
+        with torch.autocast(
+            observation.device.type, torch.bfloat16, self.using.bfloat16, cache_enabled=False
+        ):
+            features = self.own.hidden(observation)
+        return self.own.heads(features.float())
+
+    def _loss(self, batch: Samples) -> dict[str, Tensor]:
+        if not self.using.kernels:
+            return ppo.loss(self.__call__, batch, self.config)
+        weights = (self.config.clip, self.config.value_weight, self.config.entropy_weight)
+        total, parts = fused.Loss.apply(self._sparse(batch.observation), batch, weights)  # pyright: ignore
+        return {"loss": total, **dict(zip(fused.PARTS, parts, strict=True))}
+
+    def _sparse(self, observation: Tensor) -> Tensor:
+        assert isinstance(self.own, Small)
+        return sparse.outputs(self.own, observation, self._precision)

@@ -1,0 +1,108 @@
+"""A network or a loss of one's own trains as it is written, and so does an edit of ours."""
+
+from dataclasses import replace
+
+import pytest
+import torch
+from torch import nn
+
+from astray.agents.small import Small
+from astray.training import ppo
+from astray.training.config import PRESETS
+from astray.training.loop import collect, update
+from astray.training.trainer import Trainer
+
+CONFIG = replace(
+    PRESETS["small"], variant="corner-small", environments=16, rollout=8, minibatches=2, width=16
+)
+OFF = {"kernels": False, "bfloat16": False}
+
+
+class Tanh(Small):
+    def __init__(self, a):
+        super().__init__(a.shape, list(a.largest), a.actions, a.width)
+        self.features.relu1 = nn.Tanh()
+
+
+class TwoHeads(Small):
+    """Also says which action was taken, from what both heads see."""
+
+    def __init__(self, a):
+        super().__init__(a.shape, list(a.largest), a.actions, a.width)
+        self.taken = nn.Linear(a.width, a.actions)
+
+
+def sure(network, batch, config):
+    losses = ppo.loss(network, batch, config)
+    logits, _ = network(batch.observation)
+    return losses | {"loss": losses["loss"] + 0.1 * (logits**2).mean()}
+
+
+def with_auxiliary(network, batch, config):
+    losses = ppo.loss(network, batch, config)
+    says = network.taken(network.hidden(batch.observation))
+    auxiliary = nn.functional.cross_entropy(says, batch.action)
+    return losses | {"loss": losses["loss"] + auxiliary, "auxiliary": auxiliary}
+
+
+def learned(config, *own):
+    """All weights after an iteration, and what was measured."""
+    trainer = Trainer(config, *own)
+    metrics = update(trainer, collect(trainer), 1e-2)
+    return torch.cat([p.detach().flatten() for p in trainer.network.parameters()]), metrics
+
+
+@pytest.mark.parametrize(
+    "own, names",
+    [((Tanh,), "network Tanh"), ((None, sure), "loss .*sure"),
+     ((TwoHeads, with_auxiliary), "network TwoHeads")],
+    ids=["activation", "term", "head"],
+)  # fmt: skip
+def test_what_is_given_trains_as_it_is_written(own, names):
+    with pytest.warns(UserWarning, match=f"the {names}.* as it is written"):
+        given, metrics = learned(CONFIG, *own)
+    with pytest.warns(UserWarning, match="as it is written"):
+        plain, _ = learned(replace(CONFIG, **OFF), *own)
+    assert torch.equal(given, plain)
+    ours, usual = learned(CONFIG)
+    assert given.shape != ours.shape or (given - ours).abs().max() > 1e-3
+    assert metrics.keys() - usual.keys() == ({"auxiliary"} if own[-1] is with_auxiliary else set())
+
+
+def double_entropy(monkeypatch):
+    entropy = ppo.entropy
+    monkeypatch.setattr(ppo, "entropy", lambda of_all: 2 * entropy(of_all))
+
+
+def other_clip(monkeypatch):
+    loss = ppo.policy_loss
+    monkeypatch.setattr(ppo, "policy_loss", lambda r, a, clip: loss(r, a, clip / 2))
+
+
+def other_activation(monkeypatch):
+    monkeypatch.setattr(nn, "ReLU", nn.Tanh)
+
+
+@pytest.mark.parametrize("edit", [double_entropy, other_clip, other_activation])
+def test_an_edit_of_ours_is_seen(edit, monkeypatch):
+    edit(monkeypatch)
+    with pytest.warns(UserWarning, match="as it is written"):
+        edited, _ = learned(CONFIG)
+    plain, _ = learned(replace(CONFIG, **OFF))
+    assert torch.equal(edited, plain)
+
+
+def test_ours_is_computed_by_the_kernels():
+    assert Trainer(CONFIG).fast.using.kernels
+
+
+def test_kernels_that_are_asked_for_are_refused_to_others():
+    with pytest.raises(ValueError, match=r"kernels must be off with .* this network and this loss"):
+        Trainer(replace(CONFIG, kernels=True), Tanh)
+
+
+def test_explained_variance_is_a_share_of_the_targets():
+    target = torch.tensor([0.0, 1.0, 2.0, 3.0])
+    assert ppo.explained_variance(target, target) == 1
+    assert ppo.explained_variance(torch.zeros(4), target) == pytest.approx(0)
+    assert ppo.explained_variance(target, torch.ones(4)) == 0
