@@ -31,6 +31,9 @@ class Loss(torch.autograd.Function):
         """
         slope, parts = torch.empty_like(outputs), torch.zeros(len(PARTS), dtype=torch.float64)
         compiled()
+        if {tuple(x.shape) for x in samples} != {(len(outputs),)}:
+            shapes = [tuple(x.shape) for x in samples]
+            raise ValueError(f"samples must be [{len(outputs)}], as outputs are; got {shapes}")
         action, old_log_probability, old_value, advantage, target = (x.numpy() for x in samples)
         evaluate(
             outputs.detach().numpy(), action, old_log_probability, old_value, advantage, target,
@@ -67,6 +70,8 @@ def evaluate(
     count, actions = len(outputs), outputs.shape[1] - 1
     log_probability, probability = np.empty((2, actions))
     for i in range(count):
+        if not 0 <= action[i] < actions:
+            raise IndexError("an action is none of those that outputs are for")
         largest = outputs[i, 0]
         for k in range(1, actions):
             largest = max(largest, outputs[i, k])

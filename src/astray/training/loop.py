@@ -11,12 +11,16 @@ import torch
 from torch import Tensor, nn
 
 from astray.agents import policy
+from astray.bounds import bounded
+from astray.envs.pool import most_threads, see_startable
 from astray.training import checkpoint, parallel
 from astray.training.config import Config
 from astray.training.device import MEASURED, flushed_denormals
 from astray.training.log import Log
 from astray.training.rollout import Rollout, collect, validate
 from astray.training.trainer import Trainer
+
+SPARE = 16  # threads that libraries may start
 
 
 def train(config: Config, folder: Path, *, progress: bool = True) -> Path:
@@ -26,6 +30,9 @@ def train(config: Config, folder: Path, *, progress: bool = True) -> Path:
     """
     if not policy.usable(config.device):
         raise ValueError(f"there is no device {config.device!r} that torch can use")
+    bounded("threads", config.threads, 1, most_threads())
+    if config.threads > 1:  # for both players' environments, for torch, and some to spare
+        see_startable(SPARE + 4 * config.threads)
     torch.set_num_threads(config.threads)
     torch.backends.cudnn.benchmark = True  # shapes stay the same, so that searching once pays
     with (
