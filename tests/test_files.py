@@ -3,11 +3,12 @@
 import os
 import time
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 
 from astray.files import aside_of, folder_aside, remove_left, write_aside
-from astray.kernel import jit
+from astray.kernel import cache, jit
 from astray.training import checkpoint
 from astray.training.config import PRESETS
 from astray.training.loop import train
@@ -92,9 +93,10 @@ def test_old_compiled_code_is_removed_and_nothing_else(tmp_path, monkeypatch):
         (folder / "envs_0").mkdir(parents=True)
         for name in ("used", "compile.lock", "envs_0/loops.nbi", "envs_0/loops.1.nbc"):
             (folder / name).write_text("")
-        os.utime(folder / "used", (0, time.time() - 2 * jit.KEPT_FOR))
+        os.utime(folder / "used", (0, time.time() - 2 * cache.KEPT_FOR))
     (strange / "thesis.tex").write_text("mine")
     (tmp_path / "astray" / ("2" * 16)).symlink_to(other)
-    folder = jit._cache_folder()
+    monkeypatch.delenv("NUMBA_CACHE_DIR", raising=False)
+    folder = Path(cache.cache_folder(jit.source_digest()))
     assert folder.name == jit.source_digest() and not old.exists()
     assert (other / "envs_0/loops.nbi").exists() and (strange / "thesis.tex").exists()

@@ -2,6 +2,7 @@
 
 import re
 from dataclasses import replace
+from urllib.parse import quote, urljoin
 
 import av
 import numpy as np
@@ -208,8 +209,17 @@ def test_the_index_leads_to_every_report_and_counts_its_claims(told, tmp_path):
         (tmp_path / name).mkdir()
         report.write(replace(told[0], title=name), told[1], tmp_path / name)
     page = report.write_index(tmp_path).read_text()
-    assert re.findall('href="(.*?)"', page) == ["one/report.html", "two/report.html"]
+    assert re.findall('href="(.*?)"', page) == ["./one/report.html", "./two/report.html"]
     assert "2 experiments" in page and re.search(r"2 of\s+4 claims held", page)
+
+
+@pytest.mark.parametrize("name", ["javascript:alert(1);", "data:text,", 'a"b', "a#b?c%20", "c:"])
+def test_a_folder_of_any_name_is_led_to_as_a_folder(name, told, tmp_path):
+    report.write(*told, tmp_path / name)
+    page = report.write_index(tmp_path).read_text()
+    (link,) = re.findall('href="(.*?)"', page)
+    assert urljoin("file:///reports/", link) == f"file:///reports/{quote(name)}/report.html"
+    assert "default-src 'none'" in page and "<script" not in page
 
 
 def test_what_is_told_is_escaped(told, tmp_path):

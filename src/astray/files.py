@@ -1,4 +1,4 @@
-"""Files that are whole or not there, and the removal of nothing but what astray made."""
+"""Files that are read at once, written whole or not, and removed where astray made them."""
 
 from __future__ import annotations
 
@@ -6,11 +6,53 @@ import contextlib
 import os
 import re
 import shutil
+import stat
 import uuid
 from collections.abc import Collection, Iterator
 from pathlib import Path
 
 ASIDE = re.compile(r"\..+\.[0-9a-f]{32}")  # names that `aside_of` makes, and nobody else
+
+LARGEST = 2**32  # bytes of a file that is read; none of astray's comes near
+
+
+def read(path: Path, most: int = LARGEST) -> bytes:
+    """What is in the file at `path`, which a user named.
+
+    OSError where that is none: nobody may ever write to a pipe, and a device has no end.
+    ValueError where it is larger than `most` bytes.
+    """
+    # Not blocking: else to open a pipe is to wait for its writer. Windows has no such pipes.
+    flags = os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
+    with open(os.open(path, flags), "rb") as file:
+        _see_regular(path, os.fstat(file.fileno()), most)
+        return file.read(most)
+
+
+def see_readable(path: Path, most: int = LARGEST) -> None:
+    """Raise what `read` would of a file that a library opens by itself."""
+    _see_regular(path, path.stat(), most)
+
+
+def _see_regular(path: Path, found: os.stat_result, most: int) -> None:
+    if not stat.S_ISREG(found.st_mode):
+        raise OSError(f"{path} must be a file; it is a folder, a pipe or a device")
+    if found.st_size > most:
+        raise ValueError(f"{path} must be of at most {most:,} bytes; it has {found.st_size:,}")
+
+
+def see_writable(path: Path) -> None:
+    """Make the folder of `path`, and see that the file can be written there, before it is worth it.
+
+    OSError where it cannot; what is there is not touched.
+    """
+    if path.is_dir():
+        raise IsADirectoryError(f"{path} must be a file to write; it is a folder")
+    path.parent.mkdir(parents=True, exist_ok=True)
+    aside = aside_of(path)
+    with open(aside, "xb"):
+        pass
+    aside.unlink()
 
 
 def aside_of(path: Path) -> Path:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import math
 import typing
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields
@@ -10,11 +11,13 @@ from typing import Any
 
 import numpy as np
 
+from astray.bounds import bounded
 from astray.kernel.rng import RNG_FIELDS, WORDS
 
 NEVER = -1  # the step of an event that has not happened; the number of a level that has none
 LEVELS = range(2**31 - 1)  # all numbers that there are; the original has no others
 OWN = "own"  # the art that is drawn here
+MOST = 2**31 - 1  # of a knob, and of what is counted
 KINDS = {int: np.int64, float: np.float64, bool: np.bool_}
 
 
@@ -61,6 +64,7 @@ class Variant:
     shifted: Variant | None = None
 
     def __post_init__(self) -> None:
+        self._check_kinds()
         if not 0 <= self.shift_probability <= 1:
             raise ValueError(f"shift_probability is {self.shift_probability}; it is from 0 to 1")
         if self.shift_probability and self.shifted is None:
@@ -69,10 +73,21 @@ class Variant:
             raise ValueError("`shifted` is a variant of another game")
         if self.time_limit < 1:
             raise ValueError(f"time_limit is {self.time_limit}; it is at least 1 step")
+
+    def _check_kinds(self) -> None:
+        """See that each knob is what it is declared as: compiled code sees numbers cast to that."""
         for name, kind in knobs(type(self)).items():
             choices, given = typing.get_args(kind), getattr(self, name)
-            if choices and given not in choices:
-                raise ValueError(f"unknown {name} {given!r}; there are: {', '.join(choices)}")
+            if choices:
+                if given not in choices:
+                    raise ValueError(f"unknown {name} {given!r}; there are: {', '.join(choices)}")
+            elif kind is bool:
+                if not isinstance(given, bool | np.bool_):
+                    raise ValueError(f"{name} must be a bool; got {given!r}")
+            elif kind is int:
+                bounded(name, given, -MOST, MOST)
+            elif not isinstance(given, int | float | np.number) or not math.isfinite(given):
+                raise ValueError(f"{name} must be a finite number; got {given!r}")
 
     def records(self) -> np.ndarray:
         """The knobs for compiled code, [2]: of this variant, and of the one it shifts to."""
@@ -171,8 +186,12 @@ class Game:
     # same episode) -> the action that leads to the goal; to stay where it was reached or none can
     optimal_return: Callable[[Any, str, float], float]  # (s, goal, gamma)
 
-    def variant(self, name: str) -> Variant:
-        """The variant called `name`."""
+    def variant(self, name: str | Variant) -> Variant:
+        """The variant called `name`; one of your own is itself, if it is of this game."""
+        if isinstance(name, Variant):
+            if not isinstance(name, tuple({type(v) for v in self.variants.values()})):
+                raise ValueError(f"the variant is a {type(name).__name__}, none of {self.name}")
+            return name
         if name not in self.variants:
             there = ", ".join(self.variants)
             raise ValueError(f"unknown variant {name!r} of {self.name}; there are: {there}")
@@ -187,6 +206,9 @@ class Game:
 
     def check(self, states: np.ndarray, variant: Variant) -> None:
         """Raise ValueError if one of states [N] is none of `variant`: compiled code trusts them."""
+        if not isinstance(states, np.ndarray) or states.dtype != self.state or states.ndim != 1:
+            kind, shape = getattr(states, "dtype", type(states)), np.shape(states)
+            raise ValueError(f"states must be [N] records of {self.name}; got {kind} of {shape}")
         s = states.view(np.ndarray)  # a recarray's fields are slow
         facts = {
             "mt_next": within(s["mt_next"], 0, WORDS),

@@ -12,10 +12,12 @@ from typing import Any
 
 import numpy as np
 
+from astray.files import read
 from astray.game import Game, Variant
 
 AGENT, EMPTY = "@", "."  # in every game's drawings
 COMMENT = ";"  # begins a line of a drawing that is not part of it
+LARGEST_FILE = 2**26  # bytes; a level as JSON has some 2,000
 Cell = tuple[int, int]  # x to the right, y upward, from the lower left
 
 
@@ -234,7 +236,7 @@ def read_levels(
             raise ValueError(f"there are no levels in {path}")
         return found
     try:
-        text = path.read_text("utf-8")
+        text = read(path, LARGEST_FILE).decode("utf-8").replace("\r\n", "\n")
         if path.suffix in (".json", ".jsonl"):
             found = [Level.from_json(game, variant, value) for value in _json_values(text)]
         else:

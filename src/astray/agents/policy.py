@@ -15,6 +15,7 @@ from torch import Tensor, nn
 
 from astray.agents.impala import Impala
 from astray.agents.small import Small
+from astray.files import see_readable
 
 NetworkName = Literal["impala", "small"]
 FORMAT = 1  # of the files; goes up when an older version could not read them
@@ -65,6 +66,7 @@ def weights(network: nn.Module, architecture: Architecture, game: str) -> bytes:
 def load(path: Path, game: str, device: str = "cpu") -> tuple[nn.Module, Architecture]:
     """The network that `weights` wrote to `path`. Nothing in the file is executed."""
     try:
+        see_readable(path)
         with safe_open(path, "pt", device="cpu") as file:
             found = read_header(file.metadata(), game)
             tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118

@@ -25,7 +25,7 @@ class Spread(nn.Module):
         self.flags = sum(top == 1 for top in largest)
         if any(top != 1 for top in largest[: self.flags]):
             raise ValueError(f"planes of 0 and 1 come first; given planes up to {largest}")
-        self.channels = self.flags + 2 * (len(largest) - self.flags)
+        self.planes, self.channels = len(largest), self.flags + 2 * (len(largest) - self.flags)
         angle = torch.arange(256) * (2 * torch.pi / max(largest))
         circle = torch.stack([angle.cos(), angle.sin()]).float()
         circle[:, 0] = 0
@@ -54,10 +54,11 @@ class Small(nn.Module):
         super().__init__()
         self.spread = Spread(largest)
         _, height, columns = shape
+        self.inputs = self.spread.channels * height * columns
         self.features = nn.Sequential(
             OrderedDict(
                 flatten=nn.Flatten(),
-                linear1=nn.Linear(self.spread.channels * height * columns, width),
+                linear1=nn.Linear(self.inputs, width),
                 relu1=nn.ReLU(),
                 linear2=nn.Linear(width, width),
                 relu2=nn.ReLU(),

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import io
+import os
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -11,9 +13,14 @@ from rich.table import Table
 from tyro.conf import Positional, arg
 
 from astray.analysis.kept import KEPT
+from astray.bounds import bounded
 from astray.cli.arguments import Knobs, Mode, chosen, level_numbers, one_level, pairs, print_json
-from astray.training.config import Config
+from astray.envs.vector import PICTURES
+from astray.files import see_writable, write_aside
+from astray.game import MOST
+from astray.training.config import SEEDS, Config
 
+EPISODES = "episodes.parquet"
 Preset = Literal["paper", "small"]
 
 
@@ -36,8 +43,7 @@ def train(
 
     from astray.training.loop import train as run
 
-    if seeds < 1:
-        raise ValueError(f"seeds is {seeds}; it is at least 1")
+    bounded("seeds", seeds, 1, SEEDS - config.seed)
     changed = replace(config, knobs=pairs(knobs))
     there = folder or Path("runs") / f"{config.game}-{config.variant}"
     for seed in range(config.seed, config.seed + seeds):
@@ -79,15 +85,19 @@ def evaluate(
     """
     from astray.analysis.runs import evaluate_runs
 
+    bounded("batch", batch, 1, MOST)
     played = None
     if levels:
-        played = Path(levels) if Path(levels).exists() else level_numbers(levels)
+        # os.path: many numbers are too long for the name of a file, and pathlib says so
+        played = Path(levels) if os.path.exists(levels) else level_numbers(levels)
+    if out:
+        see_writable(out)
     shares, episodes = evaluate_runs(
         chosen(runs, agent), played, variant=variant, shift=shift, mode=mode,
         art=art, knobs=pairs(knobs), batch=batch, solvable=not unsolvable,
     )  # fmt: skip
     if out:
-        episodes.write_parquet(out)
+        write_table(episodes, out)
     if json:
         print_json(shares.to_dicts())
     else:
@@ -147,6 +157,8 @@ def record(
     write = {".mp4": video.write_mp4, ".gif": video.write_gif}.get(out.suffix)
     if write is None:
         raise ValueError(f"a video is an .mp4 or a .gif file, not {out}")
+    bounded("pixels", pixels, *PICTURES)
+    see_writable(out)
     player, config = open_run(chosen((run,) if run else (), agent)[0], mode, art)
     made = playing(config, variant or config.variant, pairs(knobs))
     begun = one_level(config.game, made, level, level_file, unsolvable)
@@ -189,6 +201,8 @@ def agency(
     """
     from astray.analysis.agency_run import judge_run
 
+    if out:
+        see_writable(out / EPISODES)
     judged, film = judge_run(
         chosen((run,) if run else (), agent)[0],
         level_numbers(levels) if levels else None,
@@ -208,7 +222,7 @@ def agency(
         video.write_mp4(frames, out / "posterior.mp4", fps=4)
         video.write_gif(frames, out / "posterior.gif", fps=4)
         Image.fromarray(frames[-1]).save(out / "posterior.png")
-        judged.episodes.write_parquet(out / "episodes.parquet")
+        write_table(judged.episodes, out / EPISODES)
     if json:
         print_json(judged.summary())
         return
@@ -217,6 +231,13 @@ def agency(
         table.add_row(name, f"{share.mean:.1%} [{share.low:.1%}, {share.high:.1%}]")
     Console().print(table)
     print(judged.sentence())
+
+
+def write_table(frame: pl.DataFrame, path: Path) -> None:
+    """Write `frame` to a Parquet file that is whole or not there."""
+    file = io.BytesIO()
+    frame.write_parquet(file)
+    write_aside(path, file.getvalue())
 
 
 def show(shares: pl.DataFrame) -> None:

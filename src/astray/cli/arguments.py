@@ -12,6 +12,7 @@ from tyro.conf import arg
 
 from astray import games
 from astray.analysis import kept
+from astray.bounds import bounded
 from astray.game import LEVELS, NEVER, Game, Variant
 from astray.level import Level, read_levels
 from astray.training.config import vary
@@ -65,6 +66,8 @@ def one_level(
     game: str, variant: Variant, number: int | None, file: Path | None, unsolvable: bool
 ) -> int | Level | None:
     """The level that was asked for by number or file; None where neither was."""
+    if number is not None:
+        bounded("level", number, LEVELS.start, LEVELS.stop - 1)
     if file is None:
         return number
     if number is not None:

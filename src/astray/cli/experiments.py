@@ -11,12 +11,15 @@ from tyro.conf import Positional
 
 from astray import games
 from astray.analysis import kept
+from astray.bounds import bounded
 from astray.cli.arguments import print_json
 from astray.experiments.spec import Size
 from astray.experiments.workers import Place
 from astray.game import OWN
 from astray.training import checkpoint
 from astray.training.config import PRESETS
+
+MOST_WORKERS = 1024  # processes
 
 
 def list_(json: bool = False) -> None:
@@ -83,6 +86,8 @@ def reproduce(
     """
     from astray.experiments import run
 
+    if workers is not None:
+        bounded("workers", workers, 1, MOST_WORKERS)
     if name == "all":
         print(run.reproduce_all(size, folder, workers=workers, on=on, art=art))
     else:

@@ -20,8 +20,11 @@ from astray.cli.arguments import (
     varied,
 )  # fmt: skip
 from astray.envs.vector import GameVectorEnv
+from astray.files import read
 from astray.game import OWN, Variant
 from astray.level import Level
+
+LONGEST = 2**20  # characters of actions: more than any episode has
 
 
 def level(
@@ -97,7 +100,12 @@ def replay(
     from astray.analysis.replay import replay as run
 
     made = games.load(game)
-    text = sys.stdin.read() if str(actions) == "-" else actions.read_text()
+    if str(actions) == "-":
+        text = sys.stdin.read(LONGEST + 1)
+        if len(text) > LONGEST:
+            raise ValueError(f"actions must be at most {LONGEST:,} characters; there are more")
+    else:
+        text = read(actions, LONGEST).decode()
     kind = varied(game, variant, knobs)
     begun = one_level(game, kind, level, level_file, unsolvable)
     if begun is None:

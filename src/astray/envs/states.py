@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from astray import games
-from astray.files import write_aside
+from astray.files import read, write_aside
 
 FORMAT = 1  # goes up when the fields of a state change their meaning
 # All that NumPy raises for what is no archive of arrays.
@@ -36,7 +36,7 @@ def load_states(path: Path, game: str) -> np.ndarray:
     """The states [N] that `save_states` wrote; `set_state` sees whether a variant can have them."""
     try:
         # From bytes: NumPy leaves a file open that is no archive.
-        with np.lib.npyio.NpzFile(io.BytesIO(path.read_bytes()), allow_pickle=False) as file:
+        with np.lib.npyio.NpzFile(io.BytesIO(read(path)), allow_pickle=False) as file:
             kept: dict[str, Any] = {name: file[name] for name in ("game", "format", "states")}
     except FileNotFoundError:
         raise FileNotFoundError(f"there are no states at {path}") from None

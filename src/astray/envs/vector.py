@@ -11,15 +11,17 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
 from astray import games
+from astray.bounds import bounded
 from astray.envs import loops
 from astray.envs.compiled import compiled
 from astray.envs.loops import AS_SET, DISABLED, NEXT_LEVEL, NEXT_STEP, NOTHING, SAME_STEP, STEP
-from astray.envs.pool import Pool, alone
-from astray.game import LEVELS, OWN, Variant
+from astray.envs.pool import Pool, alone, most_threads
+from astray.game import LEVELS, MOST, OWN, Variant
 from astray.level import Level
 
 IMAGE = 64  # pixels a side of what the agent sees
 PICTURE = 512  # pixels a side of what people see
+PICTURES = (1, 4096)  # pixels a side of a picture, at least and at most
 MODES = {
     AutoresetMode.NEXT_STEP: NEXT_STEP,
     AutoresetMode.SAME_STEP: SAME_STEP,
@@ -43,7 +45,8 @@ class GameVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
 
     Observations are fresh arrays. `info` has the level's number at the beginning of each
     episode, and every event (the step it first happened, -1 for never) at its end. `states`
-    is the record of each environment, live: reading is free, writing is for `set_state`.
+    is the record of each environment, live and read-only; `get_state` copies them to be changed,
+    and `set_state` checks what compiled code will trust.
     """
 
     def __init__(
@@ -60,9 +63,9 @@ class GameVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         render_mode: str | None = None,
     ):
         self.game = games.load(game)
-        self.variant = self.game.variant(variant) if isinstance(variant, str) else variant
-        if num_envs < 1 or threads < 1:
-            raise ValueError(f"num_envs is {num_envs}, threads {threads}; both are at least 1")
+        self.variant = self.game.variant(variant)
+        bounded("num_envs", num_envs, 1, MOST)
+        bounded("threads", threads, 1, most_threads())
         if observation not in ("image", "symbolic"):
             raise ValueError(f"unknown observation {observation!r}; there are: image, symbolic")
         if render_mode not in (None, "rgb_array"):
@@ -125,8 +128,10 @@ class GameVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
 
     @property
     def states(self) -> np.recarray:
-        """The record of each environment, [N]."""
-        return self._states.view(np.recarray)  # with which numba's calls are slow
+        """The record of each environment, [N], live and read-only: see `set_state`."""
+        states = self._states.view(np.recarray)  # with which numba's calls are slow
+        states.setflags(write=False)
+        return states
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -183,8 +188,11 @@ class GameVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
             raise RuntimeError("an episode has ended; reset(options={'reset_mask': ...}) first")
         if out is None:
             out = np.empty(self._shape, np.uint8)
-        elif out.shape != self._shape or out.dtype != np.uint8:
-            raise ValueError(f"out is {self._shape} of uint8; given {out.shape} of {out.dtype}")
+        elif out.shape != self._shape or out.dtype != np.uint8 or not out.flags.carray:
+            raise ValueError(
+                f"out must be {self._shape} of uint8, contiguous and writable; got {out.shape} of "
+                f"{out.dtype}"
+            )
         n, largest = self.num_envs, len(self.game.actions) - 1
         actions = np.ascontiguousarray(_integers(actions, "actions"), np.int64)
         reward, terminated, truncated = np.empty(n), np.empty(n, bool), np.empty(n, bool)
@@ -276,13 +284,15 @@ def picture(
 ) -> np.ndarray:
     """`states` [N] of `game` as the agent would see them at any scale, [N, pixels, pixels, 3]."""
     made = games.load(game)
+    made.variant(variant)
     made.check(states, variant)
+    bounded("pixels", pixels, *PICTURES)
     looks, loop = made.drawn(art), compiled(game, art)
     scene = np.empty((1, *looks.scene_shape(variant, pixels)), np.uint8)
     images = np.empty((len(states), pixels, pixels, 3), np.uint8)
     sprites, params, as_set = looks.art(variant, pixels), variant.records(), np.full(1, AS_SET)
     for k in range(len(states)):
-        one = states[k : k + 1].view(np.ndarray)
+        one = states[k : k + 1].copy().view(np.ndarray)  # may be written to
         loop(
             one, params, sprites, False, scene, NUMBERS, 0, 1, DISABLED, as_set, NUMBERS,
             images[k : k + 1], one, images, REALS, FLAGS, FLAGS, *alone(),

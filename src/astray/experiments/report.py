@@ -15,7 +15,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from matplotlib.figure import Figure
 
 from astray.experiments.figures import save
-from astray.files import write_aside
+from astray.files import read, write_aside
 
 MEDIA = {".png": "image/png", ".mp4": "video/mp4"}
 NOTHING = "—"
@@ -102,7 +102,7 @@ def write(heading: Heading, findings: Findings, folder: Path) -> Path:
 def write_index(folder: Path) -> Path:
     """Write `index.html`, which leads to all reports in folders of `folder`; its path."""
     found = [
-        json.loads(path.read_text()) | {"folder": path.parent.name}
+        json.loads(read(path)) | {"folder": path.parent.name}
         for path in sorted(folder.glob("*/findings.json"))
     ]
     write_aside(folder / "index.html", _render("index.html", reports=found).encode())
@@ -122,7 +122,7 @@ def embedded(path: Path) -> str:
     """A figure or video as a data URI."""
     if path.suffix not in MEDIA:
         raise ValueError(f"{path.name} cannot be shown; {', '.join(MEDIA)} can")
-    return f"data:{MEDIA[path.suffix]};base64,{base64.b64encode(path.read_bytes()).decode()}"
+    return f"data:{MEDIA[path.suffix]};base64,{base64.b64encode(read(path)).decode()}"
 
 
 def columns(frame: pl.DataFrame) -> dict[str, tuple[bool, list[str]]]:

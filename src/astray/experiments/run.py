@@ -18,7 +18,7 @@ from astray.analysis.runs import open_run, play_all
 from astray.experiments import report
 from astray.experiments.spec import COMPUTED, Plan, Runs, Size, Test, Work, kept
 from astray.experiments.workers import Place, train_all
-from astray.files import write_aside
+from astray.files import read, write_aside
 from astray.game import OWN, Variant
 from astray.kernel.jit import source_digest
 from astray.training import checkpoint
@@ -102,7 +102,7 @@ def forget_stale(plan: Plan, runs: Runs, folder: Path) -> None:
         "sources": source_digest(COMPUTING),
     }
     text, path = json.dumps(data, indent=1).encode(), folder / "plan.json"
-    if not path.exists() or path.read_bytes() != text:
+    if not path.exists() or read(path) != text:
         for table in (folder / COMPUTED).glob("*.parquet"):
             table.unlink()
         write_aside(path, text)
@@ -110,7 +110,7 @@ def forget_stale(plan: Plan, runs: Runs, folder: Path) -> None:
 
 def agent_digest(run: Path) -> str:
     """Of the last agent of a run folder."""
-    data = (checkpoint.latest(run) / checkpoint.AGENT).read_bytes()
+    data = read(checkpoint.latest(run) / checkpoint.AGENT)
     return hashlib.sha256(data).hexdigest()[:16]
 
 

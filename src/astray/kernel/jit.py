@@ -2,29 +2,22 @@
 
 from __future__ import annotations
 
-import atexit
 import contextlib
 import hashlib
-import os
-import re
-import shutil
-import tempfile
-import time
-import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from types import FunctionType
 from typing import Any
 
 import numba
-from filelock import FileLock
 from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import Compiler
 
+from astray.kernel.cache import cache_folder, held
+from astray.kernel.stored import Stored
+
 PACKAGE = Path(__file__).parents[1]
 KERNELS = ("kernel/*.py", "games/*/*.py", "envs/loops.py", "game.py")  # all that is compiled
-DIGEST = re.compile("[0-9a-f]{16}")  # what `source_digest` returns
-KEPT_FOR = 30 * 24 * 3600  # seconds that the compiled code of another version is kept
 
 
 def source_digest(patterns: Sequence[str] = KERNELS) -> str:
@@ -36,51 +29,9 @@ def source_digest(patterns: Sequence[str] = KERNELS) -> str:
     return digest.hexdigest()[:16]
 
 
-def _cache_folder() -> Path:
-    """The folder of this version's compiled code; a temporary one where home is read-only."""
-    home = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "astray"
-    folder = home / source_digest()
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        (folder / "used").touch()
-    except OSError as error:
-        warnings.warn(f"compiled code is not kept: {error}", stacklevel=2)
-        return _passing_folder()
-    for other in home.iterdir():
-        used = other / "used"
-        is_ours = DIGEST.fullmatch(other.name) and not other.is_symlink() and used.is_file()
-        if is_ours and used.stat().st_mtime < time.time() - KEPT_FOR:
-            _remove(other)
-    return folder
-
-
-def _remove(folder: Path) -> None:
-    """Remove the compiled code of another version, and the folder if nothing else is in it."""
-    with contextlib.suppress(OSError):
-        for path in folder.glob("**/*"):
-            if path.suffix in (".nbi", ".nbc", ".lock") or path == folder / "used":
-                path.unlink()
-        for path in sorted((p for p in folder.glob("**/*") if p.is_dir()), reverse=True):
-            path.rmdir()
-        folder.rmdir()
-
-
-def _passing_folder() -> Path:
-    """A folder that ends with this process, and not with one forked from it."""
-    folder, owner = Path(tempfile.mkdtemp(prefix="astray-")), os.getpid()
-
-    def remove() -> None:
-        if os.getpid() == owner:
-            shutil.rmtree(folder, ignore_errors=True)
-
-    atexit.register(remove)
-    return folder
-
-
 # Numba notices edits to the file a kernel is in, not to the files it calls into; a folder
 # named after all of them does. A folder that the user chose wins.
-if not os.environ.get("NUMBA_CACHE_DIR"):
-    numba.config.CACHE_DIR = str(_cache_folder())  # pyright: ignore
+numba.config.CACHE_DIR = cache_folder(source_digest())  # pyright: ignore
 
 
 class _Part(JITCodeLibrary):
@@ -143,7 +94,15 @@ def _part(compiler: type[Compiler], **options: Any) -> Callable:
 # No fastmath: it may differ between machines.
 kernel = _part(_PartCompiler, forceinline=True)
 shared = _part(_LargePartCompiler)  # not inlined: for what is large or seldom called
-entry = numba.njit(cache=True, nogil=True)  # for what Python calls; only these are cached
+
+
+def entry(function: Callable) -> Any:
+    """A decorator of functions that Python calls; only these are kept in files."""
+    compiled: Any = numba.njit(nogil=True)(function)
+    if compiled is not function:
+        with contextlib.suppress(RuntimeError):  # no folder that can be written
+            compiled._cache = Stored(function)
+    return compiled
 
 
 def specialise(
@@ -161,8 +120,10 @@ def specialise(
     return decorate(clone)
 
 
-def one_at_a_time() -> FileLock:
-    """Held while compiling: numba's cache breaks when two processes write one entry."""
-    folder = Path(numba.config.CACHE_DIR)  # pyright: ignore
-    folder.mkdir(parents=True, exist_ok=True)
-    return FileLock(folder / "compile.lock")
+@contextlib.contextmanager
+def one_at_a_time() -> Iterator[None]:
+    """Compile in here: numba's cache breaks when two processes write one entry."""
+    with held(numba.config.CACHE_DIR) as is_held:  # pyright: ignore
+        if not is_held:
+            Stored.writes = False
+        yield

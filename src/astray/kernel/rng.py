@@ -107,6 +107,8 @@ def share(number, salt):
 @entry
 def fill_noise(seed, levels, times, out):
     """Fill `out` [N, A] float32 with uniform reals: functions of seed, level and step alone."""
+    if not len(levels) == len(times) == len(out):
+        raise IndexError("levels, times and noise are of other numbers of environments")
     for i in range(out.shape[0]):
         episode = mix_two(seed, levels[i])
         for k in range(out.shape[1]):

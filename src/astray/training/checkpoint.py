@@ -26,13 +26,15 @@ from safetensors.torch import load as from_bytes
 from safetensors.torch import save as to_bytes
 
 from astray.agents import policy
-from astray.files import aside_of, folder_aside, remove_left, write_aside
+from astray.files import aside_of, folder_aside, read, remove_left, write_aside
 from astray.kernel.jit import source_digest
 from astray.training import parallel
 from astray.training.config import Config
 from astray.training.trainer import Trainer
 
 AGENT, TRAINER = "agent.safetensors", "trainer.safetensors"
+
+LARGEST_CONFIG = 2**20  # bytes
 
 
 class Claimed(RuntimeError):
@@ -96,7 +98,7 @@ def read_config(folder: Path) -> Config:
     """The settings of the run in `folder`."""
     path = folder / "config.json"
     try:
-        return Config.from_json(json.loads(path.read_bytes())["config"])
+        return Config.from_json(json.loads(read(path, LARGEST_CONFIG))["config"])
     except FileNotFoundError:
         raise FileNotFoundError(f"{folder} is not a run: it has no config.json") from None
     except (ValueError, KeyError, TypeError, RecursionError, OverflowError) as error:
@@ -149,7 +151,7 @@ def restore(folder: Path, trainer: Trainer) -> None:
     network, _ = policy.load(path / AGENT, config.game)
     try:
         # From bytes: a mapped file could not be deleted on Windows while it is in use.
-        data = (path / TRAINER).read_bytes()
+        data = read(path / TRAINER)
         tensors = from_bytes(data)
         header = policy.read_header(_metadata(data), config.game)
         _compare(Config.from_json(header["config"]), config, "it is of another run")
@@ -175,4 +177,4 @@ def finished(folder: Path, config: Config) -> bool:
 
 def metrics(folder: Path) -> list[dict[str, Any]]:
     """The lines of metrics.jsonl."""
-    return [json.loads(line) for line in (folder / "metrics.jsonl").read_text().splitlines()]
+    return [json.loads(line) for line in read(folder / "metrics.jsonl").decode().splitlines()]

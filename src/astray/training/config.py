@@ -13,8 +13,10 @@ from tyro.conf import Positional, Suppress
 
 from astray import games
 from astray.agents.policy import NetworkName
-from astray.game import LEVELS, OWN, Variant, knobs
+from astray.bounds import shown
+from astray.game import LEVELS, MOST, OWN, Variant, knobs
 
+MOST_STEPS = 10**15  # what the fastest machine does in a century
 SEEDS = 2**28  # every seed has streams of its own for training, validation, ...
 COUNTS = (
     "levels", "steps", "environments", "rollout", "epochs", "minibatches", "scale", "width",
@@ -23,10 +25,10 @@ COUNTS = (
 SHARES = ("gamma", "lam", "reward_gamma")
 AMOUNTS = ("learning_rate", "clip", "value_weight", "entropy_weight", "gradient_norm")
 RANGES = (
-    {name: (1, inf) for name in COUNTS}
+    {name: (1, MOST) for name in COUNTS}
     | {name: (0, 1) for name in SHARES}
     | {name: (0, inf) for name in AMOUNTS}
-    | {"first_level": (0, LEVELS.stop), "seed": (0, SEEDS - 1)}
+    | {"first_level": (0, LEVELS.stop), "seed": (0, SEEDS - 1), "steps": (1, MOST_STEPS)}
 )
 
 
@@ -93,7 +95,7 @@ class Config:
             value = getattr(self, name)
             if value is not None and not low <= value <= high:
                 said = f"at least {low}" if high == inf else f"from {low} to {high}"
-                raise ValueError(f"{name} is {value}; it is {said}")
+                raise ValueError(f"{name} is {shown(value)}; it is {said}")
         if self.batch % self.minibatches:
             raise ValueError(
                 f"{self.environments} environments x {self.rollout} steps = {self.batch} samples "
@@ -177,7 +179,7 @@ def _check(name: str, value: Any, kind: Any) -> None:
     if float in kinds:
         kinds.append(int)
     if type(value) not in kinds or value != value:
-        raise ValueError(f"{name} is {value!r}; it is a {kinds[0].__name__}")
+        raise ValueError(f"{name} is {shown(value)}; it is a {kinds[0].__name__}")
 
 
 def vary(game: str, variant: str, changes: dict[str, Any]) -> Variant:

@@ -8,7 +8,7 @@ from pathlib import Path
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
-from astray.files import write_aside
+from astray.files import read, write_aside
 from astray.training.config import Config
 
 
@@ -19,7 +19,7 @@ class Log:
         from torch.utils.tensorboard import SummaryWriter  # a second to import
 
         path = folder / "metrics.jsonl"
-        lines = path.read_text().splitlines(keepends=True) if path.exists() else []
+        lines = read(path).decode().splitlines(keepends=True) if path.exists() else []
         kept = [
             line for line in lines if line.endswith("\n") and json.loads(line)["steps"] <= steps
         ]

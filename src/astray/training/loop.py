@@ -18,6 +18,8 @@ from torch import Tensor, nn
 
 from astray.agents import policy
 from astray.agents.policy import Architecture
+from astray.bounds import bounded
+from astray.envs.pool import most_threads, see_startable
 from astray.training import checkpoint, parallel, ppo
 from astray.training.config import Config
 from astray.training.fast import acceleration, actor
@@ -26,6 +28,8 @@ from astray.training.log import Log
 from astray.training.ppo import Samples
 from astray.training.rollout import estimate
 from astray.training.trainer import Trainer
+
+SPARE = 16  # threads that libraries may start
 
 
 def train(
@@ -48,6 +52,9 @@ def train(
     """
     if not policy.usable(config.device):
         raise ValueError(f"there is no device {config.device!r} that torch can use")
+    bounded("threads", config.threads, 1, most_threads())
+    if config.threads > 1:  # for both players' environments, for torch, and some to spare
+        see_startable(SPARE + 4 * config.threads)
     with (
         acceleration.torch_settings(config.threads),
         parallel.processes(config.device),

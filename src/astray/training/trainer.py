@@ -43,6 +43,7 @@ class Trainer:
         if config.validation:
             other = config.validation_variant()
             self.validation = Player(config, other, config.unseen_levels, 2, groups)
+            _see_alike(config, self.player.space.shape, self.validation.space.shape)
         game, space = self.player.game, self.player.space
         largest = ()
         if config.observation == "symbolic":
@@ -130,6 +131,15 @@ class Trainer:
         for player in self.players().values():
             for env in player.envs:
                 env.close()
+
+
+def _see_alike(config: Config, trained: tuple | None, validated: tuple | None) -> None:
+    """ValueError where the network that learns from one variant cannot see the other."""
+    if trained != validated:
+        raise ValueError(
+            f"validation must be a variant whose observations have the shape of the training's; "
+            f"got {config.validation!r} of {validated}, and {config.variant!r} of {trained}"
+        )
 
 
 def _below(tensors: dict[str, Tensor], prefix: str) -> dict[str, Tensor]:

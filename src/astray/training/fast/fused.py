@@ -30,6 +30,9 @@ class Loss(torch.autograd.Function):
         """weights: the clip range, the weights of the value's loss and of the entropy."""
         grad, parts = torch.empty_like(outputs), torch.zeros(len(PARTS), dtype=torch.float64)
         compiled()
+        shapes = {tuple(x.shape) for name, x in vars(minibatch).items() if name != "observation"}
+        if shapes != {(len(outputs),)}:
+            raise ValueError(f"samples must be [{len(outputs)}], as outputs are; got {shapes}")
         evaluate(
             outputs.detach().numpy(), minibatch.action.numpy(), minibatch.log_probability.numpy(),
             minibatch.value.numpy(), minibatch.advantage.numpy(), minibatch.target.numpy(),
@@ -66,6 +69,8 @@ def evaluate(
     count, actions = len(outputs), outputs.shape[1] - 1
     log_probability, probability = np.empty((2, actions))
     for i in range(count):
+        if not 0 <= action[i] < actions:
+            raise IndexError("an action is none of those that outputs are for")
         largest = outputs[i, 0]
         for k in range(1, actions):
             largest = max(largest, outputs[i, k])

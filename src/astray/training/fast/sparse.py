@@ -30,9 +30,22 @@ def usable() -> bool:
 def outputs(network: Small, planes: Tensor, between: torch.dtype = torch.float32) -> Tensor:
     """Logits, and in the last column values [B, actions + 1], but for rounding the network's own.
 
-    planes   [B, C, H, W] uint8, on a CPU
+    planes   [B, C, H, W] uint8, on a CPU; ValueError where the network was built for others
     between  of the products between the two hidden layers; most of the time goes there
     """
+    spread, inputs = network.spread, network.inputs
+    cells = planes.shape[2:].numel()
+    if (
+        planes.dim() != 4
+        or planes.dtype != torch.uint8
+        or planes.device.type != "cpu"
+        or planes.shape[1] != spread.planes
+        or spread.channels * cells != inputs
+    ):
+        raise ValueError(
+            f"planes must be [B, {spread.planes}, H, W] uint8 on a CPU, of "
+            f"{inputs // spread.channels} cells; got {planes.dtype} of shape {tuple(planes.shape)}"
+        )
     return Forward.apply(planes, network.spread, between, *network.parameters())  # pyright: ignore
 
 

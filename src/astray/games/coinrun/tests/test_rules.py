@@ -217,7 +217,7 @@ def test_measures_follow_the_runner():
         ({"permeable": -1}, "permeable is -1"),
         ({"difficulty": 4}, "difficulty is 4; it is an integer from 0 to 3"),
         ({"sections": 6}, "sections is 6; it is an integer from 0 to 5"),
-        ({"sections": 2.5}, "sections is 2.5"),
+        ({"sections": 2.5}, "sections must be an integer .*; got 2.5"),
         ({"coins": "three"}, "unknown coins 'three'; there are: one, two, none"),
         ({"place": "sky"}, "unknown place 'sky'; there are: ledge, anywhere"),
         ({"numbering": "stock"}, "unknown numbering"),

@@ -1,5 +1,6 @@
 """The rules of Keys and Chests, on rooms drawn in text."""
 
+import contextlib
 from dataclasses import replace
 
 import numpy as np
@@ -20,6 +21,14 @@ CORRIDOR = """
     #######
     #######
 """
+
+
+@contextlib.contextmanager
+def changed(env):
+    """The only state of `env`, to be changed; it goes on from there."""
+    states = env.get_state()
+    yield states[0]
+    env.set_state(states)
 
 
 def corridor(row, **knobs):
@@ -89,9 +98,10 @@ def test_a_key_is_taken_and_opens_a_chest_and_the_last_chest_ends_the_level():
     ],
 )  # fmt: skip
 def test_boxes_that_overlap_touch(what, dx, dy, touched):
-    env = corridor(f"@.{what}....")
+    env = corridor(f"..@.{what}..")
     s = env.states[0]
-    s.object_x[0], s.object_y[0] = s.x + dx, s.y + dy
+    with changed(env) as new:
+        new.object_x[0], new.object_y[0] = s.x + dx, s.y + dy
     play(env, "stay")
     assert (s.passed_chest == 1 or s.first_key == 1) == touched
 
@@ -139,7 +149,8 @@ def test_a_last_key_that_is_taken_with_the_last_chest_was_not_taken_before_it():
     env = corridor("@kkC...")
     s = env.states[0]
     play(env, "right")
-    s.x, s.vx, s.object_x[1], s.object_x[2] = 2.2, 0, 2.4, 3.0
+    with changed(env) as new:
+        new.x, new.vx, new.object_x[1], new.object_x[2] = 2.2, 0, 2.4, 3.0
     play(env, "stay")  # the chest was made later: it is first
     assert (s.all_keys, s.all_chests, s.keys_before_last) == (2, 2, -1)
 
@@ -155,7 +166,8 @@ def test_penalties_are_paid_for_keys_and_steps():
 def test_a_chest_overwrites_a_keys_penalty_in_the_original_alone(strict, reward):
     env = corridor("@Ck...C", key_penalty=0.25, strict=strict)
     s = env.states[0]
-    s.x, s.vx = 1.6, 0.3  # the key is the later object, which is first
+    with changed(env) as new:
+        new.x, new.vx = 1.6, 0.3  # the key is the later object, which is first
     assert play(env, "right")[0] == [reward]
     assert (s.taken, s.opened) == (1, 1)
 
@@ -166,8 +178,12 @@ def test_two_chests_at_once_are_worth_one_in_the_original_alone(strict, reward):
     s = env.states[0]
     play(env, "right right right")
     assert s.taken == 2
-    s.x, s.vx = 4.5, 0
-    s.object_x[2:4] = 3.9, 5.1  # nearer than two cells' middles: in a room both are at corners
+    with changed(env) as new:
+        new.x, new.vx = 4.5, 0
+        new.object_x[2:4] = (
+            3.9,
+            5.1,
+        )  # nearer than two cells' middles: in a room both are at corners
     assert play(env, "stay") == ([reward], True)
 
 
@@ -183,14 +199,17 @@ def test_the_last_step_of_an_episode_truncates_it():
 def test_steps_at_the_inventory_are_counted_while_a_key_is_in_hand(inventory, cells):
     env = corridor("@k..C..", inventory=inventory)
     s = env.states[0]
-    s.cell[:7, :7] = 0
+    with changed(env) as new:
+        new.cell[:7, :7] = 0
     for x, y in [(0, 0), (0, 6), (6, 0), (6, 6)]:
         before = int(s.at_inventory)
-        s.taken, s.gone[0] = 1, 0
-        s.x, s.y, s.vx, s.vy = x + 0.5, y + 0.5, 0, 0
+        with changed(env) as new:
+            new.taken, new.gone[0] = 1, 0
+            new.x, new.y, new.vx, new.vy = x + 0.5, y + 0.5, 0, 0
         play(env, "stay")
         assert s.at_inventory - before == ((x, y) == cells)
-        s.taken, s.gone[0], s.x, s.y = 0, -1, x + 0.5, y + 0.5
+        with changed(env) as new:
+            new.taken, new.gone[0], new.x, new.y = 0, -1, x + 0.5, y + 0.5
         play(env, "stay")
         assert s.at_inventory - before == ((x, y) == cells)
 
@@ -206,7 +225,7 @@ def test_steps_at_the_inventory_are_counted_while_a_key_is_in_hand(inventory, ce
         ({"fewest": 0, "most": 3}, "or both 0"),
         ({"keys": 5, "chests": 5}, "up to 60 keys and chests, 6 groups of 5 \\+ 5; at most 36"),
         ({"keys": 5, "chests": 4, "most": 1, "fewest": 1}, "surely has room for 8"),
-        ({"key_penalty": float("nan")}, "key_penalty is nan"),
+        ({"key_penalty": float("nan")}, "key_penalty must be a finite number; got nan"),
         ({"step_penalty": 1e9}, "step_penalty is"),
         ({"inventory": "middle"}, "unknown inventory 'middle'; there are: upper-right"),
         ({"window": 99}, "from 0 to 26"),

@@ -1,0 +1,177 @@
+"""The folder of compiled code. Numba unpickles what is in it: nobody else may ever write there."""
+
+from __future__ import annotations
+
+import atexit
+import contextlib
+import os
+import re
+import shutil
+import stat
+import tempfile
+import time
+import warnings
+from collections.abc import Iterator
+from pathlib import Path
+
+from filelock import FileLock, Timeout
+
+DIGEST = re.compile("[0-9a-f]{16}")  # names of folders of compiled code
+KEPT_FOR = 30 * 24 * 3600  # seconds that the compiled code of another version is kept
+OTHERS = stat.S_IWGRP | stat.S_IWOTH  # modes by which others may write
+# Seconds that another process is waited for in silence; and until code is compiled beside it.
+# The slowest game takes 30.
+SILENT, PATIENT = 10, 180
+
+
+def cache_folder(digest: str) -> str:
+    """The folder of this version's compiled code: the user's choice, that in the home, or one
+    that ends with the process where others could have written to it or it cannot be written.
+
+    digest   of all that compiled code depends on; names the folder
+    returns  "" where there is no folder at all
+    """
+    chosen = os.environ.get("NUMBA_CACHE_DIR")
+    try:
+        if chosen:
+            folder = _made(Path(chosen).absolute())
+            _see_trusted(folder)
+            return str(folder)
+        home = _made(_home() / "astray")
+        _close(home)
+        folder = _made(home / digest)
+        _see_trusted(folder)
+        (folder / "used").touch()
+    except (OSError, RuntimeError) as error:  # RuntimeError: there is no home
+        warnings.warn(f"compiled code is not kept: {error}", stacklevel=2)
+        return passing_folder()
+    _remove_old(home)
+    return str(folder)
+
+
+def _home() -> Path:
+    """The user's folder of caches; one that depends on where Python was started is none."""
+    chosen = Path(os.environ.get("XDG_CACHE_HOME", ""))
+    return chosen if chosen.is_absolute() else Path.home() / ".cache"
+
+
+def _made(folder: Path) -> Path:
+    """`folder`, made with its parents for the user alone; without links, which may be changed."""
+    if not folder.exists():
+        for path in (*reversed(folder.parents), folder):
+            with contextlib.suppress(FileExistsError):
+                path.mkdir(mode=0o700)
+    return folder.resolve()
+
+
+def _close(folder: Path) -> None:
+    """Let nobody else write to astray's own folder from now on."""
+    found = folder.stat()
+    if hasattr(os, "getuid") and found.st_uid == os.getuid() and found.st_mode & OTHERS:
+        folder.chmod(0o700)
+
+
+def _see_trusted(folder: Path) -> None:
+    """PermissionError where another user could have written to `folder`, or could replace it."""
+    if not hasattr(os, "getuid"):
+        return  # Windows: what is below a user's home is the user's
+    for path in (*reversed(folder.parents), folder):
+        mode = _see_owned(path)
+        is_sticky = mode & stat.S_ISVTX and path != folder  # as /tmp: all keep their own there
+        if mode & OTHERS and not is_sticky:
+            raise PermissionError(
+                f"others may write to {path} (mode {mode:o}); chmod go-w mends it"
+            )
+    is_closed = not folder.stat().st_mode & (stat.S_IRWXG | stat.S_IRWXO)
+    for parent, folders, files in os.walk(folder, onerror=_raise):
+        for name in (*folders, *files):
+            path = Path(parent, name)
+            if _see_owned(path) & OTHERS and not (is_closed or path.is_symlink()):
+                raise PermissionError(f"others may write to {path}")
+
+
+def _see_owned(path: Path) -> int:
+    """The mode of what is at `path`, if it is this user's or the system's."""
+    found = path.lstat()
+    if found.st_uid not in (os.getuid(), 0):
+        raise PermissionError(f"{path} is of another user (number {found.st_uid})")
+    return stat.S_IMODE(found.st_mode)
+
+
+def _raise(error: OSError) -> None:
+    raise error
+
+
+def _remove_old(home: Path) -> None:
+    """Remove the compiled code of versions that were not used for long."""
+    with contextlib.suppress(OSError):
+        for other in home.iterdir():
+            with contextlib.suppress(OSError):  # another user's
+                used = other / "used"
+                is_ours = DIGEST.fullmatch(other.name) and not other.is_symlink() and used.is_file()
+                if is_ours and used.stat().st_mtime < time.time() - KEPT_FOR:
+                    _remove(other)
+
+
+def _remove(folder: Path) -> None:
+    """Remove the compiled code of another version, and the folder if nothing else is in it."""
+    for path in folder.glob("**/*"):
+        if path.suffix in (".nbi", ".nbc", ".lock") or path == folder / "used":
+            path.unlink()
+    for path in sorted((p for p in folder.glob("**/*") if p.is_dir()), reverse=True):
+        path.rmdir()
+    folder.rmdir()
+
+
+def passing_folder() -> str:
+    """A folder that ends with this process, and not with one forked from it; "" if none can be."""
+    try:
+        folder, owner = tempfile.mkdtemp(prefix="astray-"), os.getpid()
+    except OSError:
+        return ""
+
+    def remove() -> None:
+        if os.getpid() == owner:
+            shutil.rmtree(folder, ignore_errors=True)
+
+    atexit.register(remove)
+    return folder
+
+
+@contextlib.contextmanager
+def held(folder: str) -> Iterator[bool]:
+    """Hold the folder of compiled code for this process, and tell whether it is held.
+
+    It is not where the folder cannot be written, nor where who holds it was stopped: nothing is
+    to be written to it then.
+    """
+    with contextlib.ExitStack() as stack:
+        is_held, lock = False, FileLock(Path(folder, "compile.lock"))
+        if folder:
+            try:
+                is_held = _is_entered(stack, lock, SILENT) or _is_waited_for(stack, lock)
+            except OSError as error:
+                warnings.warn(f"compiled code is not kept: {error}", stacklevel=3)
+        yield is_held
+
+
+def _is_entered(stack: contextlib.ExitStack, lock: FileLock, seconds: float) -> bool:
+    try:
+        stack.enter_context(lock.acquire(timeout=seconds))
+    except Timeout:
+        return False
+    return True
+
+
+def _is_waited_for(stack: contextlib.ExitStack, lock: FileLock) -> bool:
+    """Wait on for `lock`, and say so; whether it was got."""
+    warnings.warn(
+        f"another process compiles, and holds {lock.lock_file}: waiting for it", stacklevel=4
+    )
+    if _is_entered(stack, lock, PATIENT):
+        return True
+    warnings.warn(
+        f"it still does after {SILENT + PATIENT} seconds, or was stopped: compiling beside it, "
+        "what is not kept", stacklevel=4,
+    )  # fmt: skip
+    return False
