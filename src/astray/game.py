@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import functools
+import reprlib
 import typing
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
 
+from astray.checks import check_type
 from astray.kernel.rng import RNG_FIELDS, WORDS
 
 NEVER = -1  # the step of an event that has not happened; the number of a level that has none
@@ -61,6 +63,13 @@ class Variant:
     shifted: Variant | None = None
 
     def __post_init__(self) -> None:
+        for name, kind in knobs(type(self)).items():
+            value = getattr(self, name)
+            if isinstance(value, np.generic):  # of NumPy's numbers, Python's
+                object.__setattr__(self, name, value := value.item())
+            check_type(name, value, kind)
+            if type(value) is int and not -(2**63) <= value < 2**63:
+                raise ValueError(f"{name} is {value}; it is below 2**63")
         if not 0 <= self.shift_probability <= 1:
             raise ValueError(f"shift_probability is {self.shift_probability}; it is from 0 to 1")
         if self.shift_probability and self.shifted is None:
@@ -69,10 +78,6 @@ class Variant:
             raise ValueError("`shifted` is a variant of another game")
         if self.time_limit < 1:
             raise ValueError(f"time_limit is {self.time_limit}; it is at least 1 step")
-        for name, kind in knobs(type(self)).items():
-            choices, given = typing.get_args(kind), getattr(self, name)
-            if choices and given not in choices:
-                raise ValueError(f"unknown {name} {given!r}; there are: {', '.join(choices)}")
 
     def records(self) -> np.ndarray:
         """The knobs for compiled code, [2]: of this variant, and of the one it shifts to."""
@@ -171,12 +176,20 @@ class Game:
     # same episode) -> the action that leads to the goal; to stay where it was reached or none can
     optimal_return: Callable[[Any, str, float], float]  # (s, goal, gamma)
 
-    def variant(self, name: str) -> Variant:
-        """The variant called `name`."""
-        if name not in self.variants:
+    def variant(self, given: str | Variant) -> Variant:
+        """The variant of that name, or the one that is given, if it is of this game."""
+        if isinstance(given, Variant):
+            kind = type(next(iter(self.variants.values())))
+            if not isinstance(given, kind):
+                raise ValueError(
+                    f"a variant of {self.name} is a {kind.__name__}; given a "
+                    f"{type(given).__name__}: {given.about}"
+                )
+            return given
+        if not isinstance(given, str) or given not in self.variants:
             there = ", ".join(self.variants)
-            raise ValueError(f"unknown variant {name!r} of {self.name}; there are: {there}")
-        return self.variants[name]
+            raise ValueError(f"unknown variant {given!r} of {self.name}; there are: {there}")
+        return self.variants[given]
 
     def drawn(self, art: str) -> Looks:
         """How the game looks with the art of that name."""
@@ -199,6 +212,30 @@ class Game:
             if not holds.all():
                 i = int(np.argmin(holds))
                 raise ValueError(f"state {i} is none of this variant: its {name} cannot be")
+
+
+def integers(given: Any, name: str) -> np.ndarray:
+    """`given` as an array, if it holds integers; ValueError where it does not.
+
+    A float would be cut short in silence, and a boolean be 0 or 1.
+    """
+    numbers = np.asarray(given)
+    several = isinstance(given, Sequence) and not isinstance(given, str | range)
+    if numbers.dtype.kind not in "iu" or (several and any(isinstance(x, bool) for x in given)):
+        raise ValueError(f"{name} are integers; given {reprlib.repr(given)}")
+    return numbers
+
+
+def level_numbers(given: Any) -> np.ndarray:
+    """`given` (a sequence, a range, an array) as numbers of levels, [N] int64, at least one."""
+    if not np.size(given):
+        raise ValueError("levels are numbers, at least one; none is given")
+    numbers = integers(given, "levels")
+    if numbers.ndim != 1 or numbers.min() < LEVELS.start or numbers.max() >= LEVELS.stop:
+        raise ValueError(
+            f"levels are numbers from 0 to {LEVELS.stop - 1}; given {reprlib.repr(given)}"
+        )
+    return numbers.astype(np.int64)
 
 
 def within(numbers: np.ndarray, first: int, after: int) -> np.ndarray:

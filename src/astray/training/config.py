@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import types
 import typing
 from dataclasses import asdict, dataclass, field, fields, replace
 from math import inf
@@ -13,6 +12,7 @@ from tyro.conf import Positional, Suppress
 
 from astray import games
 from astray.agents.policy import NetworkName
+from astray.checks import check_type
 from astray.game import LEVELS, OWN, Variant, knobs
 
 SEEDS = 2**28  # every seed has streams of its own for training, validation, ...
@@ -88,7 +88,7 @@ class Config:
 
     def __post_init__(self) -> None:
         for name, kind in typing.get_type_hints(Config).items():
-            _check(name, getattr(self, name), kind)
+            check_type(name, getattr(self, name), kind)
         for name, (low, high) in RANGES.items():
             value = getattr(self, name)
             if value is not None and not low <= value <= high:
@@ -163,21 +163,6 @@ class Config:
         if data.get("training_variant", variant) != variant:
             raise ValueError(f"its {config.game} {config.variant} is not that of this version")
         return config
-
-
-def _check(name: str, value: Any, kind: Any) -> None:
-    """ValueError where `value` is not of the type that the setting is declared with."""
-    if typing.get_origin(kind) is Literal:
-        if value not in typing.get_args(kind):
-            there = ", ".join(typing.get_args(kind))
-            raise ValueError(f"unknown {name} {value!r}; there are: {there}")
-        return
-    parts = typing.get_args(kind) if isinstance(kind, types.UnionType) else (kind,)
-    kinds = [typing.get_origin(part) or part for part in parts]
-    if float in kinds:
-        kinds.append(int)
-    if type(value) not in kinds or value != value:
-        raise ValueError(f"{name} is {value!r}; it is a {kinds[0].__name__}")
 
 
 def vary(game: str, variant: str, changes: dict[str, Any]) -> Variant:
