@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import math
 import reprlib
 import typing
 from collections.abc import Callable, Mapping, Sequence
@@ -11,12 +12,13 @@ from typing import Any
 
 import numpy as np
 
-from astray.checks import check_type
+from astray.bounds import bounded
 from astray.kernel.rng import RNG_FIELDS, WORDS
 
 NEVER = -1  # the step of an event that has not happened; the number of a level that has none
 LEVELS = range(2**31 - 1)  # all numbers that there are; the original has no others
 OWN = "own"  # the art that is drawn here
+MOST = 2**31 - 1  # of a knob, and of what is counted
 KINDS = {int: np.int64, float: np.float64, bool: np.bool_}
 
 
@@ -63,13 +65,7 @@ class Variant:
     shifted: Variant | None = None
 
     def __post_init__(self) -> None:
-        for name, kind in knobs(type(self)).items():
-            value = getattr(self, name)
-            if isinstance(value, np.generic):  # of NumPy's numbers, Python's
-                object.__setattr__(self, name, value := value.item())
-            check_type(name, value, kind)
-            if type(value) is int and not -(2**63) <= value < 2**63:
-                raise ValueError(f"{name} is {value}; it is below 2**63")
+        self._check_kinds()
         if not 0 <= self.shift_probability <= 1:
             raise ValueError(f"shift_probability is {self.shift_probability}; it is from 0 to 1")
         if self.shift_probability and self.shifted is None:
@@ -78,6 +74,21 @@ class Variant:
             raise ValueError("`shifted` is a variant of another game")
         if self.time_limit < 1:
             raise ValueError(f"time_limit is {self.time_limit}; it is at least 1 step")
+
+    def _check_kinds(self) -> None:
+        """See that each knob is what it is declared as: compiled code sees numbers cast to that."""
+        for name, kind in knobs(type(self)).items():
+            choices, given = typing.get_args(kind), getattr(self, name)
+            if choices:
+                if given not in choices:
+                    raise ValueError(f"unknown {name} {given!r}; there are: {', '.join(choices)}")
+            elif kind is bool:
+                if not isinstance(given, bool | np.bool_):
+                    raise ValueError(f"{name} must be a bool; got {given!r}")
+            elif kind is int:
+                bounded(name, given, -MOST, MOST)
+            elif not isinstance(given, int | float | np.number) or not math.isfinite(given):
+                raise ValueError(f"{name} must be a finite number; got {given!r}")
 
     def records(self) -> np.ndarray:
         """The knobs for compiled code, [2]: of this variant, and of the one it shifts to."""
@@ -176,20 +187,16 @@ class Game:
     # same episode) -> the action that leads to the goal; to stay where it was reached or none can
     optimal_return: Callable[[Any, str, float], float]  # (s, goal, gamma)
 
-    def variant(self, given: str | Variant) -> Variant:
-        """The variant of that name, or the one that is given, if it is of this game."""
-        if isinstance(given, Variant):
-            kind = type(next(iter(self.variants.values())))
-            if not isinstance(given, kind):
-                raise ValueError(
-                    f"a variant of {self.name} is a {kind.__name__}; given a "
-                    f"{type(given).__name__}: {given.about}"
-                )
-            return given
-        if not isinstance(given, str) or given not in self.variants:
+    def variant(self, name: str | Variant) -> Variant:
+        """The variant called `name`; one of your own is itself, if it is of this game."""
+        if isinstance(name, Variant):
+            if not isinstance(name, tuple({type(v) for v in self.variants.values()})):
+                raise ValueError(f"the variant is a {type(name).__name__}, none of {self.name}")
+            return name
+        if not isinstance(name, str) or name not in self.variants:
             there = ", ".join(self.variants)
-            raise ValueError(f"unknown variant {given!r} of {self.name}; there are: {there}")
-        return self.variants[given]
+            raise ValueError(f"unknown variant {name!r} of {self.name}; there are: {there}")
+        return self.variants[name]
 
     def drawn(self, art: str) -> Looks:
         """How the game looks with the art of that name."""

@@ -11,7 +11,7 @@ from scipy.special import gammaln, logsumexp
 
 from astray.agency.gridworld import ACTIONS, Trajectory, World
 from astray.agency.steps import KIND, Rule, log_product
-from astray.checks import check_word
+from astray.words import check_word
 
 # What a device sees. "type": the type of the cell faced in the direction of the last action;
 # "type+last": and the last action; "ego": the type, its actions being turns from the last one;

@@ -12,7 +12,7 @@ import numpy as np
 from astray.agency.devices import CLOCKWISE, COMPASS
 from astray.agency.gridworld import ACTIONS, Cell, Trajectory, World
 from astray.agency.measure import Episode
-from astray.checks import check_word, check_words
+from astray.words import check_word, check_words
 
 Type = Literal["in-distribution", "goal misgeneralization", "capability failure", "robust"]
 TYPES: tuple[Type, ...] = get_args(Type)

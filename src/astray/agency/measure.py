@@ -23,7 +23,7 @@ from astray.agency.agents import Agents, AtGoal, of_every_cell
 from astray.agency.devices import First, Observation
 from astray.agency.gridworld import ACTIONS, Cell, Trajectory, World
 from astray.agency.steps import Noise, Rule, log_product, log_table, rule
-from astray.checks import check_type, check_words
+from astray.words import check_words
 
 Goals = Literal["accessible and true", "accessible", "all cells"]
 Goal = Cell | str  # a cell, or a name
@@ -58,7 +58,8 @@ class Options:
 
     def __post_init__(self) -> None:
         check_words(self)
-        check_type("legal", self.legal, bool)
+        if not isinstance(self.legal, bool):
+            raise ValueError(f"legal is {self.legal!r}; it is a bool")
         if not 0 <= self.noise_atom <= 1:
             raise ValueError(f"noise_atom is {self.noise_atom}; it is from 0 to 1")
         if not 1 <= self.beta < np.inf:

@@ -20,7 +20,7 @@ import numpy as np
 from scipy.special import logsumexp
 
 from astray.agency.gridworld import ACTIONS
-from astray.checks import check_word
+from astray.words import check_word
 
 Noise = Literal["any action", "other actions"]
 

@@ -15,7 +15,7 @@ from torch import Tensor, nn
 
 from astray.agents.impala import Impala
 from astray.agents.small import Small
-from astray.checks import check_word
+from astray.words import check_word
 
 NetworkName = Literal["impala", "small"]
 FORMAT = 1  # of the files; goes up when an older version could not read them

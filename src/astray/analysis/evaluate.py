@@ -9,9 +9,9 @@ import numpy as np
 import polars as pl
 
 from astray.analysis.policies import Policy
-from astray.checks import check_count
+from astray.bounds import bounded
 from astray.envs.vector import GameVectorEnv
-from astray.game import Variant, level_numbers
+from astray.game import MOST, Variant, level_numbers
 from astray.level import Level
 
 Measure = Callable[[np.ndarray], np.ndarray]  # of states [N], a number each
@@ -37,7 +37,8 @@ def evaluate(
     """
     if not len(levels):
         raise ValueError("no levels to evaluate on")
-    n = min(check_count("batch", batch), len(levels))
+    bounded("batch", batch, 1, MOST)
+    n = min(batch, len(levels))
     env = GameVectorEnv(
         game, variant, n, observation=policy.observation, art=policy.art, autoreset_mode="Disabled"
     )

@@ -12,10 +12,10 @@ import torch
 
 from astray.agents import policy as trained
 from astray.agents import ppo
-from astray.checks import check_words
 from astray.envs.vector import GameVectorEnv
 from astray.game import OWN
 from astray.kernel.rng import fill_noise
+from astray.words import check_words
 
 Observation = Literal["image", "symbolic"]
 RANDOM_SALT = 2**32  # no agent has this seed, or a larger one

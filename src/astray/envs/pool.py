@@ -16,6 +16,7 @@ import numpy as np
 from astray.kernel.laps import MOST_LOOKS, TAKEN, load, new_laps, store
 
 PAUSE = 2e-5  # seconds between looks of one who waited long
+LEAST_MOST = 64  # threads that are allowed anywhere, so that settings go from machine to machine
 SEEN = 5  # laps alone of which it is seen how long they take
 # Seconds that laps are then shared, at least and at most; that they are done alone where sharing
 # took longer, likewise; and that sharing may cost before it is given up: a few slices of a
@@ -42,7 +43,15 @@ class Pool:
     def _start(self) -> None:
         looks = MOST_LOOKS if self.threads <= usable_processors() else 0
         self._process, self._lap, self._laps = os.getpid(), 0, new_laps(self.threads, looks)
-        self._workers = [_Worker(self._laps, k) for k in range(1, self.threads)]
+        self._workers: list[_Worker] = []
+        try:
+            for k in range(1, self.threads):
+                self._workers.append(_Worker(self._laps, k))
+        except RuntimeError as error:  # the system allows no more
+            _stop(self._workers)
+            raise RuntimeError(
+                f"{self.threads} threads are asked for, but {len(self._workers) + 1} can be started"
+            ) from error
         self.close = weakref.finalize(self, _stop, self._workers)
 
     def run(self, function: Callable, arguments: tuple) -> Any:
@@ -178,6 +187,29 @@ def _stop(workers: list[_Worker]) -> None:
 def alone() -> tuple[np.ndarray, int, int]:
     """Laps, thread and lap for a function that is called without a pool."""
     return new_laps(1, 0), 0, 1
+
+
+def most_threads() -> int:
+    """How many threads may share a batch: more than there are processors are of no use."""
+    return max(LEAST_MOST, usable_processors())
+
+
+def see_startable(count: int) -> None:
+    """RuntimeError unless so many more threads can be started: torch ends the process then."""
+    begun, go_on = [], threading.Event()
+    try:
+        for _ in range(count):
+            thread = threading.Thread(target=go_on.wait, daemon=True)
+            thread.start()
+            begun.append(thread)
+    except RuntimeError as error:
+        raise RuntimeError(
+            f"{count} threads are needed in all; the system lets {len(begun)} be started"
+        ) from error
+    finally:
+        go_on.set()
+        for thread in begun:
+            thread.join()
 
 
 def usable_processors() -> int:

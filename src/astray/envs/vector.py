@@ -12,17 +12,17 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
 from astray import games
-from astray.checks import check_count
+from astray.bounds import bounded
 from astray.envs import loops
 from astray.envs.compiled import compiled
 from astray.envs.loops import AS_SET, DISABLED, NEXT_LEVEL, NEXT_STEP, NOTHING, SAME_STEP, STEP
-from astray.envs.pool import Pool, alone
-from astray.game import LEVELS, OWN, Variant, integers, level_numbers
+from astray.envs.pool import Pool, alone, most_threads
+from astray.game import LEVELS, MOST, OWN, Variant, integers, level_numbers
 from astray.level import Level
 
 IMAGE = 64  # pixels a side of what the agent sees
 PICTURE = 512  # pixels a side of what people see
-MOST_THREADS = 1024
+PICTURES = (1, 4096)  # pixels a side of a picture, at least and at most
 MODES = {
     AutoresetMode.NEXT_STEP: NEXT_STEP,
     AutoresetMode.SAME_STEP: SAME_STEP,
@@ -65,8 +65,8 @@ class GameVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
     ):
         self.game = games.load(game)
         self.variant = self.game.variant(variant)
-        num_envs = check_count("num_envs", num_envs)
-        threads = check_count("threads", threads, MOST_THREADS)
+        bounded("num_envs", num_envs, 1, MOST)
+        bounded("threads", threads, 1, most_threads())
         if observation not in ("image", "symbolic"):
             raise ValueError(f"unknown observation {observation!r}; there are: image, symbolic")
         if render_mode not in (None, "rgb_array"):
@@ -288,8 +288,9 @@ def picture(
     game: str, variant: Variant, states: np.ndarray, pixels: int, art: str = OWN
 ) -> np.ndarray:
     """`states` [N] of `game` as the agent would see them at any scale, [N, pixels, pixels, 3]."""
-    made, variant = games.load(game), games.load(game).variant(variant)
-    pixels = check_count("pixels", pixels)
+    made = games.load(game)
+    made.variant(variant)
+    bounded("pixels", pixels, *PICTURES)
     made.check(states, variant)
     looks, loop = made.drawn(art), compiled(game, art)
     scene = np.empty((1, *looks.scene_shape(variant, pixels)), np.uint8)

@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 import json
+import types
 import typing
 from dataclasses import asdict, dataclass, field, fields, replace
-from math import inf
+from math import inf, isfinite
 from typing import Annotated, Any, Literal
 
 from tyro.conf import Positional, Suppress
 
 from astray import games
 from astray.agents.policy import NetworkName
-from astray.checks import check_type
-from astray.game import LEVELS, OWN, Variant, knobs
+from astray.bounds import shown
+from astray.game import LEVELS, MOST, OWN, Variant, knobs
 
+MOST_STEPS = 10**15  # what the fastest machine does in a century
 SEEDS = 2**28  # every seed has streams of its own for training, validation, ...
 COUNTS = (
     "levels", "steps", "environments", "rollout", "epochs", "minibatches", "scale", "width",
@@ -23,10 +25,10 @@ COUNTS = (
 SHARES = ("gamma", "lam", "reward_gamma")
 AMOUNTS = ("learning_rate", "clip", "value_weight", "entropy_weight", "gradient_norm")
 RANGES = (
-    {name: (1, inf) for name in COUNTS}
+    {name: (1, MOST) for name in COUNTS}
     | {name: (0, 1) for name in SHARES}
     | {name: (0, inf) for name in AMOUNTS}
-    | {"first_level": (0, LEVELS.stop), "seed": (0, SEEDS - 1)}
+    | {"first_level": (0, LEVELS.stop), "seed": (0, SEEDS - 1), "steps": (1, MOST_STEPS)}
 )
 
 
@@ -88,12 +90,12 @@ class Config:
 
     def __post_init__(self) -> None:
         for name, kind in typing.get_type_hints(Config).items():
-            check_type(name, getattr(self, name), kind)
+            _check(name, getattr(self, name), kind)
         for name, (low, high) in RANGES.items():
             value = getattr(self, name)
             if value is not None and not low <= value <= high:
                 said = f"at least {low}" if high == inf else f"from {low} to {high}"
-                raise ValueError(f"{name} is {value}; it is {said}")
+                raise ValueError(f"{name} is {shown(value)}; it is {said}")
         if self.batch % self.minibatches:
             raise ValueError(
                 f"{self.environments} environments x {self.rollout} steps = {self.batch} samples "
@@ -163,6 +165,21 @@ class Config:
         if data.get("training_variant", variant) != variant:
             raise ValueError(f"its {config.game} {config.variant} is not that of this version")
         return config
+
+
+def _check(name: str, value: Any, kind: Any) -> None:
+    """ValueError where `value` is not of the type that the setting is declared with."""
+    if typing.get_origin(kind) is Literal:
+        if value not in typing.get_args(kind):
+            there = ", ".join(typing.get_args(kind))
+            raise ValueError(f"unknown {name} {value!r}; there are: {there}")
+        return
+    parts = typing.get_args(kind) if isinstance(kind, types.UnionType) else (kind,)
+    kinds = [typing.get_origin(part) or part for part in parts]
+    if float in kinds:
+        kinds.append(int)
+    if type(value) not in kinds or (type(value) is float and not isfinite(value)):
+        raise ValueError(f"{name} is {shown(value)}; it is a {kinds[0].__name__}")
 
 
 def vary(game: str, variant: str, changes: dict[str, Any]) -> Variant:

@@ -70,12 +70,12 @@ def test_a_misspelt_word_is_no_other_word(misspelt):
         (lambda: Options(legal="no"), "legal is 'no'; it is a bool"),
         (lambda: Options(observations=("type", "type")), "each is given once"),
         (lambda: measure_online(WALK, switch="1/t"), "switch is '1/t'; it is from 0 to 1, or"),
-        (lambda: Config(learning_rate=float("inf")), "learning_rate is inf; it is a float, and fi"),
-        (lambda: Config(clip=float("nan")), "clip is nan; it is a float, and finite"),
-        (lambda: replace(SMALL, time_limit=5.5), "time_limit is 5.5; it is a int"),
-        (lambda: replace(SMALL, time_limit=True), "time_limit is True; it is a int"),
-        (lambda: replace(SMALL, time_limit=10**30), r"time_limit is 10+; it is below 2\*\*63"),
-        (lambda: replace(SMALL, strict="no"), "strict is 'no'; it is a bool"),
+        (lambda: Config(learning_rate=float("inf")), "learning_rate is inf; it is a float"),
+        (lambda: Config(clip=float("nan")), "clip is nan; it is a float"),
+        (lambda: replace(SMALL, time_limit=5.5), "time_limit must be an integer from"),
+        (lambda: replace(SMALL, time_limit=True), "time_limit must be an integer"),
+        (lambda: replace(SMALL, time_limit=10**30), r"time_limit must be an integer"),
+        (lambda: replace(SMALL, strict="no"), "strict must be a bool; got 'no'"),
     ],
 )
 def test_a_number_or_a_fact_of_another_type_is_refused(wrong, message):
@@ -135,7 +135,7 @@ def test_a_reset_takes_no_option_in_silence(options, message):
     ],
 )
 def test_a_variant_is_one_of_the_game(take, variant):
-    with pytest.raises(ValueError, match=r"a variant of maze is a Maze; given a |unknown variant"):
+    with pytest.raises(ValueError, match=r"the variant is a Keys, none of maze|unknown variant"):
         take(variant)
 
 
@@ -150,7 +150,7 @@ def test_a_variant_is_one_of_the_game(take, variant):
     ],
 )
 def test_a_count_is_a_whole_number_from_1_on(take, count):
-    with pytest.raises(ValueError, match=r"is .*; it is a whole number, "):
+    with pytest.raises(ValueError, match="must be an integer from 1 to "):
         take(count)
 
 

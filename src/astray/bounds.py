@@ -1,0 +1,24 @@
+"""Numbers that users give, and what they may be."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+
+def bounded(name: str, given: Any, least: float, most: float) -> None:
+    """ValueError unless what is called `name` is an integer from `least` to `most`."""
+    is_integer = isinstance(given, int | np.integer) and not isinstance(given, bool)
+    if not is_integer or not least <= given <= most:
+        raise ValueError(f"{name} must be an integer from {least} to {most}; got {shown(given)}")
+
+
+def shown(given: Any) -> str:
+    """`given` in an error, of which it should not be most."""
+    text = f"a number of {given.bit_length()} bits" if _is_endless(given) else repr(given)
+    return text if len(text) <= 80 else f"{text[:77]}..."
+
+
+def _is_endless(given: Any) -> bool:
+    return isinstance(given, int) and given.bit_length() > 10_000  # more than Python writes out
