@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 
 import numpy as np
-from rich.console import Console
 from rich.table import Table
 from tyro.conf import Positional
 
@@ -17,6 +15,8 @@ from astray.cli.arguments import (
     level_numbers,
     one_level,
     print_json,
+    show,
+    standard_input,
     varied,
 )  # fmt: skip
 from astray.envs.vector import GameVectorEnv
@@ -97,7 +97,7 @@ def replay(
     from astray.analysis.replay import replay as run
 
     made = games.load(game)
-    text = sys.stdin.read() if str(actions) == "-" else actions.read_text()
+    text = standard_input() if str(actions) == "-" else actions.read_text()
     kind = varied(game, variant, knobs)
     begun = one_level(game, kind, level, level_file, unsolvable)
     if begun is None:
@@ -144,7 +144,7 @@ def overlap(
     table = Table("same", "different in training", "different in test", "of the test seen")
     for row in shared.to_dicts():
         table.add_row(row["same"], f"{row['training']:,}", f"{row['test']:,}", f"{row['seen']:.1%}")
-    Console().print(table)
+    show(table)
 
 
 def _states(game: str, variant: Variant, levels: np.ndarray) -> np.ndarray:
