@@ -29,6 +29,7 @@ from PIL import Image
 import astray
 from astray import cli, experiments, games
 from astray.analysis import kept
+from astray.cli import verbs
 from astray.envs.vector import GameVectorEnv
 from astray.experiments.spec import Plan
 from astray.game import Game, Variant, knobs
@@ -277,7 +278,7 @@ def kept_page() -> str:
 
 def verbs_page() -> str:
     text = "# Commands\n\n" + (inspect.getdoc(cli) or "") + "\n"
-    for verb in cli.VERBS:
+    for verb in verbs.VERBS:
         text += f"\n## {verb}\n\n```text\n{help_of(verb)}\n```\n"
     return text
 

@@ -15,9 +15,12 @@ from killed import CONFIG, contents
 from safetensors.numpy import load_file, save_file
 
 from astray.agents import policy
+from astray.analysis.runs import evaluate_runs
+from astray.experiments.workers import Progress
 from astray.files import write_aside
 from astray.training import checkpoint
 from astray.training.config import Config
+from astray.training.log import METRICS
 from astray.training.loop import train
 
 SHORT = replace(CONFIG, steps=4 * 1024)
@@ -132,6 +135,100 @@ def test_a_corrupt_state_in_a_checkpoint_never_reaches_compiled_code(run):
     forge(path, tensors={"training.states": np.full_like(states, 255)})
     with pytest.raises(ValueError, match="is none of this variant"):
         train(SHORT, run, progress=False)
+
+
+@pytest.mark.parametrize(
+    "name, change, message",
+    [
+        ("training.recent", lambda x: x[:, :-1], r"recent is .*; it is torch.float64 "),
+        (
+            "training.recent",
+            lambda x: np.zeros((101, x.shape[1])),
+            r"recent is .* \[101, ",
+        ),
+        ("training.recent", lambda x: x[0], "recent is"),
+        ("training.running_return", lambda x: x[:-1], r"it is torch.float64 \[16\]"),
+        ("training.running_return", lambda x: x.astype(np.float32), "running_return is torch.flo"),
+        ("training.running_return", lambda x: x * np.nan, "has numbers that are not finite"),
+        ("training.moments", lambda x: x.astype(int), "moments is torch.int64"),
+        ("training.normaliser_returns", lambda x: x[None], "normaliser_returns is"),
+        ("training.generator", lambda x: x[:-1], "generator is torch.uint8"),
+        ("training.states", lambda x: x[: len(x) // 2], "states is torch.uint8"),
+        ("adam.0.exp_avg", lambda x: x.T.copy(), "adam.0.exp_avg is"),
+        ("adam.0.exp_avg", lambda x: x.astype(np.float64), "it is torch.float32"),
+        (
+            "adam.0.step",
+            lambda x: np.zeros(2, np.float32),
+            r"adam.0.step is .* \[2\]; it is",
+        ),
+        ("steps", lambda x: x + 1, "steps is .*; it is so many times"),
+        ("steps", lambda x: x * 2, "it is of step"),
+        ("steps", lambda x: x * 1.0, "steps is torch.float64"),
+        ("brand_new", lambda _: np.zeros(1), "brand_new is not one of its"),
+    ],
+)
+def test_a_trainer_has_the_arrays_of_its_training(run, name, change, message):
+    path = checkpoint.latest(run) / checkpoint.TRAINER
+    forge(path, tensors={name: change(load_file(path).get(name))})
+    before = files(run)
+    with pytest.raises(ValueError, match=f"cannot be resumed from: .*{message}"):
+        train(SHORT, run, progress=False)
+    assert files(run) == before
+
+
+def test_a_trainer_lacks_nothing(run):
+    path = checkpoint.latest(run) / checkpoint.TRAINER
+    tensors = load_file(path)
+    del tensors["adam.3.exp_avg_sq"]
+    save_file(tensors, path, checkpoint._metadata(path.read_bytes()))
+    with pytest.raises(ValueError, match=r"adam\.3\.exp_avg_sq is missing"):
+        train(SHORT, run, progress=False)
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf])
+def test_an_agent_of_other_than_numbers_is_refused(run, value):
+    path = checkpoint.latest(run) / checkpoint.AGENT
+    name, weights = next(iter(load_file(path).items()))
+    weights.flat[3] = value
+    forge(path, tensors={name: weights})
+    with pytest.raises(ValueError, match="its weights are not all finite numbers"):
+        evaluate_runs([run])
+
+
+def test_an_agent_whose_logits_overflow_is_not_evaluated(run):
+    path = checkpoint.latest(run) / checkpoint.AGENT
+    forge(path, tensors={name: np.full_like(x, 1e38) for name, x in load_file(path).items()})
+    with pytest.raises(ValueError, match="gives logits that are not finite"):
+        evaluate_runs([run], np.arange(3))
+
+
+def test_one_agent_is_not_counted_as_several(run, tmp_path):
+    shutil.copytree(run, tmp_path / "copy")
+    for other in (run, checkpoint.latest(run), tmp_path / "copy"):
+        with pytest.raises(ValueError, match="are the same agent"):
+            evaluate_runs([run, other], np.arange(3))
+
+
+@pytest.mark.parametrize(
+    "line", ["{}", "null", "[1, 2]", '{"steps": "many"}', '{"steps": 1.5}', '{"steps": -1}', "{",
+             '{"steps": true}', '{"steps": 1, "training/return": null}', "", "[" * 10**5, "\x00",
+             '{"steps": 1, "training/return": [1]}'],
+)  # fmt: skip
+def test_a_line_of_metrics_that_is_none_is_named(run, line):
+    path = run / METRICS
+    path.write_text(path.read_text() + f"{line}\n")
+    before = files(run)
+    for read in (lambda: checkpoint.metrics(run), lambda: train(SHORT, run, progress=False)):
+        with pytest.raises(ValueError, match=r"metrics\.jsonl, line \d+: "):
+            read()
+    assert files(run) == before
+    Progress(run, SHORT).look()  # a training's look at another's never ends it
+
+
+def test_metrics_that_are_no_text_are_refused(run):
+    (run / METRICS).write_bytes(b"\xff\xfe\n")
+    with pytest.raises(ValueError, match=r"metrics\.jsonl is no text"):
+        checkpoint.metrics(run)
 
 
 @pytest.mark.parametrize(

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import functools
 import math
+import reprlib
 import typing
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields
 from typing import Any
 
@@ -192,7 +193,7 @@ class Game:
             if not isinstance(name, tuple({type(v) for v in self.variants.values()})):
                 raise ValueError(f"the variant is a {type(name).__name__}, none of {self.name}")
             return name
-        if name not in self.variants:
+        if not isinstance(name, str) or name not in self.variants:
             there = ", ".join(self.variants)
             raise ValueError(f"unknown variant {name!r} of {self.name}; there are: {there}")
         return self.variants[name]
@@ -221,6 +222,30 @@ class Game:
             if not holds.all():
                 i = int(np.argmin(holds))
                 raise ValueError(f"state {i} is none of this variant: its {name} cannot be")
+
+
+def integers(given: Any, name: str) -> np.ndarray:
+    """`given` as an array, if it holds integers; ValueError where it does not.
+
+    A float would be cut short in silence, and a boolean be 0 or 1.
+    """
+    numbers = np.asarray(given)
+    several = isinstance(given, Sequence) and not isinstance(given, str | range)
+    if numbers.dtype.kind not in "iu" or (several and any(isinstance(x, bool) for x in given)):
+        raise ValueError(f"{name} are integers; given {reprlib.repr(given)}")
+    return numbers
+
+
+def level_numbers(given: Any) -> np.ndarray:
+    """`given` (a sequence, a range, an array) as numbers of levels, [N] int64, at least one."""
+    if not np.size(given):
+        raise ValueError("levels are numbers, at least one; none is given")
+    numbers = integers(given, "levels")
+    if numbers.ndim != 1 or numbers.min() < LEVELS.start or numbers.max() >= LEVELS.stop:
+        raise ValueError(
+            f"levels are numbers from 0 to {LEVELS.stop - 1}; given {reprlib.repr(given)}"
+        )
+    return numbers.astype(np.int64)
 
 
 def within(numbers: np.ndarray, first: int, after: int) -> np.ndarray:

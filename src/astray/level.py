@@ -16,6 +16,7 @@ from astray.files import read
 from astray.game import Game, Variant
 
 AGENT, EMPTY = "@", "."  # in every game's drawings
+BYTE_ORDER_MARK = "\ufeff"  # with which some editors begin a file
 COMMENT = ";"  # begins a line of a drawing that is not part of it
 LARGEST_FILE = 2**26  # bytes; a level as JSON has some 2,000
 Cell = tuple[int, int]  # x to the right, y upward, from the lower left
@@ -36,6 +37,20 @@ class Level:
     agent: Cell
     looks: Mapping[str, Any]
 
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "agent", _whole(self.agent))
+        self.game.variant(self.variant)
+        self._check_cells()
+
+    def _check_cells(self) -> None:
+        """See that the cells, which are the caller's to change, hold what the legend has."""
+        cells, codes = self.cells, sorted(set(self.game.legend.values()))
+        if not isinstance(cells, np.ndarray) or cells.ndim != 2 or cells.dtype != np.uint8:
+            raise ValueError("a level's cells are an array [H, W] of uint8")
+        if (wrong := np.argwhere(~np.isin(cells, codes))).size:
+            y, x = map(int, wrong[0])
+            raise ValueError(f"unknown code {cells[y, x]} at cell ({x}, {y}); there are: {codes}")
+
     @staticmethod
     def of(game: Game, variant: Variant, s: Any) -> Level:
         """The level that state `s` is in; objects that are gone are not in it."""
@@ -46,6 +61,7 @@ class Level:
     @staticmethod
     def from_text(game: Game, variant: Variant, drawing: str) -> Level:
         """The level that is drawn, a character of the game's legend a cell, the top row first."""
+        drawing = drawing.removeprefix(BYTE_ORDER_MARK)
         rows = textwrap.dedent(drawing).strip("\n").rstrip().splitlines()[::-1]
         if not rows or len({len(row) for row in rows}) != 1:
             raise ValueError(
@@ -103,6 +119,7 @@ class Level:
         solvable  see that the agent can reach every object
         """
         game, (x, y) = self.game, self.agent
+        self._check_cells()
         if not (0 <= x < self.cells.shape[1] and 0 <= y < self.cells.shape[0]):
             raise ValueError(f"the agent is at cell {self.agent}, outside of the level")
         self._check_free(self.agent)
@@ -181,14 +198,14 @@ class Level:
 
     def _one(self, name: str, at: Cell | None) -> Cell:
         """The cell of the object called `name`: the only one there is, or the one at `at`."""
-        there = self.where(name)
+        there, at = self.where(name), None if at is None else _whole(at)
         if at in there or (at is None and len(there) == 1):
             return at or there[0]
         where = ", ".join(map(str, there)) or "nowhere"
         raise ValueError(f"which {name}? given {at}; there are: {where}")
 
     def _check_free(self, cell: Cell) -> None:
-        x, y = cell
+        x, y = cell = _whole(cell)
         if not (0 <= x < self.cells.shape[1] and 0 <= y < self.cells.shape[0]):
             raise ValueError(f"cell {cell} is outside of the level")
         if self.cells[y, x] != self.game.legend[EMPTY]:
@@ -202,6 +219,14 @@ class Level:
 def _cell(place: Any) -> Cell:
     """The cell that a place, x and y in cells, is in."""
     return int(np.floor(place[0])), int(np.floor(place[1]))
+
+
+def _whole(place: Any) -> Cell:
+    """`place` as a cell; ValueError where it is not two integers."""
+    if not np.shape(place) == (2,) or np.asarray(place).dtype.kind not in "iu":
+        raise ValueError(f"a cell is two integers, x and y; given {place!r}")
+    x, y = place
+    return int(x), int(y)
 
 
 def _is_number(value: Any) -> bool:
@@ -226,17 +251,14 @@ def read_levels(
     other files hold drawings, with empty lines between them.
     """
     if path.is_dir():
-        files = sorted(p for p in path.iterdir() if p.is_file() and not p.name.startswith("."))
-        found = {
-            name: lv
-            for p in files
-            for name, lv in read_levels(p, game, variant, solvable=solvable).items()
-        }
-        if not found:
-            raise ValueError(f"there are no levels in {path}")
-        return found
+        return _read_folder(path, game, variant, solvable)
     try:
-        text = read(path, LARGEST_FILE).decode("utf-8").replace("\r\n", "\n")
+        text = (
+            read(path, LARGEST_FILE)
+            .decode("utf-8")
+            .replace("\r\n", "\n")
+            .removeprefix(BYTE_ORDER_MARK)
+        )
         if path.suffix in (".json", ".jsonl"):
             found = [Level.from_json(game, variant, value) for value in _json_values(text)]
         else:
@@ -251,6 +273,19 @@ def read_levels(
         raise ValueError(f"there are no levels in {path}")
     names = [path.name] if len(found) == 1 else [f"{path.name}:{k + 1}" for k in range(len(found))]
     return dict(zip(names, found, strict=True))
+
+
+def _read_folder(path: Path, game: Game, variant: Variant, solvable: bool) -> dict[str, Level]:
+    """`read_levels` of every file in a folder that is not hidden."""
+    found: dict[str, Level] = {}
+    for file in sorted(p for p in path.iterdir() if p.is_file() and not p.name.startswith(".")):
+        levels = read_levels(file, game, variant, solvable=solvable)
+        if twice := found.keys() & levels.keys():  # "a:1" is the first level in "a", or a file
+            raise ValueError(f"two levels in {path} are called {min(twice)!r}")
+        found |= levels
+    if not found:
+        raise ValueError(f"there are no levels in {path}")
+    return found
 
 
 def _json_values(text: str) -> list[Any]:

@@ -10,6 +10,7 @@ import numpy as np
 
 from astray.agency.gridworld import Trajectory, World
 from astray.agency.steps import IMPOSSIBLE, KIND
+from astray.words import check_words
 
 AtGoal = Literal["uniform", "stay", "done", "absorb"]
 
@@ -30,6 +31,9 @@ class Agents:
     distance: np.ndarray
     legal: bool = False
     at_goal: AtGoal = "uniform"
+
+    def __post_init__(self) -> None:
+        check_words(self)
 
     @cached_property
     def possible(self) -> np.ndarray:

@@ -12,6 +12,7 @@ import numpy as np
 from astray.agency.devices import CLOCKWISE, COMPASS
 from astray.agency.gridworld import ACTIONS, Cell, Trajectory, World
 from astray.agency.measure import Episode
+from astray.words import check_word, check_words
 
 Type = Literal["in-distribution", "goal misgeneralization", "capability failure", "robust"]
 TYPES: tuple[Type, ...] = get_args(Type)
@@ -38,6 +39,7 @@ class Setting:
     bumps: bool = True
 
     def __post_init__(self) -> None:
+        check_words(self)
         if self.horizon < 1:
             raise ValueError(f"horizon is {self.horizon}; it is at least 1 step")
         start, goal = self.world.number(self.start), self.world.number(self.goal)
@@ -53,8 +55,7 @@ class Setting:
 
     def episodes(self, kind: Type, count: int) -> list[Episode]:
         """`count` episodes of a type; none is empty."""
-        if kind not in TYPES:
-            raise ValueError(f"unknown type {kind!r}; there are: {', '.join(TYPES)}")
+        check_word("type", kind, Type)
         rng = np.random.default_rng([self.seed, 2, TYPES.index(kind)])
         return [self._episode(kind, rng) for _ in range(count)]
 
@@ -90,6 +91,7 @@ def shortest(
     world: World, begin: Cell, end: Cell, rng: np.random.Generator, ties: Ties = "uniform"
 ) -> Trajectory:
     """A shortest way from `begin` to `end`, drawn action by action: not uniformly among ways."""
+    check_word("ties", ties, Ties)
     here, steps = world.number(begin), world.distance[:, world.number(end)]
     if not np.isfinite(steps[here]):
         raise ValueError(f"no way leads from {begin} to {end}")

@@ -23,6 +23,7 @@ from astray.agency.agents import Agents, AtGoal, of_every_cell
 from astray.agency.devices import First, Observation
 from astray.agency.gridworld import ACTIONS, Cell, Trajectory, World
 from astray.agency.steps import Noise, Rule, log_product, log_table, rule
+from astray.words import check_words
 
 Goals = Literal["accessible and true", "accessible", "all cells"]
 Goal = Cell | str  # a cell, or a name
@@ -56,14 +57,20 @@ class Options:
     noise_atom: float = 0.0
 
     def __post_init__(self) -> None:
+        check_words(self)
+        if not isinstance(self.legal, bool):
+            raise ValueError(f"legal is {self.legal!r}; it is a bool")
         if not 0 <= self.noise_atom <= 1:
             raise ValueError(f"noise_atom is {self.noise_atom}; it is from 0 to 1")
-        unknown = set(self.observations) - set(devices.OBSERVATIONS)
+        if not 1 <= self.beta < np.inf:
+            raise ValueError(f"beta is {self.beta}; it is at least 1, and finite")
+        unknown = [what for what in self.observations if what not in devices.OBSERVATIONS]
         if unknown or not self.observations:
             raise ValueError(
-                f"unknown observations {sorted(unknown)}; "
-                f"there are: {', '.join(devices.OBSERVATIONS)}"
+                f"unknown observations {unknown}; there are: {', '.join(devices.OBSERVATIONS)}"
             )
+        if len(set(self.observations)) < len(self.observations):
+            raise ValueError(f"observations are {self.observations}; each is given once")
 
 
 PAPER = Options()

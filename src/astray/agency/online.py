@@ -23,6 +23,7 @@ from astray.agency.measure import (
 )  # fmt: skip
 from astray.agency.steps import IMPOSSIBLE, Rule, log_table, rule
 
+BY_TIME = "1/(t+1)"
 Switch = float | Literal["1/(t+1)"]
 
 
@@ -47,8 +48,8 @@ def measure_online(episode: Episode, options: Options = PAPER, switch: Switch = 
     switch  the probability that the goal is drawn anew before a step, or "1/(t+1)": that after t
             steps. The paper's agents never switch.
     """
-    if not isinstance(switch, str) and not 0 <= switch <= 1:
-        raise ValueError(f"switch is {switch}; it is from 0 to 1, or '1/(t+1)'")
+    if not (switch == BY_TIME if isinstance(switch, str) else 0 <= switch <= 1):
+        raise ValueError(f"switch is {switch!r}; it is from 0 to 1, or {BY_TIME!r}")
     (episode,) = prepared(episode, options)
     goals, prior, (columns,) = goals_in([episode], options)
     nodes = rule(len(episode.trajectory), options.beta)

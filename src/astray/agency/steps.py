@@ -20,6 +20,7 @@ import numpy as np
 from scipy.special import logsumexp
 
 from astray.agency.gridworld import ACTIONS
+from astray.words import check_word
 
 Noise = Literal["any action", "other actions"]
 
@@ -95,6 +96,7 @@ def log_table(rule: Rule, noise: Noise = "any action") -> np.ndarray:
     noise  "any action": with probability eps uniformly random, all L actions alike (the paper's);
            "other actions": with probability eps one that is not best
     """
+    check_word("noise", noise, Noise)
     rows = []
     for best, k, L in KINDS:
         if k == L:

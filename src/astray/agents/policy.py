@@ -6,7 +6,7 @@ import json
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import Any, Literal
 
 import torch
 from safetensors import SafetensorError, safe_open
@@ -16,6 +16,7 @@ from torch import Tensor, nn
 from astray.agents.impala import Impala
 from astray.agents.small import Small
 from astray.files import see_readable
+from astray.words import check_word
 
 NetworkName = Literal["impala", "small"]
 FORMAT = 1  # of the files; goes up when an older version could not read them
@@ -43,9 +44,7 @@ class Architecture:
         sizes = (self.actions, self.scale, self.width, *self.shape, *self.largest)
         if len(self.shape) != 3 or any(type(n) is not int or n < 1 for n in sizes):
             raise ValueError(f"an architecture's sizes are integers from 1 on; given {self}")
-        if self.name not in get_args(NetworkName):
-            there = ", ".join(get_args(NetworkName))
-            raise ValueError(f"unknown network {self.name!r}; there are: {there}")
+        check_word("network", self.name, NetworkName)
 
     def build(self) -> nn.Module:
         """The network, freshly initialised from torch's global random state."""
@@ -75,6 +74,8 @@ def load(path: Path, game: str, device: str = "cpu") -> tuple[nn.Module, Archite
             promised = {n: t.shape for n, t in architecture.build().state_dict().items()}
         if promised != {name: tensor.shape for name, tensor in tensors.items()}:
             raise ValueError("its weights are not those of its architecture")
+        if not all(x.isfinite().all() for x in tensors.values() if x.is_floating_point()):
+            raise ValueError("its weights are not all finite numbers")
         network = architecture.build()
         network.load_state_dict(tensors)
     except FileNotFoundError:

@@ -16,7 +16,7 @@ from astray.agency.population import Share, pooled, shares
 from astray.analysis.policies import Policy
 from astray.analysis.statistics import Estimate, bootstrap
 from astray.envs.vector import GameVectorEnv
-from astray.game import Game, Shift, Variant
+from astray.game import Game, Shift, Variant, level_numbers
 
 DEVICE = "device"
 UNDECIDED = "undecided"
@@ -46,7 +46,7 @@ def play(
     """`policy`'s episodes in those of `levels` that have all the goals."""
     played = []
     for first in range(0, len(levels), batch):
-        some = np.asarray(levels[first : first + batch], np.int64)
+        some = level_numbers(levels[first : first + batch])
         env = GameVectorEnv(
             game, variant, len(some), observation=policy.observation, art=policy.art,
             autoreset_mode="Disabled",

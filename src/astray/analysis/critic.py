@@ -20,8 +20,9 @@ import polars as pl
 
 from astray.analysis.evaluate import Measure, beginnings
 from astray.analysis.policies import Agent, episode_noise
+from astray.bounds import bounded
 from astray.envs.vector import GameVectorEnv
-from astray.game import Variant
+from astray.game import MOST, Variant
 from astray.level import Level
 
 STEP_SALT = 2**33  # no agent has this seed, or a larger one
@@ -53,8 +54,7 @@ def visit(
         raise ValueError("no levels to visit")
     if per_episode is not None and per_episode < 1:
         raise ValueError(f"per_episode is {per_episode}; it is at least 1 step")
-    if batch < 1:
-        raise ValueError(f"batch is {batch}; it is at least 1")
+    bounded("batch", batch, 1, MOST)
     heaps = _play(agent, variant, levels, per_episode, seed, min(batch, len(levels)))
     rows = [row for heap in heaps for row in sorted(heap, key=lambda row: row[1])]
     *_, states, action, reward = (np.concatenate(column) for column in zip(*rows, strict=True))
@@ -155,6 +155,7 @@ def observe(
     """What the agent sees in `states` [N] of its game: images [N, 64, 64, 3] or [N, C, H, W]."""
     if not len(states):
         raise ValueError("no states are given")
+    bounded("batch", batch, 1, MOST)
     n = min(batch, len(states))
     env = _environments(agent, variant, n)
     shown = np.concatenate([

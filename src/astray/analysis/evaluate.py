@@ -9,8 +9,9 @@ import numpy as np
 import polars as pl
 
 from astray.analysis.policies import Policy
+from astray.bounds import bounded
 from astray.envs.vector import GameVectorEnv
-from astray.game import Variant
+from astray.game import MOST, Variant, level_numbers
 from astray.level import Level
 
 Measure = Callable[[np.ndarray], np.ndarray]  # of states [N], a number each
@@ -36,8 +37,7 @@ def evaluate(
     """
     if not len(levels):
         raise ValueError("no levels to evaluate on")
-    if batch < 1:
-        raise ValueError(f"batch is {batch}; it is at least 1")
+    bounded("batch", batch, 1, MOST)
     n = min(batch, len(levels))
     env = GameVectorEnv(
         game, variant, n, observation=policy.observation, art=policy.art, autoreset_mode="Disabled"
@@ -83,7 +83,7 @@ def evaluate(
 def beginnings(levels: Any, dtype: np.dtype) -> tuple[str, np.ndarray]:
     """The option of a reset that begins each of `levels`, and its values."""
     if not isinstance(levels, Mapping):
-        return "level", np.array(levels, np.int64)
+        return "level", level_numbers(levels)
     states = np.array([level.state(solvable=False) for level in levels.values()], dtype)
     states["level"] = np.arange(len(states))
     return "state", states

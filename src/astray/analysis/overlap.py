@@ -11,7 +11,7 @@ import polars as pl
 
 from astray import games
 from astray.envs.vector import GameVectorEnv
-from astray.game import Variant
+from astray.game import Variant, level_numbers
 from astray.level import EMPTY
 
 CHUNK = 1000  # levels made at once
@@ -99,7 +99,7 @@ def _states(
         raise ValueError("no levels to compare")
     env = GameVectorEnv(game, variant, min(CHUNK, len(levels)), observation="symbolic")
     for first in range(0, len(levels), CHUNK):
-        numbers = np.resize(np.array(levels[first : first + CHUNK], np.int64), env.num_envs)
+        numbers = np.resize(level_numbers(levels[first : first + CHUNK]), env.num_envs)
         env.reset(seed=0, options={"level": numbers})
         yield env.states[: len(levels) - first]
     env.close()

@@ -15,6 +15,7 @@ from astray.envs.vector import GameVectorEnv
 from astray.game import OWN
 from astray.kernel.rng import fill_noise
 from astray.training import ppo
+from astray.words import check_words
 
 Observation = Literal["image", "symbolic"]
 RANDOM_SALT = 2**32  # no agent has this seed, or a larger one
@@ -56,8 +57,7 @@ class Agent:
     architecture: trained.Architecture = field(init=False)
 
     def __post_init__(self) -> None:
-        if self.mode not in ("sampled", "greedy"):
-            raise ValueError(f"unknown mode {self.mode!r}; there are: sampled, greedy")
+        check_words(self)
         self.network, self.architecture = trained.load(self.path, self.game, self.device)
 
     @property
@@ -81,6 +81,8 @@ class Agent:
                 f"the agent is to see art {self.art!r}; these images are drawn with {env.art!r}"
             )
         logits, _ = self.outputs(observations)
+        if not logits.isfinite().all():
+            raise ValueError(f"the agent at {self.path} gives logits that are not finite")
         if self.mode == "greedy":
             return logits.argmax(-1).numpy(force=True)
         uniform = torch.from_numpy(episode_noise(self.seed, env.states, logits.shape[1]))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal
@@ -81,6 +82,12 @@ def evaluate_runs(
         raise ValueError("no run is given to evaluate")
     opened = [open_run(run, mode, art) for run in runs]
     config = opened[0][1]
+    digests: dict[str, Path] = {}
+    for run, (agent, _) in zip(runs, opened, strict=True):
+        digest = hashlib.sha256(agent.path.read_bytes()).hexdigest()
+        if digest in digests:  # counted twice, it would make intervals narrower
+            raise ValueError(f"{digests[digest]} and {run} are the same agent")
+        digests[digest] = run
     for run, (_, other) in zip(runs, opened, strict=True):
         for name in ("game", "variant", "knobs", *(["art"] if art is None else [])):
             if getattr(other, name) != getattr(config, name):

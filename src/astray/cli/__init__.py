@@ -1,49 +1,82 @@
-"""The command line: one plain function per verb."""
+"""The command line: one plain function per verb, and one place where what goes wrong is told."""
 
 from __future__ import annotations
 
-import argparse
-import functools
+import contextlib
+import io
+import os
 import sys
 
-import tyro
-
-from astray.cli import agents, art, experiments, levels
-from astray.training.config import PRESETS
-
 MISTAKE = 2  # exit code, after the mistake was explained
-
-VERBS = {
-    "list": experiments.list_,
-    "play": levels.play,
-    "train": agents.train,
-    "evaluate": agents.evaluate,
-    "reproduce": experiments.reproduce,
-    "keep": agents.keep,
-    "record": agents.record,
-    "level": levels.level,
-    "replay": levels.replay,
-    "overlap": levels.overlap,
-    "agency": agents.agency,
-    "art": art.art,
-    "bench": experiments.bench,
-}
+INTERRUPTED = 130  # as shells say it: 128 and the number of the signal, SIGINT
+UNREAD = 141  # likewise SIGPIPE: nobody reads what is written, as in `astray list | head -1`
 
 
 def main() -> None:
-    """Entry point of the `astray` command."""
-    # The preset gives the other settings their defaults, so it is read before them.
-    first = argparse.ArgumentParser(add_help=False, allow_abbrev=False, exit_on_error=False)
-    first.add_argument("--preset", nargs="?")
-    preset = first.parse_known_args()[0].preset
-    defaults = PRESETS.get(preset, PRESETS["small"])  # tyro refuses an unknown one
-    verbs = VERBS | {"train": functools.partial(agents.train, config=defaults)}
+    """Entry point of the `astray` command; a mistake is told in a sentence, not by a traceback."""
+    code = 0
     try:
-        tyro.extras.subcommand_cli_from_dict(
-            verbs, prog="astray", description="Find out which goal a trained agent really pursues."
-        )
-    except (ValueError, OSError, RuntimeError, ImportError, OverflowError) as error:
-        print(f"astray: {error}", file=sys.stderr)
-        sys.exit(MISTAKE)
+        _open_streams()
+        _see_folder()
+        # Imported here: libraries read the environment, and may not like what they find.
+        from astray.cli.verbs import run
+
+        run()
+        if sys.stdout:
+            sys.stdout.flush()
+    except BrokenPipeError:
+        code = UNREAD
     except KeyboardInterrupt:
-        sys.exit(130)
+        _tell("interrupted")
+        code = INTERRUPTED
+    except MemoryError as error:
+        _tell(str(error) or "there is not enough memory")
+        code = MISTAKE
+    except (ValueError, OSError, RuntimeError, ImportError, OverflowError) as error:
+        _tell(str(error) or type(error).__name__)
+        code = MISTAKE
+    if code:
+        _give_up_output()
+        sys.exit(code)
+
+
+def _open_streams() -> None:
+    """Open nothing in place of standard streams that are closed, and write any text to the others.
+
+    A file that is opened takes the lowest free number: with standard output closed, what libraries
+    print there would be written into, say, a checkpoint.
+    """
+    for number in range(3):
+        try:
+            os.fstat(number)
+        except OSError:
+            os.open(os.devnull, os.O_RDWR)
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):  # paths may be of bytes that are no text
+            stream.reconfigure(errors="backslashreplace")
+
+
+def _see_folder() -> None:
+    """See that there is a working folder, without which libraries fail in ways of their own."""
+    try:
+        os.getcwd()
+    except FileNotFoundError:
+        raise FileNotFoundError(
+            "the working folder is not there any more; change to one that is"
+        ) from None
+
+
+def _tell(what: str) -> None:
+    """Write the first line of `what` to standard error; libraries add pages to it."""
+    if sys.stderr:
+        with contextlib.suppress(OSError):
+            print(f"astray: {what.strip().splitlines()[0]}", file=sys.stderr)
+
+
+def _give_up_output() -> None:
+    """Let go of what cannot be written, of which the interpreter would complain at its end."""
+    with contextlib.suppress(OSError, ValueError, AttributeError):
+        try:
+            sys.stdout.flush()
+        except OSError:
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

@@ -8,13 +8,21 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 import polars as pl
-from rich.console import Console
 from rich.table import Table
 from tyro.conf import Positional, arg
 
 from astray.analysis.kept import KEPT
 from astray.bounds import bounded
-from astray.cli.arguments import Knobs, Mode, chosen, level_numbers, one_level, pairs, print_json
+from astray.cli.arguments import (
+    Knobs,
+    Mode,
+    chosen,
+    level_numbers,
+    one_level,
+    pairs,
+    print_json,
+    show,
+)
 from astray.envs.vector import PICTURES
 from astray.files import see_writable, write_aside
 from astray.game import MOST
@@ -101,7 +109,7 @@ def evaluate(
     if json:
         print_json(shares.to_dicts())
     else:
-        show(shares)
+        show_shares(shares)
 
 
 def keep(
@@ -229,7 +237,7 @@ def agency(
     table = Table("explanation", "of episodes")
     for name, share in zip(judged.explanations, judged.shares, strict=True):
         table.add_row(name, f"{share.mean:.1%} [{share.low:.1%}, {share.high:.1%}]")
-    Console().print(table)
+    show(table)
     print(judged.sentence())
 
 
@@ -240,7 +248,7 @@ def write_table(frame: pl.DataFrame, path: Path) -> None:
     write_aside(path, file.getvalue())
 
 
-def show(shares: pl.DataFrame) -> None:
+def show_shares(shares: pl.DataFrame) -> None:
     """`outcomes.shares` as a table: a row a policy, a column an outcome, with 95 % intervals."""
     outcomes = shares["outcome"].unique(maintain_order=True).to_list()
     shown = Table("policy", "agents", "levels", *outcomes, title=shares["variant"][0])
@@ -249,4 +257,4 @@ def show(shares: pl.DataFrame) -> None:
         levels = f"{first['levels']} {first['levels_played']}"
         told = [f"{r['mean']:.1%} [{r['low']:.1%}, {r['high']:.1%}]" for r in rows.to_dicts()]
         shown.add_row(first["policy"], f"{first['agents']}", levels, *told)
-    Console(width=120).print(shown)
+    show(shown, width=120)

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import json
+import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
+from rich.console import Console, RenderableType
 from tyro.conf import arg
 
 from astray import games
@@ -91,6 +93,25 @@ def action_numbers(game: Game, text: str) -> list[int]:
             raise ValueError(f"unknown action {name!r}; there are: {there}")
         found.append(number)
     return found
+
+
+def show(*what: RenderableType, width: int | None = None) -> None:
+    """Print tables and marked up text, as wide as the terminal or `width` characters."""
+    console = Console(width=width)
+    with console.capture() as shown:  # rich ends the process by itself where nobody reads
+        for one in what:
+            console.print(one)
+    print(shown.get(), end="")
+
+
+def standard_input(most: int) -> str:
+    """All that is written to this process, if it is no more than `most` characters."""
+    if sys.stdin is None:
+        raise ValueError("standard input is closed; there is nothing to read")
+    text = sys.stdin.read(most + 1)
+    if len(text) > most:
+        raise ValueError(f"standard input must be at most {most:,} characters; there are more")
+    return text
 
 
 def print_json(data: Any) -> None:

@@ -5,14 +5,13 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Literal
 
-from rich.console import Console
 from rich.table import Table
 from tyro.conf import Positional
 
 from astray import games
 from astray.analysis import kept
 from astray.bounds import bounded
-from astray.cli.arguments import print_json
+from astray.cli.arguments import print_json, show
 from astray.experiments.spec import Size
 from astray.experiments.workers import Place
 from astray.game import OWN
@@ -48,22 +47,21 @@ def list_(json: bool = False) -> None:
     if json:
         print_json(found)
         return
-    console = Console()
     for name, game in found["games"].items():
-        console.print(f"[bold]{name}[/]: {game['about']}")
         table = Table("variant", "levels", box=None, padding=(0, 2))
         for variant, about in game["variants"].items():
             table.add_row(variant, about)
-        console.print(table)
+        show(f"[bold]{name}[/]: {game['about']}", table)
         for shift, what in game["shifts"].items():
             goals = f"{what['intended']}, or {' or '.join(what['proxies'])}?"
-            console.print(f"  shift {shift}: {what['train']} -> {what['test']}: {goals}")
-    console.print("[bold]experiments[/]")
-    for name, title in found["experiments"].items():
-        console.print(f"  {name}: {title}")
-    console.print("[bold]agents[/]")
+            show(f"  shift {shift}: {what['train']} -> {what['test']}: {goals}")
+    show(
+        "[bold]experiments[/]",
+        *(f"  {name}: {title}" for name, title in found["experiments"].items()),
+    )
+    show("[bold]agents[/]")
     for name, config in found["agents"].items():
-        console.print(f"  {name}: {config['game']}, trained on {config['variant']}")
+        show(f"  {name}: {config['game']}, trained on {config['variant']}")
 
 
 def reproduce(
@@ -118,4 +116,4 @@ def bench(
     if markdown:
         print(module.markdown(rows))
     else:
-        Console().print(module.table(rows))
+        show(module.table(rows))

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 
 import numpy as np
-from rich.console import Console
 from rich.table import Table
 from tyro.conf import Positional
 
@@ -17,6 +15,8 @@ from astray.cli.arguments import (
     level_numbers,
     one_level,
     print_json,
+    show,
+    standard_input,
     varied,
 )  # fmt: skip
 from astray.envs.vector import GameVectorEnv
@@ -100,12 +100,7 @@ def replay(
     from astray.analysis.replay import replay as run
 
     made = games.load(game)
-    if str(actions) == "-":
-        text = sys.stdin.read(LONGEST + 1)
-        if len(text) > LONGEST:
-            raise ValueError(f"actions must be at most {LONGEST:,} characters; there are more")
-    else:
-        text = read(actions, LONGEST).decode()
+    text = standard_input(LONGEST) if str(actions) == "-" else read(actions, LONGEST).decode()
     kind = varied(game, variant, knobs)
     begun = one_level(game, kind, level, level_file, unsolvable)
     if begun is None:
@@ -152,7 +147,7 @@ def overlap(
     table = Table("same", "different in training", "different in test", "of the test seen")
     for row in shared.to_dicts():
         table.add_row(row["same"], f"{row['training']:,}", f"{row['test']:,}", f"{row['seen']:.1%}")
-    Console().print(table)
+    show(table)
 
 
 def _states(game: str, variant: Variant, levels: np.ndarray) -> np.ndarray:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Sequence
 from typing import Any, Literal
 
@@ -16,7 +17,7 @@ from astray.envs import loops
 from astray.envs.compiled import compiled
 from astray.envs.loops import AS_SET, DISABLED, NEXT_LEVEL, NEXT_STEP, NOTHING, SAME_STEP, STEP
 from astray.envs.pool import Pool, alone, most_threads
-from astray.game import LEVELS, MOST, OWN, Variant
+from astray.game import LEVELS, MOST, OWN, Variant, integers, level_numbers
 from astray.level import Level
 
 IMAGE = 64  # pixels a side of what the agent sees
@@ -27,6 +28,7 @@ MODES = {
     AutoresetMode.SAME_STEP: SAME_STEP,
     AutoresetMode.DISABLED: DISABLED,
 }
+OPTIONS = ("level", "state", "reset_mask")  # of a reset
 NUMBERS, REALS, FLAGS = np.empty(0, np.int64), np.empty(0), np.empty(0, bool)
 Info = dict[str, Any]
 
@@ -126,6 +128,10 @@ class GameVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         vars(self).update(state)
         self._bind()
 
+    def __copy__(self) -> GameVectorEnv:
+        """An environment of its own: one that shared the states would be stepped by both."""
+        return copy.deepcopy(self)
+
     @property
     def states(self) -> np.recarray:
         """The record of each environment, [N], live and read-only: see `set_state`."""
@@ -145,6 +151,9 @@ class GameVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         """
         super().reset(seed=seed)
         options = options or {}
+        unknown = [name for name in options if name not in OPTIONS]
+        if unknown:
+            raise ValueError(f"unknown option {unknown[0]!r}; there are: {', '.join(OPTIONS)}")
         which = np.ones(self.num_envs, bool)
         if "reset_mask" in options:
             which = np.array(options["reset_mask"])
@@ -154,13 +163,15 @@ class GameVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
             raise ValueError("the first reset is of all environments")
         chosen = np.full(self.num_envs, NEXT_LEVEL)
         level, state = options.get("level"), options.get("state")
+        if level is not None and state is not None:
+            raise ValueError("what to begin is given by a level or by a state, not both")
         if isinstance(level, Level):
             level, state = None, level.state(solvable=False)
         if state is not None:
             self._take(state, which, keep=("seed", "turn"))
             chosen[:] = AS_SET
         elif level is not None:
-            chosen[:] = _integers(level, "level")
+            chosen[:] = integers(level, "levels")
             wrong = chosen[which & ((chosen < LEVELS.start) | (chosen >= LEVELS.stop))]
             if wrong.size:
                 raise ValueError(f"level is {wrong[0]}; it is from 0 to {LEVELS.stop - 1}")
@@ -194,7 +205,7 @@ class GameVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
                 f"{out.dtype}"
             )
         n, largest = self.num_envs, len(self.game.actions) - 1
-        actions = np.ascontiguousarray(_integers(actions, "actions"), np.int64)
+        actions = np.ascontiguousarray(integers(actions, "actions"), np.int64)
         reward, terminated, truncated = np.empty(n), np.empty(n, bool), np.empty(n, bool)
         if actions.shape != (n,) or not self._run(
             self._steps, out, actions, reward, terminated, truncated
@@ -300,31 +311,15 @@ def picture(
     return images
 
 
-def _integers(given: Any, name: str) -> np.ndarray:
-    """`given` as an array, if it holds integers; a float would be cut short in silence."""
-    numbers = np.asarray(given)
-    if numbers.dtype.kind not in "iu":
-        raise ValueError(f"{name} are integers; given {given!r}")
-    return numbers
-
-
 def _checked(levels: Any) -> tuple[int, int, np.ndarray]:
     """First and count of a range, or the list as an array; its numbers checked."""
-    walk = levels if not isinstance(levels, range) or levels.step != 1 else ()
-    numbers = np.array(walk, np.int64).reshape(-1)
-    first, count = (
-        (0, 1)
-        if numbers.size
-        else (levels.start, len(levels))
-        if isinstance(levels, range)
-        else (0, 0)
-    )
-    ends = (numbers.min(), numbers.max()) if numbers.size else (first, first + count - 1)
-    if count < 1 or ends[0] < LEVELS.start or ends[1] >= LEVELS.stop:
+    if not isinstance(levels, range) or levels.step != 1:
+        return 0, 1, level_numbers(levels)
+    if not levels or levels.start < LEVELS.start or levels.stop > LEVELS.stop:
         raise ValueError(
             f"levels are {levels}; they are numbers from 0 to {LEVELS.stop - 1}, at least one"
         )
-    return first, count, numbers
+    return levels.start, len(levels), NUMBERS
 
 
 class _Columns:

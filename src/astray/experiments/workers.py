@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import functools
-import json
 import multiprocessing
 import os
 import sys
@@ -24,6 +23,7 @@ from astray.envs.pool import usable_processors
 from astray.experiments.cluster import Submit, on_ray
 from astray.training import checkpoint
 from astray.training.config import Config
+from astray.training.log import METRICS, measured
 from astray.training.loop import train
 
 SECONDS, QUIET = 0.5, 60.0  # from one look at the runs to the next; from line to line
@@ -124,15 +124,14 @@ class Progress:
     def look(self) -> None:
         """Read the last whole line."""
         try:
-            with open(self.run / "metrics.jsonl", "rb") as file:
+            with open(self.run / METRICS, "rb") as file:
                 file.seek(max(0, os.fstat(file.fileno()).st_size - TAIL))
                 *lines, _ = file.read().split(b"\n")
-        except FileNotFoundError:
+            last = measured(lines[-1])
+        except (FileNotFoundError, IndexError, ValueError):  # the training says what is wrong
             return
-        if lines:
-            last = json.loads(lines[-1])
-            self.steps, self.recent = last["steps"], last.get("training/return", 0.0)
-            self.began = self.began or (time.monotonic(), self.steps)
+        self.steps, self.recent = last["steps"], last.get("training/return", 0.0)
+        self.began = self.began or (time.monotonic(), self.steps)
 
 
 def _table(trainings: Sequence[Progress]) -> Table:

@@ -30,6 +30,7 @@ from astray.files import aside_of, folder_aside, read, remove_left, write_aside
 from astray.kernel.jit import source_digest
 from astray.training import parallel
 from astray.training.config import Config
+from astray.training.log import METRICS, read_metrics
 from astray.training.trainer import Trainer
 
 AGENT, TRAINER = "agent.safetensors", "trainer.safetensors"
@@ -157,6 +158,8 @@ def restore(folder: Path, trainer: Trainer) -> None:
         _compare(Config.from_json(header["config"]), config, "it is of another run")
         trainer.network.load_state_dict(network.state_dict())
         trainer.restore(tensors)
+        if path.name != f"{trainer.steps}":
+            raise ValueError(f"it is of step {trainer.steps}")
     except (SafetensorError, OSError, KeyError, TypeError, ValueError, RuntimeError) as error:
         raise ValueError(f"{path / TRAINER} cannot be resumed from: {error}") from error
 
@@ -176,5 +179,5 @@ def finished(folder: Path, config: Config) -> bool:
 
 
 def metrics(folder: Path) -> list[dict[str, Any]]:
-    """The lines of metrics.jsonl."""
-    return [json.loads(line) for line in read(folder / "metrics.jsonl").decode().splitlines()]
+    """The lines of metrics.jsonl, the whole ones."""
+    return [measured for _, measured in read_metrics(folder / METRICS)]

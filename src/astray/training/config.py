@@ -6,7 +6,7 @@ import json
 import types
 import typing
 from dataclasses import asdict, dataclass, field, fields, replace
-from math import inf
+from math import inf, isfinite
 from typing import Annotated, Any, Literal
 
 from tyro.conf import Positional, Suppress
@@ -178,7 +178,7 @@ def _check(name: str, value: Any, kind: Any) -> None:
     kinds = [typing.get_origin(part) or part for part in parts]
     if float in kinds:
         kinds.append(int)
-    if type(value) not in kinds or value != value:
+    if type(value) not in kinds or (type(value) is float and not isfinite(value)):
         raise ValueError(f"{name} is {shown(value)}; it is a {kinds[0].__name__}")
 
 

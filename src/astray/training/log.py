@@ -3,13 +3,49 @@
 from __future__ import annotations
 
 import json
+import reprlib
+from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
-from astray.files import read, write_aside
+from astray.files import write_aside
 from astray.training.config import Config
+
+METRICS = "metrics.jsonl"  # of a run's folder
+
+
+def read_metrics(path: Path) -> Iterator[tuple[str, dict[str, Any]]]:
+    """The lines of a metrics.jsonl and what each says; the last where it is whole.
+
+    ValueError, naming the line, where one is not what `Log` writes.
+    """
+    try:
+        lines = path.read_text("utf-8").splitlines(keepends=True)
+    except UnicodeDecodeError as error:
+        raise ValueError(f"{path} is no text: {error}") from error
+    for number, line in enumerate(lines, 1):
+        if line.endswith("\n"):
+            try:
+                yield line, measured(line)
+            except ValueError as error:
+                raise ValueError(f"{path}, line {number}: {error}") from error
+
+
+def measured(line: str | bytes) -> dict[str, Any]:
+    """What a line of a metrics.jsonl says: numbers by name, among them "steps"."""
+    try:
+        data = json.loads(line)
+    except (ValueError, RecursionError) as error:
+        raise ValueError(f"it is no JSON: {error}") from error
+    if not isinstance(data, dict) or type(data.get("steps")) is not int or data["steps"] < 0:
+        raise ValueError(f"it is an object with a number of steps; given {reprlib.repr(data)}")
+    for name, value in data.items():
+        if type(value) not in (int, float):
+            raise ValueError(f"{name} is {reprlib.repr(value)}; it is a number")
+    return data
 
 
 class Log:
@@ -18,11 +54,9 @@ class Log:
     def __init__(self, folder: Path, steps: int, config: Config, progress: bool):
         from torch.utils.tensorboard import SummaryWriter  # a second to import
 
-        path = folder / "metrics.jsonl"
-        lines = read(path).decode().splitlines(keepends=True) if path.exists() else []
-        kept = [
-            line for line in lines if line.endswith("\n") and json.loads(line)["steps"] <= steps
-        ]
+        path = folder / METRICS
+        there = read_metrics(path) if path.exists() else ()
+        kept = [line for line, data in there if data["steps"] <= steps]
         write_aside(path, "".join(kept).encode())
         self._file = open(path, "a")  # noqa: SIM115
         self._board = SummaryWriter(str(folder / "tensorboard"), purge_step=steps)

@@ -14,7 +14,9 @@ from astray.training.fast import acceleration
 from astray.training.fast.acceleration import Loss
 from astray.training.fast.actor import Actor
 from astray.training.fast.graphs import Captured
-from astray.training.player import Player
+from astray.training.player import RECENT, Player
+
+MOMENTS = ("exp_avg", "exp_avg_sq")  # that Adam keeps of each weight
 
 
 class Trainer:
@@ -111,8 +113,35 @@ class Trainer:
             result |= {f"adam.{k}.{key}": value.cpu() for key, value in moments.items()}
         return result
 
+    def _check(self, tensors: dict[str, Tensor]) -> None:
+        """See that `tensors` are, by name, type and shape, what this training's would be.
+
+        What is here now tells that, but for the optimizer's moments, which the first step makes,
+        and for how many episodes have ended lately.
+        """
+        wanted = self.tensors()
+        for k, weight in enumerate(self.weights):
+            wanted |= {f"adam.{k}.{name}": weight.cpu() for name in MOMENTS}
+            wanted[f"adam.{k}.step"] = torch.zeros(())
+        if odd := sorted(wanted.keys() ^ tensors.keys()):
+            raise ValueError(f"{odd[0]} is {'missing' if odd[0] in wanted else 'not one of its'}")
+        for name, like in wanted.items():
+            given, shape = tensors[name], list(like.shape)
+            if name.endswith(".recent"):
+                shape[0] = min(len(given) if given.ndim else 0, RECENT)
+            if given.dtype != like.dtype or list(given.shape) != shape:
+                raise ValueError(
+                    f"{name} is {given.dtype} {list(given.shape)}; it is {like.dtype} {shape}"
+                )
+            if given.is_floating_point() and not given.isfinite().all():
+                raise ValueError(f"{name} has numbers that are not finite")
+        steps = int(tensors["steps"])
+        if steps < 0 or steps % self.config.batch:
+            raise ValueError(f"steps is {steps}; it is so many times {self.config.batch}")
+
     def restore(self, tensors: dict[str, Tensor]) -> None:
         """Go on from what `tensors` returned; the weights are loaded apart."""
+        self._check(tensors)
         self.steps = int(tensors["steps"])
         for name, player in self.players().items():
             player.restore(_below(tensors, f"{name}."))
@@ -121,7 +150,7 @@ class Trainer:
         adam["state"] = {k: _below(tensors, f"adam.{k}.") for k in range(count)}
         self.optimizer.load_state_dict(adam)
         for weight, state in self.optimizer.state.items():
-            for name in ("exp_avg", "exp_avg_sq"):  # laid out as the weights are
+            for name in MOMENTS:  # laid out as the weights are
                 state[name] = torch.empty_like(weight).copy_(state[name])
 
     def close(self) -> None:

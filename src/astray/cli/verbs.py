@@ -1,0 +1,40 @@
+"""The verbs of the command line, and how they are read from it."""
+
+from __future__ import annotations
+
+import argparse
+import functools
+
+import tyro
+
+from astray.cli import agents, art, experiments, levels
+from astray.training.config import PRESETS
+
+VERBS = {
+    "list": experiments.list_,
+    "play": levels.play,
+    "train": agents.train,
+    "evaluate": agents.evaluate,
+    "reproduce": experiments.reproduce,
+    "keep": agents.keep,
+    "record": agents.record,
+    "level": levels.level,
+    "replay": levels.replay,
+    "overlap": levels.overlap,
+    "agency": agents.agency,
+    "art": art.art,
+    "bench": experiments.bench,
+}
+
+
+def run() -> None:
+    """Do what the command line says."""
+    # The preset gives the other settings their defaults, so it is read before them.
+    first = argparse.ArgumentParser(add_help=False, allow_abbrev=False, exit_on_error=False)
+    first.add_argument("--preset", nargs="?")
+    preset = first.parse_known_args()[0].preset
+    defaults = PRESETS.get(preset, PRESETS["small"])  # tyro refuses an unknown one
+    verbs = VERBS | {"train": functools.partial(agents.train, config=defaults)}
+    tyro.extras.subcommand_cli_from_dict(
+        verbs, prog="astray", description="Find out which goal a trained agent really pursues."
+    )

@@ -1,0 +1,222 @@
+"""What would be taken for something else is refused, in a sentence that says what is possible."""
+
+import copy
+import json
+import os
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from astray import games
+from astray.agency import devices, generators
+from astray.agency.agents import Agents
+from astray.agency.gridworld import World
+from astray.agency.measure import Episode, Options
+from astray.agency.online import measure_online
+from astray.agency.steps import log_table, rule
+from astray.analysis.evaluate import evaluate
+from astray.analysis.overlap import overlap
+from astray.analysis.policies import Random
+from astray.envs.single import GameEnv
+from astray.envs.vector import GameVectorEnv, picture
+from astray.level import Level, read_levels
+from astray.training.config import PRESETS, Config
+
+MAZE, KEYS = games.load("maze"), games.load("keys")
+SMALL = MAZE.variant("corner-small")
+ROOM = World(np.ones((3, 3), bool))
+WALK = Episode(ROOM, ROOM.walk((0, 0), [0]), (2, 2))
+
+
+def small(**options):
+    return GameVectorEnv("maze", "corner-small", 2, observation="symbolic", **options)
+
+
+def drawn(number=3):
+    env = small()
+    env.reset(seed=0, options={"level": number})
+    return Level.of(MAZE, SMALL, env.states[0])
+
+
+@pytest.mark.parametrize(
+    "misspelt",
+    [
+        lambda: Options(goals="Accessible"),
+        lambda: Options(noise="other"),
+        lambda: Options(at_goal="Done"),
+        lambda: Options(first="Null"),
+        lambda: Options(observations=("type", "Ego")),
+        lambda: Agents(ROOM, ROOM.distance, at_goal="stays"),
+        lambda: devices.see(ROOM, WALK.trajectory, None, "types"),
+        lambda: devices.see(ROOM, WALK.trajectory, None, "type", "Skip"),
+        lambda: log_table(rule(3), "other"),
+        lambda: generators.Setting(ROOM, (0, 0), (2, 2), 0, ties="Straight"),
+        lambda: generators.Setting(ROOM, (0, 0), (2, 2), 0).episodes("Robust", 1),
+        lambda: replace(SMALL, placement="Corner"),
+        lambda: replace(PRESETS["small"], timeouts="Terminate"),
+        lambda: small(autoreset_mode="Samestep"),
+    ],
+)
+def test_a_misspelt_word_is_no_other_word(misspelt):
+    with pytest.raises(ValueError, match=r"unknown .*; there are: |is not a valid AutoresetMode"):
+        misspelt()
+
+
+@pytest.mark.parametrize(
+    "wrong, message",
+    [
+        (lambda: Options(beta=float("nan")), "beta is nan; it is at least 1, and finite"),
+        (lambda: Options(legal="no"), "legal is 'no'; it is a bool"),
+        (lambda: Options(observations=("type", "type")), "each is given once"),
+        (lambda: measure_online(WALK, switch="1/t"), "switch is '1/t'; it is from 0 to 1, or"),
+        (lambda: Config(learning_rate=float("inf")), "learning_rate is inf; it is a float"),
+        (lambda: Config(clip=float("nan")), "clip is nan; it is a float"),
+        (lambda: replace(SMALL, time_limit=5.5), "time_limit must be an integer from"),
+        (lambda: replace(SMALL, time_limit=True), "time_limit must be an integer"),
+        (lambda: replace(SMALL, time_limit=10**30), r"time_limit must be an integer"),
+        (lambda: replace(SMALL, strict="no"), "strict must be a bool; got 'no'"),
+    ],
+)
+def test_a_number_or_a_fact_of_another_type_is_refused(wrong, message):
+    with pytest.raises(ValueError, match=message):
+        wrong()
+
+
+def test_numpys_numbers_are_numbers():
+    assert replace(SMALL, time_limit=np.int64(7)) == replace(SMALL, time_limit=7)
+
+
+@pytest.mark.parametrize(
+    "levels", [[1.5, 2.0], np.array([1.0]), [True, False], [1, True], "12", ["1"], [None], [], [-1],
+               [2**31 - 1], [2**70], [[1, 2]]]
+)  # fmt: skip
+@pytest.mark.parametrize(
+    "take",
+    [
+        lambda levels: small(levels=levels),
+        lambda levels: evaluate(Random(), "maze", SMALL, levels),
+        lambda levels: overlap("maze", SMALL, levels, SMALL, [1]),
+    ],
+)
+def test_numbers_of_levels_are_integers_that_are_levels(take, levels):
+    with pytest.raises(ValueError, match="level"):
+        take(levels)
+
+
+@pytest.mark.parametrize(
+    "options, message",
+    [
+        ({"levels": [1, 2]}, "unknown option 'levels'; there are: level, state, reset_mask"),
+        ({"level": 1.0}, "levels are integers; given 1.0"),
+        ({"level": [1, True]}, "levels are integers"),
+        ({"level": True}, "levels are integers; given True"),
+        ({"level": "1"}, "levels are integers; given '1'"),
+        ({"level": 1, "state": small().get_state()}, "by a level or by a state, not both"),
+    ],
+)
+def test_a_reset_takes_no_option_in_silence(options, message):
+    env = small()
+    env.reset(seed=0)
+    before = env.get_state()
+    with pytest.raises(ValueError, match=message):
+        env.reset(options=options)
+    assert env.get_state().tobytes() == before.tobytes()
+
+
+@pytest.mark.parametrize("variant", [KEYS.variant("many-keys"), 3, None, ["corner"], b"corner"])
+@pytest.mark.parametrize(
+    "take",
+    [
+        lambda variant: GameVectorEnv("maze", variant),
+        lambda variant: evaluate(Random(), "maze", variant, [1]),
+        lambda variant: picture("maze", variant, small().get_state(), 64),
+        lambda variant: Level(MAZE, variant, drawn().cells, (1, 1), {}),
+    ],
+)
+def test_a_variant_is_one_of_the_game(take, variant):
+    with pytest.raises(ValueError, match=r"the variant is a Keys, none of maze|unknown variant"):
+        take(variant)
+
+
+@pytest.mark.parametrize("count", [0, -1, 2.0, True, "2", None])
+@pytest.mark.parametrize(
+    "take",
+    [
+        lambda n: GameVectorEnv("maze", "corner-small", n),
+        lambda n: small(threads=n),
+        lambda n: evaluate(Random(), "maze", SMALL, [1], batch=n),
+        lambda n: picture("maze", SMALL, small().get_state(), n),
+    ],
+)
+def test_a_count_is_a_whole_number_from_1_on(take, count):
+    with pytest.raises(ValueError, match="must be an integer from 1 to "):
+        take(count)
+
+
+@pytest.mark.parametrize(
+    "edit",
+    [
+        lambda level: level.moved("agent", (1.0, 1.0)),
+        lambda level: level.moved("goal", (1.5, 1)),
+        lambda level: level.moved("goal", (1, 1), at=tuple(map(float, level.where("goal")[0]))),
+        lambda level: level.added("goal", (True, "1")),
+        lambda level: level.removed("goal", (1, 2, 3)),
+        lambda level: replace(level, agent=(1.5, 1)),
+    ],
+)
+def test_a_level_is_edited_by_whole_cells(edit):
+    with pytest.raises(ValueError, match="a cell is two integers, x and y; given"):
+        edit(drawn())
+
+
+@pytest.mark.parametrize(
+    "cells, message",
+    [
+        (np.full((7, 7), 77, np.uint8), r"unknown code 77 at cell \(0, 0\); there are: \["),
+        (np.full((7, 7), 1.5), "cells are an array"),
+        ([[1, 1], [1, 1]], "cells are an array"),
+        (np.full(7, 1, np.uint8), "cells are an array"),
+    ],
+)
+def test_a_levels_cells_are_of_its_legend(cells, message):
+    with pytest.raises(ValueError, match=message):
+        replace(drawn(), cells=cells)
+
+
+def test_cells_that_were_changed_in_place_are_looked_at_again():
+    level = drawn()
+    level.cells[2, 1] = 77
+    with pytest.raises(ValueError, match=r"unknown code 77 at cell \(1, 2\)"):
+        level.state()
+
+
+@pytest.mark.skipif(os.name == "nt", reason="no file is called so there")
+def test_no_level_of_a_folder_is_lost_to_another_of_its_name(tmp_path):
+    level = str(drawn())
+    (tmp_path / "a").write_text(f"{level}\n\n{level}")
+    (tmp_path / "a.txt").write_text(level)
+    assert list(read_levels(tmp_path, MAZE, SMALL)) == ["a:1", "a:2", "a.txt"]
+    (tmp_path / "a:1").write_text(level)
+    with pytest.raises(ValueError, match=r"two levels in .* are called 'a:1'"):
+        read_levels(tmp_path, MAZE, SMALL)
+
+
+@pytest.mark.parametrize("name", ["level.txt", "level.json"])
+def test_a_byte_order_mark_is_no_part_of_a_level(name, tmp_path):
+    level = drawn()
+    text = str(level) if name == "level.txt" else json.dumps(level.to_json())
+    (tmp_path / name).write_text("\ufeff" + text, encoding="utf-8")
+    (found,) = read_levels(tmp_path / name, MAZE, SMALL).values()
+    assert str(found) == str(level) == str(Level.from_text(MAZE, SMALL, f"\ufeff{level}"))
+
+
+@pytest.mark.parametrize("make", [small, lambda: GameEnv("maze", SMALL, observation="symbolic")])
+def test_a_copy_of_an_environment_shares_nothing(make):
+    one = make()
+    one.reset(seed=0)
+    two = copy.copy(one)
+    (ours, theirs) = (getattr(env, "vector", env) for env in (one, two))
+    before = ours.get_state()
+    theirs.step(np.zeros(theirs.num_envs, int))
+    assert ours.get_state().tobytes() == before.tobytes() != theirs.get_state().tobytes()
