@@ -11,7 +11,7 @@ from typing import Any
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
-from astray.files import write_aside
+from astray.files import read, write_aside
 from astray.training.config import Config
 
 METRICS = "metrics.jsonl"  # of a run's folder
@@ -23,7 +23,7 @@ def read_metrics(path: Path) -> Iterator[tuple[str, dict[str, Any]]]:
     ValueError, naming the line, where one is not what `Log` writes.
     """
     try:
-        lines = path.read_text("utf-8").splitlines(keepends=True)
+        lines = read(path).decode().splitlines(keepends=True)
     except UnicodeDecodeError as error:
         raise ValueError(f"{path} is no text: {error}") from error
     for number, line in enumerate(lines, 1):
