@@ -141,7 +141,7 @@ def test_an_agent_is_filmed(astray, run_folder, tmp_path):
         ("level maze corner --numbers 0:99999999999", "from 0 to 2147483646"),
         ("level maze corner --numbers 0:2000000000", "at most 10000000 are taken at once"),
         ("level maze corner --set region=5", "need placement 'region'"),
-        ("train maze corner --seeds 0", "seeds is 0; it is at least 1"),
+        ("train maze corner --seeds 0", "seeds must be an integer from 1 to 268435456; got 0"),
         ("level maze corner --set region", "a knob is set as NAME=VALUE; given 'region'"),
         ("level maze corner --set squid=5", "unknown knob 'squid' of maze; there are: time_limit"),
         ("level maze corner --set region=5.5", "region is 5.5; it is a int"),
