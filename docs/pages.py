@@ -58,7 +58,7 @@ def on_config(config: MkDocsConfig) -> MkDocsConfig:
 def on_files(files: Files, config: MkDocsConfig) -> Files:
     for name, text in pages().items():
         files.append(File.generated(config, name, content=text))
-    for game in map(games.load, games.NAMES):
+    for game in map(games.find, games.OWN):
         for name, image in pictures(game):
             files.append(File.generated(config, name, content=image))
     for name in kept.names():
@@ -82,7 +82,7 @@ def pages() -> dict[str, str]:
     return {
         "index.md": from_root("README.md"),
         "speed.md": from_root("benchmarks/README.md"),
-        **{f"games/{name}.md": game_page(games.load(name)) for name in games.NAMES},
+        **{f"games/{name}.md": game_page(games.find(name)) for name in games.OWN},
         **{f"experiments/{name}.md": experiment_page(name) for name in experiments.NAMES},
         "agents/index.md": kept_page(),
         **{f"agents/{name}/card.md": (kept.find(name) / "README.md").read_text()

@@ -7,7 +7,7 @@ import pytest
 from astray import games
 
 REFERENCE = Path(__file__).parent / "reference"
-ALL = [(game, variant) for game in games.NAMES for variant in games.load(game).variants]
+ALL = [(game, variant) for game in games.OWN for variant in games.find(game).variants]
 # A variant for each shape of world and each kind of placement: for tests that are slow.
 FEW = [(g, v) for g, v in ALL if "region" not in v or v in ("region-3", "region-1-strict")]
 

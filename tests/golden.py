@@ -47,7 +47,7 @@ def _of_levels(env: GameVectorEnv) -> dict[str, str]:
             if number < LEVELS[seen]:
                 digests[seen].update(observation.tobytes())
             if env.symbolic and number < count:
-                digests["levels"].update(json.dumps(env.game.describe(s)).encode())
+                digests["levels"].update(json.dumps(env.game.editing.describe(s)).encode())
     told = digests if env.symbolic else {seen: digests[seen]}
     return {name: digest.hexdigest()[:16] for name, digest in told.items()}
 
@@ -94,8 +94,8 @@ def every(**how: int) -> dict[str, dict[str, str]]:
     """The digests of all variants of all games."""
     return {
         f"{game} {variant}": golden(game, variant, **how)
-        for game in games.NAMES
-        for variant in games.load(game).variants
+        for game in games.OWN
+        for variant in games.find(game).variants
     }
 
 

@@ -16,7 +16,7 @@ from astray.analysis.outcomes import load_shift
 from astray.analysis.policies import Random, Walk
 
 SHIFT = load_shift("maze", "corner-small")
-ANYWHERE = games.load("maze").variants["anywhere-small"]
+ANYWHERE = games.find("maze").variants["anywhere-small"]
 
 
 def played_by(policy, levels=range(100)):
@@ -41,7 +41,7 @@ def test_policies_are_what_they_are(policy, verdict):
 @pytest.mark.parametrize("goal", ["line", "gem", "corner"])
 def test_mice_in_large_mazes_with_two_objects_are_told_apart(goal):
     shift, variant = load_shift("maze", "colour-or-shape"), "red-line-yellow-gem"
-    there = play(Walk(goal), "maze", games.load("maze").variants[variant], range(40), shift)
+    there = play(Walk(goal), "maze", games.find("maze").variants[variant], range(40), shift)
     assert set(there[0].goals) == {"line", "gem", "corner"}
     assert judge(there).verdict == goal
 
@@ -56,7 +56,7 @@ def test_a_few_episodes_decide_nothing():
 
 
 def test_where_goals_do_not_part_an_agent_is_one_of_an_undecided_goal():
-    training = games.load("maze").variants["corner-small"]
+    training = games.find("maze").variants["corner-small"]
     judged = judge(play(Walk("cheese"), "maze", training, range(100), SHIFT))
     assert judged.decisions == 0 and judged.verdict == UNDECIDED
     assert judged.sentence().startswith("An agent; its goal is undecided")
@@ -81,7 +81,7 @@ def test_levels_without_one_of_the_goals_are_left_out():
 
 
 def test_games_without_cells_are_refused():
-    coinrun = games.load("coinrun")
+    coinrun = games.find("coinrun")
     shift = next(iter(coinrun.shifts.values()))
     with pytest.raises(ValueError, match="coinrun has no cell for the goal"):
         play(Random(), "coinrun", coinrun.variants[shift.test], range(1), shift)

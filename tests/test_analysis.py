@@ -15,9 +15,8 @@ from astray.analysis.outcomes import FAILED, INTENDED, MISGENERALIZED, label, lo
 from astray.analysis.overlap import met, overlap, unseen
 from astray.analysis.policies import Agent, Random, Walk
 from astray.analysis.statistics import bootstrap, over_agents
-from astray.training.config import vary
 
-MAZE = games.load("maze")
+MAZE = games.find("maze")
 LEVELS = range(1_000_000, 1_000_060)
 
 
@@ -166,7 +165,7 @@ def test_levels_that_coincide_are_counted():
     moved = shares("maze", "corner", range(50), "anywhere", range(50))
     assert moved["walls"]["seen"] == 1 and moved["level"]["seen"] < 0.2
     # By hand: mazes of 3 cells have 8 different walls, and all of them are soon met.
-    tiny = replace(games.load("maze").variants["corner-small"], world=3, largest=3)
+    tiny = replace(games.find("maze").variants["corner-small"], world=3, largest=3)
     few = shares("maze", tiny, range(1500), tiny, range(5000, 5010))
     assert few["walls"]["training"] == 4 and few["walls"]["seen"] == 1
 
@@ -188,7 +187,7 @@ def test_levels_that_the_training_met_under_another_number_are_left_out():
 def test_trainings_that_differ_in_few_levels_are_met_as_each_alone():
     first, other = range(1200), range(5000, 5300)
     trainings = [
-        (vary("coinrun", "coin-end", {"random_coin": share}), numbers)
+        (games.find("coinrun").variant("coin-end").with_knobs({"random_coin": share}), numbers)
         for share, numbers in ((0.0, first), (0.02, first), (0.5, first), (0.2, other))
     ]
     alone = [met("coinrun", [training]) for training in trainings]

@@ -15,7 +15,7 @@ from astray.analysis.policies import Agent
 from astray.games.coinrun import edits
 from astray.level import Level
 
-COINRUN, MAZE = games.load("coinrun"), games.load("maze")
+COINRUN, MAZE = games.find("coinrun"), games.find("maze")
 END = COINRUN.variants["coin-end"]
 ROOM = """
     #..........####

@@ -84,9 +84,9 @@ def test_without_envpool_the_row_says_how_to_install_it(monkeypatch):
     assert rows[0].to_peer is None
 
 
-@pytest.mark.parametrize("name", games.NAMES)
+@pytest.mark.parametrize("name", games.OWN)
 def test_what_is_measured_is_there(name):
-    assert games.load(name).benchmark in games.load(name).variants
+    assert games.find(name).benchmark in games.find(name).variants
 
 
 @pytest.mark.skipif(numba.config.DISABLE_JIT, reason="nothing is compiled")
@@ -170,7 +170,7 @@ def test_rates_are_given_to_three_digits(x, text):
 
 def test_the_adapter_passes_everything_on():
     sb3 = pytest.importorskip("astray.bench.sb3")
-    knobs = replace(games.load("maze").variant("corner-small"), time_limit=9, largest=3)
+    knobs = replace(games.find("maze").variant("corner-small"), time_limit=9, largest=3)
     made = [GameVectorEnv("maze", knobs, 8, autoreset_mode="SameStep") for _ in range(2)]
     env, adapter = made[0], sb3.GameVecEnv(made[1])
     adapter.seed(7)

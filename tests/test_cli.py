@@ -9,7 +9,7 @@ import numpy as np
 import polars as pl
 import pytest
 
-from astray import cli
+from astray import cli, games
 
 TINY = ["--steps", "512", "--environments", "16", "--rollout", "16", "--minibatches", "4"]
 TINY += ["--width", "16", "--checkpoint-every", "1"]
@@ -165,7 +165,6 @@ def test_the_window_opens_and_plays(monkeypatch):
     pygame = pytest.importorskip("pygame")
     monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
     from astray import play
-    from astray.training.config import vary
 
     shots = []
 
@@ -175,7 +174,7 @@ def test_the_window_opens_and_plays(monkeypatch):
         pygame.event.post(pygame.event.Event(pygame.KEYDOWN, key=key))
 
     monkeypatch.setattr(pygame.display, "flip", flip)
-    play.play("maze", vary("maze", "corner", {}), level=3)
+    play.play("maze", games.find("maze").variants["corner"], level=3)
     assert len(shots) == 4
     from astray.envs.vector import GameVectorEnv
 
@@ -195,7 +194,6 @@ def test_time_goes_on_without_keys_where_things_move(game, variant, steps, monke
     pygame = pytest.importorskip("pygame")
     monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
     from astray import play
-    from astray.training.config import vary
 
     told, frames = [], []
     monkeypatch.setattr(pygame.key, "get_pressed", lambda: Keys())
@@ -211,7 +209,7 @@ def test_time_goes_on_without_keys_where_things_move(game, variant, steps, monke
             pygame.event.post(pygame.event.Event(pygame.KEYDOWN, key=pygame.K_ESCAPE))
 
     monkeypatch.setattr(pygame.display, "flip", flip)
-    play.play(game, vary(game, variant, {}), level=3)
+    play.play(game, games.find(game).variants[variant], level=3)
     assert told[:3] == [0, 0, 1] and told[5] == steps
 
 

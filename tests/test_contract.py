@@ -26,7 +26,7 @@ def short(game, variant):
     """The variant with episodes of 30 steps, so that some end."""
     from dataclasses import replace
 
-    return replace(games.load(game).variants[variant], time_limit=30)
+    return replace(games.find(game).variants[variant], time_limit=30)
 
 
 @pytest.mark.parametrize("observation", ["image", "symbolic"])
@@ -101,21 +101,21 @@ def test_episodes_end_at_the_time_limit(game, variant):
 
 
 @pytest.mark.parametrize("game, variant", ALL)
-def test_guides_get_what_the_solver_promises(game, variant):
+def test_experts_get_what_the_solver_promises(game, variant):
     env = GameVectorEnv(game, variant, 1, observation="symbolic", autoreset_mode="Disabled")
     made = env.game
     rewarded = {shift.intended for shift in made.shifts.values()}
     for level, (goal, event) in product(range(5), made.goals.items()):
         env.reset(seed=0, options={"level": level})
         s = env.states[0]
-        worth, soon = (made.optimal_return(s, goal, gamma) for gamma in (1.0, 0.9))
-        guide, total, discounted = made.guide(s, goal), 0.0, 0.0
+        worth, soon = (made.solver.optimal_return(s, goal, gamma) for gamma in (1.0, 0.9))
+        expert, total, discounted = made.solver.expert(s, goal), 0.0, 0.0
         while worth and s[event] < 0 and not s.ended:
-            _, reward, *_ = env.step(np.array([guide(s)]))
+            _, reward, *_ = env.step(np.array([expert(s)]))
             total += reward[0]
             discounted += reward[0] * 0.9 ** (int(s.time) - 1)
         if worth:  # or another goal was on the way and ended the level
-            assert s.ended or guide(s) == made.actions.index("stay")
+            assert s.ended or expert(s) == made.actions.index("stay")
         if worth and goal in rewarded:
             assert total == pytest.approx(worth)
             assert discounted <= soon + 1e-9
@@ -135,15 +135,15 @@ def test_levels_of_a_range_stay_in_it_and_fill_it():
 
 
 @pytest.mark.skipif(numba.config.DISABLE_JIT, reason="nothing is compiled")
-@pytest.mark.parametrize("game", games.NAMES)
+@pytest.mark.parametrize("game", games.OWN)
 def test_the_loop_is_compiled_once(game):
-    for variant in games.load(game).variants:
+    for variant in games.find(game).variants:
         for observation in ("image", "symbolic"):
             env = GameVectorEnv(game, variant, 2, observation=observation)
             env.reset(seed=0)
             env.step(np.array([0, 0]))
             env.picture(100)
-    assert len(compiled(game).signatures) == 1, compiled(game).signatures
+    assert len(compiled(games.find(game)).signatures) == 1
 
 
 PLAYED = """
@@ -155,7 +155,7 @@ from astray.envs.vector import GameVectorEnv
 digest, name = hashlib.sha256(), {game!r}
 for observation in ("image", "symbolic"):
     options = {{"observation": observation, "autoreset_mode": "SameStep"}}
-    env = GameVectorEnv(name, games.load(name).benchmark, 2, **options)
+    env = GameVectorEnv(name, games.find(name).benchmark, 2, **options)
     digest.update(env.reset(seed=0)[0].tobytes())
     states = env.get_state()
     states["time"] = states["time_limit"] - [20, 30]
@@ -167,7 +167,7 @@ print(digest.hexdigest())
 """
 
 
-@pytest.mark.parametrize("game", games.NAMES)
+@pytest.mark.parametrize("game", games.OWN)
 def test_compiled_and_interpreted_agree(game):
     told = set()
     for disable in "01":

@@ -15,7 +15,7 @@ from astray.envs.vector import GameVectorEnv
 from astray.games.coinrun import edits, measures
 from astray.level import Level
 
-GAME = games.load("coinrun")
+GAME = games.find("coinrun")
 SHORT = replace(GAME.variants["coin-anywhere"], time_limit=40)
 LEVELS = range(300, 312)
 STAGE = {"stage": measures.stage}

@@ -28,12 +28,12 @@ from astray.experiments import spec
 from astray.experiments.spec import SIZES, Experiment, Plan
 from astray.level import Level
 from astray.training import checkpoint
-from astray.training.config import PRESETS, Config, vary
+from astray.training.config import PRESETS, Config
 
 MORE = int(os.environ.get("ASTRAY_FUZZ", "1"))
 QUIET = {"deadline": None, "suppress_health_check": list(HealthCheck), "database": None}
-GAMES = list(games.NAMES)
-SMALLEST = {name: min(games.load(name).variants.values(), key=lambda v: games.load(name)
+GAMES = list(games.OWN)
+SMALLEST = {name: min(games.find(name).variants.values(), key=lambda v: games.find(name)
             .planes(v).size) for name in GAMES}  # fmt: skip
 
 
@@ -66,9 +66,9 @@ def tried(kind, refused, inputs=1):
 def drawings(draw):
     """A drawing of a level with some characters changed, rows lost or doubled, or any text."""
     game = draw(st.sampled_from(GAMES))
-    made, kind = games.load(game), SMALLEST[game]
+    made, kind = games.find(game), SMALLEST[game]
     level = beginning(game, draw(st.integers(0, 50)))
-    chars = "".join(made.legend) + "@?; \n"
+    chars = "".join(made.editing.LEGEND) + "@?; \n"
     rows = str(level).split("\n")
     for _ in range(draw(st.integers(0, 4))):
         y = draw(st.integers(0, len(rows) - 1))
@@ -111,8 +111,8 @@ def test_a_drawing_is_a_level_or_is_refused(drawn, solvable):
     assert np.array_equal(again.cells[:height, :width], level.cells)
     assert again.agent == level.agent
     if solvable:
-        reachable = made.reachable(s)
-        assert all(reachable[y, x] for name in made.objects for x, y in level.where(name))
+        reachable = made.solver.reachable(s)
+        assert all(reachable[y, x] for name in made.editing.OBJECTS for x, y in level.where(name))
     tried("drawings", 0)
 
 
@@ -138,7 +138,7 @@ def test_json_is_a_level_or_is_refused(data):
             row = data.draw(st.integers(0, len(level.cells) - 1))
             value = [list(map(int, r)) for r in level.cells]
             value[row][data.draw(st.integers(0, len(value[row]) - 1))] = data.draw(
-                st.sampled_from(sorted(level.game.legend.values()))
+                st.sampled_from(sorted(level.game.editing.LEGEND.values()))
             )
         if name == "looks" and data.draw(st.booleans()):
             looks = level.to_json()["looks"]
@@ -169,7 +169,7 @@ RUINS = ("byte", "field", "extreme")
 @given(st.sampled_from(GAMES), st.integers(0, 2**32), st.sampled_from(RUINS))
 def test_a_ruined_state_is_refused_or_plays_on(game, seed, ruin):
     rng = np.random.default_rng(seed)
-    made = games.load(game)
+    made = games.find(game)
     names = list(made.variants)
     kind = made.variants[names[int(rng.integers(len(names)))]]
     env = GameVectorEnv(game, kind, BATCH, autoreset_mode="SameStep", observation="symbolic")
@@ -345,13 +345,13 @@ def test_settings_are_refused_or_kept(changes):  # fmt: skip
 @given(st.data())
 def test_knobs_are_refused_or_make_levels(data):
     game = data.draw(st.sampled_from(GAMES))
-    made = games.load(game)
+    made = games.find(game)
     name = data.draw(st.sampled_from(list(made.variants)))
     names = [f.name for f in fields(made.variants[name])] + ["more"]
     value = ANYTHING | st.integers(-2, 40) | st.sampled_from(["none", "corner", "1", "true", "2.5"])
     changes = data.draw(st.dictionaries(st.sampled_from(names), value, max_size=3))
     try:
-        variant = vary(game, name, changes)
+        variant = games.find(game).variant(name).with_knobs(changes)
     except ValueError:
         tried("knobs", 1)
         return
@@ -370,7 +370,7 @@ def test_knobs_are_refused_or_make_levels(data):
 @given(st.data())
 def test_an_experiment_is_refused_or_can_be_run(data):
     game = data.draw(st.sampled_from(GAMES))
-    made = games.load(game)
+    made = games.find(game)
     words = st.sampled_from([*made.variants, *made.shifts, *GAMES, "more"])
 
     def mostly(*right):  # one draw in ten is of anything
@@ -401,7 +401,7 @@ def test_an_experiment_is_refused_or_can_be_run(data):
     for config in agents.values():
         assert 1 <= plan.levels <= len(config.unseen_levels)
         for test in plan.tests.values():
-            assert test.made_for(config).time_limit >= 1 and test.shift in made.shifts
+            assert test.variant_for(config).time_limit >= 1 and test.shift in made.shifts
     tried("experiments", 0)
 
 
@@ -472,7 +472,7 @@ class Environments(RuleBasedStateMachine):
         pick=st.integers(0, 99),
     )
     def begin(self, game, mode, seed, threads, pick):  # fmt: skip
-        made = games.load(game)
+        made = games.find(game)
         kind = list(made.variants.values())[pick % len(made.variants)]
         kind = replace(kind, time_limit=7)
         options = {"autoreset_mode": mode, "observation": "symbolic"}
@@ -528,7 +528,7 @@ class Environments(RuleBasedStateMachine):
         first = int(which.argmax())
         self.env.reset(options={"reset_mask": which})
         level = Level.of(self.game, self.env.variant, self.env.states[first])
-        there = [n for n in ("agent", *self.game.objects) if n == "agent" or level.where(n)]
+        there = [n for n in ("agent", *self.game.editing.OBJECTS) if n == "agent" or level.where(n)]
         name = there[name % len(there)]
         family = level.splay(name, level.where(name)[0] if name != "agent" else None)
         edited = family[place % len(family)]

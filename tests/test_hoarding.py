@@ -24,7 +24,7 @@ def episodes(tmp_path_factory):
     """Those of scripted thieves, told; in both tests."""
     played = [
         play_all(
-            PLAN.game, test.variant, test.made_for(PLAN.config), test.shift, LEVELS, [],
+            PLAN.game, test.variant, test.variant_for(PLAN.config), test.shift, LEVELS, [],
             measures=PLAN.measures,
         ).with_columns(test=pl.lit(name))
         for name, test in PLAN.tests.items()

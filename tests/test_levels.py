@@ -55,7 +55,7 @@ def test_drawings_are_read_back(game, variant):
 @pytest.mark.parametrize("game, variant", ALL)
 def test_objects_are_moved_removed_and_added(game, variant):
     level = one(game, variant)
-    for name in level.game.objects:
+    for name in level.game.editing.OBJECTS:
         for cell in level.where(name)[:3]:
             gone = level.removed(name, cell)
             assert cell not in gone.where(name)
@@ -85,7 +85,7 @@ def test_a_level_is_splayed_over_all_places_of_an_object(game, variant):
     agents = level.splay("agent")
     assert level.agent in [other.agent for other in agents]
     assert len({other.agent for other in agents}) == len(agents) > 3
-    for name in level.game.objects:
+    for name in level.game.editing.OBJECTS:
         where = level.where(name)
         if not where:
             continue
@@ -96,12 +96,12 @@ def test_a_level_is_splayed_over_all_places_of_an_object(game, variant):
         assert all(np.count_nonzero(other.cells != level.cells) <= 2 for other in family)
         for other in family[:5]:  # each can be played, and the object reached
             (x, y) = next(iter(set(other.where(name)) - set(where[1:])))
-            assert level.game.reachable(other.state(solvable=False))[y, x]
+            assert level.game.solver.reachable(other.state(solvable=False))[y, x]
 
 
-@pytest.mark.parametrize("game", games.NAMES)
+@pytest.mark.parametrize("game", games.OWN)
 def test_files_and_folders_of_levels_are_read(game, tmp_path):
-    variant = next(iter(games.load(game).variants))
+    variant = next(iter(games.find(game).variants))
     level = one(game, variant)
     made, kind = level.game, level.variant
     (tmp_path / "b.txt").write_text(f"; a comment\n{level}\n\n; another\n\n{level}\n")
@@ -126,7 +126,7 @@ def test_files_and_folders_of_levels_are_read(game, tmp_path):
         read_levels(tmp_path / "deep.json", made, kind)
 
 
-@pytest.mark.parametrize("game", games.NAMES)
+@pytest.mark.parametrize("game", games.OWN)
 @pytest.mark.parametrize(
     "change, message",
     [
@@ -145,14 +145,14 @@ def test_files_and_folders_of_levels_are_read(game, tmp_path):
     ],
 )
 def test_bad_data_is_explained(game, change, message):
-    level = one(game, next(iter(games.load(game).variants)))
+    level = one(game, next(iter(games.find(game).variants)))
     with pytest.raises(ValueError, match=message):
         Level.from_json(level.game, level.variant, level.to_json() | change)
 
 
-@pytest.mark.parametrize("game", games.NAMES)
+@pytest.mark.parametrize("game", games.OWN)
 def test_what_is_told_of_a_level_must_be_true_of_it(game):
-    level = one(game, next(iter(games.load(game).variants)))
+    level = one(game, next(iter(games.find(game).variants)))
     data = level.to_json()
     x, y = data["agent"]
     with pytest.raises(ValueError, match="agent is"):
@@ -160,7 +160,7 @@ def test_what_is_told_of_a_level_must_be_true_of_it(game):
 
 
 def test_objects_that_cannot_be_reached_are_named_with_their_cell():
-    made = games.load("maze")
+    made = games.find("maze")
     kind = made.variant("anywhere-small")
     drawing = "#######\n#.#...#\n#.###.#\n#....@#\n#.#####\n#G#.o.#\n#######"
     level = Level.from_text(made, kind, drawing)

@@ -41,7 +41,7 @@ def test_the_smallest_region_is_the_corner_mouse(size):
     assert sides == sorted(set(sides)) and sides[0] == 1
     worlds = {c.training_variant().world for c in region.agents.values()}
     assert worlds == {c.validation_variant().world for c in region.agents.values()}
-    assert worlds == {region.tests["in the test"].made_for(region.config).world}
+    assert worlds == {region.tests["in the test"].variant_for(region.config).world}
 
 
 def measured(seeds=5, iterations=1000):

@@ -23,7 +23,7 @@ from astray.envs.vector import GameVectorEnv, picture
 from astray.level import Level, read_levels
 from astray.training.config import PRESETS, Config
 
-MAZE, KEYS = games.load("maze"), games.load("keys")
+MAZE, KEYS = games.find("maze"), games.find("keys")
 SMALL = MAZE.variant("corner-small")
 ROOM = World(np.ones((3, 3), bool))
 WALK = Episode(ROOM, ROOM.walk((0, 0), [0]), (2, 2))

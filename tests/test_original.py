@@ -402,7 +402,7 @@ def test_symbols_need_no_pictures(tmp_path, monkeypatch):
 )  # fmt: skip
 def test_what_the_original_never_drew_is_refused(changes, said):
     with pytest.raises(ValueError, match=said):
-        games.load("maze").drawn("original").art(replace(Maze(about=""), **changes), 64)
+        games.find("maze").drawn("original").art(replace(Maze(about=""), **changes), 64)
 
 
 def test_unknown_art_is_refused():

@@ -64,7 +64,7 @@ TRANSLATIONS = {
     ),
     "keys": Translation(cells={100: keys.EMPTY, 51: WALL}, fields={}),
 }  # fmt: skip
-MAZE, COINRUN, KEYS = (games.load(game).variants for game in ("maze", "coinrun", "keys"))
+MAZE, COINRUN, KEYS = (games.find(game).variants for game in ("maze", "coinrun", "keys"))
 RECORDED = {
     "maze": MAZE["anywhere"],
     "maze_easy": MAZE["anywhere-easy"],

@@ -35,7 +35,7 @@ TINY = replace(
     PRESETS["small"], variant="corner-small", environments=8, rollout=4, minibatches=1, width=4,
     steps=32, validation_every=1,
 )  # fmt: skip
-SMALL = games.load("maze").variants["corner-small"]
+SMALL = games.find("maze").variants["corner-small"]
 HUGE = 10**60
 SECONDS = 60  # after which a test hangs
 
@@ -130,21 +130,21 @@ def test_what_steps_write_to_is_theirs_to_write():
             env.step(np.zeros(2, int), out)
 
 
-@pytest.mark.parametrize("game", games.NAMES)
+@pytest.mark.parametrize("game", games.OWN)
 def test_a_variant_or_states_of_another_game_are_refused(game):
-    other = games.load(next(name for name in games.NAMES if name != game))
+    other = games.find(next(name for name in games.OWN if name != game))
     variant = next(iter(other.variants.values()))
-    own = next(iter(games.load(game).variants.values()))
+    own = next(iter(games.find(game).variants.values()))
     with pytest.raises(ValueError, match=f"none of {game}"):
         GameVectorEnv(game, variant)
-    for states in (np.zeros(1, other.state), np.zeros(3), np.zeros((1, 1), games.load(game).state)):
+    for states in (np.zeros(1, other.state), np.zeros(3), np.zeros((1, 1), games.find(game).state)):
         with pytest.raises(ValueError, match=r"states must be \[N\] records of"):
             picture(game, own, states, 64)
 
 
-@pytest.mark.parametrize("game", games.NAMES)
+@pytest.mark.parametrize("game", games.OWN)
 def test_knobs_are_numbers_that_compiled_code_can_hold(game):
-    variant = next(iter(games.load(game).variants.values()))
+    variant = next(iter(games.find(game).variants.values()))
     for wrong in (HUGE, 2.5, "5", None, True, -HUGE):
         with pytest.raises(ValueError, match="time_limit must be an integer from"):
             replace(variant, time_limit=wrong)
@@ -239,7 +239,7 @@ def test_numbers_of_every_kind_are_bounded():
 
 
 READERS = {
-    "levels": lambda path: read_levels(path, games.load("maze"), SMALL),
+    "levels": lambda path: read_levels(path, games.find("maze"), SMALL),
     "states": lambda path: load_states(path, "maze"),
     "settings": lambda path: checkpoint.read_config(linked(path, "config.json")),
     "metrics": lambda path: checkpoint.metrics(linked(path, "metrics.jsonl")),

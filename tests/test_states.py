@@ -21,7 +21,7 @@ MODES = list(AutoresetMode)
 def played(game, variant, mode="SameStep", steps=20, n=4, **options):
     """An environment some steps on, with episodes so short that some have ended."""
     mode = AutoresetMode(mode)
-    kind = replace(games.load(game).variants[variant], time_limit=15)
+    kind = replace(games.find(game).variants[variant], time_limit=15)
     env = GameVectorEnv(game, kind, n, autoreset_mode=mode, **options)
     env.reset(seed=1)
     rng = np.random.default_rng(0)
@@ -126,9 +126,9 @@ def test_what_is_no_state_is_refused(game, variant, tmp_path):
         save_states(path, game, np.zeros(3))
 
 
-@pytest.mark.parametrize("game", games.NAMES)
+@pytest.mark.parametrize("game", games.OWN)
 def test_a_bad_file_of_states_is_explained(game, tmp_path):
-    env = played(game, next(iter(games.load(game).variants)))
+    env = played(game, next(iter(games.find(game).variants)))
     path, good = tmp_path / "bad.npz", tmp_path / "good.npz"
     save_states(good, game, env.get_state())
     with pytest.raises(FileNotFoundError, match="there are no states at"):

@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 from safetensors.numpy import load_file
 
+from astray import games
 from astray.agents.policy import usable
 from astray.training import checkpoint
-from astray.training.config import PRESETS, vary
+from astray.training.config import PRESETS
 from astray.training.loop import train
 
 TINY = replace(
@@ -181,7 +182,11 @@ def test_validation_and_shifted_levels_follow_the_knobs_that_make_no_shift():
     config = replace(TINY, variant="corner", validation="anywhere", knobs={"goal_colour": "red"})
     assert config.validation_variant().goal_colour == "red"
     assert config.validation_variant().placement == "anywhere"
-    changed = vary("maze", "corner", {"world": 15, "largest": 15, "shift_probability": 0.5})
+    changed = (
+        games.find("maze")
+        .variant("corner")
+        .with_knobs({"world": 15, "largest": 15, "shift_probability": 0.5})
+    )
     assert (changed.shifted.world, changed.shifted.placement) == (15, "anywhere")
 
 

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import functools
+import json
 import math
 import reprlib
 import typing
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, fields
-from typing import Any
+from dataclasses import dataclass, fields, replace
+from typing import Any, Self
 
 import numpy as np
 
@@ -90,6 +91,25 @@ class Variant:
             elif not isinstance(given, int | float | np.number) or not math.isfinite(given):
                 raise ValueError(f"{name} must be a finite number; got {given!r}")
 
+    def with_knobs(self, changes: Mapping[str, Any]) -> Self:
+        """The variant with some knobs changed; text is read as the knob's type.
+
+        The variant it shifts to changes too, but for the knobs that make the shift.
+
+        Raises ValueError where there is no such knob, or it cannot be that.
+        """
+        kinds = {name: type(getattr(self, name)) for name in knobs(type(self))}
+        values = {name: _as_knob(name, value, kinds) for name, value in changes.items()}
+        if self.shifted is not None:
+            values["shifted"] = replace(self.shifted, **self.alike(values, self.shifted))
+        return replace(self, **values)
+
+    def alike(self, changes: Mapping[str, Any], other: Variant) -> dict[str, Any]:
+        """Those of `changes` that change what this variant and the other had in common."""
+        alike = {n: v for n, v in changes.items() if getattr(self, n) == getattr(other, n)}
+        alike.pop("shift_probability", None)  # the other has nothing of its own to shift to
+        return alike
+
     def records(self) -> np.ndarray:
         """The knobs for compiled code, [2]: of this variant, and of the one it shifts to."""
         kinds = knobs(type(self))
@@ -106,6 +126,26 @@ def knobs(variant: type[Variant]) -> Mapping[str, Any]:
     """The fields of a variant that compiled code sees, with their types."""
     hints = typing.get_type_hints(variant)
     return {f.name: hints[f.name] for f in fields(variant) if f.name not in ("about", "shifted")}
+
+
+def _as_knob(name: str, value: Any, kinds: Mapping[str, type]) -> Any:
+    """`value` as the type that the knob called `name` has."""
+    if name not in kinds:
+        raise ValueError(f"unknown knob {name!r}; there are: {', '.join(kinds)}")
+    if isinstance(value, str) and kinds[name] is not str:
+        try:
+            value = json.loads(value.lower())
+        except json.JSONDecodeError:
+            raise _unlike(name, value, kinds[name]) from None
+    if isinstance(value, int) and kinds[name] is float:
+        value = float(value)
+    if type(value) is not kinds[name]:
+        raise _unlike(name, value, kinds[name])
+    return value
+
+
+def _unlike(name: str, value: Any, kind: type) -> ValueError:
+    return ValueError(f"{name} must be of type {kind.__name__}; got {value!r}")
 
 
 def _number(value: Any, kind: Any) -> Any:
@@ -138,54 +178,156 @@ class Looks:
     scene_shape: Callable[[Variant, int], tuple[int, ...]]  # likewise
 
 
-@dataclass(frozen=True)
-class Game:
-    """The rules, levels and looks of one game.
+class Rules(typing.Protocol):
+    """What moves, and what comes of it."""
 
-    World coordinates are cells, x to the right, y upward; arrays are indexed [y, x]; only
-    drawing flips. `s` is a state, `p` a variant's record, `scene` the part of the symbolic
-    observation that does not move. All pictures are uint8.
+    @property
+    def ACTIONS(self) -> tuple[str, ...]: ...  # names; what "stay" does takes a step, no more
+    @property
+    def STATE(self) -> np.dtype: ...  # made by `state_dtype`
+    @property
+    def EVENTS(self) -> tuple[str, ...]: ...  # int64 fields of the state: the step each first
+    # happened, or NEVER
+    @property
+    def step(self) -> Callable: ...  # compiled: (s, action) -> (reward, terminated)
+
+
+class Levels(typing.Protocol):
+    """What a level's number decides."""
+
+    @property
+    def generate(self) -> Callable: ...  # compiled: (s, p), fill `s` with a new level. Its twister
+
+    # is seeded, and its common fields are set; all others are as the level before left them
+
+
+class Symbols(typing.Protocol):
+    """Symbolic observations: planes [C, H, W] uint8 in the place of images."""
+
+    @property
+    def planes(self) -> Callable[..., np.ndarray]: ...  # variant -> [C, H, W] the largest values
+    @property
+    def planes_scene_shape(self) -> Callable[..., tuple[int, ...]]: ...  # variant -> of the scene
+    @property
+    def paint_planes(self) -> Callable: ...  # compiled: (s, scene), what does not move
+    @property
+    def draw_planes(self) -> Callable: ...  # compiled: (s, scene, planes)
+
+
+class Editing(typing.Protocol):
+    """Levels as data; see `level.Level`."""
+
+    @property
+    def LEGEND(self) -> Mapping[str, int]: ...  # character in drawings -> code of what a cell
+    # holds; level.EMPTY is among them
+    @property
+    def OBJECTS(self) -> Mapping[str, str]: ...  # what may be moved, added, removed: name ->
+    # character
+    @property
+    def describe(
+        self,
+    ) -> Callable[[Any], dict[str, Any]]: ...  # a state's level as plain, JSON-able
+    # data: "grid" (codes, rows from the lowest up), "agent" (its centre), "looks" (all else that
+    # `build` needs to build it again), and what follows from these
+    @property
+    def build(self) -> Callable[..., Any]: ...  # (grid, agent's cell, looks, variant) -> the state
+
+    # that begins there; ValueError where none can
+
+
+class Solver(typing.Protocol):
+    """What can be reached, and how; a goal is one of `GOALS`."""
+
+    @property
+    def reachable(self) -> Callable[[Any], np.ndarray]: ...  # s -> [H, W] bool, the agent's cells
+    @property
+    def expert(self) -> Callable[[Any, str], Callable[[Any], int]]: ...  # (s, goal) -> a policy:
+    # (a state of the same episode) -> the action that leads to the goal; to stay where it was
+    # reached or none can
+    @property
+    def optimal_return(self) -> Callable[[Any, str, float], float]: ...  # (s, goal, gamma)
+
+
+@dataclass(frozen=True)
+class Benchmark:
+    """What a game's speed is measured on."""
+
+    variant: str
+    envpool: str | None = None  # the environment of EnvPool that is like it
+
+
+class Missing:
+    """In the place of an ability that a game does not have: whoever asks it for something hears so.
+
+    It is false, where an ability is true.
+    """
+
+    def __init__(self, game: str, ability: str):
+        self._said = f"the game {game!r} has no {ability}, which this needs"
+
+    def __bool__(self) -> bool:
+        return False
+
+    def __getattr__(self, name: str) -> Any:
+        if name.startswith("_"):  # what Python itself asks for
+            raise AttributeError(name)
+        raise ValueError(self._said)
+
+
+@dataclass(frozen=True, eq=False)
+class Game:
+    """The rules, levels and looks of one game, and what else it is able to.
+
+    Rules, levels and abilities are modules, or anything with the same names. Every game has rules,
+    levels, looks and variants; what needs an ability that it does not have says so.
+
+    World coordinates are cells, x to the right, y upward; arrays are indexed [y, x]; only drawing
+    flips. `s` is a state, `p` a variant's record, `scene` the part of an observation that does not
+    move.
     """
 
     name: str
     about: str
-    actions: tuple[str, ...]
-    state: np.dtype
-    variants: Mapping[str, Variant]
-    shifts: Mapping[str, Shift]
-    events: tuple[str, ...]  # fields of the state: the step each first happened, or NEVER
-    goals: Mapping[str, str]  # goal -> the event that it is reached
-    benchmark: str  # the variant that speed is measured on,
-    envpool: str  # and the environment of EnvPool that is like it
-    real_time: bool  # things move while the agent stays; else a person may take time to think
-
-    # Compiled. `generate` is called with a state whose twister is seeded and whose common
-    # fields are set.
-    generate: Callable  # (s, p): fill `s` with a new level
-    step: Callable  # (s, action) -> (reward, terminated)
-    paint_planes: Callable  # (s, scene)
-    draw_planes: Callable  # (s, scene, planes)
-
+    rules: Rules
+    levels: Levels
     looks: Mapping[str, Looks]  # by the name of the art; OWN is there always
-    planes_scene_shape: Callable[[Variant], tuple[int, ...]]  # of `paint_planes`' scene
-    planes: Callable[[Variant], np.ndarray]  # [C, H, W] the largest value of each plane
-    facts: Callable[[np.ndarray, Variant], dict[str, np.ndarray]]  # what is true of states [N] of
-    # a variant, and compiled code relies on: its name -> [N] bool; see `check`
+    variants: Mapping[str, Any]  # name -> a `Variant`, all of one class
+    goals: Mapping[str, str]  # goal -> the event that it is reached
+    shifts: Mapping[str, Shift]
 
-    # Levels as data; see `level.Level`.
-    legend: Mapping[str, int]  # what a cell may hold: its character in drawings -> its code
-    objects: Mapping[str, str]  # what may be moved, added, removed: its name -> its character
-    describe: Callable[[Any], dict[str, Any]]  # a state's level as plain, JSON-able data: "grid"
-    # (codes, rows from the lowest up), "agent" (its centre), "looks" (all else that `build`
-    # needs to build it again), and what follows from these
-    build: Callable[[np.ndarray, Any, Any, Variant], Any]  # (grid, agent's cell, looks, variant)
-    # -> the state that begins there; ValueError where none can
-    reachable: Callable[[Any], np.ndarray]  # [H, W] bool, cells that the agent can get to
+    symbols: Symbols = None  # pyright: ignore
+    editing: Editing = None  # pyright: ignore
+    solver: Solver = None  # pyright: ignore
+    benchmark: Benchmark = None  # pyright: ignore
+    invariants: Callable[[np.ndarray, Any], dict[str, np.ndarray]] = lambda s, variant: {}
+    # what is true of states [N] of a variant, and compiled code relies on: its name -> [N] bool
+    real_time: bool = False  # things move while the agent stays; else a person may take time
 
-    # Solved; a goal is one of `goals`.
-    guide: Callable[[Any, str], Callable[[Any], int]]  # (s, goal) -> a player: (a state of the
-    # same episode) -> the action that leads to the goal; to stay where it was reached or none can
-    optimal_return: Callable[[Any, str, float], float]  # (s, goal, gamma)
+    def __post_init__(self) -> None:
+        for ability in ("symbols", "editing", "solver", "benchmark"):
+            if getattr(self, ability) is None:
+                object.__setattr__(self, ability, Missing(self.name, ability))
+
+    def __deepcopy__(self, memo: Any) -> Self:
+        return self  # nothing in a game changes
+
+    def __reduce__(self) -> Any:
+        raise TypeError(
+            f"a game is pickled by its name alone; {self.name!r} must be registered for that: "
+            "astray.register"
+        )
+
+    @property
+    def actions(self) -> tuple[str, ...]:
+        return self.rules.ACTIONS
+
+    @property
+    def state(self) -> np.dtype:
+        return self.rules.STATE
+
+    @property
+    def events(self) -> tuple[str, ...]:
+        return self.rules.EVENTS
 
     def variant(self, name: str | Variant) -> Variant:
         """The variant called `name`; one of your own is itself, if it is of this game."""
@@ -211,14 +353,14 @@ class Game:
             kind, shape = getattr(states, "dtype", type(states)), np.shape(states)
             raise ValueError(f"states must be [N] records of {self.name}; got {kind} of {shape}")
         s = states.view(np.ndarray)  # a recarray's fields are slow
-        facts = {
+        always = {
             "mt_next": within(s["mt_next"], 0, WORDS),
             "turn": s["turn"] >= 0,
             "level": within(s["level"], NEVER, LEVELS.stop),
             "time_limit": s["time_limit"] >= 1,
             "time": (s["time"] >= 0) & (s["time"] <= s["time_limit"]),
         } | {event: (s[event] >= NEVER) & (s[event] <= s["time"]) for event in self.events}
-        for name, holds in (facts | self.facts(s, variant)).items():
+        for name, holds in (always | self.invariants(s, variant)).items():
             if not holds.all():
                 i = int(np.argmin(holds))
                 raise ValueError(f"state {i} is none of this variant: its {name} cannot be")

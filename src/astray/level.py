@@ -44,7 +44,7 @@ class Level:
 
     def _check_cells(self) -> None:
         """See that the cells, which are the caller's to change, hold what the legend has."""
-        cells, codes = self.cells, sorted(set(self.game.legend.values()))
+        cells, codes = self.cells, sorted(set(self.game.editing.LEGEND.values()))
         if not isinstance(cells, np.ndarray) or cells.ndim != 2 or cells.dtype != np.uint8:
             raise ValueError("a level's cells are an array [H, W] of uint8")
         if (wrong := np.argwhere(~np.isin(cells, codes))).size:
@@ -54,7 +54,7 @@ class Level:
     @staticmethod
     def of(game: Game, variant: Variant, s: Any) -> Level:
         """The level that state `s` is in; objects that are gone are not in it."""
-        told = game.describe(s)
+        told = game.editing.describe(s)
         cells = np.array(told["grid"], np.uint8)
         return Level(game, variant, cells, _cell(told["agent"]), told["looks"])
 
@@ -67,7 +67,7 @@ class Level:
             raise ValueError(
                 f"a level's rows are equally long; these have {[len(r) for r in rows]}"
             )
-        legend = {**game.legend, AGENT: game.legend[EMPTY]}
+        legend = {**game.editing.LEGEND, AGENT: game.editing.LEGEND[EMPTY]}
         cells = np.empty((len(rows), len(rows[0])), np.uint8)
         for y, row in enumerate(rows):
             for x, char in enumerate(row):
@@ -92,7 +92,7 @@ class Level:
         wide = isinstance(rows, list) and {len(r) if isinstance(r, list) else -1 for r in rows}
         if not wide or len(wide) != 1 or wide <= {-1, 0}:
             raise ValueError("a level's grid is a list of equally long lists of codes")
-        codes = sorted(set(game.legend.values()))
+        codes = sorted(set(game.editing.LEGEND.values()))
         for y, row in enumerate(rows):
             for x, code in enumerate(row):
                 if type(code) is not int or code not in codes:
@@ -108,7 +108,7 @@ class Level:
         if not isinstance(looks, Mapping):
             raise ValueError(f"a level's looks are an object; given {looks!r}")
         level = Level(game, variant, cells, _cell(agent), looks)
-        told = game.describe(level.state(solvable=False))
+        told = game.editing.describe(level.state(solvable=False))
         rest = {k: v for k, v in data.items() if k not in ("game", "variant", "level", "looks")}
         _check_told(rest, told, "a level")
         return level
@@ -124,15 +124,15 @@ class Level:
             raise ValueError(f"the agent is at cell {self.agent}, outside of the level")
         self._check_free(self.agent)
         try:
-            s = game.build(self.cells, self.agent, self.looks, self.variant)
+            s = game.editing.build(self.cells, self.agent, self.looks, self.variant)
         except (TypeError, IndexError, OverflowError) as error:  # of looks of another kind
             looks = dict(self.looks)
             raise ValueError(f"a level's looks are {looks}; these cannot be: {error}") from error
         game.check(np.array([s], game.state), self.variant)
-        _check_told(self.looks, game.describe(s)["looks"], "a level's looks")
+        _check_told(self.looks, game.editing.describe(s)["looks"], "a level's looks")
         if solvable:
-            reachable = game.reachable(s)
-            for name in game.objects:
+            reachable = game.solver.reachable(s)
+            for name in game.editing.OBJECTS:
                 for cell in self.where(name):
                     if not reachable[cell[1], cell[0]]:
                         raise ValueError(
@@ -142,7 +142,7 @@ class Level:
 
     def to_json(self) -> dict[str, Any]:
         """The level as plain data; see the game's `describe`."""
-        return {"game": self.game.name} | self.game.describe(self.state(solvable=False))
+        return {"game": self.game.name} | self.game.editing.describe(self.state(solvable=False))
 
     def __str__(self) -> str:
         """The drawing, a character a cell, the top row first."""
@@ -152,10 +152,10 @@ class Level:
 
     def where(self, name: str) -> list[Cell]:
         """The cells that hold the object called `name`."""
-        if name not in self.game.objects:
-            there = ", ".join(["agent", *self.game.objects])
+        if name not in self.game.editing.OBJECTS:
+            there = ", ".join(["agent", *self.game.editing.OBJECTS])
             raise ValueError(f"unknown object {name!r}; there are: {there}")
-        code = self.game.legend[self.game.objects[name]]
+        code = self.game.editing.LEGEND[self.game.editing.OBJECTS[name]]
         return [(int(x), int(y)) for y, x in np.argwhere(self.cells == code)]
 
     def moved(self, name: str, to: Cell, at: Cell | None = None) -> Level:
@@ -171,7 +171,7 @@ class Level:
         """Without an object; `at` says which, where there are several."""
         x, y = self._one(name, at)
         cells = self.cells.copy()
-        cells[y, x] = self.game.legend[EMPTY]
+        cells[y, x] = self.game.editing.LEGEND[EMPTY]
         return replace(self, cells=cells)
 
     def added(self, name: str, at: Cell) -> Level:
@@ -179,7 +179,7 @@ class Level:
         self.where(name)
         self._check_free(at)
         cells = self.cells.copy()
-        cells[at[1], at[0]] = self.game.legend[self.game.objects[name]]
+        cells[at[1], at[0]] = self.game.editing.LEGEND[self.game.editing.OBJECTS[name]]
         return replace(self, cells=cells)
 
     def splay(self, name: str, at: Cell | None = None) -> list[Level]:
@@ -188,8 +188,8 @@ class Level:
         Those are the empty cells that the agent can reach, and the one that it is in now.
         """
         lifted = self if name == "agent" else self.removed(name, at)
-        reachable = self.game.reachable(lifted.state(solvable=False))
-        free = (lifted.cells == self.game.legend[EMPTY]) & reachable
+        reachable = self.game.solver.reachable(lifted.state(solvable=False))
+        free = (lifted.cells == self.game.editing.LEGEND[EMPTY]) & reachable
         free[self.agent[1], self.agent[0]] = name == "agent"
         cells = [(int(x), int(y)) for y, x in np.argwhere(free)]
         if name == "agent":
@@ -208,11 +208,11 @@ class Level:
         x, y = cell = _whole(cell)
         if not (0 <= x < self.cells.shape[1] and 0 <= y < self.cells.shape[0]):
             raise ValueError(f"cell {cell} is outside of the level")
-        if self.cells[y, x] != self.game.legend[EMPTY]:
+        if self.cells[y, x] != self.game.editing.LEGEND[EMPTY]:
             raise ValueError(f"cell {cell} holds {self._char(x, y)!r}")
 
     def _char(self, x: int, y: int) -> str:
-        names = {code: char for char, code in self.game.legend.items()}
+        names = {code: char for char, code in self.game.editing.LEGEND.items()}
         return names[int(self.cells[y, x])]
 
 

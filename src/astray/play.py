@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from astray.envs.vector import IMAGE, PICTURE, GameVectorEnv
-from astray.game import LEVELS, OWN, Variant
+from astray.game import LEVELS, OWN, Game, Variant
 from astray.level import Level
 
 VIEW = 256  # pixels a side of the agent's view, enlarged
@@ -15,7 +15,7 @@ HELP = ("arrows or WASD: move", "space: wait", "R: this level again", "N: the ne
         "Esc: leave")  # fmt: skip
 
 
-def play(game: str, variant: Variant, level: int | Level | None = None, art: str = OWN) -> None:
+def play(game: Game, variant: Variant, level: int | Level | None = None, art: str = OWN) -> None:
     """Open a window and play level after level, from `level` on or from one at random.
 
     After a `Level` that was drawn come the numbered ones from 0 on. Time stands still before
@@ -32,7 +32,7 @@ def play(game: str, variant: Variant, level: int | Level | None = None, art: str
     pygame.font.init()
     try:
         screen = pygame.display.set_mode((PICTURE + VIEW + 3 * GAP, PICTURE + 2 * GAP))
-        pygame.display.set_caption(f"astray {game}")
+        pygame.display.set_caption(f"astray {game.name}")
         font, clock = pygame.font.Font(None, TEXT + 4), pygame.time.Clock()
         seen, _ = env.reset(seed=0, options={"level": current})
         total, ended, running = 0.0, False, True

@@ -40,7 +40,7 @@ class Played:
 
 
 def play(
-    policy: Policy, game: str, variant: Variant, levels: Sequence[int] | np.ndarray,
+    policy: Policy, game: str | Game, variant: Variant, levels: Sequence[int] | np.ndarray,
     shift: Shift, batch: int = 256,
 ) -> list[Played]:  # fmt: skip
     """`policy`'s episodes in those of `levels` that have all the goals."""
@@ -52,7 +52,7 @@ def play(
             autoreset_mode="Disabled",
         )  # fmt: skip
         observations, _ = env.reset(seed=0, options={"level": some})
-        told = [env.game.describe(s) for s in env.states]
+        told = [env.game.editing.describe(s) for s in env.states]
         at, over = [_places(env)], np.zeros(len(some), bool)
         lengths = np.zeros(len(some), np.int64)
         while not over.all():

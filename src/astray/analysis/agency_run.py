@@ -18,8 +18,8 @@ from astray.analysis import video
 from astray.analysis.agency import Judgement, Played, judge, play
 from astray.analysis.outcomes import load_shift
 from astray.analysis.policies import Policy
-from astray.analysis.runs import Mode, open_run, playing, shift_of
-from astray.game import Variant
+from astray.analysis.runs import Mode, open_run, shift_of
+from astray.game import Game, Variant
 
 LEAST, MOST = np.array([244, 243, 236]), np.array([196, 60, 20])  # of the posterior, on floor
 STONE, MOUSE = np.array([204, 184, 142]), np.array([34, 34, 34])  # walls are sand, as in the game
@@ -43,8 +43,8 @@ def judge_run(
     art      that the agent is shown; None: what it was trained on
     """
     agent, config = open_run(run, mode, art)
-    between = load_shift(config.game, shift or shift_of(config))
-    made = playing(config, variant or between.test, knobs or {})
+    between = load_shift(config.find_game(), shift or shift_of(config))
+    made = config.variant_for(variant or between.test, knobs)
     chosen = config.unseen_levels[:300] if levels is None else levels
     played = play(agent, config.game, made, chosen, between)
     judged = judge(played, PRESETS[measure])
@@ -54,7 +54,7 @@ def judge_run(
 
 def posterior_video(
     policy: Policy,
-    game: str,
+    game: str | Game,
     variant: Variant,
     played: Played,
     options: Options = CALIBRATED,

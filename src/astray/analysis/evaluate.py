@@ -11,7 +11,7 @@ import polars as pl
 from astray.analysis.policies import Policy
 from astray.bounds import bounded
 from astray.envs.vector import GameVectorEnv
-from astray.game import MOST, Variant, level_numbers
+from astray.game import MOST, Game, Variant, level_numbers
 from astray.level import Level
 
 Measure = Callable[[np.ndarray], np.ndarray]  # of states [N], a number each
@@ -19,7 +19,7 @@ Measure = Callable[[np.ndarray], np.ndarray]  # of states [N], a number each
 
 def evaluate(
     policy: Policy,
-    game: str,
+    game: str | Game,
     variant: str | Variant,
     levels: Sequence[int] | np.ndarray | range | Mapping[str, Level],
     *,

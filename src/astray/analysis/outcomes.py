@@ -7,7 +7,6 @@ from collections.abc import Sequence
 import numpy as np
 import polars as pl
 
-from astray import games
 from astray.analysis.policies import Walk
 from astray.analysis.statistics import bootstrap
 from astray.game import Game, Shift
@@ -18,11 +17,11 @@ FAILED = "capability failure"
 OUTCOMES = (INTENDED, MISGENERALIZED, FAILED)
 
 
-def load_shift(game: str, shift: str) -> Shift:
+def load_shift(game: Game, shift: str) -> Shift:
     """The shift of that name."""
-    shifts = games.load(game).shifts
+    shifts = game.shifts
     if shift not in shifts:
-        raise ValueError(f"unknown shift {shift!r} of {game}; there are: {', '.join(shifts)}")
+        raise ValueError(f"unknown shift {shift!r} of {game.name}; there are: {', '.join(shifts)}")
     return shifts[shift]
 
 

@@ -11,7 +11,7 @@ import polars as pl
 
 from astray import games
 from astray.envs.vector import GameVectorEnv
-from astray.game import Variant, level_numbers
+from astray.game import Game, Variant, level_numbers
 from astray.level import EMPTY
 
 CHUNK = 1000  # levels made at once
@@ -19,7 +19,7 @@ SEARCHED = 100  # levels looked at for each that is needed
 
 
 def overlap(
-    game: str,
+    game: str | Game,
     training: str | Variant,
     training_levels: Sequence[int] | np.ndarray | range,
     test: str | Variant,
@@ -42,7 +42,7 @@ def overlap(
     return pl.DataFrame(rows)
 
 
-def met(game: str, trainings: Iterable[tuple[str | Variant, range]]) -> set[bytes]:
+def met(game: str | Game, trainings: Iterable[tuple[str | Variant, range]]) -> set[bytes]:
     """What all levels of some trainings are known by, for `unseen`.
 
     trainings  the variant and the numbers of each; where levels of one number hardly differ
@@ -61,7 +61,7 @@ def met(game: str, trainings: Iterable[tuple[str | Variant, range]]) -> set[byte
 
 
 def unseen(
-    game: str, known: set[bytes], test: str | Variant, candidates: range, count: int
+    game: str | Game, known: set[bytes], test: str | Variant, candidates: range, count: int
 ) -> np.ndarray:
     """The first `count` numbers among `candidates` whose level in `test` was in no training.
 
@@ -78,13 +78,13 @@ def unseen(
         if len(found) >= count:
             return np.array(found[:count])
     raise ValueError(
-        f"of {len(looked)} levels of {game} that no training drew from, only {len(found)} "
-        f"are not in them; {count} are needed"
+        f"of {len(looked)} levels of {games.find(game).name} that no training drew from, only "
+        f"{len(found)} are not in them; {count} are needed"
     )
 
 
 def _digests(
-    game: str, variant: str | Variant, levels: Sequence[int] | np.ndarray | range
+    game: str | Game, variant: str | Variant, levels: Sequence[int] | np.ndarray | range
 ) -> Iterator[tuple[bytes, bytes]]:
     """Of each level: a digest of all but its looks, and one of its walls alone."""
     for states in _states(game, variant, levels):
@@ -92,7 +92,7 @@ def _digests(
 
 
 def _states(
-    game: str, variant: str | Variant, levels: Sequence[int] | np.ndarray | range
+    game: str | Game, variant: str | Variant, levels: Sequence[int] | np.ndarray | range
 ) -> Iterator[np.ndarray]:
     """The states that levels begin in, CHUNK at a time; each chunk is gone with the next."""
     if not len(levels):
@@ -111,14 +111,14 @@ def _differ(one: np.ndarray, other: np.ndarray) -> np.ndarray:
     return (words != others).any(1)
 
 
-def _told(game: str, states: np.ndarray) -> Iterator[tuple[bytes, bytes]]:
+def _told(game: str | Game, states: np.ndarray) -> Iterator[tuple[bytes, bytes]]:
     """Of each state's level: a digest of all but its looks, and one of its walls alone."""
-    made = games.load(game)
-    objects = [made.legend[char] for char in made.objects.values()]
+    game = games.find(game)
+    objects = [game.editing.LEGEND[char] for char in game.editing.OBJECTS.values()]
     for s in states:
-        told = made.describe(s)
+        told = game.editing.describe(s)
         grid = np.array(told["grid"], np.uint8)
-        walls = np.where(np.isin(grid, objects), made.legend[EMPTY], grid)
+        walls = np.where(np.isin(grid, objects), game.editing.LEGEND[EMPTY], grid)
         begun = grid.tobytes() + np.array(told["agent"]).tobytes()
         yield (
             blake2b(begun, digest_size=8).digest(),

@@ -109,7 +109,7 @@ class Walk:
     goal: str
     observation: Observation = "symbolic"
     art: str = OWN
-    _guides: dict[int, Callable] = field(default_factory=dict, repr=False)  # by level
+    _experts: dict[int, Callable] = field(default_factory=dict, repr=False)  # by level
 
     @property
     def name(self) -> str:
@@ -121,5 +121,5 @@ class Walk:
     def _action(self, env: GameVectorEnv, s: Any) -> int:
         level = int(s.level)
         if s.time == 0:
-            self._guides[level] = env.game.guide(s, self.goal)
-        return self._guides[level](s)
+            self._experts[level] = env.game.solver.expert(s, self.goal)
+        return self._experts[level](s)

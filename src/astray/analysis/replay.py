@@ -8,12 +8,12 @@ from typing import Any
 import numpy as np
 
 from astray.envs.vector import GameVectorEnv
-from astray.game import Variant
+from astray.game import Game, Variant
 from astray.level import Level
 
 
 def replay(
-    game: str, variant: Variant, level: int | Level, actions: Sequence[int]
+    game: str | Game, variant: Variant, level: int | Level, actions: Sequence[int]
 ) -> dict[str, Any]:
     """Play `actions` until they or the episode end; what happened, as plain data.
 

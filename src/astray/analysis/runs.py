@@ -10,15 +10,14 @@ from typing import Any, Literal
 import numpy as np
 import polars as pl
 
-from astray import games
 from astray.agents.policy import usable
 from astray.analysis.evaluate import Measure, evaluate
 from astray.analysis.outcomes import label, load_shift, shares, tell_apart
 from astray.analysis.policies import Agent, Policy, Random, Walk
-from astray.game import Variant
+from astray.game import Game, Variant
 from astray.level import Level, read_levels
 from astray.training import checkpoint
-from astray.training.config import Config, vary_as
+from astray.training.config import Config
 
 Mode = Literal["sampled", "greedy"]
 
@@ -35,13 +34,13 @@ def open_run(run: Path, mode: Mode = "sampled", art: str | None = None) -> tuple
     config = checkpoint.read_config(folder)
     device = config.device if usable(config.device) else "cpu"
     shown = config.art if art is None else art
-    games.load(config.game).drawn(shown)
+    config.find_game().drawn(shown)
     return Agent(path / checkpoint.AGENT, config.game, mode, config.seed, device, shown), config
 
 
 def shift_of(config: Config) -> str:
     """The shift whose training variant the run trained on."""
-    game = games.load(config.game)
+    game = config.find_game()
     found = [name for name, shift in game.shifts.items() if shift.train == config.variant]
     if not found:
         raise ValueError(
@@ -49,11 +48,6 @@ def shift_of(config: Config) -> str:
             f"name one of: {', '.join(game.shifts)}"
         )
     return found[0]
-
-
-def playing(config: Config, variant: str, knobs: dict[str, Any]) -> Variant:
-    """The variant of that name for an agent of that training: its knobs changed likewise."""
-    return vary_as(config.game, config.variant, config.knobs, variant, knobs)
 
 
 def evaluate_runs(
@@ -93,15 +87,16 @@ def evaluate_runs(
             if getattr(other, name) != getattr(config, name):
                 raise ValueError(f"{runs[0]} and {run} were trained with different {name}")
     named = shift or shift_of(config)
-    between = load_shift(config.game, named)
+    game = config.find_game()
+    between = load_shift(game, named)
     name = variant or between.test
-    made = playing(config, name, knobs or {})
+    made = config.variant_for(name, knobs)
     if isinstance(levels, Path):
-        chosen = read_levels(levels, games.load(config.game), made, solvable=solvable)
+        chosen = read_levels(levels, game, made, solvable=solvable)
     else:
         chosen = config.unseen_levels[:1000] if levels is None else levels
     agents = [agent for agent, _ in opened]
-    episodes = play_all(config.game, name, made, named, chosen, agents, batch)
+    episodes = play_all(game, name, made, named, chosen, agents, batch)
     both = [
         shares(part).with_columns(levels_played=pl.lit(which))
         for which, part in (("all", episodes), ("telling apart", episodes.filter("tells_apart")))
@@ -111,7 +106,7 @@ def evaluate_runs(
 
 
 def play_all(
-    game: str,
+    game: Game,
     name: str,
     variant: Variant,
     shift: str,
@@ -146,4 +141,4 @@ def play_all(
                 checkpoint=pl.lit(steps, pl.Int64), variant=pl.lit(name),
             )
         )  # fmt: skip
-    return tell_apart(label(pl.concat(parts), games.load(game), between), between)
+    return tell_apart(label(pl.concat(parts), game, between), between)

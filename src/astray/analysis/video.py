@@ -14,7 +14,7 @@ from PIL import Image, ImageDraw, ImageFont
 from astray.analysis.policies import Policy
 from astray.envs.vector import GameVectorEnv, picture
 from astray.files import write_aside
-from astray.game import Variant
+from astray.game import Game, Variant
 from astray.level import Level
 
 BACKGROUND, INK = (247, 247, 245), (34, 34, 34)
@@ -40,7 +40,7 @@ class Episode:
 
 def play(
     policy: Policy,
-    game: str,
+    game: str | Game,
     variant: str | Variant,
     level: int | Level,
     *,

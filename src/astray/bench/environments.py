@@ -101,27 +101,27 @@ class Contender:
 
 
 def measure(
-    names: Sequence[str] = games.NAMES, seconds: float = 0.4, rounds: int = 15, seed: int = 0
+    names: Sequence[str] = games.OWN, seconds: float = 0.4, rounds: int = 15, seed: int = 0
 ) -> list[Row]:
     """Measure these games, each turn for `seconds`."""
     rows = []
     for name in names:
-        game = games.load(name)
-        rows += measure_game(name, game.benchmark, game.envpool, seconds, rounds, seed=seed)
+        on = games.find(name).benchmark
+        rows += measure_game(name, on.variant, on.envpool, seconds, rounds, seed=seed)
     return rows
 
 
 def measure_game(
     game: str,
     variant: str,
-    peer: str,
+    peer: str | None,
     seconds: float = 0.4,
     rounds: int = 15,
     *,
     batches: tuple[int, int] = (256, 1024),
     seed: int = 0,
 ) -> list[Row]:
-    """Measure one game, and the environment `peer` of EnvPool.
+    """Measure one game, and the environment `peer` of EnvPool, where there is one like it.
 
     batches  environments of two sizes of batch; EnvPool has the smaller: of MazeHard-v0 64 are
              5% slower than 256, and 1,024 4% faster
@@ -137,12 +137,13 @@ def measure_game(
     except FileNotFoundError as error:
         missing.append(Row(game, variant, _images(ORIGINAL), note=str(error)))
     contenders += [_ours(game, variant, SYMBOLS, batch, 1, seed) for batch in batches]
-    steps = games.load(game).variant(variant).time_limit
-    made = _envpool(Row(game, variant, f"EnvPool {peer}"), peer, batches[0], steps, seed)
-    if isinstance(made, Contender):
-        contenders.append(made)
-    else:
-        missing.append(made)
+    steps = games.find(game).variant(variant).time_limit
+    if peer:
+        made = _envpool(Row(game, variant, f"EnvPool {peer}"), peer, batches[0], steps, seed)
+        if isinstance(made, Contender):
+            contenders.append(made)
+        else:
+            missing.append(made)
     contenders.append(_copy(game, variant))
     _take_turns(contenders, seconds, rounds)
     beside = [_ours(game, variant, BESIDE, batches[0], threads, seed) for threads in (1, 2)]

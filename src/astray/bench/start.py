@@ -53,9 +53,9 @@ class Row:
         }
 
 
-def measure(names: Sequence[str] = games.NAMES, rounds: int = 5) -> list[Row]:
+def measure(names: Sequence[str] = games.OWN, rounds: int = 5) -> list[Row]:
     """Start each game once with nothing compiled, then `rounds` times."""
-    return [measure_game(name, games.load(name).benchmark, rounds) for name in names]
+    return [measure_game(name, games.find(name).benchmark.variant, rounds) for name in names]
 
 
 def measure_game(game: str, variant: str, rounds: int = 5) -> Row:

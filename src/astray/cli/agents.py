@@ -160,7 +160,7 @@ def record(
         out: an .mp4 or .gif file
     """
     from astray.analysis import video
-    from astray.analysis.runs import open_run, playing
+    from astray.analysis.runs import open_run
 
     write = {".mp4": video.write_mp4, ".gif": video.write_gif}.get(out.suffix)
     if write is None:
@@ -168,8 +168,8 @@ def record(
     bounded("pixels", pixels, *PICTURES)
     see_writable(out)
     player, config = open_run(chosen((run,) if run else (), agent)[0], mode, art)
-    made = playing(config, variant or config.variant, pairs(knobs))
-    begun = one_level(config.game, made, level, level_file, unsolvable)
+    made = config.variant_for(variant or config.variant, pairs(knobs))
+    begun = one_level(config.find_game(), made, level, level_file, unsolvable)
     if begun is None:
         begun = 1_000_000
     episode = video.play(player, config.game, made, begun, pixels=pixels)

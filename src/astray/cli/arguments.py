@@ -12,12 +12,10 @@ import numpy as np
 from rich.console import Console, RenderableType
 from tyro.conf import arg
 
-from astray import games
 from astray.analysis import kept
 from astray.bounds import bounded
 from astray.game import LEVELS, NEVER, Game, Variant
 from astray.level import Level, read_levels
-from astray.training.config import vary
 
 Mode = Literal["sampled", "greedy"]
 Knobs = Annotated[tuple[str, ...], arg(name="set", metavar="KNOB=VALUE")]
@@ -60,12 +58,12 @@ def pairs(knobs: tuple[str, ...]) -> dict[str, Any]:
     return dict(knob.split("=", 1) for knob in knobs)
 
 
-def varied(game: str, variant: str, knobs: tuple[str, ...]) -> Variant:
-    return vary(game, variant, pairs(knobs))
+def varied(game: Game, variant: str, knobs: tuple[str, ...]) -> Variant:
+    return game.variant(variant).with_knobs(pairs(knobs))
 
 
 def one_level(
-    game: str, variant: Variant, number: int | None, file: Path | None, unsolvable: bool
+    game: Game, variant: Variant, number: int | None, file: Path | None, unsolvable: bool
 ) -> int | Level | None:
     """The level that was asked for by number or file; None where neither was."""
     if number is not None:
@@ -74,7 +72,7 @@ def one_level(
         return number
     if number is not None:
         raise ValueError("a level is given by its number or in a file, not both")
-    found = read_levels(file, games.load(game), variant, solvable=not unsolvable)
+    found = read_levels(file, game, variant, solvable=not unsolvable)
     if len(found) > 1:
         raise ValueError(f"one level is played; {file} holds {len(found)}")
     return next(iter(found.values()))

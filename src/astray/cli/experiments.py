@@ -37,8 +37,8 @@ def list_(json: bool = False) -> None:
                 "goals": list(game.goals),
                 "shifts": {k: vars(v) for k, v in game.shifts.items()},
             }
-            for name in games.NAMES
-            for game in [games.load(name)]
+            for name in games.names()
+            for game in [games.find(name)]
         },
         "experiments": {name: experiments.load(name).title for name in experiments.NAMES},
         "agents": {name: vars(checkpoint.read_config(kept.find(name))) for name in kept.names()},

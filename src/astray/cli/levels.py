@@ -21,7 +21,7 @@ from astray.cli.arguments import (
 )  # fmt: skip
 from astray.envs.vector import GameVectorEnv
 from astray.files import read
-from astray.game import OWN, Variant
+from astray.game import OWN, Game, Variant
 from astray.level import Level
 
 LONGEST = 2**20  # characters of actions: more than any episode has
@@ -43,13 +43,17 @@ def level(
         text: print drawings alone, without their headings
         json: print JSON, a level a line
     """
-    kind, made = varied(game, variant, knobs), games.load(game)
-    for s in _states(game, kind, level_numbers(numbers)):
+    rules = games.find(game)
+    levels = varied(rules, variant, knobs)
+    for s in _states(rules, levels, level_numbers(numbers)):
         if json:
-            print_json({"game": game, "variant": variant, "level": int(s.level)} | made.describe(s))
+            print_json(
+                {"game": game, "variant": variant, "level": int(s.level)}
+                | rules.editing.describe(s)
+            )
         else:
             heading = "" if text else f"; {game} {variant} level {s.level}\n"
-            print(f"{heading}{Level.of(made, kind, s)}\n")
+            print(f"{heading}{Level.of(rules, levels, s)}\n")
 
 
 def play(
@@ -72,8 +76,9 @@ def play(
     """
     from astray.play import play as window
 
-    kind = varied(game, variant, knobs)
-    window(game, kind, one_level(game, kind, level, level_file, unsolvable), art)
+    rules = games.find(game)
+    levels = varied(rules, variant, knobs)
+    window(rules, levels, one_level(rules, levels, level, level_file, unsolvable), art)
 
 
 def replay(
@@ -99,13 +104,13 @@ def replay(
     """
     from astray.analysis.replay import replay as run
 
-    made = games.load(game)
+    rules = games.find(game)
     text = standard_input(LONGEST) if str(actions) == "-" else read(actions, LONGEST).decode()
-    kind = varied(game, variant, knobs)
-    begun = one_level(game, kind, level, level_file, unsolvable)
+    levels = varied(rules, variant, knobs)
+    begun = one_level(rules, levels, level, level_file, unsolvable)
     if begun is None:
         raise ValueError("name a --level or a --level-file")
-    told = run(game, kind, begun, action_numbers(made, text))
+    told = run(rules, levels, begun, action_numbers(rules, text))
     if json:
         number = level if level_file is None else str(level_file)
         print_json({"game": game, "variant": variant, "level": number} | told)
@@ -137,9 +142,10 @@ def overlap(
     """
     from astray.analysis.overlap import overlap as count
 
+    rules = games.find(game)
     shared = count(
-        game, varied(game, training, knobs), level_numbers(training_levels),
-        varied(game, test, knobs), level_numbers(test_levels),
+        rules, varied(rules, training, knobs), level_numbers(training_levels),
+        varied(rules, test, knobs), level_numbers(test_levels),
     )  # fmt: skip
     if json:
         print_json(shared.to_dicts())
@@ -150,7 +156,7 @@ def overlap(
     show(table)
 
 
-def _states(game: str, variant: Variant, levels: np.ndarray) -> np.ndarray:
+def _states(game: Game, variant: Variant, levels: np.ndarray) -> np.ndarray:
     env = GameVectorEnv(game, variant, len(levels), observation="symbolic")
     env.reset(seed=0, options={"level": levels})
     return env.states

@@ -9,8 +9,8 @@ VERSION = "v0"  # goes up when a level, a picture or a reward of the same number
 
 def register() -> None:
     """Register every variant of every game; nothing is compiled by this."""
-    for game in games.NAMES:
-        for variant in games.load(game).variants:
+    for game in games.OWN:
+        for variant in games.find(game).variants:
             gymnasium.register(
                 f"astray/{game}-{variant}-{VERSION}",
                 entry_point="astray.envs.single:GameEnv",

@@ -7,38 +7,39 @@ from collections.abc import Callable
 
 import numpy as np
 
-from astray import games
 from astray.envs import loops
 from astray.envs.pool import alone
 from astray.game import OWN, Game, Looks
 from astray.kernel import rng
 from astray.kernel.grid import distances
-from astray.kernel.jit import kernel, one_at_a_time, shared, specialise
+from astray.kernel.jit import entry, kernel, one_at_a_time, passing, shared, specialise
+from astray.kernel.sources import digest_of
 
 
-def compiled(name: str, art: str = OWN) -> Callable:
-    """`loops.run` of the game called `name` with that art, compiled or taken from the cache."""
-    looks = games.load(name).drawn(art)
-    return _compiled(name, looks.name)
+def compiled(game: Game, art: str = OWN) -> Callable:
+    """`loops.run` of a game with that art, compiled or taken from the cache."""
+    return _compiled(game, game.drawn(art).name)
 
 
 @functools.cache
-def _compiled(name: str, art: str) -> Callable:
-    game = games.load(name)
+def _compiled(game: Game, art: str) -> Callable:
     looks = game.drawn(art)
     functions = {
-        "generate": game.generate,
-        "step": game.step,
+        "generate": game.levels.generate,
+        "step": game.rules.step,
         "paint": looks.paint,
         "draw": looks.draw,
-        "paint_planes": game.paint_planes,
-        "draw_planes": game.draw_planes,
+        "paint_planes": game.symbols.paint_planes if game.symbols else loops.paint_no_planes,
+        "draw_planes": game.symbols.draw_planes if game.symbols else loops.draw_no_planes,
     }
-    label = name if art == OWN else f"{name}_{art}"
+    digest = digest_of(functions.values())
+    label = "_".join(filter(None, (game.name, "" if art == OWN else art, digest)))
     functions["paint_one"] = specialise(loops.paint_any, label, shared, **functions)
     functions["begin_one"] = specialise(loops.begin, label, shared, **functions)
     functions["observe_one"] = specialise(loops.observe, label, kernel, **functions)
-    run = specialise(loops.run, label, ACTIONS=len(game.actions), **functions)
+    # What nobody can tell to be unchanged is compiled by each process.
+    decorate = passing if digest is None else entry
+    run = specialise(loops.run, label, decorate, ACTIONS=len(game.actions), **functions)
     with one_at_a_time():
         _compile(game, looks, run)
         numbers, table = np.empty(0, np.int64), np.empty((0, 1), np.int64)

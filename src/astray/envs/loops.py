@@ -43,6 +43,17 @@ def draw_planes(s, scene, planes) -> None:
     raise NotImplementedError
 
 
+# In the place of the two above, where a game has no symbols.
+@kernel
+def paint_no_planes(s, scene):
+    """Paint nothing."""
+
+
+@kernel
+def draw_no_planes(s, scene, planes):
+    """Draw nothing."""
+
+
 # Bound to the function below it, once that is bound to a game.
 def begin_one(s, params, level) -> None:
     raise NotImplementedError

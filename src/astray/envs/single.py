@@ -9,7 +9,7 @@ import gymnasium
 import numpy as np
 
 from astray.envs.vector import GameVectorEnv, Info
-from astray.game import Variant
+from astray.game import Game, Variant
 
 
 class GameEnv(gymnasium.Env[np.ndarray, np.int64]):
@@ -17,7 +17,7 @@ class GameEnv(gymnasium.Env[np.ndarray, np.int64]):
 
     metadata = {"render_modes": ["rgb_array"], "render_fps": 15}  # noqa: RUF012
 
-    def __init__(self, game: str, variant: str | Variant, **options: Any):
+    def __init__(self, game: str | Game, variant: str | Variant, **options: Any):
         self.vector = GameVectorEnv(game, variant, 1, autoreset_mode="Disabled", **options)
         self.observation_space = self.vector.single_observation_space
         self.action_space = self.vector.single_action_space

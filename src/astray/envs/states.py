@@ -13,6 +13,7 @@ import numpy as np
 
 from astray import games
 from astray.files import read, write_aside
+from astray.game import Game
 
 FORMAT = 1  # goes up when the fields of a state change their meaning
 # All that NumPy raises for what is no archive of arrays.
@@ -22,18 +23,20 @@ BROKEN = (
 )  # fmt: skip
 
 
-def save_states(path: Path, game: str, states: np.ndarray) -> None:
+def save_states(path: Path, game: str | Game, states: np.ndarray) -> None:
     """Write `states` of `game` to an .npz file: "game", "format", and "states", [N] records."""
-    wanted = games.load(game).state
+    game = games.find(game)
+    wanted = game.state
     if states.dtype != wanted:
-        raise ValueError(f"these are not states of {game}")
+        raise ValueError(f"these are not states of {game.name}")
     file, plain = io.BytesIO(), np.dtype(wanted.descr)
-    np.savez_compressed(file, game=game, format=FORMAT, states=states.view(plain))
+    np.savez_compressed(file, game=game.name, format=FORMAT, states=states.view(plain))
     write_aside(path, file.getvalue())
 
 
-def load_states(path: Path, game: str) -> np.ndarray:
+def load_states(path: Path, game: str | Game) -> np.ndarray:
     """The states [N] that `save_states` wrote; `set_state` sees whether a variant can have them."""
+    game = games.find(game)
     try:
         # From bytes: NumPy leaves a file open that is no archive.
         with np.lib.npyio.NpzFile(io.BytesIO(read(path)), allow_pickle=False) as file:
@@ -42,11 +45,11 @@ def load_states(path: Path, game: str) -> np.ndarray:
         raise FileNotFoundError(f"there are no states at {path}") from None
     except BROKEN as error:
         raise ValueError(f"{path} holds no states: {error}") from error
-    if kept["game"].shape or str(kept["game"]) != game:
-        raise ValueError(f"{path} holds states of {kept['game']}, not of {game}")
+    if kept["game"].shape or str(kept["game"]) != game.name:
+        raise ValueError(f"{path} holds states of {kept['game']}, not of {game.name}")
     if kept["format"].shape or kept["format"] != FORMAT:
         raise ValueError(f"{path} has format {kept['format']}; this version reads {FORMAT}")
-    wanted, states = games.load(game).state, kept["states"]
+    wanted, states = game.state, kept["states"]
     if states.ndim != 1 or states.dtype != np.dtype(wanted.descr):
         raise ValueError(f"{path} holds states with other fields than those of this version")
     return states.view(wanted)

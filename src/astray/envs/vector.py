@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import copy
 from collections.abc import Sequence
 from typing import Any, Literal
@@ -17,7 +18,7 @@ from astray.envs import loops
 from astray.envs.compiled import compiled
 from astray.envs.loops import AS_SET, DISABLED, NEXT_LEVEL, NEXT_STEP, NOTHING, SAME_STEP, STEP
 from astray.envs.pool import Pool, alone, most_threads
-from astray.game import LEVELS, MOST, OWN, Variant, integers, level_numbers
+from astray.game import LEVELS, MOST, OWN, Game, Variant, integers, level_numbers
 from astray.level import Level
 
 IMAGE = 64  # pixels a side of what the agent sees
@@ -36,7 +37,7 @@ Info = dict[str, Any]
 class GameVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
     """`num_envs` environments of one game, stepped together.
 
-    game, variant  names, or a variant of your own
+    game, variant  names, or a game and a variant of your own
     observation    "image": [64, 64, 3] uint8, or "symbolic": [C, H, W] uint8 planes
     art            that images are drawn with: "own", or what else the game's `looks` have, as
                    "original", the original's to the pixel
@@ -53,7 +54,7 @@ class GameVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
 
     def __init__(
         self,
-        game: str,
+        game: str | Game,
         variant: str | Variant,
         num_envs: int = 1,
         *,
@@ -64,7 +65,7 @@ class GameVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         threads: int = 1,
         render_mode: str | None = None,
     ):
-        self.game = games.load(game)
+        self.game = games.find(game)
         self.variant = self.game.variant(variant)
         bounded("num_envs", num_envs, 1, MOST)
         bounded("threads", threads, 1, most_threads())
@@ -81,11 +82,11 @@ class GameVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         self.metadata = {"render_modes": ["rgb_array"], "autoreset_mode": mode, "render_fps": 15}
 
         if self.symbolic:
-            largest = self.game.planes(self.variant)
+            largest = self.game.symbols.planes(self.variant)
             self.single_observation_space = spaces.Box(
                 np.zeros_like(largest), largest, dtype=np.uint8
             )
-            scene = self.game.planes_scene_shape(self.variant)
+            scene = self.game.symbols.planes_scene_shape(self.variant)
         else:
             self.single_observation_space = spaces.Box(0, 255, (IMAGE, IMAGE, 3), np.uint8)
             scene = looks.scene_shape(self.variant, IMAGE)
@@ -109,7 +110,7 @@ class GameVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         """Make what is no data of its own: pictures, compiled code, threads, views into arrays."""
         # Symbols are not drawn: no pictures are needed, whatever the art.
         art = OWN if self.symbolic else self.art
-        self._loop = compiled(self.game.name, art)
+        self._loop = compiled(self.game, art)
         self._scene = (
             self.variant.records(),
             self.game.drawn(art).art(self.variant, 1 if self.symbolic else IMAGE),
@@ -122,10 +123,14 @@ class GameVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
 
     def __getstate__(self) -> dict[str, Any]:
         made = ("_begun", "_events", "_pool", "_loop", "_scene")
-        return {name: x for name, x in vars(self).items() if name not in made}
+        state = {name: x for name, x in vars(self).items() if name not in made}
+        with contextlib.suppress(ValueError):  # a game that was never registered
+            if games.find(self.game.name) is self.game:
+                state["game"] = self.game.name
+        return state
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        vars(self).update(state)
+        vars(self).update(state, game=games.find(state["game"]))
         self._bind()
 
     def __copy__(self) -> GameVectorEnv:
@@ -262,7 +267,7 @@ class GameVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
 
     def picture(self, pixels: int) -> np.ndarray:
         """Every state at any scale, [N, pixels, pixels, 3] uint8."""
-        return picture(self.game.name, self.variant, self.states, pixels, self.art)
+        return picture(self.game, self.variant, self.states, pixels, self.art)
 
     def close_extras(self, **kwargs: Any) -> None:
         self._pool.close()
@@ -291,14 +296,14 @@ class GameVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
 
 
 def picture(
-    game: str, variant: Variant, states: np.ndarray, pixels: int, art: str = OWN
+    game: str | Game, variant: Variant, states: np.ndarray, pixels: int, art: str = OWN
 ) -> np.ndarray:
     """`states` [N] of `game` as the agent would see them at any scale, [N, pixels, pixels, 3]."""
-    made = games.load(game)
-    made.variant(variant)
-    made.check(states, variant)
+    game = games.find(game)
+    game.variant(variant)
+    game.check(states, variant)
     bounded("pixels", pixels, *PICTURES)
-    looks, loop = made.drawn(art), compiled(game, art)
+    looks, loop = game.drawn(art), compiled(game, art)
     scene = np.empty((1, *looks.scene_shape(variant, pixels)), np.uint8)
     images = np.empty((len(states), pixels, pixels, 3), np.uint8)
     sprites, params, as_set = looks.art(variant, pixels), variant.records(), np.full(1, AS_SET)

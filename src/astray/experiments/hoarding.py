@@ -11,7 +11,6 @@ import numpy as np
 import polars as pl
 from matplotlib.figure import Figure
 
-from astray import games
 from astray.analysis.evaluate import Measure
 from astray.analysis.outcomes import matrix
 from astray.analysis.policies import Walk
@@ -67,13 +66,13 @@ def told(work: Work) -> pl.DataFrame:
 
 def best_returns(work: Work) -> pl.DataFrame:
     """The discounted return of the best order in every level played: test, level, best."""
-    config, game = work.plan.config, games.load(work.plan.game)
+    config, game = work.plan.config, work.plan.game
     parts = []
     for name, test in work.plan.tests.items():
         levels = work.episodes.filter(test=name)["level"].unique().sort()
-        env = GameVectorEnv(game.name, test.made_for(config), len(levels), observation="symbolic")
+        env = GameVectorEnv(game, test.variant_for(config), len(levels), observation="symbolic")
         env.reset(seed=0, options={"level": levels.to_numpy()})
-        best = [game.optimal_return(s, "chests", config.gamma) for s in env.states]
+        best = [game.solver.optimal_return(s, "chests", config.gamma) for s in env.states]
         env.close()
         parts.append(pl.DataFrame({"test": name, "level": levels, "best": best}))
     return pl.concat(parts)

@@ -14,12 +14,12 @@ import numpy as np
 import polars as pl
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
-from astray import experiments, games
+from astray import experiments
 from astray.analysis import video
 from astray.analysis.kept import KEPT
 from astray.analysis.outcomes import OUTCOMES, load_shift
 from astray.analysis.policies import Agent
-from astray.analysis.runs import evaluate_runs, open_run, playing, shift_of
+from astray.analysis.runs import evaluate_runs, open_run, shift_of
 from astray.experiments import figures
 from astray.experiments.outcomes import AGENTS
 from astray.files import folder_aside, write_aside
@@ -78,7 +78,7 @@ def draw_curve(run: Path, config: Config, steps: int, folder: Path) -> None:
 def write_card(name: str, run: Path, shift: str, levels: int) -> None:
     """Write `README.md` and `episode.gif` to `run`, of its agent evaluated on so many levels."""
     agent, config = open_run(run)
-    between, game = load_shift(config.game, shift), games.load(config.game)
+    between, game = load_shift(config.find_game(), shift), config.find_game()
     numbers = np.array(config.unseen_levels[:levels])
     played = {
         variant: evaluate_runs([run], numbers, variant=variant, shift=shift)
@@ -112,7 +112,12 @@ def film(agent: Agent, config: Config, between: Shift, episodes: pl.DataFrame, p
     variants = (config.variant, between.test)
     shown = [
         video.play(
-            agent, config.game, playing(config, variant, {}), level, pixels=SIDE, longest=LONGEST
+            agent,
+            config.find_game(),
+            config.variant_for(variant),
+            level,
+            pixels=SIDE,
+            longest=LONGEST,
         ).frames
         for variant in variants
     ]

@@ -9,7 +9,6 @@ from dataclasses import asdict
 
 import polars as pl
 
-from astray import games
 from astray.analysis import video
 from astray.analysis.outcomes import load_shift, matrix, shares
 from astray.analysis.policies import Walk
@@ -175,7 +174,7 @@ def film(work: Work, *, trained: Test, tested: Test, agent: str | None = None) -
     plan = work.plan
     name = agent or next(iter(work.runs))
     player, config = open_run(work.runs[name][0])
-    game, shift = games.load(plan.game), load_shift(plan.game, tested.shift)
+    game, shift = plan.game, load_shift(plan.game, tested.shift)
     where = next(key for key, test in plan.tests.items() if test == tested)
     apart = work.episodes.filter("tells_apart", test=where)
     way = pl.col(game.goals[shift.proxies[0]])
@@ -187,7 +186,7 @@ def film(work: Work, *, trained: Test, tested: Test, agent: str | None = None) -
         levels = mine.filter(outcome=outcome).join(far, on="level", how="semi")["level"]
         for level in levels[:1].to_list():
             pair = [
-                video.play(player, game.name, test.made_for(config), level, pixels=288,
+                video.play(player, game, test.variant_for(config), level, pixels=288,
                            longest=LONGEST)
                 for test in (trained, tested)
             ]  # fmt: skip

@@ -19,7 +19,7 @@ from astray.experiments import report
 from astray.experiments.spec import COMPUTED, Plan, Runs, Size, Test, Work, kept
 from astray.experiments.workers import Place, train_all
 from astray.files import read, write_aside
-from astray.game import OWN, Variant
+from astray.game import OWN, Game, Variant
 from astray.kernel.jit import source_digest
 from astray.training import checkpoint
 from astray.training.config import Config
@@ -127,7 +127,7 @@ def play(plan: Plan, runs: Runs) -> pl.DataFrame:
     parts = []
     for name, test in plan.tests.items():
         played = play_all(
-            plan.game, test.variant, test.made_for(plan.config), test.shift,
+            plan.game, test.variant, test.variant_for(plan.config), test.shift,
             levels_of(plan, test), opened, measures=plan.measures,
         )  # fmt: skip
         parts.append(played.with_columns(test=pl.lit(name)))
@@ -139,11 +139,11 @@ def levels_of(plan: Plan, test: Test) -> np.ndarray:
     trainings = tuple((c.training_variant(), c.training_levels) for c in plan.agents.values())
     after = max((c.unseen_levels for c in plan.agents.values()), key=lambda left: left.start)
     return unseen(
-        plan.game, met_in(plan.game, trainings), test.made_for(plan.config), after, plan.levels
+        plan.game, met_in(plan.game, trainings), test.variant_for(plan.config), after, plan.levels
     )
 
 
 @functools.lru_cache(maxsize=1)
-def met_in(game: str, trainings: tuple[tuple[Variant, range], ...]) -> set[bytes]:
+def met_in(game: Game, trainings: tuple[tuple[Variant, range], ...]) -> set[bytes]:
     """`overlap.met`, once for all tests of a plan."""
     return met(game, trainings)

@@ -11,12 +11,12 @@ from typing import Any, Literal, get_args
 
 import polars as pl
 
+from astray import games
 from astray.analysis.evaluate import Measure
 from astray.analysis.outcomes import load_shift
-from astray.analysis.runs import playing
 from astray.experiments.report import Findings
 from astray.files import write_aside
-from astray.game import Variant
+from astray.game import Game, Variant
 from astray.training.config import Config
 
 Size = Literal["smoke", "hour", "paper"]
@@ -33,14 +33,14 @@ class Test:
     shift: str  # of the game: which goal is intended, which are proxies
     knobs: Mapping[str, Any] = field(default_factory=dict)  # of the variant, changed
 
-    def made_for(self, config: Config) -> Variant:
+    def variant_for(self, config: Config) -> Variant:
         """The variant for agents of that training: its knobs changed likewise."""
-        return playing(config, self.variant, dict(self.knobs))
+        return config.variant_for(self.variant, self.knobs)
 
 
 def tests_of(game: str, shift: str) -> dict[str, Test]:
     """The training and the test variant of a shift."""
-    there = load_shift(game, shift)
+    there = load_shift(games.find(game), shift)
     return {"in training": Test(there.train, shift), "in the test": Test(there.test, shift)}
 
 
@@ -66,7 +66,7 @@ class Plan:
         for test in self.tests.values():
             load_shift(self.game, test.shift)
             for config in self.agents.values():
-                test.made_for(config)
+                test.variant_for(config)
 
     @property
     def config(self) -> Config:
@@ -74,8 +74,8 @@ class Plan:
         return next(iter(self.agents.values()))
 
     @property
-    def game(self) -> str:
-        return self.config.game
+    def game(self) -> Game:
+        return self.config.find_game()
 
     def drawn_with(self, art: str) -> Plan:
         """The same with other images."""

@@ -1,15 +1,71 @@
-"""The games. A game is a sub-package that defines `GAME`; nothing else lists it."""
+"""The games: those of this package, those that others offer, and those that were registered.
 
+Here, a game is a sub-package that defines `GAME`; nothing else lists it. Another package offers
+its games as entry points of the group `astray.games`: name = "module:GAME".
+"""
+
+from __future__ import annotations
+
+import functools
 import importlib
 import pkgutil
+from importlib.metadata import EntryPoint, entry_points
 
 from astray.game import Game
 
-NAMES = tuple(sorted(module.name for module in pkgutil.iter_modules(__path__) if module.ispkg))
+OWN = tuple(sorted(module.name for module in pkgutil.iter_modules(__path__) if module.ispkg))
+GROUP = "astray.games"
+_registered: dict[str, Game] = {}
 
 
-def load(name: str) -> Game:
-    """The game called `name`."""
-    if name not in NAMES:
-        raise ValueError(f"unknown game {name!r}; there are: {', '.join(NAMES)}")
-    return importlib.import_module(f"astray.games.{name}").GAME
+def names() -> tuple[str, ...]:
+    """The names of all games: astray's own first."""
+    return (*OWN, *sorted({*_registered, *_offered()} - {*OWN}))
+
+
+def register(game: Game) -> None:
+    """Let `game` be found by its name, in this process: by `find`, and so in settings and verbs.
+
+    Again, it takes the place of the one before. A package that is installed can offer its games
+    to all processes: see the entry points above.
+
+    Raises ValueError where the name is that of one of astray's own games.
+    """
+    if not isinstance(game, Game):
+        raise ValueError(f"a game must be a Game; got {game!r}")
+    if game.name in OWN:
+        raise ValueError(f"a game's name must be its own; {game.name!r} is one of astray's")
+    _registered[game.name] = game
+
+
+def find(game: str | Game) -> Game:
+    """The game of that name; one of your own is itself.
+
+    Raises ValueError where there is none, or what offers one under that name fails.
+    """
+    if isinstance(game, Game):
+        return game
+    if game in OWN:
+        return importlib.import_module(f"{__name__}.{game}").GAME
+    if game in _registered:
+        return _registered[game]
+    if isinstance(game, str) and game in _offered():
+        return _load(_offered()[game])
+    raise ValueError(f"unknown game {game!r}; there are: {', '.join(names())}")
+
+
+@functools.cache
+def _offered() -> dict[str, EntryPoint]:
+    """The games of other packages that are installed, by name; none is imported by this."""
+    return {point.name: point for point in entry_points(group=GROUP)}
+
+
+@functools.cache
+def _load(point: EntryPoint) -> Game:
+    try:
+        game = point.load()
+    except Exception as error:
+        raise ValueError(f"the game {point.name!r}, {point.value}, fails: {error!r}") from error
+    if not isinstance(game, Game) or game.name != point.name:
+        raise ValueError(f"{point.value} must be a Game called {point.name!r}; got {game!r}")
+    return game

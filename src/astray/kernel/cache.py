@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import atexit
 import contextlib
+import logging
 import os
 import re
 import shutil
@@ -16,6 +17,7 @@ from pathlib import Path
 
 from filelock import FileLock, Timeout
 
+LOG = logging.getLogger("astray")
 DIGEST = re.compile("[0-9a-f]{16}")  # names of folders of compiled code
 KEPT_FOR = 30 * 24 * 3600  # seconds that the compiled code of another version is kept
 OTHERS = stat.S_IWGRP | stat.S_IWOTH  # modes by which others may write
@@ -165,13 +167,12 @@ def _is_entered(stack: contextlib.ExitStack, lock: FileLock, seconds: float) -> 
 
 def _is_waited_for(stack: contextlib.ExitStack, lock: FileLock) -> bool:
     """Wait on for `lock`, and say so; whether it was got."""
-    warnings.warn(
-        f"another process compiles, and holds {lock.lock_file}: waiting for it", stacklevel=4
-    )
+    # Logged, not warned of: it is nobody's mistake, and a process may make errors of warnings.
+    LOG.warning("another process compiles, and holds %s: waiting for it", lock.lock_file)
     if _is_entered(stack, lock, PATIENT):
         return True
-    warnings.warn(
-        f"it still does after {SILENT + PATIENT} seconds, or was stopped: compiling beside it, "
-        "what is not kept", stacklevel=4,
-    )  # fmt: skip
+    LOG.warning(
+        "it still does after %g seconds, or was stopped: compiling beside it, what is not kept",
+        SILENT + PATIENT,
+    )
     return False

@@ -96,9 +96,14 @@ kernel = _part(_PartCompiler, forceinline=True)
 shared = _part(_LargePartCompiler)  # not inlined: for what is large or seldom called
 
 
+def passing(function: Callable) -> Any:
+    """A decorator of functions that Python calls, whose compiled code ends with the process."""
+    return numba.njit(nogil=True)(function)
+
+
 def entry(function: Callable) -> Any:
     """A decorator of functions that Python calls; only these are kept in files."""
-    compiled: Any = numba.njit(nogil=True)(function)
+    compiled = passing(function)
     if compiled is not function:
         with contextlib.suppress(RuntimeError):  # no folder that can be written
             compiled._cache = Stored(function)

@@ -5,7 +5,8 @@ from __future__ import annotations
 import json
 import types
 import typing
-from dataclasses import asdict, dataclass, field, fields, replace
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field, fields
 from math import inf, isfinite
 from typing import Annotated, Any, Literal
 
@@ -14,7 +15,7 @@ from tyro.conf import Positional, Suppress
 from astray import games
 from astray.agents.policy import NetworkName
 from astray.bounds import shown
-from astray.game import LEVELS, MOST, OWN, Variant, knobs
+from astray.game import LEVELS, MOST, OWN, Game, Variant
 
 MOST_STEPS = 10**15  # what the fastest machine does in a century
 SEEDS = 2**28  # every seed has streams of its own for training, validation, ...
@@ -111,7 +112,7 @@ class Config:
                 f"they are below {LEVELS.stop - 1}, and some are left for tests"
             )
         self.training_variant()
-        games.load(self.game).drawn(self.art)
+        self.find_game().drawn(self.art)
         if self.validation:
             self.validation_variant()
 
@@ -140,12 +141,28 @@ class Config:
         """All numbers after the training levels."""
         return range(self.training_levels.stop, LEVELS.stop)
 
+    def find_game(self) -> Game:
+        """The game that is played."""
+        return games.find(self.game)
+
     def training_variant(self) -> Variant:
-        return vary(self.game, self.variant, self.knobs)
+        """The variant to train on."""
+        return self.variant_for(self.variant)
 
     def validation_variant(self) -> Variant:
+        """The variant that is played during training and never learned from."""
         assert self.validation
-        return vary_as(self.game, self.variant, self.knobs, self.validation, {})
+        return self.variant_for(self.validation)
+
+    def variant_for(self, name: str, changes: Mapping[str, Any] | None = None) -> Variant:
+        """The variant of that name for these agents, and some more `changes` of its knobs.
+
+        Its knobs are changed as those of the training variant were, where the two were alike.
+        """
+        game = self.find_game()
+        one, two = game.variant(self.variant), game.variant(name)
+        kept = self.knobs if name == self.variant else one.alike(self.knobs, two)
+        return two.with_knobs({**kept, **(changes or {})})
 
     def to_json(self) -> dict[str, Any]:
         """All settings, and the variant written out."""
@@ -180,50 +197,6 @@ def _check(name: str, value: Any, kind: Any) -> None:
         kinds.append(int)
     if type(value) not in kinds or (type(value) is float and not isfinite(value)):
         raise ValueError(f"{name} is {shown(value)}; it is a {kinds[0].__name__}")
-
-
-def vary(game: str, variant: str, changes: dict[str, Any]) -> Variant:
-    """The variant of that name with some knobs changed; text is read as the knob's type.
-
-    The variant it shifts to changes too, but for the knobs that make the shift.
-    """
-    made = games.load(game).variant(variant)
-    kinds = {name: type(getattr(made, name)) for name in knobs(type(made))}
-    values = {name: _value(game, name, value, kinds) for name, value in changes.items()}
-    if made.shifted is not None:
-        values["shifted"] = replace(made.shifted, **_shared(values, made, made.shifted))
-    return replace(made, **values)
-
-
-def vary_as(
-    game: str, variant: str, changes: dict[str, Any], other: str, more: dict[str, Any]
-) -> Variant:
-    """The variant `other` changed as `variant` was, where the two were alike, and some `more`."""
-    one, two = games.load(game).variant(variant), games.load(game).variant(other)
-    kept = changes if variant == other else _shared(changes, one, two)
-    return vary(game, other, kept | more)
-
-
-def _shared(changes: dict[str, Any], one: Variant, two: Variant) -> dict[str, Any]:
-    alike = {n: v for n, v in changes.items() if getattr(one, n) == getattr(two, n)}
-    alike.pop("shift_probability", None)  # the other has nothing of its own to shift to
-    return alike
-
-
-def _value(game: str, name: str, value: Any, kinds: dict[str, type]) -> Any:
-    """`value` as the knob's type."""
-    if name not in kinds:
-        raise ValueError(f"unknown knob {name!r} of {game}; there are: {', '.join(kinds)}")
-    if isinstance(value, str) and kinds[name] is not str:
-        try:
-            value = json.loads(value.lower())
-        except json.JSONDecodeError:
-            raise ValueError(f"{name} is {value!r}; it is a {kinds[name].__name__}") from None
-    if isinstance(value, int) and kinds[name] is float:
-        value = float(value)
-    if type(value) is not kinds[name]:
-        raise ValueError(f"{name} is {value!r}; it is a {kinds[name].__name__}")
-    return value
 
 
 PRESETS = {

@@ -49,7 +49,7 @@ class Trainer:
         game, space = self.player.game, self.player.space
         largest = ()
         if config.observation == "symbolic":
-            largest = tuple(int(k) for k in game.planes(variant).max((1, 2)))
+            largest = tuple(int(k) for k in game.symbols.planes(variant).max((1, 2)))
         self.architecture = Architecture(
             config.network, space.shape, largest, len(game.actions),  # pyright: ignore
             config.scale, config.width,

@@ -98,7 +98,7 @@ def visited(work: Work, where: str, seed: int) -> tuple[Agent, pl.DataFrame, np.
     test = TESTS[where]
     agent, config = open_run(work.runs[RUNNER][seed])
     levels = levels_of(work.plan, test)
-    rows, states = visit(agent, test.made_for(config), levels, per_episode=DRAWN)
+    rows, states = visit(agent, test.variant_for(config), levels, per_episode=DRAWN)
     told = pl.lit(config.seed).alias("agent"), pl.lit(where).alias("test")
     return agent, rows.select("level", "step", *told), states
 
@@ -110,7 +110,7 @@ def shares(work: Work) -> pl.DataFrame:
     for where in TESTS:
         for seed in range(work.plan.seeds):
             agent, rows, states = visited(work, where, seed)
-            variant = TESTS[where].made_for(work.plan.config)
+            variant = TESTS[where].variant_for(work.plan.config)
             seen = attribution.masks(agent, variant, states, PARTS)
             shown = observe(agent, variant, states)
             for method, attribute in METHODS.items():
@@ -156,7 +156,7 @@ def maps_of_some(work: Work) -> pl.DataFrame:
     found = []
     for where in TESTS:
         agent, _, states = visited(work, where, 0)
-        variant = TESTS[where].made_for(work.plan.config)
+        variant = TESTS[where].variant_for(work.plan.config)
         seen = attribution.masks(agent, variant, states, PARTS)
         area = {part: mask.reshape(len(states), -1).sum(1) for part, mask in seen.items()}
         hazards = (area["walkers"] + area["saws"]) * (area[WALL] == 0)

@@ -5,7 +5,6 @@ from dataclasses import replace
 import numpy as np
 import polars as pl
 
-from astray import games
 from astray.analysis.outcomes import FAILED, MISGENERALIZED, label, load_shift, matrix
 from astray.analysis.policies import Walk
 from astray.analysis.statistics import Estimate, bootstrap
@@ -113,11 +112,11 @@ def find(work: Work) -> Findings:
 
 def in_training(work: Work) -> pl.DataFrame:
     """Episodes of all agents in unseen levels like those of their own training."""
-    parts, game = [], games.load(work.plan.game)
+    parts, game = [], work.plan.game
     shift = load_shift(work.plan.game, "coin-end")
     for name, config in work.plan.agents.items():
         test = Test(config.variant, "coin-end", config.knobs)
-        played = coin.play(work.runs[name], test.made_for(config), levels_of(work.plan, test))
+        played = coin.play(work.runs[name], test.variant_for(config), levels_of(work.plan, test))
         parts.append(label(played, game, shift).with_columns(agent=pl.lit(name)))
     return pl.concat(parts)
 
@@ -130,7 +129,7 @@ def coin_at_end(work: Work) -> pl.DataFrame:
     parts = []
     for where, test in BLIND.items():
         levels = of(work, where, NEVER)["level"].unique().sort().to_numpy()
-        played = coin.play(work.runs[NEVER], test.made_for(work.plan.config), levels)
+        played = coin.play(work.runs[NEVER], test.variant_for(work.plan.config), levels)
         parts.append(played.with_columns(test=pl.lit(where)))
     return pl.concat(parts)
 

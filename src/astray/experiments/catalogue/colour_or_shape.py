@@ -4,7 +4,6 @@ from dataclasses import replace
 
 import polars as pl
 
-from astray import games
 from astray.agents.small import Spread
 from astray.analysis.evaluate import evaluate
 from astray.analysis.outcomes import FAILED, INTENDED, MISGENERALIZED, label, load_shift, matrix
@@ -92,7 +91,7 @@ def offer_pairs(work: Work) -> pl.DataFrame:
     the two apart. A level's maze and places are the same for all pairs.
     """
     test = list(work.plan.tests.values())[-1]
-    game, shift = games.load(work.plan.game), load_shift(work.plan.game, test.shift)
+    game, shift = work.plan.game, load_shift(work.plan.game, test.shift)
     apart = work.episodes.filter("tells_apart", pl.col("variant") == test.variant)
     levels = apart["level"].unique(maintain_order=True).to_numpy()[:PAIRED]
     parts = []
@@ -101,8 +100,8 @@ def offer_pairs(work: Work) -> pl.DataFrame:
         for colour in COLOURED:
             for shape in SHAPED:
                 knobs = {"goal_colour": colour, "other_shape": shape}
-                variant = replace(test, knobs=knobs).made_for(config)
-                episodes = label(evaluate(agent, game.name, variant, levels), game, shift)
+                variant = replace(test, knobs=knobs).variant_for(config)
+                episodes = label(evaluate(agent, game, variant, levels), game, shift)
                 parts.append(episodes.select(
                     "level", "outcome", colour=pl.lit(colour), shape=pl.lit(shape),
                     seed=pl.lit(config.seed),
@@ -153,7 +152,7 @@ def near_codes(work: Work, pairs: pl.DataFrame) -> Verdict:
 
 def nearness(work: Work) -> tuple[dict[str, float], dict[str, float]]:
     """How alike each shape and the trained one are to the network, and each colour: -1 to 1."""
-    planes = games.load(work.plan.game).planes(work.plan.config.training_variant())
+    planes = work.plan.game.symbols.planes(work.plan.config.training_variant())
     circle = Spread(planes.max((1, 2)).tolist()).circle.numpy()
     shapes, colours = (
         {name: float(circle[:, code] @ circle[:, names.index(known)])

@@ -103,7 +103,7 @@ def values(work: Work) -> pl.DataFrame:
         levels = levels_of(work.plan, test)
         for run in work.runs[RUNNER]:
             agent, config = open_run(run)
-            variant = test.made_for(config)
+            variant = test.variant_for(config)
             rows, states = visit(agent, variant, levels, per_episode=DRAWN)
             stage = measures.stage(states)
             kept = (stage == STAGES.index(BEYOND)) == (test is PERMEABLE)

@@ -136,7 +136,7 @@ def values(work: Work) -> pl.DataFrame:
     levels = levels_of(work.plan, test)
     for run in work.runs[RUNNER]:
         agent, config = open_run(run)
-        variant = Test(test.variant, test.shift, {**test.knobs, "time_limit": LONGEST}).made_for(
+        variant = Test(test.variant, test.shift, {**test.knobs, "time_limit": LONGEST}).variant_for(
             config
         )
         for first in range(0, len(levels), AT_ONCE):
@@ -211,7 +211,7 @@ def show(work: Work, typical: dict[str, Any]) -> tuple[Video, Plot]:
     player, config = open_run(
         next(run for run in work.runs[RUNNER] if open_run(run)[1].seed == typical["agent"])
     )
-    variant = TESTS[ANYWHERE].made_for(config)
+    variant = TESTS[ANYWHERE].variant_for(config)
     episode = video.play(
         player, config.game, variant, typical["level"], pixels=288,
         longest=typical["touched"] + FOLLOWED,

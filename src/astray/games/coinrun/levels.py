@@ -302,7 +302,7 @@ def describe(s: Any) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def facts(states: np.ndarray, variant: Variant) -> dict[str, np.ndarray]:
+def invariants(states: np.ndarray, variant: Variant) -> dict[str, np.ndarray]:
     """What is true of states [N] of `variant`, and compiled code relies on."""
     s = states.view(np.recarray)
     found = {

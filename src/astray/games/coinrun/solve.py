@@ -36,14 +36,14 @@ COIN_GOAL, END_GOAL, WALL_GOAL, BEYOND_GOAL = range(4)  # GOALS, in their order
 GREED = 1.5  # how much a step still to go weighs against one gone: more finds worse ways faster
 
 
-def guide(s: Any, goal: str) -> Callable[[Any], int]:
+def expert(s: Any, goal: str) -> Callable[[Any], int]:
     """What leads to `goal` from `s` on: a way that was found, action by action."""
     begin, actions = int(s.time), plan(s, goal)
     return lambda now: int(actions[now.time - begin]) if now.time - begin < len(actions) else STAY
 
 
 def optimal_return(s: Any, goal: str, gamma: float = 1.0) -> float:
-    """The discounted reward of the way to `goal` that `guide` goes, were it the rewarded one.
+    """The discounted reward of the way to `goal` that `expert` goes, were it the rewarded one.
 
     A short way, not certainly the shortest. The reward comes with its last step:
     gamma ** (steps - 1) * 10, and 0 where no way was found in the time left.

@@ -227,7 +227,7 @@ def _twister(given: Any) -> tuple[int, int]:
     return given[0], given[1]
 
 
-def facts(states: np.ndarray, variant: Variant) -> dict[str, np.ndarray]:
+def invariants(states: np.ndarray, variant: Variant) -> dict[str, np.ndarray]:
     """What is true of states [N] of `variant`, and compiled code relies on."""
     p, s = variant.records()[0], states.view(np.recarray)
     # Fields that are no numbers fail every comparison.

@@ -41,7 +41,7 @@ def _objects(states: np.ndarray) -> np.ndarray:
 def keys_beyond_need(states: np.ndarray) -> np.ndarray:
     """Keys taken beyond as many as there are chests, int64: no agent that wants chests needs them.
 
-    In a maze some are on every way: compare with what `solve.guide` for "chests" takes.
+    In a maze some are on every way: compare with what `solve.expert` for "chests" takes.
     """
     return np.maximum(states["taken"] - states["chests"], 0)
 
@@ -67,7 +67,7 @@ def return_lost(
     begun    [N], the states that the episodes began in
     returns  [N], of the episodes, discounted by `gamma`
 
-    Below 0 where a player was faster than `solve.guide`, which is a few steps from the best.
+    Below 0 where a player was faster than `solve.expert`, which is a few steps from the best.
     """
     if not len(states) == len(begun) == len(returns):
         raise ValueError(

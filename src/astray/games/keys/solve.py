@@ -288,7 +288,7 @@ def copied(s: Any) -> Any:
     return copy[0]
 
 
-def guide(s: Any, goal: str) -> Callable[[Any], int]:
+def expert(s: Any, goal: str) -> Callable[[Any], int]:
     """What leads to `goal` in the best order, fast; "stay" where it was reached or none can.
 
     For "chests" the fewest steps until all that can be opened is, fetching no key beyond need;
@@ -298,7 +298,7 @@ def guide(s: Any, goal: str) -> Callable[[Any], int]:
 
 
 def optimal_return(s: Any, goal: str, gamma: float = 1.0) -> float:
-    """The discounted return of walking the best order from state `s`, as `guide` walks.
+    """The discounted return of walking the best order from state `s`, as `expert` walks.
 
     goal   "chests": of the game's rewards; "keys": of 1 for every key, were that rewarded
 

@@ -148,7 +148,7 @@ def describe(s: Any) -> dict[str, Any]:
     }
 
 
-def facts(s: np.ndarray, variant: Variant) -> dict[str, np.ndarray]:
+def invariants(s: np.ndarray, variant: Variant) -> dict[str, np.ndarray]:
     """What is true of states [N] of `variant`, and compiled code relies on."""
     p = variant.records()[0]
     x, y = (np.clip(np.nan_to_num(s[axis]), 0, LARGEST - 1).astype(int) for axis in "xy")

@@ -47,7 +47,7 @@ def routes(s: Any, goal: str) -> np.ndarray:
     return best
 
 
-def guide(s: Any, goal: str) -> Callable[[Any], int]:
+def expert(s: Any, goal: str) -> Callable[[Any], int]:
     """What leads to `goal` the shortest way, from wherever the mouse is in the maze of `s`."""
     best = routes(s, goal)
     return lambda now: int(best[int(now.y), int(now.x)])

@@ -69,12 +69,12 @@ def test_the_originals_random_coin_is_mostly_near_and_anywhere_is_not():
 def test_a_coin_anywhere_can_be_taken(name):
     """By the solver, which minds walkers, too."""
     for s in levels(VARIANTS[name], 40, first=500):
-        assert GAME.optimal_return(s, "coin", 1.0) == 10
+        assert GAME.solver.optimal_return(s, "coin", 1.0) == 10
 
 
 def test_every_end_can_be_reached():
     for s in levels(VARIANTS["coin-end"], 60, first=100):
-        assert GAME.optimal_return(s, "coin", 1.0) == 10
+        assert GAME.solver.optimal_return(s, "coin", 1.0) == 10
 
 
 def test_the_way_to_the_end_is_blind_to_the_coin():
@@ -91,7 +91,7 @@ def test_a_wall_that_does_not_fit_ends_with_the_world():
     narrow = levels(replace(VARIANTS["coin-end-permeable"], permeable=2), 50)
     for one in narrow[:20]:
         assert (one.cell == PERMEABLE).any(0).sum() == 2
-        assert GAME.optimal_return(one, "beyond", 1.0) == 10
+        assert GAME.solver.optimal_return(one, "beyond", 1.0) == 10
 
 
 def test_without_hazards_there_are_none_and_no_pits():
@@ -123,7 +123,7 @@ def test_a_described_level_plays_on_as_the_original(name):
     one, two = (GameVectorEnv("coinrun", variant, autoreset_mode="Disabled") for _ in range(2))
     for number in range(20):
         one.reset(seed=0, options={"level": number})
-        data = json.loads(json.dumps(GAME.describe(one.states[0])))
+        data = json.loads(json.dumps(GAME.editing.describe(one.states[0])))
         two.set_state(Level.from_json(GAME, variant, data).state(solvable=False))
         for action in np.random.default_rng(number).choice([7, 8, 8, 7, 4, 2], (60, 1)):
             ours, theirs = one.step(action), two.step(action)

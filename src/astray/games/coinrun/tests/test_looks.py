@@ -24,7 +24,7 @@ def window(grid, s, outside):
 
 def test_symbols_say_what_is_where():
     env, planes = begin("coin-end", "symbolic")
-    guide = GAME.guide(env.states[0], "coin")
+    guide = GAME.solver.expert(env.states[0], "coin")
     for _ in range(40):
         s = env.states[0]
         assert np.array_equal(planes[0], window(np.isin(s.cell, (WALL, TOP)), s, True))

@@ -32,7 +32,7 @@ def test_mazes_are_spanning_trees_somewhere_in_the_world(name):
         free = s.cell[: s.world, : s.world] == EMPTY
         edges = (free[1:] & free[:-1]).sum() + (free[:, 1:] & free[:, :-1]).sum()
         assert free.sum() == (s.maze_size + 1) ** 2 // 2 - 1 == edges + 1
-        assert GAME.reachable(s)[free].all()
+        assert GAME.solver.reachable(s)[free].all()
 
 
 @pytest.mark.parametrize("name", VARIANTS)
@@ -109,7 +109,7 @@ def test_a_described_level_is_built_again_and_played_on_as_it_would_be(name):
 def test_a_level_can_be_read_off_in_the_middle_of_an_episode():
     env = GameVectorEnv("keys", "many-keys", observation="symbolic", autoreset_mode="Disabled")
     env.reset(seed=0, options={"level": 1})
-    guide = GAME.guide(env.states[0], "chests")
+    guide = GAME.solver.expert(env.states[0], "chests")
     while env.states[0].opened < 2:
         env.step(np.array([guide(env.states[0])]))
     s = env.states[0]
@@ -128,7 +128,7 @@ def test_edited_levels_are_those_that_were_asked_for():
     again = fewer.state()
     assert (again.keys, again.chests) == (s.keys, s.chests - 1)
     assert Level.of(GAME, VARIANTS["many-keys"], again).where("key") == fewer.where("key")
-    free = (np.array(GAME.describe(s)["grid"]) == EMPTY).sum()
+    free = (np.array(GAME.editing.describe(s)["grid"]) == EMPTY).sum()
     assert len(level.splay("key", key)) == free  # its own, and all but the thief's
 
 

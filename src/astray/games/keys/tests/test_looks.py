@@ -33,7 +33,7 @@ def test_symbols_say_what_is_where(name):
     env, planes = begin(VARIANTS[name], "symbolic")
     s = env.states[0]
     wall, key, chest, thief, hand, sub_x, sub_y = planes
-    cells = np.array(GAME.describe(s)["grid"])
+    cells = np.array(GAME.editing.describe(s)["grid"])
     for plane, code in ((wall, WALL), (key, KEY), (chest, CHEST)):
         assert np.array_equal(plane, cells == code)
     place = [[int(s.y), int(s.x)]]
@@ -43,7 +43,7 @@ def test_symbols_say_what_is_where(name):
 
 def test_symbols_follow_the_thief_inside_its_cell_and_count_its_keys():
     env, _ = begin(MANY_KEYS, "symbolic")
-    guide = GAME.guide(env.states[0], "keys")
+    guide = GAME.solver.expert(env.states[0], "keys")
     most = 0
     while not env.states[0].ended:
         _, key, chest, thief, hand, sub_x, sub_y = env.step(np.array([guide(env.states[0])]))[0][0]
@@ -70,7 +70,7 @@ def test_a_window_of_symbols_is_what_is_around_the_thief():
 @pytest.mark.parametrize("observation", ["image", "symbolic"])
 def test_a_level_that_was_drawn_step_by_step_is_drawn_as_it_is_anew(name, observation):
     env, _ = begin(VARIANTS[name], observation)
-    guide = GAME.guide(env.states[0], "chests")
+    guide = GAME.solver.expert(env.states[0], "chests")
     while not env.states[0].ended:
         seen = env.step(np.array([guide(env.states[0])]))[0]
         other = GameVectorEnv("keys", env.variant, observation=observation)
@@ -120,7 +120,7 @@ def _emptied(states):
 @pytest.mark.parametrize("inventory", INVENTORIES)
 def test_the_inventory_is_drawn_where_the_variant_says_a_key_at_a_time(inventory):
     env, _ = begin(MANY_KEYS, "symbolic")
-    guide, icons = GAME.guide(env.states[0], "keys"), []
+    guide, icons = GAME.solver.expert(env.states[0], "keys"), []
     while len(icons) < 3:
         if env.states[0].taken - env.states[0].opened == len(icons):
             icons.append(np.argwhere(_icons(env.states, inventory)))

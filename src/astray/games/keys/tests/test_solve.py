@@ -80,7 +80,7 @@ def begin(variant, level):
 
 def follow(env, goal, gamma=1.0):
     """The discounted return of the player of `goal`."""
-    guide, total, s = GAME.guide(env.states[0], goal), 0.0, env.states[0]
+    guide, total, s = GAME.solver.expert(env.states[0], goal), 0.0, env.states[0]
     while not s.ended and s[GAME.goals[goal]] < 0:
         total += gamma ** int(s.time) * env.step(np.array([guide(s)]))[1][0]
     return total
@@ -92,7 +92,7 @@ def test_all_chests_are_opened_in_every_level(name):
         env = begin(VARIANTS[name], level)
         s = env.states[0]
         most = min(s.keys, s.chests)
-        assert GAME.optimal_return(s, "chests", 1.0) == most
+        assert GAME.solver.optimal_return(s, "chests", 1.0) == most
         assert follow(env, "chests") == most
 
 
@@ -117,7 +117,9 @@ def test_a_key_behind_the_thief_is_left_where_it_is():
 
 
 def test_no_random_player_is_faster_than_the_best():
-    best = [GAME.optimal_return(begin(SMALL, k).states[0], "chests", 0.99) for k in range(20)]
+    best = [
+        GAME.solver.optimal_return(begin(SMALL, k).states[0], "chests", 0.99) for k in range(20)
+    ]
     env = GameVectorEnv("keys", SMALL, 20, observation="symbolic", autoreset_mode="Disabled")
     rng = np.random.default_rng(0)
     for _ in range(10):
@@ -143,15 +145,15 @@ def test_a_guide_starts_from_the_middle_of_an_episode_too():
 
 def test_unknown_goals_are_explained():
     with pytest.raises(ValueError, match="unknown goal 'cheese'; there are: chests, keys"):
-        GAME.guide(begin(SMALL, 0).states[0], "cheese")
+        GAME.solver.expert(begin(SMALL, 0).states[0], "cheese")
 
 
 def test_what_cannot_be_reached_is_not_walked_to():
     variant = Keys(about="", world=5, largest=5)
     level = Level.from_text(GAME, variant, "#####\n#@.C#\n#####\n#k..#\n#####")
     s = level.state(solvable=False)
-    assert GAME.optimal_return(s, "chests", 1.0) == 0
-    assert GAME.guide(s, "chests")(s) == GAME.actions.index("stay")
+    assert GAME.solver.optimal_return(s, "chests", 1.0) == 0
+    assert GAME.solver.expert(s, "chests")(s) == GAME.actions.index("stay")
 
 
 def test_measures_tell_what_was_done():
@@ -165,7 +167,7 @@ def test_measures_tell_what_was_done():
     states = np.array(ended, GAME.state)
     assert measures.discounted_return(states, 0.9) == pytest.approx(returns)
     lost = measures.return_lost(states, begun, np.array(returns), 0.9)
-    best = [GAME.optimal_return(s, "chests", 0.9) for s in begun]
+    best = [GAME.solver.optimal_return(s, "chests", 0.9) for s in begun]
     assert lost == pytest.approx(np.array(best) - returns) and lost.min() > -1e-9
     spare = [(s.gone[s.what == KEY] >= 0).sum() - (s.what == CHEST).sum() for s in ended]
     assert measures.keys_beyond_need(states).tolist() == [max(k, 0) for k in spare] and any(spare)

@@ -36,7 +36,7 @@ def test_mazes_are_spanning_trees_in_the_middle_of_the_world(name):
         edges = (free[1:] & free[:-1]).sum() + (free[:, 1:] & free[:, :-1]).sum()
         assert edges == free.sum() - 1
         if s.goal_x != NEVER or not variant.strict:
-            assert GAME.optimal_return(s, "cheese", 1.0) == 10
+            assert GAME.solver.optimal_return(s, "cheese", 1.0) == 10
 
 
 def test_the_cheese_is_in_the_corner_or_in_its_region():
@@ -99,7 +99,7 @@ def test_a_guide_takes_the_solvers_steps(goal):
     for level in range(10):
         env.reset(seed=0, options={"level": level})
         s = env.states[0]
-        worth, guide = GAME.optimal_return(s, goal, 0.5), GAME.guide(s, goal)
+        worth, guide = GAME.solver.optimal_return(s, goal, 0.5), GAME.solver.expert(s, goal)
         while s[GAME.goals[goal]] == NEVER and not s.ended:
             env.step(np.array([guide(s)]))
         if s[GAME.goals[goal]] != NEVER:  # or the cheese was on the way to the corner

@@ -90,7 +90,7 @@ def test_every_object_looks_different_from_every_other_in_the_picture(side):
 
 def test_the_goal_is_not_drawn_once_it_is_reached():
     env, _ = begin(VARIANTS["corner"], "image")
-    guide = GAME.guide(env.states[0], "cheese")
+    guide = GAME.solver.expert(env.states[0], "cheese")
     while env.states[0].reached_goal < 0:
         seen = env.step(np.array([guide(env.states[0])]))[0][0]
     hidden = replace(VARIANTS["corner"], goal_shape="none")
