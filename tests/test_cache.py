@@ -1,4 +1,4 @@
-"""Compiled code is unpickled: only from where nobody else may write, and only what is whole."""
+"""Compiled code is taken from where nobody else may write, and only what is whole."""
 
 import os
 import shutil

@@ -1,4 +1,4 @@
-"""The folder of compiled code. Numba unpickles what is in it: nobody else may ever write there."""
+"""The folder of compiled code. What is in it is run: nobody else may ever write there."""
 
 from __future__ import annotations
 

@@ -6,7 +6,6 @@ import contextlib
 import hashlib
 import io
 import os
-import pickle
 import tempfile
 import warnings
 from collections.abc import Iterator
@@ -20,8 +19,7 @@ from numba.core.caching import (
     UserProvidedCacheLocator,
 )
 
-SUM = hashlib.sha256().digest_size  # bytes before what they are the sum of
-OTHER = "another version"  # than any of numba
+SUM = hashlib.sha256().digest_size  # bytes
 
 
 class _Locator(UserProvidedCacheLocator):
@@ -38,35 +36,35 @@ class _Implementation(CompileResultCacheImpl):
 
 
 class _Files(IndexDataCacheFile):
-    """Numba's, each behind its check sum: a file cut short could end the process."""
+    """Numba's, a check sum at the end of each: one that was cut short could end the process.
+
+    Numba reads up to the sum, and no further.
+    """
 
     @contextlib.contextmanager
     def _open_for_write(self, filepath: str) -> Iterator[Any]:
         content = io.BytesIO()
         yield content
         with super()._open_for_write(filepath) as file:
-            file.write(hashlib.sha256(content.getvalue()).digest() + content.getvalue())
+            file.write(content.getvalue() + hashlib.sha256(content.getvalue()).digest())
 
     def _load_index(self) -> dict:
-        content = io.BytesIO(_whole(Path(self._index_path)) or pickle.dumps(OTHER))
-        if pickle.load(content) != self._version:
-            return {}
-        stamp, overloads = pickle.load(content)
-        return overloads if stamp == self._source_stamp else {}
+        return super()._load_index() if _is_whole(Path(self._index_path)) else {}
 
     def _load_data(self, name: str) -> Any:
-        content = _whole(Path(self._data_path(name)))
-        return None if content is None else pickle.loads(content)
+        path = Path(self._data_path(name))
+        if not _is_whole(path):
+            raise OSError(f"{path} is not as it was written")  # which numba takes for no file
+        return super()._load_data(name)
 
 
-def _whole(path: Path) -> bytes | None:
-    """What was written to `path`; None where it is not there, or is something else by now."""
+def _is_whole(path: Path) -> bool:
+    """Whether the file at `path` can be read, and is as it was written."""
     try:
         data = path.read_bytes()
     except OSError:
-        return None
-    content = data[SUM:]
-    return content if hashlib.sha256(content).digest() == data[:SUM] else None
+        return False
+    return hashlib.sha256(data[:-SUM]).digest() == data[-SUM:]
 
 
 class Stored(Cache):
