@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from rich.table import Table
@@ -22,6 +24,8 @@ from astray.cli.arguments import (
 from astray.envs.vector import GameVectorEnv
 from astray.game import OWN, Variant
 from astray.level import Level
+
+CHUNK = 1000  # levels made at once
 
 
 def level(
@@ -147,7 +151,14 @@ def overlap(
     show(table)
 
 
-def _states(game: str, variant: Variant, levels: np.ndarray) -> np.ndarray:
-    env = GameVectorEnv(game, variant, len(levels), observation="symbolic")
-    env.reset(seed=0, options={"level": levels})
-    return env.states
+def _states(game: str, variant: Variant, levels: np.ndarray) -> Iterator[Any]:
+    """The state that each level begins in, so that the first are printed before the last are made.
+
+    Many levels take no more memory than few.
+    """
+    env = GameVectorEnv(game, variant, min(CHUNK, len(levels)), observation="symbolic")
+    for first in range(0, len(levels), CHUNK):
+        some = levels[first : first + CHUNK]
+        env.reset(seed=0, options={"level": np.resize(some, env.num_envs)})
+        yield from env.states[: len(some)]
+    env.close()
