@@ -19,8 +19,10 @@ from astray.training.rollout import Rollout, collect, validate
 from astray.training.trainer import Trainer
 
 
-def train(config: Config, folder: Path, *, progress: bool = True) -> Path:
+def train(config: Config, folder: Path, *, progress: bool = True, wait: bool = False) -> Path:
     """Train an agent in the run folder `folder`, or go on where it stopped; its last checkpoint.
+
+    wait  where another process trains in the folder, until it has ended; else it is an error
 
     On a CPU, a run that was stopped and resumed has the weights and metrics of one that was not.
     """
@@ -31,7 +33,7 @@ def train(config: Config, folder: Path, *, progress: bool = True) -> Path:
     with (
         flushed_denormals(),
         parallel.processes(config.device),
-        checkpoint.claim(folder, config),
+        checkpoint.claim(folder, config, wait),
         contextlib.closing(Trainer(config)) as trainer,
     ):
         checkpoint.restore(folder, trainer)
