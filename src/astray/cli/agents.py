@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -10,6 +11,7 @@ from rich.table import Table
 from tyro.conf import Positional, arg
 
 from astray.analysis.kept import KEPT
+from astray.analysis.tables import write_table
 from astray.cli.arguments import (
     Knobs,
     Mode,
@@ -20,6 +22,7 @@ from astray.cli.arguments import (
     print_json,
     show,
 )
+from astray.files import write_aside
 from astray.training.config import Config
 
 Preset = Literal["paper", "small"]
@@ -95,7 +98,7 @@ def evaluate(
         art=art, knobs=pairs(knobs), batch=batch, solvable=not unsolvable,
     )  # fmt: skip
     if out:
-        episodes.write_parquet(out)
+        write_table(episodes, out)
     if json:
         print_json(shares.to_dicts())
     else:
@@ -215,8 +218,10 @@ def agency(
         frames = film()
         video.write_mp4(frames, out / "posterior.mp4", fps=4)
         video.write_gif(frames, out / "posterior.gif", fps=4)
-        Image.fromarray(frames[-1]).save(out / "posterior.png")
-        judged.episodes.write_parquet(out / "episodes.parquet")
+        picture = io.BytesIO()
+        Image.fromarray(frames[-1]).save(picture, "PNG")
+        write_aside(out / "posterior.png", picture.getvalue())
+        write_table(judged.episodes, out / "episodes.parquet")
     if json:
         print_json(judged.summary())
         return
