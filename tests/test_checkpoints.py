@@ -10,12 +10,14 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import polars as pl
 import pytest
 from killed import CONFIG, contents
 from safetensors.numpy import load_file, save_file
 
 from astray.agents import policy
 from astray.analysis.runs import evaluate_runs
+from astray.analysis.tables import write_table
 from astray.experiments.workers import Progress
 from astray.files import write_aside
 from astray.training import checkpoint
@@ -344,6 +346,15 @@ def test_a_file_that_cannot_be_replaced_is_still_there(tmp_path, full_disk):
     with pytest.raises(OSError, match="what was there is still there"):
         write_aside(path, b"new" * 100)
     assert path.read_bytes() == b"old" and list(tmp_path.iterdir()) == [path]
+
+
+@pytest.mark.parametrize("name", ["episodes.parquet", "episodes.csv"])
+def test_a_table_for_which_there_is_no_room_leaves_nothing(name, tmp_path, full_disk):
+    table = pl.DataFrame({"level": np.random.default_rng(0).integers(10**9, size=5000)})
+    full_disk(8192)
+    with pytest.raises(OSError, match="nothing was written"):
+        write_table(table, tmp_path / name)
+    assert not list(tmp_path.iterdir())
 
 
 def test_a_folder_that_cannot_be_written_is_explained(tmp_path):

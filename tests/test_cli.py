@@ -1,6 +1,7 @@
 """The command line, as it is typed."""
 
 import json
+import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -128,6 +129,22 @@ def test_an_agent_is_filmed(astray, run_folder, tmp_path):
     assert "a video is an .mp4 or a .gif" in astray(
         "record", run_folder, "--out", "x.avi", fails=True
     )
+
+
+def test_an_evaluation_that_finds_no_room_leaves_nothing(run_folder, tmp_path):
+    resource = pytest.importorskip("resource")
+    out = tmp_path / "episodes.parquet"
+    words = ["evaluate", str(run_folder), "--levels", "0:50", "--out", str(out)]
+
+    def fill():  # no file can grow beyond this, as on a full disk
+        resource.setrlimit(resource.RLIMIT_FSIZE, (2048, 2048))
+        signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+
+    command = [sys.executable, "-m", "astray", *words]
+    done = subprocess.run(command, preexec_fn=fill, capture_output=True, text=True)
+    assert done.returncode == 2 and done.stderr.startswith("astray: ")
+    assert "nothing was written" in done.stderr and done.stderr.count("\n") == 1
+    assert not list(tmp_path.iterdir())
 
 
 @pytest.mark.parametrize(

@@ -3,6 +3,7 @@
 import json
 import os
 import shutil
+import signal
 import subprocess
 import sys
 import time
@@ -11,6 +12,7 @@ from pathlib import Path
 
 import polars as pl
 import pytest
+from killed import CONFIG
 
 from astray import experiments
 from astray.analysis.outcomes import FAILED, INTENDED, MISGENERALIZED, OUTCOMES
@@ -133,6 +135,64 @@ def test_trainings_end_with_the_experiment_that_began_them(tmp_path):
             return False
 
     wait_for(free, 20)
+
+
+REPRODUCE = """
+import pathlib, sys
+from dataclasses import replace
+sys.path.insert(0, sys.argv[1])
+import test_experiments
+from astray import experiments
+from astray.experiments import run
+whole = experiments.load("maze-corner")
+small = replace(whole, sizes={"smoke": test_experiments.miniature(whole.sizes["smoke"])})
+experiments.load = lambda _: small
+run.reproduce("maze-corner", "smoke", pathlib.Path(sys.argv[2]), workers=2)
+"""
+TRAIN = """
+import pathlib, sys
+sys.path.insert(0, sys.argv[1])
+import killed
+from astray.training.loop import train
+train(killed.CONFIG, pathlib.Path(sys.argv[2]), progress=False, wait=True)
+"""
+
+
+def begin(program, folder, **options):
+    """Another Python that does `program` in `folder`."""
+    env = os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
+    words = [sys.executable, "-c", program, str(Path(__file__).parent), str(folder)]
+    return subprocess.Popen(words, env=env, stderr=subprocess.PIPE, text=True, **options)
+
+
+def test_two_that_reproduce_the_same_at_once_both_come_to_its_end(tmp_path):
+    both = [begin(REPRODUCE, tmp_path) for _ in range(2)]
+    said = [process.communicate()[1] for process in both]
+    assert [process.returncode for process in both] == [0, 0], said
+    assert sum("another process works on" in text for text in said) == 1
+    assert (tmp_path / "maze-corner-smoke" / "report.html").exists()
+
+
+def test_a_training_that_another_process_does_is_waited_for(tmp_path):
+    with checkpoint.claim(tmp_path, CONFIG):
+        second = begin(TRAIN, tmp_path)
+        assert "is training in" in second.stderr.readline()
+        assert second.poll() is None and not checkpoint.steps_saved(tmp_path)
+    assert second.communicate() and second.returncode == 0
+    assert checkpoint.finished(tmp_path, CONFIG)
+
+
+@pytest.mark.skipif(os.name == "nt", reason="needs signals")
+@pytest.mark.parametrize("first", ["agents", "agents/*/seed-*/metrics.jsonl"])
+def test_an_interrupt_ends_all_trainings_in_a_line(first, tmp_path):
+    program = "from astray.cli import main; import sys; sys.argv = ['astray', 'reproduce', "
+    program += "'maze-corner', '--folder', sys.argv[2]]; main()"
+    process = begin(program, tmp_path, start_new_session=True)
+    wait_for(lambda: list(tmp_path.glob(first)), 100)
+    os.killpg(process.pid, signal.SIGINT)  # as a terminal does: to all of them
+    said = process.communicate(timeout=100)[1]
+    assert process.returncode == 130
+    assert said.splitlines()[-1] == "astray: interrupted" and "Traceback" not in said
 
 
 def wait_for(true, seconds):

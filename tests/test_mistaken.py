@@ -22,6 +22,7 @@ from astray.envs.single import GameEnv
 from astray.envs.vector import GameVectorEnv, picture
 from astray.level import Level, read_levels
 from astray.training.config import PRESETS, Config
+from astray.training.trainer import Trainer
 
 MAZE, KEYS = games.find("maze"), games.find("keys")
 SMALL = MAZE.variant("corner-small")
@@ -81,6 +82,40 @@ def test_a_misspelt_word_is_no_other_word(misspelt):
 def test_a_number_or_a_fact_of_another_type_is_refused(wrong, message):
     with pytest.raises(ValueError, match=message):
         wrong()
+
+
+@pytest.mark.skipif(os.name == "nt", reason="never promises memory that is not there")
+@pytest.mark.parametrize(
+    "take, message",
+    [
+        (lambda: small_training(environments=10**9), "1,000,000,000 environments need"),
+        (lambda: small_training(rollout=10**9), r"rollouts of 4,000,000,004 samples need .* GB"),
+        (lambda: small_training(width=10**6), r"weights and rollouts .* need .* GB of memory; the"),
+        (lambda: small_training(width=2**31 - 1), "too many weights for any memory|weights and"),
+        (
+            lambda: GameVectorEnv("maze", "corner", 10**9),
+            r"need [\d,]+\.\d GB of memory; there are",
+        ),
+        (
+            lambda: picture("maze", SMALL, begun(10**4), 4096),
+            "10,000 pictures of 4096 x 4096 pixels need",
+        ),
+    ],
+)
+def test_memory_that_is_not_there_is_told_beforehand(take, message):
+    with pytest.raises(MemoryError, match=message):
+        take()
+
+
+def begun(count):
+    env = small()
+    env.reset(seed=0)
+    return np.repeat(env.get_state()[:1], count)
+
+
+def small_training(**change):
+    sizes = {"environments": 4, "rollout": 4, "minibatches": 1, "variant": "corner-small"} | change
+    Trainer(replace(PRESETS["small"], **sizes))
 
 
 def test_numpys_numbers_are_numbers():

@@ -42,10 +42,10 @@ def test_a_variable_that_numba_cannot_read_is_told_without_a_traceback():
     assert "'NUMBA_NUM_THREADS'" in err and "Traceback" not in err
 
 
+@POSIX
 @pytest.mark.parametrize("words", [(*LEVEL, "0:2000"), ("list",)])
 def test_who_is_read_no_further_stops_quietly(words):
     process = begin(*words, shell='"$@"; exit $?')
-    assert process.stdout.read(5)
     process.stdout.close()
     process.stdout = open(os.devnull)  # noqa: SIM115
     code, _, err = ended(process)

@@ -7,9 +7,12 @@ import os
 import re
 import shutil
 import stat
+import sys
 import uuid
 from collections.abc import Collection, Iterator
 from pathlib import Path
+
+from filelock import FileLock, Timeout
 
 ASIDE = re.compile(r"\..+\.[0-9a-f]{32}")  # names that `aside_of` makes, and nobody else
 
@@ -85,6 +88,23 @@ def folder_aside(path: Path) -> Iterator[Path]:
     finally:
         if aside.exists():
             shutil.rmtree(aside, ignore_errors=True)
+
+
+def hold(folder: Path, doing: str, wait: bool = True) -> FileLock:
+    """Hold `folder` for this process alone, until the lock that is returned is released.
+
+    Where another process holds it, say so and wait, or filelock's Timeout; what it is `doing` there
+    goes before the folder in that sentence.
+    """
+    lock = FileLock(folder / ".lock")
+    try:
+        lock.acquire(timeout=0)
+    except Timeout:
+        if not wait:
+            raise
+        print(f"another process {doing} {folder}; waiting for it", file=sys.stderr, flush=True)
+        lock.acquire(timeout=-1)
+    return lock
 
 
 def remove_left(folder: Path, names: Collection[str]) -> None:

@@ -12,6 +12,7 @@ from rich.table import Table
 from tyro.conf import Positional, arg
 
 from astray.analysis.kept import KEPT
+from astray.analysis.tables import write_table
 from astray.bounds import bounded
 from astray.cli.arguments import (
     Knobs,
@@ -229,7 +230,9 @@ def agency(
         frames = film()
         video.write_mp4(frames, out / "posterior.mp4", fps=4)
         video.write_gif(frames, out / "posterior.gif", fps=4)
-        Image.fromarray(frames[-1]).save(out / "posterior.png")
+        picture = io.BytesIO()
+        Image.fromarray(frames[-1]).save(picture, "PNG")
+        write_aside(out / "posterior.png", picture.getvalue())
         write_table(judged.episodes, out / EPISODES)
     if json:
         print_json(judged.summary())
@@ -239,13 +242,6 @@ def agency(
         table.add_row(name, f"{share.mean:.1%} [{share.low:.1%}, {share.high:.1%}]")
     show(table)
     print(judged.sentence())
-
-
-def write_table(frame: pl.DataFrame, path: Path) -> None:
-    """Write `frame` to a Parquet file that is whole or not there."""
-    file = io.BytesIO()
-    frame.write_parquet(file)
-    write_aside(path, file.getvalue())
 
 
 def show_shares(shares: pl.DataFrame) -> None:

@@ -55,10 +55,9 @@ def list_(json: bool = False) -> None:
         for shift, what in game["shifts"].items():
             goals = f"{what['intended']}, or {' or '.join(what['proxies'])}?"
             show(f"  shift {shift}: {what['train']} -> {what['test']}: {goals}")
-    show(
-        "[bold]experiments[/]",
-        *(f"  {name}: {title}" for name, title in found["experiments"].items()),
-    )
+    show("[bold]experiments[/]")
+    for name, title in found["experiments"].items():
+        show(f"  {name}: {title}")
     show("[bold]agents[/]")
     for name, config in found["agents"].items():
         show(f"  {name}: {config['game']}, trained on {config['variant']}")

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from rich.table import Table
@@ -25,6 +27,7 @@ from astray.game import OWN, Game, Variant
 from astray.level import Level
 
 LONGEST = 2**20  # characters of actions: more than any episode has
+CHUNK = 1000  # levels made at once
 
 
 def level(
@@ -156,7 +159,14 @@ def overlap(
     show(table)
 
 
-def _states(game: Game, variant: Variant, levels: np.ndarray) -> np.ndarray:
-    env = GameVectorEnv(game, variant, len(levels), observation="symbolic")
-    env.reset(seed=0, options={"level": levels})
-    return env.states
+def _states(game: Game, variant: Variant, levels: np.ndarray) -> Iterator[Any]:
+    """The state that each level begins in, so that the first are printed before the last are made.
+
+    Many levels take no more memory than few.
+    """
+    env = GameVectorEnv(game, variant, min(CHUNK, len(levels)), observation="symbolic")
+    for first in range(0, len(levels), CHUNK):
+        some = levels[first : first + CHUNK]
+        env.reset(seed=0, options={"level": np.resize(some, env.num_envs)})
+        yield from env.states[: len(some)]
+    env.close()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import copy
+import math
 from collections.abc import Sequence
 from typing import Any, Literal
 
@@ -20,8 +21,10 @@ from astray.envs.loops import AS_SET, DISABLED, NEXT_LEVEL, NEXT_STEP, NOTHING, 
 from astray.envs.pool import Pool, alone, most_threads
 from astray.game import LEVELS, MOST, OWN, Game, Variant, integers, level_numbers
 from astray.level import Level
+from astray.memory import check_memory
 
 IMAGE = 64  # pixels a side of what the agent sees
+COPIES = 6  # of an observation: four in the batch's space, the last one, the one at an end
 PICTURE = 512  # pixels a side of what people see
 PICTURES = (1, 4096)  # pixels a side of a picture, at least and at most
 MODES = {
@@ -90,6 +93,9 @@ class GameVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         else:
             self.single_observation_space = spaces.Box(0, 255, (IMAGE, IMAGE, 3), np.uint8)
             scene = looks.scene_shape(self.variant, IMAGE)
+        shown = math.prod(self.single_observation_space.shape)
+        each = COPIES * shown + math.prod(scene) + 2 * self.game.state.itemsize
+        check_memory(num_envs * each, f"{num_envs:,} environments")
         self.single_action_space = spaces.Discrete(len(self.game.actions))
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
@@ -304,6 +310,8 @@ def picture(
     game.check(states, variant)
     bounded("pixels", pixels, *PICTURES)
     looks, loop = game.drawn(art), compiled(game, art)
+    size = len(states) * 3 * pixels**2 + math.prod(looks.scene_shape(variant, pixels))
+    check_memory(size, f"{len(states):,} pictures of {pixels} x {pixels} pixels")
     scene = np.empty((1, *looks.scene_shape(variant, pixels)), np.uint8)
     images = np.empty((len(states), pixels, pixels, 3), np.uint8)
     sprites, params, as_set = looks.art(variant, pixels), variant.records(), np.full(1, AS_SET)

@@ -14,6 +14,7 @@ import polars as pl
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from matplotlib.figure import Figure
 
+from astray.analysis.tables import write_table
 from astray.experiments.figures import save
 from astray.files import read, write_aside
 
@@ -87,11 +88,11 @@ def write(heading: Heading, findings: Findings, folder: Path) -> Path:
     """Write tables, figures and `report.html`, which needs none of them, to `folder`; its path."""
     for plot in findings.plots:
         save(plot.figure, folder / "figures", plot.name)
-        plot.data.write_parquet(folder / "figures" / f"{plot.name}.parquet")
+        write_table(plot.data, folder / "figures" / f"{plot.name}.parquet")
     for table in findings.tables:
         (folder / "tables").mkdir(parents=True, exist_ok=True)
-        table.frame.write_csv(folder / "tables" / f"{table.name}.csv")
-        table.frame.write_parquet(folder / "tables" / f"{table.name}.parquet")
+        for ending in ("csv", "parquet"):
+            write_table(table.frame, folder / "tables" / f"{table.name}.{ending}")
     found = {"answer": findings.answer, "verdicts": [asdict(v) for v in findings.verdicts]}
     write_aside(folder / "findings.json", json.dumps(asdict(heading) | found, indent=2).encode())
     page = _render("report.html", heading=heading, findings=findings, figures=folder / "figures")

@@ -18,7 +18,7 @@ from astray.analysis.runs import open_run, play_all
 from astray.experiments import report
 from astray.experiments.spec import COMPUTED, Plan, Runs, Size, Test, Work, kept
 from astray.experiments.workers import Place, train_all
-from astray.files import read, write_aside
+from astray.files import hold, read, write_aside
 from astray.game import OWN, Game, Variant
 from astray.kernel.jit import source_digest
 from astray.training import checkpoint
@@ -52,24 +52,32 @@ def reproduce(
     plan, ending = experiment.sizes[size].drawn_with(art), "" if art == OWN else f"-{art}"
     folder = root / f"{name}-{size}{ending}"
     folder.mkdir(parents=True, exist_ok=True)
-    trainings = plan.trainings()
-    train_all(
-        {run_folder(root, config): config for configs in trainings.values() for config in configs},
-        workers, on,
-    )  # fmt: skip
-    runs = {
-        name: [run_folder(root, config) for config in configs]
-        for name, configs in trainings.items()
-    }
-    forget_stale(plan, runs, folder)
-    episodes = kept(folder, "episodes", lambda: play(plan, runs)) if plan.tests else pl.DataFrame()
-    findings = experiment.find(Work(name, size, plan, folder, runs, episodes))
     heading = report.Heading(
         name=name, size=size, title=experiment.title, reproduces=experiment.reproduces,
         question=experiment.question, smaller=plan.smaller,
         command=f"astray reproduce {name} --size {size}" + (f" --art {art}" if ending else ""),
     )  # fmt: skip
-    return report.write(heading, findings, folder)
+    with hold(folder, "works on"):
+        runs = train_agents(plan, root, workers, on)
+        forget_stale(plan, runs, folder)
+        episodes = (
+            kept(folder, "episodes", lambda: play(plan, runs)) if plan.tests else pl.DataFrame()
+        )
+        findings = experiment.find(Work(name, size, plan, folder, runs, episodes))
+        return report.write(heading, findings, folder)
+
+
+def train_agents(plan: Plan, root: Path, workers: int | None, on: Place) -> Runs:
+    """Train the agents of a plan that are not trained yet; the run folders of all."""
+    trainings = plan.trainings()
+    train_all(
+        {run_folder(root, config): config for configs in trainings.values() for config in configs},
+        workers, on,
+    )  # fmt: skip
+    return {
+        name: [run_folder(root, config) for config in configs]
+        for name, configs in trainings.items()
+    }
 
 
 def reproduce_all(

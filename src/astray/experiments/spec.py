@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from math import inf
@@ -14,8 +13,8 @@ import polars as pl
 from astray import games
 from astray.analysis.evaluate import Measure
 from astray.analysis.outcomes import load_shift
+from astray.analysis.tables import write_table
 from astray.experiments.report import Findings
-from astray.files import write_aside
 from astray.game import Game, Variant
 from astray.training.config import Config
 
@@ -111,10 +110,9 @@ def kept(folder: Path, name: str, compute: Callable[[], pl.DataFrame]) -> pl.Dat
     path = folder / COMPUTED / f"{name}.parquet"
     if path.exists():
         return pl.read_parquet(path)
-    table, file = compute(), io.BytesIO()
-    table.write_parquet(file)
+    table = compute()
     path.parent.mkdir(parents=True, exist_ok=True)
-    write_aside(path, file.getvalue())
+    write_table(table, path)
     return table
 
 

@@ -6,12 +6,14 @@ import contextlib
 import functools
 import multiprocessing
 import os
+import signal
 import sys
 import threading
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor
 from dataclasses import dataclass
+from multiprocessing.synchronize import Event
 from pathlib import Path
 from typing import Literal
 
@@ -53,17 +55,46 @@ def in_processes(count: int) -> Iterator[Submit]:
     """Trainings wait for one of so many processes of this machine."""
     # Spawned, not forked: torch's and the environments' threads do not survive a fork.
     context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(count, context) as pool:
+    end = context.Event()
+    with ProcessPoolExecutor(count, context, _begin, (end,)) as pool:
         try:
-            yield functools.partial(pool.submit, _train)
-        except BaseException:
+            yield functools.partial(_submit, pool)
+        except Exception:  # of one training; those that have begun go on to their end
+            pool.shutdown(cancel_futures=True)
+            raise
+        except BaseException:  # an interrupt: all end now, and go on from their checkpoints later
+            end.set()
             pool.shutdown(cancel_futures=True)
             raise
 
 
+def _submit(pool: ProcessPoolExecutor, config: Config, run: Path) -> Future[None]:
+    """Give a training to `pool`, which may begin processes for it."""
+    if os.name == "nt":
+        return pool.submit(_train, config, run)
+    # They inherit that an interrupt waits, which else would be told by each while it begins.
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT])
+    try:
+        return pool.submit(_train, config, run)
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+def _begin(end: Event) -> None:
+    """Leave interrupts to the parent, and end with it, or when it says so."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    for target in (_end_with_parent, functools.partial(_end_at, end)):
+        threading.Thread(target=target, daemon=True).start()
+
+
 def _train(config: Config, run: Path) -> None:
-    threading.Thread(target=_end_with_parent, daemon=True).start()
-    train(config, run, progress=False)
+    # Another experiment may want the same agent: it is trained once, for both.
+    train(config, run, progress=False, wait=True)
+
+
+def _end_at(end: Event) -> None:
+    end.wait()
+    os._exit(1)
 
 
 def _end_with_parent() -> None:

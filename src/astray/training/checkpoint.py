@@ -20,13 +20,13 @@ import gymnasium
 import numba
 import numpy as np
 import torch
-from filelock import FileLock, Timeout
+from filelock import Timeout
 from safetensors import SafetensorError
 from safetensors.torch import load as from_bytes
 from safetensors.torch import save as to_bytes
 
 from astray.agents import policy
-from astray.files import aside_of, folder_aside, read, remove_left, write_aside
+from astray.files import aside_of, folder_aside, hold, read, remove_left, write_aside
 from astray.kernel.jit import source_digest
 from astray.training import parallel
 from astray.training.config import Config
@@ -43,9 +43,10 @@ class Claimed(RuntimeError):
 
 
 @contextlib.contextmanager
-def claim(folder: Path, config: Config) -> Iterator[None]:
+def claim(folder: Path, config: Config, wait: bool = False) -> Iterator[None]:
     """Hold the run folder for this process alone, and see that it is this configuration's.
 
+    Where another process trains in it, wait until it has ended, or `Claimed`.
     Of several processes that train one agent the first holds it for all.
     """
     if not parallel.first():
@@ -54,8 +55,7 @@ def claim(folder: Path, config: Config) -> Iterator[None]:
         return
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        lock = FileLock(folder / ".lock", timeout=0)
-        lock.acquire()
+        lock = hold(folder, "is training in", wait)
     except Timeout:
         raise Claimed(f"another process is training in {folder}") from None
     except OSError as error:

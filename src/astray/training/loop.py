@@ -39,11 +39,13 @@ def train(
     network: Callable[[Architecture], nn.Module] | None = None,
     loss: Loss = ppo.loss,
     progress: bool = True,
+    wait: bool = False,
 ) -> Path:
     """Train an agent in the run folder `folder`, or go on where it stopped; its last checkpoint.
 
     network  makes a network of your own: observations [B, ...] -> logits [B, actions], values [B]
     loss     a loss of your own, of the arguments of `ppo.loss`; what it returns is logged
+    wait     where another process trains in the folder, until it has ended; else it is an error
 
     On a CPU, a run that was stopped and resumed has the weights and metrics of one that was not.
 
@@ -58,7 +60,7 @@ def train(
     with (
         acceleration.torch_settings(config.threads),
         parallel.processes(config.device),
-        checkpoint.claim(folder, config),
+        checkpoint.claim(folder, config, wait),
         contextlib.closing(Trainer(config, network, loss)) as trainer,
     ):
         checkpoint.restore(folder, trainer)

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 
 import torch
 from torch import Tensor, nn
 
 from astray.agents.policy import Architecture
+from astray.memory import check_memory
 from astray.training import parallel, ppo
 from astray.training.config import Config
 from astray.training.fast import acceleration
@@ -16,6 +18,8 @@ from astray.training.fast.actor import Actor
 from astray.training.fast.graphs import Captured
 from astray.training.player import RECENT, Player
 
+PER_WEIGHT = 16  # bytes: float32 of itself, its gradient, and Adam's two moments
+PER_SAMPLE = 28  # bytes beside the observation: an int64 and five float32
 MOMENTS = ("exp_avg", "exp_avg_sq")  # that Adam keeps of each weight
 
 
@@ -54,6 +58,7 @@ class Trainer:
             config.network, space.shape, largest, len(game.actions),  # pyright: ignore
             config.scale, config.width,
         )  # fmt: skip
+        self._check_memory()
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(config.seed)
             made = network(self.architecture) if network else self.architecture.build()
@@ -72,6 +77,24 @@ class Trainer:
             torch.tensor(rate, device=config.device) if graphs else rate,  # graphs read it
             eps=1e-5, fused=True, capturable=graphs,
         )  # fmt: skip
+
+    def _check_memory(self) -> None:
+        """MemoryError where a rollout and the network, on a CPU, need more than there is."""
+        config, shown = self.config, math.prod(self.architecture.shape)
+        try:
+            with torch.device("meta"):  # without memory
+                count = sum(x.numel() for x in self.architecture.build().parameters())
+        except (RuntimeError, OverflowError) as error:  # more than there are addresses
+            raise MemoryError(
+                f"a network of width {config.width} and scale {config.scale} has too many weights "
+                "for any memory"
+            ) from error
+        samples = (config.rollout + 1) * len(self.player.images)
+        if config.device == "cpu":
+            check_memory(
+                PER_WEIGHT * count + samples * (shown + PER_SAMPLE),
+                f"{count:,} weights and rollouts of {samples:,} samples",
+            )
 
     def set_rate(self, rate: float) -> None:
         """Learn at `rate` from now on."""
