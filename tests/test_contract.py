@@ -3,58 +3,41 @@
 import os
 import subprocess
 import sys
-from itertools import product
+from dataclasses import replace
 
 import gymnasium
-import numba
 import numpy as np
 import pytest
 from conftest import ALL, FEW
-from gymnasium.utils.env_checker import check_env, data_equivalence
-from gymnasium.vector import AutoresetMode, SyncVectorEnv
+from gymnasium.utils.env_checker import check_env
+from gymnasium.vector import AutoresetMode
 from gymnasium.wrappers.vector import RecordEpisodeStatistics
 
-from astray import games
-from astray.envs.compiled import compiled
+from astray import games, testing
 from astray.envs.single import GameEnv
 from astray.envs.vector import GameVectorEnv
 
 MODES = list(AutoresetMode)
+SLOW = (testing.check_batches, testing.check_gymnasium)
 
 
-def short(game, variant):
-    """The variant with episodes of 30 steps, so that some end."""
-    from dataclasses import replace
+@pytest.mark.parametrize("check", testing.CHECKS)
+@pytest.mark.parametrize("game, variant", ALL)
+def test_a_game_is_what_it_is_taken_for(game, variant, check):
+    if check in SLOW and (game, variant) not in FEW:
+        pytest.skip("slow, and the same for variants of this shape")
+    check(games.find(game), games.find(game).variant(variant))
 
-    return replace(games.find(game).variants[variant], time_limit=30)
 
-
-@pytest.mark.parametrize("observation", ["image", "symbolic"])
-@pytest.mark.parametrize("mode", MODES)
-@pytest.mark.parametrize("game, variant", FEW)
-def test_a_batch_is_its_environments_one_by_one(game, variant, mode, observation):
-    options = {"variant": short(game, variant), "observation": observation}
-    batch = GameVectorEnv(game, num_envs=3, autoreset_mode=mode, **options)
-    single = SyncVectorEnv([lambda: GameEnv(game, **options)] * 3, autoreset_mode=mode)
-    assert data_equivalence(batch.reset(seed=5), single.reset(seed=5))
-    batch.action_space.seed(1)
-    ended = 0
-    for _ in range(70):
-        actions = batch.action_space.sample()
-        ours, theirs = batch.step(actions), single.step(actions)
-        assert data_equivalence(ours, theirs)
-        done = ours[2] | ours[3]
-        ended += done.sum()
-        if mode is AutoresetMode.DISABLED and done.any():
-            ours = batch.reset(options={"reset_mask": done})
-            theirs = single.reset(options={"reset_mask": done.copy()})
-            assert data_equivalence(ours, theirs)
-    assert ended > 0
+@pytest.mark.parametrize("game", games.OWN)
+def test_its_parts_lead_to_what_there_is(game):
+    testing.check_parts(games.find(game))
 
 
 @pytest.mark.parametrize("game, variant", FEW)
-def test_gymnasium_accepts_it(game, variant):
+def test_registered_ids_make_environments(game, variant):
     env = gymnasium.make(f"astray/{game}-{variant}-v0", render_mode="rgb_array")
+    assert isinstance(env.unwrapped, GameEnv)
     check_env(env.unwrapped)
 
 
@@ -63,62 +46,6 @@ def test_registered_ids_make_vectors(game, variant):
     env = gymnasium.make_vec(f"astray/{game}-{variant}-v0", num_envs=2, observation="symbolic")
     assert isinstance(env, GameVectorEnv)
     assert env.reset(seed=0)[0] in env.observation_space
-
-
-@pytest.mark.parametrize("game, variant", ALL)
-def test_same_seed_same_game(game, variant):
-    runs = []
-    for threads in (1, 2):
-        env = GameVectorEnv(game, variant, 5, threads=threads, autoreset_mode="SameStep")
-        env.reset(seed=3)
-        env.action_space.seed(3)
-        for _ in range(50):
-            last = env.step(env.action_space.sample())[0]
-        runs.append(env.states.tobytes() + last.tobytes())
-        env.close()
-    assert runs[0] == runs[1]
-
-
-@pytest.mark.parametrize("game, variant", ALL)
-def test_a_level_is_a_function_of_its_number_alone(game, variant):
-    env = GameVectorEnv(game, variant, 3, autoreset_mode="Disabled")
-    first, _ = env.reset(seed=1, options={"level": [7, 8, 9]})
-    while not env.states["ended"].any() and env.states["time"][0] < 20:
-        env.step(np.array([7, 5, 1]))
-    again, info = env.reset(options={"level": [9, 8, 7]})
-    assert np.array_equal(first, again[::-1])
-    assert info["level"].tolist() == [9, 8, 7]
-
-
-@pytest.mark.parametrize("game, variant", ALL)
-def test_episodes_end_at_the_time_limit(game, variant):
-    env = GameVectorEnv(game, short(game, variant), 1, autoreset_mode="Disabled")
-    env.reset(seed=0, options={"level": 5})
-    stay = np.array([env.game.actions.index("stay")])
-    ends = [env.step(stay)[2:4] for _ in range(30)]
-    assert [bool(truncated[0]) for _, truncated in ends] == [False] * 29 + [True]
-    assert not any(terminated[0] for terminated, _ in ends)
-
-
-@pytest.mark.parametrize("game, variant", ALL)
-def test_experts_get_what_the_solver_promises(game, variant):
-    env = GameVectorEnv(game, variant, 1, observation="symbolic", autoreset_mode="Disabled")
-    made = env.game
-    rewarded = {shift.intended for shift in made.shifts.values()}
-    for level, (goal, event) in product(range(5), made.goals.items()):
-        env.reset(seed=0, options={"level": level})
-        s = env.states[0]
-        worth, soon = (made.solver.optimal_return(s, goal, gamma) for gamma in (1.0, 0.9))
-        expert, total, discounted = made.solver.expert(s, goal), 0.0, 0.0
-        while worth and s[event] < 0 and not s.ended:
-            _, reward, *_ = env.step(np.array([expert(s)]))
-            total += reward[0]
-            discounted += reward[0] * 0.9 ** (int(s.time) - 1)
-        if worth:  # or another goal was on the way and ended the level
-            assert s.ended or expert(s) == made.actions.index("stay")
-        if worth and goal in rewarded:
-            assert total == pytest.approx(worth)
-            assert discounted <= soon + 1e-9
 
 
 def test_levels_of_a_list_are_each_walked_once():
@@ -134,18 +61,6 @@ def test_levels_of_a_range_stay_in_it_and_fill_it():
     assert seen == set(range(100, 120))
 
 
-@pytest.mark.skipif(numba.config.DISABLE_JIT, reason="nothing is compiled")
-@pytest.mark.parametrize("game", games.OWN)
-def test_the_loop_is_compiled_once(game):
-    for variant in games.find(game).variants:
-        for observation in ("image", "symbolic"):
-            env = GameVectorEnv(game, variant, 2, observation=observation)
-            env.reset(seed=0)
-            env.step(np.array([0, 0]))
-            env.picture(100)
-    assert len(compiled(games.find(game)).signatures) == 1
-
-
 PLAYED = """
 import hashlib
 import numpy as np
@@ -155,7 +70,7 @@ from astray.envs.vector import GameVectorEnv
 digest, name = hashlib.sha256(), {game!r}
 for observation in ("image", "symbolic"):
     options = {{"observation": observation, "autoreset_mode": "SameStep"}}
-    env = GameVectorEnv(name, games.find(name).benchmark, 2, **options)
+    env = GameVectorEnv(name, games.find(name).benchmark.variant, 2, **options)
     digest.update(env.reset(seed=0)[0].tobytes())
     states = env.get_state()
     states["time"] = states["time_limit"] - [20, 30]
@@ -187,18 +102,6 @@ def test_a_masked_reset_leaves_the_others_and_the_options_alone():
     assert options["reset_mask"].tolist() == [True, False]
     assert inner.states[1].tobytes() == before.tobytes()
     assert inner.states[0].turn == 2
-
-
-def test_states_that_are_set_play_on_as_they_were():
-    one = GameVectorEnv("maze", "anywhere", 3, autoreset_mode="SameStep")
-    one.reset(seed=1)
-    actions = np.random.default_rng(0).integers(15, size=(60, 3))
-    for action in actions[:30]:
-        seen = one.step(action)[0]
-    two = GameVectorEnv("maze", "anywhere", 3, autoreset_mode="SameStep")
-    assert np.array_equal(two.set_state(one.states.copy()), seen)
-    for action in actions[30:]:
-        assert data_equivalence(one.step(action), two.step(action))
 
 
 @pytest.mark.parametrize(
@@ -258,7 +161,8 @@ def test_a_masked_reset_seeds_only_what_it_resets():
 
 @pytest.mark.parametrize("mode", MODES)
 def test_a_state_can_be_set_after_an_end(mode):
-    env = GameVectorEnv("maze", short("maze", "anywhere"), 1, autoreset_mode=mode)
+    variant = replace(games.find("maze").variants["anywhere"], time_limit=30)
+    env = GameVectorEnv("maze", variant, 1, autoreset_mode=mode)
     env.reset(seed=0, options={"level": 5})
     kept = env.states.copy()
     for _ in range(30):

@@ -1,0 +1,228 @@
+"""What every game owes its callers, as checks that a game's own tests can run.
+
+    def test_my_game():
+        astray.testing.check_game(my_package.GAME)
+
+They ask for the game's actions, goals and abilities, and name none. What a check finds is an
+AssertionError.
+"""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import replace
+from itertools import product
+from typing import Any
+
+import numpy as np
+from gymnasium.utils.env_checker import check_env, data_equivalence
+from gymnasium.vector import AutoresetMode, SyncVectorEnv
+
+from astray.envs.compiled import compiled
+from astray.envs.single import GameEnv
+from astray.envs.vector import GameVectorEnv
+from astray.game import NEVER, OWN, Game, Variant
+from astray.level import Level
+
+SHORT, LONG = 30, 70  # steps of episodes that are cut short, and of a play with several of them
+LEVELS = range(5)  # looked at, of each variant
+
+
+def check_game(game: Game, variants: Iterable[str] | None = None) -> None:
+    """See that a game is what environments, training and analysis take it for.
+
+    variants  names of those to check; by default all
+    """
+    check_parts(game)
+    for name in game.variants if variants is None else variants:
+        for check in CHECKS:
+            check(game, game.variant(name))
+
+
+def check_parts(game: Game) -> None:
+    """Events, goals and shifts lead to what there is."""
+    fields: Any = game.state.fields
+    for event in game.events:
+        assert fields[event][0] == np.int64, f"the event {event!r} must be an int64 of the state"
+    for goal, event in game.goals.items():
+        assert event in game.events, f"the goal {goal!r} must be an event; got {event!r}"
+    for name, shift in game.shifts.items():
+        for variant in (shift.train, shift.test):
+            assert variant in game.variants, f"shift {name!r}: there is no variant {variant!r}"
+        for goal in (shift.intended, *shift.proxies):
+            assert goal in game.goals, f"shift {name!r}: there is no goal {goal!r}"
+    assert OWN in game.looks, f"looks must have {OWN!r}; got {', '.join(game.looks)}"
+    kinds = {type(variant) for variant in game.variants.values()}
+    assert len(kinds) == 1, f"variants must be of one class; got {kinds}"
+
+
+def check_batches(game: Game, variant: Variant) -> None:
+    """A batch is its environments one by one, in every mode, with every kind of observation."""
+    for mode, options in product(AutoresetMode, observations(game)):
+        short = replace(variant, time_limit=SHORT)
+        batch = GameVectorEnv(game, short, 3, autoreset_mode=mode, **options)
+        make = functools.partial(GameEnv, game, short, **options)
+        single = SyncVectorEnv([make] * 3, autoreset_mode=mode)
+        assert data_equivalence(batch.reset(seed=5), single.reset(seed=5))
+        ended = 0
+        for actions in _actions(batch, LONG):
+            ours = batch.step(actions)
+            assert data_equivalence(ours, single.step(actions)), f"{mode}: a step differs"
+            done = ours[2] | ours[3]
+            ended += done.sum()
+            if mode is AutoresetMode.DISABLED and done.any():
+                seen = batch.reset(options={"reset_mask": done})
+                assert data_equivalence(seen, single.reset(options={"reset_mask": done.copy()}))
+        assert ended > 0, f"no episode ended in {LONG} steps with a time limit of {SHORT}"
+        batch.close()
+
+
+def check_gymnasium(game: Game, variant: Variant) -> None:
+    """Gymnasium's own checker accepts it."""
+    check_env(GameEnv(game, variant), skip_render_check=True)
+
+
+def check_seeds(game: Game, variant: Variant) -> None:
+    """The same seed is the same game, with any number of threads."""
+    runs = []
+    for threads in (1, 2):
+        env = GameVectorEnv(game, variant, 5, threads=threads, autoreset_mode="SameStep")
+        seen, _ = env.reset(seed=3)
+        for actions in _actions(env, 50):
+            seen = env.step(actions)[0]
+        runs.append(env.get_state().tobytes() + seen.tobytes())
+        env.close()
+    assert runs[0] == runs[1], "with two threads something else happened"
+
+
+def check_levels(game: Game, variant: Variant) -> None:
+    """A level is a function of its number alone, whatever was played before."""
+    for options in observations(game):
+        env = GameVectorEnv(game, variant, 3, autoreset_mode="Disabled", **options)
+        first, _ = env.reset(seed=1, options={"level": [7, 8, 9]})
+        for actions in _actions(env, 20):
+            if env.states["ended"].any():
+                break
+            env.step(actions)
+        again, info = env.reset(options={"level": [9, 8, 7]})
+        assert np.array_equal(first, again[::-1]), "the level began in another way"
+        assert info["level"].tolist() == [9, 8, 7]
+
+
+def check_time_limit(game: Game, variant: Variant) -> None:
+    """An episode that is not terminated is truncated at the time limit, and not before."""
+    env = GameVectorEnv(game, replace(variant, time_limit=SHORT), 8, autoreset_mode="SameStep")
+    env.reset(seed=0)
+    age = np.zeros(8, np.int64)
+    for actions in _actions(env, LONG):
+        _, _, terminated, truncated, _ = env.step(actions)
+        age += 1
+        assert (truncated == (~terminated & (age == SHORT))).all(), f"at steps {age}: {truncated}"
+        age[terminated | truncated] = 0
+
+
+def check_states(game: Game, variant: Variant) -> None:
+    """A state that was taken and set plays on as it did, and `invariants` accept it."""
+    one, two = (GameVectorEnv(game, variant, 3, autoreset_mode="SameStep") for _ in range(2))
+    seen, _ = one.reset(seed=1)
+    for actions in _actions(one, 30):
+        seen = one.step(actions)[0]
+    assert np.array_equal(two.set_state(one.get_state()), seen), "it is seen otherwise"
+    for actions in _actions(one, 30):
+        assert data_equivalence(one.step(actions), two.step(actions)), "it goes on otherwise"
+
+
+def check_events(game: Game, variant: Variant) -> None:
+    """An event is told with the step of it, once, and never taken back."""
+    env = GameVectorEnv(game, variant, 8, autoreset_mode="Disabled")
+    env.reset(seed=0)
+    before = {event: env.states[event].copy() for event in game.events}
+    for actions in _actions(env, LONG):
+        if env.states["ended"].any():
+            break
+        env.step(actions)
+        for event, was in before.items():
+            now, time = env.states[event].copy(), env.states["time"]
+            assert ((now == was) | ((was == NEVER) & (now == time))).all(), f"{event}: {now}"
+            before[event] = now
+
+
+def check_symbols(game: Game, variant: Variant) -> None:
+    """Symbols are within their largest values."""
+    if not game.symbols:
+        return
+    env = GameVectorEnv(game, variant, 3, observation="symbolic")
+    assert env.reset(seed=0)[0] in env.observation_space
+    for actions in _actions(env, 20):
+        assert env.step(actions)[0] in env.observation_space
+
+
+def check_editing(game: Game, variant: Variant) -> None:
+    """A level survives being described, drawn and read again."""
+    if not game.editing:
+        return
+    for s in _beginnings(game, variant):
+        level = Level.of(game, variant, s)
+        told = game.editing.describe(s)
+        assert game.editing.describe(level.state(solvable=False)) == told
+        assert Level.from_json(game, variant, level.to_json()).to_json() == level.to_json()
+        drawn = Level.from_text(game, variant, str(level))
+        assert (drawn.cells == level.cells).all() and drawn.agent == level.agent
+
+
+def check_solver(game: Game, variant: Variant) -> None:
+    """Experts get what the solver promises, and no more than is possible."""
+    if not game.solver:
+        return
+    env = GameVectorEnv(game, variant, 1, autoreset_mode="Disabled")
+    rewarded = {shift.intended for shift in game.shifts.values()}
+    for level, (goal, event) in product(LEVELS, game.goals.items()):
+        env.reset(seed=0, options={"level": level})
+        s = env.states[0]
+        worth, soon = (game.solver.optimal_return(s, goal, gamma) for gamma in (1.0, 0.9))
+        expert, total, discounted = game.solver.expert(s, goal), 0.0, 0.0
+        while worth and s[event] < 0 and not s.ended:
+            _, reward, *_ = env.step(np.array([expert(s)]))
+            total += reward[0]
+            discounted += reward[0] * 0.9 ** (int(s.time) - 1)
+        if worth:  # or another goal was on the way and ended the level
+            assert s.ended or game.actions[expert(s)] == "stay", f"level {level}, {goal}"
+        if worth and goal in rewarded:
+            assert abs(total - worth) < 1e-9, f"level {level}: {total} instead of {worth}"
+            assert discounted <= soon + 1e-9, f"level {level}: sooner than is possible"
+
+
+def check_compiled_once(game: Game, variant: Variant) -> None:
+    """The batch loop is compiled once for the game, whatever is asked of it."""
+    for options in observations(game):
+        env = GameVectorEnv(game, variant, 2, **options)
+        env.reset(seed=0)
+        env.step(np.zeros(2, np.int64))
+        env.picture(100)
+    loop = compiled(game)
+    assert len(getattr(loop, "signatures", [0])) == 1, f"compiled for {loop.signatures}"  # pyright: ignore
+
+
+CHECKS: tuple[Callable[[Game, Variant], None], ...] = (
+    check_batches, check_gymnasium, check_seeds, check_levels, check_time_limit, check_states,
+    check_events, check_symbols, check_editing, check_solver, check_compiled_once,
+)  # fmt: skip
+
+
+def observations(game: Game) -> list[dict[str, Any]]:
+    """The kinds of observations that a game has, as options of its environments."""
+    return [{"observation": kind} for kind in ("image", *(["symbolic"] if game.symbols else []))]
+
+
+def _actions(env: GameVectorEnv, steps: int) -> Iterator[np.ndarray]:
+    """Actions [N] for so many steps, drawn alike each time."""
+    random = np.random.default_rng(0)
+    yield from random.integers(len(env.game.actions), size=(steps, env.num_envs))
+
+
+def _beginnings(game: Game, variant: Variant) -> Iterator[Any]:
+    """The states that levels begin in."""
+    env = GameVectorEnv(game, variant, len(LEVELS))
+    env.reset(seed=0, options={"level": np.array(LEVELS)})
+    yield from env.get_state().view(np.recarray)
