@@ -206,7 +206,8 @@ def test_states_that_are_set_play_on_as_they_were():
     [
         ({"variant": "cornr"}, "unknown variant 'cornr' of maze; there are: corner"),
         ({"game": "mase"}, "unknown game 'mase'; there are: .*maze"),
-        ({"num_envs": 0}, "num_envs is 0"),
+        ({"num_envs": 0}, "num_envs must be an integer from 1 to .*; got 0"),
+        ({"threads": 5000}, "threads must be an integer from 1 to .*; got 5000"),
         ({"levels": []}, "at least one"),
         ({"levels": [-1]}, "from 0 to"),
         ({"levels": range(5, 5)}, "at least one"),
@@ -227,7 +228,7 @@ def test_bad_steps_are_explained():
         env.step(np.array([0.5, 1]))
     with pytest.raises(ValueError, match="level is -2"):
         env.reset(options={"level": -2})
-    with pytest.raises(ValueError, match="level are integers"):
+    with pytest.raises(ValueError, match="levels are integers"):
         env.reset(options={"level": 2.5})
 
 
