@@ -131,7 +131,7 @@ def test_bad_steps_are_explained():
         env.step(np.array([0.5, 1]))
     with pytest.raises(ValueError, match="level is -2"):
         env.reset(options={"level": -2})
-    with pytest.raises(ValueError, match="level are integers"):
+    with pytest.raises(ValueError, match="levels are integers"):
         env.reset(options={"level": 2.5})
 
 
