@@ -23,6 +23,7 @@ from torch import Tensor, nn
 from torch.nn.functional import cosine_similarity
 
 from astray.agents import fused, ppo, sparse
+from astray.agents.clear import Clear
 from astray.agents.impala import Impala
 from astray.agents.small import Small
 from astray.training import parallel
@@ -103,7 +104,7 @@ class Model:
     """The network as it is used in training."""
 
     def __init__(self, network: nn.Module, config: Config):
-        assert isinstance(network, Impala | Small)
+        assert isinstance(network, Impala | Clear | Small)
         self.network, self.config, self.means = network, config, means(config)
         self._precision = torch.bfloat16 if self.means.bfloat16 else torch.float32
         if self.means.channels_last:
