@@ -1,6 +1,7 @@
 """Agents of others, read from files that are made here in their formats; and hostile files."""
 
 import io
+import itertools
 import os
 import pickle
 import struct
@@ -130,9 +131,9 @@ def test_every_activation_of_the_clear_network_is_named():
     }  # fmt: skip
 
 
-def reference(scale):
+def reference(widths):
     """State of a network built as train-procgen-pytorch names its parts, and its forward."""
-    torch.manual_seed(scale)
+    torch.manual_seed(widths[0])
 
     def block(before, after):
         def residual():
@@ -143,9 +144,10 @@ def reference(scale):
             {"conv": nn.Conv2d(before, after, 3, padding=1), "res1": residual(), "res2": residual()}
         )
 
-    widths = (3, 16 * scale, 32 * scale, 32 * scale)
-    embedder = {f"block{k}": block(widths[k - 1], widths[k]) for k in (1, 2, 3)}
-    embedder["fc"] = nn.Linear(64 * widths[3], 256)
+    embedder = {
+        f"block{k}": block(*pair) for k, pair in enumerate(itertools.pairwise((3, *widths)), 1)
+    }
+    embedder["fc"] = nn.Linear(64 * widths[2], 256)
     network = nn.ModuleDict({"embedder": nn.ModuleDict(embedder), "fc_policy": nn.Linear(256, 15),
                              "fc_value": nn.Linear(256, 1)})  # fmt: skip
 
@@ -170,17 +172,20 @@ def saved(data):
 
 
 @pytest.mark.parametrize(
-    "scale, wrap",
+    "widths, wrap",
     [
-        (1, lambda state: {"state_dict": state}),
-        (4, lambda state: {"model_state_dict": state, "optimizer_state_dict": {"state": {}}}),
-        (3, lambda state: state),
+        ((16, 32, 32), lambda state: {"state_dict": state}),
+        (
+            (64, 128, 128),
+            lambda state: {"model_state_dict": state, "optimizer_state_dict": {"state": {}}},
+        ),
+        ((8, 24, 40), lambda state: state),
     ],
 )
-def test_impala_of_any_scale_computes_what_it_did_there(scale, wrap):
-    state, forward = reference(scale)
+def test_impala_of_any_widths_computes_what_it_did_there(widths, wrap):
+    state, forward = reference(widths)
     found = pth.read(saved(wrap(state)))
-    assert found.architecture.widths == (16 * scale, 32 * scale, 32 * scale)
+    assert found.architecture.widths == widths
     with torch.no_grad():
         for ours, theirs in zip(found.network(IMAGES), forward(IMAGES), strict=True):
             torch.testing.assert_close(ours, theirs, rtol=1e-4, atol=1e-5)
@@ -197,7 +202,7 @@ def test_channels_of_any_widths_are_kept_with_the_weights(tmp_path):
 
 
 def changed(**changes):
-    state = reference(1)[0]
+    state = reference((16, 32, 32))[0]
     for name, value in changes.items():
         state[name.replace("__", ".")] = value
     return saved({k: v for k, v in state.items() if v is not None})

@@ -8,7 +8,7 @@ import sys
 
 import tyro
 
-from astray.cli import agents, art, experiments, levels
+from astray.cli import agents, art, experiments, levels, published
 from astray.training.config import PRESETS
 
 MISTAKE = 2  # exit code, after the mistake was explained
@@ -26,6 +26,8 @@ VERBS = {
     "overlap": levels.overlap,
     "agency": agents.agency,
     "art": art.art,
+    "import": published.import_,
+    "agents": published.agents,
     "bench": experiments.bench,
 }
 
