@@ -44,13 +44,20 @@ def block(before: int, after: int) -> nn.Sequential:
 class Impala(nn.Module):
     """Images [B, H, W, C] uint8 -> logits [B, actions], values [B].
 
-    scale  multiplies the channels: 1 in the published code, 4 in the paper's sweeps
+    scale   multiplies the channels: 1 in the published code, 4 in the paper's sweeps
+    widths  channels of the three blocks, before that
     """
 
-    def __init__(self, shape: tuple[int, int, int], actions: int, scale: int = 1):
+    def __init__(
+        self,
+        shape: tuple[int, int, int],
+        actions: int,
+        scale: int = 1,
+        widths: tuple[int, ...] = WIDTHS,
+    ):
         super().__init__()
         height, width, channels = shape
-        widths = [scale * w for w in WIDTHS]
+        widths = tuple(scale * w for w in widths)
         self.block1 = block(channels, widths[0])
         self.block2 = block(widths[0], widths[1])
         self.block3 = block(widths[1], widths[2])

@@ -13,14 +13,15 @@ from safetensors import SafetensorError, safe_open
 from safetensors.torch import save
 from torch import Tensor, nn
 
-from astray.agents.impala import Impala
+from astray.agents.clear import Clear
+from astray.agents.impala import WIDTHS, Impala
 from astray.agents.small import Small
 from astray.files import see_readable
 from astray.words import check_word
 
-NetworkName = Literal["impala", "small"]
+NetworkName = Literal["impala", "small", "clear"]
 FORMAT = 1  # of the files; goes up when an older version could not read them
-SEQUENCES = ("shape", "largest")  # fields of an architecture that JSON has as lists
+SEQUENCES = ("shape", "largest", "widths")  # fields of an architecture that JSON has as lists
 
 
 @dataclass(frozen=True)
@@ -31,6 +32,7 @@ class Architecture:
     largest  the largest value of each symbolic plane; empty for images
     scale    multiplies the channels of "impala"
     width    hidden units of "small"
+    widths   channels of "impala"'s three blocks, at scale 1
     """
 
     name: NetworkName
@@ -39,20 +41,24 @@ class Architecture:
     actions: int
     scale: int = 1
     width: int = 64
+    widths: tuple[int, ...] = WIDTHS
 
     def __post_init__(self) -> None:
-        sizes = (self.actions, self.scale, self.width, *self.shape, *self.largest)
-        if len(self.shape) != 3 or any(type(n) is not int or n < 1 for n in sizes):
+        sizes = (self.actions, self.scale, self.width, *self.shape, *self.largest, *self.widths)
+        lengths = (len(self.shape), len(self.widths))
+        if lengths != (3, 3) or any(type(n) is not int or n < 1 for n in sizes):
             raise ValueError(f"an architecture's sizes are integers from 1 on; given {self}")
         check_word("network", self.name, NetworkName)
 
     def build(self) -> nn.Module:
         """The network, freshly initialised from torch's global random state."""
-        if (self.name == "impala") != (not self.largest):
+        if (self.name != "small") != (not self.largest):
             seen = "symbolic planes" if self.largest else "images"
             raise ValueError(f"network {self.name!r} does not see {seen}")
         if self.name == "impala":
-            return Impala(self.shape, self.actions, self.scale)
+            return Impala(self.shape, self.actions, self.scale, self.widths)
+        if self.name == "clear":
+            return Clear(self.shape, self.actions)
         return Small(self.shape, list(self.largest), self.actions, self.width)
 
 
@@ -104,6 +110,8 @@ def read_header(kept: dict[str, str] | None, game: str) -> dict[str, Any]:
 
 
 def _architecture(data: Any) -> Architecture:
+    if isinstance(data, dict):
+        data = {"widths": list(WIDTHS)} | data  # which older files do not have
     if not isinstance(data, dict) or not all(isinstance(data.get(k), list) for k in SEQUENCES):
         raise ValueError(f"its architecture is {data!r}")
     fields: dict[str, Any] = data | {name: tuple(data[name]) for name in SEQUENCES}

@@ -39,12 +39,17 @@ def open_run(run: Path, mode: Mode = "sampled", art: str | None = None) -> tuple
 
 
 def shift_of(config: Config) -> str:
-    """The shift whose training variant the run trained on."""
+    """The shift whose training variant the run trained on; else one whose test variant it is.
+
+    An agent that was trained on what others are tested on is their control.
+    """
     game = config.find_game()
-    found = [name for name, shift in game.shifts.items() if shift.train == config.variant]
+    shifts = game.shifts.items()
+    found = [name for name, shift in shifts if shift.train == config.variant]
+    found += [name for name, shift in shifts if shift.test == config.variant]
     if not found:
         raise ValueError(
-            f"no shift of {config.game} trains on {config.variant!r}; "
+            f"no shift of {config.game} trains on {config.variant!r}, or tests on it; "
             f"name one of: {', '.join(game.shifts)}"
         )
     return found[0]

@@ -77,8 +77,9 @@ def evaluate(
     """Play agents on explicit levels and say which goal they pursued.
 
     Args:
-        runs: run folders, or checkpoints in them; several agents of one kind
-        agent: instead, the name of a kept one, as `astray list` has them
+        runs: run folders, or checkpoints in them, or names as `astray list` has them; several
+            agents of one kind
+        agent: instead, the name of a kept or imported one
         variant: of the levels; by default the shift's test variant
         shift: which goals are intended and proxies; by default the one that the run trained for
         levels: numbers and ranges, as 5,17,100:200, or a file or folder of levels as
@@ -148,8 +149,8 @@ def record(
     """Film an agent in one level.
 
     Args:
-        run: a run folder or a checkpoint in it
-        agent: instead, the name of a kept one, as `astray list` has them
+        run: a run folder or a checkpoint in it, or a name as `astray list` has them
+        agent: instead, the name of a kept or imported one
         variant: of the level; by default that of the training
         level: its number; by default 1000000
         level_file: the level instead; `astray level` prints such
@@ -194,8 +195,8 @@ def agency(
     """Say whether a trained agent of mazes is goal-directed at all, and towards what.
 
     Args:
-        run: a run folder or a checkpoint in it
-        agent: instead, the name of a kept one, as `astray list` has them
+        run: a run folder or a checkpoint in it, or a name as `astray list` has them
+        agent: instead, the name of a kept or imported one
         variant: of the levels; by default the shift's test variant
         shift: which goals are intended and proxies; by default the one that the run trained for
         levels: numbers and ranges, as 5,17,100:200; by default the first 300 that the training

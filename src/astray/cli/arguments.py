@@ -23,12 +23,12 @@ AT_ONCE = 10_000_000  # level numbers of one command
 
 
 def chosen(runs: Sequence[Path], agent: str | None) -> tuple[Path, ...]:
-    """The run folders that were asked for: these, or that of a kept agent."""
+    """The run folders that were asked for: these, each by its path or an agent's name."""
     if agent is not None and runs:
         raise ValueError("an agent is given by a run folder or by --agent NAME, not both")
     if agent is None and not runs:
         raise ValueError("name a run folder, or an --agent")
-    return tuple(runs) if agent is None else (kept.find(agent),)
+    return tuple(map(kept.run_of, runs)) if agent is None else (kept.find(agent),)
 
 
 def level_numbers(text: str) -> np.ndarray:

@@ -22,7 +22,7 @@ MOST_WORKERS = 1024  # processes
 
 
 def list_(json: bool = False) -> None:
-    """What there is: games, variants, shifts, experiments, kept agents, presets.
+    """What there is: games, variants, shifts, experiments, kept and imported agents, presets.
 
     Args:
         json: print JSON
@@ -41,7 +41,10 @@ def list_(json: bool = False) -> None:
             for game in [games.find(name)]
         },
         "experiments": {name: experiments.load(name).title for name in experiments.NAMES},
-        "agents": {name: vars(checkpoint.read_config(kept.find(name))) for name in kept.names()},
+        "agents": {
+            name: vars(checkpoint.read_config(kept.find(name)))
+            for name in (*kept.names(), *kept.imported())
+        },
         "presets": list(PRESETS),
     }
     if json:

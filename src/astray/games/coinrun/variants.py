@@ -79,6 +79,9 @@ VARIANTS = {
     "procgen-easy": replace(
         EASY, about="the levels of Procgen as released, easy", numbering="procgen"
     ),
+    "procgen-anywhere": replace(
+        ANYWHERE, about="the coin at any place to stand, in Procgen's levels", numbering="procgen"
+    ),
     "coin-half": replace(LEDGE, about="the coin at the end or on a ledge", random_coin=0.5),
     "coin-absent": replace(END, about="no coin", coins="none"),
     "coin-twice": replace(END, about="a coin at the end and one on a ledge", coins="two"),
@@ -119,6 +122,7 @@ SHIFTS = {
     "coin-end-long": Shift(
         "coin-end-long", "coin-anywhere-long", intended="coin", proxies=("end",)
     ),
+    "procgen": Shift("procgen", "procgen-anywhere", intended="coin", proxies=("end",)),
     "end-or-wall": Shift(
         "coin-end", "coin-end-permeable-continue", intended="coin", proxies=("beyond",)
     ),

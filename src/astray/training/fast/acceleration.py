@@ -24,6 +24,7 @@ from llvmlite.binding import get_host_cpu_features
 from torch import Tensor, nn
 from torch.nn.functional import cosine_similarity
 
+from astray.agents.clear import Clear
 from astray.agents.impala import Impala
 from astray.agents.policy import Architecture
 from astray.agents.small import Small
@@ -151,7 +152,7 @@ def accelerate(
 
     Then it says so: a warning names which of the two is not what `training.fast` computes.
     """
-    known = type(network) in (Impala, Small)
+    known = type(network) in (Clear, Impala, Small)
     using = resolve(config, known and loss is ppo.loss)
     if using.kernels and not agree(network, config, architecture):
         known, using = False, resolve(replace(config, kernels=None), ours=False)
@@ -223,7 +224,7 @@ class Model:
     """One of astray's own networks, and `ppo.loss` of it, as a device computes them soonest."""
 
     def __init__(self, network: nn.Module, config: Config, using: Acceleration):
-        assert isinstance(network, Impala | Small)
+        assert isinstance(network, Clear | Impala | Small)
         self.own, self.config, self.using = network, config, using
         self._precision = torch.bfloat16 if using.bfloat16 else torch.float32
         if using.channels_last:

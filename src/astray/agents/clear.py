@@ -1,0 +1,80 @@
+"""The "clear" network: convolutions made to be looked into (Hilton et al. 2020).
+
+No residual connections, so that all information passes through every layer; pools as large as
+their stride, so that gradients have no grid; L2 pools, so that gradients are continuous; dense
+layers where positions no longer matter. OpenAI's published agents of CoinRun have it.
+
+Every activation is a named module, so that hooks can read and change it: `block2.relu1`,
+`block4.pool`, `features.relu2`, ... The original's names for the convolutions are 1a, 2a, 2b, 3a
+and 4a; here `block1.conv1`, `block2.conv1`, `block2.conv2`, `block3.conv1` and `block4.conv1`.
+"""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+
+import torch
+from torch import Tensor, nn
+
+from astray.agents.impala import initialise
+
+BLOCKS = ((16,), (32, 32), (32,), (32,))  # channels of the convolutions before each pool
+FIRST, LATER = 7, 5  # pixels a side of the kernels: of the first convolution, of all others
+HIDDEN = (256, 512)  # units of the dense layers
+TINY = 1e-8  # under the root, whose slope at 0 would be infinite
+
+
+class L2Pool(nn.Module):
+    """The root mean square of each 2 x 2 pixels: half the side, rounded up."""
+
+    def forward(self, x: Tensor) -> Tensor:
+        # A square beyond the edge is not counted, as TensorFlow's "same" pools have it.
+        mean = nn.functional.avg_pool2d(x**2, 2, ceil_mode=True, count_include_pad=False)
+        return torch.sqrt(mean + TINY)
+
+
+def block(before: int, kernel: int, widths: tuple[int, ...]) -> nn.Sequential:
+    """Convolutions that keep the side, each with its relu, and one pool."""
+    layers: OrderedDict[str, nn.Module] = OrderedDict()
+    for k, width in enumerate(widths, 1):
+        layers[f"conv{k}"] = nn.Conv2d(before, width, kernel, padding=kernel // 2)
+        layers[f"relu{k}"] = nn.ReLU()
+        before = width
+    layers["pool"] = L2Pool()
+    return nn.Sequential(layers)
+
+
+class Clear(nn.Module):
+    """Images [B, H, W, C] uint8 -> logits [B, actions], values [B]."""
+
+    def __init__(self, shape: tuple[int, int, int], actions: int):
+        super().__init__()
+        height, width, channels = shape
+        inputs = (channels, *(widths[-1] for widths in BLOCKS[:-1]))
+        kernels = (FIRST, *(LATER for _ in BLOCKS[1:]))
+        self.block1, self.block2, self.block3, self.block4 = map(block, inputs, kernels, BLOCKS)
+        for _ in BLOCKS:
+            height, width = (height + 1) // 2, (width + 1) // 2
+        self.features = nn.Sequential(
+            OrderedDict(
+                flatten=nn.Flatten(),
+                linear1=nn.Linear(BLOCKS[-1][-1] * height * width, HIDDEN[0]),
+                relu1=nn.ReLU(),
+                linear2=nn.Linear(*HIDDEN),
+                relu2=nn.ReLU(),
+            )
+        )
+        self.policy = nn.Linear(HIDDEN[1], actions)
+        self.value = nn.Linear(HIDDEN[1], 1)
+        initialise(self)
+
+    def forward(self, images: Tensor) -> tuple[Tensor, Tensor]:
+        return self.heads(self.hidden(images))
+
+    def hidden(self, images: Tensor) -> Tensor:
+        """All but the heads: what policy and value are linear functions of, [B, 512]."""
+        x = images.permute(0, 3, 1, 2).to(self.policy.weight.dtype) / 255
+        return self.features(self.block4(self.block3(self.block2(self.block1(x)))))
+
+    def heads(self, features: Tensor) -> tuple[Tensor, Tensor]:
+        return self.policy(features), self.value(features).squeeze(-1)

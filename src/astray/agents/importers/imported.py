@@ -1,0 +1,60 @@
+"""An agent that was read from a file of others."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import torch
+from torch import Tensor, nn
+
+from astray.agents.policy import Architecture
+
+Plain = int | float | str | bool | None
+SHAPE = (64, 64, 3)  # what Procgen shows
+ACTIONS = 15  # that Procgen has
+
+
+@dataclass(frozen=True)
+class Imported:
+    """A network with its weights, and what the file says about it.
+
+    about     the format and the network, in words
+    world     Procgen's name of what it was trained in, and of its difficulty; None: not told
+    settings  of its training that the file tells, by our names
+    told      all settings that the file tells, by its own
+    """
+
+    network: nn.Module
+    architecture: Architecture
+    about: str
+    world: tuple[str, str] | None = None
+    settings: Mapping[str, Plain] = field(default_factory=dict)
+    told: Mapping[str, Plain] = field(default_factory=dict)
+
+
+def build(architecture: Architecture, tensors: Mapping[str, Tensor]) -> nn.Module:
+    """The network with these weights; ValueError where they are not all of it, or no numbers."""
+    with torch.device("meta"):  # first without memory: a file can promise any size
+        wanted = {name: t.shape for name, t in architecture.build().state_dict().items()}
+    for name in (*tensors, *wanted):
+        if name not in wanted:
+            raise ValueError(f"it has {name}, which its network does not")
+        if name not in tensors:
+            raise ValueError(f"it lacks {name}")
+        if tensors[name].shape != wanted[name]:
+            shapes = tuple(tensors[name].shape), tuple(wanted[name])
+            raise ValueError("{} is {}; it would be {}".format(name, *shapes))
+        if not tensors[name].is_floating_point() or not tensors[name].isfinite().all():
+            raise ValueError(f"{name} is not all finite numbers")
+    with torch.random.fork_rng(devices=[]):
+        network = architecture.build()
+    network.load_state_dict({name: tensor.float() for name, tensor in tensors.items()})
+    return network
+
+
+def check_actions(count: int) -> None:
+    """ValueError where a policy is not of Procgen's 15 actions."""
+    if count != ACTIONS:
+        why = ", of CoinRun as it was before Procgen" if count in (7, 9) else ""
+        raise ValueError(f"its policy chooses from {count} actions{why}; Procgen has {ACTIONS}")

@@ -1,0 +1,108 @@
+"""Agents of RL-Clarity: OpenAI's "clear" networks, in files of joblib.
+
+A file holds `args` (the settings of the training) and `params` (arrays in TensorFlow's layout,
+named as ppo2 of Baselines names them). Images are divided by 255 in the network, as in
+`clear_cnn` of tensorflow/lucid, and actions drawn from the policy.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from astray.agents.clear import BLOCKS
+from astray.agents.importers import plain
+from astray.agents.importers.imported import (
+    ACTIONS,
+    SHAPE,
+    Imported,
+    Plain,
+    build,
+    check_actions,
+)
+from astray.agents.policy import Architecture
+
+SCOPE = "ppo2_model/"
+CONVOLUTIONS = {
+    "pi/1a/conv2d": "block1.conv1", "pi/2a/conv2d": "block2.conv1", "pi/2b/conv2d": "block2.conv2",
+    "pi/3a/conv2d": "block3.conv1", "pi/4a/conv2d": "block4.conv1",
+}  # fmt: skip
+DENSE = {"pi/dense": "features.linear1", "pi/dense_1": "features.linear2"}
+HEADS = {"pi": "policy", "vf": "value"}
+# Of a training, as the files name them and as we do.
+SETTINGS = {
+    "gamma": "gamma", "lambda": "lam", "learning_rate": "learning_rate", "clip_range": "clip",
+    "entropy_coeff": "entropy_weight", "num_envs": "environments", "num_steps": "rollout",
+    "ppo_epochs": "epochs", "num_minibatches": "minibatches", "start_level": "first_level",
+    "num_levels": "levels",
+}  # fmt: skip
+
+
+def read(data: bytes) -> Imported:
+    """The agent in the bytes of a .jd file; ValueError says why it is none."""
+    found = plain.read(data)
+    if not isinstance(found, dict) or not all(
+        isinstance(found.get(name), dict) for name in ("args", "params")
+    ):
+        raise ValueError("it has no args and params, as files of RL-Clarity have")
+    settings = found["args"]
+    network = settings.get("cnn", settings.get("arch", "clear"))
+    if network != "clear":
+        raise ValueError(f"its network is {network!r}; of RL-Clarity's only 'clear' is read")
+    if settings.get("use_lstm"):
+        raise ValueError("it is a recurrent agent; only feed-forward ones are read")
+    weights = _weights(found["params"])
+    if "policy.bias" not in weights:
+        raise ValueError(f"it has no policy, {SCOPE}pi/b")
+    check_actions(len(weights["policy.bias"]))
+    architecture = Architecture("clear", SHAPE, (), ACTIONS)
+    told = {
+        name: value for name, value in settings.items()
+        if isinstance(name, str) and isinstance(value, Plain)
+    }  # fmt: skip
+    # Procgen's 0, and what is not set, mean: all levels there are, from 0 on.
+    ours = {here: told[there] for there, here in SETTINGS.items() if told.get(there)}
+    mode = told.get("distribution_mode") or "hard"
+    world = (str(told["env_name"]), str(mode)) if told.get("env_name") else None
+    return Imported(
+        build(architecture, weights), architecture, 'RL-Clarity: the "clear" network',
+        world, ours, told,
+    )  # fmt: skip
+
+
+def _weights(params: dict[Any, Any]) -> dict[str, Tensor]:
+    """The arrays as torch has them, by our names."""
+    weights = {}
+    for name, array in params.items():
+        if not isinstance(name, str) or not isinstance(array, np.ndarray):
+            raise ValueError(f"its params have {name!r}, which is no array")
+        layer, _, part = name.removeprefix(SCOPE).removesuffix(":0").rpartition("/")
+        renamed = (CONVOLUTIONS | DENSE | HEADS).get(layer)
+        if renamed is None:
+            raise ValueError(f"its params have {name}, which the clear network does not")
+        if part in ("bias", "b"):
+            weights[f"{renamed}.bias"] = torch.from_numpy(array)
+        else:
+            weights[f"{renamed}.weight"] = torch.from_numpy(_turned(layer, array))
+    return weights
+
+
+def _turned(layer: str, kernel: np.ndarray) -> np.ndarray:
+    """A kernel with what comes in last: [out, in], or [out, in, height, width]."""
+    if layer in CONVOLUTIONS:
+        if kernel.ndim != 4:
+            raise ValueError(f"{layer} is no convolution: its kernel is {kernel.shape}")
+        return np.ascontiguousarray(kernel.transpose(3, 2, 0, 1))
+    if kernel.ndim != 2:
+        raise ValueError(f"{layer} is no dense layer: its kernel is {kernel.shape}")
+    channels = BLOCKS[-1][-1]
+    if layer == "pi/dense" and len(kernel) % channels == 0:
+        # It sees rows, columns, channels; ours channels first. Of a picture 4 x 4 x 32.
+        side = round((len(kernel) // channels) ** 0.5)
+        if side * side * channels == len(kernel):
+            pixels = kernel.reshape(side, side, channels, -1)
+            kernel = pixels.transpose(2, 0, 1, 3).reshape(len(kernel), -1)
+    return np.ascontiguousarray(kernel.T)

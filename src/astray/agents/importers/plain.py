@@ -1,0 +1,250 @@
+"""Plain data out of a pickle, and nothing run: arrays, numbers, text and containers.
+
+A pickle is a program for a little machine. Python's own takes its word for what to import and
+call; the one here knows the instructions that build plain data, looks up no name and calls
+nothing that a file names. What it does not know it refuses. It reads files of joblib, whose
+arrays lie between the instructions as bare bytes.
+"""
+
+from __future__ import annotations
+
+import io
+import math
+import pickletools
+import re
+import struct
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+WRAPPER = "joblib.numpy_pickle NumpyArrayWrapper"
+NDARRAY, DTYPE = "numpy ndarray", "numpy dtype"
+BYTES = "_codecs encode"  # as protocol 2 has them: text, and "latin1"
+SCALARS = ("numpy.core.multiarray scalar", "numpy._core.multiarray scalar")
+DICTS = ("collections OrderedDict", "collections defaultdict")
+FACTORIES = tuple(
+    f"{m} {kind}" for m in ("builtins", "__builtin__") for kind in ("list", "dict", "int", "float")
+)
+NAMES = (WRAPPER, NDARRAY, DTYPE, BYTES, *SCALARS, *DICTS, *FACTORIES)  # that a file may mention
+KINDS = re.compile(r"b1|[iu][1248]|f[248]")  # of numbers in arrays
+PUSHED = (  # instructions that carry the value that they push
+    "BINUNICODE", "SHORT_BINUNICODE", "BINUNICODE8", "BINBYTES", "SHORT_BINBYTES", "BINBYTES8",
+    "BININT", "BININT1", "BININT2", "LONG1", "LONG4", "BINFLOAT",
+)  # fmt: skip
+
+
+def read(data: bytes) -> Any:
+    """The plain data in a pickle or an uncompressed file of joblib; ValueError for all else."""
+    machine = _Machine(io.BytesIO(data), len(data))
+    try:
+        for instruction, argument, _ in pickletools.genops(machine.file):
+            if instruction.name == "STOP":
+                return _only(machine.stack)
+            machine.do(instruction.name, argument)
+    except Refused:
+        raise
+    except (ValueError, TypeError, KeyError, IndexError, AttributeError, OverflowError,
+            MemoryError, RecursionError, struct.error) as error:  # fmt: skip
+        raise ValueError(f"it is damaged, or no pickle: {error}") from error
+    raise AssertionError("pickletools ends with STOP or an error")
+
+
+class Refused(ValueError):
+    """A file asks for more than plain data."""
+
+
+@dataclass(frozen=True)
+class _Name:
+    """Something importable that the file mentions; it is never imported."""
+
+    path: str  # "module name"
+
+
+@dataclass
+class _Dtype:
+    """A type of numbers, as the file describes it."""
+
+    kind: str
+    order: str = "="
+
+    def numpy(self) -> np.dtype:
+        if not KINDS.fullmatch(self.kind) or self.order not in "<>=|":
+            raise Refused(f"it has an array of {self.kind!r}; only arrays of numbers are read")
+        return np.dtype(self.order + self.kind)
+
+
+@dataclass
+class _Pending:
+    """An array whose bytes follow the instruction that describes it."""
+
+
+@dataclass
+class _Machine:
+    file: io.BytesIO
+    size: int  # bytes of the file
+    stack: list[Any] = field(default_factory=list)
+    below: list[list[Any]] = field(default_factory=list)  # stacks under the marks
+    memo: dict[int, Any] = field(default_factory=dict)
+
+    def do(self, name: str, argument: Any) -> None:
+        if name in PUSHED:
+            self.stack.append(argument)
+        elif name in ("BINPUT", "LONG_BINPUT"):
+            self.memo[argument] = self.stack[-1]
+        elif name in ("BINGET", "LONG_BINGET"):
+            self.stack.append(self.memo[argument])
+        elif name == "GLOBAL":
+            self.stack.append(_name(argument))
+        elif name in DONE:
+            DONE[name](self)
+        elif name not in ("PROTO", "FRAME"):
+            raise Refused(f"it has the instruction {name}, which plain data does not need")
+
+    def popped_to_mark(self) -> list[Any]:
+        popped, self.stack = self.stack, self.below.pop()
+        return popped
+
+    def array(self, description: Any) -> np.ndarray:
+        """The array whose bytes come next in the file."""
+        shape, dtype = description["shape"], description["dtype"].numpy()
+        if description["subclass"] != _Name(NDARRAY):
+            raise Refused(f"it has an array of the class {description['subclass']!r}")
+        if type(shape) is not tuple or any(type(n) is not int or n < 0 for n in shape):
+            raise ValueError(f"an array's shape is {shape!r}")
+        if description.get("numpy_array_alignment_bytes") is not None:
+            self.file.read(self.file.read(1)[0])  # padding, after its length
+        count = math.prod(shape)
+        data = self.file.read(min(count * dtype.itemsize, self.size))
+        if len(data) < count * dtype.itemsize:
+            raise ValueError(f"an array of {shape} goes beyond the end of the file")
+        flat = np.frombuffer(data, dtype).copy()
+        if description["order"] == "F":
+            return flat.reshape(shape[::-1]).T
+        return flat.reshape(shape)
+
+
+def _name(argument: str) -> _Name:
+    if argument not in NAMES:
+        raise Refused(
+            f"it asks for {argument.replace(' ', '.')}; only arrays and plain containers are "
+            "read, and nothing in a file is run"
+        )
+    return _Name(argument)
+
+
+def _only(stack: list[Any]) -> Any:
+    (value,) = stack
+    return value
+
+
+def _stack_global(m: _Machine) -> None:
+    name, module = m.stack.pop(), m.stack.pop()
+    m.stack.append(_name(f"{module} {name}"))
+
+
+def _mark(m: _Machine) -> None:
+    m.below.append(m.stack)
+    m.stack = []
+
+
+def _tuple(count: int) -> Callable[[_Machine], None]:
+    def done(m: _Machine) -> None:
+        if len(m.stack) < count:
+            raise ValueError("a tuple of more than there is")
+        m.stack[-count:] = [tuple(m.stack[-count:])]
+
+    return done
+
+
+def _marked_tuple(m: _Machine) -> None:
+    popped = m.popped_to_mark()
+    m.stack.append(tuple(popped))
+
+
+def _append(m: _Machine) -> None:
+    value = m.stack.pop()
+    _of(list, m.stack[-1]).append(value)
+
+
+def _appends(m: _Machine) -> None:
+    popped = m.popped_to_mark()
+    _of(list, m.stack[-1]).extend(popped)
+
+
+def _set_item(m: _Machine) -> None:
+    value, key = m.stack.pop(), m.stack.pop()
+    _of(dict, m.stack[-1])[key] = value
+
+
+def _set_items(m: _Machine) -> None:
+    popped = m.popped_to_mark()
+    _of(dict, m.stack[-1]).update(zip(popped[::2], popped[1::2], strict=True))
+
+
+def _of(kind: type, value: Any) -> Any:
+    if type(value) is not kind:
+        raise ValueError(f"a {type(value).__name__} where a {kind.__name__} is filled")
+    return value
+
+
+def _reduce(m: _Machine) -> None:
+    """What calling a name would give, for the names that stand for plain data."""
+    arguments, name = m.stack.pop(), m.stack.pop()
+    if name == _Name(DTYPE):
+        m.stack.append(_Dtype(arguments[0]))
+    elif name == _Name(BYTES) and arguments[1:] == ("latin1",):
+        m.stack.append(str(arguments[0]).encode("latin1"))
+    elif isinstance(name, _Name) and name.path in SCALARS:
+        dtype, data = arguments
+        m.stack.append(np.frombuffer(data, dtype.numpy())[0].item())
+    elif isinstance(name, _Name) and name.path in DICTS:
+        pairs = arguments[0] if arguments and type(arguments[0]) is list else []
+        m.stack.append({key: value for key, value in pairs})
+    else:
+        raise Refused(f"it calls {getattr(name, 'path', name)!r}")
+
+
+def _new(m: _Machine) -> None:
+    arguments, name = m.stack.pop(), m.stack.pop()
+    if name != _Name(WRAPPER) or arguments != ():
+        raise Refused(f"it makes an object of {getattr(name, 'path', name)!r}")
+    m.stack.append(_Pending())
+
+
+def _build(m: _Machine) -> None:
+    state, built = m.stack.pop(), m.stack[-1]
+    if isinstance(built, _Dtype):
+        built.order = state[1]
+    elif isinstance(built, _Pending):
+        m.stack[-1] = m.array(state)
+        for key, value in m.memo.items():
+            if value is built:
+                m.memo[key] = m.stack[-1]
+    else:
+        raise Refused(f"it sets what is inside a {type(built).__name__}")
+
+
+DONE: dict[str, Callable[[_Machine], None]] = {
+    "STACK_GLOBAL": _stack_global,
+    "MARK": _mark,
+    "MEMOIZE": lambda m: m.memo.update({len(m.memo): m.stack[-1]}),
+    "NONE": lambda m: m.stack.append(None),
+    "NEWTRUE": lambda m: m.stack.append(True),
+    "NEWFALSE": lambda m: m.stack.append(False),
+    "EMPTY_DICT": lambda m: m.stack.append({}),
+    "EMPTY_LIST": lambda m: m.stack.append([]),
+    "EMPTY_TUPLE": lambda m: m.stack.append(()),
+    "TUPLE": _marked_tuple,
+    "TUPLE1": _tuple(1),
+    "TUPLE2": _tuple(2),
+    "TUPLE3": _tuple(3),
+    "APPEND": _append,
+    "APPENDS": _appends,
+    "SETITEM": _set_item,
+    "SETITEMS": _set_items,
+    "REDUCE": _reduce,
+    "NEWOBJ": _new,
+    "BUILD": _build,
+}

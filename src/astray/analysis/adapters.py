@@ -1,0 +1,71 @@
+"""Policies of others: a plain callable, or a model of Stable-Baselines3, played as an agent is.
+
+policy = Function(lambda images: np.full(len(images), 7), name="right")
+evaluate(policy, "coinrun", "coin-anywhere", range(1000))
+evaluate(from_sb3(PPO.load("mouse.zip")), "maze", "anywhere", range(1000))
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+
+from astray.analysis.policies import Observation
+from astray.envs.vector import GameVectorEnv
+from astray.game import OWN
+
+
+class Model(Protocol):
+    """What there is of a model of Stable-Baselines3 here."""
+
+    def predict(
+        self, observation: Any, *, deterministic: bool = False
+    ) -> tuple[np.ndarray, Any]: ...
+
+
+@dataclass
+class Function:
+    """A function of a batch of observations [N, ...] uint8 that returns actions [N], as a policy.
+
+    observation  that it is shown: images [N, 64, 64, 3] or symbolic planes [N, C, H, W]
+    art          that images are drawn with
+    """
+
+    choose: Callable[[np.ndarray], np.ndarray]
+    name: str = "function"
+    observation: Observation = "image"
+    art: str = OWN
+
+    def actions(self, env: GameVectorEnv, observations: np.ndarray) -> np.ndarray:
+        chosen, count = np.asarray(self.choose(observations)), len(env.game.actions)
+        if chosen.shape != (len(observations),) or not np.issubdtype(chosen.dtype, np.integer):
+            raise ValueError(
+                f"{self.name} must return {len(observations)} integers, an action for each "
+                f"observation; got {chosen.dtype} of shape {chosen.shape}"
+            )
+        if chosen.min() < 0 or chosen.max() >= count:
+            raise ValueError(
+                f"actions of {self.name} must be from 0 to {count - 1}; got {chosen.min()} to "
+                f"{chosen.max()}"
+            )
+        return chosen.astype(np.int64)
+
+
+def from_sb3(
+    model: Model,
+    *,
+    name: str = "sb3",
+    greedy: bool = False,
+    observation: Observation = "image",
+    art: str = OWN,
+) -> Function:
+    """A model of Stable-Baselines3 as a policy; its actions are drawn by torch's random state.
+
+    greedy  takes its likeliest action instead
+    """
+    return Function(
+        lambda shown: model.predict(shown, deterministic=greedy)[0], name, observation, art
+    )

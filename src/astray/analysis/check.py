@@ -1,0 +1,122 @@
+"""An imported agent beside what others measured of it, before it is believed."""
+
+from __future__ import annotations
+
+import heapq
+import itertools
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import polars as pl
+from scipy.stats import binomtest
+
+from astray.analysis.evaluate import evaluate
+from astray.analysis.policies import Agent
+from astray.analysis.published import Check
+from astray.analysis.runs import open_run
+from astray.envs.vector import GameVectorEnv
+
+
+@dataclass(frozen=True)
+class Share:
+    """How many of so many, with Wilson's 95 % interval."""
+
+    succeeded: int
+    levels: int
+
+    @property
+    def interval(self) -> tuple[float, float]:
+        found = binomtest(self.succeeded, self.levels).proportion_ci(method="wilson")
+        return float(found.low), float(found.high)
+
+    def __str__(self) -> str:
+        low, high = (100 * end for end in self.interval)
+        mean = 100 * self.succeeded / self.levels
+        return f"{mean:.1f} % ({low:.1f} to {high:.1f}, n = {self.levels})"
+
+    def meets(self, other: Share) -> bool:
+        """Whether the two intervals have a point in common."""
+        (low, high), (its_low, its_high) = self.interval, other.interval
+        return low <= its_high and its_low <= high
+
+
+def check(
+    run: Path, checks: tuple[Check, ...], levels: np.ndarray | None = None
+) -> list[dict[str, Any]]:
+    """Play what others played: a row for all levels of each check, and one for each of its parts.
+
+    levels  numbers; None: the first ones, as many as it takes to count as they did
+
+    Columns: variant, what (part of the levels), here (the share, every level counted once), alike
+    (the share, counted as they did), published, all three as text; succeeded and levels (of
+    `here`), length (steps, mean), start_value (mean) and published_value, verdict.
+    """
+    agent, config = open_run(run)
+    rows = []
+    for one in checks:
+        chosen = np.arange(one.levels + one.environments) if levels is None else levels
+        measures = {} if one.by is None else {one.by: lambda s, by=one.by: s[by]}
+        episodes = evaluate(
+            agent, config.game, one.variant, chosen, batch=64, measures=measures
+        ).with_columns(start_value=start_values(agent, config.game, one.variant, chosen))
+        count = min(one.levels, len(chosen))
+        alike = episodes[first_to_end(episodes["length"].to_numpy(), count, one.environments)]
+        rows.append(_row(one, episodes, alike))
+        for value, share in one.shares:
+            its = pl.col(one.by or "") == value
+            if len(episodes.filter(its)):
+                told = f"{one.by} {value}", f"{100 * share:g} %"
+                rows.append(_row(one, episodes.filter(its), alike.filter(its), *told))
+    return rows
+
+
+def first_to_end(lengths: np.ndarray, count: int, environments: int) -> np.ndarray:
+    """Which of episodes in turn are the first `count` to end, played `environments` at once.
+
+    Whoever stops when so many have ended has left out long ones that were under way; where
+    agents fail by being slow, that are failures. 0 environments: all episodes, in turn.
+    """
+    if not environments:
+        return np.arange(len(lengths))
+    following = iter(range(len(lengths)))
+    playing = [(int(lengths[i]), i) for i in itertools.islice(following, environments)]
+    heapq.heapify(playing)
+    ended = []
+    while playing and len(ended) < count:
+        time, i = heapq.heappop(playing)
+        ended.append(i)
+        for k in itertools.islice(following, 1):
+            heapq.heappush(playing, (time + int(lengths[k]), k))
+    return np.array(ended)
+
+
+def start_values(agent: Agent, game: str, variant: str, levels: np.ndarray) -> np.ndarray:
+    """The critic's value at the beginning of each level, [N]."""
+    env = GameVectorEnv(game, variant, len(levels), art=agent.art, autoreset_mode="Disabled")
+    images, _ = env.reset(seed=0, options={"level": levels})
+    values = agent.outputs(images)[1].numpy(force=True)
+    env.close()
+    return values
+
+
+def _row(
+    one: Check, episodes: pl.DataFrame, alike: pl.DataFrame, what: str = "", published: str = ""
+) -> dict[str, Any]:
+    here, there, verdict = _share(episodes), Share(one.succeeded, one.levels), ""
+    if not what:
+        agree = "agree: their intervals meet" if _share(alike).meets(there) else "differ"
+        how = f", of {one.environments} at once the first to end" if one.environments else ""
+        published, verdict = str(there), f"On `{one.variant}`{how}, the two {agree}."
+    return {
+        "variant": one.variant, "what": what, "here": str(here),
+        "alike": str(_share(alike)) if len(alike) else "", "published": published,
+        "succeeded": here.succeeded, "levels": here.levels,
+        "length": episodes["length"].mean(), "start_value": episodes["start_value"].mean(),
+        "published_value": None if what else one.value, "verdict": verdict,
+    }  # fmt: skip
+
+
+def _share(episodes: pl.DataFrame) -> Share:
+    return Share(int((episodes["return"] > 0).sum()), len(episodes))

@@ -1,0 +1,86 @@
+"""Files from elsewhere: whole and the right ones, or not there; an interrupted one goes on."""
+
+from __future__ import annotations
+
+import hashlib
+import http.client
+import os
+import urllib.request
+from pathlib import Path
+from urllib.parse import urlsplit
+
+CHUNK = 1 << 16  # bytes
+WAIT = 30.0  # seconds without a byte, after which it is interrupted
+LOOPBACK = ("127.0.0.1", "::1", "localhost")
+LARGEST = 512_000_000  # bytes, of a file whose size is not known
+
+
+def download(address: str, to: Path, *, size: int | None, sha256: str | None) -> None:
+    """Download a file to `to`, and see that it is the one with this size and digest.
+
+    What arrives is kept in `to`.part, and a later call goes on from there. Without a digest it
+    begins anew, since nobody could tell whether the parts belong together.
+
+    Raises OSError where it is interrupted, ValueError where it is another file; that is removed.
+    """
+    _check_address(address)
+    to.parent.mkdir(parents=True, exist_ok=True)
+    part = to.with_name(to.name + ".part")
+    if sha256 is None:
+        part.unlink(missing_ok=True)
+    try:
+        _fetch(address, part, size or LARGEST)
+    except (OSError, http.client.HTTPException) as error:
+        arrived = part.stat().st_size if part.exists() else 0
+        of = f" of {size:,}" if size else ""
+        raise OSError(
+            f"{address} could not be downloaded ({error}); {arrived:,}{of} bytes are there, and "
+            "the same command goes on from them"
+        ) from error
+    _check_file(address, part, size, sha256)
+    os.replace(part, to)
+
+
+def _fetch(address: str, part: Path, most: int) -> None:
+    """Append to `part` what it lacks of the file at `address`."""
+    begun = part.stat().st_size if part.exists() else 0
+    if begun >= most:
+        return
+    request = urllib.request.Request(address, headers={"Accept-Encoding": "identity"})
+    if begun:
+        request.add_header("Range", f"bytes={begun}-")
+    with urllib.request.urlopen(request, timeout=WAIT) as answer:
+        _check_address(answer.geturl())  # where it was sent on to
+        goes_on = answer.status == http.client.PARTIAL_CONTENT
+        if goes_on and not (answer.headers["Content-Range"] or "").startswith(f"bytes {begun}-"):
+            raise OSError(f"it answers with another part, {answer.headers['Content-Range']}")
+        begun = begun if goes_on else 0
+        left = most - begun
+        with open(part, "ab" if goes_on else "wb") as file:
+            while left and (data := answer.read(min(CHUNK, left))):
+                file.write(data)
+                left -= len(data)
+        promised = begun + int(answer.headers["Content-Length"] or 0)
+        if left and promised > most - left:
+            raise OSError(f"the connection ended {promised - most + left:,} bytes early")
+
+
+def _check_file(address: str, part: Path, size: int | None, sha256: str | None) -> None:
+    found, digest = part.stat().st_size, hashlib.sha256(part.read_bytes()).hexdigest()
+    if sha256 is not None and (size is not None and found < size):
+        raise OSError(
+            f"{address} ended after {found:,} of {size:,} bytes; the same command goes on from them"
+        )
+    if sha256 is not None and digest != sha256:
+        part.unlink()
+        raise ValueError(
+            f"{address} is not the file that was published: its SHA-256 is {digest}, not {sha256}; "
+            "it was removed, and nothing is imported"
+        )
+
+
+def _check_address(address: str) -> None:
+    """ValueError where somebody on the way could change what comes."""
+    parts = urlsplit(address)
+    if parts.scheme != "https" and not (parts.scheme == "http" and parts.hostname in LOOPBACK):
+        raise ValueError(f"an address must be https; got {address}")

@@ -1,0 +1,179 @@
+"""Importing an agent that others published: a run folder with all that is known of it.
+
+config.json                          its training's settings; those that nobody told are the paper's
+origin.json                          where it came from, its digest and licence, and which settings
+                                     were told
+checks.json                          how it did when it was checked; see `analysis.check`
+README.md                            its card, of all these
+checkpoints/<steps>/agent.safetensors  the network; 0 steps: not known how many
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+from jinja2 import Environment, PackageLoader, StrictUndefined
+
+from astray import games
+from astray.agents import policy
+from astray.agents.importers import files
+from astray.agents.importers.imported import Imported
+from astray.analysis import kept
+from astray.files import folder_aside, write_aside
+from astray.game import LEVELS
+from astray.training import checkpoint
+from astray.training.config import Config
+
+ORIGIN, CHECKS, CARD = "origin.json", "checks.json", "README.md"
+NAME = re.compile(r"[a-z0-9]+(-[a-z0-9]+)*")
+SPARED = 1_000_000  # numbers after the training levels, where all levels were trained on
+# Our variants of what Procgen calls its games and difficulties.
+WORLDS = {
+    ("coinrun", "hard"): ("coinrun", "procgen"),
+    ("coinrun", "easy"): ("coinrun", "procgen-easy"),
+    ("maze", "hard"): ("maze", "anywhere"),
+    ("maze", "easy"): ("maze", "anywhere-easy"),
+    ("maze", "memory"): ("maze", "anywhere-memory"),
+}
+
+
+@dataclass(frozen=True)
+class Known:
+    """What is known of an agent beside its file. Empty text and None: not known.
+
+    variant  that it was trained on
+    actions  how they are chosen of its policy, where its numbers were measured
+    steps    of its environments, that it was trained for
+    about    what it is, a sentence
+    facts    what others measured of it, a sentence each
+    """
+
+    game: str | None = None
+    variant: str | None = None
+    art: str = "original"
+    actions: Literal["sampled", "greedy"] = "sampled"
+    steps: int | None = None
+    source: str = ""
+    licence: str = ""
+    about: str = ""
+    facts: tuple[str, ...] = ()
+
+
+def import_agent(file: Path, name: str, known: Known, *, expected: str | None = None) -> Path:
+    """Import the agent in a file of others as `name`; its run folder.
+
+    expected  the SHA-256 that the file must have
+
+    Raises ValueError where the file is refused, the name is none or taken, or it is not known
+    what the agent was trained on.
+    """
+    if not NAME.fullmatch(name):
+        raise ValueError(f"an agent's name is of a-z, 0-9 and -, as maze-corner; given {name!r}")
+    for home in (kept.KEPT, kept.folder()):
+        if (home / name).exists():
+            raise ValueError(f"there is an agent {name!r} in {home} already")
+    digest = files.digest(file)
+    if expected and digest != expected:
+        raise ValueError(f"{file} is refused: its SHA-256 is {digest}, not {expected}")
+    found = files.read(file)
+    config, told = _config(file, found, known)
+    origin = {
+        "file": file.name, "bytes": file.stat().st_size, "sha256": digest, "format": found.about,
+        "settings_told": told, "all_levels": _on_all_levels(found),
+        "steps": known.steps, "actions": known.actions,
+        "source": known.source, "licence": known.licence, "about": known.about,
+        "facts": known.facts, "file_says": dict(found.told),
+    }  # fmt: skip
+    to = kept.folder() / name
+    with folder_aside(to) as aside:
+        there = aside / "checkpoints" / f"{known.steps or 0}"
+        there.mkdir(parents=True)
+        weights = policy.weights(found.network, found.architecture, config.game)
+        write_aside(there / checkpoint.AGENT, weights)
+        _write(aside / "config.json", {"config": config.to_json()})
+        _write(aside / ORIGIN, origin)
+        write_card(aside, name)
+        os.replace(aside, to)
+    return to
+
+
+def origin(run: Path) -> dict[str, Any]:
+    """What `origin.json` of an imported agent says."""
+    return json.loads((run / ORIGIN).read_bytes())
+
+
+def write_checks(run: Path, checks: list[dict[str, Any]]) -> None:
+    """Write how the agent did when it was checked, and its card anew."""
+    _write(run / CHECKS, checks)
+    write_card(run, run.name)
+
+
+def write_card(run: Path, name: str) -> None:
+    """Write `README.md` of the agent in `run`."""
+    config = checkpoint.read_config(run)
+    network, architecture = policy.load(checkpoint.latest(run) / checkpoint.AGENT, config.game)
+    checks = run / CHECKS
+    environment = Environment(
+        loader=PackageLoader("astray.analysis", ""),
+        lstrip_blocks=True, trim_blocks=True, keep_trailing_newline=True, undefined=StrictUndefined,
+    )  # fmt: skip
+    said = origin(run)
+    text = environment.get_template("imported.md").render(
+        name=name, config=config, origin=said, architecture=architecture,
+        weights=sum(p.numel() for p in network.parameters()),
+        trained_on=config.training_variant().about,
+        settings={key: getattr(config, key) for key in said["settings_told"]},
+        checks=json.loads(checks.read_bytes()) if checks.exists() else [],
+    )  # fmt: skip
+    write_aside(run / CARD, text.encode())
+
+
+def _config(file: Path, found: Imported, known: Known) -> tuple[Config, list[str]]:
+    """The settings of its training, and which of them were told."""
+    game, variant = known.game, known.variant
+    if found.world and not game and not variant:
+        if found.world not in WORLDS:
+            there = ", ".join(" ".join(world) for world in WORLDS)
+            raise ValueError(
+                f"{file} is refused: it was trained in {' '.join(found.world)} of Procgen, which "
+                f"is none of the games here; there are: {there}"
+            )
+        game, variant = WORLDS[found.world]
+    if not game or not variant:
+        missing = "a game and a variant" if not game else f"a variant of {game}"
+        raise ValueError(
+            f"{file.name} does not say what its agent was trained on: {missing} must be given"
+        )
+    games.find(game).variant(variant)
+    settings: dict[str, Any] = dict(found.settings)
+    if known.steps:
+        settings["steps"] = known.steps
+    told = sorted(settings)
+    if _on_all_levels(found):
+        settings["levels"] = LEVELS.stop - SPARED
+    base = {"game": game, "variant": variant, "observation": "image", "art": known.art,
+            "network": found.architecture.name, "scale": found.architecture.scale}  # fmt: skip
+    return Config(**base | settings), told
+
+
+def _on_all_levels(found: Imported) -> bool:
+    """The file tells of its training, and names no number of levels: Procgen then takes all."""
+    return bool(found.told) and "levels" not in found.settings
+
+
+def _write(path: Path, data: Mapping[str, Any] | list[Any]) -> None:
+    write_aside(path, json.dumps(data, indent=2).encode())
+
+
+def known_as(data: Mapping[str, Any]) -> Known:
+    """`Known` of plain data, as a catalogue's entry; what is none of its fields is left out."""
+    names = asdict(Known())
+    values: dict[str, Any] = {name: value for name, value in data.items() if name in names}
+    values["facts"] = tuple(values.get("facts", ()))
+    return Known(**values)

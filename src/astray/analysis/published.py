@@ -1,0 +1,116 @@
+"""The catalogue of agents that others published: where they are, and what is known of them.
+
+It is data, in `published.toml`; nothing of others is part of astray. `fetch` downloads an agent
+at the user's word, checks its digest and imports it.
+"""
+
+from __future__ import annotations
+
+import functools
+import tomllib
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from astray.analysis import kept
+from astray.analysis.download import download
+from astray.analysis.imported import Known, import_agent, known_as
+
+DOWNLOADS = "downloads"  # in the folder of imported agents
+
+
+@dataclass(frozen=True)
+class Check:
+    """What others measured of an agent, to be compared with.
+
+    levels        that they played
+    succeeded     in so many
+    environments  at once, where what counted were the first episodes to end, which are short
+                  ones more often than levels are; 0: every level counted once
+    value         of the critic at the beginning of levels, on average; None: not told
+    by            a field of states, for which there are shares of their own
+    shares        of success, by the value of that field
+    """
+
+    variant: str
+    levels: int
+    succeeded: int
+    environments: int = 0
+    value: float | None = None
+    by: str | None = None
+    shares: tuple[tuple[int, float], ...] = ()
+
+
+@dataclass(frozen=True)
+class Published:
+    """An agent of the catalogue.
+
+    file     its name, whose ending tells the format; empty where there is no address
+    address  of the file; empty: `by_hand` says how to get it
+    size     bytes; None: not known, as the digest
+    tried    it has been imported and checked by the makers of the catalogue
+    """
+
+    name: str
+    known: Known
+    file: str = ""
+    address: str = ""
+    by_hand: str = ""
+    size: int | None = None
+    sha256: str | None = None
+    tried: bool = False
+    checks: tuple[Check, ...] = ()
+
+
+@functools.cache
+def catalogue() -> dict[str, Published]:
+    """All agents of the catalogue, by name."""
+    text = Path(__file__).with_name("published.toml").read_text(encoding="utf-8")
+    return {name: read_entry(name, data) for name, data in tomllib.loads(text).items()}
+
+
+def read_entry(name: str, data: dict[str, Any]) -> Published:
+    """An entry of the catalogue."""
+    checks = [
+        Check(**check | {"shares": tuple((int(k), v) for k, v in check.get("shares", {}).items())})
+        for check in data.get("checks", [])
+    ]
+    own = ("file", "address", "by_hand", "size", "sha256", "tried")
+    return Published(
+        name, known_as(data), checks=tuple(checks),
+        **{key: data[key] for key in own if key in data},
+    )  # fmt: skip
+
+
+def find(name: str) -> Published:
+    """The agent of the catalogue that has this name."""
+    if name not in catalogue():
+        there = ", ".join(catalogue())
+        raise ValueError(f"unknown published agent {name!r}; there are: {there}")
+    return catalogue()[name]
+
+
+def by_digest(sha256: str) -> Published | None:
+    """The agent of the catalogue whose file has this digest."""
+    return next((one for one in catalogue().values() if one.sha256 == sha256), None)
+
+
+def fetch(one: Published, *, unchecked: bool = False) -> Path:
+    """Download, check and import an agent of the catalogue; its run folder.
+
+    unchecked  also where no digest is known, so that nobody can tell whether it is the right file
+    """
+    if not one.address:
+        raise ValueError(f"{one.name} cannot be fetched: {one.by_hand}")
+    if one.sha256 is None and not unchecked:
+        raise ValueError(
+            f"no digest of {one.name} is known, so what comes cannot be checked; to take it as it "
+            f"is: astray agents fetch {one.name} --unchecked"
+        )
+    if one.name in (*kept.names(), *kept.imported()):
+        raise ValueError(f"there is an agent {one.name!r} already, in {kept.find(one.name)}")
+    file = kept.folder() / DOWNLOADS / one.file
+    download(one.address, file, size=one.size, sha256=one.sha256)
+    run = import_agent(file, one.name, one.known, expected=one.sha256)
+    file.unlink()
+    return run

@@ -1,0 +1,160 @@
+"""Verbs for agents that others published: import a file, see what there is, fetch, check."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Annotated, Literal
+
+from rich.console import Console
+from rich.table import Table
+from tyro.conf import Positional, arg
+
+from astray.analysis import kept
+from astray.cli.arguments import Mode, level_numbers, print_json
+
+
+def import_(
+    file: Positional[Path],
+    name: Annotated[str, arg(name="as")],
+    game: str | None = None,
+    variant: str | None = None,
+    art: str | None = None,
+    actions: Mode | None = None,
+    source: str | None = None,
+    licence: str | None = None,
+) -> None:
+    """Import an agent that others trained, from their file. Nothing in the file is run.
+
+    What the file or the catalogue tells need not be given.
+
+    Args:
+        file: a .pth of train-procgen-pytorch (IMPALA), or a .jd of RL-Clarity (the clear network)
+        name: by which every verb finds it
+        game: that it was trained in
+        variant: that it was trained on
+        art: that it was shown; by default original
+        actions: how they are chosen where its numbers were measured; by default sampled
+        source: where it came from
+        licence: of the file
+    """
+    from astray.agents.importers import files
+    from astray.analysis.imported import Known, import_agent
+    from astray.analysis.published import by_digest
+
+    entry = by_digest(files.digest(file))
+    given = {"game": game, "variant": variant, "art": art, "actions": actions,
+             "source": source, "licence": licence}  # fmt: skip
+    known = replace(
+        entry.known if entry else Known(), **{key: value for key, value in given.items() if value}
+    )
+    print(import_agent(file, name, known))
+
+
+def agents(
+    what: Positional[Literal["list", "fetch", "check"]] = "list",
+    name: Positional[str | None] = None,
+    levels: str | None = None,
+    unchecked: bool = False,
+    json: bool = False,
+) -> None:
+    """Agents that others published: list them, fetch one, or check one that is here.
+
+    Args:
+        what: list; fetch, which downloads an agent, checks its digest and imports it to the
+            user's data folder, or where ASTRAY_AGENTS says; or check, which plays it and
+            compares with what others measured, and writes both to its card
+        name: of the agent
+        levels: to check it on, numbers and ranges as 5,17,100:200; by default the first ones, as
+            many as others played
+        unchecked: fetch it also where no digest is known
+        json: print JSON
+    """
+    if what == "list":
+        _list(json)
+    elif name is None:
+        raise ValueError(f"name an agent to {what}; there are: astray agents list")
+    elif what == "fetch":
+        _fetch(name, unchecked)
+    else:
+        _check(name, levels, json)
+
+
+def _list(json: bool) -> None:
+    from astray.analysis.published import catalogue
+
+    here = kept.imported()
+    rows = {
+        name: {
+            "imported": name in here,
+            "state": _state(name in here, one.tried, one.address, one.sha256),
+            "about": one.known.about, "game": one.known.game, "variant": one.known.variant,
+            "address": one.address, "by_hand": one.by_hand, "sha256": one.sha256,
+            "bytes": one.size, "licence": one.known.licence, "source": one.known.source,
+        }
+        for name, one in catalogue().items()
+    }  # fmt: skip
+    others = [name for name in here if name not in rows]
+    if json:
+        print_json({"folder": str(kept.folder()), "published": rows, "others": others})
+        return
+    table = Table("agent", "state", "licence", "what it is", box=None, padding=(0, 2, 1, 0))
+    for name, row in rows.items():
+        table.add_row(name, row["state"], row["licence"] or "none known", row["about"])
+    Console(width=120).print(table)
+    if others:
+        print(f"imported beside these: {', '.join(others)}")
+    print(f"Imported agents are in {kept.folder()}; to get one: astray agents fetch NAME")
+
+
+def _state(imported: bool, tried: bool, address: str, sha256: str | None) -> str:
+    if imported:
+        return "imported"
+    how = "by hand" if not address else "can be fetched" if sha256 else "can be fetched, unchecked"
+    return how if tried else f"{how}; not tried here"
+
+
+def _fetch(name: str, unchecked: bool) -> None:
+    from astray.analysis.published import fetch, find
+
+    one = find(name)
+    run = fetch(one, unchecked=unchecked)
+    print(run)
+    if one.known.licence == "":
+        print("no licence of it is known: use it, and do not pass it on")
+    if one.checks:
+        print(f"before you believe it: astray agents check {name}")
+
+
+def _check(name: str, levels: str | None, json: bool) -> None:
+    from astray.analysis.check import check
+    from astray.analysis.imported import origin, write_checks
+    from astray.analysis.published import by_digest
+
+    run = kept.find(name)
+    if name not in kept.imported():
+        raise ValueError(f"{name!r} comes with astray; its card has what was measured: {run}")
+    entry = by_digest(origin(run)["sha256"])
+    if entry is None or not entry.checks:
+        raise ValueError(f"nobody's measurements of {name!r} are in the catalogue to compare with")
+    rows = check(run, entry.checks, level_numbers(levels) if levels else None)
+    write_checks(run, rows)
+    if json:
+        print_json(rows)
+        return
+    table = Table(
+        "levels", "published", "here, counted alike", "here, every level once", "mean length",
+        "value at the start",
+    )  # fmt: skip
+    for row in rows:
+        value = f"{row['start_value']:.2f}"
+        if row["published_value"] is not None:
+            value += f" (published: {row['published_value']:.2f})"
+        where = f"{row['variant']} {row['what']}".strip()
+        shares = row["published"], row["alike"], row["here"]
+        table.add_row(where, *shares, f"{row['length']:.1f}", value)
+    Console(width=120).print(table)
+    for row in rows:
+        if row["verdict"]:
+            print(row["verdict"])
+    print(f"written to {run / 'README.md'}")
