@@ -6,28 +6,30 @@ import json
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import torch
 from safetensors import SafetensorError, safe_open
 from safetensors.torch import save
 from torch import Tensor, nn
 
+from astray import imports
 from astray.agents.clear import Clear
 from astray.agents.impala import WIDTHS, Impala
 from astray.agents.small import Small
 from astray.files import see_readable
-from astray.words import check_word
 
-NetworkName = Literal["impala", "small", "clear"]
+NETWORKS = ("impala", "small", "clear")  # astray's own
+GROUP = "astray.networks"  # of entry points, by which installed packages offer theirs
 FORMAT = 1  # of the files; goes up when an older version could not read them
 SEQUENCES = ("shape", "largest", "widths")  # fields of an architecture that JSON has as lists
 
 
 @dataclass(frozen=True)
 class Architecture:
-    """What network to build.
+    """What network to build; one of your own is given it, and nothing else.
 
+    name     one of `NETWORKS`, or "module:Class"
     shape    of an observation: [H, W, C] for images, [C, H, W] for symbolic planes
     largest  the largest value of each symbolic plane; empty for images
     scale    multiplies the channels of "impala"
@@ -35,7 +37,7 @@ class Architecture:
     widths   channels of "impala"'s three blocks, at scale 1
     """
 
-    name: NetworkName
+    name: str
     shape: tuple[int, int, int]
     largest: tuple[int, ...]
     actions: int
@@ -48,10 +50,15 @@ class Architecture:
         lengths = (len(self.shape), len(self.widths))
         if lengths != (3, 3) or any(type(n) is not int or n < 1 for n in sizes):
             raise ValueError(f"an architecture's sizes are integers from 1 on; given {self}")
-        check_word("network", self.name, NetworkName)
+        check_network(self.name)
 
     def build(self) -> nn.Module:
-        """The network, freshly initialised from torch's global random state."""
+        """The network, freshly initialised from torch's global random state.
+
+        Raises ValueError where it is neither astray's own nor known: see `imports.known`.
+        """
+        if self.name not in NETWORKS:
+            return imports.known(self.name, GROUP)(self)
         if (self.name != "small") != (not self.largest):
             seen = "symbolic planes" if self.largest else "images"
             raise ValueError(f"network {self.name!r} does not see {seen}")
@@ -60,6 +67,13 @@ class Architecture:
         if self.name == "clear":
             return Clear(self.shape, self.actions)
         return Small(self.shape, list(self.largest), self.actions, self.width)
+
+
+def check_network(name: str) -> None:
+    """ValueError where no network can have that name."""
+    if name not in NETWORKS and not imports.is_name(name):
+        there = ", ".join(NETWORKS)
+        raise ValueError(f"unknown network {name!r}; there are: {there}, and module:Class")
 
 
 def weights(network: nn.Module, architecture: Architecture, game: str) -> bytes:

@@ -10,6 +10,7 @@ from typing import Any, Literal
 import numpy as np
 import polars as pl
 
+from astray import games
 from astray.agents.policy import usable
 from astray.analysis.evaluate import Measure, evaluate
 from astray.analysis.outcomes import label, load_shift, shares, tell_apart
@@ -19,6 +20,7 @@ from astray.level import Level, read_levels
 from astray.training import checkpoint
 from astray.training.config import Config
 
+LEVELS_PLAYED = 1000  # where nobody says which
 Mode = Literal["sampled", "greedy"]
 
 
@@ -91,17 +93,43 @@ def evaluate_runs(
         for name in ("game", "variant", "knobs", *(["art"] if art is None else [])):
             if getattr(other, name) != getattr(config, name):
                 raise ValueError(f"{runs[0]} and {run} were trained with different {name}")
-    named = shift or shift_of(config)
-    game = config.find_game()
-    between = load_shift(game, named)
-    name = variant or between.test
-    made = config.variant_for(name, knobs)
+    named, game = shift or shift_of(config), config.find_game()
+    name = variant or load_shift(game, named).test
+    played = config.unseen_levels[:LEVELS_PLAYED] if levels is None else levels
+    return _outcomes(
+        [agent for agent, _ in opened], game, name, config.variant_for(name, knobs), named, played,
+        batch, solvable,
+    )  # fmt: skip
+
+
+def evaluate_policies(
+    policies: Sequence[Policy],
+    game: str | Game,
+    shift: str,
+    levels: np.ndarray | Path | None = None,
+    *,
+    variant: str | None = None,
+    knobs: dict[str, Any] | None = None,
+    batch: int = 256,
+    solvable: bool = True,
+) -> tuple[pl.DataFrame, pl.DataFrame]:
+    """As `evaluate_runs`, of any policies; `levels` are the first 1,000 where none are given."""
+    game = games.find(game)
+    name = variant or load_shift(game, shift).test
+    played = range(LEVELS_PLAYED) if levels is None else levels
+    changed = game.variant(name).with_knobs(knobs or {})
+    return _outcomes(policies, game, name, changed, shift, played, batch, solvable)
+
+
+def _outcomes(
+    policies: Sequence[Policy], game: Game, name: str, variant: Variant, shift: str,
+    levels: np.ndarray | range | Path, batch: int, solvable: bool,
+) -> tuple[pl.DataFrame, pl.DataFrame]:  # fmt: skip
     if isinstance(levels, Path):
-        chosen = read_levels(levels, game, made, solvable=solvable)
+        chosen = read_levels(levels, game, variant, solvable=solvable)
     else:
-        chosen = config.unseen_levels[:1000] if levels is None else levels
-    agents = [agent for agent, _ in opened]
-    episodes = play_all(game, name, made, named, chosen, agents, batch)
+        chosen = levels
+    episodes = play_all(game, name, variant, shift, chosen, policies, batch)
     both = [
         shares(part).with_columns(levels_played=pl.lit(which))
         for which, part in (("all", episodes), ("telling apart", episodes.filter("tells_apart")))
@@ -116,11 +144,13 @@ def play_all(
     variant: Variant,
     shift: str,
     levels: np.ndarray | range | Mapping[str, Level],
-    agents: Sequence[Agent],
+    policies: Sequence[Policy],
     batch: int = 256,
     measures: Mapping[str, Measure] | None = None,
 ) -> pl.DataFrame:
-    """The episodes of `agents`, and of scripted policies that walk to each goal or at random.
+    """The episodes of policies, and of scripted ones that walk to each goal or at random.
+
+    A game without a solver has scripts at random alone.
 
     measures  as for `evaluate`
 
@@ -128,9 +158,13 @@ def play_all(
     outcome, tells_apart.
     """
     between = load_shift(game, shift)
-    scripts: list[Policy] = [Walk(goal) for goal in (between.intended, *between.proxies)]
+    goals = (between.intended, *between.proxies) if game.solver else ()
+    scripts: list[Policy] = [*map(Walk, goals), Random()]
+    names = [policy.name for policy in (*scripts, *policies) if not isinstance(policy, Agent)]
+    if len(set(names)) < len(names):
+        raise ValueError(f"policies must have names of their own; got {', '.join(names)}")
     parts = []
-    for policy in (*scripts, Random(), *agents):
+    for policy in (*scripts, *policies):
         run = seed = steps = None
         if isinstance(policy, Agent):
             run, seed, steps = (

@@ -11,6 +11,7 @@ import polars as pl
 from rich.table import Table
 from tyro.conf import Positional, arg
 
+from astray import imports
 from astray.analysis.kept import KEPT
 from astray.analysis.tables import write_table
 from astray.bounds import bounded
@@ -26,7 +27,7 @@ from astray.cli.arguments import (
 )
 from astray.envs.vector import PICTURES
 from astray.files import see_writable, write_aside
-from astray.game import MOST
+from astray.game import MOST, OWN
 from astray.training.config import SEEDS, Config
 
 EPISODES = "episodes.parquet"
@@ -63,6 +64,9 @@ def train(
 def evaluate(
     runs: Positional[tuple[Path, ...]] = (),
     agent: str | None = None,
+    policy: str | None = None,
+    game: str | None = None,
+    observation: Literal["image", "symbolic"] = "image",
     variant: str | None = None,
     shift: str | None = None,
     levels: str | None = None,
@@ -80,6 +84,10 @@ def evaluate(
         runs: run folders, or checkpoints in them, or names as `astray list` has them; several
             agents of one kind
         agent: instead, the name of a kept or imported one
+        policy: instead, a function of your own, module:function, of observations [N, ...] that
+            returns actions [N]; needs --game and --shift
+        game: that the policy plays
+        observation: that the policy is shown
         variant: of the levels; by default the shift's test variant
         shift: which goals are intended and proxies; by default the one that the run trained for
         levels: numbers and ranges, as 5,17,100:200, or a file or folder of levels as
@@ -93,7 +101,8 @@ def evaluate(
         out: a Parquet file for the episodes, a row each
         json: print JSON
     """
-    from astray.analysis.runs import evaluate_runs
+    from astray.analysis.adapters import Function
+    from astray.analysis.runs import evaluate_policies, evaluate_runs
 
     bounded("batch", batch, 1, MOST)
     played = None
@@ -102,10 +111,19 @@ def evaluate(
         played = Path(levels) if os.path.exists(levels) else level_numbers(levels)
     if out:
         see_writable(out)
-    shares, episodes = evaluate_runs(
-        chosen(runs, agent), played, variant=variant, shift=shift, mode=mode,
-        art=art, knobs=pairs(knobs), batch=batch, solvable=not unsolvable,
-    )  # fmt: skip
+    if policy is None:
+        shares, episodes = evaluate_runs(
+            chosen(runs, agent), played, variant=variant, shift=shift, mode=mode,
+            art=art, knobs=pairs(knobs), batch=batch, solvable=not unsolvable,
+        )  # fmt: skip
+    elif runs or agent or game is None or shift is None:
+        raise ValueError("--policy needs --game and --shift, and neither runs nor --agent")
+    else:
+        own = Function(imports.find(policy), policy, observation, art or OWN)
+        shares, episodes = evaluate_policies(
+            [own], game, shift, played, variant=variant, knobs=pairs(knobs), batch=batch,
+            solvable=not unsolvable,
+        )  # fmt: skip
     if out:
         write_table(episodes, out)
     if json:
@@ -197,6 +215,10 @@ def agency(
     Args:
         run: a run folder or a checkpoint in it, or a name as `astray list` has them
         agent: instead, the name of a kept or imported one
+        policy: instead, a function of your own, module:function, of observations [N, ...] that
+            returns actions [N]; needs --game and --shift
+        game: that the policy plays
+        observation: that the policy is shown
         variant: of the levels; by default the shift's test variant
         shift: which goals are intended and proxies; by default the one that the run trained for
         levels: numbers and ranges, as 5,17,100:200; by default the first 300 that the training

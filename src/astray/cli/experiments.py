@@ -77,7 +77,8 @@ def reproduce(
     """Do a figure or table of the paper: train, evaluate, report; go on where it stopped.
 
     Args:
-        name: of the experiment, as `astray list` has them, or all
+        name: of the experiment, as `astray list` has them, or all; or your own, module:OBJECT or
+            a Python file that defines EXPERIMENT
         size: smoke (minutes on two cores), hour (of a GPU), or paper
         folder: of reports; gets this one in <name>-<size>, and the agents, which are shared
         workers: agents trained at once here; by default one for each processor

@@ -16,7 +16,7 @@ from astray import experiments
 from astray.analysis.overlap import met, unseen
 from astray.analysis.runs import open_run, play_all
 from astray.experiments import report
-from astray.experiments.spec import COMPUTED, Plan, Runs, Size, Test, Work, kept
+from astray.experiments.spec import COMPUTED, Experiment, Plan, Runs, Size, Test, Work, kept
 from astray.experiments.workers import Place, train_all
 from astray.files import hold, read, write_aside
 from astray.game import OWN, Game, Variant
@@ -32,30 +32,35 @@ COMPUTING = (
 
 
 def reproduce(
-    name: str, size: Size, root: Path, *, workers: int | None = None, on: Place = "here",
+    experiment: str | Experiment,
+    size: Size,
+    root: Path,
+    *,
+    workers: int | None = None,
+    on: Place = "here",
     art: str = OWN,
-) -> Path:  # fmt: skip
+) -> Path:
     """Do what is missing of an experiment and write its report; the report's path.
 
+    experiment  of the catalogue, by name, or one of your own: see `experiments.find`
     root     gets the report, in <name>-<size>, and in `agents` the agents, which experiments share;
              on a cluster all nodes see it
     workers  agents trained at once here; None: one for each processor
     on       where agents are trained; they are evaluated here
     art      of all images; the report of another than our own is in <name>-<size>-<art>
     """
-    experiment = experiments.load(name)
-    if size not in experiment.sizes:
-        raise ValueError(
-            f"unknown size {size!r} of {name}; there are: {', '.join(experiment.sizes)}"
-        )
+    name, whole = experiments.find(experiment)
+    if size not in whole.sizes:
+        raise ValueError(f"unknown size {size!r} of {name}; there are: {', '.join(whole.sizes)}")
     torch.set_num_threads(1)  # several cost small networks more than they save
-    plan, ending = experiment.sizes[size].drawn_with(art), "" if art == OWN else f"-{art}"
+    plan, ending = whole.sizes[size].drawn_with(art), "" if art == OWN else f"-{art}"
     folder = root / f"{name}-{size}{ending}"
     folder.mkdir(parents=True, exist_ok=True)
+    given = experiment if isinstance(experiment, str) else name
     heading = report.Heading(
-        name=name, size=size, title=experiment.title, reproduces=experiment.reproduces,
-        question=experiment.question, smaller=plan.smaller,
-        command=f"astray reproduce {name} --size {size}" + (f" --art {art}" if ending else ""),
+        name=name, size=size, title=whole.title, reproduces=whole.reproduces,
+        question=whole.question, smaller=plan.smaller,
+        command=f"astray reproduce {given} --size {size}" + (f" --art {art}" if ending else ""),
     )  # fmt: skip
     with hold(folder, "works on"):
         runs = train_agents(plan, root, workers, on)
@@ -63,7 +68,7 @@ def reproduce(
         episodes = (
             kept(folder, "episodes", lambda: play(plan, runs)) if plan.tests else pl.DataFrame()
         )
-        findings = experiment.find(Work(name, size, plan, folder, runs, episodes))
+        findings = whole.find(Work(name, size, plan, folder, runs, episodes))
         return report.write(heading, findings, folder)
 
 

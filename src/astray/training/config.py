@@ -12,8 +12,8 @@ from typing import Annotated, Any, Literal
 
 from tyro.conf import Positional, Suppress
 
-from astray import games
-from astray.agents.policy import NetworkName
+from astray import games, imports
+from astray.agents.policy import check_network
 from astray.bounds import shown
 from astray.game import LEVELS, MOST, OWN, Game, Variant
 
@@ -54,7 +54,7 @@ class Config:
 
     observation: Literal["image", "symbolic"] = "image"
     art: str = OWN  # that images are drawn with; "original" has to be imported: astray art import
-    network: NetworkName = "impala"
+    network: str = "impala"  # or small, for symbols; or your own, module:Class
     scale: int = 1  # of impala's channels; the paper's sweeps have 4
     width: int = 64  # hidden units of the small network
 
@@ -75,6 +75,7 @@ class Config:
     reward_gamma: float = 0.99  # of the returns whose deviation rewards are divided by
     normalise_advantage: bool = True  # over the whole rollout
     timeouts: Literal["bootstrap", "terminate"] = "bootstrap"
+    loss: str | None = None  # your own, module:function, in the place of ppo.loss
 
     validation_every: int = 1  # iterations
     checkpoint_every: int = 25  # iterations
@@ -111,6 +112,9 @@ class Config:
                 f"training levels are {self.first_level} to {self.training_levels.stop - 1}; "
                 f"they are below {LEVELS.stop - 1}, and some are left for tests"
             )
+        check_network(self.network)
+        if self.loss is not None and not imports.is_name(self.loss):
+            raise ValueError(f"loss must be module:function; got {self.loss!r}")
         self.training_variant()
         self.find_game().drawn(self.art)
         if self.validation:

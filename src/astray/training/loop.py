@@ -10,12 +10,14 @@ import contextlib
 import functools
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import torch
 from torch import Tensor, nn
 
+from astray import imports
 from astray.agents import policy
 from astray.agents.policy import Architecture
 from astray.bounds import bounded
@@ -37,14 +39,15 @@ def train(
     folder: Path,
     *,
     network: Callable[[Architecture], nn.Module] | None = None,
-    loss: Loss = ppo.loss,
+    loss: Loss | None = None,
     progress: bool = True,
     wait: bool = False,
 ) -> Path:
     """Train an agent in the run folder `folder`, or go on where it stopped; its last checkpoint.
 
-    network  makes a network of your own: observations [B, ...] -> logits [B, actions], values [B]
-    loss     a loss of your own, of the arguments of `ppo.loss`; what it returns is logged
+    network  a class of your own, or a function, that is given an `Architecture` and makes a
+             network: observations [B, ...] -> logits [B, actions], values [B]
+    loss     a function of your own, of the arguments of `ppo.loss`; what it returns is logged
     wait     where another process trains in the folder, until it has ended; else it is an error
 
     On a CPU, a run that was stopped and resumed has the weights and metrics of one that was not.
@@ -52,6 +55,10 @@ def train(
     Raises ValueError where the folder holds another run or there is no such device, OSError where
     it cannot be written, `checkpoint.Claimed` where another process trains in it.
     """
+    if network is not None:
+        config = replace(config, network=imports.name_of(network))
+    if loss is not None and loss is not ppo.loss:
+        config = replace(config, loss=imports.name_of(loss))
     if not policy.usable(config.device):
         raise ValueError(f"there is no device {config.device!r} that torch can use")
     bounded("threads", config.threads, 1, most_threads())

@@ -8,6 +8,8 @@ from collections.abc import Callable
 import torch
 from torch import Tensor, nn
 
+from astray import imports
+from astray.agents import policy
 from astray.agents.policy import Architecture
 from astray.memory import check_memory
 from astray.training import parallel, ppo
@@ -26,15 +28,14 @@ MOMENTS = ("exp_avg", "exp_avg_sq")  # that Adam keeps of each weight
 class Trainer:
     """The network, its optimizer, and the players of the training and validation variants.
 
-    network  makes another network than `config.network`; it is given an `Architecture`
-    loss     takes the place of `ppo.loss`
+    network, loss  what `config` has the names of, where nobody can import it
     """
 
     def __init__(
         self,
         config: Config,
         network: Callable[[Architecture], nn.Module] | None = None,
-        loss: Loss = ppo.loss,
+        loss: Loss | None = None,
     ):
         if config.batch // parallel.size() % config.minibatches:
             raise ValueError(
@@ -58,13 +59,16 @@ class Trainer:
             config.network, space.shape, largest, len(game.actions),  # pyright: ignore
             config.scale, config.width,
         )  # fmt: skip
-        self._check_memory()
+        # The user's own words: what they name may be imported.
+        own = config.network in policy.NETWORKS
+        build = network or (Architecture.build if own else imports.find(config.network))
+        self._check_memory(build)
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(config.seed)
-            made = network(self.architecture) if network else self.architecture.build()
-            self.network = made.to(config.device)
+            self.network = build(self.architecture).to(config.device)
         self.weights = list(self.network.parameters())
-        self.fast = acceleration.accelerate(self.network, loss, config, self.architecture)
+        what = loss or (imports.find(config.loss) if config.loss else ppo.loss)
+        self.fast = acceleration.accelerate(self.network, what, config, self.architecture)
         self.actor = self.validator = None  # where `loop` plays itself
         if self.fast.using.of_playing:
             self.actor = Actor(self.fast, self.player, config, config.rollout)
@@ -78,12 +82,12 @@ class Trainer:
             eps=1e-5, fused=True, capturable=graphs,
         )  # fmt: skip
 
-    def _check_memory(self) -> None:
+    def _check_memory(self, build: Callable[[Architecture], nn.Module]) -> None:
         """MemoryError where a rollout and the network, on a CPU, need more than there is."""
         config, shown = self.config, math.prod(self.architecture.shape)
         try:
             with torch.device("meta"):  # without memory
-                count = sum(x.numel() for x in self.architecture.build().parameters())
+                count = sum(x.numel() for x in build(self.architecture).parameters())
         except (RuntimeError, OverflowError) as error:  # more than there are addresses
             raise MemoryError(
                 f"a network of width {config.width} and scale {config.scale} has too many weights "

@@ -1,0 +1,65 @@
+"""Objects of others by name, "module:attribute", as entry points write them."""
+
+from __future__ import annotations
+
+import importlib
+import re
+import sys
+from importlib.metadata import entry_points
+from typing import Any
+
+NAME = re.compile(r"[^\W\d][\w.]*:[^\W\d][\w.]*")
+
+
+def is_name(text: str) -> bool:
+    """Whether `text` may name an object: "module:attribute"."""
+    return bool(NAME.fullmatch(text))
+
+
+def name_of(thing: Any) -> str:
+    """The name of a function or a class.
+
+    Raises ValueError where it has none that leads back to it, as what is defined in a function.
+    """
+    name = f"{getattr(thing, '__module__', None)}:{getattr(thing, '__qualname__', None)}"
+    try:
+        found = _attribute(sys.modules[name.partition(":")[0]], name)
+    except (KeyError, AttributeError):
+        found = None
+    if found is not thing:
+        raise ValueError(f"{thing!r} must be a function or a class at the top of a module")
+    return name
+
+
+def find(name: str) -> Any:
+    """What a name of the user's own leads to; its module is imported, which runs it.
+
+    Raises ValueError where there is nothing.
+    """
+    try:
+        return _attribute(importlib.import_module(name.partition(":")[0]), name)
+    except (ImportError, AttributeError, ValueError) as error:
+        raise ValueError(f"{name!r} must be a module and what is in it; {error}") from error
+
+
+def known(name: str, group: str) -> Any:
+    """What a name out of a file leads to: nothing is imported that nobody asked for.
+
+    Its module has been imported in this process, or an installed package offers it as one of the
+    entry points of `group`.
+
+    Raises ValueError where neither is so.
+    """
+    module = name.partition(":")[0]
+    if module not in sys.modules and name not in {p.value for p in entry_points(group=group)}:
+        raise ValueError(
+            f"{name} is not astray's own: import {module} first, or install a package that "
+            f"offers it as one of the entry points {group!r}"
+        )
+    return find(name)
+
+
+def _attribute(thing: Any, name: str) -> Any:
+    for part in name.partition(":")[2].split("."):
+        thing = getattr(thing, part)
+    return thing
