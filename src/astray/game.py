@@ -53,6 +53,9 @@ def _record_dtype(columns: list[tuple]) -> np.dtype:
     return np.dtype((np.record, np.dtype(columns, align=True)))
 
 
+COMMON = frozenset(state_dtype().names or ())  # fields that the states of all games have
+
+
 @dataclass(frozen=True, kw_only=True)
 class Variant:
     """A distribution of levels. Each game adds its own knobs: numbers with units, and choices.

@@ -11,7 +11,7 @@ import polars as pl
 
 from astray import games
 from astray.envs.vector import GameVectorEnv
-from astray.game import Game, Variant, level_numbers
+from astray.game import COMMON, Game, Variant, level_numbers
 from astray.level import EMPTY
 
 CHUNK = 1000  # levels made at once
@@ -112,8 +112,17 @@ def _differ(one: np.ndarray, other: np.ndarray) -> np.ndarray:
 
 
 def _told(game: str | Game, states: np.ndarray) -> Iterator[tuple[bytes, bytes]]:
-    """Of each state's level: a digest of all but its looks, and one of its walls alone."""
+    """Of each state's level: a digest of all but its looks, and one of its walls alone.
+
+    Of a game without editing both are of all fields of its own in the state.
+    """
     game = games.find(game)
+    if not game.editing:
+        names = [name for name in states.dtype.names or () if name not in COMMON]
+        for s in states:
+            whole = blake2b(b"".join(s[name].tobytes() for name in names), digest_size=8).digest()
+            yield whole, whole
+        return
     objects = [game.editing.LEGEND[char] for char in game.editing.OBJECTS.values()]
     for s in states:
         told = game.editing.describe(s)
