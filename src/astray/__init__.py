@@ -1,9 +1,63 @@
-"""astray finds out which goal a trained agent really pursues."""
+"""astray finds out which goal a trained agent really pursues.
 
+What is imported from here is what most need; all else is in the modules that it comes from.
+"""
+
+from __future__ import annotations
+
+import importlib
 from importlib.metadata import version
+from typing import TYPE_CHECKING, Any
 
 from astray import envs
+from astray.envs import register as register
+
+if TYPE_CHECKING:
+    from astray.analysis.adapters import Function as Function
+    from astray.analysis.evaluate import evaluate as evaluate
+    from astray.analysis.runs import evaluate_policies as evaluate_policies
+    from astray.analysis.runs import evaluate_runs as evaluate_runs
+    from astray.analysis.runs import load_agent as load_agent
+    from astray.analysis.statistics import Estimate as Estimate
+    from astray.envs.single import GameEnv as GameEnv
+    from astray.envs.vector import GameVectorEnv as GameVectorEnv
+    from astray.experiments.run import reproduce as reproduce
+    from astray.game import Game as Game
+    from astray.game import Variant as Variant
+    from astray.level import Level as Level
+    from astray.training.config import Config as Config
+    from astray.training.loop import train as train
 
 __version__ = version("astray")
 
-envs.register()
+# Where each is: imported when it is first asked for, as torch alone takes a second.
+FACE = {
+    "Config": "astray.training.config:Config",
+    "Estimate": "astray.analysis.statistics:Estimate",
+    "evaluate": "astray.analysis.evaluate:evaluate",
+    "evaluate_policies": "astray.analysis.runs:evaluate_policies",
+    "evaluate_runs": "astray.analysis.runs:evaluate_runs",
+    "Function": "astray.analysis.adapters:Function",
+    "Game": "astray.game:Game",
+    "GameEnv": "astray.envs.single:GameEnv",
+    "GameVectorEnv": "astray.envs.vector:GameVectorEnv",
+    "Level": "astray.level:Level",
+    "load_agent": "astray.analysis.runs:load_agent",
+    "reproduce": "astray.experiments.run:reproduce",
+    "train": "astray.training.loop:train",
+    "Variant": "astray.game:Variant",
+}
+
+
+def __getattr__(name: str) -> Any:
+    if name not in FACE:
+        raise AttributeError(f"module 'astray' has no {name!r}; it has: {', '.join(__dir__())}")
+    module, _, attribute = FACE[name].partition(":")
+    return getattr(importlib.import_module(module), attribute)
+
+
+def __dir__() -> list[str]:
+    return sorted([*FACE, "register"])
+
+
+envs.register_own()

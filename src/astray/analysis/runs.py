@@ -12,6 +12,7 @@ import polars as pl
 
 from astray import games
 from astray.agents.policy import usable
+from astray.analysis import kept
 from astray.analysis.evaluate import Measure, evaluate
 from astray.analysis.outcomes import label, load_shift, shares, tell_apart
 from astray.analysis.policies import Agent, Policy, Random, Walk
@@ -38,6 +39,17 @@ def open_run(run: Path, mode: Mode = "sampled", art: str | None = None) -> tuple
     shown = config.art if art is None else art
     config.find_game().drawn(shown)
     return Agent(path / checkpoint.AGENT, config.game, mode, config.seed, device, shown), config
+
+
+def load_agent(run: str | Path, mode: Mode = "sampled", art: str | None = None) -> Agent:
+    """The agent of a run folder or of a checkpoint in it, or the kept or imported one of that name.
+
+    mode  "sampled" draws its actions from its policy, "greedy" takes the likeliest
+    art   that it is shown; None: what it was trained on
+
+    Raises FileNotFoundError or ValueError where there is none, or not one that can be used.
+    """
+    return open_run(kept.run_of(Path(run)), mode, art)[0]
 
 
 def shift_of(config: Config) -> str:

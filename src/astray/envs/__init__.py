@@ -3,17 +3,35 @@
 import gymnasium
 
 from astray import games
+from astray.game import Game
 
 VERSION = "v0"  # goes up when a level, a picture or a reward of the same number changes
 
 
-def register() -> None:
-    """Register every variant of every game; nothing is compiled by this."""
-    for game in games.OWN:
-        for variant in games.find(game).variants:
-            gymnasium.register(
-                f"astray/{game}-{variant}-{VERSION}",
-                entry_point="astray.envs.single:GameEnv",
-                vector_entry_point="astray.envs.vector:GameVectorEnv",
-                kwargs={"game": game, "variant": variant},
-            )
+def register(game: Game) -> None:
+    """Let a game of your own be found by its name in this process, and by Gymnasium's ids.
+
+    See `games.register`, also for how a package offers its games to all processes.
+
+    Raises ValueError where the name is that of one of astray's own games.
+    """
+    games.register(game)
+    _register_ids(game)
+
+
+def register_own() -> None:
+    """Register every variant of astray's own games; nothing is compiled by this."""
+    for name in games.OWN:
+        _register_ids(games.find(name))
+
+
+def _register_ids(game: Game) -> None:
+    for variant in game.variants:
+        name = f"astray/{game.name}-{variant}-{VERSION}"
+        gymnasium.registry.pop(name, None)  # registered again, a game takes its own place
+        gymnasium.register(
+            name,
+            entry_point="astray.envs.single:GameEnv",
+            vector_entry_point="astray.envs.vector:GameVectorEnv",
+            kwargs={"game": game.name, "variant": variant},
+        )
