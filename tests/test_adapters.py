@@ -1,0 +1,58 @@
+"""Policies of others that are no files: callables, and models of Stable-Baselines3."""
+
+import numpy as np
+import polars as pl
+import pytest
+
+from astray import games
+from astray.analysis.adapters import Function, from_sb3
+from astray.analysis.evaluate import evaluate
+from astray.analysis.outcomes import label, load_shift
+
+
+class Predictor:
+    """As a model of Stable-Baselines3: draws, or always goes right."""
+
+    def predict(self, observation, *, deterministic=False):
+        random = np.random.default_rng(0).integers(15, size=len(observation))
+        return np.full(len(observation), 7) if deterministic else random, None
+
+
+def test_a_callable_and_a_model_are_evaluated_as_policies():
+    right = Function(lambda seen: np.full(len(seen), 7), "right", "symbolic")
+    (one, two, three) = (
+        evaluate(policy, "maze", "corner-small", range(20))
+        for policy in (right, from_sb3(Predictor(), greedy=True), from_sb3(Predictor()))
+    )
+    assert set(one["policy"]) == {"right"} and set(two["policy"]) == {"sb3"}
+    assert one.drop("policy").equals(two.drop("policy"))
+    assert not one.drop("policy").equals(three.drop("policy"))
+    table = label(one, games.find("maze"), load_shift(games.find("maze"), "corner-small"))
+    assert len(table.filter(pl.col("outcome").is_not_null())) == 20
+
+
+@pytest.mark.parametrize(
+    "chosen, said",
+    [
+        (np.zeros(3, int), r"must return 2 integers.*got int64 of shape \(3,\)"),
+        (np.zeros(2), "must return 2 integers.*got float64"),
+        (np.array([0, 15]), "must be from 0 to 14; got 0 to 15"),
+        (np.array([-1, 3]), "must be from 0 to 14; got -1 to 3"),
+    ],
+)
+def test_actions_that_are_none_are_refused(chosen, said):
+    policy = Function(lambda seen: chosen, observation="symbolic")
+    with pytest.raises(ValueError, match=said):
+        evaluate(policy, "maze", "corner-small", range(2))
+
+
+def test_a_model_of_stable_baselines3_is_evaluated():
+    stable_baselines3 = pytest.importorskip("stable_baselines3")
+    from astray.bench.sb3 import GameVecEnv
+    from astray.envs.vector import GameVectorEnv
+
+    env = GameVectorEnv("maze", "corner-small", 4, autoreset_mode="SameStep")
+    model = stable_baselines3.PPO("CnnPolicy", GameVecEnv(env), seed=0, device="cpu", n_steps=16)
+    episodes = evaluate(from_sb3(model), "maze", "corner-small", range(3))
+    assert len(episodes) == 3 and (episodes["length"] > 0).all()
+    env.close()
