@@ -86,7 +86,7 @@ def test_without_envpool_the_row_says_how_to_install_it(monkeypatch):
 
 @pytest.mark.parametrize("name", games.OWN)
 def test_what_is_measured_is_there(name):
-    assert games.find(name).benchmark in games.find(name).variants
+    assert games.find(name).benchmark.variant in games.find(name).variants
 
 
 @pytest.mark.skipif(numba.config.DISABLE_JIT, reason="nothing is compiled")

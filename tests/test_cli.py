@@ -160,8 +160,8 @@ def test_an_evaluation_that_finds_no_room_leaves_nothing(run_folder, tmp_path):
         ("level maze corner --set region=5", "need placement 'region'"),
         ("train maze corner --seeds 0", "seeds must be an integer from 1 to 268435456; got 0"),
         ("level maze corner --set region", "a knob is set as NAME=VALUE; given 'region'"),
-        ("level maze corner --set squid=5", "unknown knob 'squid' of maze; there are: time_limit"),
-        ("level maze corner --set region=5.5", "region is 5.5; it is a int"),
+        ("level maze corner --set squid=5", "unknown knob 'squid'; there are: time_limit"),
+        ("level maze corner --set region=5.5", "region must be of type int; got 5.5"),
         ("reproduce maze-cornr", "unknown experiment 'maze-cornr'; there are: agency, "),
         ("evaluate nowhere", "nowhere is neither a run folder nor a checkpoint in one"),
         ("replay maze corner --level 1 --actions nowhere.txt", "nowhere.txt"),
@@ -191,7 +191,7 @@ def test_the_window_opens_and_plays(monkeypatch):
         pygame.event.post(pygame.event.Event(pygame.KEYDOWN, key=key))
 
     monkeypatch.setattr(pygame.display, "flip", flip)
-    play.play("maze", games.find("maze").variants["corner"], level=3)
+    play.play(games.find("maze"), games.find("maze").variants["corner"], level=3)
     assert len(shots) == 4
     from astray.envs.vector import GameVectorEnv
 
@@ -226,7 +226,7 @@ def test_time_goes_on_without_keys_where_things_move(game, variant, steps, monke
             pygame.event.post(pygame.event.Event(pygame.KEYDOWN, key=pygame.K_ESCAPE))
 
     monkeypatch.setattr(pygame.display, "flip", flip)
-    play.play(game, games.find(game).variants[variant], level=3)
+    play.play(games.find(game), games.find(game).variants[variant], level=3)
     assert told[:3] == [0, 0, 1] and told[5] == steps
 
 

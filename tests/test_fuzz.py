@@ -34,7 +34,7 @@ MORE = int(os.environ.get("ASTRAY_FUZZ", "1"))
 QUIET = {"deadline": None, "suppress_health_check": list(HealthCheck), "database": None}
 GAMES = list(games.OWN)
 SMALLEST = {name: min(games.find(name).variants.values(), key=lambda v: games.find(name)
-            .planes(v).size) for name in GAMES}  # fmt: skip
+            .symbols.planes(v).size) for name in GAMES}  # fmt: skip
 
 
 def tries(examples):

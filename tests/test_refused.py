@@ -14,12 +14,12 @@ import torch
 from conftest import FEW
 
 from astray import cli, games
-from astray.agents import fused, sparse
 from astray.agents.policy import Architecture
 from astray.analysis import kept
 from astray.analysis.runs import open_run
 from astray.analysis.video import play
 from astray.bounds import bounded
+from astray.cli import verbs
 from astray.envs.pool import Pool, see_startable
 from astray.envs.states import load_states
 from astray.envs.vector import GameVectorEnv, picture
@@ -29,7 +29,9 @@ from astray.kernel.rng import fill_noise
 from astray.level import read_levels
 from astray.training import checkpoint
 from astray.training.config import PRESETS
+from astray.training.fast import fused, sparse
 from astray.training.loop import train
+from astray.training.ppo import Samples
 
 TINY = replace(
     PRESETS["small"], variant="corner-small", environments=8, rollout=4, minibatches=1, width=4,
@@ -83,7 +85,7 @@ def test_compiled_networks_refuse_planes_that_they_were_not_built_for(planes):
 ])  # fmt: skip
 def test_the_compiled_loss_refuses_samples_of_other_outputs(action, count, error):
     column = torch.zeros(count)
-    samples = [torch.full((count,), action), column, column, column, column]
+    samples = Samples(column, torch.full((count,), action), column, column, column, column)
     with pytest.raises(error):
         fused.Loss.apply(torch.zeros((8, 16)), samples, (0.2, 0.5, 0.01))
 
@@ -210,7 +212,7 @@ WORDS = {  # of each verb, so that nothing but the number is wrong
 }  # fmt: skip
 NUMBERS = [
     (verb, parameter.name)
-    for verb, function in cli.VERBS.items()
+    for verb, function in verbs.VERBS.items()
     for parameter in inspect.signature(function).parameters.values()
     if "int" in str(parameter.annotation).replace("|", " ").split()
 ]
@@ -299,7 +301,7 @@ def test_actions_without_end_are_refused():
         done = astray(
             "replay", "maze", "corner-small", "--actions", "-", "--level", "0", stdin=zeros
         )
-    assert done.returncode == cli.MISTAKE and "actions must be at most" in done.stderr
+    assert done.returncode == cli.MISTAKE and "standard input must be at most" in done.stderr
 
 
 def test_many_listed_levels_are_numbers_and_no_name_of_a_file(monkeypatch, capsys, tmp_path):

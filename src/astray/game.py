@@ -316,8 +316,8 @@ class Game:
 
     def __reduce__(self) -> Any:
         raise TypeError(
-            f"a game is pickled by its name alone; {self.name!r} must be registered for that: "
-            "astray.register"
+            f"a game goes to another process by its name alone; {self.name!r} must be registered "
+            "there: astray.register"
         )
 
     @property

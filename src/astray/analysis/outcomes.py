@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 import polars as pl
 
+from astray import games
 from astray.analysis.policies import Walk
 from astray.analysis.statistics import bootstrap
 from astray.game import Game, Shift
@@ -17,8 +18,9 @@ FAILED = "capability failure"
 OUTCOMES = (INTENDED, MISGENERALIZED, FAILED)
 
 
-def load_shift(game: Game, shift: str) -> Shift:
+def load_shift(game: str | Game, shift: str) -> Shift:
     """The shift of that name."""
+    game = games.find(game)
     shifts = game.shifts
     if shift not in shifts:
         raise ValueError(f"unknown shift {shift!r} of {game.name}; there are: {', '.join(shifts)}")

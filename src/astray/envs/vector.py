@@ -307,8 +307,8 @@ def picture(
     """`states` [N] of `game` as the agent would see them at any scale, [N, pixels, pixels, 3]."""
     game = games.find(game)
     game.variant(variant)
-    game.check(states, variant)
     bounded("pixels", pixels, *PICTURES)
+    game.check(states, variant)
     looks, loop = game.drawn(art), compiled(game, art)
     size = len(states) * 3 * pixels**2 + math.prod(looks.scene_shape(variant, pixels))
     check_memory(size, f"{len(states):,} pictures of {pixels} x {pixels} pixels")

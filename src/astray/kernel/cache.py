@@ -23,7 +23,7 @@ KEPT_FOR = 30 * 24 * 3600  # seconds that the compiled code of another version i
 OTHERS = stat.S_IWGRP | stat.S_IWOTH  # modes by which others may write
 # Seconds that another process is waited for in silence; and until code is compiled beside it.
 # The slowest game takes 30.
-SILENT, PATIENT = 10, 180
+SILENT, PATIENT = 60, 180
 
 
 def cache_folder(digest: str) -> str:

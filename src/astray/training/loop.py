@@ -155,7 +155,8 @@ def update(trainer: Trainer, rollout: Samples, rate: float) -> dict[str, float]:
     """Learn from a rollout in several epochs; the means of what was measured on the way."""
     config, samples = trainer.config, rollout.flat()
     trainer.set_rate(rate)
-    explained = ppo.explained_variance(samples.value, samples.target)
+    whole = (parallel.joined(x.numpy(force=True)) for x in (samples.value, samples.target))
+    explained = ppo.explained_variance(*map(torch.from_numpy, whole))
     step = functools.partial(trainer.repeat, functools.partial(learn, trainer, samples))
     names, sums, first_kl = [], None, None
     for _ in range(config.epochs):
