@@ -118,7 +118,7 @@ def evaluate_policies(
     policies: Sequence[Policy],
     game: str | Game,
     shift: str,
-    levels: np.ndarray | Path | None = None,
+    levels: np.ndarray | range | Path | None = None,
     *,
     variant: str | None = None,
     knobs: dict[str, Any] | None = None,
