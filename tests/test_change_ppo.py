@@ -83,7 +83,17 @@ def other_activation(monkeypatch):
     monkeypatch.setattr(nn, "ReLU", nn.Tanh)
 
 
-@pytest.mark.parametrize("edit", [double_entropy, other_clip, other_activation])
+def one_head_more(monkeypatch):
+    begin = Small.__init__
+
+    def begin_with_head(self, *arguments, **named):
+        begin(self, *arguments, **named)
+        self.extra = nn.Linear(1, 1)
+
+    monkeypatch.setattr(Small, "__init__", begin_with_head)
+
+
+@pytest.mark.parametrize("edit", [double_entropy, other_clip, other_activation, one_head_more])
 def test_an_edit_of_ours_is_seen(edit, monkeypatch):
     edit(monkeypatch)
     with pytest.warns(UserWarning, match="as it is written"):

@@ -185,70 +185,114 @@ class Rules(typing.Protocol):
     """What moves, and what comes of it."""
 
     @property
-    def ACTIONS(self) -> tuple[str, ...]: ...  # names; what "stay" does takes a step, no more
+    def ACTIONS(self) -> tuple[str, ...]:
+        """Names; what "stay" does takes a step, and no more."""
+        ...
+
     @property
-    def STATE(self) -> np.dtype: ...  # made by `state_dtype`
+    def STATE(self) -> np.dtype:
+        """What `state_dtype` makes."""
+        ...
+
     @property
-    def EVENTS(self) -> tuple[str, ...]: ...  # int64 fields of the state: the step each first
-    # happened, or NEVER
+    def EVENTS(self) -> tuple[str, ...]:
+        """Fields of the state, int64: the step that each first happened, or NEVER."""
+        ...
+
     @property
-    def step(self) -> Callable: ...  # compiled: (s, action) -> (reward, terminated)
+    def step(self) -> Callable:
+        """Compiled: (s, action) -> (reward, terminated)."""
+        ...
 
 
 class Levels(typing.Protocol):
     """What a level's number decides."""
 
     @property
-    def generate(self) -> Callable: ...  # compiled: (s, p), fill `s` with a new level. Its twister
+    def generate(self) -> Callable:
+        """Compiled: (s, p), fill `s` with a new level.
 
-    # is seeded, and its common fields are set; all others are as the level before left them
+        Its twister is seeded, and its common fields are set; all others are as the level before
+        left them.
+        """
+        ...
 
 
 class Symbols(typing.Protocol):
     """Symbolic observations: planes [C, H, W] uint8 in the place of images."""
 
     @property
-    def planes(self) -> Callable[..., np.ndarray]: ...  # variant -> [C, H, W] the largest values
+    def planes(self) -> Callable[..., np.ndarray]:
+        """(variant) -> [C, H, W] the largest values."""
+        ...
+
     @property
-    def planes_scene_shape(self) -> Callable[..., tuple[int, ...]]: ...  # variant -> of the scene
+    def planes_scene_shape(self) -> Callable[..., tuple[int, ...]]:
+        """(variant) -> the scene's."""
+        ...
+
     @property
-    def paint_planes(self) -> Callable: ...  # compiled: (s, scene), what does not move
+    def paint_planes(self) -> Callable:
+        """Compiled: (s, scene), what does not move."""
+        ...
+
     @property
-    def draw_planes(self) -> Callable: ...  # compiled: (s, scene, planes)
+    def draw_planes(self) -> Callable:
+        """Compiled: (s, scene, planes)."""
+        ...
 
 
 class Editing(typing.Protocol):
     """Levels as data; see `level.Level`."""
 
     @property
-    def LEGEND(self) -> Mapping[str, int]: ...  # character in drawings -> code of what a cell
-    # holds; level.EMPTY is among them
-    @property
-    def OBJECTS(self) -> Mapping[str, str]: ...  # what may be moved, added, removed: name ->
-    # character
-    @property
-    def describe(
-        self,
-    ) -> Callable[[Any], dict[str, Any]]: ...  # a state's level as plain, JSON-able
-    # data: "grid" (codes, rows from the lowest up), "agent" (its centre), "looks" (all else that
-    # `build` needs to build it again), and what follows from these
-    @property
-    def build(self) -> Callable[..., Any]: ...  # (grid, agent's cell, looks, variant) -> the state
+    def LEGEND(self) -> Mapping[str, int]:
+        """Character in drawings -> code of what a cell holds; `level.EMPTY` is among them."""
+        ...
 
-    # that begins there; ValueError where none can
+    @property
+    def OBJECTS(self) -> Mapping[str, str]:
+        """What may be moved, added, removed: its name -> its character."""
+        ...
+
+    @property
+    def describe(self) -> Callable[[Any], dict[str, Any]]:
+        """(s) -> its level as plain, JSON-able data, and what follows from that.
+
+        "grid" (codes, rows from the lowest up), "agent" (its centre), "looks" (all else that
+        `build` needs to build it again).
+        """
+        ...
+
+    @property
+    def build(self) -> Callable[..., Any]:
+        """(grid, agent's cell, looks, variant) -> the state that begins there.
+
+        ValueError where none can.
+        """
+        ...
 
 
 class Solver(typing.Protocol):
-    """What can be reached, and how; a goal is one of `GOALS`."""
+    """What can be reached, and how; a goal is one of the game's goals."""
 
     @property
-    def reachable(self) -> Callable[[Any], np.ndarray]: ...  # s -> [H, W] bool, the agent's cells
+    def reachable(self) -> Callable[[Any], np.ndarray]:
+        """(s) -> [H, W] bool, the cells that the agent can get to."""
+        ...
+
     @property
-    def expert(self) -> Callable[[Any, str], Callable[[Any], int]]: ...  # (s, goal) -> a policy:
-    # (a state of the same episode) -> the action that leads to the goal; to stay where it was
-    # reached or none can
+    def expert(self) -> Callable[[Any, str], Callable[[Any], int]]:
+        """(s, goal) -> a policy: (a state of the same episode) -> the action that leads there.
+
+        To stay where the goal was reached or cannot be.
+        """
+        ...
+
     @property
-    def optimal_return(self) -> Callable[[Any, str, float], float]: ...  # (s, goal, gamma)
+    def optimal_return(self) -> Callable[[Any, str, float], float]:
+        """(s, goal, gamma) -> the return."""
+        ...
 
 
 @dataclass(frozen=True)
