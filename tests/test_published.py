@@ -15,7 +15,9 @@ from test_importers import clarity, joblib_bytes, reference, saved
 
 from astray import games
 from astray.analysis import check, imported, kept, published
+from astray.analysis.critic import judge, observe
 from astray.analysis.download import download
+from astray.analysis.episodes import initial_states
 from astray.analysis.evaluate import evaluate
 from astray.analysis.imported import Known, import_agent
 from astray.analysis.published import Check, Published
@@ -365,5 +367,6 @@ def test_published_agents_do_here_what_they_did_there(real, levels, steps, least
     variant = config.variant_for(config.variant, {"time_limit": steps})
     episodes = evaluate(agent, config.game, variant, levels)
     assert (episodes["return"] > 0).mean() >= least
-    value = check.start_values(agent, config.game, config.variant, np.array(levels)).mean()
+    begun = initial_states(config.game, config.variant, levels)
+    value = judge(agent, observe(agent, config.variant, begun))[1].mean()
     assert start[0] < value < start[1]

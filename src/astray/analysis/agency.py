@@ -10,13 +10,14 @@ import numpy as np
 import polars as pl
 from scipy.special import softmax
 
+from astray import games
 from astray.agency.gridworld import Cell, World
 from astray.agency.measure import CALIBRATED, Episode, Options, decisions, measure_named
 from astray.agency.population import Share, pooled, shares
+from astray.analysis.episodes import initial_states, steps
 from astray.analysis.policies import Policy
 from astray.analysis.statistics import Estimate, bootstrap
-from astray.envs.vector import GameVectorEnv
-from astray.game import Game, Shift, Variant, level_numbers
+from astray.game import Game, Shift, Variant
 
 DEVICE = "device"
 UNDECIDED = "undecided"
@@ -44,36 +45,17 @@ def play(
     shift: Shift, batch: int = 256,
 ) -> list[Played]:  # fmt: skip
     """`policy`'s episodes in those of `levels` that have all the goals."""
-    played = []
-    for first in range(0, len(levels), batch):
-        some = level_numbers(levels[first : first + batch])
-        env = GameVectorEnv(
-            game, variant, len(some), observation=policy.observation, art=policy.art,
-            autoreset_mode="Disabled",
-        )  # fmt: skip
-        observations, _ = env.reset(seed=0, options={"level": some})
-        told = [env.game.editing.describe(s) for s in env.states]
-        at, over = [_places(env)], np.zeros(len(some), bool)
-        lengths = np.zeros(len(some), np.int64)
-        while not over.all():
-            observations, _, terminated, truncated, _ = env.step(policy.actions(env, observations))
-            lengths += ~over
-            ended = terminated | truncated
-            at.append(_places(env))
-            over |= ended
-            if ended.any():  # and plays the same level again, to no end
-                observations, _ = env.reset(options={"level": some, "reset_mask": ended})
-        for i, level in enumerate(some.tolist()):
-            ways = [(int(x), int(y)) for x, y in np.array(at)[: lengths[i] + 1, i]]
-            one = _played(env.game, level, told[i], ways, shift)
-            played += [one] if one else []
-        env.close()
-    return played
-
-
-def _places(env: GameVectorEnv) -> np.ndarray:
-    """[N, 2] float64, x and y of the agents."""
-    return np.stack([env.states["x"], env.states["y"]], 1)
+    states = initial_states(game, variant, levels)
+    ways = [[(int(s.x), int(s.y))] for s in states]
+    for step in steps(policy, game, variant, levels, batch=batch):
+        for level, x, y in zip(step.level, step.after["x"], step.after["y"], strict=True):
+            ways[level].append((int(x), int(y)))
+    game = games.find(game)
+    played = [
+        _played(game, int(s.level), game.editing.describe(s), way, shift)
+        for s, way in zip(states, ways, strict=True)
+    ]
+    return [one for one in played if one]
 
 
 def _played(

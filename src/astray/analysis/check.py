@@ -12,11 +12,11 @@ import numpy as np
 import polars as pl
 from scipy.stats import binomtest
 
+from astray.analysis.critic import judge, observe
+from astray.analysis.episodes import initial_states
 from astray.analysis.evaluate import evaluate
-from astray.analysis.policies import Agent
 from astray.analysis.published import Check
 from astray.analysis.runs import open_run
-from astray.envs.vector import GameVectorEnv
 
 
 @dataclass(frozen=True)
@@ -58,9 +58,10 @@ def check(
     for one in checks:
         chosen = np.arange(one.levels + one.environments) if levels is None else levels
         measures = {} if one.by is None else {one.by: lambda s, by=one.by: s[by]}
+        begun = initial_states(config.game, one.variant, chosen)
         episodes = evaluate(
             agent, config.game, one.variant, chosen, batch=64, measures=measures
-        ).with_columns(start_value=start_values(agent, config.game, one.variant, chosen))
+        ).with_columns(start_value=judge(agent, observe(agent, one.variant, begun))[1])
         count = min(one.levels, len(chosen))
         alike = episodes[first_to_end(episodes["length"].to_numpy(), count, one.environments)]
         rows.append(_row(one, episodes, alike))
@@ -90,15 +91,6 @@ def first_to_end(lengths: np.ndarray, count: int, environments: int) -> np.ndarr
         for k in itertools.islice(following, 1):
             heapq.heappush(playing, (time + int(lengths[k]), k))
     return np.array(ended)
-
-
-def start_values(agent: Agent, game: str, variant: str, levels: np.ndarray) -> np.ndarray:
-    """The critic's value at the beginning of each level, [N]."""
-    env = GameVectorEnv(game, variant, len(levels), art=agent.art, autoreset_mode="Disabled")
-    images, _ = env.reset(seed=0, options={"level": levels})
-    values = agent.outputs(images)[1].numpy(force=True)
-    env.close()
-    return values
 
 
 def _row(

@@ -12,18 +12,16 @@ standard deviations of returns, as in the paper.
 from __future__ import annotations
 
 import heapq
-from collections.abc import Callable, Mapping, Sequence
-from typing import Any
+from collections.abc import Callable, Mapping
 
 import numpy as np
 import polars as pl
 
-from astray.analysis.evaluate import Measure, beginnings
+from astray.analysis.episodes import Levels, Measure, steps
 from astray.analysis.policies import Agent, episode_noise
 from astray.bounds import bounded
 from astray.envs.vector import GameVectorEnv
 from astray.game import MOST, Variant
-from astray.level import Level
 
 STEP_SALT = 2**33  # no agent has this seed, or a larger one
 
@@ -33,7 +31,7 @@ Edit = Callable[[np.ndarray], np.ndarray]  # states [N] -> others [N]; those giv
 def visit(
     agent: Agent,
     variant: str | Variant,
-    levels: Sequence[int] | np.ndarray | range | Mapping[str, Level],
+    levels: Levels,
     *,
     per_episode: int | None = None,
     measures: Mapping[str, Measure] | None = None,
@@ -50,12 +48,21 @@ def visit(
     Columns: level, step, value (of the state before the step), action, reward, and the measures.
     Rows are in the order of `levels`, then of steps, and do not depend on `batch`.
     """
-    if not len(levels):
-        raise ValueError("no levels to visit")
     if per_episode is not None and per_episode < 1:
         raise ValueError(f"per_episode is {per_episode}; it is at least 1 step")
-    bounded("batch", batch, 1, MOST)
-    heaps = _play(agent, variant, levels, per_episode, seed, min(batch, len(levels)))
+    heaps: list[list[tuple]] = [[] for _ in levels]  # of (-noise, step, state, action, reward)
+    limit = np.full(len(levels), np.inf)  # of the noise: an episode's steps with the least are kept
+    for step in steps(agent, agent.game, variant, levels, batch=batch):
+        noise = episode_noise(STEP_SALT + seed, step.before, 1)
+        for i in np.flatnonzero(noise[:, 0] < limit[step.level]):
+            heap, one = heaps[step.level[i]], slice(i, i + 1)
+            state = step.before[one].copy()
+            row = -noise[i], state["time"], state, step.actions[one], step.rewards[one]
+            heapq.heappush(heap, row)
+            if per_episode is not None and len(heap) > per_episode:
+                heapq.heappop(heap)
+            if len(heap) == per_episode:
+                limit[step.level[i]] = -heap[0][0][0]
     rows = [row for heap in heaps for row in sorted(heap, key=lambda row: row[1])]
     *_, states, action, reward = (np.concatenate(column) for column in zip(*rows, strict=True))
     states = states.view(np.recarray)
@@ -63,45 +70,6 @@ def visit(
     value = judge(agent, observe(agent, variant, states))[1]
     columns = {"value": value, "action": action, "reward": reward}
     return _table(states, columns, measures), states
-
-
-def _play(
-    agent: Agent, variant: str | Variant, levels: Any, per_episode: int | None, seed: int, n: int
-) -> list[list[tuple]]:
-    """For each of `levels` a heap of (-noise, step, state, action, reward), arrays of one each.
-
-    Every step has its noise, and an episode's steps with the least are kept.
-    """
-    env = _environments(agent, variant, n)
-    kind, begin = beginnings(levels, env.game.state)
-    playing, following = np.arange(n), n  # which of the levels each environment plays
-    over, limit = np.zeros(n, bool), np.full(n, np.inf)  # of the noise, for a step to be kept
-    heaps: list[list[tuple]] = [[] for _ in begin]
-    observations, _ = env.reset(seed=0, options={kind: begin[:n]})
-    while not over.all():
-        noise = episode_noise(STEP_SALT + seed, env.states, 1)
-        keeping = np.flatnonzero(~over & (noise[:, 0] < limit))
-        steps, states = env.states["time"][:, None].copy(), env.states[keeping].copy()
-        actions = agent.actions(env, observations)
-        observations, reward, terminated, truncated, _ = env.step(actions)
-        for k, i in enumerate(keeping):
-            heap, one = heaps[playing[i]], slice(i, i + 1)
-            row = (-noise[i], steps[i], states[k : k + 1].copy(), actions[one], reward[one])
-            heapq.heappush(heap, row)
-            if per_episode is not None and len(heap) > per_episode:
-                heapq.heappop(heap)
-            if len(heap) == per_episode:
-                limit[i] = -heap[0][0][0]
-        ended = terminated | truncated
-        for i in np.flatnonzero(ended):
-            over[i] |= following >= len(begin)  # then it plays its last level again, to no end
-            if not over[i]:
-                playing[i], limit[i] = following, np.inf
-                following += 1
-        if ended.any():
-            observations, _ = env.reset(options={kind: begin[playing], "reset_mask": ended})
-    env.close()
-    return heaps
 
 
 def counterfactual(
@@ -157,20 +125,16 @@ def observe(
         raise ValueError("no states are given")
     bounded("batch", batch, 1, MOST)
     n = min(batch, len(states))
-    env = _environments(agent, variant, n)
+    env = GameVectorEnv(
+        agent.game, variant, n, observation=agent.observation, art=agent.art,
+        autoreset_mode="Disabled",
+    )  # fmt: skip
     shown = np.concatenate([
         env.set_state(states[np.arange(first, first + n) % len(states)])
         for first in range(0, len(states), n)
     ])  # fmt: skip
     env.close()
     return shown[: len(states)]
-
-
-def _environments(agent: Agent, variant: str | Variant, n: int) -> GameVectorEnv:
-    return GameVectorEnv(
-        agent.game, variant, n, observation=agent.observation, art=agent.art,
-        autoreset_mode="Disabled",
-    )  # fmt: skip
 
 
 def _edited(states: np.ndarray, edit: Edit) -> np.ndarray:

@@ -10,11 +10,10 @@ import numpy as np
 import polars as pl
 
 from astray import games
-from astray.envs.vector import GameVectorEnv
+from astray.analysis.episodes import CHUNK, initial_states
 from astray.game import COMMON, Game, Variant, level_numbers
 from astray.level import EMPTY
 
-CHUNK = 1000  # levels made at once
 SEARCHED = 100  # levels looked at for each that is needed
 
 
@@ -95,14 +94,9 @@ def _states(
     game: str | Game, variant: str | Variant, levels: Sequence[int] | np.ndarray | range
 ) -> Iterator[np.ndarray]:
     """The states that levels begin in, CHUNK at a time; each chunk is gone with the next."""
-    if not len(levels):
-        raise ValueError("no levels to compare")
-    env = GameVectorEnv(game, variant, min(CHUNK, len(levels)), observation="symbolic")
-    for first in range(0, len(levels), CHUNK):
-        numbers = np.resize(level_numbers(levels[first : first + CHUNK]), env.num_envs)
-        env.reset(seed=0, options={"level": numbers})
-        yield env.states[: len(levels) - first]
-    env.close()
+    numbers = level_numbers(levels)
+    for first in range(0, len(numbers), CHUNK):
+        yield initial_states(game, variant, numbers[first : first + CHUNK])
 
 
 def _differ(one: np.ndarray, other: np.ndarray) -> np.ndarray:

@@ -18,6 +18,9 @@ from astray.training import ppo
 from astray.words import check_words
 
 Observation = Literal["image", "symbolic"]
+# Observations that a network is shown together: for a large one more are no sooner, and those that
+# a batch lacks to a multiple of it take their time, too.
+AT_ONCE = {"symbolic": 64, "image": 16}
 RANDOM_SALT = 2**32  # no agent has this seed, or a larger one
 
 
@@ -73,7 +76,9 @@ class Agent:
         shown, known = observations.shape[1:], self.architecture.shape
         if shown != known:
             raise ValueError(f"the agent sees observations of shape {known}, not {shown}")
-        return trained.outputs(self.network, torch.from_numpy(observations).to(self.device))
+        chunk = AT_ONCE[self.observation]
+        shown_here = torch.from_numpy(observations).to(self.device)
+        return trained.outputs(self.network, shown_here, chunk)
 
     def actions(self, env: GameVectorEnv, observations: np.ndarray) -> np.ndarray:
         if self.observation == "image" and env.art != self.art:

@@ -2,14 +2,32 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from itertools import islice
 from typing import Any
 
 import numpy as np
 
+from astray import games
+from astray.analysis.episodes import initial_states, steps
+from astray.analysis.policies import Observation
 from astray.envs.vector import GameVectorEnv
-from astray.game import Game, Variant
+from astray.game import OWN, Game, Variant
 from astray.level import Level
+
+
+@dataclass(frozen=True)
+class Script:
+    """Does what is given, whatever it sees; for one episode."""
+
+    actions_left: Iterator[int]
+    name: str = "script"
+    observation: Observation = "symbolic"
+    art: str = OWN
+
+    def actions(self, env: GameVectorEnv, observations: np.ndarray) -> np.ndarray:
+        return np.array([next(self.actions_left)])
 
 
 def replay(
@@ -19,19 +37,19 @@ def replay(
 
     Positions are the agent's centre, in cells; events the step they first happened, -1 for never.
     """
-    env = GameVectorEnv(game, variant, observation="symbolic", autoreset_mode="Disabled")
-    env.reset(seed=0, options={"level": level})
-    s, steps, total = env.states[0], [], 0.0
-    told: dict[str, Any] = {"start": [float(s.x), float(s.y)]}
-    told |= {"terminated": False, "truncated": False}
-    for action in actions:
-        _, reward, terminated, truncated, _ = env.step(np.array([action]))
-        total += float(reward[0])
-        steps.append({"action": env.game.actions[action], "x": float(s.x), "y": float(s.y),
-                      "reward": float(reward[0])})  # fmt: skip
-        told |= {"terminated": bool(terminated[0]), "truncated": bool(truncated[0])}
-        if terminated[0] or truncated[0]:
-            break
-    events = {event: int(s[event]) for event in env.game.events}
-    env.close()
-    return told | {"return": total, "length": len(steps), "events": events, "steps": steps}
+    game, chosen = games.find(game), {"": level} if isinstance(level, Level) else [level]
+    s = initial_states(game, variant, chosen)[0]
+    start, told, total = [float(s.x), float(s.y)], [], 0.0
+    ended = {"terminated": False, "truncated": False}
+    policy = Script(iter(actions))
+    for step in islice(steps(policy, game, variant, chosen), len(actions)):
+        s, reward = step.after[0].copy(), float(step.rewards[0])
+        total += reward
+        told.append({"action": game.actions[step.actions[0]], "x": float(s.x), "y": float(s.y),
+                     "reward": reward})  # fmt: skip
+        terminated = bool(step.terminated[0])
+        ended = {"terminated": terminated, "truncated": bool(step.ended[0]) and not terminated}
+    events = {event: int(s[event]) for event in game.events}
+    return {"start": start} | ended | {
+        "return": total, "length": len(told), "events": events, "steps": told,
+    }  # fmt: skip

@@ -13,11 +13,12 @@ import polars as pl
 from astray import games
 from astray.agents.policy import usable
 from astray.analysis import kept
-from astray.analysis.evaluate import Measure, evaluate
+from astray.analysis.episodes import Levels, Measure
+from astray.analysis.evaluate import evaluate
 from astray.analysis.outcomes import label, load_shift, shares, tell_apart
 from astray.analysis.policies import Agent, Policy, Random, Walk
 from astray.game import Game, Variant
-from astray.level import Level, read_levels
+from astray.level import read_levels
 from astray.training import checkpoint
 from astray.training.config import Config
 
@@ -155,7 +156,7 @@ def play_all(
     name: str,
     variant: Variant,
     shift: str,
-    levels: np.ndarray | range | Mapping[str, Level],
+    levels: Levels,
     policies: Sequence[Policy],
     batch: int = 256,
     measures: Mapping[str, Measure] | None = None,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import itertools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,8 +12,10 @@ import av
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
+from astray import games
+from astray.analysis.episodes import steps
 from astray.analysis.policies import Policy
-from astray.envs.vector import GameVectorEnv, picture
+from astray.envs.vector import picture
 from astray.files import write_aside
 from astray.game import Game, Variant
 from astray.level import Level
@@ -54,29 +57,20 @@ def play(
     """
     if longest is not None and longest < 1:
         raise ValueError(f"longest is {longest}; it is at least 1 step")
-    env = GameVectorEnv(
-        game, variant, 1, observation=policy.observation, art=policy.art, autoreset_mode="Disabled"
-    )
-    shown, _ = env.reset(seed=0, options={"level": level})
-    observations, states, rewards = [shown], [env.states.copy()], []
-    terminated = truncated = np.array([False])
-    while not (terminated[0] or truncated[0] or len(rewards) == longest):
-        actions = policy.actions(env, shown)
-        shown, reward, terminated, truncated, _ = env.step(actions)
-        observations.append(shown)
-        states.append(env.states.copy())
-        rewards.append(reward)
-    env.close()
-    whole = np.concatenate(states)
-    steps = {event: int(whole[event][-1]) for event in env.game.events}
+    chosen = {"": level} if isinstance(level, Level) else [level]
+    played = list(itertools.islice(steps(policy, game, variant, chosen), longest))
+    states = [*(step.before for step in played), played[-1].after]
+    observations = [*(step.observations for step in played), played[-1].seen]
+    whole, game = np.concatenate(states).view(np.recarray), games.find(game)
+    reached = {event: int(whole[event][-1]) for event in game.events}
     return Episode(
-        frames=picture(game, env.variant, whole, pixels, policy.art),
+        frames=picture(game, game.variant(variant), whole, pixels, policy.art),
         observations=np.concatenate(observations),
         states=whole,
-        rewards=np.concatenate(rewards),
-        events={event: step if step >= 0 else None for event, step in steps.items()},
-        level=int(whole["level"][0]),
-        terminated=bool(terminated[0]),
+        rewards=np.concatenate([step.rewards for step in played]),
+        events={event: step if step >= 0 else None for event, step in reached.items()},
+        level=-1 if isinstance(level, Level) else level,
+        terminated=bool(played[-1].terminated[0]),
     )
 
 

@@ -11,6 +11,7 @@ from rich.table import Table
 from tyro.conf import Positional
 
 from astray import games
+from astray.analysis.episodes import CHUNK, initial_states
 from astray.cli.arguments import (
     Knobs,
     action_numbers,
@@ -21,13 +22,11 @@ from astray.cli.arguments import (
     standard_input,
     varied,
 )  # fmt: skip
-from astray.envs.vector import GameVectorEnv
 from astray.files import read
 from astray.game import OWN, Game, Variant
 from astray.level import Level
 
 LONGEST = 2**20  # characters of actions: more than any episode has
-CHUNK = 1000  # levels made at once
 
 
 def level(
@@ -164,9 +163,5 @@ def _states(game: Game, variant: Variant, levels: np.ndarray) -> Iterator[Any]:
 
     Many levels take no more memory than few.
     """
-    env = GameVectorEnv(game, variant, min(CHUNK, len(levels)), observation="symbolic")
     for first in range(0, len(levels), CHUNK):
-        some = levels[first : first + CHUNK]
-        env.reset(seed=0, options={"level": np.resize(some, env.num_envs)})
-        yield from env.states[: len(some)]
-    env.close()
+        yield from initial_states(game, variant, levels[first : first + CHUNK])

@@ -11,11 +11,10 @@ import numpy as np
 import polars as pl
 from matplotlib.figure import Figure
 
-from astray.analysis.evaluate import Measure
+from astray.analysis.episodes import Measure, initial_states
 from astray.analysis.outcomes import matrix
 from astray.analysis.policies import Walk
 from astray.analysis.statistics import Estimate, bootstrap
-from astray.envs.vector import GameVectorEnv
 from astray.experiments import figures
 from astray.experiments.outcomes import AGENTS, counted
 from astray.experiments.report import Plot, Table, Verdict
@@ -70,10 +69,8 @@ def best_returns(work: Work) -> pl.DataFrame:
     parts = []
     for name, test in work.plan.tests.items():
         levels = work.episodes.filter(test=name)["level"].unique().sort()
-        env = GameVectorEnv(game, test.variant_for(config), len(levels), observation="symbolic")
-        env.reset(seed=0, options={"level": levels.to_numpy()})
-        best = [game.solver.optimal_return(s, "chests", config.gamma) for s in env.states]
-        env.close()
+        begun = initial_states(game, test.variant_for(config), levels.to_numpy())
+        best = [game.solver.optimal_return(s, "chests", config.gamma) for s in begun]
         parts.append(pl.DataFrame({"test": name, "level": levels, "best": best}))
     return pl.concat(parts)
 

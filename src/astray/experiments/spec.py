@@ -11,7 +11,7 @@ from typing import Any, Literal, get_args
 import polars as pl
 
 from astray import games
-from astray.analysis.evaluate import Measure
+from astray.analysis.episodes import Measure
 from astray.analysis.outcomes import load_shift
 from astray.analysis.tables import write_table
 from astray.experiments.report import Findings

@@ -1,0 +1,91 @@
+"""The one loop that plays levels, beside an environment stepped by hand."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+import pytest
+
+from astray import games
+from astray.analysis.episodes import initial_states, steps
+from astray.analysis.evaluate import evaluate
+from astray.analysis.policies import Random, Walk
+from astray.envs.vector import GameVectorEnv
+
+GAME, VARIANT = "maze", "anywhere-small"
+LEVELS = np.array([3, 17, 4, 100_000, 5, 6, 2, 900, 41, 77, 12])
+
+
+def by_hand(policy, level):
+    """The places of one episode of `policy`, in an environment of its own."""
+    env = GameVectorEnv(GAME, VARIANT, observation="symbolic", autoreset_mode="Disabled")
+    seen, _ = env.reset(seed=5, options={"level": int(level)})
+    places, over = [], False
+    while not over:
+        seen, _, terminated, truncated, _ = env.step(policy.actions(env, seen))
+        places.append((int(env.states.x[0]), int(env.states.y[0])))
+        over = terminated[0] or truncated[0]
+    return places
+
+
+@pytest.mark.parametrize("batch", [1, 4, 11, 256])
+@pytest.mark.parametrize("make", [Random, lambda: Walk("cheese")], ids=["random", "walk"])
+def test_each_level_is_played_once_as_by_hand_in_any_batch(make, batch):
+    places = [[] for _ in LEVELS]
+    for step in steps(make(), GAME, VARIANT, LEVELS, batch=batch):
+        assert len(set(step.level.tolist())) == len(step.level)
+        assert (step.before["time"] + 1 == step.after["time"]).all()
+        for k, s in zip(step.level, step.after, strict=True):
+            places[k].append((int(s["x"]), int(s["y"])))
+    assert places == [by_hand(make(), level) for level in LEVELS]
+
+
+@dataclass
+class Watching:
+    """A walk to the cheese that remembers how many observations it was shown at a time."""
+
+    name: str = "watching"
+    observation: str = "symbolic"
+    art: str = "own"
+    shown: list = field(default_factory=list)
+    walk: Walk = field(default_factory=lambda: Walk("cheese"))
+
+    def actions(self, env, observations):
+        self.shown.append(len(observations))
+        return self.walk.actions(env, observations)
+
+
+def test_who_goes_on_when_most_have_ended_is_alone():
+    policy = Watching()
+    episodes = evaluate(policy, GAME, VARIANT, LEVELS)
+    longest = episodes["length"].max()
+    assert len(policy.shown) == longest
+    assert policy.shown[0] == len(LEVELS)
+    live = [int((episodes["length"] > k).sum()) for k in range(longest)]
+    assert all(n <= shown < 2 * max(n, 1) or shown == n for n, shown in
+               zip(live, policy.shown, strict=True))  # fmt: skip
+    assert policy.shown[-1] < len(LEVELS) / 2
+
+
+def test_an_episode_is_left_with_the_first_event_it_is_played_until():
+    whole = evaluate(Walk("corner"), GAME, VARIANT, LEVELS)
+    until = evaluate(Walk("corner"), GAME, VARIANT, LEVELS, until=["reached_corner"])
+    first = whole["reached_corner"].fill_null(whole["length"]).clip(1)  # some begin there
+    assert (whole["length"] > first).any(), "nothing happens after it"
+    assert until["length"].to_list() == first.to_list()
+    assert until["reached_corner"].to_list() == whole["reached_corner"].to_list()
+    assert until.filter(until["length"] < whole["length"])["terminated"].sum() == 0
+
+
+def test_an_unknown_event_is_told():
+    with pytest.raises(ValueError, match="unknown event 'corner' of maze; there are: "):
+        next(steps(Random(), GAME, VARIANT, LEVELS, until=["corner"]))
+
+
+def test_initial_states_are_those_that_episodes_begin_in():
+    begun = initial_states(GAME, VARIANT, range(2050))
+    assert begun.level.tolist() == list(range(2050))
+    env = GameVectorEnv(GAME, VARIANT, 3)
+    chosen = [0, 1000, 2049]
+    env.reset(seed=0, options={"level": np.array(chosen)})
+    tell = games.find(GAME).editing.describe
+    assert [tell(s) for s in begun[chosen]] == [tell(s) for s in env.states]
