@@ -34,6 +34,7 @@ def visit(
     levels: Levels,
     *,
     per_episode: int | None = None,
+    gamma: float | None = None,
     measures: Mapping[str, Measure] | None = None,
     seed: int = 0,
     batch: int = 256,
@@ -43,6 +44,7 @@ def visit(
     levels       numbers, or levels that were drawn, by name; those are numbered from 0 on
     per_episode  steps at most, drawn from all of an episode with `seed`; None: every step. A
                  state of CoinRun takes 17 kB
+    gamma        discount of a further column, "future": of the rewards from the step on to the end
     measures     more columns, functions of the states
 
     Columns: level, step, value (of the state before the step), action, reward, and the measures.
@@ -52,7 +54,10 @@ def visit(
         raise ValueError(f"per_episode is {per_episode}; it is at least 1 step")
     heaps: list[list[tuple]] = [[] for _ in levels]  # of (-noise, step, state, action, reward)
     limit = np.full(len(levels), np.inf)  # of the noise: an episode's steps with the least are kept
+    rewards: list[list[float]] = [[] for _ in levels]
     for step in steps(agent, agent.game, variant, levels, batch=batch):
+        for level, reward in zip(step.level, step.rewards, strict=True):
+            rewards[level].append(float(reward))
         noise = episode_noise(STEP_SALT + seed, step.before, 1)
         for i in np.flatnonzero(noise[:, 0] < limit[step.level]):
             heap, one = heaps[step.level[i]], slice(i, i + 1)
@@ -69,7 +74,20 @@ def visit(
     states["seed"], states["turn"] = 0, 0  # of levels to come, which depend on the batch
     value = judge(agent, observe(agent, variant, states))[1]
     columns = {"value": value, "action": action, "reward": reward}
+    if gamma is not None:
+        futures = [_futures(one, gamma) for one in rewards]
+        played = zip(heaps, futures, strict=True)
+        steps_of = ((future, sorted(int(row[1][0]) for row in heap)) for heap, future in played)
+        columns["future"] = np.concatenate([future[kept] for future, kept in steps_of])
     return _table(states, columns, measures), states
+
+
+def _futures(rewards: list[float], gamma: float) -> np.ndarray:
+    """The discounted sum of rewards from each step on, [T]."""
+    futures, after = np.empty(len(rewards)), 0.0
+    for step in reversed(range(len(rewards))):
+        futures[step] = after = rewards[step] + gamma * after
+    return futures
 
 
 def counterfactual(

@@ -84,8 +84,8 @@ def steps(
             ended |= env.states[event] >= 0
         which = slice(None) if live.all() else live
         yield Step(
-            playing[which].copy(), before[which], observations[which], actions[which], rewards[which],
-            env.states[which], seen[which], terminated[which], ended[which],
+            playing[which].copy(), before[which], observations[which], actions[which],
+            rewards[which], env.states[which], seen[which], terminated[which], ended[which],
         )  # fmt: skip
         observations = seen
         if not ended.any():

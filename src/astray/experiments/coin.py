@@ -11,9 +11,10 @@ import numpy as np
 import polars as pl
 
 from astray.analysis.evaluate import evaluate
+from astray.analysis.imported import SPARED
 from astray.analysis.runs import open_run
 from astray.experiments.spec import Plan, Size
-from astray.game import Variant
+from astray.game import LEVELS, Variant
 from astray.training.config import PRESETS, Config
 
 ABOUT = {"game": "coinrun", "variant": "coin-end", "validation": "coin-anywhere"}
@@ -24,21 +25,32 @@ AGENTS: Mapping[Size, Config] = {
     ),
     "hour": replace(LARGE, steps=25_000_000),
     "paper": LARGE,
-}
+    # OpenAI's agent, trained on all levels as released; for its tests they are numbered likewise.
+    "published": Config(
+        game="coinrun", variant="coin-end", knobs={"numbering": "procgen", "place": "anywhere"},
+        network="clear", observation="image", art="original", levels=LEVELS.stop - SPARED,
+        normalise_reward=False,
+    ),
+}  # fmt: skip
 RUNNER = "runner"  # the name of the agents where there are no others
 SMALLER: Mapping[Size, str] = {
     "smoke": "levels seen as symbols instead of a picture, by a network of two hidden layers, and "
     "10 million steps instead of 200 million",
     "hour": "25 million steps instead of 200 million",
     "paper": "",
+    "published": "nothing; other agents: OpenAI's of CoinRun as released, trained by others with "
+    "PPO on all levels, the coin at the end as in the paper, another network; one agent, so that "
+    "intervals are over levels alone",
 }
+PUBLISHED = {RUNNER: "openai-coinrun"}
 
 
 def plan(size: Size, seeds: int, levels: int, **more: Any) -> Plan:
     """A plan with the runners whose coin was always at the end, and no others."""
     return Plan(
-        agents={RUNNER: AGENTS[size]}, seeds=seeds, levels=levels, smaller=SMALLER[size], **more
-    )
+        agents={RUNNER: AGENTS[size]}, published=PUBLISHED if size == "published" else {},
+        seeds=seeds, levels=levels, smaller=SMALLER[size], **more,
+    )  # fmt: skip
 
 
 def play(runs: Sequence[Path], variant: Variant, levels: np.ndarray | range) -> pl.DataFrame:

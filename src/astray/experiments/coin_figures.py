@@ -233,3 +233,72 @@ def maps(examples: pl.DataFrame) -> Figure:
     for panel, method in zip(grid[0], ("state", *methods), strict=True):
         panel.set_title(method, fontsize=9.5)
     return figure
+
+
+@matplotlib.rc_context(figures.STYLE)
+def calibration(table: pl.DataFrame) -> Figure:
+    """Returns against the values that expected them.
+
+    table  columns expected, mean, low, high
+    """
+    figure = Figure(figsize=(4.6, 3.9))
+    axes = figure.subplots()
+    both = table.select("expected", "mean").to_numpy()
+    axes.axline((both.min(), both.min()), slope=1, color=figures.INK, linewidth=0.8)
+    axes.errorbar(table["expected"], table["mean"], yerr=_whiskers(table), fmt="o", capsize=3,
+                  color=figures.OTHERS[0])  # fmt: skip
+    axes.grid()
+    axes.set_xlabel("the critic's value")
+    axes.set_title("discounted return that came", fontweight="normal", fontsize=10.5)
+    return figure
+
+
+FATE_SHADES = ("#2fa393", "#f0a03c", "#8c8c92", "#d2d2ce")  # as of outcomes; who died is darker
+
+
+@matplotlib.rc_context(figures.STYLE)
+def fates(table: pl.DataFrame, order: Sequence[str]) -> Figure:
+    """A bar for each test, of what became of its episodes.
+
+    table  columns test, fate (of `order`), mean (0 to 1)
+    """
+    tests = table["test"].unique(maintain_order=True).to_list()
+    figure = Figure(figsize=(figures.WIDTH, 0.9 + 0.5 * len(tests)))
+    axes = figure.subplots()
+    left = np.zeros(len(tests))
+    for name, colour in zip(order, FATE_SHADES, strict=True):
+        part = dict(table.filter(fate=name).select("test", "mean").iter_rows())
+        share = np.array([part.get(test, 0.0) for test in tests])
+        axes.barh(tests, share, 0.66, left, color=colour, edgecolor="white", label=name)
+        for y, (begin, size) in enumerate(zip(left, share, strict=True)):
+            if size >= figures.NARROWEST:
+                axes.text(begin + size / 2, y, f"{100 * size:.0f} %", ha="center", va="center")
+        left += share
+    axes.invert_yaxis()
+    axes.set_xlim(0, 1)
+    axes.xaxis.set_major_formatter(PercentFormatter(1, symbol=" %"))
+    axes.tick_params(length=0)
+    axes.spines[["left", "bottom"]].set_visible(False)
+    axes.set_xlabel("share of episodes")
+    figure.legend(loc="outside upper left", ncols=4, handlelength=1, handleheight=1)
+    return figure
+
+
+@matplotlib.rc_context(figures.STYLE)
+def gains(table: pl.DataFrame) -> Figure:
+    """Differences of shares with their intervals, a line for each group.
+
+    table  columns by, group, mean, low, high (-1 to 1), rows
+    """
+    figure = Figure(figsize=(figures.WIDTH, 0.8 + 0.36 * len(table)))
+    axes = figure.subplots()
+    names = [f"{row['group']} (n = {row['rows']:,})" for row in table.to_dicts()]
+    axes.errorbar(table["mean"], range(len(table)), xerr=_whiskers(table), fmt="o", capsize=3,
+                  color=figures.OTHERS[0])  # fmt: skip
+    axes.axvline(0, color=figures.INK, linewidth=0.8)
+    axes.set_yticks(range(len(table)), names)
+    axes.set_ylim(len(table) - 0.5, -0.5)
+    axes.xaxis.set_major_formatter(PercentFormatter(1, symbol=" %"))
+    axes.grid(axis="x")
+    axes.set_xlabel("taken where it is seen, less touched where it is not")
+    return figure

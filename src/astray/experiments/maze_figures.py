@@ -89,3 +89,24 @@ def pair_maps(pairs: pl.DataFrame, trained: tuple[str, str]) -> Figure:
         axes.spines[:].set_visible(False)
     panels[0].set_ylabel(f"colour of the {shape}")
     return figure
+
+
+@matplotlib.rc_context(STYLE)
+def by_size(table: pl.DataFrame) -> Figure:
+    """Shares of outcomes against the size of the maze.
+
+    table  columns size (cells a side), outcome, mean, low, high (0 to 1)
+    """
+    figure = Figure(figsize=(WIDTH, 3.4))
+    axes = figure.subplots()
+    for outcome, colour in COLOURS.items():
+        line = table.filter(outcome=outcome).sort("size")
+        axes.plot(line["size"], line["mean"], "o-", color=colour, linewidth=2, label=outcome)
+        axes.fill_between(line["size"], line["low"], line["high"], color=colour, alpha=0.22, lw=0)
+    axes.set_ylim(0, 1)
+    axes.yaxis.set_major_formatter(PercentFormatter(1, symbol=" %"))
+    axes.set_xticks(table["size"].unique().sort())
+    axes.set_xlabel("cells a side of the maze")
+    axes.grid(axis="y")
+    figure.legend(loc="outside upper left", ncols=3)
+    return figure

@@ -13,10 +13,12 @@ import polars as pl
 import torch
 
 from astray import experiments
+from astray.analysis import kept
 from astray.analysis.overlap import met, unseen
 from astray.analysis.runs import open_run, play_all
 from astray.experiments import report
-from astray.experiments.spec import COMPUTED, Experiment, Plan, Runs, Size, Test, Work, kept
+from astray.experiments.spec import COMPUTED, Experiment, Plan, Runs, Size, Test, Work
+from astray.experiments.spec import kept as kept_table
 from astray.experiments.workers import Place, train_all
 from astray.files import hold, read, write_aside
 from astray.game import OWN, Game, Variant
@@ -66,23 +68,40 @@ def reproduce(
         runs = train_agents(plan, root, workers, on)
         forget_stale(plan, runs, folder)
         episodes = (
-            kept(folder, "episodes", lambda: play(plan, runs)) if plan.tests else pl.DataFrame()
+            kept_table(folder, "episodes", lambda: play(plan, runs))
+            if plan.tests
+            else pl.DataFrame()
         )
         findings = whole.find(Work(name, size, plan, folder, runs, episodes))
         return report.write(heading, findings, folder)
 
 
 def train_agents(plan: Plan, root: Path, workers: int | None, on: Place) -> Runs:
-    """Train the agents of a plan that are not trained yet; the run folders of all."""
+    """Train the agents of a plan that are not trained yet; the run folders of all.
+
+    Published agents must be here already, for nothing is downloaded without being asked for.
+    """
+    there = {name: [published_run(agent)] for name, agent in plan.published.items()}
     trainings = plan.trainings()
     train_all(
         {run_folder(root, config): config for configs in trainings.values() for config in configs},
         workers, on,
     )  # fmt: skip
-    return {
+    trained = {
         name: [run_folder(root, config) for config in configs]
         for name, configs in trainings.items()
     }
+    return there | trained
+
+
+def published_run(agent: str) -> Path:
+    """The run folder of a published agent; ValueError with what to do where it is not here."""
+    if agent not in kept.imported():
+        raise ValueError(
+            f"the published agent {agent} is not here; to bring it: astray agents fetch {agent}, "
+            f"and the pictures that it sees: astray art import"
+        )
+    return kept.find(agent)
 
 
 def reproduce_all(
@@ -110,6 +129,7 @@ def forget_stale(plan: Plan, runs: Runs, folder: Path) -> None:
         "configs": {n: [c.to_json() for c in made] for n, made in plan.trainings().items()},
         "agents": {n: [agent_digest(run) for run in made] for n, made in runs.items()},
         "tests": {name: asdict(test) for name, test in plan.tests.items()},
+        "visited": {name: asdict(test) for name, test in plan.visited.items()},
         "levels": plan.levels,
         "measures": list(plan.measures),
         "sources": source_digest(COMPUTING),
@@ -148,7 +168,13 @@ def play(plan: Plan, runs: Runs) -> pl.DataFrame:
 
 
 def levels_of(plan: Plan, test: Test) -> np.ndarray:
-    """The numbers of a test's levels, which no agent of the plan has met under any number."""
+    """The numbers of a test's levels, which no agent of the plan has met under any number.
+
+    Published agents that were trained on all levels may have met some, of two thousand million;
+    these levels are as good as any.
+    """
+    if plan.published:
+        return np.array(plan.config.unseen_levels[: plan.levels])
     trainings = tuple((c.training_variant(), c.training_levels) for c in plan.agents.values())
     after = max((c.unseen_levels for c in plan.agents.values()), key=lambda left: left.start)
     return unseen(

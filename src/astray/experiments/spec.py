@@ -18,7 +18,7 @@ from astray.experiments.report import Findings
 from astray.game import Game, Variant
 from astray.training.config import Config
 
-Size = Literal["smoke", "hour", "paper"]
+Size = Literal["smoke", "hour", "paper", "published"]
 COMPUTED = "computed"  # the folder of a report's tables, which `forget_stale` deletes
 SIZES: tuple[Size, ...] = get_args(Size)
 Runs = Mapping[str, Sequence[Path]]  # the run folders of the agents of each name
@@ -48,8 +48,12 @@ class Plan:
     """One size of an experiment: all that is computed for it."""
 
     agents: Mapping[str, Config] = field(default_factory=dict)  # by name; settings but for the seed
+    published: Mapping[str, str] = field(default_factory=dict)  # of those not trained here: of the
+    # catalogue of published agents, the one that is the agent of this name
     seeds: int = 1  # agents of each name
     tests: Mapping[str, Test] = field(default_factory=dict)  # by name; all agents are played in all
+    visited: Mapping[str, Test] = field(default_factory=dict)  # by name; what the experiment itself
+    # looks at states of
     levels: int  # of each test, none met in any training under any number
     smaller: str  # what is smaller than in the paper
     measures: Mapping[str, Measure] = field(default_factory=dict)  # of an episode's last state
@@ -57,12 +61,16 @@ class Plan:
     def __post_init__(self) -> None:
         if self.seeds < 1:
             raise ValueError(f"seeds is {self.seeds}; it is at least 1")
+        if not set(self.published) <= set(self.agents):
+            raise ValueError("what is published are agents of the plan")
         fewest = min((len(config.unseen_levels) for config in self.agents.values()), default=inf)
         if not 1 <= self.levels <= fewest:
             raise ValueError(f"levels is {self.levels}; it is from 1 to {fewest}")
-        if self.tests and len({config.game for config in self.agents.values()}) != 1:
+        if (self.tests or self.visited) and len(
+            {config.game for config in self.agents.values()}
+        ) != 1:
             raise ValueError("what is played in the same tests are agents, and of one game")
-        for test in self.tests.values():
+        for test in (*self.tests.values(), *self.visited.values()):
             load_shift(self.game, test.shift)
             for config in self.agents.values():
                 test.variant_for(config)
@@ -77,15 +85,18 @@ class Plan:
         return self.config.find_game()
 
     def drawn_with(self, art: str) -> Plan:
-        """The same with other images."""
+        """The same with other images, but for published agents: they know those they saw."""
+        if self.published:
+            return self
         agents = {name: replace(config, art=art) for name, config in self.agents.items()}
         return replace(self, agents=agents)
 
     def trainings(self) -> dict[str, list[Config]]:
-        """The settings of every agent."""
+        """The settings of every agent that is trained here."""
         return {
             name: [replace(config, seed=seed) for seed in range(self.seeds)]
             for name, config in self.agents.items()
+            if name not in self.published
         }
 
 

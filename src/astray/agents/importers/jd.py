@@ -65,6 +65,8 @@ def read(data: bytes) -> Imported:
     }  # fmt: skip
     # Procgen's 0, and what is not set, mean: all levels there are, from 0 on.
     ours = {here: told[there] for there, here in SETTINGS.items() if told.get(there)}
+    if told.get("reward_processing") == "none":
+        ours["normalise_reward"] = False
     mode = told.get("distribution_mode") or "hard"
     world = (str(told["env_name"]), str(mode)) if told.get("env_name") else None
     return Imported(

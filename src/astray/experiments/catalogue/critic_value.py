@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import polars as pl
 
@@ -17,11 +19,21 @@ from astray.games.coinrun import edits, measures
 from astray.games.coinrun.measures import STAGES
 
 BEGINNING, MIDDLE, END, BEYOND = STAGES
-# In half of the levels the coin is at the end, in the others anywhere.
-LEVELS = Test("coin-half", "coin-end", {"place": "anywhere"})
-PERMEABLE = Test(
-    "coin-end-permeable-continue", "coin-end", {"place": "anywhere", "random_coin": 0.5}
-)  # for states beyond the end alone
+HALF_AT_END, PAST_END, NO_COIN, TRAINED = "half at the end", "past the end", "none", "in training"
+TESTS = {
+    # In half of the levels the coin is at the end, in the others anywhere.
+    HALF_AT_END: Test("coin-half", "coin-end", {"place": "anywhere"}),
+    PAST_END: Test(  # for states beyond the end alone
+        "coin-end-permeable-continue", "coin-end", {"place": "anywhere", "random_coin": 0.5}
+    ),
+    NO_COIN: Test("coin-absent", "coin-end"),
+    TRAINED: Test("coin-end", "coin-end"),  # where values are compared with what came
+}
+# Who misses the coin stays for 1,000 steps, of which most look alike.
+BRIEF = {
+    name: replace(test, knobs={**test.knobs, "time_limit": 300}) for name, test in TESTS.items()
+}
+BINS = 8  # of values, as many states in each
 DRAWN = 5  # states of each episode, as in the original of each 256 steps
 REMOVED, ADDED = "taken away", "put in view"
 HALF = 0.5  # of what the end adds: all that the coin adds is less, if the end is what counts
@@ -30,7 +42,12 @@ HALF = 0.5  # of what the end adds: all that the coin adds is less, if the end i
 def find(work: Work) -> Findings:
     """Values by stage and coin, as in the paper; and of the same states with and without a coin."""
     table = work.keep("values", lambda: values(work))
+    absent, trained = table.filter(test=NO_COIN), table.filter(test=TRAINED)
+    table = table.filter(pl.col("test").is_in([HALF_AT_END, PAST_END]))
     bars = by_stage(table, "value", ["coin"])
+    alone = by_stage(absent, "value", [])
+    alone_rise = group_means(rises(absent), "rise", ["rises"]).row(0, named=True)
+    came, unit = calibration(trained), unit_of(work)
     effects = by_stage(effects_of(table), "effect", ["coin_is"])
     rise = group_means(rises(table), "rise", ["rises"]).row(0, named=True)
     removed = effects.filter(coin_is=REMOVED).to_dicts()
@@ -55,6 +72,12 @@ def find(work: Work) -> Findings:
                 all(row["low"] <= 0 <= row["high"] for row in removed),
             ),
             Verdict(
+                "Where a level holds no coin at all, the value rises to its end all the same.",
+                "not measured",
+                f"{END} less {BEGINNING}: {interval(alone_rise)}; holds above 0",
+                alone_rise["low"] > 0,
+            ),
+            Verdict(
                 "The coin adds less than half of what the end of the level adds.",
                 "much higher at the end; the coin insignificant",
                 f"at most {most}; holds where no interval goes beyond half of the "
@@ -63,6 +86,13 @@ def find(work: Work) -> Findings:
             ),
         ],
         plots=[
+            Plot(
+                "calibration",
+                "What the critic expects and what came of it, in levels as in training: the "
+                f"discounted return from a state on, of {BINS} groups of states by their value, "
+                f"with 95\u00a0% intervals. {unit}",
+                coin_figures.calibration(came), came,
+            ),
             Plot(
                 "stages",
                 "The critic's value at different stages of a level, with and without a coin in "
@@ -80,6 +110,8 @@ def find(work: Work) -> Findings:
         ],
         tables=[
             Table("stages", "Values by stage and coin", bars),
+            Table("no-coin", "Values by stage in levels that hold no coin", alone),
+            Table("calibration", "Values and the returns that came", came),
             Table("coins", "What a coin adds to the value of the same state", effects),
         ],
         settings=outcomes.settings(work.plan) | {
@@ -95,26 +127,27 @@ def find(work: Work) -> Findings:
 def values(work: Work) -> pl.DataFrame:
     """A row for each state that is drawn from the agents' episodes.
 
-    agent (its seed), level, step, stage; value; coin, whether one is seen; taken_away and
-    put_in_view: what the coin adds, null where none is seen, or none can be seen to be put.
+    agent (its seed), test, level, step, stage; value; future, the discounted return that came;
+    coin, whether one is seen; taken_away and put_in_view: what the coin adds, null where none is
+    seen, or none can be seen to be put.
     """
     parts = []
-    for test in (LEVELS, PERMEABLE):
+    for name, test in work.plan.visited.items():
         levels = levels_of(work.plan, test)
         for run in work.runs[RUNNER]:
             agent, config = open_run(run)
-            variant = test.variant_for(config)
-            rows, states = visit(agent, variant, levels, per_episode=DRAWN)
+            variant = test.variant_for(work.plan.config)
+            rows, states = visit(agent, variant, levels, per_episode=DRAWN, gamma=config.gamma)
             stage = measures.stage(states)
-            kept = (stage == STAGES.index(BEYOND)) == (test is PERMEABLE)
+            kept = (stage == STAGES.index(BEYOND)) == (name == PAST_END)
             if not kept.any():
                 continue
             rows, states = rows.filter(kept), states[kept]
             away = counterfactual(agent, variant, states, edits.without_coin)
             more = counterfactual(agent, variant, states, edits.with_coin_in_view)
             seen, put = away["seen"], more["seen"] & ~away["seen"]
-            parts.append(rows.select("level", "step", "value").with_columns(
-                agent=pl.lit(config.seed),
+            parts.append(rows.select("level", "step", "value", "future").with_columns(
+                test=pl.lit(name), agent=pl.lit(config.seed),
                 stage=pl.Series(np.array(STAGES)[stage[kept]]),
                 coin=seen,
                 taken_away=pl.when(seen).then(-away["change"]),
@@ -148,6 +181,22 @@ def by_stage(rows: pl.DataFrame, value: str, by: list[str]) -> pl.DataFrame:
     return group_means(rows, value, ["stage", *by]).sort(order, *by)
 
 
+def calibration(table: pl.DataFrame) -> pl.DataFrame:
+    """States in BINS groups by their value: group, expected (mean value), and the mean return."""
+    order = table["value"].rank("ordinal").to_numpy() - 1
+    grouped = table.with_columns(group=pl.Series((order * BINS // len(table)).astype(int)))
+    came = group_means(grouped, "future", ["group"])
+    return came.join(grouped.group_by("group").agg(expected=pl.col("value").mean()), on="group")
+
+
+def unit_of(work: Work) -> str:
+    """What unit values are in, beside returns."""
+    config = open_run(work.runs[RUNNER][0])[1]
+    if config.normalise_reward:
+        return "Values are in standard deviations of returns, as in the training."
+    return "Both are in the unit of the game's rewards; on the line they are equal."
+
+
 def interval(row: dict) -> str:
     """An estimate in words."""
     return (
@@ -160,7 +209,9 @@ EXPERIMENT = Experiment(
     title="What the critic values",
     reproduces="Figure 6",
     question="Does the critic value the coin, or the end of the level, where the coin always was?",
-    sizes={"smoke": coin.plan("smoke", 2, 300), "hour": coin.plan("hour", 1, 500),
-           "paper": coin.plan("paper", 3, 1000)},
+    sizes={"smoke": coin.plan("smoke", 2, 300, visited=TESTS),
+           "hour": coin.plan("hour", 1, 500, visited=TESTS),
+           "paper": coin.plan("paper", 3, 1000, visited=TESTS),
+           "published": coin.plan("published", 1, 300, visited=BRIEF)},
     find=find,
 )  # fmt: skip
