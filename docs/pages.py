@@ -226,8 +226,14 @@ def experiment_page(name: str) -> str:
 
 def size_parts(plan: Plan) -> Iterator[str]:
     if plan.smaller:
-        yield f"Smaller than in the paper: {plan.smaller}."
-    if plan.agents:
+        yield f"Other than in the paper: {plan.smaller}."
+    if plan.published:
+        named = ", ".join(f"`{agent}`" for agent in plan.published.values())
+        yield (
+            f"Nothing is trained. [Agents that others published](../published.md): {named}. "
+            f"Levels of each test: {plan.levels:,}."
+        )
+    elif plan.agents:
         yield (
             f"Agents that are trained: {len(plan.agents) * plan.seeds}, of each name with "
             f"{plan.seeds} {'seed' if plan.seeds == 1 else 'seeds'}. Levels of each test: "
@@ -238,11 +244,12 @@ def size_parts(plan: Plan) -> Iterator[str]:
             (name, *settings(config).values()) for name, config in
             itertools.islice(plan.agents.items(), MOST)
         ])  # fmt: skip
-    if plan.tests:
+    tests = {**plan.tests, **plan.visited}
+    if tests:
         yield table(("test", "variant", "shift", "knobs changed"), [
             (name, link(plan.game, test.variant), code(test.shift),
              " ".join(code(f"{k}={v}") for k, v in test.knobs.items()))
-            for name, test in plan.tests.items()
+            for name, test in tests.items()
         ])  # fmt: skip
 
 

@@ -229,7 +229,7 @@ def test_what_is_told_is_escaped(told, tmp_path):
 
 
 def test_only_a_smaller_size_says_what_is_smaller(told, tmp_path):
-    assert "Smaller than in the paper: worlds" in report.write(*told, tmp_path).read_text()
+    assert "Other than in the paper: worlds" in report.write(*told, tmp_path).read_text()
     heading, findings = told
     at_paper_size = report.write(replace(heading, smaller=""), findings, tmp_path).read_text()
     assert "Smaller than" not in at_paper_size

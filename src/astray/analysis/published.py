@@ -10,13 +10,13 @@ import functools
 import tomllib
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from astray.analysis import kept
 from astray.analysis.download import download
 from astray.analysis.imported import Known, import_agent, known_as
 
-DOWNLOADS = "downloads"  # in the folder of imported agents
+DOWNLOADS, RESULTS = "downloads", "results"  # in the folder of imported agents
 
 
 @dataclass(frozen=True)
@@ -48,6 +48,7 @@ class Published:
     file     its name, whose ending tells the format; empty where there is no address
     address  of the file; empty: `by_hand` says how to get it
     size     bytes; None: not known, as the digest
+    kind     results: no agent, but a table of what one did; see `analysis.results`
     tried    it has been imported and checked by the makers of the catalogue
     """
 
@@ -59,6 +60,7 @@ class Published:
     size: int | None = None
     sha256: str | None = None
     tried: bool = False
+    kind: Literal["agent", "results"] = "agent"
     checks: tuple[Check, ...] = ()
 
 
@@ -75,7 +77,7 @@ def read_entry(name: str, data: dict[str, Any]) -> Published:
         Check(**check | {"shares": tuple((int(k), v) for k, v in check.get("shares", {}).items())})
         for check in data.get("checks", [])
     ]
-    own = ("file", "address", "by_hand", "size", "sha256", "tried")
+    own = ("file", "address", "by_hand", "size", "sha256", "tried", "kind")
     return Published(
         name, known_as(data), checks=tuple(checks),
         **{key: data[key] for key in own if key in data},
@@ -96,7 +98,7 @@ def by_digest(sha256: str) -> Published | None:
 
 
 def fetch(one: Published, *, unchecked: bool = False) -> Path:
-    """Download, check and import an agent of the catalogue; its run folder.
+    """Download, check and import an agent of the catalogue; its run folder, or a table's file.
 
     unchecked  also where no digest is known, so that nobody can tell whether it is the right file
     """
@@ -109,8 +111,20 @@ def fetch(one: Published, *, unchecked: bool = False) -> Path:
         )
     if one.name in (*kept.names(), *kept.imported()):
         raise ValueError(f"there is an agent {one.name!r} already, in {kept.find(one.name)}")
+    if one.kind == "results":
+        to = kept.folder() / RESULTS / f"{one.name}.csv"
+        download(one.address, to, size=one.size, sha256=one.sha256)
+        return to
     file = kept.folder() / DOWNLOADS / one.file
     download(one.address, file, size=one.size, sha256=one.sha256)
     run = import_agent(file, one.name, one.known, expected=one.sha256)
     file.unlink()
     return run
+
+
+def results_file(name: str) -> Path:
+    """Where a table of results is that was fetched; ValueError with what to do where it is not."""
+    path = kept.folder() / RESULTS / f"{find(name).name}.csv"
+    if not path.is_file():
+        raise ValueError(f"the table {name} is not here; to bring it: astray agents fetch {name}")
+    return path

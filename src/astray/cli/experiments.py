@@ -79,7 +79,8 @@ def reproduce(
     Args:
         name: of the experiment, as `astray list` has them, or all; or your own, module:OBJECT or
             a Python file that defines EXPERIMENT
-        size: smoke (minutes on two cores), hour (of a GPU), or paper
+        size: smoke (minutes on two cores), hour (of a GPU), paper, or published: of agents that
+            others published, see `astray agents`
         folder: of reports; gets this one in <name>-<size>, and the agents, which are shared
         workers: agents trained at once here; by default one for each processor
         on: train on this machine, or on a Ray cluster whose nodes all see the folder

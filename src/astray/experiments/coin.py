@@ -38,7 +38,7 @@ SMALLER: Mapping[Size, str] = {
     "10 million steps instead of 200 million",
     "hour": "25 million steps instead of 200 million",
     "paper": "",
-    "published": "nothing; other agents: OpenAI's of CoinRun as released, trained by others with "
+    "published": "the agent is OpenAI's of CoinRun as released, trained by others with "
     "PPO on all levels, the coin at the end as in the paper, another network; one agent, so that "
     "intervals are over levels alone",
 }

@@ -80,12 +80,17 @@ class Heading:
     title: str
     reproduces: str  # what of the paper
     question: str
-    smaller: str  # what is smaller than in the paper; empty at the paper's size
+    smaller: str  # what is smaller or otherwise than in the paper; empty at the paper's size
     command: str  # that repeats it
 
 
-def write(heading: Heading, findings: Findings, folder: Path) -> Path:
-    """Write tables, figures and `report.html`, which needs none of them, to `folder`; its path."""
+def write(
+    heading: Heading, findings: Findings, folder: Path, beside: Mapping[str, str] | None = None
+) -> Path:
+    """Write tables, figures and `report.html`, which needs none of them, to `folder`; its path.
+
+    beside  what other agents' report says of some of the claims, as `of_claims` reads it
+    """
     for plot in findings.plots:
         save(plot.figure, folder / "figures", plot.name)
         write_table(plot.data, folder / "figures" / f"{plot.name}.parquet")
@@ -93,11 +98,25 @@ def write(heading: Heading, findings: Findings, folder: Path) -> Path:
         (folder / "tables").mkdir(parents=True, exist_ok=True)
         for ending in ("csv", "parquet"):
             write_table(table.frame, folder / "tables" / f"{table.name}.{ending}")
-    found = {"answer": findings.answer, "verdicts": [asdict(v) for v in findings.verdicts]}
+    beside = beside or {}
+    verdicts = [asdict(v) | {"beside": beside.get(v.claim)} for v in findings.verdicts]
+    found = {"answer": findings.answer, "verdicts": verdicts}
     write_aside(folder / "findings.json", json.dumps(asdict(heading) | found, indent=2).encode())
-    page = _render("report.html", heading=heading, findings=findings, figures=folder / "figures")
+    page = _render("report.html", heading=heading, findings=findings, beside=beside,
+                   figures=folder / "figures")  # fmt: skip
     write_aside(folder / "report.html", page.encode())
     return folder / "report.html"
+
+
+def of_claims(folder: Path) -> dict[str, str]:
+    """What the report in a folder says of each of its claims; nothing where there is no report."""
+    path = folder / "findings.json"
+    if not path.exists():
+        return {}
+    told = json.loads(read(path))["verdicts"]
+    return {
+        one["claim"]: f"{one['ours']} ({'held' if one['held'] else 'did not hold'})" for one in told
+    }
 
 
 def write_index(folder: Path) -> Path:

@@ -73,7 +73,9 @@ def reproduce(
             else pl.DataFrame()
         )
         findings = whole.find(Work(name, size, plan, folder, runs, episodes))
-        return report.write(heading, findings, folder)
+        # What others' agents do is told beside what those do that are trained here.
+        beside = report.of_claims(root / f"{name}-smoke") if size == "published" else {}
+        return report.write(heading, findings, folder, beside)
 
 
 def train_agents(plan: Plan, root: Path, workers: int | None, on: Place) -> Runs:

@@ -194,6 +194,6 @@ EXPERIMENT = Experiment(
     sizes={"smoke": coin.plan("smoke", 2, 100, visited=TESTS),
            "hour": coin.plan("hour", 1, 200, visited=TESTS),
            "paper": coin.plan("paper", 3, 500, visited=TESTS),
-           "published": coin.plan("published", 1, 500, visited=BRIEF)},
+           "published": coin.plan("published", 1, 120, visited=BRIEF)},
     find=find,
 )  # fmt: skip

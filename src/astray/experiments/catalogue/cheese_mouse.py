@@ -149,7 +149,7 @@ EXPERIMENT = Experiment(
             tests={WHERE: TEST},
             levels=1000,
             measures={"size": lambda states: states["maze_size"]},
-            smaller="nothing; another agent, trained by others with the paper's network and cheese "
+            smaller="the agent was trained by others, with the paper's network and cheese "
             "anywhere, in mazes of at most 15 cells",
         )
     },
