@@ -82,20 +82,22 @@ def test_two_threads_step_two_environments():
 
 
 PLAY = """
-import hashlib, json, sys, numba
+import hashlib, json, sys
+from astray.kernel.jit import code_folder
 sys.path.insert(0, sys.argv[1])
 import test_processes
 digest = hashlib.sha256(test_processes.walk(test_processes.made(1))).hexdigest()
-print(json.dumps({"digest": digest, "folder": numba.config.CACHE_DIR}))
+print(json.dumps({"digest": digest, "folder": code_folder()}))
 """
 WARN = """
 import json, os, warnings
 with warnings.catch_warnings(record=True) as said:
     warnings.simplefilter("always")
-    import numba, numpy as np
+    import numpy as np
     from astray.kernel.grid import distances
     distances(np.ones((3, 3), bool), 1, 1)
-folder = numba.config.CACHE_DIR
+from astray.kernel.jit import code_folder
+folder = code_folder()
 said = [str(w.message) for w in said if w.category is UserWarning]
 print(json.dumps({"said": said, "folder": folder, "there": os.path.exists(folder)}))
 """
