@@ -3,7 +3,7 @@ PYTHON ?= python3
 BIN := .venv/bin
 INSTALLED := .venv/installed
 
-.PHONY: demo test fuzz check docs bench clean
+.PHONY: demo test fuzz golden check docs bench clean
 
 # Train mice on cheese in the corner, test them on cheese anywhere, report what they pursue.
 demo: $(INSTALLED)
@@ -19,11 +19,15 @@ test: check docs
 # A million inputs, and a training that is killed a hundred times; half an hour.
 fuzz: $(INSTALLED)
 	rm -f fuzz.jsonl
-	ASTRAY_FUZZ=75 ASTRAY_FUZZ_LOG=fuzz.jsonl $(BIN)/python -m pytest -n 2 tests/test_fuzz.py
-	ASTRAY_KILLS=100 $(BIN)/python -m pytest tests/test_checkpoints.py -k killed
-	$(BIN)/python tests/golden.py --batch 256 --threads 2
-	NUMBA_DISABLE_JIT=1 $(BIN)/python tests/golden.py --steps 100
+	ASTRAY_FUZZ=75 ASTRAY_FUZZ_LOG=fuzz.jsonl $(BIN)/python -m pytest -n 2 tests/fuzz
+	ASTRAY_KILLS=100 $(BIN)/python -m pytest tests/training/test_checkpoints.py -k killed
+	cd tests && ../$(BIN)/python -m helpers.golden --batch 256 --threads 2
+	cd tests && NUMBA_DISABLE_JIT=1 ../$(BIN)/python -m helpers.golden --steps 100
 	cat fuzz.jsonl
+
+# Write all digests anew, after a change of levels, pictures or rewards that is meant.
+golden: $(INSTALLED)
+	cd tests && ../$(BIN)/python -m helpers.golden --write
 
 check: $(INSTALLED)
 	$(BIN)/ruff format --check .

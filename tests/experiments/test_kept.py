@@ -1,0 +1,129 @@
+"""Kept agents: small, whole without their training, and what their cards say is so."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import polars as pl
+import pytest
+from safetensors.numpy import load_file
+
+from astray.analysis import kept
+from astray.analysis.runs import evaluate_runs, open_run
+from astray.experiments import keep
+from astray.training import checkpoint
+from astray.training.loop import train
+from helpers.killed import CONFIG
+
+SHORT = replace(CONFIG, steps=8 * 1024)
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory):
+    """A run of a few steps."""
+    folder = tmp_path_factory.mktemp("run")
+    train(SHORT, folder, progress=False)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def written(run, tmp_path_factory):
+    return keep.keep(run, "mouse", folder=tmp_path_factory.mktemp("kept"), levels=40)
+
+
+@pytest.fixture
+def mouse(written, monkeypatch):
+    """An agent that is kept by the name "mouse"."""
+    monkeypatch.setattr(kept, "KEPT", written.parent)
+    return written
+
+
+@pytest.mark.parametrize("name", kept.names())
+def test_every_kept_agent_plays(name):
+    agent, config = open_run(kept.find(name))
+    assert agent.path.stat().st_size <= keep.LARGEST
+    assert int(agent.path.parent.name) > 0
+    numbers = np.array(config.unseen_levels[:20])
+    card = (kept.find(name) / "README.md").read_text()
+    shift = card.split("--shift ")[1].split()[0]
+    _, episodes = evaluate_runs([kept.find(name)], numbers, shift=shift)
+    assert len(episodes.filter(policy="sampled")) == 20
+
+
+def test_an_agent_is_kept_without_its_training(run, mouse):
+    steps = f"{SHORT.steps}"
+    assert {str(path.relative_to(mouse)) for path in mouse.rglob("*") if path.is_file()} == {
+        "README.md", "config.json", "curve.csv", "curve.png", "episode.gif",
+        f"checkpoints/{steps}/agent.safetensors",
+    }  # fmt: skip
+    assert [path.name for path in mouse.parent.iterdir()] == ["mouse"]
+    one, two = (load_file(folder / "checkpoints" / steps / checkpoint.AGENT)
+                for folder in (run, mouse))  # fmt: skip
+    assert all(np.array_equal(one[name], two[name]) for name in one) and one.keys() == two.keys()
+    curve = pl.read_csv(mouse / "curve.csv")
+    assert curve["steps"][-1] == SHORT.steps
+    told = checkpoint.metrics(run)[-1]["training/return"]
+    assert curve["training/return"][-1] == pytest.approx(told)
+
+
+def test_a_card_says_what_an_evaluation_finds(astray, mouse):
+    said = json.loads(astray("evaluate", "--agent", "mouse", "--levels", "100000:100040", "--json"))
+    found = {
+        row["outcome"]: row
+        for row in said
+        if row["policy"] == "sampled" and row["levels_played"] == "all"
+    }
+    told = " | ".join(
+        f"{100 * row['mean']:.1f} % ({100 * row['low']:.1f} to {100 * row['high']:.1f})"
+        for row in found.values()
+    )
+    card = (mouse / "README.md").read_text()
+    assert f"| `anywhere-small` | the agent | {told} |" in card
+    assert "in 40 levels" in card and "proxy `corner`" in card
+
+
+def test_a_kept_agent_stands_for_its_run_folder(astray, run, mouse, tmp_path):
+    words = ("--levels", "100000:100012", "--json")
+    assert astray("agency", "--agent", "mouse", *words) == astray("agency", run, *words)
+    films = [tmp_path / f"{name}.gif" for name in ("kept", "run")]
+    astray("record", "--agent", "mouse", "--pixels", "64", "--out", films[0])
+    astray("record", run, "--pixels", "64", "--out", films[1])
+    assert films[0].read_bytes() == films[1].read_bytes()
+    assert json.loads(astray("list", "--json"))["agents"]["mouse"]["variant"] == SHORT.variant
+    assert "mouse: maze, trained on corner-small" in astray("list")
+
+
+def test_the_curve_ends_where_the_agent_does(run, tmp_path, monkeypatch):
+    monkeypatch.setattr(keep, "POINTS", 2)
+    first = run / "checkpoints" / f"{checkpoint.steps_saved(run)[0]}"
+    early = keep.keep(first, "early", folder=tmp_path, levels=10)
+    steps = pl.read_csv(early / "curve.csv")["steps"]
+    assert len(steps) <= 2 and steps[-1] == int(first.name) < SHORT.steps
+
+
+@pytest.mark.parametrize(
+    "name, message", [("mouse", "already"), ("The Mouse", "given 'The Mouse'")]
+)
+def test_a_name_is_one_and_new(run, mouse, name, message):
+    with pytest.raises(ValueError, match=message):
+        keep.keep(run, name, folder=mouse.parent)
+
+
+def test_what_is_too_large_is_not_kept(run, tmp_path, monkeypatch):
+    monkeypatch.setattr(keep, "LARGEST", 10_000)
+    with pytest.raises(ValueError, match=r"one that is kept is at most 0\.01 MB"):
+        keep.keep(run, "mouse", folder=tmp_path)
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    "words, message",
+    [
+        ("evaluate", "name a run folder, or an --agent"),
+        ("record", "name a run folder, or an --agent"),
+        ("evaluate runs/seed-0 --agent mouse", "not both"),
+        ("agency --agent squid", "unknown agent 'squid'; there are: mouse"),
+    ],
+)
+def test_mistakes_are_explained(astray, mouse, words, message):
+    assert message in astray(*words.split(), fails=True)
