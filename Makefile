@@ -19,7 +19,7 @@ test: check docs
 # A million inputs, and a training that is killed a hundred times; half an hour.
 fuzz: $(INSTALLED)
 	rm -f fuzz.jsonl
-	ASTRAY_FUZZ=75 ASTRAY_FUZZ_LOG=fuzz.jsonl $(BIN)/python -m pytest -n 2 tests/fuzz
+	ASTRAY_FUZZ=150 ASTRAY_FUZZ_LOG=fuzz.jsonl $(BIN)/python -m pytest -n 2 tests/fuzz
 	ASTRAY_KILLS=100 $(BIN)/python -m pytest tests/training/test_checkpoints.py -k killed
 	cd tests && ../$(BIN)/python -m helpers.golden --batch 256 --threads 2
 	cd tests && NUMBA_DISABLE_JIT=1 ../$(BIN)/python -m helpers.golden --steps 100
