@@ -4,6 +4,7 @@ import os
 import signal
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
@@ -32,7 +33,7 @@ def ended(process):
 
 
 def test_a_variable_that_a_library_does_not_like_is_told_in_a_line():
-    code, out, err = ended(begin(*LEVEL, "7", env={"MPLBACKEND": "nothing"}))
+    code, out, err = ended(begin("list", env={"MPLBACKEND": "nothing"}))
     assert (code, out) == (2, "") and err.count("\n") == 1
     assert err.startswith("astray: ") and "'nothing' is not a valid value for backend" in err
 
@@ -72,7 +73,7 @@ def test_a_stream_or_a_folder_that_is_gone_is_told_in_a_line(words, shell, code,
 
 
 @POSIX
-@pytest.mark.skipif(not os.path.exists("/dev/full"), reason="needs a full device")
+@pytest.mark.skipif(not Path("/dev/full").is_char_device(), reason="needs a full device")
 def test_output_that_has_no_room_is_told_in_a_line():
     code, _, err = ended(begin(*LEVEL, "7", shell='exec "$@" >/dev/full'))
     assert code == 2 and err == "astray: [Errno 28] No space left on device\n"
