@@ -31,12 +31,12 @@ def agent_file(tmp_path_factory):
 @pytest.mark.parametrize("mode", ["sampled", "greedy"])
 def test_the_rows_are_the_same_in_any_batch_and_order(agent_file, mode):
     agent = Agent(agent_file, "maze", mode)
-    levels = LEVELS[:20]
-    tables = [
-        evaluate(agent, "maze", "anywhere-small", levels, batch=batch) for batch in (1, 7, 256)
-    ]
+    # So short that some episodes end by themselves and some do not: who learned nothing is slow.
+    levels, short = LEVELS[:20], replace(MAZE.variants["anywhere-small"], time_limit=40)
+    tables = [evaluate(agent, "maze", short, levels, batch=batch) for batch in (1, 7, 256)]
+    assert 0 < (tables[0]["length"] < 40).sum() < 20
     assert tables[0].equals(tables[1]) and tables[0].equals(tables[2])
-    backwards = evaluate(agent, "maze", "anywhere-small", levels[::-1], batch=7)
+    backwards = evaluate(agent, "maze", short, levels[::-1], batch=7)
     assert backwards.reverse().equals(tables[0])
     assert tables[0]["level"].to_list() == list(levels)
 
@@ -164,7 +164,7 @@ def test_levels_that_coincide_are_counted():
     assert same["level"]["seen"] == same["walls"]["seen"] == 0.5
     moved = shares("maze", "corner", range(50), "anywhere", range(50))
     assert moved["walls"]["seen"] == 1 and moved["level"]["seen"] < 0.2
-    # By hand: mazes of 3 cells have 8 different walls, and all of them are soon met.
+    # By hand: mazes of 3 cells are a ring of 8 with one of 4 walls, and all are soon met.
     tiny = replace(games.find("maze").variants["corner-small"], world=3, largest=3)
     few = shares("maze", tiny, range(1500), tiny, range(5000, 5010))
     assert few["walls"]["training"] == 4 and few["walls"]["seen"] == 1
