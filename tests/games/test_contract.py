@@ -1,8 +1,5 @@
 """What every game owes its callers. A new game is tested here without being named."""
 
-import os
-import subprocess
-import sys
 from dataclasses import replace
 
 import gymnasium
@@ -59,37 +56,6 @@ def test_levels_of_a_range_stay_in_it_and_fill_it():
     env = GameVectorEnv("maze", "corner-small", 50, levels=range(100, 120), observation="symbolic")
     seen = {n for _ in range(20) for n in env.reset()[1]["level"].tolist()}
     assert seen == set(range(100, 120))
-
-
-PLAYED = """
-import hashlib
-import numpy as np
-from astray import games
-from astray.envs.vector import GameVectorEnv
-
-digest, name = hashlib.sha256(), {game!r}
-for observation in ("image", "symbolic"):
-    options = {{"observation": observation, "autoreset_mode": "SameStep"}}
-    env = GameVectorEnv(name, games.find(name).benchmark.variant, 2, **options)
-    digest.update(env.reset(seed=0)[0].tobytes())
-    states = env.get_state()
-    states["time"] = states["time_limit"] - [20, 30]
-    env.set_state(states)
-    for action in np.random.default_rng(0).integers(9, size=(40, 2)):
-        seen, reward, *_ = env.step(action)
-        digest.update(seen.tobytes() + reward.tobytes() + env.states.tobytes())
-print(digest.hexdigest())
-"""
-
-
-@pytest.mark.parametrize("game", games.OWN)
-def test_compiled_and_interpreted_agree(game):
-    told = set()
-    for disable in "01":
-        environment = os.environ | {"NUMBA_DISABLE_JIT": disable}
-        command = [sys.executable, "-c", PLAYED.format(game=game)]
-        told.add(subprocess.check_output(command, env=environment, text=True))
-    assert len(told) == 1
 
 
 def test_a_masked_reset_leaves_the_others_and_the_options_alone():

@@ -34,13 +34,17 @@ def test_every_variant_is_digested(game):
 @pytest.mark.parametrize("game", games.OWN)
 def test_interpreted_code_does_the_same(game):
     names = [variant for other, variant in FEW if other == game][:2]  # all of them take minutes
-    code = f"""
+    program = f"""
 import json
 from helpers import golden
 found = {{v: golden.golden("{game}", v, steps=10) for v in {names}}}
-print(json.dumps(found))
+print(json.dumps([found, golden.over_an_end("{game}")]))
 """
-    env = environment(NUMBA_DISABLE_JIT="1")
-    done = subprocess.run([sys.executable, "-c", code], env=env, capture_output=True, check=True)
-    found = json.loads(done.stdout)
+    done = subprocess.run(
+        [sys.executable, "-W", "error", "-c", program], env=environment(NUMBA_DISABLE_JIT="1"),
+        capture_output=True, text=True,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    found, over_an_end = json.loads(done.stdout)
     assert len(found) == len(names) and golden.differing(game, found) == []
+    assert over_an_end == golden.over_an_end(game)

@@ -1,10 +1,6 @@
 """The compiled building blocks against independent ones."""
 
 import gc
-import os
-import subprocess
-import sys
-import textwrap
 import time
 import types
 import weakref
@@ -255,33 +251,3 @@ def test_laps_are_shared_while_that_is_sooner():
     assert pass_laps(pace, 20, 2e-4, lambda k: 1.2e-4)[0] > 0.75
     # A slice lost now and then is no reason.
     assert pass_laps(pace, 10, 2e-4, lambda k: 4e-3 if k % 1000 == 0 else 1.2e-4)[0] > 0.9
-
-
-PROBE = """
-    import hashlib, numpy as np
-    from astray.envs.vector import GameVectorEnv
-    digest = hashlib.sha256()
-    for observation in ("image", "symbolic"):
-        for variant in ("corner", "anywhere-memory", "red-line-yellow-gem"):
-            env = GameVectorEnv("maze", variant, 2, observation=observation,
-                                autoreset_mode="SameStep", levels=range(50))
-            env.reset(seed=0)
-            actions = np.random.default_rng(0).integers(15, size=(20, 2))
-            for action in actions:
-                seen, *_ = env.step(action)
-                digest.update(seen.tobytes() + env.states.tobytes())
-    print(digest.hexdigest())
-"""
-
-
-def probe(**variables):
-    done = subprocess.run(
-        [sys.executable, "-W", "error", "-c", textwrap.dedent(PROBE)],
-        env=os.environ | variables, capture_output=True, text=True, timeout=300,
-    )  # fmt: skip
-    assert done.returncode == 0, done.stderr
-    return done.stdout
-
-
-def test_compiled_and_interpreted_agree_to_the_bit():
-    assert probe() == probe(NUMBA_DISABLE_JIT="1")
