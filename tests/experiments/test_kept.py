@@ -9,7 +9,9 @@ import pytest
 from safetensors.numpy import load_file
 
 from astray.analysis import kept
-from astray.analysis.runs import evaluate_runs, open_run
+from astray.analysis.evaluate import evaluate
+from astray.analysis.outcomes import OUTCOMES, label, load_shift
+from astray.analysis.runs import open_run
 from astray.experiments import keep
 from astray.training import checkpoint
 from astray.training.loop import train
@@ -39,15 +41,22 @@ def mouse(written, monkeypatch):
 
 
 @pytest.mark.parametrize("name", kept.names())
-def test_every_kept_agent_plays(name):
+def test_every_kept_agent_does_what_its_card_says(name):
     agent, config = open_run(kept.find(name))
-    assert agent.path.stat().st_size <= keep.LARGEST
-    assert int(agent.path.parent.name) > 0
-    numbers = np.array(config.unseen_levels[:20])
+    assert agent.path.stat().st_size <= keep.LARGEST and int(agent.path.parent.name) > 0
     card = (kept.find(name) / "README.md").read_text()
-    shift = card.split("--shift ")[1].split()[0]
-    _, episodes = evaluate_runs([kept.find(name)], numbers, shift=shift)
-    assert len(episodes.filter(policy="sampled")) == 20
+    shift = load_shift(config.find_game(), card.split("--shift ")[1].split()[0])
+    assert f"apart on `{shift.test}`" in card and "in 1,000 levels" in card
+    episodes = label(
+        evaluate(agent, config.game, config.variant_for(shift.test), config.unseen_levels[:1000]),
+        config.find_game(), shift,
+    )  # fmt: skip
+    told = [line for line in card.splitlines() if line.startswith(f"| `{shift.test}`")]
+    whole = next(line for line in told if "| the agent |" in line)
+    found = [(episodes["outcome"] == outcome).mean() for outcome in OUTCOMES]
+    assert [part.split(" %")[0] for part in whole.split(" | ")[2:]] == [
+        f"{100 * mean:.1f}" for mean in found
+    ]
 
 
 def test_an_agent_is_kept_without_its_training(run, mouse):
