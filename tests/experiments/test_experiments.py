@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import shutil
 import signal
 import subprocess
@@ -14,12 +15,12 @@ import polars as pl
 import pytest
 
 from astray import experiments
-from astray.analysis.outcomes import FAILED, INTENDED, MISGENERALIZED, OUTCOMES
+from astray.analysis.outcomes import FAILED, INTENDED, MISGENERALIZED
 from astray.experiments import run
 from astray.experiments.outcomes import holds_above, share
 from astray.training import checkpoint
 from helpers.killed import CONFIG
-from helpers.miniature import miniature
+from helpers.miniature import miniature, train_here
 from helpers.processes import environment
 
 ALL = [(name, size) for name in experiments.NAMES for size in experiments.load(name).sizes]
@@ -41,7 +42,8 @@ def test_every_experiment_runs_in_miniature(name, tmp_path, monkeypatch):
     plan = miniature(whole.sizes["smoke"], 400 if name == "critic-value" else 100)
     small = replace(whole, sizes={"smoke": plan})
     monkeypatch.setattr(experiments, "load", lambda _: small)
-    page = run.reproduce(name, "smoke", tmp_path, workers=2)
+    train_here(plan, tmp_path)
+    page = run.reproduce(name, "smoke", tmp_path)
     folder = tmp_path / f"{name}-smoke"
     assert page == folder / "report.html"
     found = json.loads((folder / "findings.json").read_text())
@@ -63,42 +65,62 @@ def test_every_experiment_runs_in_miniature(name, tmp_path, monkeypatch):
     assert agents == {path: path.stat().st_mtime_ns for path in agents}
 
 
-def test_films_are_of_outcomes_that_came_about(tmp_path, monkeypatch):
+@pytest.fixture(scope="module")
+def trained(tmp_path_factory):
+    """A folder with the agents of maze-corner in miniature, that processes of their own trained."""
+    root = tmp_path_factory.mktemp("reports")
+    run.train_agents(miniature(experiments.load("maze-corner").sizes["smoke"]), root, 2, "here")
+    return root
+
+
+@pytest.fixture
+def reports(trained, tmp_path):
+    return shutil.copytree(trained, tmp_path / "reports")
+
+
+def test_films_are_of_outcomes_that_came_about(reports, monkeypatch):
     whole = experiments.load("maze-corner")
-    small = replace(whole, sizes={"smoke": miniature(whole.sizes["smoke"])})
-    monkeypatch.setattr(experiments, "load", lambda _: small)
-    run.reproduce("maze-corner", "smoke", tmp_path, workers=2)
-    films = {path.stem for path in tmp_path.rglob("videos/*.mp4")}
-    assert films and films <= {outcome.replace(" ", "-") for outcome in OUTCOMES}
+    plan = replace(miniature(whole.sizes["smoke"]), levels=60)
+    monkeypatch.setattr(experiments, "load", lambda _: replace(whole, sizes={"smoke": plan}))
+    page = run.reproduce("maze-corner", "smoke", reports)
+    told = re.findall(
+        r"([A-Z][a-z ]+), as in [^:]*: level\s+(\d+) as in training", page.read_text()
+    )
+    played = pl.read_parquet(page.parent / "computed" / "episodes.parquet")
+    mine = played.filter(policy="sampled", seed=0, variant="anywhere-small")
+    films = {path.stem for path in reports.rglob("videos/*.mp4")}
+    assert films == {outcome.lower().replace(" ", "-") for outcome, _ in told} != set()
+    for outcome, level in told:
+        assert mine.filter(level=int(level))["outcome"].to_list() == [outcome.lower()]
 
 
-def test_another_plan_computes_anew_and_shares_the_agents(tmp_path, monkeypatch):
+def test_another_plan_computes_anew_and_shares_the_agents(reports, monkeypatch):
     whole = experiments.load("maze-corner")
     plan = replace(miniature(whole.sizes["smoke"]), seeds=1)
     agents = set()
     for levels in (10, 12):
         small = replace(whole, sizes={"smoke": replace(plan, levels=levels)})
         monkeypatch.setattr(experiments, "load", lambda _, small=small: small)
-        run.reproduce("maze-corner", "smoke", tmp_path, workers=1)
-        played = pl.read_parquet(tmp_path / "maze-corner-smoke" / "computed" / "episodes.parquet")
+        run.reproduce("maze-corner", "smoke", reports)
+        played = pl.read_parquet(reports / "maze-corner-smoke" / "computed" / "episodes.parquet")
         assert played.filter(policy="sampled", test="in training").height == levels
-        agents.add(tuple(path.stat().st_mtime_ns for path in tmp_path.rglob("agent.safetensors")))
+        agents.add(tuple(path.stat().st_mtime_ns for path in reports.rglob("agent.safetensors")))
     assert len(agents) == 1
 
 
-def test_other_agents_and_other_code_compute_anew(tmp_path, monkeypatch):
+def test_other_agents_and_other_code_compute_anew(reports, monkeypatch):
     whole = experiments.load("maze-corner")
     small = replace(whole, sizes={"smoke": miniature(whole.sizes["smoke"])})
     monkeypatch.setattr(experiments, "load", lambda _: small)
 
     def computed():
-        run.reproduce("maze-corner", "smoke", tmp_path, workers=2)
-        episodes = tmp_path / "maze-corner-smoke" / "computed" / "episodes.parquet"
+        run.reproduce("maze-corner", "smoke", reports)
+        episodes = reports / "maze-corner-smoke" / "computed" / "episodes.parquet"
         return episodes.stat().st_mtime_ns
 
     first = computed()
     assert computed() == first
-    (one, two) = sorted((tmp_path / "agents").glob("*/seed-*"))
+    (one, two) = sorted((reports / "agents").glob("*/seed-*"))
     agents = [checkpoint.latest(folder) / checkpoint.AGENT for folder in (one, two)]
     shutil.copy(*agents)
     second = computed()
@@ -130,7 +152,7 @@ def test_trainings_end_with_the_experiment_that_began_them(tmp_path):
 REPRODUCE = """
 import pathlib, sys
 from dataclasses import replace
-from helpers.miniature import miniature
+from helpers.miniature import miniature, train_here
 from astray import experiments
 from astray.experiments import run
 whole = experiments.load("maze-corner")
@@ -141,7 +163,7 @@ run.reproduce("maze-corner", "smoke", pathlib.Path(sys.argv[1]), workers=2)
 TRAIN = """
 import pathlib, sys
 from helpers.killed import CONFIG
-from helpers.miniature import miniature
+from helpers.miniature import miniature, train_here
 from helpers.processes import environment
 from astray.training.loop import train
 train(CONFIG, pathlib.Path(sys.argv[1]), progress=False, wait=True)

@@ -1,9 +1,14 @@
 """Experiments in miniature."""
 
 from dataclasses import replace
+from pathlib import Path
+
+from astray.experiments import run
+from astray.experiments.spec import Plan
+from astray.training.loop import train
 
 
-def miniature(plan, time_limit=100):
+def miniature(plan: Plan, time_limit: int = 100) -> Plan:
     """The plan with two agents of each name, trained for 2,048 steps in few short levels."""
     agents = {
         name: replace(
@@ -13,3 +18,10 @@ def miniature(plan, time_limit=100):
         for name, config in plan.agents.items()
     }  # fmt: skip
     return replace(plan, agents=agents, seeds=2, levels=20)
+
+
+def train_here(plan: Plan, root: Path) -> None:
+    """Train the plan's agents where `reproduce` finds them, without the start of processes."""
+    for configs in plan.trainings().values():
+        for config in configs:
+            train(config, run.run_folder(root, config), progress=False)
