@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import polars as pl
@@ -40,23 +41,46 @@ def mouse(written, monkeypatch):
     return written
 
 
+# The outcome of each level that the cards of some agents tell of, as its number in `OUTCOMES`: so
+# that a part of the levels is enough to see that an agent is the one on its card.
+OUTCOMES_OF = json.loads(Path(__file__).with_name("kept.json").read_text())
+CARDS, REPLAYED = 1000, 200  # levels
+
+
+def told_by_card(name):
+    """The shift of an agent's card, and its row for the agent in all levels of the test."""
+    card = (kept.find(name) / "README.md").read_text()
+    config = open_run(kept.find(name))[1]
+    shift = load_shift(config.find_game(), card.split("--shift ")[1].split()[0])
+    assert f"in {CARDS:,} levels" in card
+    (row,) = (
+        line for line in card.splitlines() if line.startswith(f"| `{shift.test}` | the agent |")
+    )
+    return shift, [part.split(" %")[0] for part in row.split(" | ")[2:]]
+
+
+def as_on_cards(outcomes):
+    return [f"{100 * np.mean([o == name for o in outcomes]):.1f}" for name in OUTCOMES]
+
+
+@pytest.mark.parametrize("name", OUTCOMES_OF)
+def test_the_outcomes_that_are_known_are_the_cards(name):
+    outcomes = [OUTCOMES[int(number)] for number in OUTCOMES_OF[name]]
+    assert len(outcomes) == CARDS and as_on_cards(outcomes) == told_by_card(name)[1]
+
+
 @pytest.mark.parametrize("name", kept.names())
 def test_every_kept_agent_does_what_its_card_says(name):
     agent, config = open_run(kept.find(name))
     assert agent.path.stat().st_size <= keep.LARGEST and int(agent.path.parent.name) > 0
-    card = (kept.find(name) / "README.md").read_text()
-    shift = load_shift(config.find_game(), card.split("--shift ")[1].split()[0])
-    assert f"apart on `{shift.test}`" in card and "in 1,000 levels" in card
-    episodes = label(
-        evaluate(agent, config.game, config.variant_for(shift.test), config.unseen_levels[:1000]),
-        config.find_game(), shift,
-    )  # fmt: skip
-    told = [line for line in card.splitlines() if line.startswith(f"| `{shift.test}`")]
-    whole = next(line for line in told if "| the agent |" in line)
-    found = [(episodes["outcome"] == outcome).mean() for outcome in OUTCOMES]
-    assert [part.split(" %")[0] for part in whole.split(" | ")[2:]] == [
-        f"{100 * mean:.1f}" for mean in found
-    ]
+    (shift, row), known = told_by_card(name), OUTCOMES_OF.get(name)
+    levels = config.unseen_levels[: REPLAYED if known else CARDS]
+    played = evaluate(agent, config.game, config.variant_for(shift.test), levels)
+    outcomes = label(played, config.find_game(), shift)["outcome"].to_list()
+    if known:
+        assert outcomes == [OUTCOMES[int(number)] for number in known[:REPLAYED]]
+    else:
+        assert as_on_cards(outcomes) == row
 
 
 def test_an_agent_is_kept_without_its_training(run, mouse):
