@@ -3,7 +3,7 @@ PYTHON ?= python3
 BIN := .venv/bin
 INSTALLED := .venv/installed
 
-.PHONY: demo test fuzz check docs bench clean
+.PHONY: demo test quick fuzz golden check lint docs bench clean
 
 # Train mice on cheese in the corner, test them on cheese anywhere, report what they pursue.
 demo: $(INSTALLED)
@@ -16,20 +16,34 @@ test: check docs
 	-$(BIN)/astray art import
 	$(BIN)/python -m pytest -n 2
 
+# An answer within a minute or two: linters, and tests of rules, levels, pictures, kernels, formulas
+# and the agency measure, in folders that start no process and train nothing. It says nothing of
+# environments, training, checkpoints, analysis, experiments, the command line, types or documentation.
+QUICK := src tests/agency tests/kernel tests/art/test_art.py tests/games/test_reference.py \
+	tests/training/test_ppo.py tests/test_house.py
+quick: lint
+	$(BIN)/python -m pytest -n 2 $(QUICK)
+
 # A million inputs, and a training that is killed a hundred times; half an hour.
 fuzz: $(INSTALLED)
 	rm -f fuzz.jsonl
-	ASTRAY_FUZZ=75 ASTRAY_FUZZ_LOG=fuzz.jsonl $(BIN)/python -m pytest -n 2 tests/test_fuzz.py
-	ASTRAY_KILLS=100 $(BIN)/python -m pytest tests/test_checkpoints.py -k killed
-	$(BIN)/python tests/golden.py --batch 256 --threads 2
-	NUMBA_DISABLE_JIT=1 $(BIN)/python tests/golden.py --steps 100
+	ASTRAY_FUZZ=150 ASTRAY_FUZZ_LOG=fuzz.jsonl $(BIN)/python -m pytest -n 2 tests/fuzz
+	ASTRAY_KILLS=100 $(BIN)/python -m pytest tests/training/test_checkpoints.py -k killed
+	cd tests && ../$(BIN)/python -m helpers.golden --batch 256 --threads 2
+	cd tests && NUMBA_DISABLE_JIT=1 ../$(BIN)/python -m helpers.golden --steps 100
 	cat fuzz.jsonl
 
-check: $(INSTALLED)
+lint: $(INSTALLED)
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
 	$(BIN)/typos
 	$(BIN)/lint-imports
+
+# Write all digests anew, after a change of levels, pictures or rewards that is meant.
+golden: $(INSTALLED)
+	cd tests && ../$(BIN)/python -m helpers.golden --write
+
+check: lint
 	$(BIN)/pyright --pythonpath $(BIN)/python
 
 # The documentation, to site/index.html; a dead link is an error.

@@ -1,18 +1,32 @@
-"""What several tests share."""
+"""What several tests are given."""
 
+import sys
 from pathlib import Path
 
 import pytest
 
-from astray import games
-
-REFERENCE = Path(__file__).parent / "reference"
-ALL = [(game, variant) for game in games.OWN for variant in games.find(game).variants]
-# A variant for each shape of world and each kind of placement: for tests that are slow.
-FEW = [(g, v) for g, v in ALL if "region" not in v or v in ("region-3", "region-1-strict")]
+from astray import cli
+from helpers.cases import REFERENCE
 
 
 @pytest.fixture
 def reference() -> Path:
     """Recordings of the original program."""
     return REFERENCE
+
+
+@pytest.fixture
+def astray(monkeypatch, capsys):
+    """Runs a command; its standard output, or its error if it fails."""
+
+    def run(*words, fails=False):
+        monkeypatch.setattr(sys, "argv", ["astray", *map(str, words)])
+        if fails:
+            with pytest.raises(SystemExit) as exit_:
+                cli.main()
+            assert exit_.value.code == 2
+            return capsys.readouterr().err
+        cli.main()
+        return capsys.readouterr().out
+
+    return run

@@ -11,7 +11,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from conftest import FEW
 
 from astray import cli, games
 from astray.agents.policy import Architecture
@@ -32,6 +31,7 @@ from astray.training.config import PRESETS
 from astray.training.fast import fused, sparse
 from astray.training.loop import train
 from astray.training.ppo import Samples
+from helpers.cases import FEW
 
 TINY = replace(
     PRESETS["small"], variant="corner-small", environments=8, rollout=4, minibatches=1, width=4,

@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 import polars as pl
-from scipy.stats import binomtest
 
 from astray.analysis.critic import judge, observe
 from astray.analysis.episodes import initial_states
@@ -28,6 +27,8 @@ class Share:
 
     @property
     def interval(self) -> tuple[float, float]:
+        from scipy.stats import binomtest  # here, as it takes a second to import
+
         found = binomtest(self.succeeded, self.levels).proportion_ci(method="wilson")
         return float(found.low), float(found.high)
 

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 import numpy as np
 import polars as pl
-from scipy.stats import trim_mean
 
 RESAMPLES = 10_000
 QUARTILES = 4  # with fewer agents there is nothing to trim
@@ -20,6 +19,8 @@ def over_agents(values: np.ndarray, *, seed: int = 0) -> np.ndarray:
     NeurIPS 2021), or of fewer than 4 agents the mean; the interval is its percentiles over
     resamples of agents. One agent has no interval: NaN.
     """
+    from scipy.stats import trim_mean  # here, as it takes a second to import
+
     agents, points = values.shape
     cut = 0.25 if agents >= QUARTILES else 0.0
     middle = trim_mean(values, cut, axis=0)

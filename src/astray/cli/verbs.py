@@ -7,7 +7,7 @@ import functools
 
 import tyro
 
-from astray.cli import agents, art, experiments, levels, published
+from astray.cli import agents, art, cache, experiments, levels, published
 from astray.training.config import PRESETS
 
 VERBS = {
@@ -23,6 +23,7 @@ VERBS = {
     "overlap": levels.overlap,
     "agency": agents.agency,
     "art": art.art,
+    "cache": cache.cache,
     "import": published.import_,
     "agents": published.agents,
     "bench": experiments.bench,

@@ -20,7 +20,6 @@ from astray.analysis.kept import KEPT
 from astray.analysis.outcomes import OUTCOMES, load_shift
 from astray.analysis.policies import Agent
 from astray.analysis.runs import evaluate_runs, open_run, shift_of
-from astray.experiments import figures
 from astray.experiments.outcomes import AGENTS
 from astray.files import folder_aside, write_aside
 from astray.game import Shift
@@ -63,6 +62,8 @@ def keep(
 
 def draw_curve(run: Path, config: Config, steps: int, folder: Path) -> None:
     """Write `curve.csv`, some of the run's metrics up to `steps`, and `curve.png` of them."""
+    from astray.experiments import figures  # here, as matplotlib takes a second to import
+
     metrics = pl.DataFrame(checkpoint.metrics(run), infer_schema_length=None)
     there = {"training/return": config.variant}
     if config.validation:

@@ -8,15 +8,16 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import polars as pl
 from jinja2 import Environment, PackageLoader, StrictUndefined
-from matplotlib.figure import Figure
 
 from astray.analysis.tables import write_table
-from astray.experiments.figures import save
 from astray.files import read, write_aside
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 MEDIA = {".png": "image/png", ".mp4": "video/mp4"}
 NOTHING = "—"
@@ -91,6 +92,8 @@ def write(
 
     beside  what other agents' report says of some of the claims, as `of_claims` reads it
     """
+    from astray.experiments.figures import save  # here, as matplotlib takes a second to import
+
     for plot in findings.plots:
         save(plot.figure, folder / "figures", plot.name)
         write_table(plot.data, folder / "figures" / f"{plot.name}.parquet")

@@ -6,7 +6,6 @@ import atexit
 import contextlib
 import logging
 import os
-import re
 import shutil
 import stat
 import tempfile
@@ -17,8 +16,9 @@ from pathlib import Path
 
 from filelock import FileLock, Timeout
 
+from astray.kernel.versions import LOCK, mark, remove, versions
+
 LOG = logging.getLogger("astray")
-DIGEST = re.compile("[0-9a-f]{16}")  # names of folders of compiled code
 KEPT_FOR = 30 * 24 * 3600  # seconds that the compiled code of another version is kept
 OTHERS = stat.S_IWGRP | stat.S_IWOTH  # modes by which others may write
 # Seconds that another process is waited for in silence; and until code is compiled beside it.
@@ -33,17 +33,12 @@ def cache_folder(digest: str) -> str:
     digest   of all that compiled code depends on; names the folder
     returns  "" where there is no folder at all
     """
-    chosen = os.environ.get("NUMBA_CACHE_DIR")
     try:
-        if chosen:
-            folder = _made(Path(chosen).absolute())
-            _see_trusted(folder)
-            return str(folder)
-        home = _made(_home() / "astray")
+        home = _made(code_home())
         _close(home)
         folder = _made(home / digest)
         _see_trusted(folder)
-        (folder / "used").touch()
+        mark(folder)
     except (OSError, RuntimeError) as error:  # RuntimeError: there is no home
         warnings.warn(f"compiled code is not kept: {error}", stacklevel=2)
         return passing_folder()
@@ -51,10 +46,17 @@ def cache_folder(digest: str) -> str:
     return str(folder)
 
 
-def _home() -> Path:
-    """The user's folder of caches; one that depends on where Python was started is none."""
-    chosen = Path(os.environ.get("XDG_CACHE_HOME", ""))
-    return chosen if chosen.is_absolute() else Path.home() / ".cache"
+def code_home() -> Path:
+    """Where the folders of compiled code are: where NUMBA_CACHE_DIR says, else in the home.
+
+    RuntimeError where there is no home.
+    """
+    numbas = os.environ.get("NUMBA_CACHE_DIR")
+    users = Path(os.environ.get("XDG_CACHE_HOME", ""))
+    if numbas:
+        return Path(numbas).absolute() / "astray"
+    # A folder of caches that depends on where Python was started is none.
+    return (users if users.is_absolute() else Path.home() / ".cache") / "astray"
 
 
 def _made(folder: Path) -> Path:
@@ -106,23 +108,9 @@ def _raise(error: OSError) -> None:
 
 def _remove_old(home: Path) -> None:
     """Remove the compiled code of versions that were not used for long."""
-    with contextlib.suppress(OSError):
-        for other in home.iterdir():
-            with contextlib.suppress(OSError):  # another user's
-                used = other / "used"
-                is_ours = DIGEST.fullmatch(other.name) and not other.is_symlink() and used.is_file()
-                if is_ours and used.stat().st_mtime < time.time() - KEPT_FOR:
-                    _remove(other)
-
-
-def _remove(folder: Path) -> None:
-    """Remove the compiled code of another version, and the folder if nothing else is in it."""
-    for path in folder.glob("**/*"):
-        if path.suffix in (".nbi", ".nbc", ".lock") or path == folder / "used":
-            path.unlink()
-    for path in sorted((p for p in folder.glob("**/*") if p.is_dir()), reverse=True):
-        path.rmdir()
-    folder.rmdir()
+    for one in versions(home):
+        if one.used < time.time() - KEPT_FOR:
+            remove(one.folder)
 
 
 def passing_folder() -> str:
@@ -148,7 +136,7 @@ def held(folder: str) -> Iterator[bool]:
     to be written to it then.
     """
     with contextlib.ExitStack() as stack:
-        is_held, lock = False, FileLock(Path(folder, "compile.lock"))
+        is_held, lock = False, FileLock(Path(folder, LOCK))
         if folder:
             try:
                 is_held = _is_entered(stack, lock, SILENT) or _is_waited_for(stack, lock)

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import contextlib
+import functools
 import hashlib
+import warnings
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from types import FunctionType
@@ -13,7 +15,7 @@ import numba
 from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import Compiler
 
-from astray.kernel.cache import cache_folder, held
+from astray.kernel.cache import cache_folder, held, passing_folder
 from astray.kernel.stored import Stored
 
 PACKAGE = Path(__file__).parents[1]
@@ -29,9 +31,24 @@ def source_digest(patterns: Sequence[str] = KERNELS) -> str:
     return digest.hexdigest()[:16]
 
 
-# Numba notices edits to the file a kernel is in, not to the files it calls into; a folder
-# named after all of them does. A folder that the user chose wins.
-numba.config.CACHE_DIR = cache_folder(source_digest())  # pyright: ignore
+IMPORTED = source_digest()  # what is loaded: sources may be edited before any is compiled
+
+
+@functools.cache
+def code_folder() -> str:
+    """Where this process keeps compiled code: chosen, and made, when some is first asked for.
+
+    Numba notices edits to the file a kernel is in, not to the files it calls into; a folder named
+    after all of them does. "" where there is none.
+    """
+    if source_digest() != IMPORTED:
+        warnings.warn(
+            "compiled code is not kept: astray's sources, or numba's settings, are not those that "
+            "it was imported with",
+            stacklevel=2,
+        )
+        return passing_folder()
+    return cache_folder(IMPORTED)
 
 
 class _Part(JITCodeLibrary):
@@ -104,9 +121,8 @@ def passing(function: Callable) -> Any:
 def entry(function: Callable) -> Any:
     """A decorator of functions that Python calls; only these are kept in files."""
     compiled = passing(function)
-    if compiled is not function:
-        with contextlib.suppress(RuntimeError):  # no folder that can be written
-            compiled._cache = Stored(function)
+    if compiled is not function and Path(function.__code__.co_filename).is_file():
+        compiled._cache = Stored(function, code_folder)
     return compiled
 
 
@@ -128,7 +144,7 @@ def specialise(
 @contextlib.contextmanager
 def one_at_a_time() -> Iterator[None]:
     """Compile in here: numba's cache breaks when two processes write one entry."""
-    with held(numba.config.CACHE_DIR) as is_held:  # pyright: ignore
+    with held(code_folder()) as is_held:
         if not is_held:
             Stored.writes = False
         yield

@@ -6,9 +6,11 @@ import contextlib
 import hashlib
 import io
 import os
+import sys
 import tempfile
 import warnings
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +25,17 @@ SUM = hashlib.sha256().digest_size  # bytes
 
 
 class _Locator(UserProvidedCacheLocator):
-    """numba.config.CACHE_DIR, in folders for the user alone."""
+    """A folder of our own, where numba looks into that which is the user's for all functions.
+
+    What is beneath it is made for the user alone.
+    """
+
+    def __init__(self, function: Any, folder: str):
+        self._py_file, self._lineno = (
+            function.__code__.co_filename,
+            function.__code__.co_firstlineno,
+        )
+        self._cache_path = os.path.join(folder, self.get_suitable_cache_subpath(self._py_file))
 
     def ensure_cache_path(self) -> None:
         path = self.get_cache_path()
@@ -32,7 +44,13 @@ class _Locator(UserProvidedCacheLocator):
 
 
 class _Implementation(CompileResultCacheImpl):
-    _locator_classes = [_Locator]  # no other folder is checked  # noqa: RUF012
+    """Numba's, which would choose among all folders that it knows of, and check each."""
+
+    def __init__(self, function: Any, folder: str):
+        code = function.__code__
+        self._lineno, self._locator = code.co_firstlineno, _Locator(function, folder)
+        name = f"{Path(code.co_filename).stem}.{function.__qualname__}"
+        self._filename_base = self.get_filename_base(name, getattr(sys, "abiflags", ""))
 
 
 class _Files(IndexDataCacheFile):
@@ -68,18 +86,37 @@ def _is_whole(path: Path) -> bool:
 
 
 class Stored(Cache):
-    """Compiled code that is read from files, and written while `writes` says so."""
+    """Compiled code that is read from files, and written while `writes` says so.
 
-    _impl_class = _Implementation
+    function  whose source is the file that it names
+    folder    tells where files are, "" where nowhere; it is asked when code is first asked for
+    """
+
     writes = True  # of all functions
 
-    def __init__(self, function: Any):
-        super().__init__(function)
-        files = self._cache_file
-        self._cache_file = _Files(files._cache_path, self._impl.filename_base, files._source_stamp)
+    def __init__(self, function: Any, folder: Callable[[], str]):
+        self._name, self._py_func, self._folder = repr(function), function, folder
+        # Now, not when it is compiled: its file may be edited until then.
+        self._stamp = _Locator(function, "").get_source_stamp()
+        self.enable()
+
+    @cached_property
+    def _impl(self) -> _Implementation:
+        return _Implementation(self._py_func, self._folder())
+
+    @cached_property
+    def _cache_file(self) -> _Files:
+        return _Files(self.cache_path, self._impl.filename_base, self._stamp)
+
+    @property
+    def cache_path(self) -> str:
+        return self._impl.locator.get_cache_path()
+
+    def load_overload(self, sig: Any, target_context: Any) -> Any:
+        return super().load_overload(sig, target_context) if self._folder() else None
 
     def save_overload(self, sig: Any, data: Any) -> None:
-        if not Stored.writes:
+        if not Stored.writes or not self._folder():
             return
         try:
             super().save_overload(sig, data)

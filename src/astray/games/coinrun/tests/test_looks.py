@@ -1,5 +1,6 @@
 """What is seen of CoinRun, in pictures and in symbols."""
 
+import hashlib
 from dataclasses import replace
 
 import numpy as np
@@ -116,8 +117,8 @@ def test_walkers_crates_coin_and_hazards_are_told_from_every_backdrop():
         assert apart.min() > 35  # of 441
 
 
-def test_backdrops_are_the_same_bytes_at_any_time():
-    assert np.array_equal(backdrops.render(1.0), backdrops.render(1.0))
+def test_backdrops_are_the_bytes_that_they_were():
+    assert hashlib.sha256(backdrops.render(1.0).tobytes()).hexdigest()[:16] == "6a4cbda8436cda38"
     assert backdrops.render(2.0).shape == (62, 64, 128, 3)
 
 

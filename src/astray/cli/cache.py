@@ -1,0 +1,65 @@
+"""The verb for compiled code: where it is kept, and what of it can go."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+
+from rich.table import Table
+
+from astray.cli.arguments import print_json, show
+from astray.kernel.cache import code_home, held
+from astray.kernel.jit import IMPORTED
+from astray.kernel.versions import Version, outdated, remove, versions
+
+
+def cache(prune: bool = False, json: bool = False) -> None:
+    """Show where compiled code is kept, by version of the sources; or remove what is not of these.
+
+    Args:
+        prune: remove the code of other versions, and that of games of others before they were
+            edited; nothing that astray did not write, nothing through links, and nothing that a
+            process compiles just now
+        json: print JSON
+    """
+    home = code_home()
+    removed = _prune(home) if prune else 0
+    found = versions(home)
+    if json:
+        print_json({
+            "folder": str(home), "removed": removed,
+            "versions": [{"digest": one.folder.name, "this": _is_this(one), "about": one.about,
+                          "used": one.used, "files": one.files, "bytes": one.size}
+                         for one in found],
+        })  # fmt: skip
+        return
+    if prune:
+        print(f"removed: {removed / 1e6:.1f} MB")
+    files, size = sum(one.files for one in found), sum(one.size for one in found)
+    print(f"{home}: {size / 1e6:.1f} MB in {files} files")
+    table = Table("version", "of", "last used", "MB", "files", "", box=None, padding=(0, 2))
+    for one in found:
+        day = time.strftime("%Y-%m-%d", time.localtime(one.used))
+        table.add_row(
+            one.folder.name, one.about or "?", day, f"{one.size / 1e6:.1f}", f"{one.files}",
+            "this one" if _is_this(one) else "",
+        )  # fmt: skip
+    if found:
+        show(table)
+
+
+def _is_this(one: Version) -> bool:
+    return one.folder.name == IMPORTED
+
+
+def _prune(home: Path) -> int:
+    """Remove from `home` what nothing runs any more; how many bytes that were."""
+    before = sum(one.size for one in versions(home))
+    for one in versions(home):
+        if not _is_this(one):
+            remove(one.folder)
+            continue
+        with held(str(one.folder)) as is_held:
+            for path in outdated(one.folder) if is_held else ():
+                path.unlink(missing_ok=True)
+    return before - sum(one.size for one in versions(home))

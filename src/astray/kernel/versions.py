@@ -1,0 +1,125 @@
+"""What is kept of compiled code: a folder for each version of the sources, and how it is removed.
+
+A version is removed only where it is a folder of this user's by the name of a digest, with a mark
+in it; and of what is in it only files that numba and we write. No link is followed.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import re
+import stat
+from collections.abc import Iterator
+from dataclasses import dataclass
+from importlib.metadata import version
+from pathlib import Path
+
+import numba
+from filelock import FileLock, Timeout
+
+DIGEST = re.compile("[0-9a-f]{16}")  # names of folders of compiled code
+# Indices and code, also those that a killed process was writing.
+CODE = re.compile(r"(?P<function>.+?)(\.\d+)?\.nb[ic](\.tmp\.[0-9a-f]+)?")
+# Functions of a game that is not ours, by its own digest: see `envs.compiled`.
+GUEST = re.compile(r"(?P<name>.+)_[0-9a-f]{16}(?P<rest>-\d+\.py\w+)")
+USED, LOCK = "used", "compile.lock"
+
+
+@dataclass(frozen=True)
+class Version:
+    """Compiled code of one version of all sources.
+
+    about  which versions of astray and numba it is of; "" where that was not written
+    used   when a process last began to use it, seconds since 1970
+    size   bytes in its `files`
+    """
+
+    folder: Path
+    about: str
+    used: float
+    files: int
+    size: int
+
+
+def mark(folder: Path) -> None:
+    """Mark `folder` as one of compiled code, used now."""
+    path = folder / USED
+    path.touch()
+    if not path.stat().st_size:
+        path.write_text(f"astray {version('astray')}, numba {numba.__version__}\n")
+
+
+def versions(home: Path) -> list[Version]:
+    """The versions in `home`, last used first; none where it is no folder, or cannot be listed."""
+    found = []
+    with contextlib.suppress(OSError):
+        for folder in home.iterdir():
+            with contextlib.suppress(OSError):  # another user's, or removed meanwhile
+                if is_ours(folder):
+                    found.append(_version(folder))
+    return sorted(found, key=lambda one: (-one.used, one.folder))
+
+
+def is_ours(folder: Path) -> bool:
+    """Whether `folder` is one of compiled code that this user's processes made."""
+    if not DIGEST.fullmatch(folder.name):
+        return False
+    try:
+        both = folder.lstat(), (folder / USED).lstat()
+    except OSError:
+        return False
+    is_mine = not hasattr(os, "getuid") or {one.st_uid for one in both} == {os.getuid()}
+    return is_mine and stat.S_ISDIR(both[0].st_mode) and stat.S_ISREG(both[1].st_mode)
+
+
+def _version(folder: Path) -> Version:
+    sizes = [path.lstat().st_size for path in _files(folder)]
+    with open(folder / USED, errors="replace") as file:
+        about = file.readline(80).strip()
+    used = (folder / USED).stat().st_mtime
+    return Version(folder, about if about.isprintable() else "", used, len(sizes), sum(sizes))
+
+
+def _files(folder: Path) -> Iterator[Path]:
+    """What we and numba wrote into `folder` and the folders in it."""
+    for parent, _, names in os.walk(folder):  # which does not go through links
+        for name in names:
+            path = Path(parent, name)
+            is_code = CODE.fullmatch(name) or (name in (USED, LOCK) and Path(parent) == folder)
+            if is_code and stat.S_ISREG(path.lstat().st_mode):
+                yield path
+
+
+def remove(folder: Path) -> bool:
+    """Remove a version of compiled code, and its folder if nothing else is in it.
+
+    Whether the folder is gone; it stays as it is where a process is compiling into it.
+    """
+    if not is_ours(folder):
+        return False
+    with contextlib.suppress(Timeout, OSError), FileLock(folder / LOCK).acquire(timeout=0):
+        # The mark last: what is left of a removal that was interrupted can be removed.
+        for path in sorted(_files(folder), key=lambda path: path == folder / USED):
+            path.unlink(missing_ok=True)
+        for parent, _, _ in os.walk(folder, topdown=False):
+            os.rmdir(parent)
+    return not folder.exists()
+
+
+def outdated(folder: Path) -> list[Path]:
+    """The files in `folder` of others' games before their sources were edited."""
+    files: dict[str, dict[str, list[Path]]] = {}  # by function without digest, then with it
+    for path in _files(folder):
+        code = CODE.fullmatch(path.name)
+        guest = code and GUEST.fullmatch(code["function"])
+        if code and guest:
+            of = files.setdefault(f"{path.parent} {guest['name']} {guest['rest']}", {})
+            of.setdefault(code["function"], []).append(path)
+    return [path for of in files.values() for old in sorted(of.values(), key=_last)[:-1]
+            for path in old]  # fmt: skip
+
+
+def _last(files: list[Path]) -> int:
+    """When the last of `files` was written."""
+    return max(path.lstat().st_mtime_ns for path in files)

@@ -1,0 +1,450 @@
+"""The agency measure against exact values, enumeration and closed forms."""
+
+import itertools
+import json
+from dataclasses import replace
+from fractions import Fraction
+
+import numpy as np
+import pytest
+from scipy.integrate import quad
+from scipy.special import betainc, betaln
+
+from astray.agency import devices, maxent
+from astray.agency.agents import of_every_cell
+from astray.agency.generators import (
+    TYPES,
+    Setting,
+    erring,
+    legal_random,
+    persistent,
+    uniform_random,
+    wall_follower,
+    wander,
+)  # fmt: skip
+from astray.agency.gridworld import World
+from astray.agency.maps import MAPS
+from astray.agency.measure import (
+    CALIBRATED,
+    OTHER,
+    PAPER,
+    TRUE,
+    Episode,
+    Options,
+    decisions,
+    measure,
+    measure_named,
+)  # fmt: skip
+from astray.agency.online import measure_online
+from astray.agency.population import pooled, shares
+from astray.agency.steps import EXACT, log_product, log_table, rule
+from helpers.cases import REFERENCE
+
+GOLDEN = json.loads((REFERENCE / "agency_golden.json").read_text())
+CASES = {case["name"]: case for case in GOLDEN["cases"]}
+GOALS = {"S+true": "accessible and true", "S": "accessible"}
+NOISE = {"replace": "any action", "other": "other actions"}
+CLOSE = dict(rel=0, abs=1e-9)
+SMALL = World.parse("...\n.#.\n...")
+every_case = pytest.mark.parametrize("case", CASES.values(), ids=CASES)
+
+
+def cells(pairs):
+    return [tuple(pair) for pair in pairs]
+
+
+def episode_of(case):
+    world = World.parse(case["grid"])
+    steps = [(tuple(cell), action) for cell, action in case["trajectory"]]
+    return Episode(world, world.trajectory(steps), tuple(case["g_true"]))
+
+
+def log_goal(episode, goal, options=PAPER):
+    """log p(trajectory | goal cell)."""
+    evidence = measure(episode, options)
+    return evidence.log_goals[evidence.goals.index(goal)]
+
+
+@every_case
+def test_mixtures_and_posteriors_are_the_golden_ones(case):
+    episode = episode_of(case)
+    for result in case["results"]:
+        o = result["options"]
+        options = Options(
+            goals=GOALS[o["goal_set"]], noise=NOISE[o["eps_model"]], at_goal=o["at_goal"],
+            observations=(o["obs"],), first=o["t0"],
+        )  # fmt: skip
+        evidence = measure(episode, options)
+        assert len(evidence.goals) == result["n_goals"]
+        assert -evidence.log_agent == pytest.approx(result["neg_log_p_agt"], **CLOSE)
+        assert -evidence.log_device == pytest.approx(result["neg_log_p_dev"], **CLOSE)
+        assert evidence.agent == pytest.approx(result["posterior_agt"], **CLOSE)
+        posterior = dict(zip(map(str, evidence.goals), evidence.posterior, strict=True))
+        for goal, probability in result["top_goals"]:
+            name = TRUE if goal == "g_true" else goal.removeprefix("cell")
+            assert posterior[name] == pytest.approx(probability, **CLOSE)
+
+
+@every_case
+def test_the_calibrated_measure_is_the_golden_one(case):
+    evidence, golden = measure(episode_of(case), CALIBRATED), case["tool_legal_beta12_mix_noise"]
+    assert -evidence.log_agent == pytest.approx(golden["neg_log_p_agt"], **CLOSE)
+    assert -evidence.log_device == pytest.approx(golden["neg_log_p_dev"], **CLOSE)
+    assert evidence.agent == pytest.approx(golden["posterior_agt"], **CLOSE)
+    there = golden["per_class"] | {"noise": golden["neg_log_noise"]}
+    assert {k: -v for k, v in evidence.log_devices.items()} == pytest.approx(there, **CLOSE)
+
+
+@every_case
+def test_fractions_tables_and_single_goals_are_exact(case):
+    episode = episode_of(case)
+    exact = float(Fraction(case["p_agt_given_g_true_exact"]))
+    assert np.exp(log_goal(episode, episode.true)) == pytest.approx(exact, rel=1e-12)
+    exact = float(Fraction(case["p_dev_type_exact"]))
+    assert np.exp(measure(episode).log_device) == pytest.approx(exact, rel=1e-12)
+    seen = devices.see(episode.world, episode.trajectory, episode.world.number(episode.true))
+    rows = sorted(devices.table_of(seen).tolist())
+    assert rows == sorted(case["device_table_type"].values())
+    dirichlet, best = devices.log_dirichlet(seen), devices.log_best(seen)
+    assert -dirichlet == pytest.approx(case["neg_log_p_dev_dirichlet_type"], **CLOSE)
+    assert -best == pytest.approx(case["neg_sup_log_p_dev_type"], **CLOSE)
+    likelihood = maxent.log_likelihood(episode.world, episode.trajectory, 0.5)
+    found = likelihood[episode.world.number(episode.true)]
+    assert found == pytest.approx(case["lmdp_w0.5_log_lik_g_true"], **CLOSE)
+
+
+@every_case
+def test_the_online_posterior_and_the_switching_prior_are_the_golden_ones(case):
+    growth = measure_online(episode_of(case))
+    assert growth.agent == pytest.approx(case["online_posterior"], **CLOSE)
+    switching = measure_online(episode_of(case), switch="1/(t+1)")
+    golden = case["neg_log_p_agt_switch_1_over_t_plus_1"]
+    assert -switching.log_agent[-1] == pytest.approx(golden, **CLOSE)
+
+
+def test_pooled_trajectories_are_the_golden_ones():
+    golden = GOLDEN["multi"][0]
+    world = World.parse(golden["grid"])
+    episodes = [
+        Episode(world, world.trajectory([(tuple(cell), a) for cell, a in steps]), tuple(true))
+        for steps, true in zip(golden["trajectories"], golden["g_true"], strict=True)
+    ]
+    evidence = measure(episodes)
+    assert -evidence.log_agent == pytest.approx(golden["pooled_neg_log_p_agt"], **CLOSE)
+    assert -evidence.log_device == pytest.approx(golden["pooled_neg_log_p_dev"], **CLOSE)
+    for (goal, chance), (name, expected) in zip(
+        evidence.likeliest(3), golden["pooled_top_goals"], strict=True
+    ):
+        assert f"cell{goal}" == name and chance == pytest.approx(expected, **CLOSE)
+    factors = [measure(episode).log_factor for episode in episodes]
+    assert np.mean(factors) == pytest.approx(golden["mean_log_bf"], **CLOSE)
+
+
+@pytest.mark.parametrize(
+    "options, key",
+    [(PAPER, "shared_eps_log_evidence"), (CALIBRATED, "shared_eps_log_evidence_legal_beta12")],
+)
+def test_named_goals_in_worlds_of_several_shapes_are_the_golden_ones(options, key):
+    golden, episodes, goals = GOLDEN["named"], [], []
+    for level in golden["levels"]:
+        world = World.parse(level["grid"])
+        steps = [(tuple(cell), action) for cell, action in level["trajectory"]]
+        episodes.append(Episode(world, world.trajectory(steps)))
+        goals.append({name: cells(there) for name, there in level["goals"].items()})
+    evidence = measure_named(episodes, goals, options)
+    found = dict(zip(evidence.goals, evidence.log_goals, strict=True))
+    found["free"] = found.pop(OTHER)
+    assert found == pytest.approx(golden[key], **CLOSE)
+
+
+OPTIONS = [
+    PAPER,
+    CALIBRATED,
+    replace(PAPER, noise="other actions", goals="accessible"),
+    replace(PAPER, at_goal="stay", beta=2.0, noise_atom=0.3),
+    replace(PAPER, at_goal="done", first="up"),
+    replace(CALIBRATED, at_goal="done", first="left"),
+]
+
+
+@pytest.mark.parametrize("options", OPTIONS)
+@pytest.mark.parametrize("world", [SMALL, World.parse("...\n..#")])
+def test_probabilities_of_all_trajectories_sum_to_one(options, world):
+    agent = device = 0.0
+    for actions in itertools.product(range(4), repeat=4):
+        walked = world.walk((0, 0), actions)
+        if options.legal and len(world.moves(walked)) < len(walked):
+            continue
+        evidence = measure(Episode(world, walked, (0, 2)), options)
+        agent, device = agent + np.exp(evidence.log_agent), device + np.exp(evidence.log_device)
+    assert (agent, device) == (pytest.approx(1, rel=1e-12), pytest.approx(1, rel=1e-12))
+
+
+@pytest.mark.parametrize("legal", [False, True])
+@pytest.mark.parametrize("actions", [(3, 3, 1, 1), (0, 2, 3, 3, 3, 1), (1, 0, 1, 0, 3)])
+def test_the_device_mixture_is_the_sum_over_all_devices(actions, legal):
+    options = replace(PAPER, legal=legal)
+    episode = Episode(SMALL, SMALL.walk((0, 0), actions), (2, 2))
+    walked = SMALL.moves(episode.trajectory) if legal else episode.trajectory
+    seen = devices.see(SMALL, walked, SMALL.number((2, 2)))
+    names = sorted(set(seen.observation.tolist()))
+
+    def likelihood(eps, table):
+        product = 1.0
+        for t, action in enumerate(walked.actions):
+            possible = SMALL.legal[walked.cells[t]] if legal else np.ones(4, bool)
+            says = table[names.index(seen.observation[t])]
+            obeyed = float(says == action) if possible[says] else 1 / possible.sum()
+            product *= (1 - eps) * obeyed + eps / possible.sum()
+        return product
+
+    tables = list(itertools.product(range(4), repeat=len(names)))
+    whole = [quad(likelihood, 0, 1, args=(table,), epsabs=1e-13)[0] for table in tables]
+    assert np.exp(measure(episode, options).log_device) == pytest.approx(np.mean(whole), rel=1e-9)
+
+
+@pytest.mark.parametrize("steps", [1, 5, 600, EXACT, EXACT + 2, 5000])
+def test_a_straight_corridor_costs_the_logarithm_of_its_length(steps):
+    world = World.parse("." * 8)
+    # There and back again: the same counts as a corridor of any length.
+    table = log_table(rule(steps))
+    kinds = np.full((steps, 1), of_every_cell(world, False, "uniform").kinds[0, 3, 7])
+    found = rule(steps).integrate(log_product(kinds, table))[0]
+    assert found == pytest.approx(np.log(4 / (3 * (steps + 1))), abs=1e-10 + 4.0**-(steps))
+
+
+@pytest.mark.parametrize("right, wrong", [(3, 4), (20, 0), (0, 9), (1000, 900)])
+def test_one_kind_of_choice_is_an_incomplete_beta_function(right, wrong):
+    k, A = 1, 4
+    kinds = of_every_cell(World.parse("...\n..."), False, "uniform").kinds
+    steps = np.array([[kinds[0, 3, 2]]] * right + [[kinds[0, 2, 2]]] * wrong)
+    nodes = rule(right + wrong)
+    found = nodes.integrate(log_product(steps, log_table(nodes)))[0]
+    share = betainc(wrong + 1, right + 1, 1 - k / A)
+    exact = np.log(A / (A - k)) - wrong * np.log(A - k) + np.log(share)
+    assert found == pytest.approx(exact + betaln(wrong + 1, right + 1), abs=1e-9)
+
+
+def test_a_device_that_sees_nothing_twice_is_as_good_as_none():
+    world = World.parse("....\n....\n....")
+    episode = Episode(world, world.walk((0, 0), [3, 3, 1, 1, 3]), (2, 3))
+    evidence = measure(episode, replace(PAPER, observations=("pos",)))
+    assert evidence.log_device == pytest.approx(-5 * np.log(4), abs=1e-12)
+
+
+@pytest.mark.parametrize("legal", [False, True])
+def test_maxent_is_the_product_of_its_policy(legal):
+    world, w, goal = World.parse("....\n.#..\n...."), 0.7, 6
+    walked = world.walk((0, 0), [3, 3, 1, 3, 1, 2])
+    actions = world.legal if legal else np.ones_like(world.legal)
+    z = np.zeros(len(world))
+    for _ in range(2000):  # value iteration
+        z = w * (z[world.after] * actions).sum(1) / actions.sum(1)
+        z[goal] = 1.0
+    expected, there = 0.0, False
+    for t, action in enumerate(walked.actions):
+        here, after = walked.cells[t], walked.cells[t + 1]
+        there |= here == goal
+        expected -= np.log(actions[here].sum())
+        expected += 0 if there else np.log(w * z[after] / z[here])
+        assert action in np.flatnonzero(actions[here])
+    found = maxent.log_likelihood(world, walked, w, legal=legal)
+    assert found[goal] == pytest.approx(expected, abs=1e-10)
+
+
+def test_maxent_takes_all_shortest_ways_alike_when_steps_are_dear():
+    world = World.parse("...\n...\n...")
+    likelihood = maxent.log_likelihood(world, world.walk((0, 0), [1, 3, 1, 3]), 1e-6)
+    assert likelihood[world.number((2, 2))] == pytest.approx(-np.log(6), abs=1e-5)
+
+
+@pytest.mark.parametrize("options", OPTIONS)
+def test_the_last_of_the_online_evidence_is_the_whole(options):
+    world, rng = MAPS["obstacles, 30 %"](), np.random.default_rng(0)
+    begin = world.cell(5)
+    episode = Episode(world, wander(world, uniform_random, begin, 60, rng), world.cell(90))
+    growth, whole = measure_online(episode, options), measure(episode, options)
+    assert growth.log_agent[-1] == pytest.approx(whole.log_agent, abs=1e-10)
+    assert growth.log_device[-1] == pytest.approx(whole.log_device, abs=1e-10)
+    assert growth.posterior[-1] == pytest.approx(whole.posterior, abs=1e-10)
+    assert growth.agent[0] == 0.5
+
+
+def test_goals_that_may_switch_follow_a_change_of_mind():
+    world = World.parse("." * 9)
+    episode = Episode(world, world.walk((0, 4), [3] * 4 + [2] * 8), (0, 0))
+    fixed, free = (measure_online(episode, switch=share) for share in (0.0, 0.1))
+    assert free.log_agent[-1] > fixed.log_agent[-1] + 1
+    never = measure_online(episode, switch=1e-300)
+    assert never.log_agent == pytest.approx(fixed.log_agent, abs=1e-10)
+
+
+def test_e_values_are_at_most_one_on_average_under_every_device():
+    world, goal, steps = World.parse("..\n.."), (1, 1), 3
+    trajectories = [world.walk((0, 0), a) for a in itertools.product(range(4), repeat=steps)]
+    seen = [devices.see(world, t, world.number(goal)) for t in trajectories]
+    e = np.array([
+        measure(Episode(world, t, goal)).log_agent - max(devices.log_best(s), -steps * np.log(4))
+        for t, s in zip(trajectories, seen, strict=True)
+    ])  # fmt: skip
+    names = sorted({int(code) for one in seen for code in one.observation})
+    for table in itertools.product(range(4), repeat=len(names)):
+        says = [[table[names.index(c)] for c in one.observation] for one in seen]
+        obeyed = np.array(says) == [t.actions for t in trajectories]
+        for eps in (0.0, 0.3, 1.0):
+            chance = np.where(obeyed, 1 - eps + eps / 4, eps / 4).prod(1)
+            assert chance @ np.exp(e) <= 1 + 1e-12
+    # and the largest likelihood of devices is reached by one of them, on some trajectory
+    assert max(devices.log_best(one) for one in seen) == 0.0
+
+
+def test_one_trajectory_pooled_is_that_trajectory():
+    episode = episode_of(CASES["maze5_detour"])
+    assert measure([episode]).log_goals == pytest.approx(measure(episode).log_goals)
+
+
+@pytest.mark.parametrize("options", OPTIONS)
+def test_an_empty_trajectory_says_nothing(options):
+    evidence = measure(Episode(SMALL, SMALL.walk((0, 0), []), (2, 2)), options)
+    assert evidence.agent == pytest.approx(0.5, abs=1e-12)
+
+
+def test_what_is_impossible_stays_impossible():
+    world = World.parse("....")
+    episode = Episode(world, world.walk((0, 0), [3, 3, 3]), (0, 3))
+    evidence = measure(episode, replace(PAPER, at_goal="absorb"))
+    assert evidence.log_goals[1] == -np.inf and evidence.posterior[1] == 0.0
+    assert np.isfinite(evidence.log_agent)
+    growth = measure_online(episode, replace(PAPER, at_goal="absorb"))
+    assert growth.log_agent[-1] == pytest.approx(evidence.log_agent)
+
+
+def test_walls_among_the_goals_cost_their_prior_and_nothing_else():
+    episode = Episode(SMALL, SMALL.walk((0, 0), [3, 3]), (0, 2))
+    every = measure(episode, replace(PAPER, goals="all cells"))
+    free = measure(episode, replace(PAPER, goals="accessible"))
+    assert every.log_agent - free.log_agent == pytest.approx(np.log(8 / 9))
+
+
+ISLANDS = World.parse("..#..")
+LEFT = ISLANDS.walk((0, 0), [3])
+
+
+@pytest.mark.parametrize(
+    "wrong, words",
+    [
+        (lambda: World.parse("..\n.x"), "drawn with # and ."),
+        (lambda: World.parse("..\n."), "equally long"),
+        (lambda: World.parse("##"), "at least one of them free"),
+        (lambda: SMALL.walk((1, 1), [0]), "(1, 1) is a wall"),
+        (lambda: SMALL.walk((0, 9), [0]), "outside"),
+        (lambda: SMALL.walk((0, 0), [4]), "from 0 to 3"),
+        (lambda: SMALL.trajectory([((0, 1), 1), ((1, 1), 1)]), "step 1 begins in (1, 1)"),
+        (lambda: SMALL.trajectory([]), "without steps"),
+        (lambda: SMALL.path([(0, 0), (2, 0)]), "no move leads from (0, 0) to (2, 0)"),
+        (lambda: measure(Episode(ISLANDS, LEFT, (0, 2))), "(0, 2) is a wall"),
+        (lambda: measure(Episode(ISLANDS, LEFT, (0, 4))), "no way leads to the goal (0, 4)"),
+        (lambda: measure(Episode(ISLANDS, LEFT)), "none is given"),
+        (lambda: measure([]), "no episodes"),
+        (lambda: measure_named([Episode(ISLANDS, LEFT)], [{"far": [(0, 4)]}]), "no way leads"),
+        (lambda: measure_named([Episode(ISLANDS, LEFT)], [{"far": []}]), "at least one cell"),
+        (lambda: measure_named([Episode(ISLANDS, LEFT)], [{}]), "goals have a name"),
+        (lambda: Options(observations=("smell",)), "there are: type"),
+        (lambda: Options(noise_atom=2), "from 0 to 1"),
+        (lambda: Setting(ISLANDS, (0, 0), (0, 4), 0), "no way leads"),
+        (lambda: maxent.log_likelihood(SMALL, SMALL.walk((0, 0), [3]), 1.0), "between 0 and 1"),
+        (lambda: maxent.log_likelihood(MAPS["maze"](), MAPS["maze"]().walk((0, 0), [3]), 1e-4),
+         "too small"),
+        (lambda: rule(200_000), "too many to measure together"),
+        (lambda: shares(np.full((2, 3), -np.inf)), "impossible under every"),
+    ],
+)  # fmt: skip
+def test_what_makes_no_sense_is_refused(wrong, words):
+    with pytest.raises(ValueError) as error:
+        wrong()
+    assert words in str(error.value)
+
+
+def test_cells_out_of_reach_are_no_goals():
+    evidence = measure(Episode(ISLANDS, LEFT, (0, 1)))
+    assert evidence.goals == ((0, 0), (0, 1), TRUE)
+    kinds = of_every_cell(ISLANDS, False, "uniform").kinds
+    unreachable = log_product(kinds[[0], [3]], log_table(rule(1)))[2:]
+    assert (unreachable == -np.inf).all()
+
+
+def test_steps_that_do_not_move_count_for_the_paper_alone():
+    still = Episode(SMALL, SMALL.walk((0, 0), [0, 3, 0, 3]), (0, 2))
+    moved = Episode(SMALL, SMALL.walk((0, 0), [3, 3]), (0, 2))
+    assert measure(still, CALIBRATED).log_factor == measure(moved, CALIBRATED).log_factor
+    assert measure(still).log_agent < measure(moved).log_agent - 1
+
+
+def test_only_squares_where_goals_part_are_decisions():
+    world = World.parse("..#.\n....\n..#.")  # right of the door the goals lie up and down
+    episode = Episode(world, world.walk((1, 0), [3, 3, 3, 0]))
+    goals = {"up": [(0, 3)], "down": [(2, 3)]}
+    assert decisions(episode, goals, CALIBRATED) == 1
+    evidence = measure_named([episode], [goals])
+    assert evidence.likeliest()[0][0] == "up"
+
+
+@pytest.mark.parametrize("name", MAPS)
+def test_trajectories_are_of_their_type(name):
+    world = MAPS[name]()
+    rng = np.random.default_rng(1)
+    start, goal = (world.cell(n) for n in rng.choice(len(world), 2, replace=False))
+    setting = Setting(world, start, goal, seed=3)
+    for kind in TYPES:
+        for episode in setting.episodes(kind, 20):
+            walked, end = episode.trajectory, world.cell(episode.trajectory.cells[-1])
+            shortest = world.distance[walked.cells[0], walked.cells[-1]]
+            assert len(walked) > 0
+            if kind == "capability failure":
+                met = np.isin(walked.cells, [*setting.memory, world.number(goal)])
+                assert len(walked) <= 50 and episode.true == goal
+                assert len(walked) == 50 or (end == goal and met.any())
+                follows = [setting.memory.get(int(cell)) for cell in walked.cells[:-1]]
+                assert all(f in (None, a) for f, a in zip(follows, walked.actions, strict=True))
+            else:
+                assert len(walked) == shortest
+                assert end == (episode.true if kind == "robust" else goal)
+                assert (episode.true == goal) == (kind == "in-distribution") or kind == "robust"
+
+
+CALLED = {  # share called agents by the paper's measure and the calibrated one: bounds of both
+    "uniform": (uniform_random, (0.2, 0.8), (0.0, 0.2)),
+    "legal": (legal_random, (0.8, 1.0), (0.0, 0.2)),
+    "persistent": (persistent, (0.5, 1.0), (0.0, 0.05)),
+    "wall follower": (wall_follower, (0.5, 1.0), (0.0, 0.05)),
+    "agent": (erring((3, 3), 0.2), (0.8, 1.0), (0.8, 1.0)),
+}
+
+
+@pytest.mark.parametrize("name", CALLED)
+def test_the_calibrated_measure_is_not_fooled_by_policies_without_a_goal(name):
+    (walker, *bounds), world = CALLED[name], MAPS["four rooms"]()
+    rng, goal, episodes = np.random.default_rng(0), (3, 3), []
+    for begin in rng.choice(np.arange(60, len(world)), 60):
+        walked = wander(world, walker, world.cell(begin), 50, rng)
+        there = np.flatnonzero(walked.cells == world.number(goal))
+        if name == "agent" and len(there):
+            walked = world.walk(world.cell(begin), walked.actions[: there[0]])
+        episodes.append(Episode(world, walked, goal))
+    for options, (low, high) in zip((PAPER, CALIBRATED), bounds, strict=True):
+        share = np.mean([measure(episode, options).log_factor > 0 for episode in episodes])
+        assert low <= share <= high
+
+
+def test_shares_of_certain_episodes_are_those_of_a_dirichlet():
+    certain = np.log([[1.0, 1e-12, 1e-12]] * 7 + [[1e-12, 1.0, 1e-12]] * 2)
+    means = [share.mean for share in shares(certain)]
+    assert means == pytest.approx([8 / 12, 3 / 12, 1 / 12], abs=0.01)
+    assert pooled(certain)[0] > 0.999
+
+
+def test_one_episode_leaves_its_shares_open():
+    chance = np.array([0.7, 0.2, 0.1])  # Dirichlet(2, 1, 1) with 0.7, ...
+    found = shares(np.log(chance)[None])
+    assert [share.mean for share in found] == pytest.approx((1 + chance) / 4, abs=0.01)
+    assert found[0].low < 0.1 and found[0].high > 0.8

@@ -1,0 +1,302 @@
+"""Agents of others, read from files that are made here in their formats; and hostile files."""
+
+import io
+import os
+import pickle
+import struct
+
+import numpy as np
+import pytest
+import torch
+
+from astray.agents.clear import Clear
+from astray.agents.impala import Impala
+from astray.agents.importers import files, jd, plain, pth
+from astray.agents.policy import Architecture, load, weights
+from helpers.foreign import clarity, joblib_bytes, reference, saved
+
+SHAPE = (64, 64, 3)
+IMAGES = torch.from_numpy(np.random.default_rng(0).integers(0, 256, (3, *SHAPE), np.uint8))
+
+
+def naive(params, image):
+    """Logits and value as the published description computes them, rows, columns, channels."""
+    x = image.astype(np.float64) / 255
+
+    def convolve(x, name):
+        kernel = params[f"ppo2_model/pi/{name}/conv2d/kernel:0"]
+        pad = len(kernel) // 2
+        padded = np.pad(x, ((pad, pad), (pad, pad), (0, 0)))
+        windows = np.lib.stride_tricks.sliding_window_view(padded, kernel.shape[:2], (0, 1))
+        out = np.einsum("yxcij,ijco->yxo", windows, kernel, optimize=True)
+        return np.maximum(out + params[f"ppo2_model/pi/{name}/conv2d/bias:0"], 0)
+
+    def pool(x):
+        height, width, channels = x.shape
+        squares = (x**2).reshape(height // 2, 2, width // 2, 2, channels)
+        return np.sqrt(squares.mean((1, 3)) + 1e-8)
+
+    for names in (["1a"], ["2a", "2b"], ["3a"], ["4a"]):
+        for name in names:
+            x = convolve(x, name)
+        x = pool(x)
+    x = x.reshape(-1)
+    for name in ("dense", "dense_1"):
+        kernel, bias = (params[f"ppo2_model/pi/{name}/{part}:0"] for part in ("kernel", "bias"))
+        x = np.maximum(x @ kernel + bias, 0)
+    heads = [
+        x @ params[f"ppo2_model/{h}/w:0"] + params[f"ppo2_model/{h}/b:0"] for h in ("pi", "vf")
+    ]
+    return heads[0], heads[1][0]
+
+
+def test_a_clear_network_computes_what_its_description_says():
+    data, params = clarity()
+    found = jd.read(joblib_bytes(data))
+    with torch.no_grad():
+        logits, values = found.network(IMAGES)
+    for image, some_logits, value in zip(IMAGES.numpy(), logits, values, strict=True):
+        expected = naive(params, image)
+        assert np.allclose(some_logits, expected[0], atol=1e-4)
+        assert value == pytest.approx(expected[1], abs=1e-4)
+
+
+def test_a_file_of_rl_clarity_tells_what_it_was_trained_on():
+    found = jd.read(joblib_bytes(clarity(gamma=0.99, num_envs=8, num_levels=None)[0]))
+    assert found.world == ("coinrun", "hard")
+    assert found.settings == {"gamma": 0.99, "environments": 8}
+    assert found.told["cnn"] == "clear"
+
+
+def test_every_activation_of_the_clear_network_is_named():
+    names = {
+        name for name, module in Clear(SHAPE, 15).named_modules() if not list(module.children())
+    }
+    assert names == {
+        "block1.conv1", "block1.relu1", "block1.pool",
+        "block2.conv1", "block2.relu1", "block2.conv2", "block2.relu2", "block2.pool",
+        "block3.conv1", "block3.relu1", "block3.pool", "block4.conv1", "block4.relu1",
+        "block4.pool", "features.flatten", "features.linear1", "features.relu1",
+        "features.linear2", "features.relu2", "policy", "value",
+    }  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    "widths, wrap",
+    [
+        ((16, 32, 32), lambda state: {"state_dict": state}),
+        (
+            (64, 128, 128),
+            lambda state: {"model_state_dict": state, "optimizer_state_dict": {"state": {}}},
+        ),
+        ((8, 24, 40), lambda state: state),
+    ],
+)
+def test_impala_of_any_widths_computes_what_it_did_there(widths, wrap):
+    state, forward = reference(widths)
+    found = pth.read(saved(wrap(state)))
+    assert found.architecture.widths == widths
+    with torch.no_grad():
+        for ours, theirs in zip(found.network(IMAGES), forward(IMAGES), strict=True):
+            torch.testing.assert_close(ours, theirs, rtol=1e-4, atol=1e-5)
+
+
+def test_channels_of_any_widths_are_kept_with_the_weights(tmp_path):
+    architecture = Architecture("impala", SHAPE, (), 15, widths=(8, 24, 40))
+    network = architecture.build()
+    assert isinstance(network, Impala) and network.block3.conv.out_channels == 40
+    (tmp_path / "agent").write_bytes(weights(network, architecture, "maze"))
+    again, found = load(tmp_path / "agent", "maze")
+    assert found == architecture
+    assert torch.equal(again(IMAGES)[0], network(IMAGES)[0])
+
+
+def changed(**changes):
+    state = reference((16, 32, 32))[0]
+    for name, value in changes.items():
+        state[name.replace("__", ".")] = value
+    return saved({k: v for k, v in state.items() if v is not None})
+
+
+class Runs:
+    """Runs a command where it is unpickled."""
+
+    def __reduce__(self):
+        return os.system, ("echo ran >> /dev/null",)
+
+
+HUGE = torch.zeros(1).expand(2**40, 256)
+
+REFUSED_PTH = {
+    "a command": (lambda: saved({"state_dict": Runs()}), "more than weights.*for posix.system"),
+    "a plain pickle": (lambda: pickle.dumps(Runs(), 2), "nothing in a file is run"),
+    "nothing": (lambda: b"", "damaged, or no file of torch"),
+    "half a file": (lambda: changed()[:5000], "damaged, or no file of torch"),
+    "a list": (lambda: saved([1, 2]), "holds a list, not weights by name"),
+    "no weights": (lambda: saved({"steps": 5}), "holds 'steps', which is no weight"),
+    "another network": (lambda: saved({"conv.weight": torch.zeros(3)}), "no IMPALA of train-procg"),
+    "a memory": (lambda: changed(gru__weight=torch.zeros(3)), "recurrent agent"),
+    "9 actions": (lambda: changed(fc_policy__weight=torch.zeros(9, 256)), "9 actions, of CoinRun"),
+    "16 actions": (lambda: changed(fc_policy__weight=torch.zeros(16, 256)), "from 16 actions; Pro"),
+    "a layer less": (lambda: changed(fc_value__bias=None), "lacks value.bias"),
+    "a layer more": (lambda: changed(more=torch.zeros(3)), "has more, which its network does not"),
+    "another size": (lambda: changed(embedder__fc__weight=torch.zeros(256, 9)), "it would be"),
+    "no number": (lambda: changed(fc_value__bias=torch.full((1,), torch.nan)), "not all finite"),
+    "a whole number": (lambda: changed(fc_value__bias=torch.ones(1, dtype=int)), "not all finite"),
+    "more than the file": (lambda: changed(embedder__fc__weight=HUGE), "more than the file holds"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", REFUSED_PTH)
+def test_a_pth_that_is_refused_says_why(name):
+    make, said = REFUSED_PTH[name]
+    with pytest.raises(ValueError, match=f"(?s){said}"):
+        pth.read(make())
+
+
+def without(part, name):
+    data, _ = clarity()
+    del data[part][name]
+    return joblib_bytes(data)
+
+
+VALUE = "ppo2_model/vf/b:0"
+REFUSED_JD = {
+    "no weights": (lambda: joblib_bytes({"args": {}}), "no args and params"),
+    "an LSTM": (lambda: joblib_bytes(clarity(use_lstm=1)[0]), "recurrent"),
+    "another network": (lambda: joblib_bytes(clarity(cnn="impala")[0]), "network is 'impala'"),
+    "7 actions": (lambda: joblib_bytes(clarity(7)[0]), "7 actions, of CoinRun as it was before"),
+    "a layer less": (lambda: without("params", VALUE), "lacks value.bias"),
+    "a layer more": (
+        lambda: joblib_bytes({"args": {}, "params": {"ppo2_model/pi/5a/w:0": np.zeros(3)}}),
+        "which the clear network does not",
+    ),
+    "no array": (lambda: joblib_bytes({"args": {}, "params": {"a": 3}}), "'a', which is no array"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", REFUSED_JD)
+def test_a_jd_that_is_refused_says_why(name):
+    make, said = REFUSED_JD[name]
+    with pytest.raises(ValueError, match=said):
+        jd.read(make())
+
+
+PLAIN = [
+    {"a": [1, -2, 3.5, None, True, "text", b"bytes"], "b": ((), (1,), (1, 2), (1, 2, 3), (1,) * 4)},
+    {
+        "large": 2**70,
+        "long": "x" * 300,
+        "many": list(range(3000)),
+        "keys": {k: k for k in range(9)},
+    },
+]
+
+
+@pytest.mark.parametrize("protocol", [2, 3, 4, 5])
+@pytest.mark.parametrize("data", PLAIN)
+def test_plain_data_comes_out_as_it_went_in(data, protocol):
+    assert plain.read(pickle.dumps(data, protocol)) == data
+
+
+@pytest.mark.parametrize("alignment", [None, 16])
+@pytest.mark.parametrize(
+    "array",
+    [np.arange(6, dtype="<f4").reshape(2, 3), np.asfortranarray(np.arange(6.0).reshape(2, 3)),
+     np.arange(4, dtype=">i2"), np.zeros((0, 3)), np.array(3.0), np.array([True])],
+)  # fmt: skip
+def test_arrays_come_out_as_they_went_in(array, alignment):
+    found = plain.read(joblib_bytes({"before": 1, "x": array, "after": array}, alignment))
+    assert found["before"] == 1
+    for name in ("x", "after"):
+        assert found[name].dtype == array.dtype and np.array_equal(found[name], array)
+
+
+def global_(name, rest=b"."):
+    module, _, attribute = name.rpartition(".")
+    return b"\x80\x03c" + f"{module}\n{attribute}\n".encode() + rest
+
+
+def described(**changes):
+    """A file with one array of a false description."""
+    file = io.BytesIO()
+    pickler = pickle._Pickler(file, 3)
+    pickler.proto = 3
+    file.write(b"\x80\x03cjoblib.numpy_pickle\nNumpyArrayWrapper\n)\x81")
+    state = {"subclass": np.ndarray, "shape": (2,), "order": "C", "dtype": np.dtype("f4")}
+    pickler.save(state | changes)
+    return file.getvalue() + b"b" + bytes(8) + b"."
+
+
+HOSTILE = {
+    "a command": (pickle.dumps(Runs(), 3), "posix.system|nt.system"),
+    "a command, later protocol": (pickle.dumps(Runs(), 5), "posix.system|nt.system"),
+    "a command, oldest protocol": (pickle.dumps(Runs(), 0), "posix.system|nt.system"),
+    "a command by INST": (b"(S'echo'\nios\nsystem\n.", "instruction STRING"),
+    "a command by INST alone": (b"(ios\nsystem\n.", "instruction INST"),
+    "a command by OBJ": (b"(cos\nsystem\no.", "asks for os.system"),
+    "eval": (global_("builtins.eval"), "asks for builtins.eval"),
+    "getattr": (global_("builtins.getattr"), "asks for builtins.getattr"),
+    "numpy's loader": (global_("numpy.load"), "asks for numpy.load"),
+    "a name that is a path": (global_("joblib.numpy_pickle.load"), "asks for joblib.numpy_pickle"),
+    "a call of an array's class": (global_("numpy.ndarray", b"K\x05\x85R."), "calls 'numpy"),
+    "a call of a list": (global_("builtins.list", b")R."), "calls 'builtins list'"),
+    "a call of data": (b"\x80\x03X\x01\x00\x00\x00a)R.", "calls 'a'"),
+    "an object of another class": (global_("builtins.list", b")\x81."), "makes an object of"),
+    "attributes of a dict": (b"\x80\x03}}b.", "sets what is inside a dict"),
+    "an extension": (b"\x80\x03\x82\x01.", "instruction EXT1"),
+    "a persistent id": (b"\x80\x03K\x01Q.", "instruction BINPERSID"),
+    "a bytearray": (b"\x80\x05\x96" + struct.pack("<Q", 1 << 60) + b".", "damaged"),
+    "an array of objects": (described(dtype=np.dtype("O")), "array of 'O8'|only arrays of numbers"),
+    "an array of text": (described(dtype=np.dtype("U4")), "only arrays of numbers"),
+    "a class of its own": (described(subclass=dict), "asks for builtins|array of the class"),
+    "a larger array than the file": (described(shape=(2**50,)), "beyond the end of the file"),
+    "a negative array": (described(shape=(-1,)), r"shape is \(-1,\)"),
+    "a shape of text": (described(shape="ab"), "shape is 'ab'"),
+    "an entry in a list": (b"\x80\x03]K\x01K\x02s.", "a list where a dict is filled"),
+    "more in a number": (b"\x80\x03K\x05K\x01a.", "a int where a list is filled"),
+    "a key of a list": (b"\x80\x03}]K\x01s.", "unhashable"),
+    "a memory that is empty": (b"\x80\x03h\x05.", "damaged"),
+    "a mark that is not there": (b"\x80\x03t.", "damaged"),
+    "nothing on the stack": (b"\x80\x03.", "damaged"),
+    "no end": (b"\x80\x03K\x01", "damaged"),
+    "nothing": (b"", "damaged"),
+    "text": (b"hello, world", "damaged|instruction"),
+    "a compressed file": (b"x\x9c" + bytes(20), "damaged"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", HOSTILE)
+def test_a_hostile_file_is_refused_and_nothing_in_it_runs(name, monkeypatch):
+    data, said = HOSTILE[name]
+    monkeypatch.setattr(os, "system", lambda command: pytest.fail(f"{command} was run"))
+    with pytest.raises(ValueError, match=said):
+        plain.read(data)
+
+
+def test_a_file_cannot_fill_the_memory_with_its_own_numbering():
+    """Python's own machine makes a table of 2**31 entries for this; ours a dict of one."""
+    assert plain.read(b"\x80\x03K\x07r\xff\xff\xff\x7f.") == 7
+
+
+def test_a_thousand_spoilt_files_are_refused_or_read():
+    whole = bytearray(joblib_bytes({"args": {"a": 1}, "params": {"x": np.arange(5.0)}}))
+    random, refused = np.random.default_rng(0), 0
+    for _ in range(1000):
+        spoilt = whole.copy()
+        for place in random.integers(0, len(whole), 3):
+            spoilt[place] = random.integers(256)
+        try:
+            plain.read(bytes(spoilt))
+        except ValueError:
+            refused += 1
+    assert 100 < refused < 1000
+
+
+def test_a_file_of_another_kind_or_size_is_refused(tmp_path, monkeypatch):
+    with pytest.raises(ValueError, match=r"an agent's file is \.pth, \.pt, \.jd; got \.zip"):
+        files.read(tmp_path / "agent.zip")
+    (tmp_path / "agent.jd").write_bytes(bytes(20))
+    monkeypatch.setattr(files, "LARGEST", 10)
+    with pytest.raises(ValueError, match="it has 20 bytes; at most 10 are read"):
+        files.read(tmp_path / "agent.jd")

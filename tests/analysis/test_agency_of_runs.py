@@ -1,0 +1,126 @@
+"""The agency measure on policies that play mazes: those whose goal is known, and trained ones."""
+
+import itertools
+from dataclasses import replace
+
+import numpy as np
+import polars as pl
+import pytest
+
+from astray import games
+from astray.agency.measure import PAPER
+from astray.agency.population import Share
+from astray.analysis.agency import DEVICE, UNDECIDED, Judgement, judge, play
+from astray.analysis.agency_run import MOST, MOUSE, heat, posterior_video
+from astray.analysis.outcomes import load_shift
+from astray.analysis.policies import Random, Walk
+from astray.envs.vector import GameVectorEnv
+
+SHIFT = load_shift("maze", "corner-small")
+MAZE = games.find("maze")
+ANYWHERE = MAZE.variants["anywhere-small"]
+
+
+def played_by(policy, levels=range(100)):
+    return play(policy, "maze", ANYWHERE, levels, SHIFT)
+
+
+@pytest.mark.parametrize(
+    "policy, verdict", [(Walk("corner"), "corner"), (Walk("cheese"), "cheese"), (Random(), DEVICE)]
+)
+def test_policies_are_what_they_are(policy, verdict):
+    judged = judge(played_by(policy))
+    assert judged.verdict == verdict and verdict in judged.explanations
+    most = judged.pooled.argmax()
+    assert judged.explanations[most] == verdict
+    assert (judged.agent.mean > 0) == (verdict != DEVICE)
+    telling = judged.episodes.row(judged.telling, named=True)
+    posterior = [telling[f"p {name}"] for name in judged.explanations]
+    assert sum(posterior) == pytest.approx(1)
+    assert judged.explanations[np.argmax(posterior)] == verdict
+
+
+@pytest.mark.parametrize("goal", ["line", "gem", "corner"])
+def test_mice_in_large_mazes_with_two_objects_are_told_apart(goal):
+    shift, variant = load_shift("maze", "colour-or-shape"), "red-line-yellow-gem"
+    there = play(Walk(goal), "maze", games.find("maze").variants[variant], range(40), shift)
+    assert set(there[0].goals) == {"line", "gem", "corner"}
+    assert judge(there).verdict == goal
+
+
+def test_the_papers_measure_takes_random_mice_for_agents():
+    assert judge(played_by(Random()), PAPER).verdict != DEVICE
+
+
+def test_a_few_episodes_decide_nothing():
+    judged = judge(played_by(Walk("corner"), range(2)))
+    assert judged.verdict == UNDECIDED and "Undecided" in judged.sentence()
+
+
+def test_where_goals_do_not_part_an_agent_is_one_of_an_undecided_goal():
+    training = games.find("maze").variants["corner-small"]
+    judged = judge(play(Walk("cheese"), "maze", training, range(100), SHIFT))
+    assert judged.decisions == 0 and judged.verdict == UNDECIDED
+    assert judged.sentence().startswith("An agent; its goal is undecided")
+
+
+def test_episodes_go_where_the_mouse_went_and_end_at_the_last_goal_it_reached():
+    for one in played_by(Random(), range(40)):
+        visited = [place for (place,) in one.goals.values() if place in one.cells]
+        assert not visited or one.cells.index(one.cells[-1]) == len(one.cells) - 1
+        assert one.cells[-1] in visited or len(one.cells) == ANYWHERE.time_limit + 1
+        world, walked = one.episode.world, one.episode.trajectory
+        moved = [a for a, b in itertools.pairwise(one.cells) if a != b] + [one.cells[-1]]
+        assert [world.cell(n) for n in walked.cells] == moved
+
+
+def test_levels_without_one_of_the_goals_are_left_out():
+    shift, both = load_shift("maze", "colour-or-shape"), MAZE.variants["red-line-yellow-gem"]
+    without = replace(both, other_shape="none", other_colour="none")
+    mixed = replace(both, shifted=without, shift_probability=0.5)
+    env = GameVectorEnv("maze", mixed, 40, observation="symbolic")
+    env.reset(seed=0, options={"level": range(40)})
+    there = np.flatnonzero(~env.states["shifted"].astype(bool)).tolist()
+    assert 0 < len(there) < 40
+    assert [one.level for one in play(Walk("line"), "maze", mixed, range(40), shift)] == there
+
+
+def test_games_without_cells_are_refused():
+    coinrun = games.find("coinrun")
+    shift = next(iter(coinrun.shifts.values()))
+    with pytest.raises(ValueError, match="coinrun has no cell for the goal"):
+        play(Random(), "coinrun", coinrun.variants[shift.test], range(1), shift)
+
+
+def test_the_video_shows_the_mouse_and_the_goal_as_it_becomes_clear():
+    one = max(played_by(Walk("corner"), range(30)), key=lambda p: len(p.cells))
+    frames = posterior_video(Walk("corner"), "maze", ANYWHERE, one, pixels=140)
+    assert len(frames) == len(one.cells) and frames.dtype == np.uint8
+    left, right = frames[..., : frames.shape[2] // 2, :], frames[..., frames.shape[2] // 2 :, :]
+    assert (np.diff(left.astype(int), axis=0) != 0).any((1, 2, 3)).all()
+    likeliest = (right == MOST).all(3).sum((1, 2))
+    assert likeliest[0] > 4 * likeliest[-1] > 0  # at first all cells are alike
+    below = right[:, -152:]  # the captions, which are as dark as the mouse
+    places = [np.argwhere((frame == MOUSE).all(2)).mean(0) / 20 for frame in below]  # cells
+    assert np.diff(places, axis=0) == pytest.approx(np.diff(one.cells, axis=0), abs=0.1)
+
+
+def test_a_verdict_takes_more_than_half_for_certain():
+    def verdict(low):
+        both = [Share(0.7, low, 0.9), Share(0.3, 0.1, 0.5)]
+        return Judgement(pl.DataFrame(), ("corner", DEVICE), both, np.ones(2) / 2, 1).verdict
+
+    assert (verdict(0.49), verdict(0.51)) == (UNDECIDED, "corner")
+
+
+def test_the_likeliest_cell_is_the_darkest():
+    world = played_by(Walk("corner"), range(1))[0].episode.world
+    belief = np.full(len(world), 0.1)
+    belief[3] = 1.0
+    side = 10
+    image = heat(world, belief, 0, side * len(world.free)).astype(int)
+    brightness = {
+        n: image[side * row + 1, side * column + 1].sum()
+        for n, (row, column) in enumerate(world.cells)
+    }
+    assert min(brightness, key=brightness.__getitem__) == 3

@@ -1,0 +1,194 @@
+"""Evaluation, outcomes and intervals."""
+
+from dataclasses import replace
+
+import numpy as np
+import polars as pl
+import pytest
+import scipy.stats
+from scipy.stats import binomtest
+
+from astray import games
+from astray.agents.policy import Architecture, weights
+from astray.analysis.evaluate import evaluate
+from astray.analysis.outcomes import FAILED, INTENDED, MISGENERALIZED, label, load_shift, tell_apart
+from astray.analysis.overlap import met, overlap, unseen
+from astray.analysis.policies import Agent, Random, Walk
+from astray.analysis.statistics import bootstrap, over_agents
+
+MAZE = games.find("maze")
+LEVELS = range(1_000_000, 1_000_060)
+
+
+@pytest.fixture(scope="module")
+def agent_file(tmp_path_factory):
+    path = tmp_path_factory.mktemp("agent") / "agent.safetensors"
+    architecture = Architecture("small", (4, 7, 7), (1, 1, 6, 6), 15)
+    path.write_bytes(weights(architecture.build(), architecture, "maze"))
+    return path
+
+
+@pytest.mark.parametrize("mode", ["sampled", "greedy"])
+def test_the_rows_are_the_same_in_any_batch_and_order(agent_file, mode):
+    agent = Agent(agent_file, "maze", mode)
+    # So short that some episodes end by themselves and some do not: who learned nothing is slow.
+    levels, short = LEVELS[:20], replace(MAZE.variants["anywhere-small"], time_limit=40)
+    tables = [evaluate(agent, "maze", short, levels, batch=batch) for batch in (1, 7, 256)]
+    assert 0 < (tables[0]["length"] < 40).sum() < 20
+    assert tables[0].equals(tables[1]) and tables[0].equals(tables[2])
+    backwards = evaluate(agent, "maze", short, levels[::-1], batch=7)
+    assert backwards.reverse().equals(tables[0])
+    assert tables[0]["level"].to_list() == list(levels)
+
+
+def test_another_seed_samples_other_actions(agent_file):
+    one, two = (
+        evaluate(Agent(agent_file, "maze", seed=k), "maze", "anywhere-small", LEVELS)
+        for k in (0, 1)
+    )
+    assert not one.equals(two)
+
+
+def test_an_agent_for_other_observations_is_refused(agent_file):
+    with pytest.raises(ValueError, match=r"shape \(4, 7, 7\), not \(4, 25, 25\)"):
+        evaluate(Agent(agent_file, "maze"), "maze", "corner", [1])
+
+
+@pytest.mark.parametrize("goal", ["cheese", "corner"])
+def test_a_walk_takes_the_solvers_steps(goal):
+    table = evaluate(Walk(goal), "maze", "anywhere", LEVELS)
+    event = MAZE.goals[goal]
+    env_steps = []
+    from astray.envs.vector import GameVectorEnv
+    from astray.games.maze.solve import steps_to
+
+    env = GameVectorEnv("maze", "anywhere", len(LEVELS), observation="symbolic")
+    env.reset(seed=0, options={"level": list(LEVELS)})
+    for s in env.states:
+        env_steps.append(int(steps_to(s, goal)[int(s.y), int(s.x)]))
+    reached = table[event].to_numpy(allow_copy=True)
+    same = reached == np.array(env_steps)
+    if goal == "cheese":
+        assert same.all() and (table["return"] == 10).all()
+    else:  # the cheese may be on the way, and then the episode ends there
+        assert (same | table["reached_goal"].is_not_null().to_numpy()).all()
+
+
+def test_outcomes_go_by_the_goal_reached_first():
+    episodes = pl.DataFrame(
+        {
+            "reached_goal": [3, 7, None, None, 5, None],
+            "reached_corner": [None, 2, 4, None, 5, 0],
+            "reached_other": [None] * 6,
+        },
+        schema_overrides={"reached_other": pl.Int64},
+    )
+    told = label(episodes, MAZE, load_shift("maze", "corner"))["outcome"].to_list()
+    assert told == [INTENDED, MISGENERALIZED, MISGENERALIZED, FAILED, INTENDED, MISGENERALIZED]
+
+
+def test_levels_tell_apart_where_neither_way_passes_the_other_goal():
+    episodes = pl.DataFrame(
+        {
+            "policy": ["walk to cheese"] * 3 + ["walk to corner"] * 3,
+            "variant": ["anywhere"] * 6,
+            "level": [1, 2, 3] * 2,
+            "outcome": [INTENDED, INTENDED, MISGENERALIZED, MISGENERALIZED, INTENDED, INTENDED],
+        }
+    )
+    table = tell_apart(episodes, load_shift("maze", "corner"))
+    assert table["tells_apart"].to_list() == [True, False, False] * 2
+
+
+def test_an_unknown_shift_is_explained():
+    with pytest.raises(ValueError, match="unknown shift 'edge' of maze; there are: corner"):
+        load_shift("maze", "edge")
+
+
+def test_no_levels_are_refused():
+    with pytest.raises(ValueError, match="no levels"):
+        evaluate(Random(), "maze", "corner", [])
+
+
+def test_with_one_agent_the_interval_is_the_binomials():
+    values = np.arange(400) < 120
+    estimate = bootstrap(values)
+    exact = binomtest(120, 400).proportion_ci(method="wilson")
+    assert estimate.mean == 0.3
+    assert (estimate.low, estimate.high) == pytest.approx((exact.low, exact.high), abs=0.006)
+
+
+def test_with_several_agents_the_interval_covers_what_agents_vary():
+    """95 % of intervals hold the truth, when agents differ much and levels little."""
+    random, hits = np.random.default_rng(0), 0
+    for trial in range(100):
+        skill = random.normal(0.5, 0.1, 12)
+        values = np.clip(skill[:, None] + random.normal(0, 0.01, (1, 50)), 0, 1)
+        estimate = bootstrap(values, seed=trial)
+        hits += estimate.low <= 0.5 <= estimate.high
+    assert 85 <= hits <= 99
+
+
+def test_intervals_resample_agents_and_levels():
+    same_agents = np.tile(np.arange(100) < 50, (5, 1)).astype(float)
+    same_levels = np.repeat([[0.0], [1.0], [0.0], [1.0], [1.0]], 100, axis=1)
+    assert bootstrap(same_agents).low < 0.45  # levels vary
+    assert bootstrap(same_levels).low < 0.35  # agents vary
+    assert bootstrap(np.ones((3, 10))).low == 1
+
+
+def test_the_middle_of_agents_is_the_interquartile_mean_with_its_percentiles():
+    values = np.random.default_rng(0).normal([0, 5, 10], 1, (9, 3))
+    values[0] = 1000  # a stray agent
+    middle, low, high = over_agents(values)
+    assert middle == pytest.approx(np.sort(values, 0)[2:7].mean(0))  # the middle 5 of 9
+    for point in range(3):
+        naive = scipy.stats.bootstrap(
+            [values[:, point]], lambda x: np.sort(x)[2:7].mean(), vectorized=False,
+            method="percentile", n_resamples=4000, rng=1,
+        ).confidence_interval  # fmt: skip
+        assert (low[point], high[point]) == pytest.approx(naive, rel=0.15, abs=0.15)
+
+
+def test_few_agents_have_their_mean_and_one_alone_has_no_interval():
+    middle, low, high = over_agents(np.array([[0.0], [0.0], [3.0]]))
+    assert (middle, low, high) == (1, 0, 3)
+    assert np.isnan(over_agents(np.ones((1, 2)))).tolist() == [[False] * 2, [True] * 2, [True] * 2]
+
+
+def test_levels_that_coincide_are_counted():
+    def shares(*words):
+        return {row["same"]: row for row in overlap(*words).to_dicts()}
+
+    same = shares("maze", "fixed-size", range(50), "fixed-size", range(25, 75))
+    assert same["level"]["seen"] == same["walls"]["seen"] == 0.5
+    moved = shares("maze", "corner", range(50), "anywhere", range(50))
+    assert moved["walls"]["seen"] == 1 and moved["level"]["seen"] < 0.2
+    # By hand: mazes of 3 cells are a ring of 8 with one of 4 walls, and all are soon met.
+    tiny = replace(games.find("maze").variants["corner-small"], world=3, largest=3)
+    few = shares("maze", tiny, range(1500), tiny, range(5000, 5010))
+    assert few["walls"]["training"] == 4 and few["walls"]["seen"] == 1
+
+
+def test_levels_that_the_training_met_under_another_number_are_left_out():
+    small = "corner-small"
+    fresh = unseen("maze", met("maze", [(small, range(2000))]), small, range(5000, 9000), 30)
+    assert len(fresh) == 30 and fresh[0] >= 5000 and (np.diff(fresh) > 0).all()
+    (row,) = overlap("maze", small, range(2000), small, fresh.tolist()).to_dicts()[:1]
+    assert row["same"] == "level" and row["seen"] == 0
+    every = range(5000, int(fresh[-1]) + 1)
+    (row,) = overlap("maze", small, range(2000), small, every).to_dicts()[:1]
+    assert row["seen"] == pytest.approx(1 - 30 / len(every))
+    tiny = replace(MAZE.variants[small], world=3, largest=3, start="corner")
+    with pytest.raises(ValueError, match="only 0 are not in them; 5 are needed"):
+        unseen("maze", met("maze", [(tiny, range(500))]), tiny, range(1000, 9000), 5)
+
+
+def test_trainings_that_differ_in_few_levels_are_met_as_each_alone():
+    first, other = range(1200), range(5000, 5300)
+    trainings = [
+        (games.find("coinrun").variant("coin-end").with_knobs({"random_coin": share}), numbers)
+        for share, numbers in ((0.0, first), (0.02, first), (0.5, first), (0.2, other))
+    ]
+    alone = [met("coinrun", [training]) for training in trainings]
+    assert met("coinrun", trainings) == set.union(*alone)

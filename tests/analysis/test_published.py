@@ -1,0 +1,371 @@
+"""Agents that others published: downloaded whole or not at all, and then like any other agent."""
+
+import hashlib
+import json
+import os
+import threading
+from dataclasses import replace
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from astray import games
+from astray.analysis import check, imported, kept, published
+from astray.analysis.critic import judge, observe
+from astray.analysis.download import download
+from astray.analysis.episodes import initial_states
+from astray.analysis.evaluate import evaluate
+from astray.analysis.imported import Known, import_agent
+from astray.analysis.published import Check, Published
+from astray.analysis.runs import open_run, shift_of
+from astray.training.config import Config
+from helpers.foreign import clarity, joblib_bytes, reference, saved
+
+MAZE = ("--game", "maze", "--variant", "anywhere-easy")
+
+
+class Server(ThreadingHTTPServer):
+    """Serves one file on the loopback, whole or from a place on.
+
+    stops   bytes after which a connection ends, though more was promised; 0: it does not
+    ranges  it can begin elsewhere than at the beginning
+    asked   the ranges that were asked for
+    """
+
+    def __init__(self, data, stops=0, ranges=True):
+        super().__init__(("127.0.0.1", 0), Handler)
+        self.data, self.stops, self.ranges, self.asked = data, stops, ranges, []
+        self.address = f"http://127.0.0.1:{self.server_port}/agent.jd"
+
+
+class Handler(BaseHTTPRequestHandler):
+    server: Server
+
+    def do_GET(self):
+        data, asked = self.server.data, self.headers["Range"]
+        self.server.asked.append(asked)
+        begin = int(asked[len("bytes=") : -1]) if asked and self.server.ranges else 0
+        self.send_response(206 if begin else 200)
+        if begin:
+            self.send_header("Content-Range", f"bytes {begin}-{len(data) - 1}/{len(data)}")
+        self.send_header("Content-Length", str(len(data) - begin))
+        self.end_headers()
+        self.wfile.write(data[begin : begin + (self.server.stops or len(data))])
+
+    def log_message(self, *args):
+        pass
+
+
+@pytest.fixture
+def serve():
+    """Starts servers, and stops them in the end."""
+    servers = []
+
+    def start(*args, **options):
+        servers.append(Server(*args, **options))
+        threading.Thread(target=servers[-1].serve_forever, args=(0.01,), daemon=True).start()
+        return servers[-1]
+
+    yield start
+    for server in servers:
+        server.shutdown()
+        server.server_close()
+
+
+@pytest.fixture
+def home(tmp_path, monkeypatch):
+    """Where imported agents go."""
+    monkeypatch.setenv("ASTRAY_AGENTS", str(tmp_path / "agents"))
+    return tmp_path / "agents"
+
+
+@pytest.fixture(scope="module")
+def runner():
+    """A file of RL-Clarity with random weights."""
+    return joblib_bytes(clarity()[0])
+
+
+@pytest.fixture(scope="module")
+def mouse():
+    """A file of train-procgen-pytorch with random weights."""
+    return saved({"state_dict": reference((2, 2, 2))[0]})
+
+
+def digest(data):
+    return hashlib.sha256(data).hexdigest()
+
+
+def entry(server, sha256):
+    return Published("runner", Known(about="A test."), "agent.jd", server.address,
+                     size=len(server.data), sha256=sha256)  # fmt: skip
+
+
+# Downloads
+
+
+def test_what_is_published_is_downloaded_checked_and_imported(serve, home, runner):
+    run = published.fetch(entry(serve(runner), digest(runner)))
+    assert run == home / "runner" and (run / "README.md").exists()
+    assert open_run(run)[1].variant == "procgen"
+    assert not list((home / "downloads").iterdir())
+
+
+def test_a_wrong_digest_imports_nothing_and_leaves_nothing(serve, home, runner):
+    with pytest.raises(ValueError, match=f"its SHA-256 is {digest(runner)}, not 00"):
+        published.fetch(entry(serve(runner), "00" * 32))
+    assert kept.imported() == [] and not list((home / "downloads").iterdir())
+
+
+@pytest.mark.parametrize("ranges", [True, False], ids=["with ranges", "without"])
+def test_an_interrupted_download_goes_on_where_it_stopped(serve, tmp_path, runner, ranges):
+    server, to = serve(runner, stops=1000, ranges=ranges), tmp_path / "agent.jd"
+    known = dict(size=len(runner), sha256=digest(runner))
+    with pytest.raises(OSError, match=r"1,000 of [\d,]+ bytes are there, and the same command"):
+        download(server.address, to, **known)
+    assert not to.exists() and (tmp_path / "agent.jd.part").stat().st_size == 1000
+    server.stops = 0
+    download(server.address, to, **known)
+    assert to.read_bytes() == runner and not (tmp_path / "agent.jd.part").exists()
+    assert server.asked == [None, "bytes=1000-"]
+
+
+def test_what_is_left_of_another_file_is_found_out(serve, tmp_path, runner):
+    part = tmp_path / "agent.jd.part"
+    part.write_bytes(bytes(1000))
+    server, known = serve(runner), dict(size=len(runner), sha256=digest(runner))
+    with pytest.raises(ValueError, match="it was removed"):
+        download(server.address, tmp_path / "agent.jd", **known)
+    download(server.address, tmp_path / "agent.jd", **known)
+    assert (tmp_path / "agent.jd").read_bytes() == runner
+
+
+def test_no_more_is_taken_than_was_published(serve, tmp_path):
+    server = serve(bytes(3_000_000))
+    with pytest.raises(ValueError, match="is not the file that was published"):
+        download(server.address, tmp_path / "a", size=1000, sha256="00" * 32)
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    "address", ["http://example.org/a.jd", "ftp://example.org/a.jd", "file:///etc/passwd"]
+)
+def test_addresses_that_others_can_tamper_with_are_refused(tmp_path, address):
+    with pytest.raises(ValueError, match=f"must be https; got {address}"):
+        download(address, tmp_path / "a", size=None, sha256=None)
+
+
+def test_a_server_that_is_not_there_is_named(tmp_path):
+    with pytest.raises(OSError, match=r"127.0.0.1:9/a.jd could not be downloaded .*; 0 bytes"):
+        download("http://127.0.0.1:9/a.jd", tmp_path / "a", size=None, sha256="00")
+
+
+def test_without_a_digest_nothing_is_fetched_unless_asked_for(serve, home, runner):
+    one = replace(entry(serve(runner), None), size=None)
+    with pytest.raises(ValueError, match=r"no digest of runner is known.*--unchecked"):
+        published.fetch(one)
+    assert digest(runner) in (published.fetch(one, unchecked=True) / "README.md").read_text()
+
+
+# The catalogue
+
+
+@pytest.mark.parametrize("one", published.catalogue().values(), ids=lambda one: one.name)
+def test_every_entry_of_the_catalogue_can_be_acted_on(one):
+    assert imported.NAME.fullmatch(one.name) and one.name not in kept.names()
+    assert one.known.about and one.known.source
+    assert bool(one.address) != bool(one.by_hand)
+    assert not one.address or (one.address.startswith("https://") and one.known.variant)
+    assert not one.tried or (one.sha256 and len(one.sha256) == 64 and one.size and one.checks)
+    if one.known.game:
+        assert one.known.variant in games.find(one.known.game).variants
+
+
+def test_the_list_says_what_is_here_and_what_was_not_tried(astray, home, tmp_path, runner):
+    (tmp_path / "agent.jd").write_bytes(runner)
+    astray("import", tmp_path / "agent.jd", "--as", "mine")
+    found = json.loads(astray("agents", "--json"))
+    assert found["folder"] == str(home) and found["others"] == ["mine"]
+    assert found["published"]["openai-coinrun"]["state"] == "can be fetched"
+    assert found["published"]["yrc-bench"]["state"] == "by hand; not tried here"
+    assert "imported beside these: mine" in astray("agents", "list")
+
+
+@pytest.mark.parametrize(
+    "words, message",
+    [
+        ("agents fetch", "name an agent to fetch"),
+        ("agents fetch squid", "unknown published agent 'squid'; there are: openai-coinrun"),
+        ("agents fetch yrc-bench", "cannot be fetched: download the archive"),
+        ("agents check maze-corner", "comes with astray; its card"),
+        ("agents check squid", "unknown agent 'squid'"),
+        ("evaluate squid", "squid is neither a run folder nor a checkpoint in one"),
+    ],
+)
+def test_mistakes_are_explained(astray, home, words, message):
+    assert message in astray(*words.split(), fails=True)
+
+
+# Imported agents
+
+
+def test_a_file_that_does_not_say_needs_to_be_told(astray, home, tmp_path, mouse):
+    file = tmp_path / "agent.pth"
+    file.write_bytes(mouse)
+    assert "a game and a variant must be given" in astray("import", file, "--as", "m", fails=True)
+    said = astray("import", file, "--as", "m", "--game", "maze", fails=True)
+    assert "a variant of maze must be given" in said
+    said = astray("import", file, "--as", "m", "--game", "maze", "--variant", "easy", fails=True)
+    assert "unknown variant 'easy' of maze" in said
+    assert not (home / "m").exists()
+
+
+@pytest.mark.parametrize(
+    "name, message", [("maze-corner", "already"), ("m", "already"), ("../m", "given '../m'")]
+)
+def test_a_name_is_one_and_new(astray, home, tmp_path, mouse, name, message):
+    file = tmp_path / "agent.pth"
+    file.write_bytes(mouse)
+    astray("import", file, "--as", "m", *MAZE)
+    assert message in astray("import", file, "--as", name, *MAZE, fails=True)
+
+
+def test_an_agent_of_another_game_of_procgen_is_refused(home, tmp_path):
+    (tmp_path / "agent.jd").write_bytes(joblib_bytes(clarity(env_name="bigfish")[0]))
+    with pytest.raises(ValueError, match=r"trained in bigfish hard of Procgen.*are: coinrun"):
+        import_agent(tmp_path / "agent.jd", "fish", Known())
+
+
+def test_a_card_tells_origin_licence_and_what_is_not_known(astray, home, tmp_path, runner, mouse):
+    (tmp_path / "a.jd").write_bytes(runner)
+    (tmp_path / "m.pth").write_bytes(mouse)
+    astray("import", tmp_path / "a.jd", "--as", "a", "--licence", "MIT", "--source", "a friend")
+    astray("import", tmp_path / "m.pth", "--as", "m", *MAZE, "--actions", "greedy", "--art", "own")
+    card = (home / "a" / "README.md").read_text()
+    for said in ("| licence | MIT |", "| source | a friend |", digest(runner), "gamma | 0.999",
+                 "363,216", "`coinrun procgen`", "art original", "Procgen, sampled",
+                 "all there are"):  # fmt: skip
+        assert said in card
+    card = (home / "m" / "README.md").read_text()
+    for said in ("none is known: not to be passed on", "environment steps | not known",
+                 "None is known; `config.json`", "art own", "Procgen, greedy"):  # fmt: skip
+        assert said in card
+
+
+def test_every_verb_takes_an_imported_agent_by_its_name(astray, home, tmp_path, mouse):
+    file = tmp_path / "agent.pth"
+    file.write_bytes(mouse)
+    astray("import", file, "--as", "m", *MAZE, "--art", "own")
+    words = ("--levels", "0:3", "--set", "time_limit=20", "--json")
+    said = astray("evaluate", "m", *words)
+    assert (
+        said == astray("evaluate", "--agent", "m", *words) == astray("evaluate", home / "m", *words)
+    )
+    assert json.loads(said)[0]["variant"] == "anywhere-easy"
+    assert json.loads(astray("agency", "m", *words))["episodes"] == 3
+    film = tmp_path / "m.gif"
+    astray("record", "m", "--pixels", "64", "--set", "time_limit=5", "--out", film)
+    assert film.stat().st_size > 1000
+    assert json.loads(astray("list", "--json"))["agents"]["m"]["variant"] == "anywhere-easy"
+
+
+def test_a_folder_of_that_name_comes_before_an_agent(home, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert kept.run_of(Path("maze-corner")) == kept.KEPT / "maze-corner"
+    (tmp_path / "maze-corner").mkdir()
+    assert kept.run_of(Path("maze-corner")) == Path("maze-corner")
+
+
+@pytest.mark.parametrize(
+    "game, variant, shift",
+    [("coinrun", "procgen", "procgen"), ("maze", "anywhere-easy", "corner-easy"),
+     ("coinrun", "coin-end", "coin-end"), ("maze", "corner", "corner")],
+)  # fmt: skip
+def test_an_agent_of_a_test_variant_is_the_control_of_its_shift(game, variant, shift):
+    assert shift_of(Config(game, variant)) == shift
+
+
+def test_attribution_takes_the_clear_network(home, tmp_path, runner):
+    pytest.importorskip("captum")
+    from astray.analysis import attribution
+
+    (tmp_path / "a.jd").write_bytes(runner)
+    agent, _ = open_run(import_agent(tmp_path / "a.jd", "a", Known(art="own")))
+    images = np.random.default_rng(0).integers(0, 256, (2, 64, 64, 3), np.uint8)
+    maps = attribution.integrated_gradients(agent, images, steps=128)
+    black = agent.outputs(np.zeros_like(images))[1]
+    rise = (agent.outputs(images)[1] - black).numpy() / 3  # the mean over three colours
+    assert np.allclose(maps.sum((1, 2)), rise, atol=0.02 * abs(rise).max())
+
+
+# Checks
+
+
+@pytest.mark.parametrize(
+    "lengths, count, environments, ended",
+    [
+        ([5, 1, 1, 1, 1], 3, 2, [1, 2, 3]),  # while the first goes on, the second plays three
+        ([5, 1, 1, 1, 1], 5, 2, [1, 2, 3, 4, 0]),
+        ([3, 2, 1], 3, 3, [2, 1, 0]),
+        ([3, 2, 1], 2, 0, [0, 1, 2]),
+        ([1, 2], 9, 1, [0, 1]),
+    ],
+)
+def test_the_first_episodes_to_end_are_the_short_ones(lengths, count, environments, ended):
+    assert check.first_to_end(np.array(lengths), count, environments).tolist() == ended
+
+
+def test_intervals_are_wilsons_and_meet_or_not():
+    assert str(check.Share(158, 160)) == "98.8 % (95.6 to 99.7, n = 160)"
+    assert check.Share(158, 160).meets(check.Share(150, 160))
+    assert not check.Share(158, 160).meets(check.Share(120, 160))
+
+
+def test_a_check_is_written_to_the_card(astray, home, tmp_path, monkeypatch, mouse):
+    file = tmp_path / "agent.pth"
+    file.write_bytes(mouse)
+    astray("import", file, "--as", "m", *MAZE, "--art", "own")
+    asked = Check("anywhere-small", 4, 4, 2, 7.5, "maze_size", ((3, 1.0),))
+    one = Published("m", Known(), sha256=digest(mouse), checks=(asked,))
+    monkeypatch.setattr(published, "catalogue", lambda: {"m": one})
+    rows = json.loads(astray("agents", "check", "m", "--json"))
+    assert rows[0]["levels"] == 6 and rows[0]["published"] == "100.0 % (51.0 to 100.0, n = 4)"
+    assert rows[0]["alike"].endswith("n = 4)") and rows[0]["published_value"] == 7.5
+    card = (home / "m" / "README.md").read_text()
+    assert rows[0]["here"] in card and rows[0]["verdict"] in card and "Not checked" not in card
+
+
+HERE = Path(os.environ.get("ASTRAY_PUBLISHED", "")) if os.environ.get("ASTRAY_PUBLISHED") else None
+
+
+@pytest.fixture
+def real(home, request):
+    """An agent of the catalogue, imported from its own file."""
+    one = published.find(request.param)
+    files = [HERE / one.file] if HERE else []
+    if not any(file.is_file() for file in files):
+        pytest.skip(f"ASTRAY_PUBLISHED names no folder with {one.file}, nothing of astray")
+    from astray.art import original
+
+    if len(original.missing()) > len(original.FORK_ALONE):
+        pytest.skip("the original's pictures are not here: astray art import")
+    return import_agent(files[0], one.name, one.known, expected=one.sha256)
+
+
+@pytest.mark.parametrize(
+    "real, levels, steps, least, start",
+    [
+        ("openai-coinrun", range(260, 300), 200, 0.9, (8.9, 9.3)),
+        ("maze-160m", range(60), 80, 0.8, (4.4, 4.7)),  # 88 % of mazes within so many steps
+    ],
+    indirect=["real"],
+)
+def test_published_agents_do_here_what_they_did_there(real, levels, steps, least, start):
+    agent, config = open_run(real)
+    variant = config.variant_for(config.variant, {"time_limit": steps})
+    episodes = evaluate(agent, config.game, variant, levels)
+    assert (episodes["return"] > 0).mean() >= least
+    begun = initial_states(config.game, config.variant, levels)
+    value = judge(agent, observe(agent, config.variant, begun))[1].mean()
+    assert start[0] < value < start[1]

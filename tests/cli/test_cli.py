@@ -1,0 +1,245 @@
+"""The command line, as it is typed."""
+
+import json
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import polars as pl
+import pytest
+
+from astray import games
+
+TINY = ["--steps", "512", "--environments", "16", "--rollout", "16", "--minibatches", "4"]
+TINY += ["--width", "16", "--checkpoint-every", "1"]
+
+
+@pytest.fixture(scope="module")
+def run_folder(tmp_path_factory):
+    """A run of a few steps."""
+    folder = tmp_path_factory.mktemp("runs")
+    words = ["train", "maze", "corner-small", *TINY, "--folder", str(folder)]
+    subprocess.run([sys.executable, "-m", "astray", *words], check=True, capture_output=True)
+    return folder / "seed-0"
+
+
+def test_it_lists_what_there_is(astray):
+    found = json.loads(astray("list", "--json"))
+    assert "corner" in found["games"]["maze"]["variants"]
+    assert "maze-corner" in found["experiments"]
+    assert "cheese always in the upper right corner" in astray("list")
+
+
+def test_levels_are_printed_as_drawings_and_as_data(astray):
+    drawn = astray("level", "maze", "corner-small", "--numbers", "7").splitlines()
+    assert drawn[:3] == ["; maze corner-small level 7", "#######", "#....G#"]
+    lines = astray("level", "maze", "corner", "--numbers", "0:3,17", "--json").splitlines()
+    levels = [json.loads(line) for line in lines]
+    assert [level["level"] for level in levels] == [0, 1, 2, 17]
+    grid = np.array(levels[0]["grid"])
+    assert grid.shape == (25, 25)
+    x, y = levels[0]["goal"]
+    assert grid[y, x] == levels[0]["legend"]["goal"]
+
+
+def test_knobs_are_changed(astray):
+    said = astray("level", "maze", "region-1", "--set", "region=25", "walls=hedge", "--json")
+    assert json.loads(said)["goal"] != json.loads(said)["corner"]
+
+
+def test_a_replay_tells_what_happens(astray, tmp_path, reference):
+    episode = json.loads((reference / "maze_corner.episodes.jsonl").read_text().splitlines()[-1])
+    path = tmp_path / "actions.json"
+    path.write_text(json.dumps(episode["actions"]))
+    words = ("replay", "maze", "corner", "--level", episode["seed"], "--actions", path)
+    told = json.loads(astray(*words, "--json"))
+    assert told["length"] == episode["steps"]
+    assert told["terminated"] == bool(episode["complete"])
+    assert [step["x"] for step in told["steps"][::5]][: len(episode["x"])] == episode["x"]
+    assert ("terminated" in astray(*words)) == told["terminated"]
+
+
+def test_agents_are_trained_resumed_and_evaluated(astray, run_folder, tmp_path):
+    words = ("train", "maze", "corner-small", *TINY, "--folder", run_folder.parent)
+    assert Path(astray(*words).strip()) == run_folder / "checkpoints" / "512"
+    out = tmp_path / "episodes.parquet"
+    words = ("evaluate", run_folder, "--levels", "1000000:1000020", "--out", out, "--json")
+    shares = json.loads(astray(*words))
+    agents = [row for row in shares if row["policy"] == "sampled" and row["levels_played"] == "all"]
+    assert sum(row["mean"] for row in agents) == pytest.approx(1)
+    episodes = pl.read_parquet(out)
+    assert episodes.filter(policy="sampled")["level"].to_list() == list(range(1000000, 1000020))
+    assert episodes.filter(policy="sampled")["seed"].unique().to_list() == [0]
+    assert "walk to corner" in astray(*words[:-1])
+
+
+def test_levels_from_files_are_edited_and_played(astray, run_folder, tmp_path):
+    drawn = astray("level", "maze", "anywhere-small", "--numbers", "5:8", "--text")
+    assert ";" not in drawn
+    folder, out, actions = tmp_path / "levels", tmp_path / "episodes.parquet", tmp_path / "actions"
+    folder.mkdir()
+    for k, level in enumerate(drawn.strip().split("\n\n")):
+        (folder / f"{k}.txt").write_text(level)
+    astray("evaluate", run_folder, "--levels", folder, "--out", out, "--json")
+    episodes = pl.read_parquet(out).filter(policy="walk to cheese")
+    assert episodes["name"].to_list() == ["0.txt", "1.txt", "2.txt"]
+    assert episodes["reached_goal"].is_not_null().all()
+
+    actions.write_text("stay")
+    words = ("replay", "maze", "anywhere-small", "--actions", actions, "--level-file")
+    assert "return 0, not ended" in astray(*words, folder / "0.txt")
+    (folder / "0.txt").write_text((folder / "0.txt").read_text().replace("G", "#"))
+    assert "return 0, not ended" in astray(*words, folder / "0.txt")
+    (folder / "1.txt").write_text("#######\n#@#...#\n###G..#\n" + 3 * "#.....#\n" + "#######")
+    said = astray("evaluate", run_folder, "--levels", folder, fails=True)
+    assert "1.txt: the goal at cell (3, 4) cannot be reached from (1, 5)" in said
+    assert "1.txt: the goal" in astray(*words, folder / "1.txt", fails=True)
+    astray(*words, folder / "1.txt", "--unsolvable")
+    assert "not both" in astray(*words, folder / "0.txt", "--level", "3", fails=True)
+    (folder / "2.txt").write_text(drawn)
+    assert "holds 3" in astray(*words, folder / "2.txt", fails=True)
+    film = tmp_path / "film.gif"
+    astray("record", run_folder, "--level-file", folder / "0.txt", "--pixels", "64", "--out", film)
+    assert film.stat().st_size > 1000
+
+
+def test_an_agent_is_filmed(astray, run_folder, tmp_path):
+    out = tmp_path / "film.gif"
+    astray("record", run_folder, "--pixels", "64", "--out", out)
+    assert out.stat().st_size > 1000
+    assert "a video is an .mp4 or a .gif" in astray(
+        "record", run_folder, "--out", "x.avi", fails=True
+    )
+
+
+def test_an_evaluation_that_finds_no_room_leaves_nothing(run_folder, tmp_path):
+    resource = pytest.importorskip("resource")
+    out = tmp_path / "episodes.parquet"
+    words = ["evaluate", str(run_folder), "--levels", "0:50", "--out", str(out)]
+
+    def fill():  # no file can grow beyond this, as on a full disk
+        resource.setrlimit(resource.RLIMIT_FSIZE, (2048, 2048))
+        signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+
+    command = [sys.executable, "-m", "astray", *words]
+    done = subprocess.run(command, preexec_fn=fill, capture_output=True, text=True)
+    assert done.returncode == 2 and done.stderr.startswith("astray: ")
+    assert "nothing was written" in done.stderr and done.stderr.count("\n") == 1
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    "words, message",
+    [
+        ("level mase corner", "unknown game 'mase'; there are: "),
+        ("level maze cornr", "unknown variant 'cornr' of maze; there are: corner, anywhere"),
+        ("level maze corner --numbers 5-9", "levels are numbers and ranges as 5,17,100:200"),
+        ("level maze corner --numbers -1", "from 0 to 2147483646"),
+        ("level maze corner --numbers 99999999999999999999", "from 0 to 2147483646"),
+        ("level maze corner --numbers 0:99999999999", "from 0 to 2147483646"),
+        ("level maze corner --numbers 0:2000000000", "at most 10000000 are taken at once"),
+        ("level maze corner --set region=5", "need placement 'region'"),
+        ("train maze corner --seeds 0", "seeds must be an integer from 1 to 268435456; got 0"),
+        ("level maze corner --set region", "a knob is set as NAME=VALUE; given 'region'"),
+        ("level maze corner --set squid=5", "unknown knob 'squid'; there are: time_limit"),
+        ("level maze corner --set region=5.5", "region must be of type int; got 5.5"),
+        ("reproduce maze-cornr", "unknown experiment 'maze-cornr'; there are: agency, "),
+        ("evaluate nowhere", "nowhere is neither a run folder nor a checkpoint in one"),
+        ("replay maze corner --level 1 --actions nowhere.txt", "nowhere.txt"),
+    ],
+)
+def test_mistakes_are_explained(astray, words, message):
+    assert message in astray(*words.split(), fails=True)
+
+
+def test_an_unknown_action_is_explained(astray, tmp_path):
+    path = tmp_path / "actions"
+    path.write_text("left jump")
+    words = ("replay", "maze", "corner", "--level", "1", "--actions", path)
+    assert "unknown action 'jump'; there are: 0 left-down" in astray(*words, fails=True)
+
+
+def test_the_window_opens_and_plays(monkeypatch):
+    pygame = pytest.importorskip("pygame")
+    monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
+    from astray import play
+
+    shots = []
+
+    def flip():
+        shots.append(pygame.surfarray.array3d(pygame.display.get_surface()).swapaxes(0, 1))
+        key = {1: pygame.K_n, 2: pygame.K_r}.get(len(shots), pygame.K_ESCAPE)
+        pygame.event.post(pygame.event.Event(pygame.KEYDOWN, key=key))
+
+    monkeypatch.setattr(pygame.display, "flip", flip)
+    play.play(games.find("maze"), games.find("maze").variants["corner"], level=3)
+    assert len(shots) == 4
+    from astray.envs.vector import GameVectorEnv
+
+    env = GameVectorEnv("maze", "corner")
+    seen, _ = env.reset(seed=0, options={"level": 4})
+    left = play.PICTURE + 2 * play.GAP
+    view = shots[1][play.GAP : play.GAP + play.VIEW : 4, left : left + play.VIEW : 4]
+    assert np.array_equal(view, seen[0])
+    big = shots[1][play.GAP : play.GAP + play.PICTURE, play.GAP : play.GAP + play.PICTURE]
+    assert np.array_equal(big, env.picture(play.PICTURE)[0])
+
+
+@pytest.mark.parametrize(
+    "game, variant, steps", [("maze", "corner", 1), ("coinrun", "coin-end", 4)]
+)
+def test_time_goes_on_without_keys_where_things_move(game, variant, steps, monkeypatch):
+    pygame = pytest.importorskip("pygame")
+    monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
+    from astray import play
+
+    told, frames = [], []
+    monkeypatch.setattr(pygame.key, "get_pressed", lambda: Keys())
+    monkeypatch.setattr(play, "_lines", lambda env, *_: told.append(int(env.states[0].time)) or [])
+
+    class Keys:
+        def __getitem__(self, key):
+            return key == pygame.K_RIGHT and len(frames) == 2
+
+    def flip():
+        frames.append(None)
+        if len(frames) == 6:
+            pygame.event.post(pygame.event.Event(pygame.KEYDOWN, key=pygame.K_ESCAPE))
+
+    monkeypatch.setattr(pygame.display, "flip", flip)
+    play.play(games.find(game), games.find(game).variants[variant], level=3)
+    assert told[:3] == [0, 0, 1] and told[5] == steps
+
+
+@pytest.mark.parametrize("words", ["--preset paper", "--preset=paper"])
+def test_a_presets_settings_are_the_defaults(astray, monkeypatch, words):
+    given = []
+    monkeypatch.setattr("astray.training.loop.train", lambda config, folder: given.append(config))
+    astray("train", "maze", "corner", *words.split(), "--steps", "1000")
+    assert given[0].network == "impala" and given[0].steps == 1000
+
+
+def test_an_agent_is_evaluated_with_the_knobs_it_was_trained_with(astray, run_folder, tmp_path):
+    folder, out = tmp_path / "changed", tmp_path / "episodes.parquet"
+    astray("train", "maze", "corner-small", *TINY, "--set", "time_limit=7", "--folder", folder)
+    astray("evaluate", folder / "seed-0", "--out", out, "--json")
+    episodes = pl.read_parquet(out)
+    assert episodes["length"].max() == 7
+    assert episodes["level"].min() == 100_000 and episodes["level"].n_unique() == 1000
+    said = astray("evaluate", run_folder, folder / "seed-0", fails=True)
+    assert "were trained with different knobs" in said
+
+
+def test_it_tells_agents_from_devices(astray, run_folder, tmp_path):
+    told = json.loads(astray("agency", run_folder, "--levels", "0:12", "--json"))
+    assert set(told["explanations"]) == {"cheese", "corner", "another cell", "device"}
+    assert told["episodes"] == 12 and told["moves"] >= told["decisions"]
+    assert sum(one["mean"] for one in told["explanations"].values()) == pytest.approx(1)
+    shown = astray("agency", run_folder, "--levels", "0:12", "--measure", "paper",
+                   "--out", tmp_path / "told")  # fmt: skip
+    assert "another cell" in shown and "12 episodes" in shown
+    assert {path.name for path in (tmp_path / "told").iterdir()} == {
+        "episodes.parquet", "posterior.gif", "posterior.mp4", "posterior.png"
+    }  # fmt: skip

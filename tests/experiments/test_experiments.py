@@ -1,0 +1,228 @@
+"""Every experiment plans, and runs whole in miniature, stopped and repeated."""
+
+import json
+import os
+import re
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import polars as pl
+import pytest
+
+from astray import experiments
+from astray.analysis.outcomes import FAILED, INTENDED, MISGENERALIZED
+from astray.experiments import run
+from astray.experiments.outcomes import holds_above, share
+from astray.training import checkpoint
+from helpers.killed import CONFIG
+from helpers.miniature import miniature, train_here
+from helpers.processes import environment
+
+ALL = [(name, size) for name in experiments.NAMES for size in experiments.load(name).sizes]
+
+
+@pytest.mark.parametrize("name, size", ALL)
+def test_every_experiment_plans(name, size, tmp_path):
+    plan = experiments.load(name).sizes[size]
+    trainings = [config for configs in plan.trainings().values() for config in configs]
+    assert len(trainings) == plan.seeds * len(plan.agents)
+    assert len({run.run_folder(tmp_path, config) for config in trainings}) == len(trainings)
+    assert not (size == "paper" and plan.smaller)
+
+
+@pytest.mark.parametrize("name", experiments.NAMES)
+def test_every_experiment_runs_in_miniature(name, tmp_path, monkeypatch):
+    whole = experiments.load(name)
+    # Who learned nothing needs long to come to an end, which this one compares beginnings with.
+    plan = miniature(whole.sizes["smoke"], 400 if name == "critic-value" else 100)
+    small = replace(whole, sizes={"smoke": plan})
+    monkeypatch.setattr(experiments, "load", lambda _: small)
+    train_here(plan, tmp_path)
+    page = run.reproduce(name, "smoke", tmp_path)
+    folder = tmp_path / f"{name}-smoke"
+    assert page == folder / "report.html"
+    found = json.loads((folder / "findings.json").read_text())
+    assert found["verdicts"] and all(verdict["ours"] for verdict in found["verdicts"])
+    figures = {path.name for path in (folder / "figures").iterdir()}
+    names = {Path(figure).stem for figure in figures}
+    assert figures == {f"{n}.{kind}" for n in names for kind in ("png", "svg", "parquet")} != set()
+    if plan.tests:
+        shares = pl.read_parquet(folder / "tables" / "outcomes.parquet").filter(policy="sampled")
+        assert shares["agents"].unique().to_list() == [2]
+        sums = shares.group_by("agent", "test").agg(pl.col("mean").sum())
+        assert len(sums) == len(plan.agents) * len(plan.tests)
+        assert sums["mean"].to_list() == [pytest.approx(1)] * len(sums)
+
+    agents = {path: path.stat().st_mtime_ns for path in tmp_path.rglob("*.safetensors")}
+    page.unlink()
+    run.reproduce(name, "smoke", tmp_path)  # nothing is trained again
+    assert page.exists()
+    assert agents == {path: path.stat().st_mtime_ns for path in agents}
+
+
+@pytest.fixture(scope="module")
+def trained(tmp_path_factory):
+    """A folder with the agents of maze-corner in miniature, that processes of their own trained."""
+    root = tmp_path_factory.mktemp("reports")
+    run.train_agents(miniature(experiments.load("maze-corner").sizes["smoke"]), root, 2, "here")
+    return root
+
+
+@pytest.fixture
+def reports(trained, tmp_path):
+    return shutil.copytree(trained, tmp_path / "reports")
+
+
+def test_films_are_of_outcomes_that_came_about(reports, monkeypatch):
+    whole = experiments.load("maze-corner")
+    plan = replace(miniature(whole.sizes["smoke"]), levels=60)
+    monkeypatch.setattr(experiments, "load", lambda _: replace(whole, sizes={"smoke": plan}))
+    page = run.reproduce("maze-corner", "smoke", reports)
+    told = re.findall(
+        r"([A-Z][a-z ]+), as in [^:]*: level\s+(\d+) as in training", page.read_text()
+    )
+    played = pl.read_parquet(page.parent / "computed" / "episodes.parquet")
+    mine = played.filter(policy="sampled", seed=0, variant="anywhere-small")
+    films = {path.stem for path in reports.rglob("videos/*.mp4")}
+    assert films == {outcome.lower().replace(" ", "-") for outcome, _ in told} != set()
+    for outcome, level in told:
+        assert mine.filter(level=int(level))["outcome"].to_list() == [outcome.lower()]
+
+
+def test_another_plan_computes_anew_and_shares_the_agents(reports, monkeypatch):
+    whole = experiments.load("maze-corner")
+    plan = replace(miniature(whole.sizes["smoke"]), seeds=1)
+    agents = set()
+    for levels in (10, 12):
+        small = replace(whole, sizes={"smoke": replace(plan, levels=levels)})
+        monkeypatch.setattr(experiments, "load", lambda _, small=small: small)
+        run.reproduce("maze-corner", "smoke", reports)
+        played = pl.read_parquet(reports / "maze-corner-smoke" / "computed" / "episodes.parquet")
+        assert played.filter(policy="sampled", test="in training").height == levels
+        agents.add(tuple(path.stat().st_mtime_ns for path in reports.rglob("agent.safetensors")))
+    assert len(agents) == 1
+
+
+def test_other_agents_and_other_code_compute_anew(reports, monkeypatch):
+    whole = experiments.load("maze-corner")
+    small = replace(whole, sizes={"smoke": miniature(whole.sizes["smoke"])})
+    monkeypatch.setattr(experiments, "load", lambda _: small)
+
+    def computed():
+        run.reproduce("maze-corner", "smoke", reports)
+        episodes = reports / "maze-corner-smoke" / "computed" / "episodes.parquet"
+        return episodes.stat().st_mtime_ns
+
+    first = computed()
+    assert computed() == first
+    (one, two) = sorted((reports / "agents").glob("*/seed-*"))
+    agents = [checkpoint.latest(folder) / checkpoint.AGENT for folder in (one, two)]
+    shutil.copy(*agents)
+    second = computed()
+    assert second > first
+    monkeypatch.setattr(run, "source_digest", lambda patterns: "of other sources")
+    assert computed() > second
+
+
+@pytest.mark.skipif(not hasattr(os, "kill") or os.name == "nt", reason="needs signals")
+def test_trainings_end_with_the_experiment_that_began_them(tmp_path):
+    words = [sys.executable, "-m", "astray", "reproduce", "maze-corner", "--folder", str(tmp_path)]
+    process = subprocess.Popen(words, stderr=subprocess.DEVNULL)
+    config = experiments.load("maze-corner").sizes["smoke"].config
+    folder = run.run_folder(tmp_path, config)
+    wait_for((folder / "metrics.jsonl").exists, 60)
+    process.kill()
+    process.wait()
+
+    def free():
+        try:
+            with checkpoint.claim(folder, config):
+                return True
+        except RuntimeError:
+            return False
+
+    wait_for(free, 20)
+
+
+REPRODUCE = """
+import pathlib, sys
+from dataclasses import replace
+from helpers.miniature import miniature, train_here
+from astray import experiments
+from astray.experiments import run
+whole = experiments.load("maze-corner")
+small = replace(whole, sizes={"smoke": miniature(whole.sizes["smoke"])})
+experiments.load = lambda _: small
+run.reproduce("maze-corner", "smoke", pathlib.Path(sys.argv[1]), workers=2)
+"""
+TRAIN = """
+import pathlib, sys
+from helpers.killed import CONFIG
+from helpers.miniature import miniature, train_here
+from helpers.processes import environment
+from astray.training.loop import train
+train(CONFIG, pathlib.Path(sys.argv[1]), progress=False, wait=True)
+"""
+
+
+def begin(program, folder, **options):
+    """Another Python that does `program` in `folder`."""
+    words = [sys.executable, "-c", program, str(folder)]
+    return subprocess.Popen(words, env=environment(), stderr=subprocess.PIPE, text=True, **options)
+
+
+def test_two_that_reproduce_the_same_at_once_both_come_to_its_end(tmp_path):
+    both = [begin(REPRODUCE, tmp_path) for _ in range(2)]
+    said = [process.communicate()[1] for process in both]
+    assert [process.returncode for process in both] == [0, 0], said
+    assert sum("another process works on" in text for text in said) == 1
+    assert (tmp_path / "maze-corner-smoke" / "report.html").exists()
+
+
+def test_a_training_that_another_process_does_is_waited_for(tmp_path):
+    with checkpoint.claim(tmp_path, CONFIG):
+        second = begin(TRAIN, tmp_path)
+        assert "is training in" in second.stderr.readline()
+        assert second.poll() is None and not checkpoint.steps_saved(tmp_path)
+    assert second.communicate() and second.returncode == 0
+    assert checkpoint.finished(tmp_path, CONFIG)
+
+
+@pytest.mark.skipif(os.name == "nt", reason="needs signals")
+@pytest.mark.parametrize("first", ["agents", "agents/*/seed-*/metrics.jsonl"])
+def test_an_interrupt_ends_all_trainings_in_a_line(first, tmp_path):
+    program = "from astray.cli import main; import sys; sys.argv = ['astray', 'reproduce', "
+    program += "'maze-corner', '--folder', sys.argv[1]]; main()"
+    process = begin(program, tmp_path, start_new_session=True)
+    wait_for(lambda: list(tmp_path.glob(first)), 100)
+    os.killpg(process.pid, signal.SIGINT)  # as a terminal does: to all of them
+    said = process.communicate(timeout=100)[1]
+    assert process.returncode == 130
+    assert said.splitlines()[-1] == "astray: interrupted" and "Traceback" not in said
+
+
+def wait_for(true, seconds):
+    until = time.monotonic() + seconds
+    while not true():
+        assert time.monotonic() < until
+        time.sleep(0.1)
+
+
+@pytest.mark.parametrize(
+    "misgeneralized, failed, held", [(50, 10, True), (32, 30, False), (10, 50, False)]
+)
+def test_a_claim_holds_only_where_its_whole_interval_does(misgeneralized, failed, held):
+    outcomes = [MISGENERALIZED] * misgeneralized + [FAILED] * failed
+    outcomes += [INTENDED] * (100 - len(outcomes))
+    episodes = pl.DataFrame(
+        {"policy": "sampled", "test": "test", "seed": 0, "level": range(100), "outcome": outcomes}
+    )
+    less = share(episodes, "test", MISGENERALIZED, minus=FAILED)
+    told = holds_above("it goes astray", "often", "share", less, 0.0)
+    assert told.held == held
+    assert f"{misgeneralized - failed}.0" in told.ours

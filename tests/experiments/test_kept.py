@@ -1,0 +1,162 @@
+"""Kept agents: small, whole without their training, and what their cards say is so."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import polars as pl
+import pytest
+from safetensors.numpy import load_file
+
+from astray.analysis import kept
+from astray.analysis.evaluate import evaluate
+from astray.analysis.outcomes import OUTCOMES, label, load_shift
+from astray.analysis.runs import open_run
+from astray.experiments import keep
+from astray.training import checkpoint
+from astray.training.loop import train
+from helpers.killed import CONFIG
+
+SHORT = replace(CONFIG, steps=8 * 1024)
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory):
+    """A run of a few steps."""
+    folder = tmp_path_factory.mktemp("run")
+    train(SHORT, folder, progress=False)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def written(run, tmp_path_factory):
+    return keep.keep(run, "mouse", folder=tmp_path_factory.mktemp("kept"), levels=40)
+
+
+@pytest.fixture
+def mouse(written, monkeypatch):
+    """An agent that is kept by the name "mouse"."""
+    monkeypatch.setattr(kept, "KEPT", written.parent)
+    return written
+
+
+# The outcome of each level that the cards of some agents tell of, as its number in `OUTCOMES`: so
+# that a part of the levels is enough to see that an agent is the one on its card.
+OUTCOMES_OF = json.loads(Path(__file__).with_name("kept.json").read_text())
+CARDS, REPLAYED = 1000, 200  # levels
+
+
+def told_by_card(name):
+    """The shift of an agent's card, and its row for the agent in all levels of the test."""
+    card = (kept.find(name) / "README.md").read_text()
+    config = open_run(kept.find(name))[1]
+    shift = load_shift(config.find_game(), card.split("--shift ")[1].split()[0])
+    assert f"in {CARDS:,} levels" in card
+    (row,) = (
+        line for line in card.splitlines() if line.startswith(f"| `{shift.test}` | the agent |")
+    )
+    return shift, [part.split(" %")[0] for part in row.split(" | ")[2:]]
+
+
+def as_on_cards(outcomes):
+    return [f"{100 * np.mean([o == name for o in outcomes]):.1f}" for name in OUTCOMES]
+
+
+@pytest.mark.parametrize("name", OUTCOMES_OF)
+def test_the_outcomes_that_are_known_are_the_cards(name):
+    outcomes = [OUTCOMES[int(number)] for number in OUTCOMES_OF[name]]
+    assert len(outcomes) == CARDS and as_on_cards(outcomes) == told_by_card(name)[1]
+
+
+@pytest.mark.parametrize("name", kept.names())
+def test_every_kept_agent_does_what_its_card_says(name):
+    agent, config = open_run(kept.find(name))
+    assert agent.path.stat().st_size <= keep.LARGEST and int(agent.path.parent.name) > 0
+    (shift, row), known = told_by_card(name), OUTCOMES_OF.get(name)
+    levels = config.unseen_levels[: REPLAYED if known else CARDS]
+    played = evaluate(agent, config.game, config.variant_for(shift.test), levels)
+    outcomes = label(played, config.find_game(), shift)["outcome"].to_list()
+    if known:
+        assert outcomes == [OUTCOMES[int(number)] for number in known[:REPLAYED]]
+    else:
+        assert as_on_cards(outcomes) == row
+
+
+def test_an_agent_is_kept_without_its_training(run, mouse):
+    steps = f"{SHORT.steps}"
+    assert {str(path.relative_to(mouse)) for path in mouse.rglob("*") if path.is_file()} == {
+        "README.md", "config.json", "curve.csv", "curve.png", "episode.gif",
+        f"checkpoints/{steps}/agent.safetensors",
+    }  # fmt: skip
+    assert [path.name for path in mouse.parent.iterdir()] == ["mouse"]
+    one, two = (load_file(folder / "checkpoints" / steps / checkpoint.AGENT)
+                for folder in (run, mouse))  # fmt: skip
+    assert all(np.array_equal(one[name], two[name]) for name in one) and one.keys() == two.keys()
+    curve = pl.read_csv(mouse / "curve.csv")
+    assert curve["steps"][-1] == SHORT.steps
+    told = checkpoint.metrics(run)[-1]["training/return"]
+    assert curve["training/return"][-1] == pytest.approx(told)
+
+
+def test_a_card_says_what_an_evaluation_finds(astray, mouse):
+    said = json.loads(astray("evaluate", "--agent", "mouse", "--levels", "100000:100040", "--json"))
+    found = {
+        row["outcome"]: row
+        for row in said
+        if row["policy"] == "sampled" and row["levels_played"] == "all"
+    }
+    told = " | ".join(
+        f"{100 * row['mean']:.1f} % ({100 * row['low']:.1f} to {100 * row['high']:.1f})"
+        for row in found.values()
+    )
+    card = (mouse / "README.md").read_text()
+    assert f"| `anywhere-small` | the agent | {told} |" in card
+    assert "in 40 levels" in card and "proxy `corner`" in card
+
+
+def test_a_kept_agent_stands_for_its_run_folder(astray, run, mouse, tmp_path):
+    words = ("--levels", "100000:100012", "--json")
+    assert astray("agency", "--agent", "mouse", *words) == astray("agency", run, *words)
+    films = [tmp_path / f"{name}.gif" for name in ("kept", "run")]
+    astray("record", "--agent", "mouse", "--pixels", "64", "--out", films[0])
+    astray("record", run, "--pixels", "64", "--out", films[1])
+    assert films[0].read_bytes() == films[1].read_bytes()
+    assert json.loads(astray("list", "--json"))["agents"]["mouse"]["variant"] == SHORT.variant
+    assert "mouse: maze, trained on corner-small" in astray("list")
+
+
+def test_the_curve_ends_where_the_agent_does(run, tmp_path, monkeypatch):
+    monkeypatch.setattr(keep, "POINTS", 2)
+    first = run / "checkpoints" / f"{checkpoint.steps_saved(run)[0]}"
+    early = keep.keep(first, "early", folder=tmp_path, levels=10)
+    steps = pl.read_csv(early / "curve.csv")["steps"]
+    assert len(steps) <= 2 and steps[-1] == int(first.name) < SHORT.steps
+
+
+@pytest.mark.parametrize(
+    "name, message", [("mouse", "already"), ("The Mouse", "given 'The Mouse'")]
+)
+def test_a_name_is_one_and_new(run, mouse, name, message):
+    with pytest.raises(ValueError, match=message):
+        keep.keep(run, name, folder=mouse.parent)
+
+
+def test_what_is_too_large_is_not_kept(run, tmp_path, monkeypatch):
+    monkeypatch.setattr(keep, "LARGEST", 10_000)
+    with pytest.raises(ValueError, match=r"one that is kept is at most 0\.01 MB"):
+        keep.keep(run, "mouse", folder=tmp_path)
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    "words, message",
+    [
+        ("evaluate", "name a run folder, or an --agent"),
+        ("record", "name a run folder, or an --agent"),
+        ("evaluate runs/seed-0 --agent mouse", "not both"),
+        ("agency --agent squid", "unknown agent 'squid'; there are: mouse"),
+    ],
+)
+def test_mistakes_are_explained(astray, mouse, words, message):
+    assert message in astray(*words.split(), fails=True)

@@ -1,0 +1,50 @@
+"""Trainings on a Ray cluster, of which a process and a node are killed."""
+
+import importlib.util
+import json
+import subprocess
+import sys
+
+import pytest
+
+from astray.experiments import cluster
+from astray.experiments.workers import train_all
+from astray.training import checkpoint
+from helpers.killed import CONFIG
+from helpers.processes import environment
+
+RAY = importlib.util.find_spec("ray") is not None
+
+
+@pytest.mark.skipif(not RAY or sys.platform != "linux", reason="needs ray, and /proc")
+def test_a_process_and_a_node_that_die_lose_nothing(tmp_path):
+    words = [sys.executable, "-m", "helpers.on_ray", str(tmp_path)]
+    done = subprocess.run(words, env=environment(), capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    told = json.loads(done.stdout.splitlines()[-1])
+    assert all(0 < told[what]["saved"] < told[what]["done"] for what in ("process", "node"))
+
+
+def test_how_many_train_at_once_is_not_asked_of_a_cluster(tmp_path):
+    with pytest.raises(ValueError, match="processors and GPUs say how many"):
+        train_all({tmp_path: CONFIG}, workers=2, on="ray")
+
+
+def test_a_node_that_does_not_see_the_run_folder_says_so(tmp_path):
+    with pytest.raises(ValueError, match="is not seen by every node"):
+        cluster.train_on_node(CONFIG, tmp_path / "elsewhere")
+
+
+def test_a_successor_waits_for_the_process_before_it(tmp_path, monkeypatch):
+    waits = []
+    monkeypatch.setattr(cluster, "PATIENCE", 0.2)
+    monkeypatch.setattr(cluster.time, "sleep", waits.append)
+    with checkpoint.claim(tmp_path, CONFIG), pytest.raises(checkpoint.Claimed):
+        cluster.train_on_node(CONFIG, tmp_path)
+    assert waits and set(waits) == {cluster.PAUSE}
+
+
+@pytest.mark.skipif(RAY, reason="ray is installed")
+def test_it_is_told_what_a_cluster_needs(tmp_path):
+    with pytest.raises(ImportError, match=r"pip install 'astray\[cluster\]'"):
+        train_all({tmp_path: CONFIG}, on="ray")

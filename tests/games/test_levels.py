@@ -1,0 +1,173 @@
+"""Levels as data, of every game: written, read back, edited, refused."""
+
+import json
+
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import data_equivalence
+
+from astray import games
+from astray.envs.vector import GameVectorEnv
+from astray.level import AGENT, Level, read_levels
+from helpers.cases import ALL
+
+
+def begun(game, variant, numbers):
+    """An environment that has just begun the levels of these numbers."""
+    env = GameVectorEnv(game, variant, len(numbers), autoreset_mode="Disabled")
+    env.reset(seed=0, options={"level": numbers})
+    return env
+
+
+def one(game, variant, number=3):
+    env = begun(game, variant, [number])
+    return Level.of(env.game, env.variant, env.states[0])
+
+
+@pytest.mark.parametrize("game, variant", ALL)
+def test_a_level_from_json_plays_on_as_the_one_it_was_written_from(game, variant):
+    theirs = begun(game, variant, list(range(8)))
+    data = [Level.of(theirs.game, theirs.variant, s).to_json() for s in theirs.states]
+    levels = [Level.from_json(theirs.game, theirs.variant, json.loads(json.dumps(d))) for d in data]
+    ours = begun(game, variant, [100] * 8)
+    states = np.array([level.state(solvable=False) for level in levels], theirs.game.state)
+    ours.reset(options={"state": states})
+    assert np.array_equal(ours.picture(64), theirs.picture(64))
+    actions = np.random.default_rng(0).integers(len(theirs.game.actions), size=(60, 8))
+    for action in actions:
+        one, two = ours.step(action), theirs.step(action)
+        assert data_equivalence(one[:4], two[:4])
+        ours.reset(options={"level": 5, "reset_mask": one[2] | one[3]})
+        theirs.reset(options={"level": 5, "reset_mask": one[2] | one[3]})
+
+
+@pytest.mark.parametrize("game, variant", ALL)
+def test_drawings_are_read_back(game, variant):
+    env = begun(game, variant, list(range(10)))
+    for s in env.states:
+        level = Level.of(env.game, env.variant, s)
+        again = Level.from_text(env.game, env.variant, str(level))
+        assert np.array_equal(again.cells, level.cells) and again.agent == level.agent
+        told, theirs = level.to_json(), again.to_json()
+        assert {n for n in told if told[n] != theirs[n]} <= {"looks"}
+
+
+@pytest.mark.parametrize("game, variant", ALL)
+def test_objects_are_moved_removed_and_added(game, variant):
+    level = one(game, variant)
+    for name in level.game.editing.OBJECTS:
+        for cell in level.where(name)[:3]:
+            gone = level.removed(name, cell)
+            assert cell not in gone.where(name)
+            assert sorted(gone.added(name, cell).where(name)) == sorted(level.where(name))
+            there = next(c for c in free(level) if c != cell)
+            moved = level.moved(name, there, at=cell)
+            assert there in moved.where(name) and cell not in moved.where(name)
+            assert np.array_equal(level.cells, one(game, variant).cells)  # the old one is as it was
+            with pytest.raises(ValueError, match="holds"):
+                level.added(name, cell)
+        with pytest.raises(ValueError, match=f"which {name}"):
+            level.removed(name, (0, 0) if (0, 0) not in level.where(name) else (1, 0))
+    with pytest.raises(ValueError, match="unknown object 'squid'; there are: agent"):
+        level.removed("squid")
+    with pytest.raises(ValueError, match="outside"):
+        level.moved("agent", (-1, 3))
+
+
+def free(level):
+    """Empty cells that the agent can reach."""
+    return [other.agent for other in level.splay("agent") if other.agent != level.agent]
+
+
+@pytest.mark.parametrize("game, variant", ALL)
+def test_a_level_is_splayed_over_all_places_of_an_object(game, variant):
+    level = one(game, variant)
+    agents = level.splay("agent")
+    assert level.agent in [other.agent for other in agents]
+    assert len({other.agent for other in agents}) == len(agents) > 3
+    for name in level.game.editing.OBJECTS:
+        where = level.where(name)
+        if not where:
+            continue
+        family = level.splay(name, where[0])
+        places = [set(other.where(name)) - set(where[1:]) for other in family]
+        assert all(len(place) == 1 for place in places)
+        assert set(where[:1]) in places and len(family) == len(set(map(tuple, places)))
+        assert all(np.count_nonzero(other.cells != level.cells) <= 2 for other in family)
+        for other in family[:5]:  # each can be played, and the object reached
+            (x, y) = next(iter(set(other.where(name)) - set(where[1:])))
+            assert level.game.solver.reachable(other.state(solvable=False))[y, x]
+
+
+@pytest.mark.parametrize("game", games.OWN)
+def test_files_and_folders_of_levels_are_read(game, tmp_path):
+    variant = next(iter(games.find(game).variants))
+    level = one(game, variant)
+    made, kind = level.game, level.variant
+    (tmp_path / "b.txt").write_text(f"; a comment\n{level}\n\n; another\n\n{level}\n")
+    (tmp_path / "a.json").write_text(json.dumps(level.to_json(), indent=2))
+    (tmp_path / "c.jsonl").write_text(f"{json.dumps(level.to_json())}\n" * 2)
+    found = read_levels(tmp_path, made, kind)
+    assert list(found) == ["a.json", "b.txt:1", "b.txt:2", "c.jsonl:1", "c.jsonl:2"]
+    assert all(np.array_equal(other.cells, level.cells) for other in found.values())
+    (tmp_path / "d.txt").write_text(str(level).replace(AGENT, "?"))
+    with pytest.raises(ValueError, match=r"d\.txt: unknown '\?' at cell"):
+        read_levels(tmp_path, made, kind)
+    with pytest.raises(FileNotFoundError, match="there is no level at"):
+        read_levels(tmp_path / "nothing.txt", made, kind)
+    (tmp_path / "d.txt").write_bytes(b"\xff\xfe\x00")
+    with pytest.raises(ValueError, match=r"d\.txt"):
+        read_levels(tmp_path, made, kind)
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(ValueError, match="there are no levels in"):
+        read_levels(tmp_path / "empty", made, kind)
+    (tmp_path / "deep.json").write_text("[" * 100_000)
+    with pytest.raises(ValueError, match=r"deep\.json"):
+        read_levels(tmp_path / "deep.json", made, kind)
+
+
+@pytest.mark.parametrize("game", games.OWN)
+@pytest.mark.parametrize(
+    "change, message",
+    [
+        ({"game": "chess"}, "the level is one of 'chess'"),
+        ({"grid": []}, "equally long lists of codes"),
+        ({"grid": [[0, 0], [0]]}, "equally long lists of codes"),
+        ({"grid": [[[]]]}, r"unknown code \[\] at cell \(0, 0\)"),
+        ({"grid": [[0, 250]]}, r"unknown code 250 at cell \(1, 0\)"),
+        ({"agent": [1, "2"]}, "the agent is at two numbers"),
+        ({"agent": [500.5, 1.5]}, "outside of the level"),
+        ({"agent": [10**30, 1.5]}, "the agent is at two numbers"),
+        ({"agent": [float("nan"), 1.5]}, "the agent is at two numbers"),
+        ({"looks": 3}, "looks are an object"),
+        ({"looks": {"hat": 3}}, "unknown field 'hat'"),
+        ({"goal_of_life": 42}, "unknown field 'goal_of_life'"),
+    ],
+)
+def test_bad_data_is_explained(game, change, message):
+    level = one(game, next(iter(games.find(game).variants)))
+    with pytest.raises(ValueError, match=message):
+        Level.from_json(level.game, level.variant, level.to_json() | change)
+
+
+@pytest.mark.parametrize("game", games.OWN)
+def test_what_is_told_of_a_level_must_be_true_of_it(game):
+    level = one(game, next(iter(games.find(game).variants)))
+    data = level.to_json()
+    x, y = data["agent"]
+    with pytest.raises(ValueError, match="agent is"):
+        Level.from_json(level.game, level.variant, data | {"agent": [x + 0.3, y]})
+
+
+def test_objects_that_cannot_be_reached_are_named_with_their_cell():
+    made = games.find("maze")
+    kind = made.variant("anywhere-small")
+    drawing = "#######\n#.#...#\n#.###.#\n#....@#\n#.#####\n#G#.o.#\n#######"
+    level = Level.from_text(made, kind, drawing)
+    with pytest.raises(ValueError, match=r"other at cell \(4, 1\) cannot be reached from \(5, 3\)"):
+        level.state()
+    assert level.state(solvable=False).goal_x == 1
+    assert level.removed("other").state().goal_x == 1
+    wall = Level(made, kind, level.cells, (0, 0), {})
+    with pytest.raises(ValueError, match=r"cell \(0, 0\) holds '#'"):
+        wall.state()

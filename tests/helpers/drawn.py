@@ -1,0 +1,43 @@
+"""Environments that draw as the original, for each configuration whose frames were recorded."""
+
+import hashlib
+from dataclasses import replace
+
+import pytest
+
+from astray.art import original
+from astray.envs.vector import GameVectorEnv
+from helpers.recorded import COINRUN, KEYS, MAZE, RECORDED
+
+EASY = {"world": 15, "largest": 15}
+DRAWN = RECORDED | {
+    "maze_memory": MAZE["anywhere-memory"],
+    "maze_corner_easy": MAZE["corner-easy"],
+    "coinrun_aisc_easy": replace(COINRUN["coin-ledge-aisc"], easy=True),
+    "keys_many_chests_easy": KEYS["many-chests-easy"],
+    "keys_many_chests_memory": KEYS["many-chests-memory"],
+    "keys_many_keys_memory": KEYS["many-keys-memory"],
+    "procgen_coinrun": COINRUN["procgen"],
+    "procgen_coinrun_easy": COINRUN["procgen-easy"],
+    "procgen_maze": MAZE["anywhere"],
+    "procgen_maze_easy": MAZE["anywhere-easy"],
+}
+DRAWN |= {
+    f"maze_{name}_easy": replace(RECORDED[f"maze_{name}"], **EASY)
+    for name in ("yellow_line", "red_line_yellow_gem", "yellow_star_red_gem")
+}
+MISSING = set(original.missing())
+
+
+def environment(variant, n=1, **options):
+    """An environment that draws as the original; skips where its pictures are not at hand."""
+    game = {"Maze": "maze", "CoinRun": "coinrun", "Keys": "keys"}[type(variant).__name__]
+    if MISSING - set(original.FORK_ALONE):
+        pytest.skip(f"the original's pictures are not in {original.folder()}: astray art import")
+    if MISSING and "line" in (getattr(variant, "goal_shape", ""),):
+        pytest.skip("the lines are in the paper's fork alone: astray art import CHECKOUT")
+    return GameVectorEnv(game, variant, n, art="original", autoreset_mode="Disabled", **options)
+
+
+def digest(image):
+    return hashlib.sha256(image.tobytes()).hexdigest()[:16]

@@ -1,0 +1,100 @@
+"""Agents in the formats that others write them in, made here with random weights."""
+
+import io
+import itertools
+import pickle
+from collections import OrderedDict, defaultdict
+
+import numpy as np
+import torch
+from torch import nn
+
+from astray.agents.clear import BLOCKS
+
+
+def joblib_bytes(data, alignment=None):
+    """What joblib.dump writes of `data`, uncompressed: arrays lie bare after their description."""
+    file = io.BytesIO()
+
+    class Pickler(pickle._Pickler):
+        def save(self, obj, save_persistent_id=True):
+            if not isinstance(obj, np.ndarray) or obj.dtype.hasobject:
+                return super().save(obj, save_persistent_id)
+            fortran = obj.flags.f_contiguous and not obj.flags.c_contiguous
+            state = {"subclass": np.ndarray, "shape": obj.shape, "order": "CF"[fortran],
+                     "dtype": obj.dtype, "allow_mmap": True}  # fmt: skip
+            if alignment:
+                state["numpy_array_alignment_bytes"] = alignment
+            self.write(b"cjoblib.numpy_pickle\nNumpyArrayWrapper\n)\x81")
+            super().save(state)
+            self.write(b"b")
+            if alignment:
+                self.write(b"\x03\xff\xff\xff")
+            self.write(obj.tobytes("F" if fortran else "C"))
+
+    Pickler(file, 3).dump(data)
+    return file.getvalue()
+
+
+def clarity(actions=15, **args):
+    """A file of RL-Clarity with random weights; and these."""
+    random = np.random.default_rng(1)
+    inputs = (3, 16, 32, 32, 32)
+    afters = [width for widths in BLOCKS for width in widths]
+    params = {}
+    for name, before, after, side in zip(
+        ("1a", "2a", "2b", "3a", "4a"), inputs, afters, (7, 5, 5, 5, 5), strict=True
+    ):
+        kernel = random.normal(size=(side, side, before, after)) / (side * before**0.5)
+        params[f"ppo2_model/pi/{name}/conv2d/kernel:0"] = kernel
+        params[f"ppo2_model/pi/{name}/conv2d/bias:0"] = random.normal(size=after) / 4
+    for name, kernel, bias, before, after in (
+        ("pi/dense", "kernel", "bias", 512, 256), ("pi/dense_1", "kernel", "bias", 256, 512),
+        ("pi", "w", "b", 512, actions), ("vf", "w", "b", 512, 1),
+    ):  # fmt: skip
+        params[f"ppo2_model/{name}/{kernel}:0"] = random.normal(size=(before, after)) / before**0.5
+        params[f"ppo2_model/{name}/{bias}:0"] = random.normal(size=after) / 4
+    params = {name: array.astype(np.float32) for name, array in params.items()}
+    told = {"env_name": "coinrun", "cnn": "clear", "use_lstm": 0, "gamma": 0.999} | args
+    extra = defaultdict(float, reward=np.float32(9.9))
+    return {"args": told, "params": OrderedDict(params), "extra": extra}, params
+
+
+def reference(widths):
+    """State of a network built as train-procgen-pytorch names its parts, and its forward."""
+    torch.manual_seed(widths[0])
+
+    def block(before, after):
+        def residual():
+            parts = {f"conv{k}": nn.Conv2d(after, after, 3, padding=1) for k in (1, 2)}
+            return nn.ModuleDict(parts)
+
+        return nn.ModuleDict(
+            {"conv": nn.Conv2d(before, after, 3, padding=1), "res1": residual(), "res2": residual()}
+        )
+
+    embedder = {
+        f"block{k}": block(*pair) for k, pair in enumerate(itertools.pairwise((3, *widths)), 1)
+    }
+    embedder["fc"] = nn.Linear(64 * widths[2], 256)
+    network = nn.ModuleDict({"embedder": nn.ModuleDict(embedder), "fc_policy": nn.Linear(256, 15),
+                             "fc_value": nn.Linear(256, 1)})  # fmt: skip
+
+    def forward(images):
+        x = images.permute(0, 3, 1, 2).float() / 255
+        for k in (1, 2, 3):
+            part = network["embedder"][f"block{k}"]
+            x = nn.functional.max_pool2d(part["conv"](x), 3, 2, 1)
+            for name in ("res1", "res2"):
+                inner = part[name]["conv1"](x.relu())
+                x = x + part[name]["conv2"](inner.relu())
+        x = network["embedder"]["fc"](x.relu().flatten(1)).relu()
+        return network["fc_policy"](x), network["fc_value"](x)[:, 0]
+
+    return network.state_dict(), forward
+
+
+def saved(data):
+    file = io.BytesIO()
+    torch.save(data, file)
+    return file.getvalue()

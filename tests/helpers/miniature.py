@@ -1,0 +1,27 @@
+"""Experiments in miniature."""
+
+from dataclasses import replace
+from pathlib import Path
+
+from astray.experiments import run
+from astray.experiments.spec import Plan
+from astray.training.loop import train
+
+
+def miniature(plan: Plan, time_limit: int = 100) -> Plan:
+    """The plan with two agents of each name, trained for 2,048 steps in few short levels."""
+    agents = {
+        name: replace(
+            config, levels=1000, steps=2048, environments=16, rollout=32, minibatches=4, width=16,
+            checkpoint_every=1, knobs={**config.knobs, "time_limit": time_limit},
+        )
+        for name, config in plan.agents.items()
+    }  # fmt: skip
+    return replace(plan, agents=agents, seeds=2, levels=20)
+
+
+def train_here(plan: Plan, root: Path) -> None:
+    """Train the plan's agents where `reproduce` finds them, without the start of processes."""
+    for configs in plan.trainings().values():
+        for config in configs:
+            train(config, run.run_folder(root, config), progress=False)

@@ -1,0 +1,21 @@
+"""A training that torchrun starts: `torchrun --nproc-per-node 2 -m helpers.parallel folder`."""
+
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import torch
+
+from astray.training.config import PRESETS
+from astray.training.loop import train
+
+# One minibatch an epoch, so that the samples of two processes are those of one.
+CONFIG = replace(
+    PRESETS["small"], variant="corner-small", validation="anywhere-small", environments=32,
+    knobs={"world": 5, "largest": 5, "time_limit": 12}, rollout=16, minibatches=1, width=16,
+    steps=4 * 512, validation_every=1, checkpoint_every=2, bfloat16=False, learning_rate=1e-3,
+)  # fmt: skip
+
+if __name__ == "__main__":
+    torch.set_num_threads(1)
+    train(CONFIG, Path(sys.argv[1]), progress=False)

@@ -1,0 +1,28 @@
+"""Settings of trainings that take a moment, and what such a one came to."""
+
+from dataclasses import replace
+
+from safetensors.numpy import load_file
+
+from astray.training import checkpoint
+from astray.training.config import PRESETS
+
+TINY = replace(
+    PRESETS["small"], variant="corner-small", knobs={"world": 5, "largest": 5, "time_limit": 20},
+    validation="anywhere-small", environments=16, rollout=16, minibatches=4, steps=1024,
+    validation_every=1, checkpoint_every=2, width=16,
+)  # fmt: skip
+OFF = {"kernels": False, "bfloat16": False, "channels_last": False, "compiled": False,
+       "graphs": False, "groups": 1}  # fmt: skip
+PLAIN = replace(TINY, validation=None, **OFF)
+PICTURES = replace(
+    PRESETS["paper"], game="coinrun", variant="coin-end", environments=8, rollout=8,
+    minibatches=2, steps=10**6, normalise_advantage=False, **OFF,
+)  # fmt: skip
+
+
+def digest(folder):
+    """All that a training leaves to go on from, by name."""
+    last = checkpoint.latest(folder)
+    weights, rest = load_file(last / "agent.safetensors"), load_file(last / "trainer.safetensors")
+    return {name: array.tobytes() for name, array in (weights | rest).items()}

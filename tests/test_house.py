@@ -1,0 +1,52 @@
+"""The tests' own order: folders as in the package, helpers apart, and no test imports a test."""
+
+import ast
+from pathlib import Path
+
+import pytest
+
+import astray
+
+TESTS = Path(__file__).parent
+PACKAGE = Path(astray.__file__).parent
+FILES = sorted([*TESTS.rglob("*.py"), *PACKAGE.glob("games/*/tests/*.py")])
+# What is no part of the package: our examples, any input at all, and what tests share.
+OTHERS = {"examples", "fuzz", "helpers", "reference"}
+
+
+def imported(path):
+    """The modules that a file imports, also within its functions and in programs it starts."""
+    trees = [ast.parse(path.read_text())]
+    for node in ast.walk(trees[0]):
+        if (
+            isinstance(node, ast.Constant)
+            and isinstance(node.value, str)
+            and "import" in node.value
+        ):
+            try:
+                trees.append(ast.parse(node.value))
+            except SyntaxError:  # no program
+                continue
+    for node in (node for tree in trees for node in ast.walk(tree)):
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            yield from (f"{node.module or ''}.{alias.name}" for alias in node.names)
+
+
+@pytest.mark.parametrize("path", FILES, ids=lambda path: str(path.relative_to(path.parents[2])))
+def test_no_test_imports_a_test(path):
+    parts = {part for name in imported(path) for part in name.split(".")}
+    assert not {part for part in parts if part.startswith("test_")} and "conftest" not in parts
+
+
+def test_there_is_a_folder_of_the_package_for_each_folder_of_tests():
+    folders = {path.name for path in TESTS.iterdir() if path.is_dir() and path.name[0] not in "._"}
+    assert folders - OTHERS <= {path.name for path in PACKAGE.iterdir() if path.is_dir()}
+
+
+def test_helpers_hold_no_tests():
+    for path in (TESTS / "helpers").glob("*.py"):
+        tree = ast.parse(path.read_text())
+        names = [node.name for node in ast.walk(tree) if isinstance(node, ast.FunctionDef)]
+        assert not [name for name in names if name.startswith("test_")], path

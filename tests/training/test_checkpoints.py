@@ -1,0 +1,410 @@
+"""Checkpoints: killed, cut short, crowded, forged; nothing is lost, and nothing let in."""
+
+import ast
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import polars as pl
+import pytest
+from safetensors.numpy import load_file, save_file
+
+from astray.agents import policy
+from astray.analysis.runs import evaluate_runs
+from astray.analysis.tables import write_table
+from astray.experiments.workers import Progress
+from astray.files import write_aside
+from astray.training import checkpoint
+from astray.training.config import Config
+from astray.training.log import METRICS
+from astray.training.loop import train
+from helpers.killed import CONFIG, contents
+from helpers.processes import environment
+
+SHORT = replace(CONFIG, steps=4 * 1024)
+PACKAGE = Path(policy.__file__).parents[1]
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory):
+    """A run of a few steps; copied before anything is done to it."""
+    folder = tmp_path_factory.mktemp("run")
+    train(SHORT, folder, progress=False)
+    return folder
+
+
+@pytest.fixture
+def run(finished, tmp_path):
+    return shutil.copytree(finished, tmp_path / "run")
+
+
+def files(folder):
+    """Everything in a folder, but for the lock and what TensorBoard reads."""
+    paths = [p for p in folder.rglob("*") if p.is_file() and "tensorboard" not in p.parts]
+    return {p.relative_to(folder): p.read_bytes() for p in paths if p.name != ".lock"}
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="needs fork")
+def test_a_run_that_is_killed_at_any_moment_loses_nothing(tmp_path):
+    kills = os.environ.get("ASTRAY_KILLS", "3")
+    words = [sys.executable, "-m", "helpers.killed", str(tmp_path), kills]
+    done = subprocess.run(words, env=environment(), capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    told = json.loads(done.stdout)
+    assert told["kills"] >= int(kills) and told["runs"] >= 1
+
+
+def test_a_kill_while_an_old_checkpoint_is_removed_leaves_no_half_of_it(tmp_path, monkeypatch):
+    def half(folder, names):
+        for agent in folder.glob(f".*/{checkpoint.AGENT}"):
+            agent.unlink()
+            raise KeyboardInterrupt
+
+    longer = replace(CONFIG, steps=40 * 1024)
+    with monkeypatch.context() as patch:
+        patch.setattr(checkpoint, "remove_left", half)
+        with pytest.raises(KeyboardInterrupt):
+            train(longer, tmp_path, progress=False)
+    # The first to go is the one at 6,144, which is not the first after a milestone.
+    assert checkpoint.steps_saved(tmp_path) == [2048, 4096, 8192, 10240]
+    train(longer, tmp_path, progress=False)
+    assert not [p for p in (tmp_path / "checkpoints").iterdir() if p.name.startswith(".")]
+
+
+@pytest.mark.parametrize("name", [checkpoint.AGENT, checkpoint.TRAINER])
+def test_a_checkpoint_that_is_cut_at_any_byte_is_refused(run, name):
+    path = checkpoint.latest(run) / name
+    whole = path.read_bytes()
+    header = 8 + int.from_bytes(whole[:8], "little")
+    cuts = {*range(16), *range(0, header + 16, 101), header - 1, header, header + 1}
+    cuts |= {*range(0, len(whole), len(whole) // 20), len(whole) - 1}
+    claimed = checkpoint.Trainer(SHORT)
+    for cut in sorted(cuts):
+        path.write_bytes(whole[:cut])
+        before = files(run)
+        with pytest.raises(ValueError, match=name):
+            checkpoint.restore(run, claimed)
+        assert files(run) == before
+    claimed.close()
+    path.write_bytes(whole[:cut])
+    before = files(run)
+    with pytest.raises(ValueError, match=name):
+        train(replace(SHORT), run, progress=False)
+    assert files(run) == before
+
+
+def forge(path, **changes):
+    """Write a checkpoint's file anew with another header, or other tensors."""
+    data = path.read_bytes()
+    size = 8 + int.from_bytes(data[:8], "little")
+    told = json.loads(json.loads(data[8:size])["__metadata__"]["astray"])
+    tensors = load_file(path) | changes.pop("tensors", {})
+    save_file(tensors, path, {"astray": json.dumps(told | changes)})
+
+
+@pytest.mark.parametrize(
+    "name, changes, message",
+    [
+        (checkpoint.AGENT, {"format": 2}, "has format 2; this version reads 1"),
+        (checkpoint.AGENT, {"game": "keys"}, "of the game 'keys', not of 'maze'"),
+        (checkpoint.AGENT, {"architecture": None}, "its architecture is None"),
+        (checkpoint.TRAINER, {"format": 2}, "has format 2; this version reads 1"),
+        (checkpoint.TRAINER, {"game": "keys"}, "of the game 'keys', not of 'maze'"),
+        (checkpoint.TRAINER, {"config": {}}, "it is of another run"),
+        (checkpoint.TRAINER, {"config": {"brand_new": 1}}, "no setting 'brand_new'; a later"),
+        (
+            checkpoint.TRAINER,
+            {"tensors": {"training.states": np.zeros(100, np.uint8)}},
+            "cannot be resumed from",
+        ),
+    ],
+)
+def test_a_checkpoint_of_something_else_is_refused(run, name, changes, message):
+    forge(checkpoint.latest(run) / name, **changes)
+    before = files(run)
+    with pytest.raises(ValueError, match=message):
+        train(SHORT, run, progress=False)
+    assert files(run) == before
+
+
+def test_a_corrupt_state_in_a_checkpoint_never_reaches_compiled_code(run):
+    path = checkpoint.latest(run) / checkpoint.TRAINER
+    states = load_file(path)["training.states"].copy()
+    forge(path, tensors={"training.states": np.full_like(states, 255)})
+    with pytest.raises(ValueError, match="is none of this variant"):
+        train(SHORT, run, progress=False)
+
+
+@pytest.mark.parametrize(
+    "name, change, message",
+    [
+        ("training.recent", lambda x: x[:, :-1], r"recent is .*; it is torch.float64 "),
+        (
+            "training.recent",
+            lambda x: np.zeros((101, x.shape[1])),
+            r"recent is .* \[101, ",
+        ),
+        ("training.recent", lambda x: x[0], "recent is"),
+        ("training.running_return", lambda x: x[:-1], r"it is torch.float64 \[16\]"),
+        ("training.running_return", lambda x: x.astype(np.float32), "running_return is torch.flo"),
+        ("training.running_return", lambda x: x * np.nan, "has numbers that are not finite"),
+        ("training.moments", lambda x: x.astype(int), "moments is torch.int64"),
+        ("training.normaliser_returns", lambda x: x[None], "normaliser_returns is"),
+        ("training.generator", lambda x: x[:-1], "generator is torch.uint8"),
+        ("training.states", lambda x: x[: len(x) // 2], "states is torch.uint8"),
+        ("adam.0.exp_avg", lambda x: x.T.copy(), "adam.0.exp_avg is"),
+        ("adam.0.exp_avg", lambda x: x.astype(np.float64), "it is torch.float32"),
+        (
+            "adam.0.step",
+            lambda x: np.zeros(2, np.float32),
+            r"adam.0.step is .* \[2\]; it is",
+        ),
+        ("steps", lambda x: x + 1, "steps is .*; it is so many times"),
+        ("steps", lambda x: x * 2, "it is of step"),
+        ("steps", lambda x: x * 1.0, "steps is torch.float64"),
+        ("brand_new", lambda _: np.zeros(1), "brand_new is not one of its"),
+    ],
+)
+def test_a_trainer_has_the_arrays_of_its_training(run, name, change, message):
+    path = checkpoint.latest(run) / checkpoint.TRAINER
+    forge(path, tensors={name: change(load_file(path).get(name))})
+    before = files(run)
+    with pytest.raises(ValueError, match=f"cannot be resumed from: .*{message}"):
+        train(SHORT, run, progress=False)
+    assert files(run) == before
+
+
+def test_a_trainer_lacks_nothing(run):
+    path = checkpoint.latest(run) / checkpoint.TRAINER
+    tensors = load_file(path)
+    del tensors["adam.3.exp_avg_sq"]
+    save_file(tensors, path, checkpoint._metadata(path.read_bytes()))
+    with pytest.raises(ValueError, match=r"adam\.3\.exp_avg_sq is missing"):
+        train(SHORT, run, progress=False)
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf])
+def test_an_agent_of_other_than_numbers_is_refused(run, value):
+    path = checkpoint.latest(run) / checkpoint.AGENT
+    name, weights = next(iter(load_file(path).items()))
+    weights.flat[3] = value
+    forge(path, tensors={name: weights})
+    with pytest.raises(ValueError, match="its weights are not all finite numbers"):
+        evaluate_runs([run])
+
+
+def test_an_agent_whose_logits_overflow_is_not_evaluated(run):
+    path = checkpoint.latest(run) / checkpoint.AGENT
+    forge(path, tensors={name: np.full_like(x, 1e38) for name, x in load_file(path).items()})
+    with pytest.raises(ValueError, match="gives logits that are not finite"):
+        evaluate_runs([run], np.arange(3))
+
+
+def test_one_agent_is_not_counted_as_several(run, tmp_path):
+    shutil.copytree(run, tmp_path / "copy")
+    for other in (run, checkpoint.latest(run), tmp_path / "copy"):
+        with pytest.raises(ValueError, match="are the same agent"):
+            evaluate_runs([run, other], np.arange(3))
+
+
+@pytest.mark.parametrize(
+    "line", ["{}", "null", "[1, 2]", '{"steps": "many"}', '{"steps": 1.5}', '{"steps": -1}', "{",
+             '{"steps": true}', '{"steps": 1, "training/return": null}', "", "[" * 10**5, "\x00",
+             '{"steps": 1, "training/return": [1]}'],
+)  # fmt: skip
+def test_a_line_of_metrics_that_is_none_is_named(run, line):
+    path = run / METRICS
+    path.write_text(path.read_text() + f"{line}\n")
+    before = files(run)
+    for read in (lambda: checkpoint.metrics(run), lambda: train(SHORT, run, progress=False)):
+        with pytest.raises(ValueError, match=r"metrics\.jsonl, line \d+: "):
+            read()
+    assert files(run) == before
+    Progress(run, SHORT).look()  # a training's look at another's never ends it
+
+
+def test_metrics_that_are_no_text_are_refused(run):
+    (run / METRICS).write_bytes(b"\xff\xfe\n")
+    with pytest.raises(ValueError, match=r"metrics\.jsonl is no text"):
+        checkpoint.metrics(run)
+
+
+@pytest.mark.parametrize(
+    "architecture",
+    [
+        {"width": 10**9}, {"actions": 3_000_000},
+        {"scale": 10**9, "name": "impala", "largest": []}, {"actions": -1}, {"actions": True},
+        {"shape": [4, 7]}, {"shape": [4, 10**9, 10**9]}, {"largest": [0] * 4},
+        {"largest": [6, 6, 1, 1]}, {"name": "squid"}, {"squid": 1}, {"width": "64"},
+    ],
+)  # fmt: skip
+def test_a_forged_architecture_does_no_more_than_fail(run, architecture):
+    path = checkpoint.latest(run) / checkpoint.AGENT
+    data = path.read_bytes()
+    size = 8 + int.from_bytes(data[:8], "little")
+    told = json.loads(json.loads(data[8:size])["__metadata__"]["astray"])
+    forge(path, architecture=told["architecture"] | architecture)
+    resource = pytest.importorskip("resource")
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    with pytest.raises(ValueError, match="is not an agent that can be used"):
+        policy.load(path, "maze")
+    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 200_000  # kB
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["", "{", "[]", "null", '{"config": []}', '{"config": {"steps": "many"}}', "[" * 10**5,
+     '{"config": {"steps": 1e999}}', '{"config": {"gamma": NaN}}', '{"config": {"squid": 1}}',
+     '{"config": {"game": "chess"}}', '{"config": {"knobs": {"squid": 1}}}', "\x00", "\ufeff{}",
+     '{"config": {"training_variant": {}}}', '{"config": {"levels": 4000000000}}'],
+)  # fmt: skip
+def test_settings_that_are_none_are_refused(run, text):
+    (run / "config.json").write_text(text)
+    before = files(run)
+    with pytest.raises(ValueError, match=r"config\.json is not the settings of a run"):
+        train(SHORT, run, progress=False)
+    assert files(run) == before
+
+
+@pytest.mark.parametrize(
+    "change, message",
+    [
+        ({"gamma": 1.5}, "gamma is 1.5; it is from 0 to 1"),
+        ({"learning_rate": -1.0}, "learning_rate is -1.0; it is at least 0"),
+        ({"learning_rate": float("nan")}, "learning_rate is nan; it is a float"),
+        ({"device": "tpu"}, "unknown device 'tpu'; there are: cpu, cuda, mps"),
+        ({"steps": 1e6}, "steps is 1000000.0; it is a int"),
+        ({"anneal": 1}, "anneal is 1; it is a bool"),
+        ({"first_level": 2**31 - 100}, "some are left for tests"),
+    ],
+)
+def test_bad_settings_are_explained(change, message):
+    with pytest.raises(ValueError, match=message):
+        replace(SHORT, **change)
+
+
+def test_two_processes_cannot_train_in_one_folder(tmp_path):
+    words = [
+        sys.executable,
+        "-c",
+        "from helpers.killed import CONFIG\nimport pathlib\nfrom astray.training.loop "
+        f"import train\ntrain(CONFIG, pathlib.Path({str(tmp_path)!r}), progress=False)",
+    ]
+    env = environment()
+    both = [subprocess.Popen(words, env=env, stderr=subprocess.PIPE, text=True) for _ in range(2)]
+    said = [process.communicate()[1] for process in both]
+    assert sorted(process.returncode for process in both) == [0, 1]
+    assert "another process is training in" in "".join(said)
+    assert checkpoint.finished(tmp_path, CONFIG)
+
+
+@pytest.fixture
+def full_disk():
+    """No file can grow beyond some bytes, as on a full disk."""
+    resource = pytest.importorskip("resource")
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    handler = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+
+    def fill(size=resource.RLIM_INFINITY):
+        resource.setrlimit(resource.RLIMIT_FSIZE, (size, before[1]))
+
+    yield fill
+    resource.setrlimit(resource.RLIMIT_FSIZE, before)
+    signal.signal(signal.SIGXFSZ, handler)
+
+
+def test_a_full_disk_leaves_the_run_as_it_was_and_it_goes_on_when_there_is_room(
+    tmp_path, full_disk, monkeypatch
+):
+    saved = checkpoint.save
+
+    def save(folder, trainer):
+        if trainer.steps == 4 * 1024:
+            full_disk(80_000)  # room for the agent, not for the trainer
+        saved(folder, trainer)
+
+    monkeypatch.setattr(checkpoint, "save", save)
+    config = replace(CONFIG, steps=8 * 1024)
+    with pytest.raises(OSError, match=r"nothing was written: '.*trainer\.safetensors'"):
+        train(config, tmp_path, progress=False)
+    full_disk()
+    assert checkpoint.steps_saved(tmp_path) == [2048]
+    assert not [p for p in tmp_path.rglob(".*") if p.name != ".lock"]
+    monkeypatch.setattr(checkpoint, "save", saved)
+    train(config, tmp_path, progress=False)
+    train(config, tmp_path.parent / "whole", progress=False)
+    assert contents(tmp_path) == contents(tmp_path.parent / "whole")
+
+
+def test_a_file_that_cannot_be_replaced_is_still_there(tmp_path, full_disk):
+    path = tmp_path / "file"
+    write_aside(path, b"old")
+    full_disk(10)
+    with pytest.raises(OSError, match="what was there is still there"):
+        write_aside(path, b"new" * 100)
+    assert path.read_bytes() == b"old" and list(tmp_path.iterdir()) == [path]
+
+
+@pytest.mark.parametrize("name", ["episodes.parquet", "episodes.csv"])
+def test_a_table_for_which_there_is_no_room_leaves_nothing(name, tmp_path, full_disk):
+    table = pl.DataFrame({"level": np.random.default_rng(0).integers(10**9, size=5000)})
+    full_disk(8192)
+    with pytest.raises(OSError, match="nothing was written"):
+        write_table(table, tmp_path / name)
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_folder_that_cannot_be_written_is_explained(tmp_path):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(OSError, match="no run can be kept in"):
+        train(SHORT, tmp_path / "file", progress=False)
+    if os.name != "nt":
+        locked = tmp_path / "locked"
+        locked.mkdir(mode=0o555)
+        with as_nobody(), pytest.raises(OSError, match="no run can be kept in"):
+            train(SHORT, locked / "run", progress=False)
+
+
+class as_nobody:
+    """Without root's right to write everywhere."""
+
+    def __enter__(self):
+        self.root = os.geteuid() == 0
+        if self.root:
+            os.seteuid(65534)
+
+    def __exit__(self, *error):
+        if self.root:
+            os.seteuid(0)
+
+
+FORBIDDEN = {"pickle", "joblib", "dill", "marshal", "shelve", "cloudpickle"}  # modules
+READS = {  # what reads pickles all the same, and why nothing in them is run
+    "agents/importers/pth.py",  # torch.load with weights_only; pickle for the error's type alone
+    "kernel/stored.py",  # numba's own compiled code, in a folder of the user's alone
+}
+
+
+def test_nothing_is_pickled():
+    for path in PACKAGE.rglob("*.py"):
+        name = path.relative_to(PACKAGE).as_posix()
+        for node in ast.walk(ast.parse(path.read_text("utf-8"))):
+            if isinstance(node, ast.Import | ast.ImportFrom):
+                module = getattr(node, "module", None) or node.names[0].name
+                assert module.partition(".")[0] not in FORBIDDEN or name in READS, (name, module)
+            if isinstance(node, ast.Call):
+                called = ast.unparse(node.func)
+                assert called not in ("eval", "exec", "torch.save"), (name, called)
+                safe = {k.arg: ast.unparse(k.value) for k in node.keywords}
+                assert called != "torch.load" or safe.get("weights_only") == "True", name
+                assert safe.get("allow_pickle", "False") == "False", name
+
+
+def test_settings_survive_the_way_to_json_and_back():
+    assert Config.from_json(json.loads(json.dumps(CONFIG.to_json()))) == CONFIG

@@ -1,0 +1,133 @@
+"""What a GPU will do, as far as a processor that pretends to be one tells: `helpers.fake_cuda`."""
+
+import contextlib
+import shutil
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from astray.bench import profile
+from astray.bench import train as bench
+from astray.training import checkpoint, parallel
+from astray.training.fast import acceleration
+from astray.training.fast.acceleration import resolve
+from astray.training.loop import collect, train, update
+from astray.training.trainer import Trainer
+from helpers.fake_cuda import cuda
+from helpers.trainings import OFF, PICTURES, PLAIN, digest
+
+GRAPHS = replace(PLAIN, device="cuda", graphs=True, steps=1024, checkpoint_every=1)
+ALL = replace(PICTURES, device="cuda", **dict.fromkeys(OFF) | {"compiled": False})
+
+
+def learned(config):
+    """All that several iterations with different learning rates came to."""
+    trainer, result = Trainer(config), []
+    for rate in (2**-9, 2**-10, 2**-10):
+        rollout = collect(trainer)
+        result += [x.clone() for x in vars(rollout).values()]
+        result.append(torch.tensor(list(update(trainer, rollout, rate).values())))
+    return [*result, *trainer.network.parameters()]
+
+
+@pytest.mark.parametrize(
+    "config", [replace(PLAIN, rollout=40, timeouts="terminate"), PICTURES], ids=["small", "impala"]
+)
+def test_graphs_learn_what_plain_calls_learn(config, monkeypatch):
+    plain = learned(config)
+    with cuda(monkeypatch) as pretended:
+        replayed = learned(replace(config, device="cuda", graphs=True))
+    assert len(pretended.graphs) == 2
+    assert all(torch.equal(a, b) for a, b in zip(plain, replayed, strict=True))
+
+
+def test_two_groups_wait_for_their_actions_and_images(monkeypatch):
+    plain = learned(replace(PLAIN, rollout=40))
+    with cuda(monkeypatch):
+        late = learned(replace(GRAPHS, rollout=40, groups=2))
+    for a, b in zip(plain, late, strict=True):
+        torch.testing.assert_close(a, b, atol=1e-4, rtol=1e-3)
+
+
+def test_only_what_cuda_pinned_is_copied_later(monkeypatch):
+    with cuda(monkeypatch) as pretended:
+        collect(Trainer(PLAIN))  # what later copies to other memory leave, nobody knows
+        assert not pretended.under_way
+
+
+def test_a_gpu_sees_as_many_at_once_as_ever(monkeypatch):
+    with cuda(monkeypatch):
+        trainer, seen = Trainer(replace(PLAIN, device="cuda", rollout=40, groups=2)), set()
+        trainer.network.features.register_forward_pre_hook(lambda _, x: seen.add(len(x[0])))
+        collect(trainer)
+    assert len(trainer.player.recent) and seen == {PLAIN.environments // 2}
+
+
+@pytest.mark.parametrize(
+    "config", [GRAPHS, replace(ALL, steps=256, checkpoint_every=1)], ids=["small", "impala"]
+)
+def test_a_resumed_run_is_the_one_that_was_not_stopped(config, tmp_path, monkeypatch):
+    with cuda(monkeypatch) as pretended:
+        train(config, tmp_path / "whole", progress=False)
+        one = pretended.graphs.copy()
+        shutil.copytree(tmp_path / "whole", tmp_path / "parts")
+        shutil.rmtree(checkpoint.latest(tmp_path / "parts"))
+        train(config, tmp_path / "parts", progress=False)
+    assert len(pretended.graphs) == 2 * len(one) == 4
+    assert digest(tmp_path / "parts") == digest(tmp_path / "whole")
+
+
+@pytest.mark.parametrize("fails", [False, True])
+def test_a_communicator_ends_after_the_graphs_that_use_it(fails, tmp_path, monkeypatch):
+    said = []
+    monkeypatch.setenv("LOCAL_RANK", "3")
+    monkeypatch.setattr(parallel.dist, "is_torchelastic_launched", lambda: True)
+    monkeypatch.setattr(torch.cuda, "set_device", lambda gpu: said.append(str(gpu)))
+    for name in ("init_process_group", "destroy_process_group"):
+        monkeypatch.setattr(parallel.dist, name, lambda *x, name=name, **y: said.append((name, y)))
+    if fails:
+        monkeypatch.setattr(checkpoint, "save", lambda *_: 1 / 0)
+    with (
+        cuda(monkeypatch) as pretended,
+        pytest.raises(ZeroDivisionError) if fails else contextlib.nullcontext(),
+    ):
+        train(replace(GRAPHS, steps=256), tmp_path, progress=False)
+    begun = ["cuda:3", ("init_process_group", {"device_id": torch.device("cuda:3")})]
+    assert said == (begun if fails else [*begun, ("destroy_process_group", {})])
+    assert [bool(graph.calls) for graph in pretended.graphs] == [True, False]
+
+
+def test_the_benchmark_runs_on_a_gpu(monkeypatch):
+    monkeypatch.setattr(profile, "SIDE", 64)
+    small = replace(ALL, environments=2, rollout=4, bfloat16=False)
+    monkeypatch.setitem(bench.CONFIGS, "cuda", (small,))
+    with cuda(monkeypatch):
+        rows = bench.measure(seconds=0, rounds=1, device="cuda")
+    assert {row.what for row in rows if isinstance(row, bench.Row)} >= {"astray"}
+    taken = [row.milliseconds for row in rows if isinstance(row, profile.Row)]
+    assert len(taken) > 9 and np.isfinite(taken).all()
+
+
+def test_a_gpu_learns_without_a_compiler_and_says_so(monkeypatch):
+    config = replace(ALL, compiled=None)
+    monkeypatch.setattr(acceleration, "find_spec", lambda name: True)
+    monkeypatch.setenv("CC", "gcc")
+    monkeypatch.setattr(acceleration.Path, "exists", lambda path: path.name == "Python.h")
+    assert resolve(config).compiled
+    monkeypatch.delenv("CC")
+    monkeypatch.setattr(shutil, "which", lambda name: None)
+    assert not resolve(config).compiled
+    with cuda(monkeypatch), pytest.warns(UserWarning, match="slower without torch.compile"):
+        Trainer(config)
+
+
+def test_a_process_compiles_for_more_agents_than_torch_lets_it(monkeypatch):
+    limits, compile = torch._dynamo.config, torch.compile
+    monkeypatch.setattr(torch, "compile", lambda f, **x: compile(f, backend="eager", **x))
+    monkeypatch.setattr(acceleration, "compiles", lambda name: True)
+    monkeypatch.setattr(limits, "recompile_limit", 1)
+    for width in (8, 9, 10):
+        trainer = Trainer(replace(PLAIN, compiled=True, width=width))
+        collect(trainer)

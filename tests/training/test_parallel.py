@@ -1,0 +1,60 @@
+"""Two processes that torchrun starts learn what one does with the batch of both."""
+
+import shutil
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from safetensors.numpy import load_file
+
+from astray.training import checkpoint
+from astray.training.loop import train
+from helpers import parallel
+from helpers.processes import environment
+
+
+def run(folder, processes):
+    words = [sys.executable, "-m", "torch.distributed.run", "--standalone", "--nproc-per-node"]
+    words += [str(processes), "-m", "helpers.parallel", str(folder)]
+    done = subprocess.run(words, env=environment(), capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+
+
+@pytest.fixture(scope="module")
+def runs(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("runs")
+    train(parallel.CONFIG, folder / "one", progress=False)
+    run(folder / "two", 2)
+    return folder / "one", folder / "two"
+
+
+def compare(one, two):
+    for path in (checkpoint.AGENT, checkpoint.TRAINER):
+        a, b = (load_file(checkpoint.latest(folder) / path) for folder in (one, two))
+        assert a.keys() == b.keys()
+        for name in a:
+            np.testing.assert_allclose(a[name], b[name], rtol=1e-3, atol=2e-5, err_msg=name)
+
+
+def test_two_processes_learn_what_one_does(runs):
+    compare(*runs)
+
+
+def test_they_tell_what_one_tells(runs):
+    one, two = map(checkpoint.metrics, runs)
+    assert [line["steps"] for line in one] == [line["steps"] for line in two]
+    for a, b in zip(one, two, strict=True):
+        assert a.keys() == b.keys()
+        for name in a:
+            assert a[name] == pytest.approx(b[name], rel=1e-3, abs=1e-5), name
+
+
+def test_what_two_began_one_can_end_and_the_reverse(runs, tmp_path):
+    for name, folder in zip(("one", "two"), runs, strict=True):
+        shutil.copytree(folder, tmp_path / name)
+        shutil.rmtree(checkpoint.latest(tmp_path / name))
+    run(tmp_path / "one", 2)
+    train(parallel.CONFIG, tmp_path / "two", progress=False)
+    compare(tmp_path / "one", tmp_path / "two")
+    compare(tmp_path / "one", runs[0])

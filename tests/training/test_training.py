@@ -1,0 +1,194 @@
+"""Training: it learns, repeats itself, and goes on after a stop as if there had been none."""
+
+import contextlib
+import json
+import sys
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from safetensors.numpy import load_file
+
+from astray import games
+from astray.agents.policy import usable
+from astray.training import checkpoint
+from astray.training.config import PRESETS
+from astray.training.loop import train
+from helpers.trainings import TINY, digest
+
+
+def test_a_run_holds_what_it_should(tmp_path):
+    last = train(TINY, tmp_path, progress=False)
+    assert last == tmp_path / "checkpoints" / "1024"
+    config = json.loads((tmp_path / "config.json").read_text())
+    assert config["config"]["training_variant"]["largest"] == 5
+    assert checkpoint.read_config(tmp_path) == TINY
+    lines = checkpoint.metrics(tmp_path)
+    assert [line["steps"] for line in lines] == [256, 512, 768, 1024]
+    assert {"training/return", "validation/return", "update/entropy"} <= lines[-1].keys()
+    assert list((tmp_path / "tensorboard").iterdir())
+    assert not list(tmp_path.rglob(".*safetensors"))
+
+
+def test_small_numbers_are_flushed_in_training_alone(tmp_path, monkeypatch):
+    seen = []
+    monkeypatch.setattr(checkpoint, "save", lambda *_: seen.append(sys.float_info.min / 2))
+    with contextlib.suppress(FileNotFoundError):  # nothing was saved
+        train(TINY, tmp_path, progress=False)
+    assert set(seen) == {0.0} and sys.float_info.min / 2 > 0
+
+
+def test_agents_of_milestones_are_kept_and_the_rest_of_the_last_two(tmp_path):
+    config = replace(TINY, validation=None, steps=40 * 256, checkpoint_every=1)
+    train(config, tmp_path, progress=False)
+    agents = [s // 256 for s in checkpoint.steps_saved(tmp_path)]
+    assert agents == [1, 2, 3, 4, 8, 12, 16, 20, 24, 28, 32, 36, 39, 40]
+    there = tmp_path / "checkpoints"
+    whole = [int(p.parent.name) // 256 for p in there.glob("*/trainer.safetensors")]
+    assert sorted(whole) == [39, 40]
+
+
+def test_the_same_seed_gives_the_same_run_and_another_another(tmp_path):
+    for name, seed in (("a", 0), ("b", 0), ("c", 1)):
+        train(replace(TINY, seed=seed), tmp_path / name, progress=False)
+    assert digest(tmp_path / "a") == digest(tmp_path / "b")
+    assert digest(tmp_path / "a") != digest(tmp_path / "c")
+
+
+def test_a_resumed_run_is_the_one_that_was_not_stopped(tmp_path, monkeypatch):
+    train(TINY, tmp_path / "whole", progress=False)
+    saved = checkpoint.save
+
+    def stop(folder, trainer):
+        saved(folder, trainer)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(checkpoint, "save", stop)
+    with pytest.raises(KeyboardInterrupt):
+        train(TINY, tmp_path / "parts", progress=False)
+    monkeypatch.setattr(checkpoint, "save", saved)
+    metrics = tmp_path / "parts" / "metrics.jsonl"
+    metrics.write_text(metrics.read_text() + '{"steps": 768, "lost": 1}\n{"steps": 10')
+    train(TINY, tmp_path / "parts", progress=False)
+    assert digest(tmp_path / "parts") == digest(tmp_path / "whole")
+    assert checkpoint.metrics(tmp_path / "parts") == checkpoint.metrics(tmp_path / "whole")
+
+
+def test_validation_never_touches_learning(tmp_path):
+    train(TINY, tmp_path / "with", progress=False)
+    train(replace(TINY, validation=None), tmp_path / "without", progress=False)
+    one, two = (checkpoint.latest(tmp_path / n) / "agent.safetensors" for n in ("with", "without"))
+    assert one.read_bytes() == two.read_bytes()
+
+
+def test_validation_levels_are_not_training_levels():
+    assert not set(TINY.training_levels) & set(TINY.unseen_levels[:1000])
+    assert TINY.training_levels.stop == TINY.unseen_levels.start
+
+
+def test_an_agent_learns_the_way_to_the_corner(tmp_path):
+    config = replace(
+        TINY, validation=None, steps=150_000, environments=64, rollout=32, minibatches=8,
+        width=64, gamma=0.95, learning_rate=2e-3,
+        knobs={"world": 5, "largest": 3, "time_limit": 30},
+    )  # fmt: skip
+    train(config, tmp_path, progress=False)
+    lines = checkpoint.metrics(tmp_path)
+    first, last = lines[2]["training/length"], lines[-1]["training/length"]
+    assert last < 4 < 8 < first  # the mean shortest way is 2.9 steps
+
+
+@pytest.mark.skipif(usable("cuda"), reason="there is a CUDA device")
+def test_a_device_that_is_not_there_is_explained(tmp_path):
+    with pytest.raises(ValueError, match="no device 'cuda'"):
+        train(replace(TINY, device="cuda"), tmp_path, progress=False)
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    "change, message",
+    [
+        ({"steps": 0}, "steps is 0; it is from 1 to 1000000000000000"),
+        ({"minibatches": 7}, "are not divided by 7 minibatches"),
+        ({"variant": "cornr"}, "unknown variant 'cornr'"),
+        ({"knobs": {"colour": "red"}}, "unknown knob 'colour'; there are"),
+        ({"knobs": {"region": "five"}}, "region must be of type int; got 'five'"),
+        ({"seed": -1}, "seed is -1; it is from 0 to"),
+        ({"validation": "nowhere"}, "unknown variant 'nowhere'"),
+    ],
+)
+def test_bad_settings_are_explained(change, message):
+    with pytest.raises(ValueError, match=message):
+        replace(TINY, **change)
+
+
+def test_a_folder_with_another_run_is_refused(tmp_path):
+    train(TINY, tmp_path, progress=False)
+    before = digest(tmp_path)
+    with pytest.raises(ValueError, match="seed is 0 there, 5 here"):
+        train(replace(TINY, seed=5), tmp_path, progress=False)
+    assert digest(tmp_path) == before
+
+
+def test_two_processes_cannot_train_in_one_folder(tmp_path):
+    with (
+        checkpoint.claim(tmp_path, TINY),
+        pytest.raises(RuntimeError, match="another process is training"),
+    ):
+        train(TINY, tmp_path, progress=False)
+
+
+def test_a_truncated_checkpoint_is_explained_and_kept(tmp_path):
+    train(TINY, tmp_path, progress=False)
+    path = checkpoint.latest(tmp_path) / "trainer.safetensors"
+    path.write_bytes(path.read_bytes()[:1000])
+    with pytest.raises(ValueError, match="cannot be resumed from"):
+        train(TINY, tmp_path, progress=False)
+    assert path.stat().st_size == 1000
+
+
+def test_a_timeout_is_bootstrapped_by_default_and_terminates_on_request(tmp_path):
+    from astray.training.loop import collect
+    from astray.training.trainer import Trainer
+
+    advantages = {}
+    for timeouts in ("bootstrap", "terminate"):
+        config = replace(TINY, timeouts=timeouts, normalise_advantage=False, rollout=32,
+                         gamma=0.5, validation=None)  # fmt: skip
+        trainer = Trainer(config)
+        for weight in trainer.network.parameters():
+            weight.data.zero_()
+        trainer.network.value.bias.data.fill_(8.0)  # the critic says 8 everywhere
+        rollout = collect(trainer)
+        advantages[timeouts] = rollout.advantage.numpy()
+        trainer.close()
+    differ = advantages["bootstrap"] - advantages["terminate"]
+    assert differ.max() == pytest.approx(0.5 * 8, abs=1e-5)  # gamma times the value cut off
+    assert (differ[20:] == 0).any() and (differ >= -1e-6).all()  # episodes of 20 steps are cut
+
+
+def test_validation_and_shifted_levels_follow_the_knobs_that_make_no_shift():
+    config = replace(TINY, variant="corner", validation="anywhere", knobs={"goal_colour": "red"})
+    assert config.validation_variant().goal_colour == "red"
+    assert config.validation_variant().placement == "anywhere"
+    changed = (
+        games.find("maze")
+        .variant("corner")
+        .with_knobs({"world": 15, "largest": 15, "shift_probability": 0.5})
+    )
+    assert (changed.shifted.world, changed.shifted.placement) == (15, "anywhere")
+
+
+def test_the_papers_network_is_trained_on_pictures(tmp_path):
+    config = replace(
+        PRESETS["paper"], variant="corner", validation="anywhere", environments=8, rollout=8,
+        minibatches=2, epochs=1, steps=128, checkpoint_every=1,
+    )  # fmt: skip
+    train(config, tmp_path, progress=False)
+    one, two = (
+        load_file(tmp_path / "checkpoints" / s / "agent.safetensors") for s in ("64", "128")
+    )
+    assert all(not np.array_equal(one[name], two[name]) for name in one)
+    lines = checkpoint.metrics(tmp_path)
+    assert np.isfinite([line["update/loss"] for line in lines]).all()
+    assert lines[1]["update/learning_rate"] == pytest.approx(5e-4 / 2)
