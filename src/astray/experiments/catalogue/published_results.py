@@ -71,8 +71,8 @@ def find(work: Work) -> Findings:
                  for k, one in died.items()])),
         ],
         settings={
-            "the file": f"{published.find(SOURCE).known.source}; one agent, trained by others with the "
-            "paper's program and settings",
+            "the file": f"{published.find(SOURCE).known.source}; one agent, trained by others with "
+            "the paper's program and settings",
             "levels": f"{len(theirs):,}, those of the file; they are numbered as here",
             "variant": VARIANT,
         },
