@@ -20,8 +20,8 @@ HEADER = "seed,steps,rand_coin,coin_collected,inv_coin_collected,died,timed_out\
 BLIND = Function(lambda seen: np.full(len(seen), 8), "right and jump", "symbolic")
 
 
-def smoke(levels):
-    plan = replace(moved_coin.EXPERIMENT.sizes["smoke"], levels=levels)
+def work_on(levels):
+    plan = replace(moved_coin.EXPERIMENT.sizes["published"], levels=levels)
     return SimpleNamespace(plan=plan, runs={})
 
 
@@ -45,7 +45,7 @@ def test_published_agents_play_the_numbering_that_they_were_trained_in():
 
 def test_ghosts_are_touched_where_the_rules_say_so():
     """The rules count an invisible coin that is alone in a level whose coin is at the end."""
-    work = smoke(300)
+    work = work_on(300)
     ghost = moved_coin.play(work, BLIND, moved_coin.GHOST)
     beside = work.plan.config.variant_for("coin-end", {"place": "anywhere"})
     rules = evaluate(BLIND, "coinrun", beside, ghost["level"].to_numpy(), until=["reached_end"])
@@ -158,6 +158,8 @@ def test_what_agents_trained_here_do_stands_beside_the_published(tmp_path):
     )
     mine = report.Findings(answer="", verdicts=[report.Verdict("It runs.", "p", "7 %", False)],
                            settings={})  # fmt: skip
+    for name in ("n-smoke", "n-published"):
+        (tmp_path / name).mkdir()
     report.write(heading, mine, tmp_path / "n-smoke")
     beside = report.of_claims(tmp_path / "n-smoke")
     assert beside == {"It runs.": "7 % (did not hold)"}

@@ -186,7 +186,9 @@ def calibration(table: pl.DataFrame) -> pl.DataFrame:
     order = table["value"].rank("ordinal").to_numpy() - 1
     grouped = table.with_columns(group=pl.Series((order * BINS // len(table)).astype(int)))
     came = group_means(grouped, "future", ["group"])
-    return came.join(grouped.group_by("group").agg(expected=pl.col("value").mean()), on="group")
+    return came.join(
+        grouped.group_by("group").agg(expected=pl.col("value").mean()), on="group"
+    ).sort("group")
 
 
 def unit_of(work: Work) -> str:
