@@ -1,4 +1,4 @@
-"""Numbers that users give, and what they may be."""
+"""What users give, and what it may be."""
 
 from __future__ import annotations
 
@@ -12,6 +12,13 @@ def bounded(name: str, given: Any, least: float, most: float) -> None:
     is_integer = isinstance(given, int | np.integer) and not isinstance(given, bool)
     if not is_integer or not least <= given <= most:
         raise ValueError(f"{name} must be an integer from {least} to {most}; got {shown(given)}")
+
+
+def of_kind(name: str, given: Any, kind: Any) -> None:
+    """ValueError unless what is called `name` is of `kind`, a class or several: `A | B`."""
+    if not isinstance(given, kind):
+        words = " or ".join(k.__name__ for k in getattr(kind, "__args__", (kind,)))
+        raise ValueError(f"{name} must be a {words}; got {shown(given)}")
 
 
 def shown(given: Any) -> str:

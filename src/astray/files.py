@@ -27,9 +27,13 @@ def read(path: Path, most: int = LARGEST) -> bytes:
     """
     # Not blocking: else to open a pipe is to wait for its writer. Windows has no such pipes.
     flags = os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
-    with open(os.open(path, flags), "rb") as file:
-        _see_regular(path, os.fstat(file.fileno()), most)
-        return file.read(most)
+    number = os.open(path, flags)
+    try:
+        _see_regular(path, os.fstat(number), most)
+        with open(number, "rb", closefd=False) as file:
+            return file.read(most)
+    finally:
+        os.close(number)
 
 
 def see_readable(path: Path, most: int = LARGEST) -> None:
@@ -105,6 +109,21 @@ def hold(folder: Path, doing: str, wait: bool = True) -> FileLock:
         print(f"another process {doing} {folder}; waiting for it", file=sys.stderr, flush=True)
         lock.acquire(timeout=-1)
     return lock
+
+
+def holds_only(folder: Path, names: Collection[str]) -> bool:
+    """Whether `folder`, which is no link, has files of these names in it and nothing else."""
+    return (
+        folder.is_dir()
+        and not folder.is_symlink()
+        and all(p.name in names and p.is_file() and not p.is_symlink() for p in folder.iterdir())
+    )
+
+
+def see_own(path: Path) -> None:
+    """OSError where what is at `path` leads elsewhere, or is no file: nothing is to be written."""
+    if os.path.lexists(path) and not stat.S_ISREG(path.lstat().st_mode):
+        raise OSError(f"{path} must be a file; it is a link, a folder, a pipe or a device")
 
 
 def remove_left(folder: Path, names: Collection[str]) -> None:

@@ -58,7 +58,7 @@ class Architecture:
         Raises ValueError where it is neither astray's own nor known: see `imports.known`.
         """
         if self.name not in NETWORKS:
-            return imports.known(self.name, GROUP)(self)
+            return imports.known(self.name, GROUP, nn.Module)(self)
         if (self.name != "small") != (not self.largest):
             seen = "symbolic planes" if self.largest else "images"
             raise ValueError(f"network {self.name!r} does not see {seen}")

@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence, Sized
 from typing import Any
 
 import numpy as np
 import polars as pl
 
+from astray.analysis.given import Measure, measured, see_measures, see_policy
 from astray.analysis.policies import Policy
-from astray.bounds import bounded
+from astray.bounds import bounded, of_kind
 from astray.envs.vector import GameVectorEnv
 from astray.game import MOST, Game, Variant, level_numbers
 from astray.level import Level
 
-Measure = Callable[[np.ndarray], np.ndarray]  # of states [N], a number each
+COLUMNS = ("policy", "level", "name", "shifted", "return", "length", "terminated")
 
 
 def evaluate(
@@ -35,6 +36,8 @@ def evaluate(
     terminated, and every event of the game (the step it first happened, null for never).
     The rows do not depend on `batch`.
     """
+    see_policy(policy)
+    of_kind("levels", levels, Sized)
     if not len(levels):
         raise ValueError("no levels to evaluate on")
     bounded("batch", batch, 1, MOST)
@@ -43,6 +46,7 @@ def evaluate(
         game, variant, n, observation=policy.observation, art=policy.art, autoreset_mode="Disabled"
     )
     events = env.game.events
+    see_measures(measures, (*COLUMNS, *events))
     kind, begin = beginnings(levels, env.game.state)
     names = list(levels) if isinstance(levels, Mapping) else [None] * len(levels)
     rows: list[dict[str, Any] | None] = [None] * len(levels)
@@ -76,14 +80,17 @@ def evaluate(
     env.close()
     kinds = {"name": pl.String} | {event: pl.Int64 for event in events}
     table = pl.DataFrame(rows, schema_overrides=kinds)
-    measured = {name: measure(last) for name, measure in (measures or {}).items()}
-    return table.with_columns(pl.Series(name, values) for name, values in measured.items())
+    return table.with_columns(measured(name, of, last) for name, of in (measures or {}).items())
 
 
 def beginnings(levels: Any, dtype: np.dtype) -> tuple[str, np.ndarray]:
     """The option of a reset that begins each of `levels`, and its values."""
     if not isinstance(levels, Mapping):
         return "level", level_numbers(levels)
+    for level in levels.values():
+        of_kind("a level by name", level, Level)
+        if level.game.state != dtype:
+            raise ValueError(f"levels must be of one game; one is of {level.game.name}")
     states = np.array([level.state(solvable=False) for level in levels.values()], dtype)
     states["level"] = np.arange(len(states))
     return "state", states

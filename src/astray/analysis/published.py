@@ -111,6 +111,7 @@ def fetch(one: Published, *, unchecked: bool = False) -> Path:
         raise ValueError(f"there is an agent {one.name!r} already, in {kept.find(one.name)}")
     file = kept.folder() / DOWNLOADS / one.file
     download(one.address, file, size=one.size, sha256=one.sha256)
-    run = import_agent(file, one.name, one.known, expected=one.sha256)
-    file.unlink()
-    return run
+    try:
+        return import_agent(file, one.name, one.known, expected=one.sha256)
+    finally:
+        file.unlink()

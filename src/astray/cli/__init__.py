@@ -7,8 +7,11 @@ import io
 import os
 import sys
 
+from astray.words import printable
+
 MISTAKE = 2  # exit code, after the mistake was explained
 INTERRUPTED = 130  # as shells say it: 128 and the number of the signal, SIGINT
+LONGEST = 1200  # characters of a mistake; the longest list of what there is has 800
 UNREAD = 141  # likewise SIGPIPE: nobody reads what is written, as in `astray list | head -1`
 
 
@@ -68,9 +71,15 @@ def _see_folder() -> None:
 
 def _tell(what: str) -> None:
     """Write the first line of `what` to standard error; libraries add pages to it."""
+    line = printable(next(iter(what.strip().splitlines()), ""))
     if sys.stderr:
         with contextlib.suppress(OSError):
-            print(f"astray: {what.strip().splitlines()[0]}", file=sys.stderr)
+            print(f"astray: {shortened(line)}", file=sys.stderr)
+
+
+def shortened(line: str) -> str:
+    """`line`, of which the middle may be left out where it is longer than a few lines."""
+    return line if len(line) <= LONGEST else f"{line[: LONGEST // 2]} ... {line[-LONGEST // 2 :]}"
 
 
 def _give_up_output() -> None:
