@@ -23,6 +23,7 @@ from astray.agents.importers import files as importers
 from astray.agents.policy import Architecture
 from astray.agents.small import Small
 from astray.analysis import imported
+from astray.analysis.adapters import Function
 from astray.analysis.critic import visit
 from astray.analysis.download import download
 from astray.analysis.evaluate import evaluate
@@ -80,7 +81,7 @@ def test_a_solver_sees_the_record_that_it_is_given(game, variant, ability):
     for field, value in (("x", np.nan), ("y", np.inf), ("x", -1.0), ("mt_next", 2**40)):
         ruined = env.get_state()
         ruined[field] = value
-        with pytest.raises(ValueError, match="the state is none of this game: its .* cannot be"):
+        with pytest.raises(ValueError, match=r"the state is none of this game: its .* cannot be"):
             getattr(solver, ability)(ruined.view(np.recarray)[0], *others)
     with pytest.raises(ValueError, match="must be a record of this game; got"):
         getattr(solver, ability)(np.zeros(3), *others)
@@ -356,6 +357,7 @@ def reset(**options):
         (lambda: bootstrap([]), "values must be .agents, levels., at least one of each"),
         (lambda: bootstrap([[1.0, 2.0]], [[-1.0, 1.0]]), "numbers, none below 0"),
         (lambda: over_agents(np.zeros(3)), "values must be .agents, points."),
+        (lambda: Function(None), "choose must be a function of observations; got None"),
         (lambda: World(None), "a world must be a ndarray; got None"),
         (lambda: ROOM.number((0.0, 1)), "a cell must be two integers, row and column; got"),
         (lambda: ROOM.walk((0, 0), [1.5]), "an action must be an integer from 0 to 3; got 1.5"),

@@ -443,16 +443,26 @@ def integers(given: Any, name: str) -> np.ndarray:
 
     A float would be cut short in silence, and a boolean be 0 or 1.
     """
-    numbers = np.asarray(given)
+    numbers = _array(given)
     several = isinstance(given, Sequence) and not isinstance(given, str | range)
     if numbers.dtype.kind not in "iu" or (several and any(isinstance(x, bool) for x in given)):
         raise ValueError(f"{name} are integers; given {reprlib.repr(given)}")
     return numbers
 
 
+def _array(given: Any) -> np.ndarray:
+    """`given` as an array; of no numbers where it is lists of lists of any lengths."""
+    try:
+        return np.asarray(given)
+    except ValueError:
+        return np.empty(1, object)
+
+
 def level_numbers(given: Any) -> np.ndarray:
     """`given` (a sequence, a range, an array) as numbers of levels, [N] int64, at least one."""
-    if not np.size(given):
+    if isinstance(given, range) and given:  # which may go on for long
+        given = given if given[0] in LEVELS and given[-1] in LEVELS else [given[0], given[-1]]
+    if not np.size(_array(given)):
         raise ValueError("levels are numbers, at least one; none is given")
     numbers = integers(given, "levels")
     if numbers.ndim != 1 or numbers.min() < LEVELS.start or numbers.max() >= LEVELS.stop:

@@ -40,10 +40,10 @@ class Level:
 
     def __post_init__(self) -> None:
         of_kind("a level's game", self.game, Game)
-        of_kind("a level's variant", self.variant, Variant)
+        self.game.variant(self.variant)
+        of_kind("a level's variant", self.variant, Variant)  # not its name
         of_kind("a level's looks", self.looks, Mapping)
         object.__setattr__(self, "agent", _whole(self.agent))
-        self.game.variant(self.variant)
         self._check_cells()
 
     def _check_cells(self) -> None:
@@ -57,7 +57,13 @@ class Level:
 
     @staticmethod
     def of(game: Game, variant: Variant, s: Any) -> Level:
-        """The level that state `s` is in; objects that are gone are not in it."""
+        """The level that state `s` is in; objects that are gone are not in it.
+
+        ValueError where `s` was changed by hand to what cannot be.
+        """
+        of_kind("a state", s, np.void)
+        if s.dtype != game.state or s.flags.writeable:  # as those of live `states` are not
+            game.check(np.array([s]), variant)
         told = game.editing.describe(s)
         cells = np.array(told["grid"], np.uint8)
         return Level(game, variant, cells, _cell(told["agent"]), told["looks"])

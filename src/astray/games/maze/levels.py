@@ -170,6 +170,7 @@ def truths(s: np.ndarray) -> dict[str, np.ndarray]:
     for place in ("goal", "other", "corner"):
         for axis in "xy":
             found[f"{place}_{axis}"] = within(s[f"{place}_{axis}"], NEVER, s["world"])
+        found[place] = (s[f"{place}_x"] == NEVER) == (s[f"{place}_y"] == NEVER)
     for thing in ("goal", "other"):
         found[f"{thing}_shape"] = within(s[f"{thing}_shape"], 0, len(SHAPES))
         found[f"{thing}_colour"] = within(s[f"{thing}_colour"], 0, len(COLOURS))
