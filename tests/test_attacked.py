@@ -5,6 +5,7 @@ import http.server
 import json
 import os
 import shutil
+import stat
 import subprocess
 import sys
 import threading
@@ -15,7 +16,7 @@ import pytest
 import torch
 from conftest import FEW
 
-from astray import games
+from astray import cli, games
 from astray.agency import measure
 from astray.agency.gridworld import World
 from astray.agents import policy
@@ -34,7 +35,7 @@ from astray.analysis.video import play, write_gif
 from astray.cli import LONGEST, shortened
 from astray.envs.states import save_states
 from astray.envs.vector import GameVectorEnv
-from astray.files import read
+from astray.files import read, see_writable, write_aside
 from astray.level import Level
 from astray.training import checkpoint, ppo
 from astray.training.config import PRESETS
@@ -168,6 +169,16 @@ def test_a_loss_that_returns_something_else_is_refused(tmp_path, loss):
         train(TINY, tmp_path, loss=loss, progress=False)
 
 
+@pytest.mark.parametrize("wrong", [{"RANK": "x"}, {"WORLD_SIZE": "many"}, {"MASTER_PORT": "y"}])
+def test_what_torchrun_did_not_set_is_told(tmp_path, monkeypatch, wrong):
+    good = {"TORCHELASTIC_RUN_ID": "1", "RANK": "0", "WORLD_SIZE": "1",
+            "MASTER_ADDR": "127.0.0.1", "MASTER_PORT": "1"}  # fmt: skip
+    for name, value in (good | wrong).items():
+        monkeypatch.setenv(name, value)
+    with pytest.raises(ValueError, match="must be as torchrun sets them in the environment"):
+        train(TINY, tmp_path, progress=False)
+
+
 # Files: pipes, devices, links, what is the user's beside what is astray's.
 
 
@@ -186,6 +197,22 @@ def test_an_agent_is_read_from_a_file_alone(tmp_path, kind, reader):
         OSError, match=r"agent\.pth must be a file; it is a folder, a pipe or a dev"
     ):
         reader(path)
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="there are no pipes")
+@pytest.mark.parametrize("write", [see_writable, lambda path: write_aside(path, b"new")])
+def test_a_pipe_is_not_replaced_by_a_file(tmp_path, write):
+    os.mkfifo(tmp_path / "pipe")  # as a device: root replaced /dev/full
+    with pytest.raises(OSError, match="pipe must be a file to write; it is a pipe or a device"):
+        write(tmp_path / "pipe")
+    assert stat.S_ISFIFO((tmp_path / "pipe").stat().st_mode)
+    assert [path.name for path in tmp_path.iterdir()] == ["pipe"]
+
+
+def test_what_is_to_be_written_is_no_link(tmp_path):
+    (tmp_path / "stdout").symlink_to(tmp_path / "elsewhere")
+    with pytest.raises(OSError, match="stdout must be a file to write; it is a link"):
+        see_writable(tmp_path / "stdout")
 
 
 def test_a_folder_in_place_of_a_file_is_named_and_not_left_open(tmp_path):
@@ -376,7 +403,7 @@ def test_what_is_something_else_is_told(call, message):
     [
         (5, "measures must be a Mapping; got 5"),
         ({"m": 5}, "measures must be functions of states by name; got 'm': 5"),
-        ({"level": len}, "measures have names of their own; 'level' is another column"),
+        ({"level": len}, "measures have the names of other columns: level"),
         ({"m": lambda s: s["time"][:1]}, "the measure 'm' must return 2 values"),
         ({"m": lambda s: None}, "the measure 'm' must return 2 values"),
     ],
@@ -403,6 +430,23 @@ def test_a_mistake_is_told_in_a_few_lines():
     told = shortened("x" * 10**6)
     assert len(told) < LONGEST + 10 and " ... " in told
     assert shortened("y" * LONGEST) == "y" * LONGEST
+
+
+@pytest.mark.skipif(os.name == "nt", reason="streams are closed otherwise")
+@pytest.mark.parametrize("words, code", [("--help", 0), ("nope", 2)])
+def test_help_that_nobody_can_read_is_no_mistake(words, code):
+    command = f"{sys.executable} -m astray {words} >&-"
+    done = subprocess.run(["bash", "-c", command], capture_output=True, text=True)
+    assert done.returncode == code and "Traceback" not in done.stderr
+
+
+def test_a_full_disk_is_told_in_a_line_by_threads_too(monkeypatch, capsys):
+    monkeypatch.setattr(threading, "excepthook", cli._tell_of_thread)
+    thread = threading.Thread(target=lambda: os.stat("/nowhere/at/all"))
+    thread.start()
+    thread.join()
+    told = capsys.readouterr().err
+    assert told.startswith("astray: [Errno 2]") and told.count("\n") == 1
 
 
 @pytest.mark.parametrize("name, content", [("[red]x", None), ("broken", "{}")])

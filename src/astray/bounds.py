@@ -27,5 +27,11 @@ def shown(given: Any) -> str:
     return text if len(text) <= 80 else f"{text[:77]}..."
 
 
+def brief(error: BaseException) -> str:
+    """What an error of a library's says, which may hold much of a file."""
+    text = str(error)
+    return text if len(text) <= 300 else f"{text[:297]}..."
+
+
 def _is_endless(given: Any) -> bool:
     return isinstance(given, int) and given.bit_length() > 10_000  # more than Python writes out

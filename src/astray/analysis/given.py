@@ -35,7 +35,7 @@ def see_measures(measures: Mapping[str, Measure] | None, taken: Collection[str])
                 f"measures must be functions of states by name; got {shown(name)}: {shown(measure)}"
             )
         if name in taken:
-            raise ValueError(f"measures have names of their own; {name!r} is another column")
+            raise ValueError(f"measures have the names of other columns: {name}")
 
 
 def measured(name: str, measure: Measure, states: np.ndarray) -> pl.Series:

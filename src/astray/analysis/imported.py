@@ -163,8 +163,8 @@ def _config(file: Path, found: Imported, known: Known) -> tuple[Config, list[str
         if found.world not in WORLDS:
             there = ", ".join(" ".join(world) for world in WORLDS)
             raise ValueError(
-                f"{file} is refused: it was trained in {' '.join(found.world)} of Procgen, which "
-                f"is none of the games here; there are: {there}"
+                f"{file} is refused: it was trained in {shown(' '.join(found.world))} of Procgen, "
+                f"which is none of the games here; there are: {there}"
             )
         game, variant = WORLDS[found.world]
     if not game or not variant:

@@ -6,6 +6,7 @@ import contextlib
 import io
 import os
 import sys
+import threading
 
 from astray.words import printable
 
@@ -20,6 +21,7 @@ def main() -> None:
     code = 0
     try:
         _open_streams()
+        threading.excepthook = _tell_of_thread
         _see_folder()
         # Imported here: libraries read the environment, and may not like what they find.
         from astray.cli.verbs import run
@@ -54,6 +56,10 @@ def _open_streams() -> None:
             os.fstat(number)
         except OSError:
             os.open(os.devnull, os.O_RDWR)
+    # What is closed is None to Python, which not all libraries reckon with.
+    for name in ("stdout", "stderr"):
+        if getattr(sys, name) is None:
+            setattr(sys, name, open(os.devnull, "w"))  # noqa: SIM115
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):  # paths may be of bytes that are no text
             stream.reconfigure(errors="backslashreplace")
@@ -75,6 +81,17 @@ def _tell(what: str) -> None:
     if sys.stderr:
         with contextlib.suppress(OSError):
             print(f"astray: {shortened(line)}", file=sys.stderr)
+
+
+def _tell_of_thread(what: threading.ExceptHookArgs) -> None:
+    """Tell in a line what a library's thread could not write; all else is a mistake of a program.
+
+    TensorBoard's writes its events.
+    """
+    if isinstance(what.exc_value, OSError):
+        _tell(str(what.exc_value))
+    else:
+        threading.__excepthook__(what)
 
 
 def shortened(line: str) -> str:

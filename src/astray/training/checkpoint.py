@@ -27,7 +27,7 @@ from safetensors.torch import load as from_bytes
 from safetensors.torch import save as to_bytes
 
 from astray.agents import policy
-from astray.bounds import shown
+from astray.bounds import brief, shown
 from astray.files import aside_of, folder_aside, hold, holds_only, read, remove_left, write_aside
 from astray.kernel.jit import source_digest
 from astray.training import parallel
@@ -173,7 +173,7 @@ def restore(folder: Path, trainer: Trainer) -> None:
         if path.name != f"{trainer.steps}":
             raise ValueError(f"it is of step {trainer.steps}")
     except (SafetensorError, OSError, KeyError, TypeError, ValueError, RuntimeError) as error:
-        raise ValueError(f"{path / TRAINER} cannot be resumed from: {error}") from error
+        raise ValueError(f"{path / TRAINER} cannot be resumed from: {brief(error)}") from error
 
 
 def _metadata(data: bytes) -> dict[str, str]:
