@@ -1,4 +1,4 @@
-"""Numbers that users give, and what they may be."""
+"""What users give, and what it may be."""
 
 from __future__ import annotations
 
@@ -14,10 +14,23 @@ def bounded(name: str, given: Any, least: float, most: float) -> None:
         raise ValueError(f"{name} must be an integer from {least} to {most}; got {shown(given)}")
 
 
+def of_kind(name: str, given: Any, kind: Any) -> None:
+    """ValueError unless what is called `name` is of `kind`, a class or several: `A | B`."""
+    if not isinstance(given, kind):
+        words = " or ".join(k.__name__ for k in getattr(kind, "__args__", (kind,)))
+        raise ValueError(f"{name} must be a {words}; got {shown(given)}")
+
+
 def shown(given: Any) -> str:
     """`given` in an error, of which it should not be most."""
     text = f"a number of {given.bit_length()} bits" if _is_endless(given) else repr(given)
     return text if len(text) <= 80 else f"{text[:77]}..."
+
+
+def brief(error: BaseException) -> str:
+    """What an error of a library's says, which may hold much of a file."""
+    text = str(error)
+    return text if len(text) <= 300 else f"{text[:297]}..."
 
 
 def _is_endless(given: Any) -> bool:

@@ -27,9 +27,13 @@ def read(path: Path, most: int = LARGEST) -> bytes:
     """
     # Not blocking: else to open a pipe is to wait for its writer. Windows has no such pipes.
     flags = os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
-    with open(os.open(path, flags), "rb") as file:
-        _see_regular(path, os.fstat(file.fileno()), most)
-        return file.read(most)
+    number = os.open(path, flags)
+    try:
+        _see_regular(path, os.fstat(number), most)
+        with open(number, "rb", closefd=False) as file:
+            return file.read(most)
+    finally:
+        os.close(number)
 
 
 def see_readable(path: Path, most: int = LARGEST) -> None:
@@ -49,13 +53,22 @@ def see_writable(path: Path) -> None:
 
     OSError where it cannot; what is there is not touched.
     """
-    if path.is_dir():
-        raise IsADirectoryError(f"{path} must be a file to write; it is a folder")
+    if path.is_symlink():  # as /dev/stdout, which would become a file
+        raise OSError(f"{path} must be a file to write; it is a link")
+    _see_replaceable(path)
     path.parent.mkdir(parents=True, exist_ok=True)
     aside = aside_of(path)
     with open(aside, "xb"):
         pass
     aside.unlink()
+
+
+def _see_replaceable(path: Path) -> None:
+    """OSError where something is at `path` that is neither a file nor a link; its target stays."""
+    if path.is_dir() and not path.is_symlink():
+        raise IsADirectoryError(f"{path} must be a file to write; it is a folder")
+    if os.path.lexists(path) and not (path.is_symlink() or stat.S_ISREG(path.lstat().st_mode)):
+        raise OSError(f"{path} must be a file to write; it is a pipe or a device")
 
 
 def aside_of(path: Path) -> Path:
@@ -64,7 +77,12 @@ def aside_of(path: Path) -> Path:
 
 
 def write_aside(path: Path, data: bytes) -> None:
-    """Write `data` to `path` so that a kill or a full disk leaves the old file or the new one."""
+    """Write `data` to `path` so that a kill or a full disk leaves the old file or the new one.
+
+    OSError where there is something else than a file: it would be replaced by one, which root can
+    do to /dev/null.
+    """
+    _see_replaceable(path)
     aside = aside_of(path)
     try:
         with open(aside, "xb") as file:
@@ -105,6 +123,21 @@ def hold(folder: Path, doing: str, wait: bool = True) -> FileLock:
         print(f"another process {doing} {folder}; waiting for it", file=sys.stderr, flush=True)
         lock.acquire(timeout=-1)
     return lock
+
+
+def holds_only(folder: Path, names: Collection[str]) -> bool:
+    """Whether `folder`, which is no link, has files of these names in it and nothing else."""
+    return (
+        folder.is_dir()
+        and not folder.is_symlink()
+        and all(p.name in names and p.is_file() and not p.is_symlink() for p in folder.iterdir())
+    )
+
+
+def see_own(path: Path) -> None:
+    """OSError where what is at `path` leads elsewhere, or is no file: nothing is to be written."""
+    if os.path.lexists(path) and not stat.S_ISREG(path.lstat().st_mode):
+        raise OSError(f"{path} must be a file; it is a link, a folder, a pipe or a device")
 
 
 def remove_left(folder: Path, names: Collection[str]) -> None:

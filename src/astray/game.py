@@ -13,7 +13,7 @@ from typing import Any, Self
 
 import numpy as np
 
-from astray.bounds import bounded
+from astray.bounds import bounded, of_kind, shown
 from astray.kernel.rng import RNG_FIELDS, WORDS
 
 NEVER = -1  # the step of an event that has not happened; the number of a level that has none
@@ -101,6 +101,7 @@ class Variant:
 
         Raises ValueError where there is no such knob, or it cannot be that.
         """
+        of_kind("knobs", changes, Mapping)
         kinds = {name: type(getattr(self, name)) for name in knobs(type(self))}
         values = {name: _as_knob(name, value, kinds) for name, value in changes.items()}
         if self.shifted is not None:
@@ -274,7 +275,10 @@ class Editing(typing.Protocol):
 
 
 class Solver(typing.Protocol):
-    """What can be reached, and how; a goal is one of the game's goals."""
+    """What can be reached, and how; a goal is one of the game's goals.
+
+    Whoever trusts a record to compiled code sees it first: `check_record`.
+    """
 
     @property
     def reachable(self) -> Callable[[Any], np.ndarray]:
@@ -384,14 +388,14 @@ class Game:
             return name
         if not isinstance(name, str) or name not in self.variants:
             there = ", ".join(self.variants)
-            raise ValueError(f"unknown variant {name!r} of {self.name}; there are: {there}")
+            raise ValueError(f"unknown variant {shown(name)} of {self.name}; there are: {there}")
         return self.variants[name]
 
     def drawn(self, art: str) -> Looks:
         """How the game looks with the art of that name."""
-        if art not in self.looks:
+        if not isinstance(art, str) or art not in self.looks:
             there = ", ".join(self.looks)
-            raise ValueError(f"unknown art {art!r} of {self.name}; there are: {there}")
+            raise ValueError(f"unknown art {shown(art)} of {self.name}; there are: {there}")
         return self.looks[art]
 
     def check(self, states: np.ndarray, variant: Variant) -> None:
@@ -400,17 +404,38 @@ class Game:
             kind, shape = getattr(states, "dtype", type(states)), np.shape(states)
             raise ValueError(f"states must be [N] records of {self.name}; got {kind} of {shape}")
         s = states.view(np.ndarray)  # a recarray's fields are slow
-        always = {
-            "mt_next": within(s["mt_next"], 0, WORDS),
-            "turn": s["turn"] >= 0,
-            "level": within(s["level"], NEVER, LEVELS.stop),
-            "time_limit": s["time_limit"] >= 1,
-            "time": (s["time"] >= 0) & (s["time"] <= s["time_limit"]),
-        } | {event: (s[event] >= NEVER) & (s[event] <= s["time"]) for event in self.events}
-        for name, holds in (always | self.invariants(s, variant)).items():
+        for name, holds in (_always(s, self.events) | self.invariants(s, variant)).items():
             if not holds.all():
                 i = int(np.argmin(holds))
                 raise ValueError(f"state {i} is none of this variant: its {name} cannot be")
+
+
+def check_record(s: Any, rules: Rules, truths: Callable[[np.ndarray], dict]) -> None:
+    """Raise ValueError if `s` is no record that `rules` play: a solver's compiled code trusts it.
+
+    A record of a live `states` is taken as it is: nobody could change it, and a check takes 1 ms.
+
+    truths  of states [N] of any variant, as `Game.invariants` tells them of one
+    """
+    if not isinstance(s, np.void) or s.dtype != rules.STATE:
+        raise ValueError(f"a state must be a record of this game; got {reprlib.repr(s)}")
+    if not s.flags.writeable:
+        return
+    states = np.array([s], rules.STATE).view(np.ndarray)
+    for name, holds in (_always(states, rules.EVENTS) | truths(states)).items():
+        if not holds.all():
+            raise ValueError(f"the state is none of this game: its {name} cannot be")
+
+
+def _always(s: np.ndarray, events: Sequence[str]) -> dict[str, np.ndarray]:
+    """What is true of states [N] of all games: its name -> [N] bool."""
+    return {
+        "mt_next": within(s["mt_next"], 0, WORDS),
+        "turn": s["turn"] >= 0,
+        "level": within(s["level"], NEVER, LEVELS.stop),
+        "time_limit": within(s["time_limit"], 1, MOST + 1),
+        "time": (s["time"] >= 0) & (s["time"] <= s["time_limit"]),
+    } | {event: (s[event] >= NEVER) & (s[event] <= s["time"]) for event in events}
 
 
 def integers(given: Any, name: str) -> np.ndarray:
@@ -418,16 +443,26 @@ def integers(given: Any, name: str) -> np.ndarray:
 
     A float would be cut short in silence, and a boolean be 0 or 1.
     """
-    numbers = np.asarray(given)
+    numbers = _array(given)
     several = isinstance(given, Sequence) and not isinstance(given, str | range)
     if numbers.dtype.kind not in "iu" or (several and any(isinstance(x, bool) for x in given)):
         raise ValueError(f"{name} are integers; given {reprlib.repr(given)}")
     return numbers
 
 
+def _array(given: Any) -> np.ndarray:
+    """`given` as an array; of no numbers where it is lists of lists of any lengths."""
+    try:
+        return np.asarray(given)
+    except ValueError:
+        return np.empty(1, object)
+
+
 def level_numbers(given: Any) -> np.ndarray:
     """`given` (a sequence, a range, an array) as numbers of levels, [N] int64, at least one."""
-    if not np.size(given):
+    if isinstance(given, range) and given:  # which may go on for long
+        given = given if given[0] in LEVELS and given[-1] in LEVELS else [given[0], given[-1]]
+    if not np.size(_array(given)):
         raise ValueError("levels are numbers, at least one; none is given")
     numbers = integers(given, "levels")
     if numbers.ndim != 1 or numbers.min() < LEVELS.start or numbers.max() >= LEVELS.stop:
@@ -437,6 +472,6 @@ def level_numbers(given: Any) -> np.ndarray:
     return numbers.astype(np.int64)
 
 
-def within(numbers: np.ndarray, first: int, after: int) -> np.ndarray:
+def within(numbers: np.ndarray, first: int, after: int | np.ndarray) -> np.ndarray:
     """Which of `numbers` are from `first` on and before `after`."""
     return (numbers >= first) & (numbers < after)

@@ -42,21 +42,30 @@ def find(name: str) -> Any:
         raise ValueError(f"{name!r} must be a module and what is in it; {error}") from error
 
 
-def known(name: str, group: str) -> Any:
+def known(name: str, group: str, kind: type) -> Any:
     """What a name out of a file leads to: nothing is imported that nobody asked for.
 
-    Its module has been imported in this process, or an installed package offers it as one of the
-    entry points of `group`.
+    An installed package offers it as one of the entry points of `group`, or its module has been
+    imported in this process and it is a class derived from `kind`: a file that could name any
+    function of the modules that happen to be there would have it called.
 
     Raises ValueError where neither is so.
     """
+    if name in {p.value for p in entry_points(group=group)}:
+        return find(name)
     module = name.partition(":")[0]
-    if module not in sys.modules and name not in {p.value for p in entry_points(group=group)}:
+    if module not in sys.modules:
         raise ValueError(
             f"{name} is not astray's own: import {module} first, or install a package that "
             f"offers it as one of the entry points {group!r}"
         )
-    return find(name)
+    found = find(name)
+    if not isinstance(found, type) or not issubclass(found, kind):
+        raise ValueError(
+            f"{name} must be a class derived from {kind.__name__}, or one of the entry points "
+            f"{group!r}; got {found!r}"
+        )
+    return found
 
 
 def _attribute(thing: Any, name: str) -> Any:

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from astray.bounds import of_kind, shown
 from astray.files import read
 from astray.game import Game, Variant
 
@@ -38,8 +39,11 @@ class Level:
     looks: Mapping[str, Any]
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "agent", _whole(self.agent))
+        of_kind("a level's game", self.game, Game)
         self.game.variant(self.variant)
+        of_kind("a level's variant", self.variant, Variant)  # not its name
+        of_kind("a level's looks", self.looks, Mapping)
+        object.__setattr__(self, "agent", _whole(self.agent))
         self._check_cells()
 
     def _check_cells(self) -> None:
@@ -53,7 +57,13 @@ class Level:
 
     @staticmethod
     def of(game: Game, variant: Variant, s: Any) -> Level:
-        """The level that state `s` is in; objects that are gone are not in it."""
+        """The level that state `s` is in; objects that are gone are not in it.
+
+        ValueError where `s` was changed by hand to what cannot be.
+        """
+        of_kind("a state", s, np.void)
+        if s.dtype != game.state or s.flags.writeable:  # as those of live `states` are not
+            game.check(np.array([s]), variant)
         told = game.editing.describe(s)
         cells = np.array(told["grid"], np.uint8)
         return Level(game, variant, cells, _cell(told["agent"]), told["looks"])
@@ -61,11 +71,12 @@ class Level:
     @staticmethod
     def from_text(game: Game, variant: Variant, drawing: str) -> Level:
         """The level that is drawn, a character of the game's legend a cell, the top row first."""
+        of_kind("a level's drawing", drawing, str)
         drawing = drawing.removeprefix(BYTE_ORDER_MARK)
         rows = textwrap.dedent(drawing).strip("\n").rstrip().splitlines()[::-1]
         if not rows or len({len(row) for row in rows}) != 1:
             raise ValueError(
-                f"a level's rows are equally long; these have {[len(r) for r in rows]}"
+                f"a level's rows are equally long; these have {shown([len(r) for r in rows])}"
             )
         legend = {**game.editing.LEGEND, AGENT: game.editing.LEGEND[EMPTY]}
         cells = np.empty((len(rows), len(rows[0])), np.uint8)
@@ -87,7 +98,7 @@ class Level:
         if not isinstance(data, Mapping) or not {"grid", "agent"} <= data.keys():
             raise ValueError('a level is an object with at least "grid" and "agent"')
         if data.get("game", game.name) != game.name:
-            raise ValueError(f"the level is one of {data['game']!r}, not of {game.name!r}")
+            raise ValueError(f"the level is one of {shown(data['game'])}, not of {game.name!r}")
         rows = data["grid"]
         wide = isinstance(rows, list) and {len(r) if isinstance(r, list) else -1 for r in rows}
         if not wide or len(wide) != 1 or wide <= {-1, 0}:
@@ -97,16 +108,16 @@ class Level:
             for x, code in enumerate(row):
                 if type(code) is not int or code not in codes:
                     raise ValueError(
-                        f"unknown code {code!r} at cell ({x}, {y}); there are: {codes}"
+                        f"unknown code {shown(code)} at cell ({x}, {y}); there are: {codes}"
                     )
         cells, agent = np.array(rows, np.uint8), data["agent"]
         if not (
             isinstance(agent, list | tuple) and len(agent) == 2 and all(map(_is_number, agent))
         ):
-            raise ValueError(f"the agent is at two numbers, x and y; given {agent!r}")
+            raise ValueError(f"the agent is at two numbers, x and y; given {shown(agent)}")
         looks = data.get("looks", {})
         if not isinstance(looks, Mapping):
-            raise ValueError(f"a level's looks are an object; given {looks!r}")
+            raise ValueError(f"a level's looks are an object; given {shown(looks)}")
         level = Level(game, variant, cells, _cell(agent), looks)
         told = game.editing.describe(level.state(solvable=False))
         rest = {k: v for k, v in data.items() if k not in ("game", "variant", "level", "looks")}
@@ -125,9 +136,12 @@ class Level:
         self._check_free(self.agent)
         try:
             s = game.editing.build(self.cells, self.agent, self.looks, self.variant)
-        except (TypeError, IndexError, OverflowError) as error:  # of looks of another kind
-            looks = dict(self.looks)
-            raise ValueError(f"a level's looks are {looks}; these cannot be: {error}") from error
+        except (TypeError, IndexError, OverflowError, ValueError) as error:
+            if isinstance(error, ValueError) and not self._is_built_without_looks():
+                raise
+            raise ValueError(
+                f"a level's looks are {shown(dict(self.looks))}; these cannot be: {error}"
+            ) from error
         game.check(np.array([s], game.state), self.variant)
         _check_told(self.looks, game.editing.describe(s)["looks"], "a level's looks")
         if solvable:
@@ -139,6 +153,14 @@ class Level:
                             f"the {name} at cell {cell} cannot be reached from {self.agent}"
                         )
         return s
+
+    def _is_built_without_looks(self) -> bool:
+        """Whether the level could begin if the game chose its looks."""
+        try:
+            self.game.editing.build(self.cells, self.agent, {}, self.variant)
+        except ValueError:
+            return False
+        return True
 
     def to_json(self) -> dict[str, Any]:
         """The level as plain data; see the game's `describe`."""
@@ -152,7 +174,7 @@ class Level:
 
     def where(self, name: str) -> list[Cell]:
         """The cells that hold the object called `name`."""
-        if name not in self.game.editing.OBJECTS:
+        if not isinstance(name, str) or name not in self.game.editing.OBJECTS:
             there = ", ".join(["agent", *self.game.editing.OBJECTS])
             raise ValueError(f"unknown object {name!r}; there are: {there}")
         code = self.game.editing.LEGEND[self.game.editing.OBJECTS[name]]
@@ -224,7 +246,7 @@ def _cell(place: Any) -> Cell:
 def _whole(place: Any) -> Cell:
     """`place` as a cell; ValueError where it is not two integers."""
     if not np.shape(place) == (2,) or np.asarray(place).dtype.kind not in "iu":
-        raise ValueError(f"a cell is two integers, x and y; given {place!r}")
+        raise ValueError(f"a cell is two integers, x and y; given {shown(place)}")
     x, y = place
     return int(x), int(y)
 
@@ -237,9 +259,9 @@ def _check_told(given: Mapping[str, Any], true: Mapping[str, Any], what: str) ->
     """See that what was `given` of a level, beside what it is built from, is `true` of it."""
     for name, value in given.items():
         if name not in true:
-            raise ValueError(f"unknown field {name!r} of {what}; there are: {', '.join(true)}")
+            raise ValueError(f"unknown field {shown(name)} of {what}; there are: {', '.join(true)}")
         if true[name] != value:
-            raise ValueError(f"{name} is {value!r}, but in this level {true[name]!r}")
+            raise ValueError(f"{name} is {shown(value)}, but in this level {shown(true[name])}")
 
 
 def read_levels(

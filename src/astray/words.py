@@ -1,4 +1,4 @@
-"""Words that are of a closed set, and no other."""
+"""Words that are of a closed set, and no other; and text of any kind, to be shown."""
 
 from __future__ import annotations
 
@@ -11,6 +11,11 @@ def check_word(name: str, value: Any, kind: Any) -> None:
     words = typing.get_args(kind)
     if not isinstance(value, str) or value not in words:
         raise ValueError(f"unknown {name} {value!r}; there are: {', '.join(words)}")
+
+
+def printable(text: str) -> str:
+    """`text` without control characters, which names of files may have and terminals obey."""
+    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
 
 
 def check_words(record: Any) -> None:

@@ -298,5 +298,5 @@ def test_a_file_of_another_kind_or_size_is_refused(tmp_path, monkeypatch):
         files.read(tmp_path / "agent.zip")
     (tmp_path / "agent.jd").write_bytes(bytes(20))
     monkeypatch.setattr(files, "LARGEST", 10)
-    with pytest.raises(ValueError, match="it has 20 bytes; at most 10 are read"):
+    with pytest.raises(ValueError, match="must be of at most 10 bytes; it has 20"):
         files.read(tmp_path / "agent.jd")

@@ -178,7 +178,7 @@ def test_an_observation_does_not_depend_on_those_beside_it(either, visited):
     "levels, arguments, message",
     [
         ([], {}, "no levels to play"),
-        ([1], {"per_episode": 0}, "per_episode is 0; it is at least 1 step"),
+        ([1], {"per_episode": 0}, "per_episode must be an integer from 1 to"),
         ([1], {"batch": 0}, "batch must be an integer from 1 to"),
         ([1], {"measures": {"value": measures.stage}}, "the names of other columns: value"),
     ],

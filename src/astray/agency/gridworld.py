@@ -11,6 +11,8 @@ import numpy as np
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import dijkstra
 
+from astray.bounds import bounded, of_kind, shown
+
 ACTIONS = ("up", "down", "left", "right")
 MOVES = np.array([(-1, 0), (1, 0), (0, -1), (0, 1)])  # (row, column), row 0 on top
 WALL, FREE = "#", "."
@@ -42,12 +44,14 @@ class World:
     free: np.ndarray
 
     def __post_init__(self) -> None:
+        of_kind("a world", self.free, np.ndarray)
         if self.free.ndim != 2 or self.free.dtype != bool or not self.free.any():
             raise ValueError("a world is [H, W] booleans, at least one of them free")
 
     @classmethod
     def parse(cls, text: str | Sequence[str]) -> World:
         """The world of a drawing: `#` is wall, `.` is free, a line a row."""
+        of_kind("a map", text, Sequence)
         rows = text.split() if isinstance(text, str) else list(text)
         if not rows or len({len(row) for row in rows}) > 1:
             raise ValueError("a map has lines, all equally long")
@@ -96,6 +100,8 @@ class World:
 
     def number(self, cell: Cell) -> int:
         """The number of a free cell; ValueError for walls and what is outside."""
+        if np.shape(cell) != (2,) or np.asarray(cell).dtype.kind not in "iu":
+            raise ValueError(f"a cell must be two integers, row and column; got {shown(cell)}")
         row, column = cell
         height, width = self.free.shape
         if not (0 <= row < height and 0 <= column < width):
@@ -115,9 +121,11 @@ class World:
 
     def walk(self, start: Cell, actions: Iterable[int]) -> Trajectory:
         """The trajectory of `actions` (numbers in ACTIONS) from `start`."""
-        taken = np.array(list(actions), np.int64)
-        if taken.size and not (taken.min() >= 0 and taken.max() < len(ACTIONS)):
-            raise ValueError(f"actions are from 0 to {len(ACTIONS) - 1}; given {taken}")
+        of_kind("actions", actions, Iterable)
+        given = list(actions)
+        for action in given:
+            bounded("an action", action, 0, len(ACTIONS) - 1)
+        taken = np.array(given, np.int64)
         cells = [self.number(start)]
         for action in taken:
             cells.append(int(self.after[cells[-1], action]))

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from numbers import Real
 from typing import Literal
 
 import numpy as np
@@ -23,6 +24,7 @@ from astray.agency.agents import Agents, AtGoal, of_every_cell
 from astray.agency.devices import First, Observation
 from astray.agency.gridworld import ACTIONS, Cell, Trajectory, World
 from astray.agency.steps import Noise, Rule, log_product, log_table, rule
+from astray.bounds import of_kind
 from astray.words import check_words
 
 Goals = Literal["accessible and true", "accessible", "all cells"]
@@ -60,6 +62,9 @@ class Options:
         check_words(self)
         if not isinstance(self.legal, bool):
             raise ValueError(f"legal is {self.legal!r}; it is a bool")
+        for name in ("noise_atom", "beta"):
+            of_kind(name, getattr(self, name), Real)
+        of_kind("observations", self.observations, tuple)
         if not 0 <= self.noise_atom <= 1:
             raise ValueError(f"noise_atom is {self.noise_atom}; it is from 0 to 1")
         if not 1 <= self.beta < np.inf:
@@ -204,7 +209,10 @@ def decisions(episode: Episode, goals: Mapping[str, Sequence[Cell]], options: Op
 
 def prepared(episodes: Episode | Sequence[Episode], options: Options) -> list[Episode]:
     """At least one episode, with the steps that count."""
+    of_kind("episodes", episodes, Episode | Sequence)
     whole = [episodes] if isinstance(episodes, Episode) else list(episodes)
+    for episode in whole:
+        of_kind("an episode", episode, Episode)
     if not whole:
         raise ValueError("no episodes are given")
     if not options.legal:

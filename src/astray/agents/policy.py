@@ -17,6 +17,7 @@ from astray import imports
 from astray.agents.clear import Clear
 from astray.agents.impala import WIDTHS, Impala
 from astray.agents.small import Small
+from astray.bounds import brief
 from astray.files import see_readable
 
 NETWORKS = ("impala", "small", "clear")  # astray's own
@@ -58,7 +59,7 @@ class Architecture:
         Raises ValueError where it is neither astray's own nor known: see `imports.known`.
         """
         if self.name not in NETWORKS:
-            return imports.known(self.name, GROUP)(self)
+            return imports.known(self.name, GROUP, nn.Module)(self)
         if (self.name != "small") != (not self.largest):
             seen = "symbolic planes" if self.largest else "images"
             raise ValueError(f"network {self.name!r} does not see {seen}")
@@ -102,7 +103,7 @@ def load(path: Path, game: str, device: str = "cpu") -> tuple[nn.Module, Archite
         raise FileNotFoundError(f"no agent at {path}") from None
     except (SafetensorError, OSError, KeyError, TypeError, ValueError, RuntimeError,
             RecursionError) as error:  # fmt: skip
-        raise ValueError(f"{path} is not an agent that can be used: {error}") from error
+        raise ValueError(f"{path} is not an agent that can be used: {brief(error)}") from error
     return network.to(device), architecture
 
 

@@ -14,6 +14,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from astray.analysis.policies import Observation
+from astray.bounds import shown
 from astray.envs.vector import GameVectorEnv
 from astray.game import OWN
 
@@ -38,6 +39,10 @@ class Function:
     name: str = "function"
     observation: Observation = "image"
     art: str = OWN
+
+    def __post_init__(self) -> None:
+        if not callable(self.choose):
+            raise ValueError(f"choose must be a function of observations; got {shown(self.choose)}")
 
     def actions(self, env: GameVectorEnv, observations: np.ndarray) -> np.ndarray:
         chosen, count = np.asarray(self.choose(observations)), len(env.game.actions)

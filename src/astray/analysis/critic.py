@@ -12,14 +12,15 @@ standard deviations of returns, as in the paper.
 from __future__ import annotations
 
 import heapq
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sized
 
 import numpy as np
 import polars as pl
 
-from astray.analysis.episodes import Levels, Measure, steps
+from astray.analysis.episodes import Levels, steps
+from astray.analysis.given import Measure, measured, see_measures
 from astray.analysis.policies import Agent, episode_noise
-from astray.bounds import bounded
+from astray.bounds import bounded, of_kind
 from astray.envs.vector import GameVectorEnv
 from astray.game import MOST, Variant
 
@@ -50,8 +51,11 @@ def visit(
     Columns: level, step, value (of the state before the step), action, reward, and the measures.
     Rows are in the order of `levels`, then of steps, and do not depend on `batch`.
     """
-    if per_episode is not None and per_episode < 1:
-        raise ValueError(f"per_episode is {per_episode}; it is at least 1 step")
+    of_kind("agent", agent, Agent)
+    of_kind("levels", levels, Sized)
+    if per_episode is not None:
+        bounded("per_episode", per_episode, 1, MOST)
+    bounded("seed", seed, 0, MOST)
     heaps: list[list[tuple]] = [[] for _ in levels]  # of (-noise, step, state, action, reward)
     limit = np.full(len(levels), np.inf)  # of the noise: an episode's steps with the least are kept
     rewards: list[list[float]] = [[] for _ in levels]
@@ -157,6 +161,7 @@ def observe(
 
 def _edited(states: np.ndarray, edit: Edit) -> np.ndarray:
     edited = edit(states.copy())
+    of_kind("what an edit returns", edited, np.ndarray)
     if edited.shape != states.shape or edited.dtype != states.dtype:
         raise ValueError(f"an edit returns as many states as it is given, {len(states)}")
     return edited
@@ -167,7 +172,5 @@ def _table(
 ) -> pl.DataFrame:
     """`columns` between the states' levels and steps and the measures of them."""
     told = {"level": states["level"], "step": states["time"]} | columns
-    taken = sorted(set(measures or {}) & set(told))
-    if taken:
-        raise ValueError(f"measures have the names of other columns: {', '.join(taken)}")
-    return pl.DataFrame(told | {name: m(states) for name, m in (measures or {}).items()})
+    see_measures(measures, told)
+    return pl.DataFrame(told | {n: measured(n, m, states) for n, m in (measures or {}).items()})

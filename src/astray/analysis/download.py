@@ -9,6 +9,9 @@ import urllib.request
 from pathlib import Path
 from urllib.parse import urlsplit
 
+from astray.bounds import shown
+from astray.files import see_own
+
 CHUNK = 1 << 16  # bytes
 WAIT = 30.0  # seconds without a byte, after which it is interrupted
 LOOPBACK = ("127.0.0.1", "::1", "localhost")
@@ -26,6 +29,7 @@ def download(address: str, to: Path, *, size: int | None, sha256: str | None) ->
     _check_address(address)
     to.parent.mkdir(parents=True, exist_ok=True)
     part = to.with_name(to.name + ".part")
+    see_own(part)
     if sha256 is None:
         part.unlink(missing_ok=True)
     try:
@@ -34,8 +38,8 @@ def download(address: str, to: Path, *, size: int | None, sha256: str | None) ->
         arrived = part.stat().st_size if part.exists() else 0
         of = f" of {size:,}" if size else ""
         raise OSError(
-            f"{address} could not be downloaded ({error}); {arrived:,}{of} bytes are there, and "
-            "the same command goes on from them"
+            f"{address} could not be downloaded ({shown(str(error))}); {arrived:,}{of} bytes are "
+            "there, and the same command goes on from them"
         ) from error
     _check_file(address, part, size, sha256)
     os.replace(part, to)
@@ -60,7 +64,8 @@ def _fetch(address: str, part: Path, most: int) -> None:
             while left and (data := answer.read(min(CHUNK, left))):
                 file.write(data)
                 left -= len(data)
-        promised = begun + int(answer.headers["Content-Length"] or 0)
+        length = answer.headers["Content-Length"] or "0"
+        promised = begun + (int(length) if length.isdecimal() else 0)
         if left and promised > most - left:
             raise OSError(f"the connection ended {promised - most + left:,} bytes early")
 

@@ -6,14 +6,15 @@ for step in steps(policy, "maze", "anywhere", range(1000)):
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence, Sized
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from astray import games
-from astray.bounds import bounded
+from astray.analysis.given import see_policy
+from astray.bounds import bounded, of_kind
 from astray.envs.vector import GameVectorEnv
 from astray.game import MOST, Game, Variant, level_numbers
 from astray.level import Level
@@ -22,7 +23,6 @@ if TYPE_CHECKING:  # levels are printed without torch, which takes seconds to im
     from astray.analysis.policies import Policy
 
 Levels = Sequence[int] | np.ndarray | range | Mapping[str, Level]
-Measure = Callable[[np.ndarray], np.ndarray]  # of states [N], a number each
 CHUNK = 1000  # levels begun at once
 
 
@@ -64,6 +64,8 @@ def steps(
 
     What happens in a level depends neither on `batch` nor on the other levels.
     """
+    see_policy(policy)
+    of_kind("levels", levels, Sized)
     if not len(levels):
         raise ValueError("no levels to play")
     bounded("batch", batch, 1, MOST)
@@ -107,6 +109,7 @@ def steps(
 
 def initial_states(game: str | Game, variant: str | Variant, levels: Levels) -> np.recarray:
     """The states that `levels` begin in, [N]."""
+    of_kind("levels", levels, Sized)
     if not len(levels):
         raise ValueError("no levels to begin")
     shown = "symbolic" if games.find(game).symbols else "image"  # symbols take less time
@@ -125,6 +128,10 @@ def beginnings(levels: Levels, dtype: np.dtype) -> tuple[str, np.ndarray]:
     """The option of a reset that begins each of `levels`, and its values."""
     if not isinstance(levels, Mapping):
         return "level", level_numbers(levels)
+    for level in levels.values():
+        of_kind("a level by name", level, Level)
+        if level.game.state != dtype:
+            raise ValueError(f"levels must be of one game; one is of {level.game.name}")
     states = np.array([level.state(solvable=False) for level in levels.values()], dtype)
     states["level"] = np.arange(len(states))
     return "state", states

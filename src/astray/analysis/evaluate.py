@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping, Sequence, Sized
 from typing import Any
 
 import numpy as np
 import polars as pl
 
 from astray import games
-from astray.analysis.episodes import Levels, Measure, steps
+from astray.analysis.episodes import Levels, steps
+from astray.analysis.given import Measure, measured, see_measures
 from astray.analysis.policies import Policy
+from astray.bounds import of_kind
 from astray.game import Game, Variant
+
+COLUMNS = ("policy", "level", "name", "shifted", "return", "length", "terminated")
 
 
 def evaluate(
@@ -35,6 +39,8 @@ def evaluate(
     The rows do not depend on `batch`.
     """
     game = games.find(game)
+    see_measures(measures, (*COLUMNS, *game.events))
+    of_kind("levels", levels, Sized)
     names = list(levels) if isinstance(levels, Mapping) else [None] * len(levels)
     rows: list[dict[str, Any]] = [{}] * len(levels)
     returns = np.zeros(len(levels))
@@ -53,5 +59,4 @@ def evaluate(
                 last[k] = s
     kinds = {"name": pl.String} | {event: pl.Int64 for event in game.events}
     table = pl.DataFrame(rows, schema_overrides=kinds)
-    measured = {name: measure(last) for name, measure in (measures or {}).items()}
-    return table.with_columns(pl.Series(name, values) for name, values in measured.items())
+    return table.with_columns(measured(name, of, last) for name, of in (measures or {}).items())

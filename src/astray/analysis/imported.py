@@ -13,25 +13,27 @@ from __future__ import annotations
 import json
 import os
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Literal
 
-from jinja2 import Environment, PackageLoader, StrictUndefined
+from jinja2 import Environment, PackageLoader, StrictUndefined, TemplateError
 
 from astray import games
 from astray.agents import policy
 from astray.agents.importers import files
 from astray.agents.importers.imported import Imported
 from astray.analysis import kept
-from astray.files import folder_aside, write_aside
+from astray.bounds import shown
+from astray.files import folder_aside, read, write_aside
 from astray.game import LEVELS
 from astray.training import checkpoint
 from astray.training.config import Config
 
 ORIGIN, CHECKS, CARD = "origin.json", "checks.json", "README.md"
 NAME = re.compile(r"[a-z0-9]+(-[a-z0-9]+)*")
+LARGEST = 2**20  # bytes of each of these
 SPARED = 1_000_000  # numbers after the training levels, where all levels were trained on
 # Our variants of what Procgen calls its games and difficulties.
 WORLDS = {
@@ -104,8 +106,25 @@ def import_agent(file: Path, name: str, known: Known, *, expected: str | None = 
 
 
 def origin(run: Path) -> dict[str, Any]:
-    """What `origin.json` of an imported agent says."""
-    return json.loads((run / ORIGIN).read_bytes())
+    """What `origin.json` of an imported agent says.
+
+    Raises ValueError where it is not as `import_agent` writes it.
+    """
+    return _read(run / ORIGIN, dict, ("file", "sha256", "format", "settings_told", "file_says"))
+
+
+def _read(path: Path, kind: type, names: Sequence[str] = ()) -> Any:
+    """What is in a file of an imported agent: JSON of that kind, with these names."""
+    try:
+        data = json.loads(read(path, LARGEST))
+    except (ValueError, RecursionError) as error:
+        raise ValueError(f"{path} is no JSON: {error}") from error
+    missing = [name for name in names if not isinstance(data, dict) or name not in data]
+    if not isinstance(data, kind) or missing:
+        raise ValueError(
+            f"{path} must be a {kind.__name__} with {', '.join(names) or 'rows'}; got {shown(data)}"
+        )
+    return data
 
 
 def write_checks(run: Path, checks: list[dict[str, Any]]) -> None:
@@ -124,13 +143,16 @@ def write_card(run: Path, name: str) -> None:
         lstrip_blocks=True, trim_blocks=True, keep_trailing_newline=True, undefined=StrictUndefined,
     )  # fmt: skip
     said = origin(run)
-    text = environment.get_template("imported.md").render(
-        name=name, config=config, origin=said, architecture=architecture,
-        weights=sum(p.numel() for p in network.parameters()),
-        trained_on=config.training_variant().about,
-        settings={key: getattr(config, key) for key in said["settings_told"]},
-        checks=json.loads(checks.read_bytes()) if checks.exists() else [],
-    )  # fmt: skip
+    try:
+        text = environment.get_template("imported.md").render(
+            name=name, config=config, origin=said, architecture=architecture,
+            weights=sum(p.numel() for p in network.parameters()),
+            trained_on=config.training_variant().about,
+            settings={key: getattr(config, key) for key in said["settings_told"]},
+            checks=_read(checks, list) if os.path.lexists(checks) else [],
+        )  # fmt: skip
+    except (TemplateError, AttributeError, TypeError) as error:
+        raise ValueError(f"{run} has {ORIGIN} or {CHECKS} as astray does not: {error}") from error
     write_aside(run / CARD, text.encode())
 
 
@@ -141,8 +163,8 @@ def _config(file: Path, found: Imported, known: Known) -> tuple[Config, list[str
         if found.world not in WORLDS:
             there = ", ".join(" ".join(world) for world in WORLDS)
             raise ValueError(
-                f"{file} is refused: it was trained in {' '.join(found.world)} of Procgen, which "
-                f"is none of the games here; there are: {there}"
+                f"{file} is refused: it was trained in {shown(' '.join(found.world))} of Procgen, "
+                f"which is none of the games here; there are: {there}"
             )
         game, variant = WORLDS[found.world]
     if not game or not variant:

@@ -22,7 +22,7 @@ def load_shift(game: str | Game, shift: str) -> Shift:
     """The shift of that name."""
     game = games.find(game)
     shifts = game.shifts
-    if shift not in shifts:
+    if not isinstance(shift, str) or shift not in shifts:
         raise ValueError(f"unknown shift {shift!r} of {game.name}; there are: {', '.join(shifts)}")
     return shifts[shift]
 

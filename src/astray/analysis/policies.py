@@ -11,6 +11,7 @@ import numpy as np
 import torch
 
 from astray.agents import policy as trained
+from astray.bounds import of_kind
 from astray.envs.vector import GameVectorEnv
 from astray.game import OWN
 from astray.kernel.rng import fill_noise
@@ -73,6 +74,7 @@ class Agent:
 
     def outputs(self, observations: np.ndarray) -> tuple[torch.Tensor, torch.Tensor]:
         """Logits [N, A] and values [N] on `observations` [N, ...]."""
+        of_kind("observations", observations, np.ndarray)
         shown, known = observations.shape[1:], self.architecture.shape
         if shown != known:
             raise ValueError(f"the agent sees observations of shape {known}, not {shown}")

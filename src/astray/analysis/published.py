@@ -117,9 +117,10 @@ def fetch(one: Published, *, unchecked: bool = False) -> Path:
         return to
     file = kept.folder() / DOWNLOADS / one.file
     download(one.address, file, size=one.size, sha256=one.sha256)
-    run = import_agent(file, one.name, one.known, expected=one.sha256)
-    file.unlink()
-    return run
+    try:
+        return import_agent(file, one.name, one.known, expected=one.sha256)
+    finally:
+        file.unlink()
 
 
 def results_file(name: str) -> Path:

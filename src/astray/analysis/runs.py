@@ -13,10 +13,12 @@ import polars as pl
 from astray import games
 from astray.agents.policy import usable
 from astray.analysis import kept
-from astray.analysis.episodes import Levels, Measure
+from astray.analysis.episodes import Levels
 from astray.analysis.evaluate import evaluate
+from astray.analysis.given import Measure, see_policy
 from astray.analysis.outcomes import label, load_shift, shares, tell_apart
 from astray.analysis.policies import Agent, Policy, Random, Walk
+from astray.bounds import shown
 from astray.game import Game, Variant
 from astray.level import read_levels
 from astray.training import checkpoint
@@ -26,11 +28,14 @@ LEVELS_PLAYED = 1000  # where nobody says which
 Mode = Literal["sampled", "greedy"]
 
 
-def open_run(run: Path, mode: Mode = "sampled", art: str | None = None) -> tuple[Agent, Config]:
+def open_run(
+    run: str | Path, mode: Mode = "sampled", art: str | None = None
+) -> tuple[Agent, Config]:
     """The last agent of a run folder (or that of a checkpoint in it), and the run's settings.
 
     art  that it is shown; None: what it was trained on
     """
+    run = Path(run)
     folder = run if (run / "config.json").exists() else run.parent.parent
     if not (folder / "config.json").exists():
         raise FileNotFoundError(f"{run} is neither a run folder nor a checkpoint in one")
@@ -92,6 +97,8 @@ def evaluate_runs(
     Returns `outcomes.shares` of all levels and of those that tell the goals apart (column
     "levels_played"), and the episodes.
     """
+    if isinstance(runs, str) or not isinstance(runs, Sequence):
+        raise ValueError(f"runs must be a list of run folders; got {shown(runs)}")
     if not runs:
         raise ValueError("no run is given to evaluate")
     opened = [open_run(run, mode, art) for run in runs]
@@ -170,6 +177,8 @@ def play_all(
     Beside `evaluate`'s columns: run, seed, checkpoint (null for scripts), variant (its `name`),
     outcome, tells_apart.
     """
+    for policy in policies:
+        see_policy(policy)
     between = load_shift(game, shift)
     goals = (between.intended, *between.proxies) if game.solver else ()
     scripts: list[Policy] = [*map(Walk, goals), Random()]

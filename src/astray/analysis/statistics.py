@@ -8,6 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 import polars as pl
 
+from astray.bounds import of_kind
+
 RESAMPLES = 10_000
 QUARTILES = 4  # with fewer agents there is nothing to trim
 
@@ -21,6 +23,11 @@ def over_agents(values: np.ndarray, *, seed: int = 0) -> np.ndarray:
     """
     from scipy.stats import trim_mean  # here, as it takes a second to import
 
+    of_kind("values", values, np.ndarray)
+    if values.ndim != 2 or not values.size:
+        raise ValueError(
+            f"values must be [agents, points], at least one of each; got {values.shape}"
+        )
     agents, points = values.shape
     cut = 0.25 if agents >= QUARTILES else 0.0
     middle = trim_mean(values, cut, axis=0)
@@ -54,12 +61,18 @@ def bootstrap(values: np.ndarray, weights: np.ndarray | None = None, *, seed: in
              where there is no weight at all, all is NaN
     """
     values = np.atleast_2d(np.asarray(values, float))
+    if values.ndim != 2 or not values.size:
+        raise ValueError(
+            f"values must be [agents, levels], at least one of each; got {values.shape}"
+        )
     agents, levels = values.shape
     rng = np.random.default_rng(seed)
     by_agent = rng.multinomial(agents, np.full(agents, 1 / agents), RESAMPLES).astype(float)
     sums, weight = np.empty(RESAMPLES), np.full(RESAMPLES, float(agents * levels))
     if weights is not None:
         weights = np.atleast_2d(np.asarray(weights, float))
+        if weights.shape != values.shape or not (weights >= 0).all():
+            raise ValueError(f"weights must be {values.shape} numbers, none below 0; got {weights}")
     for part in np.array_split(np.arange(RESAMPLES), max(1, RESAMPLES * levels // 4_000_000)):
         by_level = rng.multinomial(levels, np.full(levels, 1 / levels), len(part)).astype(float)
         drawn = by_agent[part], by_level

@@ -15,14 +15,16 @@ from PIL import Image, ImageDraw, ImageFont
 from astray import games
 from astray.analysis.episodes import steps
 from astray.analysis.policies import Policy
+from astray.bounds import bounded, of_kind
 from astray.envs.vector import picture
 from astray.files import write_aside
-from astray.game import Game, Variant
+from astray.game import MOST, Game, Variant
 from astray.level import Level
 
 BACKGROUND, INK = (247, 247, 245), (34, 34, 34)
 CAPTION = 17  # pixels, the size of its letters
 LINE = 24  # pixels from a line of a caption to the next
+FASTEST = 100  # frames a second: GIFs count hundredths
 FPS = 15  # frames, and so steps of an episode, a second
 
 Caption = str | Callable[[int], str]  # or a function of the step
@@ -55,8 +57,9 @@ def play(
     pixels   a side of the frames
     longest  steps after which it is left unfinished; None: never
     """
-    if longest is not None and longest < 1:
-        raise ValueError(f"longest is {longest}; it is at least 1 step")
+    if longest is not None:
+        bounded("longest", longest, 1, MOST)
+    of_kind("level", level, int | np.integer | Level)
     chosen = {"": level} if isinstance(level, Level) else [level]
     played = list(itertools.islice(steps(policy, game, variant, chosen), longest))
     states = [*(step.before for step in played), played[-1].after]
@@ -136,7 +139,7 @@ def _strip(lines: Sequence[str], width: int, height: int) -> np.ndarray:
 
 def write_mp4(frames: np.ndarray, path: Path, fps: int = FPS) -> None:
     """Write `frames` [T, H, W, 3] uint8 as a video that browsers play; `path` ends in .mp4."""
-    _check(frames)
+    _check(frames, fps)
     odd = [(0, 0), *((0, size % 2) for size in frames.shape[1:3]), (0, 0)]
     even = np.pad(frames, odd, mode="edge")  # yuv420p halves both sides
     codec = "libx264" if "libx264" in av.codecs_available else "mpeg4"
@@ -153,7 +156,7 @@ def write_mp4(frames: np.ndarray, path: Path, fps: int = FPS) -> None:
 
 def write_gif(frames: np.ndarray, path: Path, fps: int = FPS) -> None:
     """Write `frames` [T, H, W, 3] uint8 as a GIF that repeats, all in one palette."""
-    _check(frames)
+    _check(frames, fps)
     # The colours of up to 16 frames, spread over the video, speak for all.
     few = frames[np.unique(np.linspace(0, len(frames) - 1, 16).astype(int))]
     palette = Image.fromarray(few.reshape(-1, *few.shape[2:])).quantize(
@@ -172,8 +175,10 @@ def write_gif(frames: np.ndarray, path: Path, fps: int = FPS) -> None:
     _write(path, file.getvalue())
 
 
-def _check(frames: np.ndarray) -> None:
-    if frames.ndim != 4 or frames.shape[3] != 3 or frames.dtype != np.uint8 or not len(frames):
+def _check(frames: np.ndarray, fps: int) -> None:
+    of_kind("frames", frames, np.ndarray)
+    bounded("fps", fps, 1, FASTEST)
+    if frames.ndim != 4 or frames.shape[3] != 3 or frames.dtype != np.uint8 or not frames.size:
         raise ValueError(f"a video is [T, H, W, 3] uint8, not {frames.shape} {frames.dtype}")
 
 

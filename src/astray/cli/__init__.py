@@ -6,9 +6,13 @@ import contextlib
 import io
 import os
 import sys
+import threading
+
+from astray.words import printable
 
 MISTAKE = 2  # exit code, after the mistake was explained
 INTERRUPTED = 130  # as shells say it: 128 and the number of the signal, SIGINT
+LONGEST = 1200  # characters of a mistake; the longest list of what there is has 800
 UNREAD = 141  # likewise SIGPIPE: nobody reads what is written, as in `astray list | head -1`
 
 
@@ -17,6 +21,7 @@ def main() -> None:
     code = 0
     try:
         _open_streams()
+        threading.excepthook = _tell_of_thread
         _see_folder()
         # Imported here: libraries read the environment, and may not like what they find.
         from astray.cli.verbs import run
@@ -51,6 +56,10 @@ def _open_streams() -> None:
             os.fstat(number)
         except OSError:
             os.open(os.devnull, os.O_RDWR)
+    # What is closed is None to Python, which not all libraries reckon with.
+    for name in ("stdout", "stderr"):
+        if getattr(sys, name) is None:
+            setattr(sys, name, open(os.devnull, "w"))  # noqa: SIM115
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):  # paths may be of bytes that are no text
             stream.reconfigure(errors="backslashreplace")
@@ -68,9 +77,26 @@ def _see_folder() -> None:
 
 def _tell(what: str) -> None:
     """Write the first line of `what` to standard error; libraries add pages to it."""
+    line = printable(next(iter(what.strip().splitlines()), ""))
     if sys.stderr:
         with contextlib.suppress(OSError):
-            print(f"astray: {what.strip().splitlines()[0]}", file=sys.stderr)
+            print(f"astray: {shortened(line)}", file=sys.stderr)
+
+
+def _tell_of_thread(what: threading.ExceptHookArgs) -> None:
+    """Tell in a line what a library's thread could not write; all else is a mistake of a program.
+
+    TensorBoard's writes its events.
+    """
+    if isinstance(what.exc_value, OSError):
+        _tell(str(what.exc_value))
+    else:
+        threading.__excepthook__(what)
+
+
+def shortened(line: str) -> str:
+    """`line`, of which the middle may be left out where it is longer than a few lines."""
+    return line if len(line) <= LONGEST else f"{line[: LONGEST // 2]} ... {line[-LONGEST // 2 :]}"
 
 
 def _give_up_output() -> None:

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
+from rich.markup import escape
 from rich.table import Table
 from tyro.conf import Positional
 
@@ -17,6 +18,7 @@ from astray.experiments.workers import Place
 from astray.game import OWN
 from astray.training import checkpoint
 from astray.training.config import PRESETS
+from astray.words import printable
 
 MOST_WORKERS = 1024  # processes
 
@@ -41,10 +43,7 @@ def list_(json: bool = False) -> None:
             for game in [games.find(name)]
         },
         "experiments": {name: experiments.load(name).title for name in experiments.NAMES},
-        "agents": {
-            name: vars(checkpoint.read_config(kept.find(name)))
-            for name in (*kept.names(), *kept.imported())
-        },
+        "agents": {name: _agent(name) for name in (*kept.names(), *kept.imported())},
         "presets": list(PRESETS),
     }
     if json:
@@ -63,7 +62,16 @@ def list_(json: bool = False) -> None:
         show(f"  {name}: {title}")
     show("[bold]agents[/]")
     for name, config in found["agents"].items():
-        show(f"  {name}: {config['game']}, trained on {config['variant']}")
+        about = config.get("error") or f"{config['game']}, trained on {config['variant']}"
+        show(f"  {escape(printable(name))}: {escape(printable(about))}")
+
+
+def _agent(name: str) -> dict[str, Any]:
+    """The settings of an agent that is here; where they cannot be read, what is wrong."""
+    try:
+        return vars(checkpoint.read_config(kept.find(name)))
+    except (ValueError, OSError) as error:
+        return {"error": str(error)}
 
 
 def reproduce(

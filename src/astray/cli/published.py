@@ -12,6 +12,7 @@ from tyro.conf import Positional, arg
 
 from astray.analysis import kept
 from astray.cli.arguments import Mode, level_numbers, print_json
+from astray.words import printable
 
 
 def import_(
@@ -103,7 +104,7 @@ def _list(json: bool) -> None:
         table.add_row(name, row["state"], row["licence"] or "none known", row["about"])
     Console(width=120).print(table)
     if others:
-        print(f"imported beside these: {', '.join(others)}")
+        print(f"imported beside these: {printable(', '.join(others))}")
     print(f"Imported agents are in {kept.folder()}; to get one: astray agents fetch NAME")
 
 

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from astray import games
+from astray.bounds import of_kind
 from astray.files import read, write_aside
 from astray.game import Game
 
@@ -27,8 +28,9 @@ def save_states(path: Path, game: str | Game, states: np.ndarray) -> None:
     """Write `states` of `game` to an .npz file: "game", "format", and "states", [N] records."""
     game = games.find(game)
     wanted = game.state
+    of_kind("states", states, np.ndarray)
     if states.dtype != wanted:
-        raise ValueError(f"these are not states of {game.name}")
+        raise ValueError(f"these are not states of {game.name}; they are {states.dtype}")
     file, plain = io.BytesIO(), np.dtype(wanted.descr)
     np.savez_compressed(file, game=game.name, format=FORMAT, states=states.view(plain))
     write_aside(path, file.getvalue())

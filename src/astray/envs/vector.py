@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import copy
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, Literal
 
 import numpy as np
@@ -14,7 +14,7 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
 from astray import games
-from astray.bounds import bounded
+from astray.bounds import bounded, of_kind, shown
 from astray.envs import loops
 from astray.envs.compiled import compiled
 from astray.envs.loops import AS_SET, DISABLED, NEXT_LEVEL, NEXT_STEP, NOTHING, SAME_STEP, STEP
@@ -22,6 +22,7 @@ from astray.envs.pool import Pool, alone, most_threads
 from astray.game import LEVELS, MOST, OWN, Game, Variant, integers, level_numbers
 from astray.level import Level
 from astray.memory import check_memory
+from astray.words import check_word
 
 IMAGE = 64  # pixels a side of what the agent sees
 COPIES = 6  # of an observation: four in the batch's space, the last one, the one at an end
@@ -32,9 +33,11 @@ MODES = {
     AutoresetMode.SAME_STEP: SAME_STEP,
     AutoresetMode.DISABLED: DISABLED,
 }
+MOST_SEED = 2**63 - 1
 OPTIONS = ("level", "state", "reset_mask")  # of a reset
 NUMBERS, REALS, FLAGS = np.empty(0, np.int64), np.empty(0), np.empty(0, bool)
 Info = dict[str, Any]
+Observation = Literal["image", "symbolic"]
 
 
 class GameVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
@@ -61,7 +64,7 @@ class GameVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         variant: str | Variant,
         num_envs: int = 1,
         *,
-        observation: Literal["image", "symbolic"] = "image",
+        observation: Observation = "image",
         art: str = OWN,
         levels: range | Sequence[int] | np.ndarray = LEVELS,
         autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
@@ -72,14 +75,19 @@ class GameVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         self.variant = self.game.variant(variant)
         bounded("num_envs", num_envs, 1, MOST)
         bounded("threads", threads, 1, most_threads())
-        if observation not in ("image", "symbolic"):
-            raise ValueError(f"unknown observation {observation!r}; there are: image, symbolic")
-        if render_mode not in (None, "rgb_array"):
-            raise ValueError(f"unknown render_mode {render_mode!r}; there are: None, rgb_array")
+        check_word("observation", observation, Observation)
+        if render_mode is not None:
+            check_word("render_mode", render_mode, Literal["rgb_array"])
         self.num_envs, self.render_mode, self.observation = num_envs, render_mode, observation
         self.symbolic = observation == "symbolic"
         self.art, looks = art, self.game.drawn(art)
-        mode = AutoresetMode(autoreset_mode)
+        try:
+            mode = AutoresetMode(autoreset_mode)
+        except ValueError:
+            there = ", ".join(mode.value for mode in AutoresetMode)
+            raise ValueError(
+                f"unknown autoreset_mode {shown(autoreset_mode)}; there are: {there}"
+            ) from None
         self._mode = MODES[mode]
         self.autoreset_mode = mode  # as Gymnasium's own have it; others look for it here
         self.metadata = {"render_modes": ["rgb_array"], "autoreset_mode": mode, "render_fps": 15}
@@ -93,8 +101,8 @@ class GameVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         else:
             self.single_observation_space = spaces.Box(0, 255, (IMAGE, IMAGE, 3), np.uint8)
             scene = looks.scene_shape(self.variant, IMAGE)
-        shown = math.prod(self.single_observation_space.shape)
-        each = COPIES * shown + math.prod(scene) + 2 * self.game.state.itemsize
+        numbers = math.prod(self.single_observation_space.shape)
+        each = COPIES * numbers + math.prod(scene) + 2 * self.game.state.itemsize
         check_memory(num_envs * each, f"{num_envs:,} environments")
         self.single_action_space = spaces.Discrete(len(self.game.actions))
         self.observation_space = batch_space(self.single_observation_space, num_envs)
@@ -160,6 +168,11 @@ class GameVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
                                that come after it are those that would have come without it
         options["reset_mask"]  [N] bool, the environments to reset; the others go on
         """
+        if seed is not None:
+            bounded("seed", seed, 0, MOST_SEED)
+            seed = int(seed)
+        if options is not None:
+            of_kind("options", options, Mapping)
         super().reset(seed=seed)
         options = options or {}
         unknown = [name for name in options if name not in OPTIONS]
@@ -210,10 +223,16 @@ class GameVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
             raise RuntimeError("an episode has ended; reset(options={'reset_mask': ...}) first")
         if out is None:
             out = np.empty(self._shape, np.uint8)
-        elif out.shape != self._shape or out.dtype != np.uint8 or not out.flags.carray:
+        elif (
+            not isinstance(out, np.ndarray)
+            or out.shape != self._shape
+            or out.dtype != np.uint8
+            or not out.flags.carray
+        ):
+            kind, shape = getattr(out, "dtype", type(out)), np.shape(out)
             raise ValueError(
-                f"out must be {self._shape} of uint8, contiguous and writable; got {out.shape} of "
-                f"{out.dtype}"
+                f"out must be an array {self._shape} of uint8, contiguous and writable; got {kind} "
+                f"of {shape}"
             )
         n, largest = self.num_envs, len(self.game.actions) - 1
         actions = np.ascontiguousarray(integers(actions, "actions"), np.int64)
@@ -252,7 +271,7 @@ class GameVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
 
     def _take(self, states: Any, which: np.ndarray, keep: Sequence[str] = ()) -> None:
         """Put `states` in place of those in `which`, but for the fields to `keep`."""
-        given = np.asarray(states)
+        given = np.asarray(states if isinstance(states, np.ndarray | np.void) else None)
         if given.dtype != self.game.state or given.shape not in ((), (1,), (self.num_envs,)):
             raise ValueError(
                 f"{self.num_envs} states of {self.game.name}, or one, are needed; given "

@@ -11,7 +11,8 @@ import numpy as np
 import polars as pl
 from matplotlib.figure import Figure
 
-from astray.analysis.episodes import Measure, initial_states
+from astray.analysis.episodes import initial_states
+from astray.analysis.given import Measure
 from astray.analysis.outcomes import matrix
 from astray.analysis.policies import Walk
 from astray.analysis.statistics import Estimate, bootstrap

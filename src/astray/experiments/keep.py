@@ -68,6 +68,8 @@ def draw_curve(run: Path, config: Config, steps: int, folder: Path) -> None:
     there = {"training/return": config.variant}
     if config.validation:
         there["validation/return"] = config.validation
+    if missing := [name for name in there if name not in metrics.columns]:
+        raise ValueError(f"no episode of {run} has ended: there is no {missing[0]} to draw")
     data = metrics.filter(pl.col("steps") <= steps).select("steps", *there)
     every = -(-len(data) // POINTS)
     data = data.gather_every(every, (len(data) - 1) % every)  # with the last

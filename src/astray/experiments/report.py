@@ -6,7 +6,7 @@ import base64
 import json
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,6 +14,7 @@ import polars as pl
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from astray.analysis.tables import write_table
+from astray.bounds import shown
 from astray.files import read, write_aside
 
 if TYPE_CHECKING:
@@ -116,7 +117,7 @@ def of_claims(folder: Path) -> dict[str, str]:
     path = folder / "findings.json"
     if not path.exists():
         return {}
-    told = json.loads(read(path))["verdicts"]
+    told = _findings(path)["verdicts"]
     return {
         one["claim"]: f"{one['ours']} ({'held' if one['held'] else 'did not hold'})" for one in told
     }
@@ -125,11 +126,24 @@ def of_claims(folder: Path) -> dict[str, str]:
 def write_index(folder: Path) -> Path:
     """Write `index.html`, which leads to all reports in folders of `folder`; its path."""
     found = [
-        json.loads(read(path)) | {"folder": path.parent.name}
+        _findings(path) | {"folder": path.parent.name}
         for path in sorted(folder.glob("*/findings.json"))
     ]
     write_aside(folder / "index.html", _render("index.html", reports=found).encode())
     return folder / "index.html"
+
+
+def _findings(path: Path) -> dict[str, Any]:
+    """What `write` wrote to findings.json; ValueError where it is something else."""
+    try:
+        found = json.loads(read(path))
+    except (ValueError, RecursionError) as error:
+        raise ValueError(f"{path} is no JSON: {error}") from error
+    names = ("verdicts", "answer", *(f.name for f in fields(Heading)))
+    missing = [name for name in names if not isinstance(found, dict) or name not in found]
+    if missing or not all(isinstance(v, dict) and "held" in v for v in found["verdicts"]):
+        raise ValueError(f"{path} must be the findings of a report; got {shown(found)}")
+    return found
 
 
 def _render(template: str, **what: Any) -> str:

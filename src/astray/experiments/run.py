@@ -52,7 +52,7 @@ def reproduce(
     art      of all images; the report of another than our own is in <name>-<size>-<art>
     """
     name, whole = experiments.find(experiment)
-    if size not in whole.sizes:
+    if not isinstance(size, str) or size not in whole.sizes:
         raise ValueError(f"unknown size {size!r} of {name}; there are: {', '.join(whole.sizes)}")
     torch.set_num_threads(1)  # several cost small networks more than they save
     plan, ending = whole.sizes[size].drawn_with(art), "" if art == OWN else f"-{art}"
@@ -138,7 +138,11 @@ def forget_stale(plan: Plan, runs: Runs, folder: Path) -> None:
     }
     text, path = json.dumps(data, indent=1).encode(), folder / "plan.json"
     if not path.exists() or read(path) != text:
-        for table in (folder / COMPUTED).glob("*.parquet"):
+        computed = folder / COMPUTED
+        if computed.is_symlink():
+            raise OSError(f"{computed} must be a folder of its own; it is a link, to what may not "
+                          "be astray's")  # fmt: skip
+        for table in computed.glob("*.parquet"):
             table.unlink()
         write_aside(path, text)
 

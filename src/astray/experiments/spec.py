@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from math import inf
@@ -11,10 +12,11 @@ from typing import Any, Literal, get_args
 import polars as pl
 
 from astray import games
-from astray.analysis.episodes import Measure
+from astray.analysis.given import Measure
 from astray.analysis.outcomes import load_shift
 from astray.analysis.tables import write_table
 from astray.experiments.report import Findings
+from astray.files import read
 from astray.game import Game, Variant
 from astray.training.config import Config
 
@@ -120,7 +122,12 @@ def kept(folder: Path, name: str, compute: Callable[[], pl.DataFrame]) -> pl.Dat
     """The table `name` of a report's folder, made by `compute` where there is none."""
     path = folder / COMPUTED / f"{name}.parquet"
     if path.exists():
-        return pl.read_parquet(path)
+        try:
+            return pl.read_parquet(io.BytesIO(read(path)))
+        except pl.exceptions.PolarsError as error:
+            raise ValueError(
+                f"{path} is no table of astray's: {error}; without it, it is made anew"
+            ) from error
     table = compute()
     path.parent.mkdir(parents=True, exist_ok=True)
     write_table(table, path)

@@ -11,6 +11,7 @@ import importlib
 import pkgutil
 from importlib.metadata import EntryPoint, entry_points
 
+from astray.bounds import shown
 from astray.game import Game
 
 OWN = tuple(sorted(module.name for module in pkgutil.iter_modules(__path__) if module.ispkg))
@@ -45,11 +46,13 @@ def find(game: str | Game) -> Game:
     """
     if isinstance(game, Game):
         return game
+    if not isinstance(game, str):
+        raise ValueError(f"a game must be a Game or its name; got {shown(game)}")
     if game in OWN:
         return importlib.import_module(f"{__name__}.{game}").GAME
     if game in _registered:
         return _registered[game]
-    if isinstance(game, str) and game in _offered():
+    if game in _offered():
         return _load(_offered()[game])
     raise ValueError(f"unknown game {game!r}; there are: {', '.join(names())}")
 

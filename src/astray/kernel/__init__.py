@@ -2,6 +2,9 @@
 
 import warnings
 
+from astray.kernel.variables import leave_out
+
+leave_out()
 # Where numba cannot read its environment it warns with a traceback; the first line says it all.
 with warnings.catch_warnings(record=True) as _said:
     import numba  # noqa: F401

@@ -12,6 +12,7 @@ import contextlib
 import json
 import os
 import platform
+import re
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -26,7 +27,8 @@ from safetensors.torch import load as from_bytes
 from safetensors.torch import save as to_bytes
 
 from astray.agents import policy
-from astray.files import aside_of, folder_aside, hold, read, remove_left, write_aside
+from astray.bounds import brief, shown
+from astray.files import aside_of, folder_aside, hold, holds_only, read, remove_left, write_aside
 from astray.kernel.jit import source_digest
 from astray.training import parallel
 from astray.training.config import Config
@@ -34,6 +36,8 @@ from astray.training.log import METRICS, read_metrics
 from astray.training.trainer import Trainer
 
 AGENT, TRAINER = "agent.safetensors", "trainer.safetensors"
+
+STEPS = re.compile(r"0|[1-9][0-9]{0,17}")  # names of checkpoints
 
 LARGEST_CONFIG = 2**20  # bytes
 
@@ -63,7 +67,9 @@ def claim(folder: Path, config: Config, wait: bool = False) -> Iterator[None]:
             error.errno, f"{error.strerror}; no run can be kept in", str(folder)
         ) from error
     try:
-        path = folder / "config.json"
+        path, there = folder / "config.json", folder / "checkpoints"
+        if os.path.lexists(there) and not there.is_dir():  # as a link to a disk that is not there
+            raise NotADirectoryError(f"{there} must be a folder, or not be there")
         if path.exists():
             check(folder, config)
         else:
@@ -75,7 +81,7 @@ def claim(folder: Path, config: Config, wait: bool = False) -> Iterator[None]:
             data = {"config": config.to_json(), "versions": versions}
             write_aside(path, json.dumps(data, indent=2).encode())
         remove_left(folder, (path.name,))
-        remove_left(folder / "checkpoints", (AGENT, TRAINER))
+        remove_left(there, (AGENT, TRAINER))
         parallel.wait()
         yield
     finally:
@@ -99,7 +105,10 @@ def read_config(folder: Path) -> Config:
     """The settings of the run in `folder`."""
     path = folder / "config.json"
     try:
-        return Config.from_json(json.loads(read(path, LARGEST_CONFIG))["config"])
+        data = json.loads(read(path, LARGEST_CONFIG))
+        if not isinstance(data, dict) or "config" not in data:
+            raise ValueError(f"it must be an object with 'config'; got {shown(data)}")
+        return Config.from_json(data["config"])
     except FileNotFoundError:
         raise FileNotFoundError(f"{folder} is not a run: it has no config.json") from None
     except (ValueError, KeyError, TypeError, RecursionError, OverflowError) as error:
@@ -122,18 +131,21 @@ def save(folder: Path, trainer: Trainer) -> None:
     saved = steps_saved(folder)
     firsts = {next((s for s in saved if s >= m), None) for m in trainer.config.milestones}
     for old in saved[:-2]:
+        place = there / f"{old}"
+        if not holds_only(place, (AGENT, TRAINER)):
+            continue  # it leads elsewhere, or the user keeps something in it
         if old in firsts:
-            (there / f"{old}" / TRAINER).unlink(missing_ok=True)
+            (place / TRAINER).unlink(missing_ok=True)
         else:
-            gone = aside_of(there / f"{old}")  # first out of sight: a kill may leave half of it
-            os.replace(there / f"{old}", gone)
+            gone = aside_of(place)  # first out of sight: a kill may leave half of it
+            os.replace(place, gone)
             remove_left(there, (AGENT, TRAINER))
 
 
 def steps_saved(folder: Path) -> list[int]:
     """The steps of all checkpoints, ascending."""
-    names = (path.name for path in (folder / "checkpoints").glob("[0-9]*"))
-    return sorted(int(name) for name in names if name.isascii() and name.isdecimal())
+    found = (path for path in (folder / "checkpoints").glob("[0-9]*") if path.is_dir())
+    return sorted(int(path.name) for path in found if STEPS.fullmatch(path.name))
 
 
 def latest(folder: Path) -> Path:
@@ -161,7 +173,7 @@ def restore(folder: Path, trainer: Trainer) -> None:
         if path.name != f"{trainer.steps}":
             raise ValueError(f"it is of step {trainer.steps}")
     except (SafetensorError, OSError, KeyError, TypeError, ValueError, RuntimeError) as error:
-        raise ValueError(f"{path / TRAINER} cannot be resumed from: {error}") from error
+        raise ValueError(f"{path / TRAINER} cannot be resumed from: {brief(error)}") from error
 
 
 def _metadata(data: bytes) -> dict[str, str]:

@@ -175,7 +175,7 @@ class Config:
     @staticmethod
     def from_json(data: Any) -> Config:
         if not isinstance(data, dict):
-            raise ValueError(f"settings are an object; given {data!r}")
+            raise ValueError(f"settings are an object; given {shown(data)}")
         known = [f.name for f in fields(Config)]
         values = {name: value for name, value in data.items() if name != "training_variant"}
         unknown = [name for name in values if name not in known]

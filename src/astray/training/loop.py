@@ -9,9 +9,10 @@ from __future__ import annotations
 import contextlib
 import functools
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -20,7 +21,7 @@ from torch import Tensor, nn
 from astray import imports
 from astray.agents import policy
 from astray.agents.policy import Architecture
-from astray.bounds import bounded
+from astray.bounds import bounded, of_kind, shown
 from astray.envs.pool import most_threads, see_startable
 from astray.training import checkpoint, parallel, ppo
 from astray.training.config import Config
@@ -34,9 +35,13 @@ from astray.training.trainer import Trainer
 SPARE = 16  # threads that libraries may start
 
 
+class Diverged(RuntimeError):
+    """The weights of the network that is trained are no finite numbers any more."""
+
+
 def train(
     config: Config,
-    folder: Path,
+    folder: str | Path,
     *,
     network: Callable[[Architecture], nn.Module] | None = None,
     loss: Loss | None = None,
@@ -53,8 +58,11 @@ def train(
     On a CPU, a run that was stopped and resumed has the weights and metrics of one that was not.
 
     Raises ValueError where the folder holds another run or there is no such device, OSError where
-    it cannot be written, `checkpoint.Claimed` where another process trains in it.
+    it cannot be written, `checkpoint.Claimed` where another process trains in it, `Diverged` where
+    weights are no finite numbers any more; the checkpoints before that are kept.
     """
+    of_kind("config", config, Config)
+    folder = Path(folder)
     if network is not None:
         config = replace(config, network=imports.name_of(network))
     if loss is not None and loss is not ppo.loss:
@@ -75,6 +83,7 @@ def train(
         with writes or contextlib.nullcontext() as log:
             while trainer.iteration < config.iterations:
                 metrics, speed = iterate(trainer)
+                see_converging(trainer)
                 if log:
                     log.write(trainer.steps, metrics, speed)
                 done = trainer.iteration == config.iterations
@@ -106,6 +115,30 @@ def iterate(trainer: Trainer) -> tuple[dict[str, float], dict[str, float]]:
     seconds = time.perf_counter() - began
     speed = {"steps_per_second": config.batch / seconds, "playing": (played - began) / seconds}
     return metrics | {"update/learning_rate": rate}, speed
+
+
+def see_losses(losses: Any) -> None:
+    """ValueError where a loss of the user's own returns nothing that can be learned from."""
+    parts = losses.values() if isinstance(losses, Mapping) else [None]
+    are_numbers = all(isinstance(part, Tensor) and not part.shape for part in parts)
+    if not are_numbers or "loss" not in losses or not losses["loss"].requires_grad:
+        raise ValueError(
+            "a loss must return tensors of one number by name, with 'loss' among them, which the "
+            f"weights decide; got {shown(losses)}"
+        )
+
+
+def see_converging(trainer: Trainer) -> None:
+    """`Diverged` where what was learned is not all finite: no update after that brings it back."""
+    if torch.stack([x.isfinite().all() for x in trainer.learned()]).all():
+        return
+    config = trainer.config
+    raise Diverged(
+        f"training diverged in update {trainer.iteration} of {config.iterations}, at "
+        f"{trainer.steps:,} steps: weights are no finite numbers any more; lower learning_rate "
+        f"({config.learning_rate:g}) or gradient_norm ({config.gradient_norm:g}); the checkpoints "
+        "before it are kept"
+    )
 
 
 @torch.no_grad()
@@ -182,6 +215,8 @@ def learn(trainer: Trainer, samples: Samples, indices: Tensor) -> dict[str, Tens
     """One step of the optimizer, on the samples at `indices`: the loss's parts, and the gradient's
     length before it is clipped."""
     losses = trainer.fast.loss(samples.at(indices))
+    if not trainer.steps:
+        see_losses(losses)
     for weight in trainer.weights:  # 10 us, where zero_grad takes 160
         weight.grad = None
     losses["loss"].backward()

@@ -28,7 +28,13 @@ def processes(device: str) -> Iterator[None]:
     if device == "cuda":
         gpu = torch.device("cuda", dist.get_node_local_rank(0))  # pyright: ignore
         torch.cuda.set_device(gpu)
-    dist.init_process_group("nccl" if gpu else "gloo", device_id=gpu)
+    try:
+        dist.init_process_group("nccl" if gpu else "gloo", device_id=gpu)
+    except ValueError as error:
+        raise ValueError(
+            "RANK, WORLD_SIZE, MASTER_ADDR and MASTER_PORT must be as torchrun sets them in the "
+            f"environment; {error}"
+        ) from error
     yield
     dist.destroy_process_group()  # not after an error: it may wait for others, whom torchrun ends
 

@@ -66,6 +66,8 @@ class Trainer:
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(config.seed)
             self.network = build(self.architecture).to(config.device)
+            if not own:
+                _see_outputs(self.network, self.architecture, self.player.images.to(config.device))
         self.weights = list(self.network.parameters())
         what = loss or (imports.find(config.loss) if config.loss else ppo.loss)
         self.fast = acceleration.accelerate(self.network, what, config, self.architecture)
@@ -187,6 +189,19 @@ class Trainer:
         for player in self.players().values():
             for env in player.envs:
                 env.close()
+
+
+@torch.no_grad()
+def _see_outputs(network: nn.Module, architecture: Architecture, shown: Tensor) -> None:
+    """ValueError where a network of the user's own does not return logits and values."""
+    wanted = [(len(shown), architecture.actions), (len(shown),)]
+    returned = network(shown)
+    parts = returned if isinstance(returned, tuple | list) else [returned]
+    got = [tuple(x.shape) if isinstance(x, Tensor) else type(x).__name__ for x in parts]
+    if got != wanted:
+        raise ValueError(
+            f"a network must return logits {wanted[0]} and values {wanted[1]}; got {got}"
+        )
 
 
 def _see_alike(config: Config, trained: tuple | None, validated: tuple | None) -> None:

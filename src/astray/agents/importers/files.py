@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 from pathlib import Path
 
+from astray import files
 from astray.agents.importers import jd, pth
 from astray.agents.importers.imported import Imported
 
@@ -13,9 +14,8 @@ LARGEST = 512_000_000  # bytes; the largest known, with its optimizer's state, i
 
 
 def digest(path: Path) -> str:
-    """The SHA-256 of a file."""
-    with open(path, "rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
+    """The SHA-256 of a file that can be an agent's."""
+    return hashlib.sha256(files.read(path, LARGEST)).hexdigest()
 
 
 def read(path: Path) -> Imported:
@@ -24,9 +24,7 @@ def read(path: Path) -> Imported:
     if reader is None:
         raise ValueError(f"{path} is refused: an agent's file is {', '.join(READERS)}; "
                          f"got {path.suffix or 'no ending'}")  # fmt: skip
-    if (size := path.stat().st_size) > LARGEST:
-        raise ValueError(f"{path} is refused: it has {size:,} bytes; at most {LARGEST:,} are read")
     try:
-        return reader(path.read_bytes())
+        return reader(files.read(path, LARGEST))
     except ValueError as error:
         raise ValueError(f"{path} is refused: {error}") from error

@@ -304,8 +304,13 @@ def describe(s: Any) -> dict[str, Any]:
 
 def invariants(states: np.ndarray, variant: Variant) -> dict[str, np.ndarray]:
     """What is true of states [N] of `variant`, and compiled code relies on."""
+    return truths(states)
+
+
+def truths(states: np.ndarray) -> dict[str, np.ndarray]:
+    """What is true of states [N] of all variants."""
     s = states.view(np.recarray)
-    found = {
+    return {
         "cell": (s.cell <= PERMEABLE).all((1, 2)),
         "thing": (s.thing <= SAW).all((1, 2)),
         "detail": (s.detail < DETAILS).all((1, 2)),
@@ -330,7 +335,6 @@ def invariants(states: np.ndarray, variant: Variant) -> dict[str, np.ndarray]:
         "background": within(s.background, 0, BACKGROUNDS),
         "background_offset": (s.background_offset >= 0) & (s.background_offset <= 1),
     }
-    return found
 
 
 def build(cells: np.ndarray, agent: tuple[int, int], looks: Any, variant: Variant) -> Any:

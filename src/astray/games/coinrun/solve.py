@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 
-from astray.game import NEVER
+from astray.game import NEVER, check_record
+from astray.games.coinrun import rules
+from astray.games.coinrun.levels import truths
 from astray.games.coinrun.reach import explore
 from astray.games.coinrun.rules import (
     ACTIONS,
@@ -31,13 +34,17 @@ TRIED = np.array([ACTIONS.index(a) for a in ("right-up", "right", "left-up", "le
                                               "down")])  # fmt: skip
 HELD = 3  # steps for which the search holds an action
 NODES = 100_000  # the search gives up after so many
+LONGEST = HELD * NODES  # steps of the way to the last of them, at most
 SLOTS = 1 << 18  # of the table of what the search has seen
 COIN_GOAL, END_GOAL, WALL_GOAL, BEYOND_GOAL = range(4)  # GOALS, in their order
 GREED = 1.5  # how much a step still to go weighs against one gone: more finds worse ways faster
 
+check = functools.partial(check_record, rules=rules, truths=truths)
+
 
 def expert(s: Any, goal: str) -> Callable[[Any], int]:
     """What leads to `goal` from `s` on: a way that was found, action by action."""
+    check(s)
     begin, actions = int(s.time), plan(s, goal)
     return lambda now: int(actions[now.time - begin]) if now.time - begin < len(actions) else STAY
 
@@ -48,6 +55,7 @@ def optimal_return(s: Any, goal: str, gamma: float = 1.0) -> float:
     A short way, not certainly the shortest. The reward comes with its last step:
     gamma ** (steps - 1) * 10, and 0 where no way was found in the time left.
     """
+    check(s)
     if s[_event(goal)] != NEVER:
         return REWARD
     steps = len(plan(s, goal))
@@ -70,7 +78,8 @@ def plan(s: Any, goal: str) -> np.ndarray:
     states = copy.view(np.recarray)
     if goal != "coin":
         states.cell[states.cell == COIN] = EMPTY
-    return search(states, tuple(GOALS).index(goal), int(s.time_limit - s.time))
+    left = min(int(s.time_limit - s.time), LONGEST)
+    return search(states, tuple(GOALS).index(goal), left)
 
 
 def _event(goal: str) -> str:
@@ -84,6 +93,7 @@ def reachable(s: Any) -> np.ndarray:
 
     And those of what stands or walks about, which nobody needs to get to.
     """
+    check(s)
     copy: Any = np.zeros(1, s.dtype)
     copy[0] = s
     touched = all_touched(copy.view(np.recarray))

@@ -13,6 +13,7 @@ from astray.games.keys.rules import (
     EMPTY,
     HIDDEN,
     KEY,
+    LARGEST,
     MOST,
     MOVES,
     STATE,
@@ -229,15 +230,24 @@ def _twister(given: Any) -> tuple[int, int]:
 
 def invariants(states: np.ndarray, variant: Variant) -> dict[str, np.ndarray]:
     """What is true of states [N] of `variant`, and compiled code relies on."""
-    p, s = variant.records()[0], states.view(np.recarray)
+    p = variant.records()[0]
+    return truths(states) | {
+        "world": states["world"] == p.world,
+        "window": states["window"] == p.window,
+    }
+
+
+def truths(states: np.ndarray) -> dict[str, np.ndarray]:
+    """What is true of states [N] of all variants."""
+    s = states.view(np.recarray)
+    world = np.clip(s.world, 1, LARGEST)
     # Fields that are no numbers fail every comparison.
     with np.errstate(invalid="ignore"):
         # Walls are felt in the corners of a box that is a little smaller than the thief.
-        least, most = CORNER, p.world - CORNER
+        least, most = CORNER, world - CORNER
         inside = (s.x >= least) & (s.x <= most) & (s.y >= least) & (s.y <= most)
         found = {
-            "world": s.world == p.world,
-            "window": s.window == p.window,
+            "world": s.world == world,
             "cell": (s.cell <= WALL).all((1, 2)),
             "x": inside,
             "place of the thief": _on_floor(s, inside),
@@ -254,8 +264,8 @@ def invariants(states: np.ndarray, variant: Variant) -> dict[str, np.ndarray]:
         there = np.arange(MOST) < s.objects[:, None]
         real = {
             "what": (s.what == KEY) | (s.what == CHEST),
-            "object_x": (s.object_x > 0) & (s.object_x < p.world),
-            "object_y": (s.object_y > 0) & (s.object_y < p.world),
+            "object_x": (s.object_x > 0) & (s.object_x < world[:, None]),
+            "object_y": (s.object_y > 0) & (s.object_y < world[:, None]),
             "gone": (s.gone >= NEVER) & (s.gone <= s.time[:, None]),
             "had": within(s.had, 0, MOST + 1),
         }

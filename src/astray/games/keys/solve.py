@@ -8,7 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from astray.game import NEVER
+from astray.game import NEVER, check_record
+from astray.games.keys import rules
+from astray.games.keys.levels import truths
 from astray.games.keys.rules import (
     CHEST,
     CHEST_X,
@@ -33,6 +35,8 @@ EXACT = 12  # objects; of more, the nearest are ordered, and all anew after each
 SLACK = float(F(0.5) - HALF)  # cells that the thief may be off the middle of a corridor
 PATIENCE = 8  # steps a cell after which a walk is given up
 HURRY = 1e-6  # worth of a step: of orders that are worth the same the fastest is best
+
+check = functools.partial(check_record, rules=rules, truths=truths)
 
 
 @kernel
@@ -221,6 +225,7 @@ class Planner:
     def __init__(self, s: Any, goal: str, gamma: float):
         if goal not in GOALS:
             raise ValueError(f"unknown goal {goal!r}; there are: {', '.join(GOALS)}")
+        check(s)
         _compile()
         self.goal, self.gamma = goal, gamma
         self._order: list[int] = []
@@ -239,6 +244,7 @@ class Planner:
 
     def action(self, now: Any) -> int:
         """The next action."""
+        check(now)
         steps = self.steps(now)
         return STAY if steps is None else int(towards(now, steps))
 
@@ -320,6 +326,7 @@ def _played(s: Any, goal: str, gamma: float, plan: float) -> float:
 
 def reachable(s: Any) -> np.ndarray:
     """The cells that the thief can walk to, [world, world] bool."""
+    check(s)
     is_open = s.cell[: s.world, : s.world] != WALL
     return distances(is_open, int(s.x), int(s.y)) != UNREACHABLE
 

@@ -151,13 +151,17 @@ def describe(s: Any) -> dict[str, Any]:
 def invariants(s: np.ndarray, variant: Variant) -> dict[str, np.ndarray]:
     """What is true of states [N] of `variant`, and compiled code relies on."""
     p = variant.records()[0]
+    return truths(s) | {"world": s["world"] == p.world, "window": s["window"] == p.window}
+
+
+def truths(s: np.ndarray) -> dict[str, np.ndarray]:
+    """What is true of states [N] of all variants."""
     x, y = (np.clip(np.nan_to_num(s[axis]), 0, LARGEST - 1).astype(int) for axis in "xy")
     found = {
-        "world": s["world"] == p.world,
-        "window": s["window"] == p.window,
+        "world": within(s["world"], 3, LARGEST + 1),
         "cell": (s["cell"] <= OTHER).all((1, 2)),
-        "x": (s["x"] > 0) & (s["x"] < p.world),
-        "y": (s["y"] > 0) & (s["y"] < p.world),
+        "x": (s["x"] > 0) & (s["x"] < s["world"]),
+        "y": (s["y"] > 0) & (s["y"] < s["world"]),
         "cell of the mouse": s["cell"][np.arange(len(s)), y, x] != WALL,
         "walls": within(s["walls"], 0, len(WALLS)),
         "background": within(s["background"], 0, FLOORS),
@@ -165,7 +169,8 @@ def invariants(s: np.ndarray, variant: Variant) -> dict[str, np.ndarray]:
     }
     for place in ("goal", "other", "corner"):
         for axis in "xy":
-            found[f"{place}_{axis}"] = within(s[f"{place}_{axis}"], NEVER, p.world)
+            found[f"{place}_{axis}"] = within(s[f"{place}_{axis}"], NEVER, s["world"])
+        found[place] = (s[f"{place}_x"] == NEVER) == (s[f"{place}_y"] == NEVER)
     for thing in ("goal", "other"):
         found[f"{thing}_shape"] = within(s[f"{thing}_shape"], 0, len(SHAPES))
         found[f"{thing}_colour"] = within(s[f"{thing}_colour"], 0, len(COLOURS))

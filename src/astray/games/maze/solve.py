@@ -2,18 +2,23 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 
-from astray.game import NEVER
+from astray.game import NEVER, check_record
+from astray.games.maze import rules
+from astray.games.maze.levels import truths
 from astray.games.maze.rules import ACTIONS, REWARD
 from astray.games.maze.variants import GOALS
 from astray.kernel.grid import UNREACHABLE, distances
 from astray.kernel.maze import WALL
 
 STAY = ACTIONS.index("stay")
+
+check = functools.partial(check_record, rules=rules, truths=truths)
 
 
 def target(s: Any, goal: str) -> tuple[int, int] | None:
@@ -49,12 +54,19 @@ def routes(s: Any, goal: str) -> np.ndarray:
 
 def expert(s: Any, goal: str) -> Callable[[Any], int]:
     """What leads to `goal` the shortest way, from wherever the mouse is in the maze of `s`."""
+    check(s)
     best = routes(s, goal)
-    return lambda now: int(best[int(now.y), int(now.x)])
+
+    def action(now: Any) -> int:
+        check(now)
+        return int(best[int(now.y), int(now.x)])
+
+    return action
 
 
 def reachable(s: Any) -> np.ndarray:
     """The cells that the mouse can walk to, [world, world] bool."""
+    check(s)
     is_open = s.cell[: s.world, : s.world] != WALL
     return distances(is_open, int(s.x), int(s.y)) != UNREACHABLE
 
@@ -65,6 +77,7 @@ def optimal_return(s: Any, goal: str, gamma: float = 1.0) -> float:
     The reward comes with the last step: gamma ** (steps - 1) * 10, and 0 where there is no way
     or it is longer than the time left.
     """
+    check(s)
     steps = steps_to(s, goal)[int(s.y), int(s.x)]
     if steps == UNREACHABLE or s.time + steps > s.time_limit:
         return 0.0

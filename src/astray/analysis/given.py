@@ -1,0 +1,49 @@
+"""What users give to analyses, seen before anything is played."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Mapping
+from typing import Any
+
+import numpy as np
+import polars as pl
+
+from astray.bounds import of_kind, shown
+
+Measure = Callable[[np.ndarray], np.ndarray]  # of states [N], a number each
+POLICY = ("name", "observation", "art", "actions")  # that each has
+
+
+def see_policy(policy: Any) -> None:
+    """ValueError where `policy` is none, as a function of observations is not."""
+    missing = [name for name in POLICY if not hasattr(policy, name)]
+    if missing or isinstance(policy, type):
+        raise ValueError(
+            f"a policy must have {', '.join(POLICY)}: load_agent(...) gives one, and "
+            f"Function(...) makes one of a function; got {shown(policy)}"
+        )
+
+
+def see_measures(measures: Mapping[str, Measure] | None, taken: Collection[str]) -> None:
+    """ValueError where `measures` are no functions by name, or have the name of a column."""
+    if measures is None:
+        return
+    of_kind("measures", measures, Mapping)
+    for name, measure in measures.items():
+        if not isinstance(name, str) or not callable(measure):
+            raise ValueError(
+                f"measures must be functions of states by name; got {shown(name)}: {shown(measure)}"
+            )
+        if name in taken:
+            raise ValueError(f"measures have the names of other columns: {name}")
+
+
+def measured(name: str, measure: Measure, states: np.ndarray) -> pl.Series:
+    """The column that a measure makes of `states` [N]; ValueError where that is not N values."""
+    values = measure(states)
+    if np.shape(values) != (len(states),):
+        raise ValueError(
+            f"the measure {name!r} must return {len(states)} values, one of each state; got "
+            f"{shown(values)}"
+        )
+    return pl.Series(name, values)

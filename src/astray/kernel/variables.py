@@ -1,0 +1,22 @@
+"""Variables of the environment with which numba would refuse to be imported."""
+
+from __future__ import annotations
+
+import os
+import re
+import warnings
+
+# What numba takes. It starts no threads here, and prints no errors in colour.
+TAKEN = {
+    "NUMBA_NUM_THREADS": "[1-9][0-9]{0,4}",
+    "NUMBA_COLOR_SCHEME": "no_color|dark_bg|light_bg|blue_bg|jupyter_nb",
+}
+
+
+def leave_out() -> None:
+    """Take such variables out of this process's environment, and say so."""
+    for name, taken in TAKEN.items():
+        given = os.environ.get(name)
+        if given is not None and not re.fullmatch(taken, given):
+            del os.environ[name]
+            warnings.warn(f"{name} is {given!r}, which numba does not take: left out", stacklevel=3)

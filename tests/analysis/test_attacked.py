@@ -1,0 +1,481 @@
+"""What an attack found, by class: each of these ended in something else than a sentence before."""
+
+import contextlib
+import http.server
+import json
+import os
+import shutil
+import stat
+import subprocess
+import sys
+import threading
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from astray import cli, games
+from astray.agency import measure
+from astray.agency.gridworld import World
+from astray.agents import policy
+from astray.agents.importers import files as importers
+from astray.agents.policy import Architecture
+from astray.agents.small import Small
+from astray.analysis import imported
+from astray.analysis.adapters import Function
+from astray.analysis.critic import visit
+from astray.analysis.download import download
+from astray.analysis.evaluate import evaluate
+from astray.analysis.policies import Random
+from astray.analysis.runs import evaluate_policies, evaluate_runs, load_agent
+from astray.analysis.statistics import bootstrap, over_agents
+from astray.analysis.video import play, write_gif
+from astray.cli import LONGEST, shortened
+from astray.envs.states import save_states
+from astray.envs.vector import GameVectorEnv
+from astray.files import read, see_writable, write_aside
+from astray.level import Level
+from astray.training import checkpoint, ppo
+from astray.training.config import PRESETS
+from astray.training.loop import Diverged, iterate, train
+from astray.training.trainer import Trainer
+from astray.words import printable
+from conftest import FEW
+
+MAZE = games.find("maze")
+SMALL = MAZE.variant("corner-small")
+TINY = replace(
+    PRESETS["small"], variant="corner-small", environments=4, rollout=8, minibatches=2, epochs=1,
+    width=8, steps=192, levels=50, checkpoint_every=2,
+)  # fmt: skip
+ROOM = World.parse("..\n..")
+LEVELS = range(2)
+
+
+@pytest.fixture(scope="module")
+def trained(tmp_path_factory):
+    """A run that has come to its end."""
+    folder = tmp_path_factory.mktemp("trained") / "run"
+    train(TINY, folder, progress=False)
+    return folder
+
+
+@pytest.fixture
+def run(trained, tmp_path):
+    """A copy of it, which may be ruined."""
+    shutil.copytree(trained, tmp_path / "run")
+    return tmp_path / "run"
+
+
+# Records that were changed by hand, given to a solver.
+
+
+@pytest.mark.parametrize("game, variant", FEW[::4])
+@pytest.mark.parametrize("ability", ["expert", "optimal_return", "reachable"])
+def test_a_solver_sees_the_record_that_it_is_given(game, variant, ability):
+    env = GameVectorEnv(game, variant, observation="symbolic")
+    env.reset(seed=0)
+    solver, goal = env.game.solver, next(iter(env.game.goals))
+    others = {"expert": (goal,), "optimal_return": (goal, 0.9), "reachable": ()}[ability]
+    getattr(solver, ability)(env.get_state().view(np.recarray)[0], *others)
+    for field, value in (("x", np.nan), ("y", np.inf), ("x", -1.0), ("mt_next", 2**40)):
+        ruined = env.get_state()
+        ruined[field] = value
+        with pytest.raises(ValueError, match=r"the state is none of this game: its .* cannot be"):
+            getattr(solver, ability)(ruined.view(np.recarray)[0], *others)
+    with pytest.raises(ValueError, match="must be a record of this game; got"):
+        getattr(solver, ability)(np.zeros(3), *others)
+
+
+def test_an_expert_sees_the_records_that_come_later():
+    env = GameVectorEnv("keys", "many-chests-small", observation="symbolic")
+    env.reset(seed=0)
+    expert, later = env.game.solver.expert(env.states[0], "chests"), env.get_state()
+    later["vx"] = np.nan  # it ended the process
+    with pytest.raises(ValueError, match="its vx cannot be"):
+        expert(later.view(np.recarray)[0])
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="memory is told in other units, or not")
+def test_a_solver_takes_no_memory_for_time_that_nobody_needs():
+    import resource
+
+    endless = replace(games.find("coinrun").variant("coin-end"), time_limit=2**31 - 1)
+    env = GameVectorEnv("coinrun", endless, observation="symbolic")
+    env.reset(seed=0, options={"level": 3})
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    assert env.game.solver.optimal_return(env.states[0], "end") > 0
+    # kB; it was 2 GB, a byte for each step.
+    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 1_000_000
+
+
+# Trainings that diverge; networks and losses that are none.
+
+
+def nan(network, batch, config):
+    losses = ppo.loss(network, batch, config)
+    grown = losses["entropy"].detach().isnan() | (batch.observation.sum() >= 0)
+    return losses | {"loss": torch.where(grown, torch.nan, 1.0) * losses["loss"]}
+
+
+def test_a_training_that_diverges_stops_and_keeps_its_checkpoints(tmp_path):
+    config = replace(TINY, steps=32 * 100, learning_rate=1e37, checkpoint_every=1)
+    with pytest.raises(Diverged, match=r"update [0-9]+ of 100.*lower learning_rate .1e\+37"):
+        train(config, tmp_path, progress=False)
+    for steps in checkpoint.steps_saved(tmp_path):
+        load_agent(tmp_path / "checkpoints" / str(steps))
+    assert all(np.isfinite(list(row.values())).all() for row in checkpoint.metrics(tmp_path))
+
+
+@pytest.mark.filterwarnings("ignore:training runs")
+def test_a_loss_that_is_no_number_stops_a_training(tmp_path):
+    with pytest.raises(Diverged, match="in update 1 of 6, at 32 steps"):
+        train(TINY, tmp_path, loss=nan, progress=False)
+    assert not checkpoint.steps_saved(tmp_path)
+
+
+class OneColumn(Small):
+    def __init__(self, a):
+        super().__init__(a.shape, list(a.largest), a.actions, a.width)
+
+    def forward(self, x):
+        logits, values = super().forward(x)
+        return logits, values[:, None]
+
+
+class Alone(OneColumn):
+    def forward(self, x):
+        return super().forward(x)[0]
+
+
+@pytest.mark.filterwarnings("ignore:training runs")
+@pytest.mark.parametrize("network", [OneColumn, Alone])
+def test_a_network_that_returns_something_else_is_refused(tmp_path, network):
+    with pytest.raises(ValueError, match=r"must return logits \(4, 15\) and values \(4,\); got"):
+        train(TINY, tmp_path, network=network, progress=False)
+
+
+def nothing(network, batch, config):
+    return None
+
+
+def constant(network, batch, config):
+    return {"loss": torch.zeros(())}
+
+
+def unnamed(network, batch, config):
+    return {"policy": ppo.loss(network, batch, config)["loss"]}
+
+
+@pytest.mark.filterwarnings("ignore:training runs")
+@pytest.mark.parametrize("loss", [nothing, constant, unnamed])
+def test_a_loss_that_returns_something_else_is_refused(tmp_path, loss):
+    with pytest.raises(ValueError, match="a loss must return tensors of one number by name"):
+        train(TINY, tmp_path, loss=loss, progress=False)
+
+
+@pytest.mark.parametrize("wrong", [{"RANK": "x"}, {"WORLD_SIZE": "many"}, {"MASTER_PORT": "y"}])
+def test_what_torchrun_did_not_set_is_told(tmp_path, monkeypatch, wrong):
+    good = {"TORCHELASTIC_RUN_ID": "1", "RANK": "0", "WORLD_SIZE": "1",
+            "MASTER_ADDR": "127.0.0.1", "MASTER_PORT": "1"}  # fmt: skip
+    for name, value in (good | wrong).items():
+        monkeypatch.setenv(name, value)
+    with pytest.raises(ValueError, match="must be as torchrun sets them in the environment"):
+        train(TINY, tmp_path, progress=False)
+
+
+# Files: pipes, devices, links, what is the user's beside what is astray's.
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="there are no pipes")
+@pytest.mark.parametrize("reader", [importers.digest, importers.read])
+@pytest.mark.parametrize("kind", ["pipe", "device", "folder"])
+def test_an_agent_is_read_from_a_file_alone(tmp_path, kind, reader):
+    path = tmp_path / "agent.pth"
+    if kind == "pipe":
+        os.mkfifo(path)
+    elif kind == "device":
+        path.symlink_to("/dev/zero")
+    else:
+        path.mkdir()
+    with pytest.raises(
+        OSError, match=r"agent\.pth must be a file; it is a folder, a pipe or a dev"
+    ):
+        reader(path)
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="there are no pipes")
+@pytest.mark.parametrize("write", [see_writable, lambda path: write_aside(path, b"new")])
+def test_a_pipe_is_not_replaced_by_a_file(tmp_path, write):
+    os.mkfifo(tmp_path / "pipe")  # as a device: root replaced /dev/full
+    with pytest.raises(OSError, match="pipe must be a file to write; it is a pipe or a device"):
+        write(tmp_path / "pipe")
+    assert stat.S_ISFIFO((tmp_path / "pipe").stat().st_mode)
+    assert [path.name for path in tmp_path.iterdir()] == ["pipe"]
+
+
+def test_what_is_to_be_written_is_no_link(tmp_path):
+    (tmp_path / "stdout").symlink_to(tmp_path / "elsewhere")
+    with pytest.raises(OSError, match="stdout must be a file to write; it is a link"):
+        see_writable(tmp_path / "stdout")
+
+
+def test_a_folder_in_place_of_a_file_is_named_and_not_left_open(tmp_path):
+    before = len(os.listdir("/dev/fd")) if os.path.isdir("/dev/fd") else 0
+    for _ in range(5):
+        with pytest.raises(OSError, match=f"{tmp_path} must be a file"):
+            read(tmp_path)
+    assert not before or len(os.listdir("/dev/fd")) == before
+
+
+@pytest.mark.parametrize("target", ["a disk that is not there", "a file"])
+def test_checkpoints_that_lead_nowhere_are_not_begun_anew(run, target):
+    shutil.rmtree(run / "checkpoints")
+    (run.parent / "a file").write_text("mine")
+    (run / "checkpoints").symlink_to(run.parent / target)
+    metrics = (run / "metrics.jsonl").read_bytes()
+    with pytest.raises(NotADirectoryError, match="checkpoints must be a folder"):
+        train(TINY, run, progress=False)
+    assert (run / "metrics.jsonl").read_bytes() == metrics
+
+
+@pytest.fixture
+def begun(tmp_path):
+    """A run that is to go on from its first checkpoint."""
+    folder = tmp_path / "begun"
+    with checkpoint.claim(folder, TINY), contextlib.closing(Trainer(TINY)) as trainer:
+        for _ in range(TINY.checkpoint_every):
+            iterate(trainer)
+        checkpoint.save(folder, trainer)
+    return folder
+
+
+def test_what_the_user_keeps_in_a_checkpoint_stays(begun):
+    notes = begun / "checkpoints" / "64" / "notes.txt"
+    notes.write_text("mine")
+    train(TINY, begun, progress=False)
+    assert notes.read_text() == "mine"
+
+
+def test_nothing_is_removed_through_a_link(begun, tmp_path):
+    elsewhere = tmp_path / "elsewhere"
+    shutil.move(begun / "checkpoints" / "64", elsewhere)
+    (begun / "checkpoints" / "64").symlink_to(elsewhere)
+    train(TINY, begun, progress=False)
+    assert sorted(path.name for path in elsewhere.iterdir()) == [
+        checkpoint.AGENT, checkpoint.TRAINER
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize("name", ["007", "99999999999999999999", "7"])
+def test_what_only_looks_like_a_checkpoint_is_none(begun, name):
+    (begun / "checkpoints" / name).write_text("mine")
+    train(TINY, begun, progress=False)
+    assert (begun / "checkpoints" / name).read_text() == "mine"
+
+
+@pytest.fixture
+def address():
+    """Of a server that gives a few bytes, and their length in words."""
+
+    class Answer(http.server.BaseHTTPRequestHandler):
+        def do_GET(self):
+            self.send_response(200)
+            self.send_header("Content-Length", "many")
+            self.end_headers()
+            self.wfile.write(b"published")
+
+        def log_message(self, *_):
+            pass
+
+    with http.server.ThreadingHTTPServer(("127.0.0.1", 0), Answer) as server:
+        threading.Thread(target=server.serve_forever, daemon=True).start()
+        yield f"http://127.0.0.1:{server.server_port}/agent.pth"
+        server.shutdown()
+
+
+def test_a_download_writes_through_no_link(address, tmp_path):
+    precious = tmp_path / "precious"
+    precious.write_text("mine")
+    (tmp_path / "agent.pth.part").symlink_to(precious)
+    with pytest.raises(OSError, match=r"agent\.pth\.part must be a file; it is a link"):
+        download(address, tmp_path / "agent.pth", size=9, sha256="0" * 64)
+    assert precious.read_text() == "mine"
+
+
+def test_a_length_that_is_no_number_is_no_length(address, tmp_path):
+    download(address, tmp_path / "agent.pth", size=None, sha256=None)
+    assert (tmp_path / "agent.pth").read_bytes() == b"published"
+
+
+@pytest.mark.parametrize("content", [b"", b"[]", b"null", b"{}", b"[" * 100_000, b"\xff\xfe"])
+def test_the_origin_of_an_agent_is_what_was_written(run, content):
+    (run / imported.ORIGIN).write_bytes(content)
+    with pytest.raises(ValueError, match=r"origin\.json (is no JSON|must be a dict with file)"):
+        imported.origin(run)
+
+
+def test_the_card_of_an_agent_whose_checks_are_none_is_not_written(run):
+    told = ("sha256", "settings_told", "file_says", "file", "format")
+    (run / imported.ORIGIN).write_text(json.dumps({name: [] for name in told}))
+    (run / imported.CHECKS).write_text('[{"variant": 1}]')
+    with pytest.raises(ValueError, match="as astray does not"):
+        imported.write_card(run, "agent")
+    assert not (run / imported.CARD).exists()
+
+
+# Trust: what a file says is called.
+
+
+@pytest.mark.parametrize("name", ["sys:exit", "os:abort", "torch:load", "threading:Thread"])
+def test_a_file_has_nothing_called_that_is_no_network(name):
+    architecture = Architecture(name, (5, 7, 7), (1,) * 5, 15)
+    with pytest.raises(ValueError, match="must be a class derived from Module, or one of the entr"):
+        architecture.build()
+
+
+def test_a_class_of_a_module_that_is_there_is_taken_from_a_file():
+    architecture = Architecture(f"{__name__}:OneColumn", (5, 7, 7), (1,) * 5, 15)
+    assert isinstance(architecture.build(), OneColumn)
+    assert policy.GROUP == "astray.networks"
+
+
+# What is given to functions.
+
+
+def level(**changes):
+    env = GameVectorEnv("maze", "corner-small", observation="symbolic")
+    env.reset(seed=0, options={"level": 3})
+    return replace(Level.of(MAZE, SMALL, env.states[0]), **changes)
+
+
+def stepped(**options):
+    env = GameVectorEnv("maze", "corner-small", 2)
+    env.reset(seed=0)
+    return env.step(np.zeros(2, int), **options)
+
+
+def reset(**options):
+    return GameVectorEnv("maze", "corner-small", 2).reset(**options)
+
+
+@pytest.mark.parametrize(
+    "call, message",
+    [
+        (lambda: reset(seed=-1), "seed must be an integer from 0 to 9223372036854775807; got -1"),
+        (lambda: reset(seed=True), "seed must be an integer from 0 .*; got True"),
+        (lambda: reset(seed=10**60), "seed must be an integer from 0"),
+        (lambda: reset(seed=0, options=5), "options must be a Mapping; got 5"),
+        (lambda: stepped(out=5), "out must be an array .2, 64, 64, 3. of uint8"),
+        (lambda: GameVectorEnv(["maze"], "corner"), "a game must be a Game or its name; got"),
+        (lambda: GameVectorEnv("maze", "corner", art=[]), "unknown art"),
+        (lambda: GameVectorEnv("maze", "corner", autoreset_mode="never"), "there are: NextStep"),
+        (lambda: SMALL.with_knobs(None), "knobs must be a Mapping; got None"),
+        (lambda: save_states("states.npz", "maze", [1]), "states must be a ndarray; got"),
+        (lambda: level(game="maze"), "a level's game must be a Game; got 'maze'"),
+        (lambda: level(variant="corner"), "a level's variant must be a Variant; got 'corner'"),
+        (lambda: level(looks=None), "a level's looks must be a Mapping; got None"),
+        (lambda: level(looks={"background": "x"}).state(), "a level's looks are .*cannot be"),
+        (lambda: level().where([]), "unknown object"),
+        (lambda: Level.from_text(MAZE, SMALL, 5), "a level's drawing must be a str; got 5"),
+        (lambda: evaluate(len, "maze", "corner-small", LEVELS), "a policy must have name, obser"),
+        (lambda: evaluate_policies(["random"], "maze", "corner"), "got 'random'"),
+        (lambda: play(None, "maze", "corner-small", 0), "a policy must have name"),
+        (lambda: play(Random(), "maze", "corner-small", None), "level must be a int or"),
+        (lambda: play(Random(), "maze", "corner-small", 0, longest=np.nan), "longest must be an i"),
+        (lambda: evaluate_runs("runs/mice"), "runs must be a list of run folders; got 'runs/mice'"),
+        (lambda: write_gif([[1]], "a.gif"), "frames must be a ndarray; got"),
+        (lambda: write_gif(np.zeros((2, 8, 8, 3), np.uint8), "a.gif", 0), "fps must be an integer"),
+        (lambda: bootstrap([]), "values must be .agents, levels., at least one of each"),
+        (lambda: bootstrap([[1.0, 2.0]], [[-1.0, 1.0]]), "numbers, none below 0"),
+        (lambda: over_agents(np.zeros(3)), "values must be .agents, points."),
+        (lambda: Function(None), "choose must be a function of observations; got None"),
+        (lambda: World(None), "a world must be a ndarray; got None"),
+        (lambda: ROOM.number((0.0, 1)), "a cell must be two integers, row and column; got"),
+        (lambda: ROOM.walk((0, 0), [1.5]), "an action must be an integer from 0 to 3; got 1.5"),
+        (lambda: measure.measure([1]), "an episode must be a Episode; got 1"),
+        (lambda: measure.Options(beta="x"), "beta must be a Real; got 'x'"),
+        (lambda: train({}, "run"), "config must be a Config; got {}"),
+    ],
+)
+def test_what_is_something_else_is_told(call, message):
+    with pytest.raises(ValueError, match=message):
+        call()
+
+
+@pytest.mark.parametrize(
+    "measures, message",
+    [
+        (5, "measures must be a Mapping; got 5"),
+        ({"m": 5}, "measures must be functions of states by name; got 'm': 5"),
+        ({"level": len}, "measures have the names of other columns: level"),
+        ({"m": lambda s: s["time"][:1]}, "the measure 'm' must return 2 values"),
+        ({"m": lambda s: None}, "the measure 'm' must return 2 values"),
+    ],
+)
+def test_measures_are_seen(measures, message):
+    with pytest.raises(ValueError, match=message):
+        evaluate(Random(), "maze", "corner-small", LEVELS, measures=measures)
+
+
+@pytest.mark.parametrize("given", [{"per_episode": np.nan}, {"per_episode": 1.5}, {"seed": "x"}])
+def test_what_a_visit_is_given_is_seen(trained, given):
+    with pytest.raises(ValueError, match="must be an integer from"):
+        visit(load_agent(trained), "corner-small", LEVELS, **given)
+
+
+# What is told.
+
+
+def test_control_characters_are_shown_and_not_obeyed():
+    assert printable("a\x1b[2J\n\udcffé") == "a\\x1b[2J\\n\\udcffé"
+
+
+def test_a_mistake_is_told_in_a_few_lines():
+    told = shortened("x" * 10**6)
+    assert len(told) < LONGEST + 10 and " ... " in told
+    assert shortened("y" * LONGEST) == "y" * LONGEST
+
+
+@pytest.mark.skipif(os.name == "nt", reason="streams are closed otherwise")
+@pytest.mark.parametrize("words, code", [("--help", 0), ("nope", 2)])
+def test_help_that_nobody_can_read_is_no_mistake(words, code):
+    command = f"{sys.executable} -m astray {words} >&-"
+    done = subprocess.run(["bash", "-c", command], capture_output=True, text=True)
+    assert done.returncode == code and "Traceback" not in done.stderr
+
+
+def test_a_full_disk_is_told_in_a_line_by_threads_too(monkeypatch, capsys):
+    monkeypatch.setattr(threading, "excepthook", cli._tell_of_thread)
+    thread = threading.Thread(target=lambda: os.stat("/nowhere/at/all"))
+    thread.start()
+    thread.join()
+    told = capsys.readouterr().err
+    assert told.startswith("astray: [Errno 2]") and told.count("\n") == 1
+
+
+@pytest.mark.parametrize("name, content", [("[red]x", None), ("broken", "{}")])
+def test_the_list_has_the_others_where_one_agent_is_none(trained, tmp_path, name, content):
+    folder = tmp_path / name
+    folder.mkdir()
+    (folder / "config.json").write_text(content or (trained / "config.json").read_text())
+    listed = subprocess.run(
+        [sys.executable, "-m", "astray", "list"], capture_output=True, text=True,
+        env=os.environ | {"ASTRAY_AGENTS": str(tmp_path)},
+    )  # fmt: skip
+    assert listed.returncode == 0, listed.stderr
+    assert folder.name in listed.stdout and "maze-corner: maze" in listed.stdout
+
+
+@pytest.mark.parametrize(
+    "name, value",
+    [("NUM_THREADS", "0"), ("NUM_THREADS", "-1"), ("NUM_THREADS", "x"), ("COLOR_SCHEME", "pink")],
+)
+def test_a_variable_that_numba_does_not_take_is_left_out(name, value):
+    code = f"import os, astray; print(os.environ.get('NUMBA_{name}'))"
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True,
+        env=os.environ | {f"NUMBA_{name}": value},
+    )  # fmt: skip
+    assert done.stdout == "None\n" and f"NUMBA_{name} is '{value}', which numba" in done.stderr
