@@ -13,7 +13,7 @@ from PIL import Image
 from astray.analysis import video
 from astray.analysis.outcomes import FAILED, INTENDED, MISGENERALIZED
 from astray.analysis.policies import Walk
-from astray.experiments import figures, report
+from astray.experiments import figures, report, spec
 from astray.games.maze.solve import steps_to
 
 T, H, W = 7, 31, 45  # odd sizes, which yuv420p cannot have
@@ -248,3 +248,21 @@ def test_only_a_smaller_size_says_what_is_smaller(told, tmp_path):
 ])  # fmt: skip
 def test_numbers_are_shown_to_sensible_places(values, shown):
     assert report.cells(pl.Series(values)) == shown
+
+
+@pytest.mark.parametrize("text", ["", "{}", "[]", "[" * 99_999, '{"verdicts": [1], "answer": ""}'])
+def test_ruined_findings_are_told(tmp_path, text):
+    (tmp_path / "one").mkdir()
+    (tmp_path / "one" / "findings.json").write_text(text)
+    for take in (lambda: report.write_index(tmp_path), lambda: report.of_claims(tmp_path / "one")):
+        with pytest.raises(ValueError, match=r"findings.json (is no JSON|must be the findings)"):
+            take()
+
+
+def test_a_table_that_was_cut_short_is_told(tmp_path):
+    whole = spec.kept(tmp_path, "a", lambda: pl.DataFrame({"x": range(99)}))
+    path = tmp_path / "computed" / "a.parquet"
+    assert spec.kept(tmp_path, "a", whole.clear).equals(whole)
+    path.write_bytes(path.read_bytes()[:-9])
+    with pytest.raises(ValueError, match=r"a.parquet is no table of astray's.* it is made anew"):
+        spec.kept(tmp_path, "a", whole.clear)
