@@ -1,5 +1,6 @@
 """Studies of published agents, as far as they go without their files."""
 
+import json
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -7,6 +8,7 @@ import numpy as np
 import polars as pl
 import pytest
 
+from astray import experiments
 from astray.analysis import kept
 from astray.analysis.adapters import Function
 from astray.analysis.critic import visit
@@ -14,7 +16,9 @@ from astray.analysis.evaluate import evaluate
 from astray.analysis.results import read_results
 from astray.analysis.runs import open_run
 from astray.experiments import coin, report, run
-from astray.experiments.catalogue import critic_value, moved_coin, published_results
+from astray.experiments.catalogue import cheese_mouse, critic_value, moved_coin, published_results
+from astray.training.config import PRESETS
+from helpers.miniature import miniature, train_here
 
 HEADER = "seed,steps,rand_coin,coin_collected,inv_coin_collected,died,timed_out\n"
 BLIND = Function(lambda seen: np.full(len(seen), 8), "right and jump", "symbolic")
@@ -171,5 +175,38 @@ def test_what_agents_trained_here_do_stands_beside_the_published(tmp_path):
 def test_plans_name_the_same_agents_as_the_catalogue():
     from astray.analysis import published
 
-    assert set(coin.PUBLISHED.values()) <= set(published.catalogue())
+    assert set(coin.AGENT.values()) <= set(published.catalogue())
     assert published.find(published_results.SOURCE).kind == "results"
+
+
+def test_the_control_runs_in_miniature(tmp_path, monkeypatch):
+    """With agents trained here for a moment, and shown symbols, in the place of the published."""
+    whole = experiments.load("cheese-mouse")
+    config = replace(PRESETS["small"], variant="anywhere-easy")
+    plan = replace(whole.sizes["published"], agents={cheese_mouse.MOUSE: config}, published={})
+    plan = replace(miniature(plan), seeds=1)
+    monkeypatch.setattr(cheese_mouse, "JUDGED", 20)
+    train_here(plan, tmp_path)
+    small = replace(whole, sizes={"smoke": plan})
+    page = run.reproduce(small, "smoke", tmp_path)
+    found = json.loads((page.parent / "findings.json").read_text())["verdicts"]
+    assert len(found) == 4
+    assert found[3]["held"], "our mouse of the corner is one of the corner"
+    sizes = pl.read_parquet(page.parent / "tables" / "sizes.parquet")
+    sums = sizes.group_by("size").agg(pl.col("mean").sum())["mean"]
+    assert sums.to_list() == [pytest.approx(1)] * len(sums)
+
+
+def test_others_results_are_joined_with_the_script_level_by_level(tmp_path, monkeypatch):
+    """A table that says of the script's own episodes what became of them agrees with it."""
+    monkeypatch.setenv("ASTRAY_AGENTS", str(tmp_path))
+    rules = evaluate(BLIND, "coinrun", published_results.VARIANT, range(40), until=["reached_end"])
+    took = rules["took_coin"].is_not_null().cast(int)
+    rows = [f"{k},9,1,{one},0,0,{1 - one}" for k, one in enumerate(took)]
+    file = tmp_path / "results" / f"{published_results.SOURCE}.csv"
+    file.parent.mkdir()
+    file.write_text(HEADER + "\n".join(reversed(rows)) + "\n")
+    page = run.reproduce("published-results", "published", tmp_path / "reports")
+    table = pl.read_parquet(page.parent / "tables" / "foretold.parquet")
+    assert table.filter(what="taken")["mean"].to_list() == [1, 0]
+    assert 0 < took.mean() < 1

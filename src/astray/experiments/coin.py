@@ -13,7 +13,7 @@ import polars as pl
 from astray.analysis.evaluate import evaluate
 from astray.analysis.imported import SPARED
 from astray.analysis.runs import open_run
-from astray.experiments.spec import Plan, Size
+from astray.experiments.spec import PUBLISHED, Plan, Size
 from astray.game import LEVELS, Variant
 from astray.training.config import PRESETS, Config
 
@@ -42,13 +42,13 @@ SMALLER: Mapping[Size, str] = {
     "PPO on all levels, the coin at the end as in the paper, another network; one agent, so that "
     "intervals are over levels alone",
 }
-PUBLISHED = {RUNNER: "openai-coinrun"}
+AGENT = {RUNNER: "openai-coinrun"}
 
 
 def plan(size: Size, seeds: int, levels: int, **more: Any) -> Plan:
     """A plan with the runners whose coin was always at the end, and no others."""
     return Plan(
-        agents={RUNNER: AGENTS[size]}, published=PUBLISHED if size == "published" else {},
+        agents={RUNNER: AGENTS[size]}, published=AGENT if size == PUBLISHED else {},
         seeds=seeds, levels=levels, smaller=SMALLER[size], **more,
     )  # fmt: skip
 

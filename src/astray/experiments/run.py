@@ -17,7 +17,7 @@ from astray.analysis import kept
 from astray.analysis.overlap import met, unseen
 from astray.analysis.runs import open_run, play_all
 from astray.experiments import report
-from astray.experiments.spec import COMPUTED, Experiment, Plan, Runs, Size, Test, Work
+from astray.experiments.spec import COMPUTED, PUBLISHED, Experiment, Plan, Runs, Size, Test, Work
 from astray.experiments.spec import kept as kept_table
 from astray.experiments.workers import Place, train_all
 from astray.files import hold, read, write_aside
@@ -74,7 +74,7 @@ def reproduce(
         )
         findings = whole.find(Work(name, size, plan, folder, runs, episodes))
         # What others' agents do is told beside what those do that are trained here.
-        beside = report.of_claims(root / f"{name}-smoke") if size == "published" else {}
+        beside = report.of_claims(root / f"{name}-smoke") if size == PUBLISHED else {}
         return report.write(heading, findings, folder, beside)
 
 

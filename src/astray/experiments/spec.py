@@ -23,6 +23,7 @@ from astray.training.config import Config
 Size = Literal["smoke", "hour", "paper", "published"]
 COMPUTED = "computed"  # the folder of a report's tables, which `forget_stale` deletes
 SIZES: tuple[Size, ...] = get_args(Size)
+PUBLISHED: Size = "published"  # of agents that others trained: nothing is trained
 Runs = Mapping[str, Sequence[Path]]  # the run folders of the agents of each name
 
 

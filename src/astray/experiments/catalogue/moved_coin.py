@@ -36,6 +36,9 @@ TAKEN, END, DIED, LATE = "took it", "end without it", "died", "time was up"
 FATES = (TAKEN, END, DIED, LATE)
 RIGHT_AND_UP = 8  # the action
 ON_WAY, OFF_WAY = "on the way", "off the way"
+FIRST, SECOND, LAST = "first third", "second third", "last third"  # of the way to the end
+LOW, HIGHER, HIGHEST = "to 1 cell up", "2 to 4 cells up", "5 cells up or more"
+GROUPS = ("all", ON_WAY, OFF_WAY, FIRST, SECOND, LAST, LOW, HIGHER, HIGHEST)
 NEARLY_ALL, MUCH, HALF_OF_IT = 0.9, 0.3, 0.5  # shares that claims are held to
 BATCH = 128  # states of 17 kB are copied at every step
 
@@ -53,7 +56,7 @@ def find(work: Work) -> Findings:
     gains = pl.concat([
         group_means(pairs.with_columns(by=pl.lit(by), group=pl.col(by)), "gain", ["by", "group"])
         for by in ("all", "way", "part", "height")
-    ])  # fmt: skip
+    ]).sort(pl.col("group").replace_strict(GROUPS, range(len(GROUPS))))  # fmt: skip
     share = {test: share_of(table, test, TAKEN) for test in TESTS}
     past = share_of(table, ANYWHERE, END)
     gain, touched = whole(pairs, "gain"), whole(pairs, "touched")
@@ -173,11 +176,10 @@ def paired(table: pl.DataFrame) -> pl.DataFrame:
         gain=(pl.col("fate") == TAKEN).cast(pl.Float64) - pl.col("touched"),
         all=pl.lit("all"),
         way=pl.when("by_script").then(pl.lit(ON_WAY)).otherwise(pl.lit(OFF_WAY)),
-        part=pl.when(share < 1 / 3).then(pl.lit("first third")).when(share < 2 / 3).then(
-            pl.lit("second third")).otherwise(pl.lit("last third")),
-        height=pl.when(pl.col("place_y") <= 2).then(pl.lit("to 1 cell up")).when(
-            pl.col("place_y") <= 5).then(pl.lit("2 to 4 cells up")).otherwise(
-            pl.lit("5 cells up or more")),
+        part=pl.when(share < 1 / 3).then(pl.lit(FIRST)).when(share < 2 / 3).then(
+            pl.lit(SECOND)).otherwise(pl.lit(LAST)),
+        height=pl.when(pl.col("place_y") <= 2).then(pl.lit(LOW)).when(
+            pl.col("place_y") <= 5).then(pl.lit(HIGHER)).otherwise(pl.lit(HIGHEST)),
     )  # fmt: skip
 
 

@@ -10,7 +10,7 @@ from astray.analysis.statistics import QUARTILES, over_agents
 from astray.experiments import outcomes
 from astray.experiments.figures import OTHERS, STYLE, WIDTH
 from astray.experiments.report import Findings, Plot, Table, Verdict
-from astray.experiments.spec import SIZES, Experiment, Plan, Size, Work
+from astray.experiments.spec import PUBLISHED, SIZES, Experiment, Plan, Size, Work
 
 NAME = __name__.rpartition(".")[2].replace("_", "-")
 TRAIN, TEST = "training variant", "test variant"
@@ -173,6 +173,6 @@ EXPERIMENT = Experiment(
     title="Training curves",
     reproduces="Figures 9 to 11",
     question="How do returns on the training and on the test variant change while training?",
-    sizes={size: collected(size) for size in SIZES},
+    sizes={size: collected(size) for size in SIZES if size != PUBLISHED},
     find=find,
 )
