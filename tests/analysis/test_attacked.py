@@ -41,7 +41,7 @@ from astray.training.config import PRESETS
 from astray.training.loop import Diverged, iterate, train
 from astray.training.trainer import Trainer
 from astray.words import printable
-from conftest import FEW
+from helpers.cases import FEW
 
 MAZE = games.find("maze")
 SMALL = MAZE.variant("corner-small")

@@ -177,7 +177,8 @@ def test_every_entry_of_the_catalogue_can_be_acted_on(one):
     assert one.known.about and one.known.source
     assert bool(one.address) != bool(one.by_hand)
     assert not one.address or (one.address.startswith("https://") and one.known.variant)
-    assert not one.tried or (one.sha256 and len(one.sha256) == 64 and one.size and one.checks)
+    assert not one.tried or (one.sha256 and len(one.sha256) == 64 and one.size)
+    assert not one.tried or one.checks or one.kind == "results"
     if one.known.game:
         assert one.known.variant in games.find(one.known.game).variants
 
@@ -233,7 +234,7 @@ def test_a_name_is_one_and_new(astray, home, tmp_path, mouse, name, message):
 
 def test_an_agent_of_another_game_of_procgen_is_refused(home, tmp_path):
     (tmp_path / "agent.jd").write_bytes(joblib_bytes(clarity(env_name="bigfish")[0]))
-    with pytest.raises(ValueError, match=r"trained in bigfish hard of Procgen.*are: coinrun"):
+    with pytest.raises(ValueError, match=r"trained in .bigfish hard. of Procgen.*are: coinrun"):
         import_agent(tmp_path / "agent.jd", "fish", Known())
 
 
