@@ -38,7 +38,9 @@ def test_a_child_process_plays_as_its_parent(method):
 
 @pytest.mark.filterwarnings("ignore:.*multi-threaded.*fork:DeprecationWarning")
 def test_gymnasium_runs_it_in_processes():
-    envs = [lambda: gymnasium.make("astray/maze-corner-small-v0", observation="symbolic")] * 2
+    # The module's name comes first, as a process may be a fresh one: some libraries see to that.
+    name = "astray:astray/maze-corner-small-v0"
+    envs = [lambda: gymnasium.make(name, observation="symbolic")] * 2
     parallel = gymnasium.vector.AsyncVectorEnv(envs, shared_memory=True)
     serial = gymnasium.vector.SyncVectorEnv(envs)
     assert np.array_equal(parallel.reset(seed=1)[0], serial.reset(seed=1)[0])
