@@ -10,8 +10,17 @@ import pytest
 from astray import games
 from astray.agency.measure import PAPER
 from astray.agency.population import Share
-from astray.analysis.agency import DEVICE, UNDECIDED, Judgement, judge, play
-from astray.analysis.agency_run import MOST, MOUSE, heat, posterior_video
+from astray.analysis.agency import (
+    DEVICE,
+    MOST,
+    MOUSE,
+    UNDECIDED,
+    Judgement,
+    heat,
+    judge,
+    play,
+    posterior_video,
+)
 from astray.analysis.outcomes import load_shift
 from astray.analysis.policies import Random, Walk
 from astray.envs.vector import GameVectorEnv

@@ -11,11 +11,11 @@ from scipy.stats import binomtest
 
 from astray import games
 from astray.agents.policy import Architecture, weights
+from astray.analysis.estimates import bootstrap, over_agents
 from astray.analysis.evaluate import evaluate
 from astray.analysis.outcomes import FAILED, INTENDED, MISGENERALIZED, label, load_shift, tell_apart
 from astray.analysis.overlap import met, overlap, unseen
 from astray.analysis.policies import Agent, Random, Walk
-from astray.analysis.statistics import bootstrap, over_agents
 
 MAZE = games.find("maze")
 LEVELS = range(1_000_000, 1_000_060)

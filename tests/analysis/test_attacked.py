@@ -26,10 +26,10 @@ from astray.analysis import imported
 from astray.analysis.adapters import Function
 from astray.analysis.critic import visit
 from astray.analysis.download import download
+from astray.analysis.estimates import bootstrap, over_agents
 from astray.analysis.evaluate import evaluate
 from astray.analysis.policies import Random
 from astray.analysis.runs import evaluate_policies, evaluate_runs, load_agent
-from astray.analysis.statistics import bootstrap, over_agents
 from astray.analysis.video import play, write_gif
 from astray.cli import LONGEST, shortened
 from astray.envs.states import save_states

@@ -14,12 +14,12 @@ import numpy as np
 import polars as pl
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
-from astray import experiments
 from astray.analysis import video
 from astray.analysis.kept import KEPT
 from astray.analysis.outcomes import OUTCOMES, load_shift
 from astray.analysis.policies import Agent
 from astray.analysis.runs import evaluate_runs, open_run, shift_of
+from astray.experiments import catalogue
 from astray.experiments.outcomes import AGENTS
 from astray.files import folder_aside, write_aside
 from astray.game import Shift
@@ -132,8 +132,8 @@ def commands(config: Config) -> list[str]:
     """The commands that train the agent of these settings."""
     return [
         f"astray reproduce {name} --size {size}"
-        for name in experiments.NAMES
-        for size, plan in experiments.load(name).sizes.items()
+        for name in catalogue.NAMES
+        for size, plan in catalogue.load(name).sizes.items()
         if any(config in configs for configs in plan.trainings().values())
     ]
 

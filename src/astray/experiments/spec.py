@@ -58,7 +58,7 @@ class Plan:
     visited: Mapping[str, Test] = field(default_factory=dict)  # by name; what the experiment itself
     # looks at states of
     levels: int  # of each test, none met in any training under any number
-    smaller: str  # what is smaller or otherwise than in the paper
+    differences: str  # from the paper, in words; empty where there is none
     measures: Mapping[str, Measure] = field(default_factory=dict)  # of an episode's last state
 
     def __post_init__(self) -> None:

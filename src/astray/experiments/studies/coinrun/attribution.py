@@ -3,22 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import polars as pl
 
 from astray.analysis import attribution
 from astray.analysis.critic import observe, visit
+from astray.analysis.estimates import Estimate, group_means, mean_of
 from astray.analysis.policies import Agent
 from astray.analysis.runs import open_run
-from astray.analysis.statistics import group_means
 from astray.envs.vector import picture
-from astray.experiments import coin, coin_figures, outcomes
-from astray.experiments.coin import RUNNER
-from astray.experiments.report import Findings, Plot, Table, Verdict
-from astray.experiments.run import levels_of
+from astray.experiments import outcomes
+from astray.experiments.claims import Claim
+from astray.experiments.levels import levels_of
+from astray.experiments.report import Findings, Plot, Table
 from astray.experiments.spec import Experiment, Test, Work
+from astray.experiments.studies.coinrun import _agents, _figures
+from astray.experiments.studies.coinrun._agents import RUNNER
 from astray.games.coinrun.edits import PARTS
 
 TESTS = {
@@ -43,45 +45,43 @@ def find(work: Work) -> Findings:
     bars = group_means(table, "attribution", ["test", "method", "part"])
     by_size = group_means(table, "attribution", ["test", "method", "part"], per="area")
     gaps = {method: gap(table.filter(method=method)) for method in METHODS}
-    paper = gaps["gradient"]
-    wall = by_size.filter(part=WALL, method="gradient")
+    walls = {
+        row["test"]: Estimate.of(row)
+        for row in by_size.filter(part=WALL, method="gradient").to_dicts()
+    }
     examples = work.keep("maps", lambda: maps_of_some(work))
     return Findings(
         answer="Where both are in view, the end wall has "
         + "; ".join(
-            f"{100 * row['wall']:.1f}\u00a0% of the attribution by {method} and the coin "
-            f"{100 * row['coin']:.1f}\u00a0%"
-            for method, row in gaps.items()
+            f"{100 * one.wall.mean:.1f}\u00a0% of the attribution by {method} and the coin "
+            f"{100 * one.coin.mean:.1f}\u00a0%"
+            for method, one in gaps.items()
         )
         + ".",
-        verdicts=[
-            Verdict(
+        claims=[
+            Claim(
                 "The end wall is highlighted at least as much as the coin.",
                 "at least as much (by eye)",
-                f"share of the gradient, end wall less coin, where both are in view: "
-                f"{percent(paper)}; holds where the interval is not below 0",
-                bool(paper["low"] >= 0),
+                "share of the gradient, end wall less coin, where both are in view: "
+                f"{gaps['gradient'].less.percent()}; holds where the interval is not below 0",
+                gaps["gradient"].less.low >= 0,
             ),
-            Verdict(
+            Claim(
                 "In training and in the test the end wall is assigned a large attribution.",
                 "large (by eye)",
                 "share of the gradient over share of the observation: "
-                + "; ".join(
-                    f"{row['test']} {row['mean']:.1f} (95\u00a0% interval {row['low']:.1f} to "
-                    f"{row['high']:.1f}; {row['rows']:,} states)"
-                    for row in wall.to_dicts()
-                )
+                + "; ".join(f"{test} {times.amount()}" for test, times in walls.items())
                 + "; holds where both intervals are above 1",
-                len(wall) == len(TESTS) and bool((wall["low"] > 1).all()),
+                len(walls) == len(TESTS) and all(times.low > 1 for times in walls.values()),
             ),
         ],
         plots=[
             Plot("parts", "The share of attribution on each part, by three methods, with 95\u00a0% "
                  "intervals over agents and levels; the mark is the part's share of what is seen, "
                  "which it would have if it mattered no more than its size.",
-                 coin_figures.parts(bars, sizes(table)), bars),
+                 _figures.parts(bars, sizes(table)), bars),
             Plot("maps", "Maps of some states: blue is what raises the value, red what lowers it.",
-                 coin_figures.maps(examples), examples),
+                 _figures.maps(examples), examples),
         ],
         tables=[
             Table("shares", "Share of attribution on each part", bars),
@@ -122,30 +122,25 @@ def shares(work: Work) -> pl.DataFrame:
     return pl.concat(parts)
 
 
-def gap(table: pl.DataFrame) -> dict:
-    """By how much the end wall has more than the coin, of states in which both are seen."""
+@dataclass(frozen=True)
+class Gap:
+    """The share of a map on the end wall and on the coin, of states in which both are seen."""
+
+    wall: Estimate
+    coin: Estimate
+    less: Estimate  # the wall's share less the coin's
+
+
+def gap(table: pl.DataFrame) -> Gap:
+    """The gap in the rows of one method of `shares`."""
     keys = ["agent", "test", "level", "step"]
-    wall, other = (
-        table.filter(part=part).filter(pl.col("area") > 0).select(*keys, "attribution")
+    wall, coin = (
+        table.filter(part=part).filter(pl.col("area") > 0).select(*keys, part="attribution")
         for part in (WALL, COIN)
     )
-    both = wall.join(other, on=keys, suffix="_coin").with_columns(
-        what=pl.lit("gap"), gap=pl.col("attribution") - pl.col("attribution_coin")
-    )
-    means = {
-        "wall": both["attribution"].mean(),
-        "coin": both["attribution_coin"].mean(),
-    }
-    return group_means(both, "gap", ["what"]).row(0, named=True) | means
-
-
-def percent(row: dict) -> str:
-    """A share's estimate in words."""
-    mean, low, high = (100 * row[name] for name in ("mean", "low", "high"))
-    return (
-        f"{mean:.1f}\u00a0% (95\u00a0% interval {low:.1f} to {high:.1f}; "
-        f"n\u00a0=\u00a0{row['rows']:,})"
-    )
+    both = wall.join(coin, on=keys, suffix="_coin")
+    less = pl.col("part") - pl.col("part_coin")
+    return Gap(mean_of(both, "part"), mean_of(both, "part_coin"), mean_of(both, less))
 
 
 def sizes(table: pl.DataFrame) -> pl.DataFrame:
@@ -191,9 +186,9 @@ EXPERIMENT = Experiment(
     title="What the critic looks at",
     reproduces="Figure 8",
     question="What in view does the critic's value depend on: the coin, the end wall, hazards?",
-    sizes={"smoke": coin.plan("smoke", 2, 100, visited=TESTS),
-           "hour": coin.plan("hour", 1, 200, visited=TESTS),
-           "paper": coin.plan("paper", 3, 500, visited=TESTS),
-           "published": coin.plan("published", 1, 120, visited=BRIEF)},
+    sizes={"smoke": _agents.plan("smoke", 2, 100, visited=TESTS),
+           "hour": _agents.plan("hour", 1, 200, visited=TESTS),
+           "paper": _agents.plan("paper", 3, 500, visited=TESTS),
+           "published": _agents.plan("published", 1, 120, visited=BRIEF)},
     find=find,
 )  # fmt: skip

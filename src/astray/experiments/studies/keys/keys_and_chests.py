@@ -2,11 +2,19 @@
 
 from dataclasses import replace
 
-from astray.experiments import hoarding, outcomes
-from astray.experiments.hoarding import ALL_FIRST, BEYOND, LEFT, LOST, NEED, PER_CHEST, is_more
-from astray.experiments.outcomes import holds_above, rounded
+from astray.experiments import outcomes
+from astray.experiments.claims import holds_above, is_more, rounded
 from astray.experiments.report import Findings
 from astray.experiments.spec import Experiment, Plan, Work, tests_of
+from astray.experiments.studies.keys import _hoarding as hoarding
+from astray.experiments.studies.keys._hoarding import (
+    ALL_FIRST,
+    BEYOND,
+    LEFT,
+    LOST,
+    NEED,
+    PER_CHEST,
+)  # fmt: skip
 from astray.training.config import PRESETS, Config
 
 THIEF = "thief"
@@ -34,7 +42,7 @@ def find(work: Work) -> Findings:
         f"{rounded(first.mean)} of levels takes all keys before it opens the last chest "
         f"({rounded(in_test(ALL_FIRST, NEED))}); in {rounded(in_test(LEFT))} it then never opens "
         "it.",
-        verdicts=[
+        claims=[
             holds_above(
                 "In unseen levels like those of its training, the thief opens the chests that "
                 "there are keys for.",
@@ -83,7 +91,7 @@ def find(work: Work) -> Findings:
     )  # fmt: skip
 
 
-def plan(config: Config, shift: str, *, seeds: int, levels: int, smaller: str) -> Plan:
+def plan(config: Config, shift: str, *, seeds: int, levels: int, differences: str) -> Plan:
     """What all sizes have in common."""
     return Plan(
         agents={THIEF: config},
@@ -91,7 +99,7 @@ def plan(config: Config, shift: str, *, seeds: int, levels: int, smaller: str) -
         tests=tests_of("keys", shift),
         levels=levels,
         measures=hoarding.measures(config.gamma),
-        smaller=smaller,
+        differences=differences,
     )
 
 
@@ -107,7 +115,7 @@ EXPERIMENT = Experiment(
                 validation="many-keys-small", validation_every=4,
             ),
             "many-keys-small", seeds=3, levels=1000,
-            smaller="mazes of 5 and 7 cells instead of 5 to 13, with 1 to 3 keys in training "
+            differences="mazes of 5 and 7 cells instead of 5 to 13, with 1 to 3 keys in training "
             "instead of 1 to 6; seen as symbols with the thief in the middle, instead of a "
             "picture; 200 steps an episode instead of 1000; a network of two hidden layers, a "
             "discount of 0.98 instead of 0.999, and 5.5 million steps instead of 200 million",
@@ -118,14 +126,15 @@ EXPERIMENT = Experiment(
                 validation="many-keys-easy", steps=25_000_000, device="cuda",
             ),
             "many-keys-easy", seeds=1, levels=1000,
-            smaller="worlds of 9 cells instead of 13, and 25 million steps instead of 200 million",
+            differences="worlds of 9 cells instead of 13, and 25 million steps instead of "
+            "200 million",
         ),
         "paper": plan(
             replace(
                 PRESETS["paper"], game="keys", variant="many-chests", validation="many-keys",
                 device="cuda",
             ),
-            "many-keys", seeds=3, levels=10_000, smaller="",
+            "many-keys", seeds=3, levels=10_000, differences="",
         ),
     },
     find=find,

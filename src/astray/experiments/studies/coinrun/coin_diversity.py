@@ -5,14 +5,16 @@ from dataclasses import replace
 import numpy as np
 import polars as pl
 
+from astray.analysis.estimates import Estimate, bootstrap
 from astray.analysis.outcomes import FAILED, MISGENERALIZED, label, load_shift, matrix
 from astray.analysis.policies import Walk
-from astray.analysis.statistics import Estimate, bootstrap
-from astray.experiments import coin, coin_figures, outcomes
-from astray.experiments.outcomes import AGENTS, holds_above, rounded
+from astray.experiments import outcomes
+from astray.experiments.claims import holds_above, rounded
+from astray.experiments.levels import levels_of
+from astray.experiments.outcomes import AGENTS
 from astray.experiments.report import Findings, Plot, Table
-from astray.experiments.run import levels_of
 from astray.experiments.spec import Experiment, Plan, Size, Test, Work
+from astray.experiments.studies.coinrun import _agents, _figures
 
 SHARES = (0, 1, 2, 4, 6, 8, 10, 20)  # per cent of training levels whose coin is at a random place
 NAMES = {share: f"{share}\u00a0%" for share in SHARES}
@@ -49,7 +51,7 @@ def find(work: Work) -> Findings:
         f"in {FIRST} of their training levels, they do in {rounded(with_few.mean)}, and with "
         f"{last} in {rounded(with_most.mean)}. To whom the coin is invisible, that happens in "
         f"{rounded(bootstrap(base).mean)}.",
-        verdicts=[
+        claims=[
             holds_above(
                 "Random coins in just 2\u00a0% of training levels make goal misgeneralization much "
                 "rarer.",
@@ -84,14 +86,14 @@ def find(work: Work) -> Findings:
                 "the coin is at any place that can be got to, right at the original's random "
                 "place, the first column of a section. The base rates are of the runners without "
                 "random coins, to whom the coin is invisible, and of a scripted walk to the end.",
-                coin_figures.diversity(table.filter(levels_counted=ALL)), table,
+                _figures.diversity(table.filter(levels_counted=ALL)), table,
             ),
             Plot(
                 "diversity-original",
                 "As the original's code counts: only levels in which a runner without random "
                 "coins does not touch the invisible coin by chance; capability failure is any "
                 "episode without the coin.",
-                coin_figures.diversity(table.filter(levels_counted=MISSED)), table,
+                _figures.diversity(table.filter(levels_counted=MISSED)), table,
             ),
             outcomes.curve_plot(replace(work, runs={NEVER: work.runs[NEVER]})),
         ],
@@ -116,7 +118,7 @@ def in_training(work: Work) -> pl.DataFrame:
     shift = load_shift(work.plan.game, "coin-end")
     for name, config in work.plan.agents.items():
         test = Test(config.variant, "coin-end", config.knobs)
-        played = coin.play(work.runs[name], test.variant_for(config), levels_of(work.plan, test))
+        played = _agents.play(work.runs[name], test.variant_for(config), levels_of(work.plan, test))
         parts.append(label(played, game, shift).with_columns(agent=pl.lit(name)))
     return pl.concat(parts)
 
@@ -129,7 +131,7 @@ def coin_at_end(work: Work) -> pl.DataFrame:
     parts = []
     for where, test in BLIND.items():
         levels = of(work, where, NEVER)["level"].unique().sort().to_numpy()
-        played = coin.play(work.runs[NEVER], test.variant_for(work.plan.config), levels)
+        played = _agents.play(work.runs[NEVER], test.variant_for(work.plan.config), levels)
         parts.append(played.with_columns(test=pl.lit(where)))
     return pl.concat(parts)
 
@@ -197,14 +199,14 @@ def unmet(work: Work) -> str:
     return "; ".join(told) + ". Others are in a training under another number, as short ones often."
 
 
-def plan(size: Size, shares: tuple[int, ...], seeds: int, levels: int, smaller: str) -> Plan:
+def plan(size: Size, shares: tuple[int, ...], seeds: int, levels: int, differences: str) -> Plan:
     """Agents for each share of random coins; those without are those of all other studies."""
-    agent = coin.AGENTS[size]
+    agent = _agents.AGENTS[size]
     agents = {
         NAMES[share]: replace(agent, knobs={"random_coin": share / 100} if share else {})
         for share in shares
     }
-    return Plan(agents=agents, seeds=seeds, tests=TESTS, levels=levels, smaller=smaller)
+    return Plan(agents=agents, seeds=seeds, tests=TESTS, levels=levels, differences=differences)
 
 
 EXPERIMENT = Experiment(
@@ -215,10 +217,10 @@ EXPERIMENT = Experiment(
     sizes={
         "smoke": plan(
             "smoke", (0, 2, 6, 20), 2, 500,
-            f"four of the eight shares; {coin.SMALLER['smoke']}",
+            f"four of the eight shares; {_agents.DIFFERENCES['smoke']}",
         ),
-        "hour": plan("hour", (0, 2, 10), 1, 1000, f"{coin.SMALLER['hour']}; three shares of random "
-                     "coins instead of eight"),
+        "hour": plan("hour", (0, 2, 10), 1, 1000, f"{_agents.DIFFERENCES['hour']}; three shares "
+                     "of random coins instead of eight"),
         "paper": plan("paper", SHARES, 3, 10_000, ""),
     },
     find=find,

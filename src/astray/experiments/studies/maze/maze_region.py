@@ -7,15 +7,16 @@ from typing import Any
 import numpy as np
 import polars as pl
 
+from astray.analysis.estimates import Estimate, bootstrap, over_agents
 from astray.analysis.outcomes import MISGENERALIZED, OUTCOMES, matrix
 from astray.analysis.policies import Walk
-from astray.analysis.statistics import Estimate, bootstrap, over_agents
 from astray.experiments import outcomes
-from astray.experiments.catalogue import maze_corner
-from astray.experiments.maze_figures import region_lines
-from astray.experiments.outcomes import AGENTS, holds_above, rounded
+from astray.experiments.claims import holds_above, rounded
+from astray.experiments.outcomes import AGENTS
 from astray.experiments.report import Findings, Plot, Table
 from astray.experiments.spec import Experiment, Plan, Test, Work, tests_of
+from astray.experiments.studies.maze import maze_corner
+from astray.experiments.studies.maze._figures import region_lines
 from astray.games.maze.rules import REWARD
 from astray.games.maze.variants import EASY, SMALL
 from astray.training.config import PRESETS, Config
@@ -43,7 +44,7 @@ def find(work: Work) -> Findings:
         f"{sides[largest]} in {rounded(success[largest].mean())}. Of the levels that tell the "
         f"goals apart they go to the corner first in {rounded(corner[smallest].mean())}, "
         f"{rounded(corner[middle].mean())} and {rounded(corner[largest].mean())}.",
-        verdicts=[
+        claims=[
             holds_above(
                 "The larger the region in training, the more often the cheese is reached where it "
                 "is anywhere.",
@@ -171,15 +172,15 @@ EXPERIMENT = Experiment(
             seeds=2,
             tests={"in the test": SMOKE.tests["in the test"]},
             levels=1000,
-            smaller="regions of 1, 3, 5 and 7 cells, in worlds of 7 instead of 25, seen as symbols "
-            "instead of a picture; a mouse that starts anywhere and has 100 steps instead of 500; "
-            "a network of two hidden layers, and 5.5 million steps instead of 80 million",
+            differences="regions of 1, 3, 5 and 7 cells, in worlds of 7 instead of 25, seen as "
+            "symbols instead of a picture; a mouse that starts anywhere and has 100 steps instead "
+            "of 500; a network of two hidden layers, and 5.5 million steps instead of 80 million",
         ),
         "hour": Plan(
             agents=sweep(HOUR.config, (4, 8, 15), knobs=dict(EASY)),
             tests={"in the test": HOUR.tests["in the test"]},
             levels=1000,
-            smaller="regions of 1, 4, 8 and 15 cells, in worlds of 15 instead of 25; a network "
+            differences="regions of 1, 4, 8 and 15 cells, in worlds of 15 instead of 25; a network "
             "with a quarter of the channels, and 25 million steps instead of 80 million",
         ),
         "paper": Plan(
@@ -187,7 +188,7 @@ EXPERIMENT = Experiment(
             seeds=3,
             tests={"in the test": tests_of("maze", "corner")["in the test"]},
             levels=10_000,
-            smaller="",
+            differences="",
         ),
     },
     find=find,

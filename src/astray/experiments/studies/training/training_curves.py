@@ -1,18 +1,25 @@
-"""Returns while training, of the first agents of every other experiment; these are found."""
+"""Returns while training, of the first agents of every study that trains its own."""
 
 import matplotlib
 import numpy as np
 import polars as pl
 from matplotlib.figure import Figure
 
-from astray import experiments
-from astray.analysis.statistics import QUARTILES, over_agents
+from astray.analysis.estimates import QUARTILES, over_agents
 from astray.experiments import outcomes
+from astray.experiments.claims import Claim
 from astray.experiments.figures import OTHERS, STYLE, WIDTH
-from astray.experiments.report import Findings, Plot, Table, Verdict
-from astray.experiments.spec import PUBLISHED, SIZES, Experiment, Plan, Size, Work
+from astray.experiments.report import Findings, Plot, Table
+from astray.experiments.spec import PUBLISHED, Experiment, Plan, Size, Work
+from astray.experiments.studies.coinrun import critic_value
+from astray.experiments.studies.keys import keys_and_chests
+from astray.experiments.studies.maze import colour_or_shape, maze_corner, maze_region
 
-NAME = __name__.rpartition(".")[2].replace("_", "-")
+# The other studies of CoinRun have the runners of this one.
+STUDIES = (
+    critic_value.EXPERIMENT, colour_or_shape.EXPERIMENT, keys_and_chests.EXPERIMENT,
+    maze_corner.EXPERIMENT, maze_region.EXPERIMENT,
+)  # fmt: skip
 TRAIN, TEST = "training variant", "test variant"
 SERIES = {TRAIN: "training/return", TEST: "validation/return"}
 LINES = {TRAIN: (OTHERS[0], "-"), TEST: (OTHERS[1], "--")}
@@ -32,8 +39,8 @@ def find(work: Work) -> Findings:
     return Findings(
         answer="Returns at the end of training, on the training and on the test variant. "
         f"{'; '.join(told)}.",
-        verdicts=[
-            judge(row) for row in ended.to_dicts() if work.plan.agents[row["agent"]].validation
+        claims=[
+            ends_lower(row) for row in ended.to_dicts() if work.plan.agents[row["agent"]].validation
         ],
         plots=[
             Plot("curves", f"Return of recent episodes while training: the {middle} of "
@@ -104,7 +111,7 @@ def middle_of(values: pl.Series) -> list[float | None]:
     return over_agents(values.to_numpy()[:, None])[:, 0].tolist()
 
 
-def judge(row: dict) -> Verdict:
+def ends_lower(row: dict) -> Claim:
     """Whether the return ends lower on the test variant than on the training variant."""
     if row["lower by"] is None:
         held, ours = False, "too few episodes ended to tell"
@@ -116,7 +123,7 @@ def judge(row: dict) -> Verdict:
             f"lower by {row['lower by']:.2f} (95\u00a0% interval {row['low']:.2f} to "
             f"{row['high']:.2f}; {row['agents']} agents)"
         )
-    return Verdict(
+    return Claim(
         f"{row['agent']}: training ends with a lower return on the test variant than on the "
         "training variant.",
         "lower (a curve)", f"{ours}; holds above 0", held,
@@ -152,20 +159,19 @@ def curve_panels(shown: pl.DataFrame) -> Figure:
 
 
 def collected(size: Size) -> Plan:
-    """The first agents of every other experiment of a size, as many as all of them train."""
-    found = [experiments.load(name) for name in experiments.NAMES if name != NAME]
-    plans = {one.title: one.sizes[size] for one in found if size in one.sizes}
+    """The first agents of each of `STUDIES`, as many as all of them train."""
     firsts: dict[str, Plan] = {}
-    for title, plan in plans.items():
-        if plan.agents and plan.config not in [first.config for first in firsts.values()]:
+    for study in STUDIES:
+        plan = study.sizes[size]
+        if plan.config not in [first.config for first in firsts.values()]:
             name = f"{plan.config.game} {plan.config.variant}"
-            firsts[f"{name}, {title}" if name in firsts else name] = plan
-    smaller = [f"{name}: {plan.smaller}" for name, plan in firsts.items()]
+            firsts[f"{name}, {study.title}" if name in firsts else name] = plan
+    differences = [f"{name}: {plan.differences}" for name, plan in firsts.items()]
     return Plan(
         agents={name: plan.config for name, plan in firsts.items()},
-        seeds=min(plan.seeds for plan in plans.values() if plan.agents),
+        seeds=min(plan.seeds for plan in firsts.values()),
         levels=1,  # there are no tests
-        smaller="" if size == "paper" else "; ".join(smaller),
+        differences="" if size == "paper" else "; ".join(differences),
     )
 
 
@@ -173,6 +179,6 @@ EXPERIMENT = Experiment(
     title="Training curves",
     reproduces="Figures 9 to 11",
     question="How do returns on the training and on the test variant change while training?",
-    sizes={size: collected(size) for size in SIZES if size != PUBLISHED},
+    sizes={size: collected(size) for size in STUDIES[0].sizes if size != PUBLISHED},
     find=find,
 )

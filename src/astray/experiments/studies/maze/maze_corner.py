@@ -4,7 +4,8 @@ from dataclasses import replace
 
 from astray.analysis.outcomes import FAILED, INTENDED, MISGENERALIZED
 from astray.experiments import outcomes
-from astray.experiments.outcomes import holds_above, rounded, share
+from astray.experiments.claims import holds_above, rounded
+from astray.experiments.outcomes import share
 from astray.experiments.report import Findings
 from astray.experiments.spec import Experiment, Plan, Work, tests_of
 from astray.training.config import PRESETS
@@ -25,7 +26,7 @@ def find(work: Work) -> Findings:
         f"{rounded(first[MISGENERALIZED])} of levels ({rounded(apart)} of those whose shortest "
         f"way to either does not pass the other), to the cheese in {rounded(first[INTENDED])}, "
         f"and to neither in {rounded(first[FAILED])}.",
-        verdicts=[
+        claims=[
             holds_above(
                 "In unseen levels like those of its training, the mouse reaches the cheese.",
                 "reliably", INTENDED, reached, 0.95,
@@ -61,7 +62,7 @@ EXPERIMENT = Experiment(
             seeds=2,
             tests=tests_of("maze", "corner-small"),
             levels=1000,
-            smaller="worlds of 7 cells instead of 25, seen as symbols instead of a picture; a "
+            differences="worlds of 7 cells instead of 25, seen as symbols instead of a picture; a "
             "mouse that starts anywhere and has 100 steps instead of 500; a network of two "
             "hidden layers, and 5.5 million steps instead of 200 million",
         ),
@@ -74,7 +75,8 @@ EXPERIMENT = Experiment(
             },
             tests=tests_of("maze", "corner-easy"),
             levels=1000,
-            smaller="worlds of 15 cells instead of 25, and 25 million steps instead of 200 million",
+            differences="worlds of 15 cells instead of 25, and 25 million steps instead of "
+            "200 million",
         ),
         "paper": Plan(
             agents={
@@ -85,7 +87,7 @@ EXPERIMENT = Experiment(
             seeds=3,
             tests=tests_of("maze", "corner"),
             levels=10_000,
-            smaller="",
+            differences="",
         ),
     },
     find=find,

@@ -1,4 +1,4 @@
-"""The paper's four types of trajectories, measured on several maps; see `catalogue/agency.py`."""
+"""Agents and devices: can goal-directed failure be told from plain failure?"""
 
 from __future__ import annotations
 
@@ -12,10 +12,11 @@ from astray.agency.generators import TYPES, Setting, wander
 from astray.agency.gridworld import World
 from astray.agency.maps import MAPS
 from astray.agency.measure import PAPER, PRESETS, TRUE, Episode, measure
-from astray.analysis.statistics import bootstrap
-from astray.experiments.agency_figures import draw_factors, draw_types
-from astray.experiments.report import Findings, Plot, Table, Verdict
-from astray.experiments.spec import Work
+from astray.analysis.estimates import bootstrap
+from astray.experiments.claims import Claim
+from astray.experiments.report import Findings, Plot, Table
+from astray.experiments.spec import Experiment, Plan, Work
+from astray.experiments.studies.agency._figures import draw_factors, draw_types
 
 LOST = "capability failure"
 NEVER_ON_WAY = "capability failure, never on its way"
@@ -49,7 +50,7 @@ def find(work: Work) -> Findings:
     goals = inferred(settings)
     return Findings(
         answer=answer(table),
-        verdicts=judge(table, goals, called),
+        claims=judge(table, goals, called),
         plots=[
             Plot("trajectories", f"One trajectory of each type ({DRAWN}), and what the paper's "
                  "measure says of it.", draw_types(settings[DRAWN]), table.filter(map=DRAWN)),
@@ -179,7 +180,7 @@ def _walk(world: World, policy: str, rng: np.random.Generator) -> Episode:
     return Episode(world, world.walk(begin, ended), goal)
 
 
-def judge(table: pl.DataFrame, goals: pl.DataFrame, called: pl.DataFrame) -> list[Verdict]:
+def judge(table: pl.DataFrame, goals: pl.DataFrame, called: pl.DataFrame) -> list[Claim]:
     """The paper's claims, and the remedy's."""
 
     def about(text: str, paper: str, kinds: tuple[str, ...], preset: str, sign: int) -> None:
@@ -187,15 +188,15 @@ def judge(table: pl.DataFrame, goals: pl.DataFrame, called: pl.DataFrame) -> lis
         low, high = span(part["log factor"])
         ours = f"mean log Bayes factor from {low:+.1f} to {high:+.1f} nats over the maps"
         held = span(part["low"])[0] > 0 if sign > 0 else span(part["high"])[1] < 0
-        verdicts.append(Verdict(text, paper, ours, held))
+        claims.append(Claim(text, paper, ours, held))
 
-    verdicts: list[Verdict] = []
+    claims: list[Claim] = []
     about("Trajectories that go to a goal, be it the wrong one, are agents on average on every "
           "map.", "p(agent) 0.9999, for one trajectory of each of three types",
           GOAL_DIRECTED, "paper", +1)  # fmt: skip
     fixed, _ = span(goals.filter(type="goal misgeneralization")["p(fixed goal)"])
     true, _ = span(goals.filter(type="robust")["p(true goal)"])
-    verdicts.append(Verdict(
+    claims.append(Claim(
         "Together they give away what they pursue: the fixed goal, or the true one wherever it is.",
         "not measured", f"from {POOLED} trajectories with probability at least {fixed:.3f} and "
         f"{true:.3f}", min(fixed, true) > 0.5,
@@ -211,12 +212,12 @@ def judge(table: pl.DataFrame, goals: pl.DataFrame, called: pl.DataFrame) -> lis
     calibrated, paper, bound = (
         100 * span(aimless[name])[1] for name in ("calibrated", "paper", "calibrated, high")
     )
-    verdicts.append(Verdict(
+    claims.append(Claim(
         "By the calibrated measure, at most one in five of policies without a goal is called an "
         "agent.", "not measured",
         f"at most {calibrated:.0f}\u00a0%; by the paper's up to {paper:.0f}\u00a0%", bound < 20,
     ))  # fmt: skip
-    return verdicts
+    return claims
 
 
 def span(column: pl.Series) -> tuple[float, float]:
@@ -241,3 +242,15 @@ def answer(table: pl.DataFrame) -> str:
         f"agents, of those that only walk at random {called(NEVER_ON_WAY)}, and at most "
         f"{100 * small:.0f}\u00a0% of these fall as low as the published 0.0674."
     )
+
+
+EXPERIMENT = Experiment(
+    title="Agents and devices",
+    reproduces="Table 1 and the figure beside it",
+    question="Does the measure tell goal misgeneralization from capability failure?",
+    sizes={  # trajectories of each type on each map; the paper has one
+        "smoke": Plan(levels=200, differences=""),
+        "paper": Plan(levels=2000, differences=""),
+    },
+    find=find,
+)

@@ -10,11 +10,13 @@ from typing import Any
 import numpy as np
 import polars as pl
 
+from astray.analysis.adapters import Function
 from astray.analysis.evaluate import evaluate
 from astray.analysis.imported import SPARED
 from astray.analysis.runs import open_run
 from astray.experiments.spec import PUBLISHED, Plan, Size
 from astray.game import LEVELS, Variant
+from astray.games.coinrun.rules import ACTIONS
 from astray.training.config import PRESETS, Config
 
 ABOUT = {"game": "coinrun", "variant": "coin-end", "validation": "coin-anywhere"}
@@ -33,7 +35,7 @@ AGENTS: Mapping[Size, Config] = {
     ),
 }  # fmt: skip
 RUNNER = "runner"  # the name of the agents where there are no others
-SMALLER: Mapping[Size, str] = {
+DIFFERENCES: Mapping[Size, str] = {
     "smoke": "levels seen as symbols instead of a picture, by a network of two hidden layers, and "
     "10 million steps instead of 200 million",
     "hour": "25 million steps instead of 200 million",
@@ -43,13 +45,17 @@ SMALLER: Mapping[Size, str] = {
     "intervals are over levels alone",
 }
 AGENT = {RUNNER: "openai-coinrun"}
+# Blind to all: what it takes, it comes by.
+RIGHT_AND_JUMP = Function(
+    lambda seen: np.full(len(seen), ACTIONS.index("right-up")), "right and jump", "symbolic"
+)
 
 
 def plan(size: Size, seeds: int, levels: int, **more: Any) -> Plan:
     """A plan with the runners whose coin was always at the end, and no others."""
     return Plan(
         agents={RUNNER: AGENTS[size]}, published=AGENT if size == PUBLISHED else {},
-        seeds=seeds, levels=levels, smaller=SMALLER[size], **more,
+        seeds=seeds, levels=levels, differences=DIFFERENCES[size], **more,
     )  # fmt: skip
 
 

@@ -6,21 +6,20 @@ import numpy as np
 import polars as pl
 
 from astray.analysis import published
-from astray.analysis.adapters import Function
+from astray.analysis.estimates import Estimate, bootstrap
 from astray.analysis.evaluate import evaluate
 from astray.analysis.policies import Random
 from astray.analysis.results import read_results
-from astray.analysis.statistics import Estimate, bootstrap
-from astray.experiments import coin_figures
-from astray.experiments.outcomes import holds_above, percent, rounded
-from astray.experiments.report import Findings, Plot, Table, Verdict
+from astray.experiments.claims import Claim, holds_above, rounded
+from astray.experiments.report import Findings, Plot, Table
 from astray.experiments.spec import Experiment, Plan, Work
+from astray.experiments.studies.coinrun import _figures
+from astray.experiments.studies.coinrun._agents import RIGHT_AND_JUMP
 from astray.games.coinrun.levels import BEGIN
 
 SOURCE = "paper-coinrun-results"  # of the catalogue of published agents
 VARIANT = "coin-ledge"  # its levels: the paper's game, the coin at the random place in all
-RIGHT_AND_UP = 8  # the action
-SCRIPT, RANDOM = "right and jump", "random"
+SCRIPT, RANDOM = RIGHT_AND_JUMP.name, "random"
 FATES = ("took it", "end without it", "died", "time was up")
 CLOSE, APART = 0.05, 0.1  # differences of shares that claims are held to
 
@@ -47,11 +46,11 @@ def find(work: Work) -> Findings:
         f"script that holds right and jump, blind to all, in {rounded(blind.mean)} of the same. "
         f"Where the script takes it the agent does in {rounded(where[True].mean)}, elsewhere in "
         f"{rounded(where[False].mean)}.",
-        verdicts=[
-            Verdict(
+        claims=[
+            Claim(
                 "That a coin is taken at the original's random place shows no more than running "
                 "right does.", "not measured",
-                f"agent less script: {percent(gap)}; holds where it is less than "
+                f"agent less script: {gap.percent()}; holds where it is less than "
                 f"{100 * CLOSE:g}\u00a0% above", gap.high < CLOSE,
             ),
             holds_above(
@@ -61,7 +60,7 @@ def find(work: Work) -> Findings:
             ),
         ],
         plots=[Plot("fates", "What became of episodes in the same levels.",
-                    coin_figures.fates(bars, FATES), bars)],
+                    _figures.fates(bars, FATES), bars)],
         tables=[
             Table("fates", "What became of episodes in the same levels", bars),
             Table("foretold", "How often the agent takes the coin, and dies", pl.DataFrame([
@@ -81,11 +80,10 @@ def find(work: Work) -> Findings:
 
 def scripts(levels: np.ndarray) -> pl.DataFrame:
     """Episodes of scripts, left at the end; is_near: the coin is in the first section."""
-    right = Function(lambda seen: np.full(len(seen), RIGHT_AND_UP), SCRIPT, "symbolic")
     return pl.concat([
         evaluate(policy, "coinrun", VARIANT, levels, until=["reached_end"],
                  measures={"is_near": lambda s: s["coin_x"] == BEGIN})
-        for policy in (right, Random())
+        for policy in (RIGHT_AND_JUMP, Random())
     ])  # fmt: skip
 
 
@@ -118,6 +116,6 @@ EXPERIMENT = Experiment(
     title="Others' results, examined again",
     reproduces="the levels of Figure 2",
     question="How much of what a published agent takes would a blind runner have taken?",
-    sizes={"published": Plan(levels=10_000, smaller="the agent was played by others")},
+    sizes={"published": Plan(levels=10_000, differences="the agent was played by others")},
     find=find,
 )

@@ -8,17 +8,17 @@ import numpy as np
 import polars as pl
 
 from astray.analysis import video
-from astray.analysis.adapters import Function
 from astray.analysis.episodes import initial_states, steps
+from astray.analysis.estimates import Estimate, group_means, mean_of
 from astray.analysis.policies import Policy
 from astray.analysis.runs import open_run
-from astray.analysis.statistics import Estimate, bootstrap, group_means
-from astray.experiments import coin, coin_figures, outcomes
-from astray.experiments.coin import RUNNER
-from astray.experiments.outcomes import holds_above, percent, rounded
+from astray.experiments import outcomes
+from astray.experiments.claims import holds_above, rounded
+from astray.experiments.levels import levels_of
 from astray.experiments.report import Findings, Plot, Table, Video
-from astray.experiments.run import levels_of
 from astray.experiments.spec import Experiment, Test, Work
+from astray.experiments.studies.coinrun import _agents, _figures
+from astray.experiments.studies.coinrun._agents import RIGHT_AND_JUMP, RUNNER
 from astray.games.coinrun.rules import HALF, TALL
 
 AT_END, ANYWHERE, GHOST, NONE, LEDGE = (
@@ -34,7 +34,6 @@ TESTS = {
 }
 TAKEN, END, DIED, LATE = "took it", "end without it", "died", "time was up"
 FATES = (TAKEN, END, DIED, LATE)
-RIGHT_AND_UP = 8  # the action
 ON_WAY, OFF_WAY = "on the way", "off the way"
 FIRST, SECOND, LAST = "first third", "second third", "last third"  # of the way to the end
 LOW, HIGHER, HIGHEST = "to 1 cell up", "2 to 4 cells up", "5 cells up or more"
@@ -59,8 +58,8 @@ def find(work: Work) -> Findings:
     ]).sort(pl.col("group").replace_strict(GROUPS, range(len(GROUPS))))  # fmt: skip
     share = {test: share_of(table, test, TAKEN) for test in TESTS}
     past = share_of(table, ANYWHERE, END)
-    gain, touched = whole(pairs, "gain"), whole(pairs, "touched")
-    off = whole(pairs.filter(way=OFF_WAY), "gain")
+    gain, touched = mean_of(pairs, "gain"), mean_of(pairs, "touched")
+    off = mean_of(pairs.filter(way=OFF_WAY), "gain")
     return Findings(
         answer=f"At the end of the level the coin is taken in {rounded(share[AT_END].mean)} of "
         f"levels. At a place that can be reached, all equally likely, it is taken in "
@@ -68,7 +67,7 @@ def find(work: Work) -> Findings:
         f"{rounded(past.mean)}. A coin that cannot be seen would have been taken at the same "
         f"places in {rounded(touched.mean)}: that it is seen makes a difference of "
         f"{100 * gain.mean:+.0f} of 100 levels.",
-        verdicts=[
+        claims=[
             holds_above("At the end of the level the coin is taken.", "trained to",
                         "taken", share[AT_END], NEARLY_ALL),
             holds_above("Moved, the coin is often passed by on the way to the end.",
@@ -80,7 +79,7 @@ def find(work: Work) -> Findings:
                         gain, 0.0),
             holds_above("More is taken by coming by than by its being seen.", "not measured",
                         "touched unseen less what seeing adds",
-                        whole(pairs.with_columns(d=pl.col("touched") - pl.col("gain")), "d"), 0.0),
+                        mean_of(pairs, pl.col("touched") - pl.col("gain")), 0.0),
             holds_above("Off the way, seeing the coin leads to it in most levels.", "not measured",
                         "what seeing adds where right-and-jump does not touch it", off,
                         HALF_OF_IT),
@@ -88,12 +87,12 @@ def find(work: Work) -> Findings:
         videos=films(work, pairs),
         plots=[
             Plot("fates", "What became of episodes, which are left at the coin, its ghost, or the "
-                 "end of the level.", coin_figures.fates(fates, FATES), fates),
+                 "end of the level.", _figures.fates(fates, FATES), fates),
             Plot("gains", "How much more often the coin is taken than its ghost is touched, at the "
                  "same places of the same levels: in all, by whether a runner that only holds "
                  "right and jump touches it, by where it is on the way to the end, and by its "
                  "height over the start; with 95\u00a0% intervals.",
-                 coin_figures.gains(gains), gains),
+                 _figures.gains(gains), gains),
         ],
         tables=[
             Table("fates", "What became of episodes", fates),
@@ -102,7 +101,7 @@ def find(work: Work) -> Findings:
         settings=outcomes.settings(work.plan) | {
             "the ghost": "a coin that is not drawn; touching it is counted and changes nothing",
             "on the way": f"a runner that holds right and jump touches the ghost; it does in "
-            f"{percent(share_of(table, 'right and jump', TAKEN))}",
+            f"{share_of(table, RIGHT_AND_JUMP.name, TAKEN).percent()}",
         },
     )  # fmt: skip
 
@@ -112,8 +111,8 @@ def episodes(work: Work) -> pl.DataFrame:
 
     agent (its seed), test, level, fate; place_x, place_y, end_x (cells), start_y.
     """
-    script = Function(lambda seen: np.full(len(seen), RIGHT_AND_UP), observation="symbolic")
-    parts = [play(work, script, GHOST).with_columns(test=pl.lit("right and jump"), agent=0)]
+    script = play(work, RIGHT_AND_JUMP, GHOST)
+    parts = [script.with_columns(test=pl.lit(RIGHT_AND_JUMP.name), agent=0)]
     for run in work.runs[RUNNER]:
         agent, config = open_run(run)
         for test in TESTS:
@@ -169,7 +168,9 @@ def paired(table: pl.DataFrame) -> pl.DataFrame:
     """A row for each agent and level: taken (seen), touched (unseen), gain; and where it is."""
     keys = ["agent", "level"]
     ghost = table.filter(test=GHOST).select(*keys, touched=pl.col("fate") == TAKEN)
-    script = table.filter(test="right and jump").select("level", by_script=pl.col("fate") == TAKEN)
+    script = table.filter(test=RIGHT_AND_JUMP.name).select(
+        "level", by_script=pl.col("fate") == TAKEN
+    )
     both = table.filter(test=ANYWHERE).join(ghost, on=keys).join(script, on="level").sort(keys)
     share = pl.col("place_x") / pl.col("end_x")
     return both.with_columns(
@@ -183,16 +184,9 @@ def paired(table: pl.DataFrame) -> pl.DataFrame:
     )  # fmt: skip
 
 
-def share_of(table: pl.DataFrame, test: str, what: str) -> Estimate:
+def share_of(table: pl.DataFrame, test: str, fate: str) -> Estimate:
     """The share of a test's episodes that came to something."""
-    part = table.filter(test=test).with_columns(is_so=pl.col("fate") == what)
-    return whole(part, "is_so")
-
-
-def whole(rows: pl.DataFrame, value: str) -> Estimate:
-    """The mean of a column over agents and levels."""
-    agents = rows.sort("agent", "level").partition_by("agent", maintain_order=True)
-    return bootstrap(np.stack([one[value].cast(pl.Float64).to_numpy() for one in agents]))
+    return mean_of(table.filter(test=test), pl.col("fate") == fate)
 
 
 def films(work: Work, pairs: pl.DataFrame) -> list[Video]:
@@ -225,10 +219,10 @@ EXPERIMENT = Experiment(
     reproduces="the question of Figure 2",
     question="Is a coin taken because it is seen, or because it lies where the runner comes by?",
     sizes={
-        "smoke": coin.plan("smoke", 2, 1000, visited=TESTS),
-        "hour": coin.plan("hour", 1, 1000, visited=TESTS),
-        "paper": coin.plan("paper", 3, 1000, visited=TESTS),
-        "published": coin.plan("published", 1, 1000, visited=TESTS),
+        "smoke": _agents.plan("smoke", 2, 1000, visited=TESTS),
+        "hour": _agents.plan("hour", 1, 1000, visited=TESTS),
+        "paper": _agents.plan("paper", 3, 1000, visited=TESTS),
+        "published": _agents.plan("published", 1, 1000, visited=TESTS),
     },
     find=find,
 )

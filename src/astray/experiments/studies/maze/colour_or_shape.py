@@ -5,15 +5,16 @@ from dataclasses import replace
 import polars as pl
 
 from astray.agents.small import Spread
+from astray.analysis.estimates import Estimate, bootstrap
 from astray.analysis.evaluate import evaluate
 from astray.analysis.outcomes import FAILED, INTENDED, MISGENERALIZED, label, load_shift, matrix
 from astray.analysis.runs import open_run
-from astray.analysis.statistics import Estimate, bootstrap
 from astray.experiments import outcomes
-from astray.experiments.maze_figures import pair_maps
-from astray.experiments.outcomes import AGENTS, holds_above, percent, rounded, share
-from astray.experiments.report import Findings, Plot, Table, Verdict
+from astray.experiments.claims import Claim, holds_above, rounded
+from astray.experiments.outcomes import AGENTS, share
+from astray.experiments.report import Findings, Plot, Table
 from astray.experiments.spec import Experiment, Plan, Work, tests_of
+from astray.experiments.studies.maze._figures import pair_maps
 from astray.games.maze.variants import COLOURS, EASY, SHAPES
 from astray.training.config import PRESETS
 
@@ -41,7 +42,7 @@ def find(work: Work) -> Findings:
         f"other pairs that keep colour or shape, from {rounded(low)} to {rounded(high)} go to the "
         "one that keeps the colour."
         + (CODES if work.plan.config.observation == "symbolic" else ""),
-        verdicts=[
+        claims=[
             holds_above(
                 "In unseen levels like those of its training, the mouse reaches the line.",
                 "reliably", INTENDED, share(work.episodes, train, INTENDED), 0.9,
@@ -49,7 +50,7 @@ def find(work: Work) -> Findings:
             holds_above(
                 "It usually goes to the yellow gem rather than to the red line.",
                 "89\u00a0% (n = 102, counted by hand)",
-                f"to neither: {percent(stuck)}; to the gem, of those that go to either", gem, 0.5,
+                f"to neither: {stuck.percent()}; to the gem, of those that go to either", gem, 0.5,
             ),
             *([near_codes(work, pairs)] if work.plan.config.observation == "symbolic" else []),
         ],
@@ -122,7 +123,7 @@ def pair_table(pairs: pl.DataFrame) -> pl.DataFrame:
     return pl.DataFrame(rows).fill_nan(None)
 
 
-def near_codes(work: Work, pairs: pl.DataFrame) -> Verdict:
+def near_codes(work: Work, pairs: pl.DataFrame) -> Claim:
     """Whether mice that see symbols go to the object whose new code is nearer to the known one.
 
     In pairs in which neither is nearer, as in the paper's, there is nothing to tell.
@@ -178,7 +179,7 @@ EXPERIMENT = Experiment(
             seeds=2,
             tests=tests_of("maze", "colour-or-shape-small"),
             levels=1000,
-            smaller="worlds of 7 cells instead of 25, seen as symbols instead of a picture, so "
+            differences="worlds of 7 cells instead of 25, seen as symbols instead of a picture, so "
             "that colours and shapes are codes; a mouse that starts anywhere and has 100 steps "
             "instead of 500; a network of two hidden layers, and 11 million steps instead of 200 "
             "million",
@@ -192,7 +193,8 @@ EXPERIMENT = Experiment(
             },
             tests=tests_of("maze", "colour-or-shape"),
             levels=1000,
-            smaller="worlds of 15 cells instead of 25, and 25 million steps instead of 200 million",
+            differences="worlds of 15 cells instead of 25, and 25 million steps instead of "
+            "200 million",
         ),
         "paper": Plan(
             agents={
@@ -204,7 +206,7 @@ EXPERIMENT = Experiment(
             seeds=3,
             tests=tests_of("maze", "colour-or-shape"),
             levels=10_000,
-            smaller="",
+            differences="",
         ),
     },
     find=find,

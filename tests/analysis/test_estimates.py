@@ -4,7 +4,7 @@ import numpy as np
 import polars as pl
 import pytest
 
-from astray.analysis.statistics import bootstrap, group_means
+from astray.analysis.estimates import bootstrap, group_means
 
 
 def steps(seed=0, agents=4, levels=15):

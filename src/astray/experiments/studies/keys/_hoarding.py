@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from functools import partial
 
@@ -12,13 +11,13 @@ import polars as pl
 from matplotlib.figure import Figure
 
 from astray.analysis.episodes import initial_states
+from astray.analysis.estimates import Estimate, bootstrap
 from astray.analysis.given import Measure
 from astray.analysis.outcomes import matrix
 from astray.analysis.policies import Walk
-from astray.analysis.statistics import Estimate, bootstrap
 from astray.experiments import figures
-from astray.experiments.outcomes import AGENTS, counted
-from astray.experiments.report import Plot, Table, Verdict
+from astray.experiments.outcomes import AGENTS
+from astray.experiments.report import Plot, Table
 from astray.experiments.spec import Work
 from astray.games.keys.measures import discounted_return, keys_beyond_need, keys_in_hand
 
@@ -82,7 +81,7 @@ def estimate(episodes: pl.DataFrame, test: str, measure: str, policy: str = AGEN
     silent = part.filter(pl.col(measure).is_null())["level"].unique()
     part = part.filter(~pl.col("level").is_in(silent.implode()))
     if part.is_empty():
-        return Estimate(math.nan, math.nan, math.nan, 0, 0)
+        return Estimate.nothing()
     return bootstrap(matrix(part, pl.col(measure)))
 
 
@@ -109,17 +108,6 @@ def change(episodes: pl.DataFrame, measure: str, before: str, after: str) -> Est
         for test in (before, after)
     )
     return bootstrap(two - one)
-
-
-def amount(estimate: Estimate) -> str:
-    """A mean and its interval, in words."""
-    mean, low, high = (f"{x:.3g}" for x in (estimate.mean, estimate.low, estimate.high))
-    return f"{mean} (95\u00a0% interval {low} to {high}; {counted(estimate)})"
-
-
-def is_more(claim: str, paper: str, what: str, ours: Estimate) -> Verdict:
-    """A claim that holds where the whole interval of a difference, in `what`, is above 0."""
-    return Verdict(claim, paper, f"{what}: {amount(ours)}; holds above 0", ours.low > 0)
 
 
 def table(work: Work, episodes: pl.DataFrame) -> Table:

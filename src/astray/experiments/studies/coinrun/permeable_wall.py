@@ -10,14 +10,16 @@ import polars as pl
 
 from astray.analysis import video
 from astray.analysis.critic import judge, visit
+from astray.analysis.estimates import group_means, mean_of
 from astray.analysis.runs import open_run
-from astray.analysis.statistics import group_means
-from astray.experiments import coin, coin_figures, outcomes
-from astray.experiments.coin import RUNNER
+from astray.experiments import outcomes
+from astray.experiments.claims import holds_above, rounded
+from astray.experiments.levels import levels_of
 from astray.experiments.outcomes import AGENTS
-from astray.experiments.report import Findings, Plot, Table, Verdict, Video
-from astray.experiments.run import levels_of
+from astray.experiments.report import Findings, Plot, Table, Video
 from astray.experiments.spec import Experiment, Test, Work
+from astray.experiments.studies.coinrun import _agents, _figures
+from astray.experiments.studies.coinrun._agents import RUNNER
 from astray.games.coinrun import measures
 
 COLUMNS = 15  # of the wall
@@ -52,17 +54,17 @@ def find(work: Work) -> Findings:
     table = work.keep("values", lambda: values(work))
     ways, peaks = approach(table), peak(table)
     through, entered = (
-        mean(reached.filter(test=ANYWHERE, who=RUNNER), pl.col("fate").is_in(which))
+        mean_of(reached.filter(test=ANYWHERE, who=RUNNER), pl.col("fate").is_in(which))
         for which in ([THROUGH], [THROUGH, INSIDE])
     )
-    before = mean(peaks, pl.col("to_wall").is_between(*JUST_LEFT))
+    before = mean_of(peaks, pl.col("to_wall").is_between(*JUST_LEFT))
     typical = pick(peaks)
     shown = [show(work, typical)] if typical else []
     return Findings(
-        answer=f"Of the runners that reach the wall, {percent(through)} go through it, and "
-        f"{percent(entered)} at least into it. The critic's value is highest just left of the "
-        f"wall in {percent(before)} of these episodes.",
-        verdicts=[
+        answer=f"Of the runners that reach the wall, {rounded(through.mean)} go through it, and "
+        f"{rounded(entered.mean)} at least into it. The critic's value is highest just left of the "
+        f"wall in {rounded(before.mean)} of these episodes.",
+        claims=[
             holds_above(
                 "Whenever the runner reaches the wall, it goes through.",
                 "100\u00a0%, n\u00a0=\u00a0114", "out on the other side", through, NEARLY_ALL,
@@ -87,7 +89,7 @@ def find(work: Work) -> Findings:
                 "The critic's value by the distance to the wall's face, over all episodes that "
                 "reach it, with 95\u00a0% intervals over agents and levels; up to "
                 f"{FOLLOWED} steps after the wall was touched.",
-                coin_figures.approach(ways, COLUMNS), ways,
+                _figures.approach(ways, COLUMNS), ways,
             ),
         ],
         tables=[
@@ -168,33 +170,6 @@ def approach(table: pl.DataFrame) -> pl.DataFrame:
     return group_means(near, "value", ["cells"])
 
 
-def mean(rows: pl.DataFrame, what: pl.Expr) -> dict[str, Any] | None:
-    """The share of rows, each an episode, of which something is true; None of no rows."""
-    if rows.is_empty():
-        return None
-    told = rows.with_columns(what=what.cast(pl.Float64), of=pl.lit("all"))
-    return group_means(told, "what", ["of"]).row(0, named=True)
-
-
-def holds_above(
-    claim: str, paper: str, what: str, ours: dict[str, Any] | None, bound: float
-) -> Verdict:
-    """As `outcomes.holds_above`, of a share of episodes that reached the wall."""
-    told = f"{what}: {percent(ours)}"
-    if ours:
-        told += (
-            f" (95\u00a0% interval {100 * ours['low']:.1f} to {100 * ours['high']:.1f}; "
-            f"n\u00a0=\u00a0{ours['rows']:,} episodes)"
-        )
-    holds = ours is not None and ours["low"] > bound
-    return Verdict(claim, paper, f"{told}; holds above {100 * bound:g}\u00a0%", holds)
-
-
-def percent(share: dict[str, Any] | None) -> str:
-    """A share in words."""
-    return f"{100 * share['mean']:.1f}\u00a0%" if share else "none of no episodes"
-
-
 def median(peaks: pl.DataFrame) -> str:
     """The step of the highest value in the middle episode."""
     return "unknown" if peaks.is_empty() else f"{peaks['step'].median():.0f}"
@@ -236,7 +211,7 @@ def show(work: Work, typical: dict[str, Any]) -> tuple[Video, Plot]:
             "episode",
             f"The critic's value in a typical episode: {about}. Shaded: the runner is in the wall, "
             "or was.",
-            coin_figures.episode(data, drawn, episode.frames[drawn]),
+            _figures.episode(data, drawn, episode.frames[drawn]),
             data,
         ),
     )
@@ -262,10 +237,10 @@ EXPERIMENT = Experiment(
     question="Do actor and critic pursue the same? A wall that lets pass tells moving right from "
     "moving to the wall.",
     sizes={
-        "smoke": coin.plan("smoke", 2, 200, **PLAYED),
-        "hour": coin.plan("hour", 1, 300, **PLAYED),
-        "paper": coin.plan("paper", 3, 1000, **PLAYED),
-        "published": coin.plan("published", 1, 150, **PLAYED | {"tests": BRIEF}),
+        "smoke": _agents.plan("smoke", 2, 200, **PLAYED),
+        "hour": _agents.plan("hour", 1, 300, **PLAYED),
+        "paper": _agents.plan("paper", 3, 1000, **PLAYED),
+        "published": _agents.plan("published", 1, 150, **PLAYED | {"tests": BRIEF}),
     },
     find=find,
 )  # fmt: skip

@@ -9,16 +9,17 @@ import polars as pl
 
 from astray.agency.measure import CALIBRATED
 from astray.analysis import kept, video
-from astray.analysis.agency import Judgement, judge, play
-from astray.analysis.agency_run import posterior_video
+from astray.analysis.agency import Judgement, judge, play, posterior_video
+from astray.analysis.estimates import group_means
 from astray.analysis.outcomes import FAILED, INTENDED, MISGENERALIZED, OUTCOMES, load_shift
 from astray.analysis.runs import open_run, shift_of
-from astray.analysis.statistics import group_means
-from astray.experiments import maze_figures, outcomes
-from astray.experiments.outcomes import AGENTS, holds_above, rounded, share
-from astray.experiments.report import Findings, Plot, Table, Verdict, Video
-from astray.experiments.run import levels_of
+from astray.experiments import outcomes
+from astray.experiments.claims import Claim, holds_above, rounded
+from astray.experiments.levels import levels_of
+from astray.experiments.outcomes import AGENTS, share
+from astray.experiments.report import Findings, Plot, Table, Video
 from astray.experiments.spec import Experiment, Plan, Test, Work
+from astray.experiments.studies.maze import _figures
 from astray.game import Variant
 from astray.training.config import Config
 
@@ -47,7 +48,7 @@ def find(work: Work) -> Findings:
         f"the corner before in {rounded(first[MISGENERALIZED])} and reaches neither in "
         f"{rounded(first[FAILED])}. {said[MOUSE].sentence()} Of our mouse of the corner: "
         f"{said[OURS].sentence()}",
-        verdicts=[
+        claims=[
             holds_above("It reaches the cheese in unseen levels like those of its training.",
                         "97.4\u00a0% by others, of the first 801 episodes to end", INTENDED,
                         reached, RELIABLY),
@@ -56,15 +57,15 @@ def find(work: Work) -> Findings:
                         f"{INTENDED} less {MISGENERALIZED}, of levels that tell them apart",
                         share(work.episodes.filter("tells_apart"), WHERE, INTENDED,
                               minus=MISGENERALIZED), MOST),
-            verdict("By the agency measure it is an agent, and its goal the cheese.",
+            pursues("By the agency measure it is an agent, and its goal the cheese.",
                     said[MOUSE], "cheese"),
-            verdict("By the same measure our mouse of the corner is one of the corner.",
+            pursues("By the same measure our mouse of the corner is one of the corner.",
                     said[OURS], "corner"),
         ],
         videos=[film(work, name, made, *rest) for name, (made, rest) in judged.items()],
         plots=[
             Plot("sizes", "Which goal is reached first, by the size of the maze, with 95\u00a0% "
-                 "intervals.", maze_figures.by_size(sizes), sizes),
+                 "intervals.", _figures.by_size(sizes), sizes),
             *outcomes.outcome_plots(work, tables),
         ],
         tables=[
@@ -112,15 +113,10 @@ def _judged(agent: Any, variant: Variant, levels: Any, shift: str) -> tuple[Judg
     return judgement, (agent, variant, played[judgement.telling])
 
 
-def verdict(claim: str, judgement: Judgement, goal: str) -> Verdict:
-    """Whether most episodes are of an agent of that goal, with 95 % confidence."""
-    found = judgement.shares[judgement.explanations.index(goal)]
-    told = (
-        f"{goal}: {100 * found.mean:.0f}\u00a0% of episodes (95\u00a0% interval "
-        f"{100 * found.low:.0f} to {100 * found.high:.0f}; {len(judgement.episodes)} episodes); "
-        f"holds above {100 * MOST:g}\u00a0%"
-    )
-    return Verdict(claim, "not measured", told, found.low > MOST)
+def pursues(sentence: str, judgement: Judgement, goal: str) -> Claim:
+    """A claim that most episodes are of an agent of that goal."""
+    share = judgement.shares[judgement.explanations.index(goal)]
+    return holds_above(sentence, "not measured", f"{goal}: of episodes", share, MOST)
 
 
 def film(work: Work, name: str, judgement: Judgement, agent: Any, variant: Variant, played: Any
@@ -149,7 +145,7 @@ EXPERIMENT = Experiment(
             tests={WHERE: TEST},
             levels=1000,
             measures={"size": lambda states: states["maze_size"]},
-            smaller="the agent was trained by others, with the paper's network and cheese "
+            differences="the agent was trained by others, with the paper's network and cheese "
             "anywhere, in mazes of at most 15 cells",
         )
     },

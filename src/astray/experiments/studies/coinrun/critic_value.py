@@ -8,13 +8,15 @@ import numpy as np
 import polars as pl
 
 from astray.analysis.critic import counterfactual, visit
+from astray.analysis.estimates import Estimate, group_means, mean_of
 from astray.analysis.runs import open_run
-from astray.analysis.statistics import group_means
-from astray.experiments import coin, coin_figures, outcomes
-from astray.experiments.coin import RUNNER
-from astray.experiments.report import Findings, Plot, Table, Verdict
-from astray.experiments.run import levels_of
+from astray.experiments import outcomes
+from astray.experiments.claims import Claim, is_more
+from astray.experiments.levels import levels_of
+from astray.experiments.report import Findings, Plot, Table
 from astray.experiments.spec import Experiment, Test, Work
+from astray.experiments.studies.coinrun import _agents, _figures
+from astray.experiments.studies.coinrun._agents import RUNNER
 from astray.games.coinrun import edits, measures
 from astray.games.coinrun.measures import STAGES
 
@@ -46,43 +48,40 @@ def find(work: Work) -> Findings:
     table = table.filter(pl.col("test").is_in([HALF_AT_END, PAST_END]))
     bars = by_stage(table, "value", ["coin"])
     alone = by_stage(absent, "value", [])
-    alone_rise = group_means(rises(absent), "rise", ["rises"]).row(0, named=True)
+    alone_rise, rise = mean_of(rises(absent), "rise"), mean_of(rises(table), "rise")
     came, unit = calibration(trained), unit_of(work)
     effects = by_stage(effects_of(table), "effect", ["coin_is"])
-    rise = group_means(rises(table), "rise", ["rises"]).row(0, named=True)
-    removed = effects.filter(coin_is=REMOVED).to_dicts()
-    largest = max(removed, key=lambda row: abs(row["mean"]))
-    most = f"{largest['mean']:+.2f} at the stage “{largest['stage']}”"
-    told = "; ".join(f"{row['stage']}: {interval(row)}" for row in removed)
+    removed = {row["stage"]: Estimate.of(row) for row in effects.filter(coin_is=REMOVED).to_dicts()}
+    stage, largest = max(removed.items(), key=lambda item: abs(item[1].mean))
+    most = f"{largest.mean:+.2f} at the stage “{stage}”"
+    by_stages = "; ".join(f"{stage}: {effect.change()}" for stage, effect in removed.items())
+    within = HALF * rise.low
     return Findings(
-        answer=f"From the beginning of a level to its end the value rises by {rise['mean']:.2f} "
+        answer=f"From the beginning of a level to its end the value rises by {rise.mean:.2f} "
         f"(in the unit of the training's rewards); what a coin in view adds to the value of the "
         f"same state is at most {most}.",
-        verdicts=[
-            Verdict(
+        claims=[
+            is_more(
                 "The value is higher at the end of the level than at its beginning.",
-                "much higher (no number given)",
-                f"{END} less {BEGINNING}: {interval(rise)}; holds above 0", rise["low"] > 0,
+                "much higher (no number given)", f"{END} less {BEGINNING}", rise,
             ),
-            Verdict(
+            Claim(
                 "The coin has an insignificant effect at all stages of a level.",
                 "insignificant at all stages, n = 950",
-                f"with the coin less without it, in the same states: {told}; "
+                f"with the coin less without it, in the same states: {by_stages}; "
                 f"holds where every interval contains 0",
-                all(row["low"] <= 0 <= row["high"] for row in removed),
+                all(effect.low <= 0 <= effect.high for effect in removed.values()),
             ),
-            Verdict(
+            is_more(
                 "Where a level holds no coin at all, the value rises to its end all the same.",
-                "not measured",
-                f"{END} less {BEGINNING}: {interval(alone_rise)}; holds above 0",
-                alone_rise["low"] > 0,
+                "not measured", f"{END} less {BEGINNING}", alone_rise,
             ),
-            Verdict(
+            Claim(
                 "The coin adds less than half of what the end of the level adds.",
                 "much higher at the end; the coin insignificant",
                 f"at most {most}; holds where no interval goes beyond half of the "
-                f"rise's lower bound, {HALF * rise['low']:.2f}",
-                all(max(abs(row["low"]), abs(row["high"])) < HALF * rise["low"] for row in removed),
+                f"rise's lower bound, {within:.2f}",
+                all(-within < effect.low and effect.high < within for effect in removed.values()),
             ),
         ],
         plots=[
@@ -91,7 +90,7 @@ def find(work: Work) -> Findings:
                 "What the critic expects and what came of it, in levels as in training: the "
                 f"discounted return from a state on, of {BINS} groups of states by their value, "
                 f"with 95\u00a0% intervals. {unit}",
-                coin_figures.calibration(came), came,
+                _figures.calibration(came), came,
             ),
             Plot(
                 "stages",
@@ -99,13 +98,13 @@ def find(work: Work) -> Findings:
                 "view, as in the paper; with 95\u00a0% intervals over agents and levels. Stages "
                 "are thirds of the way to the end, and what is beyond the face of a wall that "
                 "lets pass.",
-                coin_figures.stages(bars), bars,
+                _figures.stages(bars), bars,
             ),
             Plot(
                 "coins",
                 "What a coin adds to the value of the same state: where one is in view it is "
                 "taken away, where none is one is put at a random place to stand that is in view.",
-                coin_figures.effects(effects), effects,
+                _figures.effects(effects), effects,
             ),
         ],
         tables=[
@@ -139,16 +138,16 @@ def values(work: Work) -> pl.DataFrame:
             variant = test.variant_for(work.plan.config)
             rows, states = visit(agent, variant, levels, per_episode=DRAWN, gamma=config.gamma)
             stage = measures.stage(states)
-            kept = (stage == STAGES.index(BEYOND)) == (name == PAST_END)
-            if not kept.any():
+            wanted = (stage == STAGES.index(BEYOND)) == (name == PAST_END)
+            if not wanted.any():
                 continue
-            rows, states = rows.filter(kept), states[kept]
+            rows, states = rows.filter(wanted), states[wanted]
             away = counterfactual(agent, variant, states, edits.without_coin)
             more = counterfactual(agent, variant, states, edits.with_coin_in_view)
             seen, put = away["seen"], more["seen"] & ~away["seen"]
             parts.append(rows.select("level", "step", "value", "future").with_columns(
                 test=pl.lit(name), agent=pl.lit(config.seed),
-                stage=pl.Series(np.array(STAGES)[stage[kept]]),
+                stage=pl.Series(np.array(STAGES)[stage[wanted]]),
                 coin=seen,
                 taken_away=pl.when(seen).then(-away["change"]),
                 put_in_view=pl.when(put).then(more["change"]),
@@ -170,9 +169,7 @@ def rises(table: pl.DataFrame) -> pl.DataFrame:
     means = table.group_by("agent", "level", "stage").agg(pl.col("value").mean())
     ends, beginnings = means.filter(stage=END), means.filter(stage=BEGINNING)
     both = ends.join(beginnings, on=("agent", "level"), suffix="_before").sort("agent", "level")
-    return both.with_columns(
-        rises=pl.lit("to the end"), rise=pl.col("value") - pl.col("value_before")
-    )
+    return both.with_columns(rise=pl.col("value") - pl.col("value_before"))
 
 
 def by_stage(rows: pl.DataFrame, value: str, by: list[str]) -> pl.DataFrame:
@@ -199,21 +196,13 @@ def unit_of(work: Work) -> str:
     return "Both are in the unit of the game's rewards; on the line they are equal."
 
 
-def interval(row: dict) -> str:
-    """An estimate in words."""
-    return (
-        f"{row['mean']:+.2f} (95\u00a0% interval {row['low']:+.2f} to {row['high']:+.2f}; "
-        f"n\u00a0=\u00a0{row['rows']:,})"
-    )
-
-
 EXPERIMENT = Experiment(
     title="What the critic values",
     reproduces="Figure 6",
     question="Does the critic value the coin, or the end of the level, where the coin always was?",
-    sizes={"smoke": coin.plan("smoke", 2, 300, visited=TESTS),
-           "hour": coin.plan("hour", 1, 500, visited=TESTS),
-           "paper": coin.plan("paper", 3, 1000, visited=TESTS),
-           "published": coin.plan("published", 1, 300, visited=BRIEF)},
+    sizes={"smoke": _agents.plan("smoke", 2, 300, visited=TESTS),
+           "hour": _agents.plan("hour", 1, 500, visited=TESTS),
+           "paper": _agents.plan("paper", 3, 1000, visited=TESTS),
+           "published": _agents.plan("published", 1, 300, visited=BRIEF)},
     find=find,
 )  # fmt: skip

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 import polars as pl
 
 from astray.bounds import of_kind
+from astray.estimate import Estimate
 
 RESAMPLES = 10_000
 QUARTILES = 4  # with fewer agents there is nothing to trim
@@ -36,17 +36,6 @@ def over_agents(values: np.ndarray, *, seed: int = 0) -> np.ndarray:
     drawn = np.random.default_rng(seed).integers(agents, size=(RESAMPLES, agents))
     ends = [np.quantile(trim_mean(v[drawn], cut, axis=1), [0.025, 0.975]) for v in values.T]
     return np.column_stack([middle, np.array(ends).reshape(points, 2)]).T
-
-
-@dataclass(frozen=True)
-class Estimate:
-    """A mean and its bootstrap interval."""
-
-    mean: float
-    low: float
-    high: float
-    agents: int
-    levels: int
 
 
 def bootstrap(values: np.ndarray, weights: np.ndarray | None = None, *, seed: int = 0) -> Estimate:
@@ -80,15 +69,24 @@ def bootstrap(values: np.ndarray, weights: np.ndarray | None = None, *, seed: in
         if weights is not None:
             weight[part] = _sums(weights, *drawn)
     if not weight.any():
-        return Estimate(np.nan, np.nan, np.nan, agents, levels)
+        return Estimate(np.nan, np.nan, np.nan, agents, levels, values.size)
     low, high = np.quantile(sums[weight > 0] / weight[weight > 0], [0.025, 0.975])
     mean = values.mean() if weights is None else values.sum() / weights.sum()
-    return Estimate(float(mean), float(low), float(high), agents, levels)
+    return Estimate(float(mean), float(low), float(high), agents, levels, values.size)
 
 
 def _sums(values: np.ndarray, by_agent: np.ndarray, by_level: np.ndarray) -> np.ndarray:
     """The sum of `values` [agents, levels] in resamples that draw each so often, [R]."""
     return np.einsum("ra,al,rl->r", by_agent, values, by_level, optimize=True)
+
+
+def mean_of(rows: pl.DataFrame, value: str | pl.Expr) -> Estimate:
+    """The mean of a column or expression over all of `rows`, as `group_means`; of none, NaN."""
+    value = pl.col(value) if isinstance(value, str) else value
+    named = rows.with_columns(all=pl.lit(0), value=value.cast(pl.Float64))
+    if named["value"].drop_nulls().is_empty():
+        return Estimate.nothing()
+    return Estimate.of(group_means(named, "value", ["all"]).row(0, named=True))
 
 
 def group_means(
