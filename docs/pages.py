@@ -226,8 +226,8 @@ def experiment_page(name: str) -> str:
 
 
 def size_parts(plan: Plan) -> Iterator[str]:
-    if plan.smaller:
-        yield f"Other than in the paper: {plan.smaller}."
+    if plan.differences:
+        yield f"Other than in the paper: {plan.differences}."
     if plan.published:
         named = ", ".join(f"`{agent}`" for agent in plan.published.values())
         yield (

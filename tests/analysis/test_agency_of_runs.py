@@ -9,7 +9,6 @@ import pytest
 
 from astray import games
 from astray.agency.measure import PAPER
-from astray.agency.population import Share
 from astray.analysis.agency import (
     DEVICE,
     MOST,
@@ -24,6 +23,7 @@ from astray.analysis.agency import (
 from astray.analysis.outcomes import load_shift
 from astray.analysis.policies import Random, Walk
 from astray.envs.vector import GameVectorEnv
+from astray.estimate import Estimate
 
 SHIFT = load_shift("maze", "corner-small")
 MAZE = games.find("maze")
@@ -116,7 +116,7 @@ def test_the_video_shows_the_mouse_and_the_goal_as_it_becomes_clear():
 
 def test_a_verdict_takes_more_than_half_for_certain():
     def verdict(low):
-        both = [Share(0.7, low, 0.9), Share(0.3, 0.1, 0.5)]
+        both = [Estimate(0.7, low, 0.9, 1, 9, 9), Estimate(0.3, 0.1, 0.5, 1, 9, 9)]
         return Judgement(pl.DataFrame(), ("corner", DEVICE), both, np.ones(2) / 2, 1).verdict
 
     assert (verdict(0.49), verdict(0.51)) == (UNDECIDED, "corner")

@@ -16,7 +16,8 @@ import pytest
 
 from astray.analysis.outcomes import FAILED, INTENDED, MISGENERALIZED
 from astray.experiments import catalogue, run
-from astray.experiments.outcomes import holds_above, share
+from astray.experiments.claims import holds_above
+from astray.experiments.outcomes import share
 from astray.training import checkpoint
 from helpers.killed import CONFIG
 from helpers.miniature import miniature, train_here
