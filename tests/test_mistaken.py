@@ -88,8 +88,8 @@ def test_a_number_or_a_fact_of_another_type_is_refused(wrong, message):
 @pytest.mark.parametrize(
     "take, message",
     [
-        (lambda: small_training(environments=10**9), "1,000,000,000 environments need"),
-        (lambda: small_training(rollout=10**9), r"rollouts of 4,000,000,004 samples need .* GB"),
+        (lambda: small_training(num_envs=10**9), "1,000,000,000 environments need"),
+        (lambda: small_training(num_steps=10**9), r"rollouts of 4,000,000,004 samples need .* GB"),
         (lambda: small_training(width=10**6), r"weights and rollouts .* need .* GB of memory; the"),
         (lambda: small_training(width=2**31 - 1), "too many weights for any memory|weights and"),
         (
@@ -114,7 +114,7 @@ def begun(count):
 
 
 def small_training(**change):
-    sizes = {"environments": 4, "rollout": 4, "minibatches": 1, "variant": "corner-small"} | change
+    sizes = {"num_envs": 4, "num_steps": 4, "minibatches": 1, "variant": "corner-small"} | change
     Trainer(replace(PRESETS["small"], **sizes))
 
 

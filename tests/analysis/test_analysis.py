@@ -24,7 +24,7 @@ LEVELS = range(1_000_000, 1_000_060)
 @pytest.fixture(scope="module")
 def agent_file(tmp_path_factory):
     path = tmp_path_factory.mktemp("agent") / "agent.safetensors"
-    architecture = Architecture("small", (4, 7, 7), (1, 1, 6, 6), 15)
+    architecture = Architecture("mlp", (4, 7, 7), (1, 1, 6, 6), 15)
     torch.manual_seed(0)  # one whose greedy episodes do not all last to the end
     path.write_bytes(weights(architecture.build(), architecture, "maze"))
     return path

@@ -12,7 +12,7 @@ import pytest
 
 from astray import games
 
-TINY = ["--steps", "512", "--environments", "16", "--rollout", "16", "--minibatches", "4"]
+TINY = ["--steps", "512", "--num-envs", "16", "--num-steps", "16", "--minibatches", "4"]
 TINY += ["--width", "16", "--checkpoint-every", "1"]
 
 

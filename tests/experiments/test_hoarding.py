@@ -98,7 +98,7 @@ def test_keys_in_hand_are_told_only_where_a_chest_was_opened(episodes):
 
 
 def test_curves_begin_when_episodes_could_have_timed_out():
-    config = replace(PLAN.config, rollout=64, validation_every=4)  # 200 steps an episode
+    config = replace(PLAN.config, num_steps=64, validation_every=4)  # 200 steps an episode
     table = pl.DataFrame({"steps": np.arange(1, 17) * config.batch}).with_columns(
         pl.lit(1.0).alias(f"{which}/return") for which in ("training", "validation")
     )

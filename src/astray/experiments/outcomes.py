@@ -108,7 +108,7 @@ def fair(table: pl.DataFrame, config: Config) -> dict[str, pl.Expr]:
         every = config.validation_every
         rounds["validation"] = ((iteration + every - 1) // every, config.validation_variant())
     return {
-        column: pl.when(rounds[which][0] * config.rollout >= rounds[which][1].time_limit).then(
+        column: pl.when(rounds[which][0] * config.num_steps >= rounds[which][1].time_limit).then(
             pl.col(column)
         )
         for column in table.columns

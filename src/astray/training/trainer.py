@@ -73,7 +73,7 @@ class Trainer:
         self.fast = acceleration.accelerate(self.network, what, config, self.architecture)
         self.actor = self.validator = None  # where `loop` plays itself
         if self.fast.using.of_playing:
-            self.actor = Actor(self.fast, self.player, config, config.rollout)
+            self.actor = Actor(self.fast, self.player, config, config.num_steps)
             if self.validation:
                 self.validator = Actor(self.fast, self.validation, config, 1)
         self._captured: Captured | None = None
@@ -95,7 +95,7 @@ class Trainer:
                 f"a network of width {config.width} and scale {config.scale} has too many weights "
                 "for any memory"
             ) from error
-        samples = (config.rollout + 1) * len(self.player.images)
+        samples = (config.num_steps + 1) * len(self.player.images)
         if config.device == "cpu":
             check_memory(
                 PER_WEIGHT * count + samples * (shown + PER_SAMPLE),

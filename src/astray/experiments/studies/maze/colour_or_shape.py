@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import polars as pl
 
-from astray.agents.small import Spread
+from astray.agents.mlp import CircleEmbedding
 from astray.analysis.estimates import Estimate, bootstrap
 from astray.analysis.evaluate import evaluate
 from astray.analysis.outcomes import FAILED, INTENDED, MISGENERALIZED, label, load_shift, matrix
@@ -154,7 +154,7 @@ def near_codes(work: Work, pairs: pl.DataFrame) -> Claim:
 def nearness(work: Work) -> tuple[dict[str, float], dict[str, float]]:
     """How alike each shape and the trained one are to the network, and each colour: -1 to 1."""
     planes = work.plan.game.symbols.planes(work.plan.config.training_variant())
-    circle = Spread(planes.max((1, 2)).tolist()).circle.numpy()
+    circle = CircleEmbedding(planes.max((1, 2)).tolist()).circle.numpy()
     shapes, colours = (
         {name: float(circle[:, code] @ circle[:, names.index(known)])
          for code, name in enumerate(names)}

@@ -158,7 +158,7 @@ SMOKE, HOUR = (maze_corner.EXPERIMENT.sizes[size] for size in ("smoke", "hour"))
 # channels, and levels without end.
 PAPER = replace(
     PRESETS["paper"], variant="region-1", validation="anywhere", scale=4, steps=80_000_000,
-    environments=512, minibatches=16, device="cuda",
+    num_envs=512, minibatches=16, device="cuda",
 )  # fmt: skip
 
 EXPERIMENT = Experiment(

@@ -1,4 +1,4 @@
-"""Small networks for symbolic observations: learning on a CPU in minutes."""
+"""A perceptron of two hidden layers for symbolic observations: learning on a CPU in minutes."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from torch import Tensor, nn
 from astray.agents.impala import initialise
 
 
-class Spread(nn.Module):
+class CircleEmbedding(nn.Module):
     """Planes of categories [B, C, H, W] uint8 -> float planes [B, channels, H, W].
 
     A plane of 0 and 1 is passed on. Of a plane with more categories each becomes a point on the
@@ -45,14 +45,14 @@ class Spread(nn.Module):
         return planes
 
 
-class Small(nn.Module):
+class MLP(nn.Module):
     """Symbolic planes [B, C, H, W] uint8 -> logits [B, actions], values [B]."""
 
     def __init__(
         self, shape: tuple[int, int, int], largest: list[int], actions: int, width: int = 64
     ):
         super().__init__()
-        self.spread = Spread(largest)
+        self.spread = CircleEmbedding(largest)
         _, height, columns = shape
         self.inputs = self.spread.channels * height * columns
         self.features = nn.Sequential(
