@@ -179,10 +179,10 @@ class Config:
         if not isinstance(data, dict):
             raise ValueError(f"settings are an object; given {shown(data)}")
         known = [f.name for f in fields(Config)]
-        values: dict[str, Any] = {
-            RENAMED.get(str(name), name): value
-            for name, value in data.items() if name != "training_variant"
-        }  # fmt: skip
+        values = {name: value for name, value in data.items() if name != "training_variant"}
+        for old, new in RENAMED.items():
+            if old in values:
+                values[new] = values.pop(old)
         values["network"] = renamed_network(values.get("network", Config.network))
         unknown = [name for name in values if name not in known]
         if unknown:
