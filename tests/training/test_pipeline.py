@@ -53,8 +53,8 @@ def test_what_suits_a_gpu():
         ({"graphs": True}, "graphs must be off with device='cpu'"),
         ({"channels_last": True}, "channels_last must be off with .* network='mlp'"),
         ({"groups": 3}, "16 environments are not divided into 3 groups"),
-        ({"groups": 0}, "groups is 0; it is from 1 to 2147483647"),
-        ({"graphs": 1}, "graphs is 1; it is a bool"),
+        ({"groups": 0}, "groups must be from 1 to 2147483647; got 0"),
+        ({"graphs": 1}, "graphs must be of type bool; got 1"),
     ],
 )
 def test_what_is_not_there_is_explained(change, message):

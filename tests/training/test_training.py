@@ -108,12 +108,12 @@ def test_a_device_that_is_not_there_is_explained(tmp_path):
 @pytest.mark.parametrize(
     "change, message",
     [
-        ({"steps": 0}, "steps is 0; it is from 1 to 1000000000000000"),
+        ({"steps": 0}, "steps must be from 1 to 1000000000000000; got 0"),
         ({"minibatches": 7}, "are not divided by 7 minibatches"),
         ({"variant": "cornr"}, "unknown variant 'cornr'"),
         ({"knobs": {"colour": "red"}}, "unknown knob 'colour'; there are"),
         ({"knobs": {"region": "five"}}, "region must be of type int; got 'five'"),
-        ({"seed": -1}, "seed is -1; it is from 0 to"),
+        ({"seed": -1}, "seed must be from 0 to"),
         ({"validation": "nowhere"}, "unknown variant 'nowhere'"),
     ],
 )

@@ -21,7 +21,7 @@ def shares(log_evidence: np.ndarray, *, seed: int = 0) -> list[Estimate]:
     """
     log_evidence = np.asarray(log_evidence, float)
     if log_evidence.ndim != 2 or not log_evidence.size:
-        raise ValueError(f"evidence is of episodes x explanations; given {log_evidence.shape}")
+        raise ValueError(f"evidence must be of episodes x explanations; got {log_evidence.shape}")
     best = log_evidence.max(1, keepdims=True)
     if not np.isfinite(best).all():
         raise ValueError("an episode is impossible under every explanation")

@@ -24,7 +24,7 @@ class CircleEmbedding(nn.Module):
         super().__init__()
         self.flags = sum(top == 1 for top in largest)
         if any(top != 1 for top in largest[: self.flags]):
-            raise ValueError(f"planes of 0 and 1 come first; given planes up to {largest}")
+            raise ValueError(f"planes of 0 and 1 must come first; got planes up to {largest}")
         self.planes, self.channels = len(largest), self.flags + 2 * (len(largest) - self.flags)
         angle = torch.arange(256) * (2 * torch.pi / max(largest))
         circle = torch.stack([angle.cos(), angle.sin()]).float()

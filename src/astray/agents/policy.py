@@ -51,7 +51,7 @@ class Architecture:
         sizes = (self.actions, self.scale, self.width, *self.shape, *self.largest, *self.widths)
         lengths = (len(self.shape), len(self.widths))
         if lengths != (3, 3) or any(type(n) is not int or n < 1 for n in sizes):
-            raise ValueError(f"an architecture's sizes are integers from 1 on; given {self}")
+            raise ValueError(f"an architecture's sizes must be integers from 1 on; got {self}")
         check_network(self.name)
 
     def build(self) -> nn.Module:

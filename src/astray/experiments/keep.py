@@ -40,7 +40,7 @@ def keep(
     levels  that it is evaluated on, the first that its training does not draw from
     """
     if not re.fullmatch(r"[a-z0-9]+(-[a-z0-9]+)*", name):
-        raise ValueError(f"an agent's name is of a-z, 0-9 and -, as maze-corner; given {name!r}")
+        raise ValueError(f"an agent's name must be of a-z, 0-9 and -, as maze-corner; got {name!r}")
     if (folder / name).exists():
         raise ValueError(f"there is an agent {name!r} in {folder} already")
     agent, config = open_run(run)

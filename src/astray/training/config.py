@@ -99,7 +99,7 @@ class Config:
             value = getattr(self, name)
             if value is not None and not low <= value <= high:
                 said = f"at least {low}" if high == inf else f"from {low} to {high}"
-                raise ValueError(f"{name} is {shown(value)}; it is {said}")
+                raise ValueError(f"{name} must be {said}; got {shown(value)}")
         if self.batch % self.minibatches:
             raise ValueError(
                 f"{self.num_envs} environments x {self.num_steps} steps = {self.batch} samples "
@@ -111,8 +111,8 @@ class Config:
             )
         if self.training_levels.stop >= LEVELS.stop:
             raise ValueError(
-                f"training levels are {self.first_level} to {self.training_levels.stop - 1}; "
-                f"they are below {LEVELS.stop - 1}, and some are left for tests"
+                f"training levels must be below {LEVELS.stop - 1}, as some are left for tests; "
+                f"got {self.first_level} to {self.training_levels.stop - 1}"
             )
         check_network(self.network)
         if self.loss is not None and not imports.is_name(self.loss):
@@ -177,7 +177,7 @@ class Config:
     @staticmethod
     def from_json(data: Any) -> Config:
         if not isinstance(data, dict):
-            raise ValueError(f"settings are an object; given {shown(data)}")
+            raise ValueError(f"settings must be an object; got {shown(data)}")
         known = [f.name for f in fields(Config)]
         values = {name: value for name, value in data.items() if name != "training_variant"}
         for old, new in RENAMED.items():
@@ -206,7 +206,7 @@ def _check(name: str, value: Any, kind: Any) -> None:
     if float in kinds:
         kinds.append(int)
     if type(value) not in kinds or (type(value) is float and not isfinite(value)):
-        raise ValueError(f"{name} is {shown(value)}; it is a {kinds[0].__name__}")
+        raise ValueError(f"{name} must be of type {kinds[0].__name__}; got {shown(value)}")
 
 
 PRESETS = {

@@ -160,13 +160,13 @@ class Trainer:
                 shape[0] = min(len(given) if given.ndim else 0, RECENT)
             if given.dtype != like.dtype or list(given.shape) != shape:
                 raise ValueError(
-                    f"{name} is {given.dtype} {list(given.shape)}; it is {like.dtype} {shape}"
+                    f"{name} must be {like.dtype} {shape}; got {given.dtype} {list(given.shape)}"
                 )
             if given.is_floating_point() and not given.isfinite().all():
                 raise ValueError(f"{name} has numbers that are not finite")
         steps = int(tensors["steps"])
         if steps < 0 or steps % self.config.batch:
-            raise ValueError(f"steps is {steps}; it is so many times {self.config.batch}")
+            raise ValueError(f"steps must be a multiple of {self.config.batch}; got {steps}")
 
     def restore(self, tensors: dict[str, Tensor]) -> None:
         """Go on from what `tensors` returned; the weights are loaded apart."""
