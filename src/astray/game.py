@@ -15,7 +15,7 @@ import numpy as np
 
 from astray.bounds import bounded, of_kind, shown
 from astray.kernel.rng import RNG_FIELDS, WORDS
-from astray.protocols import Editing, Levels, Rules, Solver, Symbols
+from astray.protocols import Cells, Editing, Levels, Rules, Solver, Symbols
 
 NEVER = -1  # the step of an event that has not happened; the number of a level that has none
 LEVELS = range(2**31 - 1)  # all numbers that there are; the original has no others
@@ -233,13 +233,14 @@ class Game:
     symbols: Symbols = None  # pyright: ignore
     editing: Editing = None  # pyright: ignore
     solver: Solver = None  # pyright: ignore
+    cells: Cells = None  # pyright: ignore
     benchmark: Benchmark = None  # pyright: ignore
     invariants: Callable[[np.ndarray, Any], dict[str, np.ndarray]] = lambda s, variant: {}
     # what is true of states [N] of a variant, and compiled code relies on: its name -> [N] bool
     real_time: bool = False  # things move while the agent stays; else a person may take time
 
     def __post_init__(self) -> None:
-        for ability in ("symbols", "editing", "solver", "benchmark"):
+        for ability in ("symbols", "editing", "solver", "cells", "benchmark"):
             if getattr(self, ability) is None:
                 object.__setattr__(self, ability, Missing(self.name, ability))
 

@@ -103,6 +103,25 @@ class Editing(Protocol):
         ...
 
 
+class Cells(Protocol):
+    """Games whose agent goes from cell to cell, (x, y): those the agency measure is for."""
+
+    @property
+    def position(self) -> Callable[[np.ndarray], np.ndarray]:
+        """(states [N]) -> [N, 2] int64, the cells of the agents."""
+        ...
+
+    @property
+    def free(self) -> Callable[[Any], np.ndarray]:
+        """(s) -> [H, W] bool, the cells that an agent may stand in."""
+        ...
+
+    @property
+    def target(self) -> Callable[[Any, str], tuple[int, int] | None]:
+        """(s, goal) -> the cell of one of the game's goals; None where the level has none."""
+        ...
+
+
 class Solver(Protocol):
     """What can be reached, and how; a goal is one of the game's goals.
 

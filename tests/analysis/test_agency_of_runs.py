@@ -97,7 +97,7 @@ def test_levels_without_one_of_the_goals_are_left_out():
 def test_games_without_cells_are_refused():
     coinrun = games.find("coinrun")
     shift = next(iter(coinrun.shifts.values()))
-    with pytest.raises(ValueError, match="coinrun has no cell for the goal"):
+    with pytest.raises(ValueError, match="the game 'coinrun' has no cells"):
         play(Random(), "coinrun", coinrun.variants[shift.test], range(1), shift)
 
 

@@ -107,7 +107,7 @@ def test_ours_is_computed_by_the_kernels():
 
 
 def test_kernels_that_are_asked_for_are_refused_to_others():
-    with pytest.raises(ValueError, match=r"kernels must be off with .* this network and this loss"):
+    with pytest.raises(ValueError, match=r"fused_cpu must be off with .* this network and"):
         Trainer(replace(CONFIG, fused_cpu=True), Tanh)
 
 

@@ -60,52 +60,54 @@ def play(
     policy: Policy, game: str | Game, variant: Variant, levels: Sequence[int] | np.ndarray,
     shift: Shift, batch: int = 256,
 ) -> list[Played]:  # fmt: skip
-    """`policy`'s episodes in those of `levels` that have all the goals."""
-    states = initial_states(game, variant, levels)
-    ways = [[(int(s.x), int(s.y))] for s in states]
-    for step in steps(policy, game, variant, levels, batch=batch):
-        for level, x, y in zip(step.level, step.after["x"], step.after["y"], strict=True):
-            ways[level].append((int(x), int(y)))
+    """`policy`'s episodes in those of `levels` that have all the goals.
+
+    Raises ValueError where the game has no `cells`.
+    """
     game = games.find(game)
-    played = [
-        _played(game, int(s.level), game.editing.describe(s), way, shift)
-        for s, way in zip(states, ways, strict=True)
-    ]
+    states = initial_states(game, variant, levels)
+    ways = [[cell] for cell in _cells(game, states)]
+    for step in steps(policy, game, variant, levels, batch=batch):
+        for level, cell in zip(step.level, _cells(game, step.after), strict=True):
+            ways[level].append(cell)
+    played = [_played(game, s, way, shift) for s, way in zip(states, ways, strict=True)]
     return [one for one in played if one]
 
 
-def _played(
-    game: Game, level: int, told: dict[str, Any], ways: list[Cell], shift: Shift
-) -> Played | None:
-    """The episode along `ways` (x, y) in a level as `describe` told it; None without its goals."""
-    places = named_places(game, told, shift)
+def _cells(game: Game, states: np.ndarray) -> list[Cell]:
+    """The cells (x, y) of the agents in states [N]."""
+    return [(int(x), int(y)) for x, y in game.cells.position(states)]
+
+
+def _played(game: Game, s: Any, way: list[Cell], shift: Shift) -> Played | None:
+    """The episode along the cells (x, y) of `way`, which began in `s`; None without its goals."""
+    places = named_places(game, s, shift)
     if any(place is None for place in places.values()):
         return None
-    grid = np.array(told["grid"])
-    top = len(grid) - 1  # there, rows count from the lowest up
-    world = World((grid != told["legend"]["wall"])[::-1])
+    free = game.cells.free(s)
+    top = len(free) - 1  # of the world, whose rows count from the highest down
     goals = {name: [(top - y, x)] for name, (x, y) in places.items()}
-    visits = [ways.index(place) for place in map(tuple, places.values()) if place in ways]
-    last = max(visits, default=len(ways) - 1)
-    cells = [(top - y, x) for x, y in ways[: last + 1]]
+    world, cells = World(free[::-1]), [(top - y, x) for x, y in way]
+    last = max((way.index(place) for place in places.values() if place in way), default=len(way))
     intended = goals[shift.intended][0]
-    return Played(level, Episode(world, world.path(cells), intended), cells, goals)
+    cells = cells[: last + 1]
+    return Played(int(s.level), Episode(world, world.path(cells), intended), cells, goals)
 
 
-def named_places(game: Game, told: dict[str, Any], shift: Shift) -> dict[str, Any]:
-    """The cell [x, y] of the shift's goals, None where there is none, and of the others there."""
-    found: dict[str, Any] = {}
+def named_places(game: Game, s: Any, shift: Shift) -> dict[str, Any]:
+    """The cell (x, y) of the shift's goals, None where there is none, and of the others there.
+
+    Of goals that are reached by the same event the first stands for all.
+    """
+    places: dict[str, Any] = {}
     events = set()
     for goal in (shift.intended, *shift.proxies, *game.goals):
-        event = game.goals[goal]
-        place = event.removeprefix("reached_")
-        if "agent" not in told or place not in told:
-            raise ValueError(f"{game.name} has no cell for the goal {goal!r}; maze has")
-        known = goal == shift.intended or goal in shift.proxies
-        if event not in events and (known or told[place] is not None):
-            found[goal] = told[place]
+        event, place = game.goals[goal], game.cells.target(s, goal)
+        of_shift = goal == shift.intended or goal in shift.proxies
+        if event not in events and (of_shift or place is not None):
+            places[goal] = place
             events.add(event)
-    return found
+    return places
 
 
 @dataclass(frozen=True, eq=False)
