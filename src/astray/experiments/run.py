@@ -29,7 +29,7 @@ from astray.training.config import Config
 # The sources of what agents do, and of what is computed of it.
 COMPUTING = (
     "*.py", "kernel/*.py", "games/*/*.py", "envs/*.py", "agents/*.py", "agency/*.py",
-    "analysis/*.py", "experiments/**/*.py",
+    "analysis/*.py", "insight/*.py", "experiments/**/*.py",
 )  # fmt: skip
 
 

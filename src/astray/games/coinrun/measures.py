@@ -5,6 +5,8 @@ All take states [N] and return [N].
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
+
 import numpy as np
 
 from astray.games.coinrun.draw import VIEW
@@ -41,3 +43,29 @@ def coin_in_view(states: np.ndarray) -> np.ndarray:
 def to_wall(states: np.ndarray) -> np.ndarray:
     """Cells from the runner's front to the face of the end wall; below 0 in it and beyond."""
     return states["end_x"] + 1 - (states["x"] + HALF)
+
+
+def wall_in_view(states: np.ndarray) -> np.ndarray:
+    """Whether the face of the end wall is in the window around the runner."""
+    return states["end_x"] + 1 - states["x"] < VIEW / 2
+
+
+def coin_offset(states: np.ndarray, axis: str) -> np.ndarray:
+    """Cells to the nearest coin in view along "x" or "y", float64; NaN where none is in view."""
+    found = np.full(len(states), np.nan)
+    for k in np.flatnonzero(coin_in_view(states)):
+        s = states[k]
+        rows, columns = np.nonzero(s["cell"] == COIN)
+        away = np.stack([columns + 0.5 - s["x"], rows + 0.5 - s["y"]])
+        found[k] = away["xy".index(axis), np.hypot(*away).argmin()]
+    return found
+
+
+# What probes may look for in what an agent's layers give.
+LABELS: Mapping[str, Callable[[np.ndarray], np.ndarray]] = {
+    "coin in view": coin_in_view,
+    "coin right": lambda states: coin_offset(states, "x"),
+    "coin up": lambda states: coin_offset(states, "y"),
+    "end wall in view": wall_in_view,
+    "end wall, cells": lambda states: to_wall(states).astype(np.float64),
+}
