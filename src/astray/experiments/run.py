@@ -97,8 +97,11 @@ def train_agents(plan: Plan, root: Path, workers: int | None, on: Place) -> Runs
 
 
 def published_run(agent: str) -> Path:
-    """The run folder of a published agent; ValueError with what to do where it is not here."""
-    if agent not in kept.imported():
+    """The run folder of an agent that comes with astray, or that others published.
+
+    ValueError with what to do where it is not here.
+    """
+    if agent not in (*kept.names(), *kept.imported()):
         raise ValueError(
             f"the published agent {agent} is not here; to bring it: astray agents fetch {agent}, "
             f"and the pictures that it sees: astray art import"

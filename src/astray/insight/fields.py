@@ -226,12 +226,17 @@ def splay(level: Level) -> np.ndarray:
     Places are in the order of `Level.splay("agent")`, from the lowest row up.
     """
     of_kind("level", level, Level)
-    game = level.game
-    begun = level.state(solvable=False)
+    game, begun = level.game, level.state(solvable=False)
     free = (level.cells == game.editing.LEGEND[EMPTY]) & game.solver.reachable(begun)
-    states = np.repeat(np.array([begun], game.state), np.count_nonzero(free))
-    for k, (y, x) in enumerate(np.argwhere(free)):
-        states[k] = game.editing.build(level.cells, (int(x), int(y)), level.looks, level.variant)
+    return states_at(level, [(int(x), int(y)) for y, x in np.argwhere(free)])
+
+
+def states_at(level: Level, cells: Sequence[Cell]) -> np.ndarray:
+    """The states that begin in a level with the agent in each of some cells, [K]."""
+    game = level.game
+    states = np.zeros(len(cells), game.state)
+    for k, cell in enumerate(cells):
+        states[k] = game.editing.build(level.cells, cell, level.looks, level.variant)
     return states
 
 

@@ -161,6 +161,42 @@ def split(levels: np.ndarray, seed: int) -> np.ndarray:
     return ~np.isin(levels, test)
 
 
+def read(
+    agent: Agent,
+    variant: str | Variant,
+    states: np.ndarray,
+    here: np.ndarray,
+    layers: Sequence[str],
+    labels: Mapping[str, Measure],
+) -> pl.DataFrame:
+    """What probes that are fitted in `states` read of one other state, `here` [1].
+
+    Columns: label, layer, read, true (null where the state does not have it), score (of a probe
+    that was fitted on most levels, in the others).
+    """
+    _sklearn()
+    both = [observe(agent, variant, some) for some in (states, here)]
+    given, shown = (activations(agent, some, layers) for some in both)
+    rows = []
+    for label, measure in labels.items():
+        y, true = (measured(label, measure, some).to_numpy() for some in (states, here))
+        if not _enough(y):
+            continue
+        known = y >= 0 if is_class(y) else np.isfinite(y)
+        has = true[0] >= 0 if is_class(true) else np.isfinite(true[0])
+        y = y.astype(np.int64) if is_class(y) else y
+        for layer in layers:
+            x, levels = given[layer][known], states["level"][known]
+            score = fit(x, y[known], split(levels, 0), 0)
+            model, varies = _fitted(x, y[known], 0)
+            told = model.predict(shown[layer].reshape(1, -1)[:, varies])[0]
+            rows.append({"label": label, "layer": layer, "read": float(told),
+                         "true": float(true[0]) if has else None, "score": score})  # fmt: skip
+    if not rows:
+        raise ValueError("no label has two classes, or numbers, in enough of these states")
+    return pl.DataFrame(rows)
+
+
 def fit(x: np.ndarray, y: np.ndarray, learn: np.ndarray, seed: int) -> float:
     """The score of a probe that is fitted on the states in `learn` [N] bool, on the others.
 
@@ -168,36 +204,41 @@ def fit(x: np.ndarray, y: np.ndarray, learn: np.ndarray, seed: int) -> float:
     y  [N] classes (integers), or numbers
     """
     _sklearn()
+    from sklearn.metrics import balanced_accuracy_score, r2_score
+
+    if not np.ptp(x[learn].reshape(np.count_nonzero(learn), -1), axis=0).any():
+        return 0.0 if not is_class(y) else 1 / len(np.unique(y))  # nothing varies
+    model, varies = _fitted(x[learn], y[learn], seed)
+    told = model.predict(x[~learn].reshape(np.count_nonzero(~learn), -1)[:, varies])
+    if not is_class(y):
+        return float(r2_score(y[~learn], told))
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)  # a class may be missing in the test
+        return float(balanced_accuracy_score(y[~learn], told))
+
+
+def _fitted(x: np.ndarray, y: np.ndarray, seed: int) -> tuple[Any, np.ndarray]:
+    """The probe, and which of what a layer gives varies [D] bool, which is all that it is shown."""
     from sklearn.decomposition import PCA
     from sklearn.exceptions import ConvergenceWarning
     from sklearn.linear_model import LogisticRegression, RidgeCV
-    from sklearn.metrics import balanced_accuracy_score, r2_score
     from sklearn.pipeline import make_pipeline
     from sklearn.preprocessing import StandardScaler
 
     flat = x.reshape(len(x), -1)
-    flat = flat[:, np.ptp(flat[learn], axis=0) > 0]
-    if not flat.shape[1]:
-        return 0.0 if not is_class(y) else 1 / len(np.unique(y))
-    most = min(DIRECTIONS, flat.shape[1], np.count_nonzero(learn) - 1)
-    steps = [StandardScaler()]
+    varies = np.ptp(flat, axis=0) > 0
+    flat = flat[:, varies]
+    most = min(DIRECTIONS, flat.shape[1], len(flat) - 1)
+    steps: list[Any] = [StandardScaler()]
     if most < flat.shape[1]:
-        steps.append(PCA(most, svd_solver="randomized", random_state=seed))
-        steps.append(StandardScaler())
+        steps += [PCA(most, svd_solver="randomized", random_state=seed), StandardScaler()]
     if is_class(y):
-        model = make_pipeline(
-            *steps, LogisticRegression(class_weight="balanced", max_iter=FITS, C=0.1)
-        )
-        with warnings.catch_warnings():
-            warnings.simplefilter(
-                "ignore", ConvergenceWarning
-            )  # of what is separable, weights grow
-            model.fit(flat[learn], y[learn])
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", UserWarning)  # a class may be missing in the test
-            return float(balanced_accuracy_score(y[~learn], model.predict(flat[~learn])))
-    model = make_pipeline(*steps, RidgeCV(STRENGTHS)).fit(flat[learn], y[learn])
-    return float(r2_score(y[~learn], model.predict(flat[~learn])))
+        steps.append(LogisticRegression(class_weight="balanced", max_iter=FITS, C=0.1))
+    else:
+        steps.append(RidgeCV(STRENGTHS))
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", ConvergenceWarning)  # of what is separable, weights grow
+        return make_pipeline(*steps).fit(flat, y), varies
 
 
 def _sklearn() -> None:

@@ -10,10 +10,11 @@ from collections.abc import Callable, Mapping
 import numpy as np
 
 from astray.games.coinrun.draw import VIEW
-from astray.games.coinrun.rules import COIN, HALF, WORLD
+from astray.games.coinrun.rules import COIN, HALF, LAVA, LAVA_TOP, SAW, WORLD
 
 START = 1.5  # where the runner begins, in cells
 STAGES = ("beginning", "middle", "end", "beyond")  # thirds of the way, and past the end wall's face
+AHEAD = 4  # cells: what a runner at full speed, half a cell a step, meets within 8 steps
 QUARTER = 0.25  # the picture of a coin begins this far inside of its cell
 
 
@@ -61,11 +62,23 @@ def coin_offset(states: np.ndarray, axis: str) -> np.ndarray:
     return found
 
 
+def hazard_ahead(states: np.ndarray) -> np.ndarray:
+    """Whether a walker, a saw or lava is at most AHEAD cells before the runner, at any height."""
+    columns = np.arange(WORLD) + 0.5 - states["x"][:, None]
+    near = (columns > 0) & (columns <= AHEAD)
+    fixed = np.isin(states["cell"], (LAVA, LAVA_TOP)) | (states["thing"] == SAW)
+    away = states["walker_x"] - states["x"][:, None]
+    there = np.arange(away.shape[1]) < states["walkers"][:, None]
+    walks = (away > 0) & (away <= AHEAD) & there
+    return (fixed & near[:, None, :]).any((1, 2)) | walks.any(1)
+
+
 # What probes may look for in what an agent's layers give.
 LABELS: Mapping[str, Callable[[np.ndarray], np.ndarray]] = {
     "coin in view": coin_in_view,
     "coin right": lambda states: coin_offset(states, "x"),
     "coin up": lambda states: coin_offset(states, "y"),
     "end wall in view": wall_in_view,
+    "hazard ahead": hazard_ahead,
     "end wall, cells": lambda states: to_wall(states).astype(np.float64),
 }
