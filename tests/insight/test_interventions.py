@@ -154,13 +154,15 @@ def test_resampled_channels_are_a_donors_and_the_same_in_every_batch(agent, kind
     assert len(drawn) > 3
 
 
-def test_a_cell_of_a_level_is_found_in_a_layer():
+def test_a_cell_of_a_level_is_found_in_a_layer(tmp_path):
+    images, planes = make_agent("impala", tmp_path), make_agent("small", tmp_path)
     easy = MAZE.variant("anywhere-easy")  # 15 cells a side
-    assert place(easy, (0, 0), (32, 16, 16)) == (15, 0)
-    assert place(easy, (14, 14), (32, 16, 16)) == (0, 15)
-    assert place(easy, (7, 7), (32, 8, 8)) == (4, 4)
+    assert place(images, easy, (0, 0), (32, 16, 16)) == (15, 0)
+    assert place(images, easy, (14, 14), (32, 16, 16)) == (0, 15)
+    assert place(images, easy, (7, 7), (32, 8, 8)) == (4, 4)
+    assert place(planes, MAZE.variant("anywhere-small"), (1, 6), (6, 7, 7)) == (6, 1)
     with pytest.raises(ValueError, match="only where all the world is seen"):
-        place(MAZE.variant("anywhere-memory"), (3, 3), (32, 8, 8))
+        place(images, MAZE.variant("anywhere-memory"), (3, 3), (32, 8, 8))
 
 
 @pytest.mark.parametrize(

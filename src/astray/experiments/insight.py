@@ -58,11 +58,15 @@ def opened(work: Work, where: str) -> tuple[Agent, Variant, np.ndarray]:
 
 
 def of_levels(rows: pl.DataFrame, value: str, condition: str, minus: str | None = None) -> Estimate:
-    """The mean over levels of a column under a condition, less that under another."""
-    one = rows.filter(condition=condition).sort("level")[value].to_numpy()
-    if minus is None:
-        return bootstrap(one)
-    return bootstrap(one - rows.filter(condition=minus).sort("level")[value].to_numpy())
+    """The mean over levels of a column under a condition, less that under another.
+
+    Levels where it is null do not count.
+    """
+    one = rows.filter(condition=condition).select("level", value)
+    if minus is not None:
+        other = rows.filter(condition=minus).select("level", pl.col(value).alias("other"))
+        one = one.join(other, on="level").with_columns(pl.col(value) - pl.col("other"))
+    return bootstrap(one.sort("level")[value].drop_nulls().to_numpy())
 
 
 def within(claim: str, published: str, what: str, ours: Estimate, bounds: Sequence[float]

@@ -43,7 +43,7 @@ LABEL = "label:"  # before the names of labels in an .npz file
 class Activations:
     """What layers gave for N states, and what those states were.
 
-    values  layer -> [N, ...] float32; of convolutions [N, channels, rows, columns], top row first
+    values  layer -> [N, ...] float32; of convolutions [N, channels, rows, columns]
     labels  N rows: level, step, and measures of the states
     """
 

@@ -59,7 +59,8 @@ class Prediction:
 
     accuracy   of levels that were left out, with its interval over them
     always     that of saying in every level what is commoner
-    auc        area under the ROC curve, of levels that were left out; 0.5 tells nothing
+    auc        area under the ROC curve of levels that were left out, with its interval over them:
+               0.5 tells nothing, 1 all
     features   a row for each: feature, coefficient (log odds for one standard deviation), low,
                high, vif, sign (the share of subsets of features in which the coefficient has the
                same sign), alone (the auc of that feature by itself), deviation (in cells)
@@ -68,7 +69,7 @@ class Prediction:
     levels: int
     accuracy: Estimate
     always: float
-    auc: float
+    auc: Estimate
     features: pl.DataFrame
 
 
@@ -112,7 +113,7 @@ def predict(rows: pl.DataFrame, outcome: str, features: Sequence[str], *, seed: 
         levels=len(y),
         accuracy=bootstrap((chances > 0.5) == y, seed=seed),
         always=float(max(y.mean(), 1 - y.mean())),
-        auc=float(roc_auc_score(y, chances)),
+        auc=_area(y, chances, roc_auc_score, random),
         features=pl.DataFrame({
             "feature": list(features), "coefficient": whole, "low": low, "high": high,
             "vif": variance_inflation(x), "sign": _signs(coefficients, all_rows, whole, random),
@@ -138,6 +139,17 @@ def _inflation(x: np.ndarray, k: int) -> float:
     left = x[:, k] - others @ np.linalg.lstsq(others, x[:, k], rcond=None)[0]
     share = left.var() / x[:, k].var()
     return float(1 / share) if share > 1e-10 else np.inf
+
+
+def _area(y: np.ndarray, chances: np.ndarray, auc: Any, random: np.random.Generator) -> Estimate:
+    """The area under the curve, and its interval over levels."""
+    again = []
+    for _ in range(RESAMPLES):
+        some = random.integers(len(y), size=len(y))
+        if 0 < y[some].sum() < len(y):
+            again.append(auc(y[some], chances[some]))
+    low, high = np.quantile(again, [0.025, 0.975])
+    return Estimate(float(auc(y, chances)), float(low), float(high), 1, len(y))
 
 
 def _alone(x: np.ndarray, y: np.ndarray, auc: Any) -> float:

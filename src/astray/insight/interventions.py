@@ -88,7 +88,7 @@ def patch(
 
     channels  of the layer, or units of one without places; None: all
     value     a number, or one for each of the channels
-    cell      (row, column) of the layer, row 0 the top one: `place` finds that of a level's cell
+    cell      (row, column) of the layer: `place` finds that of a level's cell
 
     Raises ValueError where the layer has no such channels or place.
     """
@@ -171,8 +171,10 @@ def resample(
     return changed(agent, {layer: change})
 
 
-def place(variant: Variant, cell: Cell, shape: Sequence[int]) -> tuple[int, int]:
+def place(agent: Agent, variant: Variant, cell: Cell, shape: Sequence[int]) -> tuple[int, int]:
     """The (row, column) of a layer that sees the middle of a level's cell.
+
+    Of images the first row is the highest; of symbolic planes it is the lowest, as in levels.
 
     cell   (x, y) of the level, from the lower left
     shape  of what the layer gives, [channels, rows, columns]
@@ -187,8 +189,9 @@ def place(variant: Variant, cell: Cell, shape: Sequence[int]) -> tuple[int, int]
     world, (_, rows, columns) = int(p.world), shape
     for name, number in zip("xy", cell, strict=True):
         bounded(name, number, 0, world - 1)
-    column = int((cell[0] + 0.5) / world * columns)
-    return int((1 - (cell[1] + 0.5) / world) * rows), column
+    across, up = ((number + 0.5) / world for number in cell)
+    down = up if agent.observation == "symbolic" else 1 - up
+    return int(down * rows), int(across * columns)
 
 
 def sees_world(variant: Variant) -> bool:

@@ -10,7 +10,7 @@ they are found in any network with places, by how what they give goes with where
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -76,7 +76,7 @@ def following(
     shape = see_layers(agent, [layer])[layer]
     game = games.find(agent.game)
     variant = game.variant(variant)
-    place(variant, (0, 0), shape)  # which says why there is none
+    place(agent, variant, (0, 0), shape)  # which says why there is none
     sums = np.zeros((6, shape[0]))  # of x, y, xx, yy, xy, and of what is given at the object
     elsewhere, count, seen = np.zeros(shape[0]), 0, 0
     for k, level in enumerate(drawn(game, variant, levels)):
@@ -88,7 +88,7 @@ def following(
         given = given.astype(np.float64)
         is_at = np.zeros((len(family), *shape[1:]))
         for row, one in enumerate(family):
-            is_at[(row, *place(variant, one.where(name)[0], shape))] = 1
+            is_at[(row, *place(agent, variant, one.where(name)[0], shape))] = 1
         x, y = given - given.mean(0), np.broadcast_to((is_at - is_at.mean(0))[:, None], given.shape)
         axes = (0, 2, 3)
         there = (given * is_at[:, None]).sum(axes)
@@ -122,6 +122,7 @@ def retarget(
     name: str = "goal",
     *,
     targets: int = 12,
+    how: Sequence[str] = WAYS,
     seed: int = 0,
 ) -> pl.DataFrame:
     """How an agent takes to the way to cells that it is sent to: with and without a clamp.
@@ -132,9 +133,14 @@ def retarget(
     target, steps of the way there, how (of WAYS: nothing done; the clamp at the target, the object
     in its place; the clamp in a level without the object; the object moved to the target) and path,
     the geometric mean of the probabilities of the steps of the shortest way from the beginning.
+    how      the ways to send it that are tried; others cost time
+
     Targets beyond the object, to which the way leads through it, are not among them.
     """
     bounded("targets", targets, 1, MOST)
+    unknown = [one for one in how if one not in WAYS]
+    if unknown or not how:
+        raise ValueError(f"how must be some of {', '.join(WAYS)}; got {', '.join(how) or 'none'}")
     shape = see_layers(agent, [clamp.layer])[clamp.layer]
     game = games.find(agent.game)
     variant = game.variant(variant)
@@ -149,27 +155,28 @@ def retarget(
         for number in sorted(random.permutation(len(open_))[:targets]):
             cell = open_[number]
             told = {"level": k, "x": cell[0], "y": cell[1], "steps": len(ways[cell]) - 1}
-            for how, path in _paths(agent, around, ways[cell], clamp, shape, name):
-                rows.append(told | {"how": how, "path": path})
+            for one, path in _paths(agent, around, ways[cell], clamp, shape, name, how):
+                rows.append(told | {"how": one, "path": path})
     if not rows:
         raise ValueError(f"no level has a {name} and a cell to send the agent to")
     return pl.DataFrame(rows)
 
 
 def _paths(
-    agent: Agent, around: Places, way: list[Cell], clamp: Clamp, shape: tuple[int, ...], name: str
-) -> Iterator[tuple[str, float]]:
-    """How the agent takes to a way, sent along it in each of WAYS."""
+    agent: Agent, around: Places, way: list[Cell], clamp: Clamp, shape: tuple[int, ...], name: str,
+    how: Sequence[str],
+) -> Iterator[tuple[str, float]]:  # fmt: skip
+    """How the agent takes to a way, sent along it in each of some WAYS."""
     level = around.level
     gone = level.removed(name)
     sees = {AS_IS: level, CLAMPED: level, ALONE: gone, MOVED: gone.added(name, way[-1])}
-    at = place(level.variant, way[-1], shape)
-    for how, seen in sees.items():
-        if how in (CLAMPED, ALONE):
+    at = place(agent, level.variant, way[-1], shape)
+    for one in how:
+        if one in (CLAMPED, ALONE):
             with patch(agent, clamp.layer, clamp.channels, np.array(clamp.values), at):
-                yield how, path_along(agent, seen, way, around)
+                yield one, path_along(agent, sees[one], way, around)
         else:
-            yield how, path_along(agent, seen, way, around)
+            yield one, path_along(agent, sees[one], way, around)
 
 
 def path_along(agent: Agent, level: Level, way: list[Cell], around: Places) -> float:

@@ -12,6 +12,7 @@ from __future__ import annotations
 import functools
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 import polars as pl
@@ -25,10 +26,9 @@ from astray.game import MOST, Variant
 from astray.insight.activations import activations
 from astray.insight.fields import Places, cell_of, drawn, places_of
 from astray.insight.interventions import steer
-from astray.level import Level
+from astray.level import Cell, Level
 
 Edit = Callable[[Level], Level]
-COLUMNS = ("towards", "start", "value", "places")
 
 
 @dataclass(frozen=True, eq=False)
@@ -143,14 +143,14 @@ def edit_vectors(
     return pair_vectors(agent, variant, layer, *pairs)
 
 
-def _cell(level: Level, goal: str) -> tuple[int, int]:
+def _cell(level: Level, goal: str) -> Cell:
     cell = cell_of(level, goal)
     if cell is None or cell == level.agent:
         raise ValueError(f"a level must have a cell of the goal {goal!r}, and not begin in it")
     return cell
 
 
-def _filled(level: Level, cell: tuple[int, int], char: str) -> Level:
+def _filled(level: Level, cell: Cell, char: str) -> Level:
     """With what the legend calls `char` in a cell."""
     legend = level.game.editing.LEGEND
     if char not in legend:
@@ -186,6 +186,7 @@ def effects(
     conditions: Mapping[str, Condition],
     *,
     places: int = 16,
+    at: Callable[[Any], Cell | None] | None = None,
     seed: int = 0,
 ) -> pl.DataFrame:
     """How likely the next step is one to `goal`, in each level under each condition.
@@ -193,10 +194,14 @@ def effects(
     places  of each level that are looked at: its beginning, then others drawn with `seed`; for a
             network that sees images, multiples of 16 take the least time
 
-    Columns: level (its place in `levels`), condition, towards (the mean over places of the
-    probability of a step of a shortest way to where the goal is in the unedited level), start
-    (that at the beginning), value (the mean over places), places. Levels without the goal, or with
-    no other place, are left out. For means with intervals: `statistics.group_means`.
+    at      one more place that is looked at, as the decision square: a function of the state that
+            a level begins in; None where a level has none
+
+    Columns: level (its place in `levels`), condition, towards (the probability of a step of a
+    shortest way to where the goal is in the unedited level, the mean over places), start (that at
+    the beginning), at (that at the further place, null where there is none), value (the mean over
+    places), places. Levels without the goal, or that begin at it, are left out. For means with
+    intervals: `statistics.group_means`.
     """
     of_kind("conditions", conditions, Mapping)
     bounded("places", places, 1, MOST)
@@ -208,11 +213,14 @@ def effects(
         if to is None or to == level.agent:
             continue
         (around,), _ = places_of([level])
-        some = _some(around, to, places, np.random.default_rng([seed, k]))
+        extra = at(level.state(solvable=False)) if at else None
+        count = places - (extra is not None)
+        some = _some(around, to, count, np.random.default_rng([seed, k]))
+        looked_at = [*some, *([] if extra is None else [extra])]
         shown: dict[Edit, tuple[np.ndarray, np.ndarray]] = {}
         for name, condition in conditions.items():
             if condition.edit not in shown:
-                shown[condition.edit] = _seen(agent, variant, condition.edit(level), some, to)
+                shown[condition.edit] = _seen(agent, variant, condition.edit(level), looked_at, to)
             observations, advancing = shown[condition.edit]
             vectors = {v.layer: v.each[k] if condition.own else v.mean for v in condition.vectors}
             if vectors:
@@ -221,25 +229,27 @@ def effects(
             else:
                 policy, value = judge(agent, observations)
             chance = (policy * advancing).sum(1)
-            told = chance.mean(), chance[0], value.mean(), len(some)
-            rows.append({"level": k, "condition": name}
-                        | dict(zip(COLUMNS, told, strict=True)))  # fmt: skip
+            n = len(some)
+            rows.append({
+                "level": k, "condition": name, "towards": chance[:n].mean(), "start": chance[0],
+                "at": None if extra is None else chance[n], "value": value[:n].mean(), "places": n,
+            })  # fmt: skip
     if not rows:
         raise ValueError(f"no level has a cell of the goal {goal!r} away from its beginning")
-    return pl.DataFrame(rows)
+    return pl.DataFrame(rows, schema_overrides={"at": pl.Float64})
 
 
-def _some(around: Places, to: tuple[int, int], count: int, random: np.random.Generator
-          ) -> list[tuple[int, int]]:  # fmt: skip
+def _some(around: Places, to: Cell, count: int, random: np.random.Generator
+          ) -> list[Cell]:  # fmt: skip
     """The beginning of a level and some other of its places from which there is a way."""
     away = around.distances(to)
     others = [c for c in around.number if away.get(c, 0) > 0 and c != around.level.agent]
-    drawn_at = random.permutation(len(others))[: count - 1]
+    drawn_at = random.permutation(len(others))[: max(count - 1, 0)]
     return [around.level.agent, *(others[k] for k in sorted(drawn_at))]
 
 
-def _seen(agent: Agent, variant: Variant, level: Level, cells: Sequence[tuple[int, int]],
-          to: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
+def _seen(agent: Agent, variant: Variant, level: Level, cells: Sequence[Cell],
+          to: Cell) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
     """What is seen at some places of a level, and which actions lead from there to a cell."""
     (around,), (states,) = places_of([level])
     which = [around.number[cell] for cell in cells]

@@ -16,13 +16,16 @@ from astray.experiments.insight import of_levels, opened, table_of, within
 from astray.experiments.report import Findings, Plot, Table, Verdict
 from astray.experiments.spec import Experiment, Size, Work
 from astray.game import Variant
+from astray.games.maze.measures import decision
 from astray.insight.vectors import Condition, effects, object_vectors
 
 WHERE = "cheese anywhere"
 PLAIN, WITHOUT, RANDOM = "as it is", "level without cheese", "random vector of that length"
 SUBTRACTED, ADDED, MEAN = "subtracted", "added", "mean of all levels subtracted"
-COEFFICIENTS = (-3.0, -2.0, -1.5, -0.5, 0.5, 1.5, 2.0, 3.0)  # beside -1 and 1
+COEFFICIENTS = (-3.0, -2.0, -0.5, 0.5, 2.0)  # beside -1 and 1
+SQUARE, START, ALL = "at", "start", "towards"  # columns: the decision square, the beginning, places
 PLACES = {"smoke": 64, "published": 16}  # of each level, its beginning among them
+SWEPT = 120  # levels in which other layers and coefficients are tried
 
 
 @dataclass(frozen=True)
@@ -48,19 +51,22 @@ def find(work: Work) -> Findings:
     rows = work.keep("effects", lambda: steered(work.size, agent, variant, levels))
     main = LAYERS[work.size].main
     shown = (PLAIN, SUBTRACTED, WITHOUT, ADDED, RANDOM, MEAN)
-    said = {name: of_levels(rows, "towards", name) for name in shown}
-    starts = {name: of_levels(rows, "start", name) for name in shown}
-    depth = means(rows, {f"subtracted at {layer}": layer for layer in LAYERS[work.size].layers},
+    said, starts, everywhere = (
+        {name: of_levels(rows, where, name) for name in shown} for where in (SQUARE, START, ALL)
+    )
+    few = rows.filter(pl.col("level") < SWEPT)  # the levels of all other layers and coefficients
+    depth = means(few, {f"subtracted at {layer}": layer for layer in LAYERS[work.size].layers},
                   "layer")  # fmt: skip
     by_dose = {f"{c:g} times": c for c in COEFFICIENTS}
     by_dose |= {PLAIN: 0.0, SUBTRACTED: -1.0, ADDED: 1.0}
     by_chance = {f"random, {c:g} times": c for c in COEFFICIENTS} | {PLAIN: 0.0, RANDOM: -1.0}
     dose, chance = (
-        means(rows, names, "coefficient").sort("coefficient") for names in (by_dose, by_chance)
+        means(few, names, "coefficient").sort("coefficient") for names in (by_dose, by_chance)
     )
     shape = work.keep("vectors", lambda: shapes(work.size, agent, variant, levels))
     return Findings(
-        answer=f"The next step is one to the cheese with a probability of {said[PLAIN].mean:.3f}; "
+        answer="Where the ways to cheese and corner part, the next step is one to the cheese with "
+        f"a probability of {said[PLAIN].mean:.3f}; "
         f"with the cheese vector subtracted at {main} {said[SUBTRACTED].mean:.3f}, without any "
         f"cheese {said[WITHOUT].mean:.3f}, with the vector added {said[ADDED].mean:.3f}, with a "
         f"random one of its length {said[RANDOM].mean:.3f}.",
@@ -68,20 +74,24 @@ def find(work: Work) -> Findings:
         plots=[
             Plot("depth", "The probability of the next step to the cheese, the cheese vector of "
                  "each layer subtracted there. Dashed: as it is; dotted: a level without cheese.",
-                 insight_figures.depth(depth, said[PLAIN].mean, said[WITHOUT].mean), depth),
+                 insight_figures.depth(
+                     depth, *(of_levels(few, SQUARE, one).mean for one in (PLAIN, WITHOUT))), depth),
             Plot("dose", f"Likewise at {main}, by the coefficient; grey: random vectors.",
                  insight_figures.dose(dose, chance), dose),
         ],
         tables=[
-            Table("effects", "Probability of the next step to the cheese, at places all over the "
-                  "level", table_of(said, "condition")),
+            Table("effects", "Probability of the next step to the cheese where the ways to cheese "
+                  "and corner part", table_of(said, "condition")),
             Table("starts", "The same where levels begin", table_of(starts, "condition")),
+            Table("everywhere", "The same at places all over the level",
+                  table_of(everywhere, "condition")),
             Table("vectors", "The vectors of each layer: mean length, mean length of what the "
                   "layer gives, mean cosine of two levels", shape),
         ],
         settings={
-            "levels": f"{len(levels)}", "places of each": f"{PLACES[work.size]}, drawn, the "
-            "beginning among them",
+            "levels": f"{len(levels)}, of which those count in which the ways part; the first "
+            f"{SWEPT} for other layers and coefficients",
+            "places of each": f"{PLACES[work.size]}, drawn, the beginning among them",
             "vector": "what the layer gives where the level begins, with the cheese less without "
             "it; the level's own, everywhere in it",
             "the paper and its code": "There 100 decision squares of a network four times as wide; "
@@ -92,10 +102,8 @@ def find(work: Work) -> Findings:
 
 
 def steered(size: Size, agent: Agent, variant: Variant, levels: np.ndarray) -> pl.DataFrame:
-    """`effects` of all conditions."""
-    depth = LAYERS[size]
-    of = {layer: object_vectors(agent, variant, levels, layer) for layer in depth.layers}
-    main = of[depth.main]
+    """`effects` of the main conditions in all levels, and of all others in the first."""
+    main = object_vectors(agent, variant, levels, LAYERS[size].main)
     random = [main.random(0)]
     conditions = {
         PLAIN: Condition(),
@@ -105,18 +113,23 @@ def steered(size: Size, agent: Agent, variant: Variant, levels: np.ndarray) -> p
         MEAN: Condition([main], -1.0, own=False),
         WITHOUT: Condition(edit=lambda level: level.removed("goal")),
     }
-    conditions |= {
-        f"subtracted at {layer}": Condition([vectors], -1.0) for layer, vectors in of.items()
+    some = levels[:SWEPT]
+    swept = {
+        f"subtracted at {layer}": Condition([object_vectors(agent, variant, some, layer)], -1.0)
+        for layer in LAYERS[size].layers
     }
-    conditions |= {f"{c:g} times": Condition([main], c) for c in COEFFICIENTS}
-    conditions |= {f"random, {c:g} times": Condition(random, c) for c in COEFFICIENTS}
-    return effects(agent, variant, levels, "cheese", conditions, places=PLACES[size])
+    swept |= {f"{c:g} times": Condition([main], c) for c in COEFFICIENTS}
+    swept |= {f"random, {c:g} times": Condition(random, c) for c in COEFFICIENTS}
+    return pl.concat([
+        effects(agent, variant, part, "cheese", which, places=PLACES[size], at=decision)
+        for part, which in ((levels, conditions), (some, swept))
+    ])  # fmt: skip
 
 
 def means(rows: pl.DataFrame, names: Mapping[str, str | float], heading: str) -> pl.DataFrame:
     """The mean of some conditions, by what they are called in a figure."""
     return pl.concat([
-        table_of({"": of_levels(rows, "towards", name)}, "").drop("")
+        table_of({"": of_levels(rows, SQUARE, name)}, "").drop("")
         .with_columns(pl.lit(called).alias(heading))
         for name, called in names.items()
     ])  # fmt: skip
@@ -126,7 +139,7 @@ def shapes(size: Size, agent: Agent, variant: Variant, levels: np.ndarray) -> pl
     """How long the vectors of each layer are, and how alike those of different levels."""
     rows = []
     for layer in LAYERS[size].layers:
-        vectors = object_vectors(agent, variant, levels, layer)
+        vectors = object_vectors(agent, variant, levels[:SWEPT], layer)
         rows.append({"layer": layer, "length": vectors.norms.mean(),
                      "length of the mean": float(np.linalg.norm(vectors.mean)),
                      "cosine": vectors.alike()})  # fmt: skip
@@ -137,7 +150,7 @@ def of_cheese_mouse(rows: pl.DataFrame) -> list[Verdict]:
     """The claims about the mouse that finds its cheese. Bounds were set before the run."""
 
     def less(one: str, other: str) -> Estimate:
-        return of_levels(rows, "towards", one, minus=other)
+        return of_levels(rows, SQUARE, one, minus=other)
 
     return [
         within("Subtracting the cheese vector turns the mouse from the cheese.",
@@ -156,8 +169,8 @@ def of_cheese_mouse(rows: pl.DataFrame) -> list[Verdict]:
 
 def of_corner_mouse(rows: pl.DataFrame) -> list[Verdict]:
     """The claims about the mouse of the corner. Bounds were set before the run."""
-    plain, other = (of_levels(rows, "towards", one, minus=PLAIN) for one in (SUBTRACTED, RANDOM))
-    gone = of_levels(rows, "towards", WITHOUT, minus=PLAIN)
+    plain, other = (of_levels(rows, SQUARE, one, minus=PLAIN) for one in (SUBTRACTED, RANDOM))
+    gone = of_levels(rows, SQUARE, WITHOUT, minus=PLAIN)
     return [
         within("A mouse of the corner hardly turns when the cheese is taken from the level.",
                "not measured", "change of the probability of the next step to the cheese", gone,
@@ -176,8 +189,8 @@ EXPERIMENT = Experiment(
     reproduces="Mini et al. 2023 (arXiv 2310.08043), with other agents",
     question="Is what a mouse saw of the cheese a direction in one of its layers?",
     sizes={
-        "smoke": insight.of_corner_mouse(200, visited={WHERE: insight.SMALL}),
-        "published": insight.of_cheese_mouse(200, visited={WHERE: insight.LARGE}),
+        "smoke": insight.of_corner_mouse(600, visited={WHERE: insight.SMALL}),
+        "published": insight.of_cheese_mouse(300, visited={WHERE: insight.LARGE}),
     },
     find=find,
 )
