@@ -57,6 +57,7 @@ def find(work: Work) -> Findings:
     few = rows.filter(pl.col("level") < SWEPT)  # the levels of all other layers and coefficients
     depth = means(few, {f"subtracted at {layer}": layer for layer in LAYERS[work.size].layers},
                   "layer")  # fmt: skip
+    base = [of_levels(few, SQUARE, one).mean for one in (PLAIN, WITHOUT)]
     by_dose = {f"{c:g} times": c for c in COEFFICIENTS}
     by_dose |= {PLAIN: 0.0, SUBTRACTED: -1.0, ADDED: 1.0}
     by_chance = {f"random, {c:g} times": c for c in COEFFICIENTS} | {PLAIN: 0.0, RANDOM: -1.0}
@@ -74,8 +75,7 @@ def find(work: Work) -> Findings:
         plots=[
             Plot("depth", "The probability of the next step to the cheese, the cheese vector of "
                  "each layer subtracted there. Dashed: as it is; dotted: a level without cheese.",
-                 insight_figures.depth(
-                     depth, *(of_levels(few, SQUARE, one).mean for one in (PLAIN, WITHOUT))), depth),
+                 insight_figures.depth(depth, *base), depth),
             Plot("dose", f"Likewise at {main}, by the coefficient; grey: random vectors.",
                  insight_figures.dose(dose, chance), dose),
         ],
