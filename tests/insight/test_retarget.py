@@ -1,6 +1,5 @@
 """Sending agents elsewhere, with a network that was made to follow the cheese."""
 
-import numpy as np
 import pytest
 import torch
 from torch import nn
@@ -89,4 +88,4 @@ def test_what_no_clamp_can_be_is_told(seeker):
     mouse = load_agent(kept.find("maze-corner"))
     with pytest.raises(ValueError, match="has no places"):
         following(mouse, SMALL, NUMBERS, "features.relu1")
-    assert np.isfinite(following(mouse, SMALL, NUMBERS, "spread")["correlation"]).all()
+    assert following(mouse, SMALL, NUMBERS, "spread")["correlation"].is_finite().all()
