@@ -231,7 +231,7 @@ def _fitted(x: np.ndarray, y: np.ndarray, seed: int) -> tuple[Any, np.ndarray]:
     most = min(DIRECTIONS, flat.shape[1], len(flat) - 1)
     steps: list[Any] = [StandardScaler()]
     if most < flat.shape[1]:
-        steps += [PCA(most, svd_solver="randomized", random_state=seed), StandardScaler()]
+        steps.append(PCA(most, svd_solver="randomized", random_state=seed))
     if is_class(y):
         steps.append(LogisticRegression(class_weight="balanced", max_iter=FITS, C=0.1))
     else:
