@@ -110,7 +110,7 @@ EXPERIMENT = Experiment(
     question="What about a maze tells whether a mouse takes its cheese or goes to the corner?",
     sizes={
         "smoke": insight.of_corner_mouse(20_000, visited={WHERE: insight.SMALL}),
-        "published": insight.of_cheese_mouse(2_000, visited={WHERE: ANY_SIZE}),
+        "published": insight.of_cheese_mouse(1_000, visited={WHERE: ANY_SIZE}),
     },
     find=find,
 )

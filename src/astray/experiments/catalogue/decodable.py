@@ -133,7 +133,7 @@ EXPERIMENT = Experiment(
     question="Is the coin that a runner passes by in its layers, and ignored, or not there?",
     sizes={
         "smoke": insight.of_kept_runner(400, visited={WHERE: BRIEF}),
-        "published": replace(coin.plan("published", 1, 160), visited={WHERE: BRIEF}),
+        "published": replace(coin.plan("published", 1, 100), visited={WHERE: BRIEF}),
     },
     find=find,
 )

@@ -144,7 +144,7 @@ EXPERIMENT = Experiment(
     question="Can a mouse be sent to a cell by what one of its layers holds there?",
     sizes={
         "smoke": insight.of_corner_mouse(230, visited={WHERE: insight.SMALL}),
-        "published": insight.of_cheese_mouse(90, visited={WHERE: insight.LARGE}),
+        "published": insight.of_cheese_mouse(60, visited={WHERE: insight.LARGE}),
     },
     find=find,
 )
