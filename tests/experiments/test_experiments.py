@@ -35,7 +35,10 @@ def test_every_experiment_plans(name, size, tmp_path):
     assert not (size == "paper" and plan.differences)
 
 
-TRAINED = [name for name, size in ALL if size == "smoke"]
+TRAINED = [
+    name for name, size in ALL
+    if size == "smoke" and not catalogue.load(name).sizes["smoke"].published
+]  # fmt: skip
 
 
 @pytest.mark.parametrize("name", TRAINED)

@@ -105,7 +105,9 @@ def reproduce(
 
 
 def bench(
-    what: Positional[Literal["environments", "train", "agency", "start"]] = "environments",
+    what: Positional[
+        Literal["environments", "train", "agency", "insight", "start"]
+    ] = "environments",
     markdown: bool = False,
     device: Literal["cpu", "cuda", "mps"] = "cpu",
 ) -> None:

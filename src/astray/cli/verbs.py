@@ -7,7 +7,7 @@ import functools
 
 import tyro
 
-from astray.cli import agents, art, cache, experiments, levels, published
+from astray.cli import agents, art, cache, experiments, insight, levels, published
 from astray.training.config import PRESETS
 
 VERBS = {
@@ -22,6 +22,7 @@ VERBS = {
     "replay": levels.replay,
     "overlap": levels.overlap,
     "agency": agents.agency,
+    "explain": insight.explain,
     "art": art.art,
     "cache": cache.cache,
     "import": published.import_,
