@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from astray import games
+from astray import games, imports
 from astray.agency import devices, generators
 from astray.agency.agents import Agents
 from astray.agency.gridworld import World
@@ -266,3 +266,9 @@ def test_a_copy_of_an_environment_shares_nothing(make):
     before = ours.get_state()
     theirs.step(np.zeros(theirs.num_envs, int))
     assert ours.get_state().tobytes() == before.tobytes() != theirs.get_state().tobytes()
+
+
+@pytest.mark.parametrize("name", ["../x", ".", "", "os", "os:", ":path", "os:path:join", "a b:c"])
+def test_what_names_nothing_is_not_looked_for(name):
+    with pytest.raises(ValueError, match="must be a module and what is in it; as module:attribute"):
+        imports.find(name)
