@@ -232,3 +232,10 @@ def test_a_claim_holds_only_where_its_whole_interval_does(misgeneralized, failed
     told = holds_above("it goes astray", "often", "share", less, 0.0)
     assert told.held == held
     assert f"{misgeneralized - failed}.0" in told.ours
+
+
+@pytest.mark.parametrize("text", ["[" * 1000, "\0", "9" * 10_000, "a b", "#" * 2**21])
+def test_what_is_no_python_is_no_experiment(tmp_path, text):
+    (tmp_path / "study.py").write_text(text)
+    with pytest.raises(ValueError, match=r"study.py must be (a file of Python|of at most)"):
+        experiments.find(str(tmp_path / "study.py"))

@@ -31,6 +31,7 @@ from astray.game import MOST, OWN
 from astray.training.config import SEEDS, Config
 
 EPISODES = "episodes.parquet"
+POSTERIOR = ("posterior.mp4", "posterior.gif", "posterior.png")
 Preset = Literal["paper", "small"]
 
 
@@ -234,8 +235,9 @@ def agency(
     from astray.analysis.agency import judge_run
 
     if out:
-        see_writable(out / EPISODES)
-    judged, film = judge_run(
+        for name in (EPISODES, *POSTERIOR):
+            see_writable(out / name)
+    judged, filmed = judge_run(
         chosen((run,) if run else (), agent)[0],
         level_numbers(levels) if levels else None,
         variant=variant,
@@ -250,12 +252,13 @@ def agency(
 
         from astray.analysis import video
 
-        frames = film()
-        video.write_mp4(frames, out / "posterior.mp4", fps=4)
-        video.write_gif(frames, out / "posterior.gif", fps=4)
+        frames = filmed()
+        film, loop, last = (out / name for name in POSTERIOR)
+        video.write_mp4(frames, film, fps=4)
+        video.write_gif(frames, loop, fps=4)
         picture = io.BytesIO()
         Image.fromarray(frames[-1]).save(picture, "PNG")
-        write_aside(out / "posterior.png", picture.getvalue())
+        write_aside(last, picture.getvalue())
         write_table(judged.episodes, out / EPISODES)
     if json:
         print_json(judged.summary())

@@ -10,7 +10,7 @@ import numpy as np
 import polars as pl
 
 from astray.analysis.critic import counterfactual, visit
-from astray.analysis.estimates import Estimate, bootstrap, group_means
+from astray.analysis.estimates import Estimate, bootstrap, group_means, mean_of
 from astray.analysis.policies import Agent
 from astray.experiments.claims import holds_within
 from astray.experiments.report import Findings, Plot, Table
