@@ -238,4 +238,4 @@ def test_a_claim_holds_only_where_its_whole_interval_does(misgeneralized, failed
 def test_what_is_no_python_is_no_experiment(tmp_path, text):
     (tmp_path / "study.py").write_text(text)
     with pytest.raises(ValueError, match=r"study.py must be (a file of Python|of at most)"):
-        experiments.find(str(tmp_path / "study.py"))
+        catalogue.find(str(tmp_path / "study.py"))

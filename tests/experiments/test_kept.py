@@ -135,7 +135,7 @@ def test_the_curve_ends_where_the_agent_does(run, tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize(
-    "name, message", [("mouse", "already"), ("The Mouse", "given 'The Mouse'")]
+    "name, message", [("mouse", "already"), ("The Mouse", "got 'The Mouse'")]
 )
 def test_a_name_is_one_and_new(run, mouse, name, message):
     with pytest.raises(ValueError, match=message):
