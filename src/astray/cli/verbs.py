@@ -7,7 +7,7 @@ import functools
 
 import tyro
 
-from astray.cli import agents, art, cache, experiments, levels, published
+from astray.cli import agents, art, cache, experiments, hub, levels, published
 from astray.training.config import PRESETS
 
 VERBS = {
@@ -17,6 +17,8 @@ VERBS = {
     "evaluate": agents.evaluate,
     "reproduce": experiments.reproduce,
     "keep": agents.keep,
+    "push": hub.push,
+    "pull": hub.pull,
     "record": agents.record,
     "level": levels.level,
     "replay": levels.replay,

@@ -32,21 +32,28 @@ SIDE, LONGEST = 224, 100  # of its film: pixels, steps
 
 
 def keep(
-    run: Path, name: str, *, shift: str | None = None, folder: Path = KEPT, levels: int = 1000
+    run: Path,
+    name: str,
+    *,
+    shift: str | None = None,
+    folder: Path = KEPT,
+    levels: int = 1000,
+    largest: int = LARGEST,
 ) -> Path:
     """Keep the agent of a run (or of a checkpoint in it) as `folder`/`name`; that folder.
 
-    shift   which goals are intended and proxies; None: the one that the run trained for
-    levels  that it is evaluated on, the first that its training does not draw from
+    shift    which goals are intended and proxies; None: the one that the run trained for
+    levels   that it is evaluated on, the first that its training does not draw from
+    largest  bytes of its weights
     """
     if not re.fullmatch(r"[a-z0-9]+(-[a-z0-9]+)*", name):
         raise ValueError(f"an agent's name is of a-z, 0-9 and -, as maze-corner; given {name!r}")
     if (folder / name).exists():
         raise ValueError(f"there is an agent {name!r} in {folder} already")
     agent, config = open_run(run)
-    if (size := agent.path.stat().st_size) > LARGEST:
+    if (size := agent.path.stat().st_size) > largest:
         raise ValueError(
-            f"the agent is {size / 1e6:.1f} MB; one that is kept is at most {LARGEST / 1e6:g} MB"
+            f"the agent is {size / 1e6:.1f} MB; one that is kept is at most {largest / 1e6:g} MB"
         )
     source, named = agent.path.parents[2], shift or shift_of(config)
     with folder_aside(folder / name) as aside:
