@@ -58,7 +58,7 @@ def test_an_episode_is_that_of_its_level():
     images, _ = plain.reset(seed=0, options={"level": 77})
     assert np.array_equal(env.reset()["rgb"], images)
     done = False
-    for action in np.random.default_rng(0).integers(0, 9, 300):
+    for action in np.random.default_rng(0).integers(0, 9, 600):
         images, reward, terminated, truncated, _ = plain.step(np.array([action]))
         seen, given, first, infos = env.step(np.array([action]))
         assert given[0] == reward[0] and first[0] == (terminated[0] or truncated[0])

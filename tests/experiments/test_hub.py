@@ -13,9 +13,12 @@ from astray.training.loop import train
 from helpers.hub_server import READER, WRITER, running
 from helpers.trainings import TINY
 
-hub_library = pytest.importorskip("huggingface_hub")
+huggingface_hub = pytest.importorskip("huggingface_hub")
 
 from astray.experiments import hub as ours  # noqa: E402
+
+# huggingface_hub's own way of uploading bytes, which its HTTP library is about to change.
+pytestmark = pytest.mark.filterwarnings("ignore:Use 'content=<...>':DeprecationWarning")
 
 WEIGHTS = "checkpoints/5505024/agent.safetensors"
 
@@ -31,8 +34,13 @@ def server(monkeypatch, tmp_path):
     monkeypatch.setattr(constants, "HF_HUB_DISABLE_XET", True)
     monkeypatch.setattr(constants, "HF_HUB_DOWNLOAD_TIMEOUT", 5)
     with running() as hub:
-        monkeypatch.setattr(constants, "ENDPOINT", hub.address)
+        at(hub.address, monkeypatch)
         yield hub
+
+
+def at(address, monkeypatch):
+    """Let everything be asked of a hub at `address`."""
+    monkeypatch.setattr(ours, "_api", lambda _: huggingface_hub.HfApi(endpoint=address))
 
 
 @pytest.fixture
@@ -223,7 +231,7 @@ def test_without_a_network_the_cache_is_enough(pushed, monkeypatch, tmp_path):
     assert ours.pull("ada/mouse", name="second", offline=True).is_dir()
     assert ours.pull("ada/mouse", name="third", revision=commit, offline=True).is_dir()
     assert pushed.requests == []
-    monkeypatch.setattr("huggingface_hub.constants.ENDPOINT", "http://127.0.0.1:9")
+    at("http://127.0.0.1:9", monkeypatch)  # where nobody listens
     monkeypatch.setattr("time.sleep", lambda _: None)
     assert ours.pull("ada/mouse", name="fourth").is_dir()
     with pytest.raises(OSError, match="cannot be reached, and the cache does not have all of it"):

@@ -123,7 +123,9 @@ class Handler(BaseHTTPRequestHandler):
         name = f"{user}/{wanted['name']}"
         if name in self.hub.repositories:
             return self.answer(409, {"url": f"{self.hub.address}/{name}"})
-        made = self.hub.repositories[name] = Repository(bool(wanted.get("private")))
+        made = self.hub.repositories[name] = Repository(
+            "private" in (wanted.get("visibility"), wanted.get("private") and "private")
+        )
         made.commit("main", {})
         return self.answer(200, {"url": f"{self.hub.address}/{name}"})
 

@@ -333,7 +333,8 @@ def _told(repository: str, revision: str | None, what: str) -> Iterator[None]:
 
     of = f"{repository} at {revision}" if revision else repository
     try:
-        yield
+        with _uncovered():
+            yield
     except (errors.RevisionNotFoundError, errors.RemoteEntryNotFoundError) as error:
         raise FileNotFoundError(f"{of} cannot be {what}: it has no {_lacking(error)}") from error
     except errors.LocalEntryNotFoundError as error:
@@ -357,6 +358,17 @@ def _told(repository: str, revision: str | None, what: str) -> Iterator[None]:
             f"{of} cannot be {what}: the connection failed ({brief(error)}); the same command "
             "goes on with what has arrived"
         ) from error
+
+
+@contextlib.contextmanager
+def _uncovered() -> Iterator[None]:
+    """Raise what the Hub said where huggingface_hub raises RuntimeError because of it."""
+    try:
+        yield
+    except RuntimeError as error:
+        if isinstance(error.__cause__, (OSError, ValueError, *_unreachable())):
+            raise error.__cause__ from error
+        raise
 
 
 def _lacking(error: Exception) -> str:
