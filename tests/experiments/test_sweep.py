@@ -110,10 +110,21 @@ def test_a_sweep_goes_on_and_takes_more_values(trained, tmp_path, monkeypatch):
 
 
 def test_three_settings_have_a_figure_for_each_pair(trained, tmp_path):
-    run_sweep(Sweep(BASE, TWO | {"gamma": [0.9]}, levels=3), tmp_path)
+    run_sweep(Sweep(BASE, TWO | {"gamma": [0.9, 0.8], "clip": [0.3]}, levels=3), tmp_path)
     names = {path.stem for path in (tmp_path / "figures").glob("*.png")}
     assert names == {"learning-rate-variant-time-limit", "learning-rate-gamma",
                      "variant-time-limit-gamma"}  # fmt: skip
+
+
+def test_a_knob_that_the_test_cannot_have_changes_the_training_alone():
+    base = replace(BASE, validation=None)
+    swept = Sweep(base, axes(["variant.placement=region", "variant.region=1,3",
+                              "variant.time_limit=30"]))  # fmt: skip
+    for cell, config in swept.cells().items():
+        tested = sweeping.tested_variant(config, "anywhere-small")
+        assert config.training_variant().region == cell[1] and tested.time_limit == 30
+        assert tested.with_knobs({"time_limit": 100}) == config.find_game().variant(
+            "anywhere-small")  # fmt: skip
 
 
 def test_the_verb_trains_in_processes(astray, tmp_path):

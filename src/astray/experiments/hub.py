@@ -123,11 +123,10 @@ def pull(
     if name in (*kept.names(), *kept.imported()):
         raise ValueError(f"there is an agent {name!r} already, in {kept.find(name)}; see --as")
     api = _api(endpoint)
-    commit = revision
-    if not offline:
-        commit = _commit(api, repository, revision)
+    # The cache has the commit in its paths, and notes by this which one the revision was.
+    digests = _taker(api, repository, revision, offline)(DIGESTS, LARGEST)
+    commit, promised = digests.parent.name, _promised(digests)
     take = _taker(api, repository, commit, offline)
-    promised = _promised(take(DIGESTS, LARGEST))
     with folder_aside(home / name) as aside:
         for path, (size, digest) in promised.items():
             here = take(path, LARGEST_AGENT if AGENT.fullmatch(path) else LARGEST)
@@ -213,19 +212,6 @@ def _digests(folder: Path) -> dict[str, Any]:
         for data in [read(folder / path, LARGEST_AGENT)]
     }
     return {"format": FORMAT, "files": files}
-
-
-def _commit(api: HfApi, repository: str, revision: str | None) -> str | None:
-    """The commit that a revision is now; where the Hub cannot be reached, what the cache knows."""
-    from huggingface_hub.errors import HfHubHTTPError, OfflineModeIsEnabled
-
-    with _told(repository, revision, "pulled"):
-        try:
-            return api.model_info(repository, revision=revision).sha
-        except HfHubHTTPError:
-            raise
-        except (OfflineModeIsEnabled, *_unreachable()):
-            return revision  # which may be in the cache
 
 
 def _taker(

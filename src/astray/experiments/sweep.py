@@ -10,6 +10,7 @@ report.html       figures, one for every two settings that are swept, and the sh
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import itertools
 import json
@@ -35,6 +36,7 @@ from astray.experiments.run import COMPUTING, agent_digest, run_folder
 from astray.experiments.spec import kept
 from astray.experiments.workers import Place, train_all
 from astray.files import hold, write_aside
+from astray.game import Variant
 from astray.kernel.jit import source_digest
 from astray.training.config import SEEDS, Config
 from astray.training.track import Tracking
@@ -130,6 +132,22 @@ def changed(base: Config, values: Mapping[str, Any]) -> Config:
     return replace(base, knobs=knobs, **settings)
 
 
+def tested_variant(config: Config, name: str) -> Variant:
+    """The variant of that name that agents of these settings are tested on.
+
+    As `Config.variant_for`; but a knob that it cannot have, as a region of cheese that is anywhere,
+    changes the training alone.
+    """
+    if name == config.variant:
+        return config.training_variant()
+    game = config.find_game()
+    variant = game.variant(name)
+    for knob, given in game.variant(config.variant).alike(config.knobs, variant).items():
+        with contextlib.suppress(ValueError):
+            variant = variant.with_knobs({knob: given})
+    return variant
+
+
 def run_sweep(
     sweep: Sweep,
     folder: Path,
@@ -188,7 +206,7 @@ def _episodes(
     def play() -> pl.DataFrame:
         opened: list[Agent] = [open_run(run)[0] for run in runs]
         played = [
-            play_all(config.find_game(), name, config.variant_for(name), shift, numbers, opened)
+            play_all(config.find_game(), name, tested_variant(config, name), shift, numbers, opened)
             .with_columns(test=pl.lit(test))
             for test, name in ((TRAINING, config.variant), (TEST, between.test))
         ]  # fmt: skip
@@ -242,7 +260,8 @@ def _findings(sweep: Sweep, episodes: pl.DataFrame, table: pl.DataFrame) -> Find
 def _plots(sweep: Sweep, episodes: pl.DataFrame) -> Iterator[Plot]:
     """A figure for each two settings; of one alone, one."""
     mine = episodes.filter(policy=AGENTS)
-    pairs = list(itertools.combinations(sweep.axes, 2)) or [(next(iter(sweep.axes)),)]
+    several = [name for name, values in sweep.axes.items() if len(values) > 1]
+    pairs = list(itertools.combinations(several, 2)) or [tuple(several or sweep.axes)[:1]]
     for pair in pairs:
         data = pl.DataFrame([
             dict(zip(pair, key, strict=True)) | {"what": what}
@@ -254,7 +273,7 @@ def _plots(sweep: Sweep, episodes: pl.DataFrame) -> Iterator[Plot]:
             for key, part in mine.filter(test=test).group_by(pair, maintain_order=True)
         ])  # fmt: skip
         name = "-".join(one.replace(".", "-").replace("_", "-") for one in pair)
-        others = [one for one in sweep.axes if one not in pair]
+        others = [one for one in several if one not in pair]
         caption = f"What agents do, by {' and '.join(pair)}; shares of episodes"
         if others:
             caption += f", over all values of {', '.join(others)}"
