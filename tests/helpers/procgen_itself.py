@@ -15,6 +15,7 @@ import types
 import zipfile
 from pathlib import Path
 
+import gymnasium
 import numpy as np
 
 from astray.compat import ProcgenEnv
@@ -35,7 +36,8 @@ def unpack(wheel: Path, folder: str) -> type:
     """Procgen's own environments, out of its wheel."""
     zipfile.ZipFile(wheel).extractall(folder)
     sys.path.insert(0, folder)
-    # They are to be registered with Gym, which is not needed here.
+    # They are to be registered with Gym, and to have its spaces; Gymnasium's are the same.
+    sys.modules["gym"], sys.modules["gym.spaces"] = gymnasium, gymnasium.spaces
     registration = types.ModuleType("procgen.gym_registration")
     registration.register_environments = lambda: None  # pyright: ignore
     sys.modules["procgen.gym_registration"] = registration

@@ -117,8 +117,8 @@ def test_wandb_offline_has_settings_metrics_outcomes_and_a_film(tmp_path):
     names = {name for row in rows for name in row}
     assert {"outcome/goal misgeneralization", "steps"} <= names
     assert {"film", "outcomes"} <= {name.partition("/")[0] for name in names}
-    assert len(list(run.glob("wandb/*/files/media/videos/*.gif"))) == 1
-    assert len(list(run.glob("wandb/*/files/media/table/*.json"))) == 1
+    assert len(list(run.glob("wandb/offline-run-*/files/media/videos/*.gif"))) == 1
+    assert len(list(run.glob("wandb/offline-run-*/files/media/table/*.json"))) == 1
 
 
 def history(path):

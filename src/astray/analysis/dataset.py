@@ -235,6 +235,7 @@ def write_minari(
         "dataset_id": f"astray/{folder_name(about)}-v0", "algorithm_name": about["policy"],
         "author": set(), "author_email": set(), "code_permalink": "",
         "description": json.dumps(about), "requirements": [f"astray=={version('astray')}"],
+        "minari_version": version("minari"),
     })  # fmt: skip
     storage.update_episodes(
         EpisodeBuffer(

@@ -82,6 +82,7 @@ def line(data: pl.DataFrame, across: str) -> Figure:
         )  # fmt: skip
     axes.set_xticks(range(len(xs)), [f"{x}" for x in xs])
     axes.set_xlabel(across)
+    axes.set_xlim(-0.3, len(xs) - 0.7)
     axes.set_ylim(-0.03, 1.03)
     axes.yaxis.set_major_formatter(PercentFormatter(1, symbol=" %"))
     axes.grid(axis="y")
