@@ -83,6 +83,8 @@ def pages() -> dict[str, str]:
     return {
         "index.md": from_root("README.md"),
         "speed.md": from_root("benchmarks/README.md"),
+        "changelog.md": from_root("CHANGELOG.md"),
+        "security.md": from_root("SECURITY.md"),
         **{f"games/{name}.md": game_page(games.find(name)) for name in games.OWN},
         **{f"experiments/{name}.md": experiment_page(name) for name in catalogue.NAMES},
         "agents/index.md": kept_page(),

@@ -23,7 +23,7 @@ def test_studies_of_kept_agents_run_in_miniature(name, tmp_path):
     small = replace(whole, sizes={"smoke": replace(whole.sizes["smoke"], levels=LEVELS[name])})
     page = run.reproduce(small, "smoke", tmp_path)
     found = json.loads((page.parent / "findings.json").read_text())
-    claims = found["verdicts"]
+    claims = found["claims"]
     assert claims and all("holds where the interval is" in one["ours"] for one in claims)
     assert "nan" not in found["answer"], found["answer"]
     figures = {path.stem for path in (page.parent / "figures").iterdir()}

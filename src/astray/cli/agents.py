@@ -29,6 +29,7 @@ from astray.envs.vector import PICTURES
 from astray.files import see_writable, write_aside
 from astray.game import MOST, OWN
 from astray.training.config import SEEDS, Config
+from astray.training.track import Tracking
 
 EPISODES = "episodes.parquet"
 POSTERIOR = ("posterior.mp4", "posterior.gif", "posterior.png")
@@ -41,6 +42,7 @@ def train(
     knobs: Knobs = (),
     seeds: int = 1,
     folder: Path | None = None,
+    track: Tracking | None = None,
 ) -> None:
     """Train agents, or go on where they stopped.
 
@@ -49,16 +51,21 @@ def train(
         knobs: of the variant, changed
         seeds: agents to train one after the other, with this seed, the next, ...
         folder: of the runs; by default runs/<game>-<variant>
+        track: tell wandb or trackio, too, of the training, and at its end of what the agent does
     """
     from dataclasses import replace
 
-    from astray.training.loop import train as run
+    from astray.experiments.track import track_outcomes
+    from astray.training.track import train_tracked
 
     bounded("seeds", seeds, 1, SEEDS - config.seed)
     changed = replace(config, knobs=pairs(knobs))
     there = folder or Path("runs") / f"{config.game}-{config.variant}"
     for seed in range(config.seed, config.seed + seeds):
-        last = run(replace(changed, seed=seed), there / f"seed-{seed}")
+        run = there / f"seed-{seed}"
+        last = train_tracked(replace(changed, seed=seed), run, track)
+        if track:
+            track_outcomes(run, track)
         print(last)
 
 
