@@ -158,6 +158,9 @@ def forget_stale(plan: Plan, runs: Runs, folder: Path) -> None:
             raise OSError(f"{computed} must be a folder of its own; it is a link, to what may not "
                           "be astray's")  # fmt: skip
         for table in computed.glob("*.parquet"):
+            if not path.exists() or table.is_symlink() or not table.is_file():
+                raise OSError(f"{table} is none of astray's; it must not be there")
+        for table in computed.glob("*.parquet"):
             table.unlink()
         write_aside(path, text)
 

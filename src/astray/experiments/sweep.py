@@ -250,7 +250,7 @@ def _findings(sweep: Sweep, episodes: pl.DataFrame, table: pl.DataFrame) -> Find
     return Findings(
         answer=f"The proxy is reached first in the test least often with {ends[0]}, and most often "
         f"with {ends[1]}.",
-        verdicts=[],
+        claims=[],
         plots=list(_plots(sweep, episodes)),
         tables=[Table("agents", "What the agents do", agents.drop("policy"))],
         settings=settings | {"seeds": str(sweep.seeds), "levels": str(sweep.levels)},
