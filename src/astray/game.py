@@ -9,7 +9,7 @@ import reprlib
 import typing
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
-from typing import Any, Self
+from typing import Any, Literal, Self
 
 import numpy as np
 
@@ -20,6 +20,8 @@ NEVER = -1  # the step of an event that has not happened; the number of a level 
 LEVELS = range(2**31 - 1)  # all numbers that there are; the original has no others
 OWN = "own"  # the art that is drawn here
 MOST = 2**31 - 1  # of a knob, and of what is counted
+Mutation = Literal["constant", "identity", "binomial"]  # what is edited of a level, and how often
+MUTATIONS: tuple[Mutation, ...] = typing.get_args(Mutation)
 KINDS = {int: np.int64, float: np.float64, bool: np.bool_}
 
 
@@ -299,6 +301,20 @@ class Solver(typing.Protocol):
         ...
 
 
+class Mutating(typing.Protocol):
+    """Levels made of others by small edits, for curricula that search among them."""
+
+    @property
+    def mutate(self) -> Callable[..., np.ndarray]:
+        """(states [N], variant, seeds [N] uint32, edits, kind) -> states [N], the edited levels.
+
+        States are those that levels begin in; `kind` is one of `MUTATIONS`. The agent can reach
+        the goal in each, its `level` is NEVER, and `shifted` says whether its goal was placed as
+        in the variant's shifted levels.
+        """
+        ...
+
+
 @dataclass(frozen=True)
 class Benchmark:
     """What a game's speed is measured on."""
@@ -349,13 +365,14 @@ class Game:
     symbols: Symbols = None  # pyright: ignore
     editing: Editing = None  # pyright: ignore
     solver: Solver = None  # pyright: ignore
+    mutating: Mutating = None  # pyright: ignore
     benchmark: Benchmark = None  # pyright: ignore
     invariants: Callable[[np.ndarray, Any], dict[str, np.ndarray]] = lambda s, variant: {}
     # what is true of states [N] of a variant, and compiled code relies on: its name -> [N] bool
     real_time: bool = False  # things move while the agent stays; else a person may take time
 
     def __post_init__(self) -> None:
-        for ability in ("symbols", "editing", "solver", "benchmark"):
+        for ability in ("symbols", "editing", "solver", "mutating", "benchmark"):
             if getattr(self, ability) is None:
                 object.__setattr__(self, ability, Missing(self.name, ability))
 

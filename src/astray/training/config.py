@@ -15,22 +15,28 @@ from tyro.conf import Positional, Suppress
 from astray import games, imports
 from astray.agents.policy import check_network
 from astray.bounds import shown
-from astray.game import LEVELS, MOST, OWN, Game, Variant
+from astray.game import LEVELS, MOST, OWN, Game, Mutation, Variant
 
 MOST_STEPS = 10**15  # what the fastest machine does in a century
 SEEDS = 2**28  # every seed has streams of its own for training, validation, ...
 COUNTS = (
     "levels", "steps", "environments", "rollout", "epochs", "minibatches", "scale", "width",
-    "validation_every", "checkpoint_every", "threads", "groups",
+    "validation_every", "checkpoint_every", "threads", "groups", "buffer", "edits",
 )  # fmt: skip
-SHARES = ("gamma", "lam", "reward_gamma")
+SHARES = ("gamma", "lam", "reward_gamma", "share", "staleness")
 AMOUNTS = ("learning_rate", "clip", "value_weight", "entropy_weight", "gradient_norm")
 RANGES = (
     {name: (1, MOST) for name in COUNTS}
     | {name: (0, 1) for name in SHARES}
     | {name: (0, inf) for name in AMOUNTS}
+    | {"replay": (0.01, 1), "temperature": (0.01, 100)}
     | {"first_level": (0, LEVELS.stop), "seed": (0, SEEDS - 1), "steps": (1, MOST_STEPS)}
 )
+
+
+SAMPLERS = ("uniform", "mixed", "plr", "accel")  # of levels, astray's own
+Schedule = Literal["throughout", "early", "late", "annealed"]
+Score = Literal["regret", "max-monte-carlo", "positive-value-loss"]
 
 
 @dataclass(frozen=True)
@@ -51,6 +57,22 @@ class Config:
     first_level: int = 0
     levels: int = 100_000  # training levels, from first_level on; validation draws from the rest
     seed: int = 0
+
+    sampler: str = "uniform"  # of levels: or mixed, plr, accel; or your own, module:Class
+    # Of "mixed": the share of episodes in shifted levels, by default the variant's
+    # shift_probability, which says how many of the levels those are; and when they are played.
+    share: float | None = None
+    schedule: Schedule = "throughout"
+    # Of "plr" and "accel": levels in the buffer; the chance that a rollout replays some, by
+    # default a third and a half; the exponent of 1 / rank is 1 / temperature; the weight of how
+    # long ago a level was replayed; what a level's score is; how often and what accel edits.
+    buffer: int = 4096
+    replay: float | None = None
+    temperature: float = 0.1
+    staleness: float = 0.1
+    score: Score = "max-monte-carlo"
+    mutation: Mutation = "constant"
+    edits: int = 12
 
     observation: Literal["image", "symbolic"] = "image"
     art: str = OWN  # that images are drawn with; "original" has to be imported: astray art import
@@ -113,6 +135,9 @@ class Config:
                 f"they are below {LEVELS.stop - 1}, and some are left for tests"
             )
         check_network(self.network)
+        if self.sampler not in SAMPLERS and not imports.is_name(self.sampler):
+            possible = f"{', '.join(SAMPLERS)}, or module:Class"
+            raise ValueError(f"sampler must be one of {possible}; got {self.sampler!r}")
         if self.loss is not None and not imports.is_name(self.loss):
             raise ValueError(f"loss must be module:function; got {self.loss!r}")
         self.training_variant()
@@ -153,6 +178,21 @@ class Config:
         """The variant to train on."""
         return self.variant_for(self.variant)
 
+    def intended_goal(self) -> str:
+        """The goal that the shifts of the training variant mean.
+
+        Raises ValueError where none of the game's shifts has the variant.
+        """
+        shifts = self.find_game().shifts.values()
+        for shift in shifts:
+            if self.variant in (shift.train, shift.test):
+                return shift.intended
+        known = ", ".join(dict.fromkeys(shift.train for shift in shifts))
+        raise ValueError(
+            f"score 'regret' needs a variant of which a shift says the goal; got {self.variant!r}, "
+            f"and there are: {known}"
+        )
+
     def validation_variant(self) -> Variant:
         """The variant that is played during training and never learned from."""
         assert self.validation
@@ -183,9 +223,16 @@ class Config:
             raise ValueError(f"this version has no setting {unknown[0]!r}; a later one may")
         config = Config(**values)
         variant = json.loads(json.dumps(asdict(config.training_variant())))
-        if data.get("training_variant", variant) != variant:
+        if _levels_of(data.get("training_variant", variant)) != _levels_of(variant):
             raise ValueError(f"its {config.game} {config.variant} is not that of this version")
         return config
+
+
+def _levels_of(variant: Any) -> Any:
+    """What of a variant, written out, decides its levels: what it never shifts to does not."""
+    if isinstance(variant, dict) and variant.get("shift_probability") == 0:
+        return variant | {"shifted": None}
+    return variant
 
 
 def _check(name: str, value: Any, kind: Any) -> None:

@@ -27,6 +27,7 @@ from astray.training import checkpoint, parallel, ppo
 from astray.training.config import Config
 from astray.training.fast import acceleration, actor
 from astray.training.fast.acceleration import Loss
+from astray.training.levels import MakeSampler
 from astray.training.log import Log
 from astray.training.ppo import Samples
 from astray.training.rollout import estimate
@@ -45,6 +46,7 @@ def train(
     *,
     network: Callable[[Architecture], nn.Module] | None = None,
     loss: Loss | None = None,
+    sampler: MakeSampler | None = None,
     progress: bool = True,
     wait: bool = False,
 ) -> Path:
@@ -53,6 +55,7 @@ def train(
     network  a class of your own, or a function, that is given an `Architecture` and makes a
              network: observations [B, ...] -> logits [B, actions], values [B]
     loss     a function of your own, of the arguments of `ppo.loss`; what it returns is logged
+    sampler  a class of your own that chooses the training levels: see `levels.Sampler`
     wait     where another process trains in the folder, until it has ended; else it is an error
 
     On a CPU, a run that was stopped and resumed has the weights and metrics of one that was not.
@@ -67,6 +70,8 @@ def train(
         config = replace(config, network=imports.name_of(network))
     if loss is not None and loss is not ppo.loss:
         config = replace(config, loss=imports.name_of(loss))
+    if sampler is not None:
+        config = replace(config, sampler=imports.name_of(sampler))
     if not policy.usable(config.device):
         raise ValueError(f"there is no device {config.device!r} that torch can use")
     bounded("threads", config.threads, 1, most_threads())
@@ -76,7 +81,7 @@ def train(
         acceleration.torch_settings(config.threads),
         parallel.processes(config.device),
         checkpoint.claim(folder, config, wait),
-        contextlib.closing(Trainer(config, network, loss)) as trainer,
+        contextlib.closing(Trainer(config, network, loss, sampler)) as trainer,
     ):
         checkpoint.restore(folder, trainer)
         writes = Log(folder, trainer.steps, config, progress) if parallel.first() else None
@@ -101,7 +106,7 @@ def iterate(trainer: Trainer) -> tuple[dict[str, float], dict[str, float]]:
         rate *= 1 - trainer.steps / config.steps
     if trainer.validation and trainer.iteration % config.validation_every == 0:
         validate(trainer)
-    rollout = collect(trainer)
+    rollout = play(trainer)
     played = time.perf_counter()
     metrics = {}
     if trainer.iteration == 0 and trainer.fast.using.bfloat16:
@@ -112,6 +117,8 @@ def iterate(trainer: Trainer) -> tuple[dict[str, float], dict[str, float]]:
     trainer.steps += config.batch
     for name, player in trainer.players().items():
         metrics |= {f"{name}/{what}": x for what, x in player.summary().items()}
+        if player.sampler is not None:
+            metrics |= {f"levels/{what}": x for what, x in player.sampler.summary().items()}
     seconds = time.perf_counter() - began
     speed = {"steps_per_second": config.batch / seconds, "playing": (played - began) / seconds}
     return metrics | {"update/learning_rate": rate}, speed
@@ -139,6 +146,15 @@ def see_converging(trainer: Trainer) -> None:
         f"({config.learning_rate:g}) or gradient_norm ({config.gradient_norm:g}); the checkpoints "
         "before it are kept"
     )
+
+
+def play(trainer: Trainer) -> Samples:
+    """A rollout to learn from, after those in which a sampler only has levels scored."""
+    while True:
+        trainer.player.plan(trainer.steps)
+        rollout = collect(trainer)
+        if trainer.player.learns:
+            return rollout
 
 
 @torch.no_grad()

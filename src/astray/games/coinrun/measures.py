@@ -41,3 +41,9 @@ def coin_in_view(states: np.ndarray) -> np.ndarray:
 def to_wall(states: np.ndarray) -> np.ndarray:
     """Cells from the runner's front to the face of the end wall; below 0 in it and beyond."""
     return states["end_x"] + 1 - (states["x"] + HALF)
+
+
+def coin_passed(states: np.ndarray) -> np.ndarray:
+    """Whether the runner is to the right of the coin's cell; False where there is no coin."""
+    columns = (states["cell"] == COIN).any(1)
+    return columns.any(1) & (states["x"] - HALF > columns.argmax(1) + 1)

@@ -1,7 +1,7 @@
 """Maze: a mouse looks for its cheese; in training it lies in the upper right corner."""
 
 from astray.game import Benchmark, Game
-from astray.games.maze import draw, levels, original, rules, solve, variants
+from astray.games.maze import draw, levels, mutate, original, rules, solve, variants
 
 GAME = Game(
     "maze",
@@ -15,6 +15,7 @@ GAME = Game(
     symbols=draw,
     editing=levels,
     solver=solve,
+    mutating=mutate,
     benchmark=Benchmark("anywhere", envpool="MazeHard-v0"),
     invariants=levels.invariants,
 )
