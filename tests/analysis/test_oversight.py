@@ -236,12 +236,12 @@ class Torn(Walk):
         return np.where(env.states["level"] % 2, to_cheese, to_corner)
 
 
-def test_the_entropy_under_a_splay_is_low_for_who_knows_what_it_wants(mouse):
-    env = GameVectorEnv("maze", ANYWHERE, 4, observation="symbolic")
+def test_the_entropy_under_a_splay_is_low_for_who_knows_what_it_wants():
+    env = GameVectorEnv("maze", "anywhere-easy", 4, observation="symbolic")
     seen, _ = env.reset(seed=0, options={"level": np.arange(200_000, 200_004)})
-    decided = GoalPosterior(Walk("corner"), SHIFT)
-    torn = GoalPosterior(Torn(), SHIFT)
-    assert decided(env, seen).mean() < torn(env, seen).mean()
+    shift = load_shift(MAZE, "corner-easy")
+    decided, torn = GoalPosterior(Walk("corner"), shift), GoalPosterior(Torn(), shift)
+    assert decided(env, seen).mean() < torn(env, seen).mean() - 0.2
     assert 4 * 6 <= decided.imagined <= 4 * 12
 
 

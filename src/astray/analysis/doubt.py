@@ -26,7 +26,7 @@ from astray.game import Shift, Variant
 from astray.level import Level
 
 RANDOM_SALT = 2**34  # no agent has this seed, or a larger one
-ROUNDS = 100  # of expectation and maximisation
+ROUNDS = 300  # of expectation and maximisation
 RIDGE = 1e-3  # of the mean variance, added to every variance of features
 PLACES = {"goal": ("goal", "goal on other"), "other": ("other",)}  # objects that lie in a place
 

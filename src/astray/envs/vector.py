@@ -118,6 +118,7 @@ class GameVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         self._seeded = False
         self._first, self._count, self._list = _checked(levels)
         self._scenes = np.zeros((num_envs, *scene), np.uint8)
+        self._begins = np.empty(0, self.game.state)  # of `repeat`
         self._bind()
 
     def _bind(self) -> None:
@@ -128,7 +129,7 @@ class GameVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         self._scene = (
             self.variant.records(),
             self.game.drawn(art).art(self.variant, 1 if self.symbolic else IMAGE),
-            self.symbolic, self._scenes, self._list, self._first, self._count,
+            self.symbolic, self._scenes, self._list, self._first, self._count, self._begins,
         )  # fmt: skip
         over = self._final_states if self._mode == SAME_STEP else self._states
         self._begun = _Columns(self._states, ("level", "shifted"))
@@ -269,6 +270,25 @@ class GameVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         self._seeded = True
         return self._do(np.full(self.num_envs, AS_SET))
 
+    def repeat(self, states: np.ndarray | None) -> None:
+        """Begin every episode from now on in its own of `states` [N], again and again.
+
+        None: levels come as they did before. What is under way goes on.
+        """
+        if states is None:
+            self._begins = np.empty(0, self.game.state)
+        else:
+            if np.shape(states) != (self.num_envs,):
+                raise ValueError(
+                    f"states to repeat must be {self.num_envs}, one for each environment; got "
+                    f"{np.shape(states)}"
+                )
+            self.game.check(states, self.variant)
+            if states["ended"].any():
+                raise ValueError(f"the episode of state {states['ended'].argmax()} has ended")
+            self._begins = np.array(states, self.game.state)
+        self._scene = (*self._scene[:-1], self._begins)
+
     def _take(self, states: Any, which: np.ndarray, keep: Sequence[str] = ()) -> None:
         """Put `states` in place of those in `which`, but for the fields to `keep`."""
         given = np.asarray(states if isinstance(states, np.ndarray | np.void) else None)
@@ -337,7 +357,7 @@ def picture(
     for k in range(len(states)):
         one = states[k : k + 1].copy().view(np.ndarray)  # may be written to
         loop(
-            one, params, sprites, False, scene, NUMBERS, 0, 1, DISABLED, as_set, NUMBERS,
+            one, params, sprites, False, scene, NUMBERS, 0, 1, one[:0], DISABLED, as_set, NUMBERS,
             images[k : k + 1], one, images, REALS, FLAGS, FLAGS, *alone(),
         )  # fmt: skip
     return images

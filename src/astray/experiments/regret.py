@@ -247,9 +247,9 @@ def experiment(title: str, shift: str, proxy: str) -> Experiment:
         "tell it from the cheese?",
         sizes={
             "smoke": plan(
-                shift, 3, 500, 3_000_000, 64,
+                shift, 3, 500, 4_000_000, 64,
                 "worlds of 7 cells instead of 13, seen as symbols by a network of two hidden "
-                "layers; 3 million steps instead of 250 and 750 million; rollouts of 64 steps "
+                "layers; 4 million steps instead of 250 and 750 million; rollouts of 64 steps "
                 "instead of 128; 4 of the 11 shares; regret as the solver gives it, which the "
                 "paper has beside its estimate",
             ),

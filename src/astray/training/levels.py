@@ -27,10 +27,12 @@ class Plan:
 
     learn    the network learns from it; else it is played to score levels, and forgotten
     restart  every environment begins a new level with it
+    repeat   every environment begins one level and plays it again and again, to the next plan
     """
 
     learn: bool = True
     restart: bool = False
+    repeat: bool = False
 
 
 @dataclass(frozen=True, eq=False)

@@ -34,7 +34,7 @@ class Player:
     ):  # fmt: skip
         if sampler is not None and parallel.size() > 1:
             raise ValueError("with a sampler of levels, one process must train alone")
-        self.sampler, self.learns = sampler, True
+        self.sampler, self.learns, self._repeats = sampler, True, False
         self.here = parallel.share(config.environments)  # of all environments, this process's
         n = self.here.stop - self.here.start
         if n % groups:
@@ -83,7 +83,7 @@ class Player:
         _, reward, terminated, truncated, info = env.step(actions, self.images[where].numpy())
         ended = terminated | truncated
         self._note(t, where, reward, ended, info)
-        if self.sampler is not None and ended.any():
+        if self.sampler is not None and not self._repeats and ended.any():
             self._begin(self.sampler, group, ended)
         return reward, terminated, truncated, info
 
@@ -108,9 +108,14 @@ class Player:
             return
         plan = self.sampler.plan(steps)
         self.learns = plan.learn
-        if plan.restart:
+        self._repeats = plan.repeat
+        for env in self.envs:
+            env.repeat(None)
+        if plan.restart or plan.repeat:
             for group, where in enumerate(self.groups):
                 self._begin(self.sampler, group, np.ones(where.stop - where.start, bool))
+                if plan.repeat:
+                    self.envs[group].repeat(self.envs[group].get_state())
             self.running_return[:] = 0.0
             self.normaliser.returns[:] = 0.0
 

@@ -98,7 +98,7 @@ class Replay:
         else:
             self.kind = GENERATE
             self.current = self._generate(self._numbers(random))
-        return Plan(learn=self.kind == REPLAY, restart=True)
+        return Plan(learn=self.kind == REPLAY, repeat=True)
 
     def next(self, places: np.ndarray) -> np.ndarray:
         return self.current[places]

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import polars as pl
 
+from astray.analysis import kept
 from astray.analysis.doubt import (
     OF_LOGITS,
     Chance,
@@ -32,15 +33,15 @@ from astray.analysis.oversight import (
 )
 from astray.analysis.policies import Walk
 from astray.analysis.runs import open_run
-from astray.experiments import coin, help_figures, outcomes
-from astray.experiments.catalogue import maze_corner
+from astray.experiments import coin, help_figures
 from astray.experiments.help_figures import NEVER
 from astray.experiments.outcomes import rounded
 from astray.experiments.report import Findings, Plot, Table, Verdict
-from astray.experiments.spec import Experiment, Plan, Work
+from astray.experiments.spec import PUBLISHED, Experiment, Plan, Runs, Work
 from astray.games.coinrun import measures
 
-MOUSE, RUNNER = maze_corner.MOUSE, coin.RUNNER
+MOUSE, RUNNER = "mouse", coin.RUNNER
+KEPT = {MOUSE: "maze-corner", RUNNER: "coin-end"}  # the agents that come with astray
 SHIFTS = {MOUSE: "corner-small", RUNNER: "coin-end"}
 WATCHES = {
     MOUSE: Watch(lambda s: np.ones(len(s), bool), lambda s: s["reached_corner"] >= 0),
@@ -62,18 +63,24 @@ class Novice:
     trial: Trial
 
 
+def novice_runs(work: Work) -> Runs:
+    """The run folders of the novices: published agents, or those that come with astray."""
+    return work.runs or {name: [kept.find(agent)] for name, agent in KEPT.items()}
+
+
 def novices(work: Work, name: str) -> list[Novice]:
     """Every agent of a name, with the others of its training as its ensemble."""
-    config = work.plan.agents[name]
+    runs = novice_runs(work)[name]
+    config = open_run(runs[0])[1]
     game, count = config.find_game(), work.plan.levels
     shift = load_shift(game, SHIFTS[name])
     trial = Trial(
         game, shift, config.variant_for(shift.train), range(config.first_level + count),
         config.variant_for(shift.test), config.unseen_levels[:count], WATCHES[name],
     )  # fmt: skip
-    agents = [open_run(run)[0] for run in work.runs[name]]
+    agents = [open_run(run)[0] for run in runs]
     found = []
-    for agent, run in zip(agents, work.runs[name], strict=True):
+    for agent, run in zip(agents, runs, strict=True):
         scores: list[Score] = [Chance(), *(OfLogits(agent, kind) for kind in OF_LOGITS)]
         scores += distances(agent, trial.training, trial.training_levels)
         if len(agents) > 1:
@@ -88,7 +95,7 @@ def novices(work: Work, name: str) -> list[Novice]:
 def curves(work: Work) -> pl.DataFrame:
     """`oversight.curve` of every novice and score, with columns agent and run beside it."""
     parts = []
-    for name in work.plan.agents:
+    for name in novice_runs(work):
         for novice in novices(work, name):
             agent, expert = open_run(novice.run)[0], Walk(novice.trial.shift.intended)
             granularities: tuple[Granularity, ...] = ("step", "level")
@@ -102,7 +109,7 @@ def curves(work: Work) -> pl.DataFrame:
 def timing(work: Work) -> pl.DataFrame:
     """`oversight.when_asked` of every novice and score, with agent, run and score beside it."""
     parts = []
-    for name in work.plan.agents:
+    for name in novice_runs(work):
         for novice in novices(work, name):
             agent = open_run(novice.run)[0]
             for score in novice.scores:
@@ -143,7 +150,7 @@ def find(work: Work) -> Findings:
     return Findings(
         answer=f"Help by the step: {told}. Of the episodes that go astray, the entropy of the "
         f"policy would have asked only after the goal was passed, or never, in {asks}.",
-        verdicts=verdicts(work, table, areas, late),
+        verdicts=verdicts(table, areas, late),
         plots=[
             Plot("curves", "Return against the share of help, thresholds at percentiles of the "
                  "scores in training; the first agent of each name. The expert walks the shortest "
@@ -160,7 +167,8 @@ def find(work: Work) -> Findings:
             Table("costs", "The best return, less what its queries cost", costs),
             Table("curves", "All curves", table),
         ],
-        settings=outcomes.settings(work.plan) | {
+        settings={
+            "novices": ", ".join(f"{n}: {runs[0].name}" for n, runs in novice_runs(work).items()),
             "percentiles": ", ".join(f"{p:g}" for p in PERCENTILES),
             "levels": f"{work.plan.levels} of the training to find thresholds in, "
             f"{work.plan.levels} of the test that no training draws from",
@@ -203,17 +211,14 @@ def late_shares(asked: pl.DataFrame) -> pl.DataFrame:
     ).drop("len")
 
 
-def verdicts(
-    work: Work, table: pl.DataFrame, areas: pl.DataFrame, late: pl.DataFrame
-) -> list[Verdict]:
+def verdicts(table: pl.DataFrame, areas: pl.DataFrame, late: pl.DataFrame) -> list[Verdict]:
     """The literature's claims and one of our own, with bounds that were set before any run."""
     alone = pl.col("return").filter(pl.col("threshold") == np.inf).first()
     gains = table.with_columns(gain=pl.col("return") - alone.over("run", "score", "granularity"))
     least = float(gains["gain"].min())  # pyright: ignore
     inside = late.filter(pl.col("agent") == RUNNER, pl.col("score").is_in(list(OF_LOGITS)))
     soonest = float(inside["late"].min()) if len(inside) else 0.0  # pyright: ignore
-    ahead = lead(areas)
-    return [
+    told = [
         Verdict(
             "Help of any amount, asked for by any score, does no harm.",
             "help always improves (Trinh et al. 2024)",
@@ -227,6 +232,12 @@ def verdicts(
             f"that is soonest; holds above {100 * LATE:g}\u00a0%",
             soonest > LATE,
         ),
+    ]  # fmt: skip
+    if MOUSE not in areas["agent"]:
+        return told
+    ahead = lead(areas)
+    return [
+        *told,
         Verdict(
             "Where a mouse goes is better foreseen by playing the level in advance than by its "
             "entropy.", "none",
@@ -250,15 +261,12 @@ EXPERIMENT = Experiment(
     question="Does an agent that goes astray doubt what it does, in time for an expert to help?",
     sizes={
         "smoke": Plan(
-            agents={
-                MOUSE: maze_corner.EXPERIMENT.sizes["smoke"].config,
-                RUNNER: coin.AGENTS["smoke"],
-            },
-            seeds=2,
             levels=200,
-            smaller="novices that see symbols and were trained for minutes instead of 200 million "
-            "steps; the expert is the solver, where theirs are trained agents",
+            smaller="one novice of each game, that come with astray, see symbols and were trained "
+            "for minutes; intervals are over levels alone; the expert is the solver, where theirs "
+            "are trained agents; nobody to disagree with, as there are no others of their training",
         ),
+        "published": coin.plan(PUBLISHED, 1, 100),
     },
     find=find,
 )

@@ -66,7 +66,7 @@ def find(work: Work) -> Findings:
 
 
 MOUSE = replace(
-    PRESETS["small"], variant="corner-small", validation="anywhere-small", steps=3_000_000, width=64
+    PRESETS["small"], variant="corner-small", validation="anywhere-small", steps=4_000_000, width=64
 )
 MIXED = replace(MOUSE, knobs={"shift_probability": SHARE}, sampler="mixed")
 EXPERIMENT = Experiment(
@@ -85,7 +85,7 @@ EXPERIMENT = Experiment(
             seeds=3,
             tests=tests_of("maze", "corner-small"),
             levels=500,
-            smaller="worlds of 7 cells, seen as symbols by a network of two hidden layers, and 3 "
+            smaller="worlds of 7 cells, seen as symbols by a network of two hidden layers, and 4 "
             "million steps; the learning rate falls to 0 in all trainings alike, so that what "
             "comes late is learned with smaller steps",
         ),
