@@ -365,14 +365,14 @@ class Game:
     symbols: Symbols = None  # pyright: ignore
     editing: Editing = None  # pyright: ignore
     solver: Solver = None  # pyright: ignore
-    mutating: Mutating = None  # pyright: ignore
+    mutation: Mutating = None  # pyright: ignore
     benchmark: Benchmark = None  # pyright: ignore
     invariants: Callable[[np.ndarray, Any], dict[str, np.ndarray]] = lambda s, variant: {}
     # what is true of states [N] of a variant, and compiled code relies on: its name -> [N] bool
     real_time: bool = False  # things move while the agent stays; else a person may take time
 
     def __post_init__(self) -> None:
-        for ability in ("symbols", "editing", "solver", "mutating", "benchmark"):
+        for ability in ("symbols", "editing", "solver", "mutation", "benchmark"):
             if getattr(self, ability) is None:
                 object.__setattr__(self, ability, Missing(self.name, ability))
 

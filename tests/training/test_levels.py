@@ -254,7 +254,7 @@ def test_a_sampler_of_your_own_comes_in_as_a_class_and_by_its_name(tmp_path):
         (
             {"sampler": "accel", "game": "coinrun", "variant": "coin-end", "validation": None,
              "knobs": {}},
-            "the game 'coinrun' has no mutating",
+            "the game 'coinrun' has no mutation",
         ),
         (
             {"sampler": "mixed", "share": 0.6, "schedule": "annealed", "knobs": SHIFTED},
@@ -281,7 +281,7 @@ EDITED = replace(GAME.variant("corner-small"), shift_probability=0.3)
 def edited(kind, variant=EDITED, edits=12, count=300):
     before = initial_states(GAME, variant, range(count))
     seeds = np.random.default_rng(0).integers(2**32, size=count)
-    return before, GAME.mutating.mutate(before, variant, seeds, edits, kind)
+    return before, GAME.mutation.mutate(before, variant, seeds, edits, kind)
 
 
 @pytest.mark.parametrize("kind", ["constant", "identity", "binomial"])

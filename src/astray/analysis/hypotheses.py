@@ -19,8 +19,8 @@ from astray.bounds import bounded
 from astray.game import MOST
 
 HIDDEN = 64
-BATCH = 256  # frames of either kind in a step
-RATE = 1e-3  # of Adam
+BATCH = 128  # frames of either kind in a step
+RATE = 3e-3  # of Adam
 TINY = 1e-9
 
 Place = Callable[[np.ndarray], np.ndarray]  # states [N] -> [N] bool: the agent is there
@@ -68,7 +68,7 @@ def mutual_information(probabilities: Tensor) -> Tensor:
 
 
 def train_heads(
-    labelled: Frames, label: str, unlabelled: np.ndarray, *, diversity: float, steps: int = 1500,
+    labelled: Frames, label: str, unlabelled: np.ndarray, *, diversity: float, steps: int = 600,
     seed: int = 0,
 ) -> Heads:  # fmt: skip
     """Two heads that learn `label` of the labelled frames, and to differ on the unlabelled.

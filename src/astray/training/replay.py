@@ -61,8 +61,8 @@ class Replay:
     def __init__(self, config: Config):
         self.config, self.variant, self.game = config, config.training_variant(), config.find_game()
         self.mutates = config.sampler == "accel"
-        if self.mutates and not self.game.mutating:
-            self.game.mutating.mutate  # noqa: B018  # says that there is none
+        if self.mutates and not self.game.mutation:
+            self.game.mutation.mutate  # noqa: B018  # says that there is none
         n, size = config.environments, config.buffer
         if size < n:
             raise ValueError(f"buffer must hold a level for each of {n} environments; got {size}")
@@ -87,7 +87,7 @@ class Replay:
         if self.mutates and self.kind == REPLAY:
             self.kind = MUTATE
             seeds = random.integers(2**32, size=len(self.places))
-            self.current = self.game.mutating.mutate(
+            self.current = self.game.mutation.mutate(
                 self.states[self.places], self.variant, seeds, self.config.edits,
                 self.config.mutation,
             )  # fmt: skip

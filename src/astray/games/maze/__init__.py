@@ -15,7 +15,7 @@ GAME = Game(
     symbols=draw,
     editing=levels,
     solver=solve,
-    mutating=mutate,
+    mutation=mutate,
     benchmark=Benchmark("anywhere", envpool="MazeHard-v0"),
     invariants=levels.invariants,
 )
