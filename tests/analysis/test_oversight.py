@@ -138,6 +138,16 @@ def test_without_help_the_novice_plays_as_it_does_and_with_all_of_it_the_expert(
         assert (helped["return"] == 10).all() and (helped["queries"] == helped["length"]).all()
 
 
+def test_an_expert_that_remembers_its_levels_does_as_one_that_solves_them_anew():
+    anew, remembering = Walk("cheese"), Walk("cheese", remembers=True)
+    first = evaluate(anew, "maze", ANYWHERE, LEVELS)
+    for _ in range(2):
+        assert evaluate(remembering, "maze", ANYWHERE, LEVELS).equals(first)
+    solved = dict(remembering._experts)
+    evaluate(remembering, "maze", ANYWHERE, LEVELS)
+    assert all(remembering._experts[level] is expert for level, expert in solved.items())
+
+
 def test_help_is_for_a_step_or_for_all_that_is_left_of_a_level():
     novice, expert = Random(), Walk("cheese")
     by_step = Helped(novice, expert, ByTime((2, 3, 7)), 0.5, "step")

@@ -59,20 +59,15 @@ class Config:
     seed: int = 0
 
     sampler: str = "uniform"  # of levels: or mixed, plr, accel; or your own, module:Class
-    # Of "mixed": the share of episodes in shifted levels, by default the variant's
-    # shift_probability, which says how many of the levels those are; and when they are played.
-    share: float | None = None
-    schedule: Schedule = "throughout"
-    # Of "plr" and "accel": levels in the buffer; the chance that a rollout replays some, by
-    # default a third and a half; the exponent of 1 / rank is 1 / temperature; the weight of how
-    # long ago a level was replayed; what a level's score is; how often and what accel edits.
-    buffer: int = 4096
-    replay: float | None = None
-    temperature: float = 0.1
-    staleness: float = 0.1
-    score: Score = "max-monte-carlo"
-    mutation: Mutation = "constant"
-    edits: int = 12
+    share: float | None = None  # mixed: of episodes in shifted levels; None: shift_probability
+    schedule: Schedule = "throughout"  # mixed: when the shifted levels are played
+    buffer: int = 4096  # plr, accel: levels that are kept, to be replayed
+    replay: float | None = None  # plr, accel: chance that a rollout replays; None: 1/3 and 1/2
+    temperature: float = 0.1  # plr, accel: a level's chance is (1 / its rank) ** (1 / temperature)
+    staleness: float = 0.1  # plr, accel: share of the chance that is for levels not replayed lately
+    score: Score = "max-monte-carlo"  # plr, accel: by which levels are ranked
+    mutation: Mutation = "constant"  # accel: what is edited, and how often
+    edits: int = 12  # accel: of a level, to make another
 
     observation: Literal["image", "symbolic"] = "image"
     art: str = OWN  # that images are drawn with; "original" has to be imported: astray art import

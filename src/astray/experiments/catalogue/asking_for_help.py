@@ -97,7 +97,8 @@ def curves(work: Work) -> pl.DataFrame:
     parts = []
     for name in novice_runs(work):
         for novice in novices(work, name):
-            agent, expert = open_run(novice.run)[0], Walk(novice.trial.shift.intended)
+            agent = open_run(novice.run)[0]
+            expert = Walk(novice.trial.shift.intended, remembers=True)
             granularities: tuple[Granularity, ...] = ("step", "level")
             for score in novice.scores:
                 for granularity in granularities:
