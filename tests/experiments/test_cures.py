@@ -6,9 +6,11 @@ import pytest
 
 from astray.analysis.outcomes import INTENDED, MISGENERALIZED
 from astray.analysis.oversight import AFTER, BEFORE
-from astray.experiments import regret
-from astray.experiments.catalogue import asking_for_help, early_or_late, reward_ensembles
-from astray.experiments.help_figures import NEVER
+from astray.experiments.studies.mitigation import (
+    _regret as regret,
+)
+from astray.experiments.studies.mitigation import asking_for_help, early_or_late, reward_ensembles
+from astray.experiments.studies.mitigation._help_figures import NEVER
 
 
 def test_agents_of_a_method_differ_in_the_share_and_in_nothing_else():
@@ -49,10 +51,10 @@ def test_a_claim_about_help_holds_by_its_bound():
     areas = pl.DataFrame({"agent": ["runner"], "score": ["entropy"], "granularity": ["step"]})
     late = pl.DataFrame({"agent": ["runner"], "score": ["entropy"], "late": [0.6]})
     table = pl.DataFrame(rows)
-    assert [v.held for v in asking_for_help.verdicts(table, areas, late)] == [True, True]
+    assert [v.held for v in asking_for_help.claims(table, areas, late)] == [True, True]
     worse = table.with_columns(pl.col("return").replace(4.9, 4.0))
     soon = late.with_columns(late=0.4)
-    assert [v.held for v in asking_for_help.verdicts(worse, areas, soon)] == [False, False]
+    assert [v.held for v in asking_for_help.claims(worse, areas, soon)] == [False, False]
 
 
 @pytest.mark.parametrize("variant, apart", [("corner-small", False), ("anywhere-small", True)])

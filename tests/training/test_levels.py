@@ -246,7 +246,7 @@ def test_a_sampler_of_your_own_comes_in_as_a_class_and_by_its_name(tmp_path):
         ({"sampler": "best"}, "sampler must be one of uniform, mixed, plr, accel, or module:Class"),
         ({"sampler": "mixed"}, "shift_probability must be between 0 and 1; got 0.0"),
         ({"sampler": "plr", "buffer": 8}, "a level for each of 16 environments; got 8"),
-        ({"sampler": "plr", "replay": 0.0}, "replay is 0.0; it is from 0.01 to 1"),
+        ({"sampler": "plr", "replay": 0.0}, "replay must be from 0.01 to 1; got 0.0"),
         (
             {"sampler": "plr", "score": "regret", "variant": "region-1-strict", "validation": None},
             "needs a variant of which a shift says the goal; got 'region-1-strict'",

@@ -17,7 +17,7 @@ import torch
 
 from astray.agents.clear import Clear
 from astray.agents.impala import Impala
-from astray.agents.small import Small
+from astray.agents.mlp import MLP
 from astray.analysis import agency
 from astray.analysis.episodes import Levels, steps
 from astray.analysis.policies import AT_ONCE, Agent, Policy, episode_noise
@@ -141,7 +141,7 @@ def features(agent: Agent, observations: np.ndarray) -> np.ndarray:
     Raises ValueError where the network is none of astray's own.
     """
     network = agent.network
-    if not isinstance(network, Clear | Impala | Small):
+    if not isinstance(network, Clear | Impala | MLP):
         raise ValueError(f"features need a network of astray's; got {type(network).__name__}")
     shown = torch.from_numpy(observations).to(agent.device)
     parts = [network.hidden(part) for part in shown.split(AT_ONCE[agent.observation])]

@@ -22,10 +22,10 @@ import polars as pl
 from astray import games
 from astray.analysis.doubt import Score
 from astray.analysis.episodes import Levels, steps
+from astray.analysis.estimates import bootstrap
 from astray.analysis.given import Measure, see_policy
 from astray.analysis.outcomes import INTENDED, MISGENERALIZED, label
 from astray.analysis.policies import Agent, Observation, Policy
-from astray.analysis.statistics import bootstrap
 from astray.game import Game, Shift, Variant
 from astray.words import check_word
 

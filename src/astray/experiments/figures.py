@@ -19,8 +19,8 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.ticker import PercentFormatter
 
+from astray.analysis.estimates import bootstrap
 from astray.analysis.outcomes import FAILED, INTENDED, MISGENERALIZED
-from astray.analysis.statistics import bootstrap
 from astray.files import write_aside
 
 # Told apart by every kind of colour vision, and light enough to be written on.

@@ -63,7 +63,7 @@ class Replay:
         self.mutates = config.sampler == "accel"
         if self.mutates and not self.game.mutation:
             self.game.mutation.mutate  # noqa: B018  # says that there is none
-        n, size = config.environments, config.buffer
+        n, size = config.num_envs, config.buffer
         if size < n:
             raise ValueError(f"buffer must hold a level for each of {n} environments; got {size}")
         check_memory(2 * size * self.game.state.itemsize, f"a buffer of {size:,} levels")

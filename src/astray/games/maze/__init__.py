@@ -1,7 +1,7 @@
 """Maze: a mouse looks for its cheese; in training it lies in the upper right corner."""
 
 from astray.game import Benchmark, Game
-from astray.games.maze import draw, levels, mutate, original, rules, solve, variants
+from astray.games.maze import cells, draw, levels, mutate, original, rules, solve, variants
 
 GAME = Game(
     "maze",
@@ -16,6 +16,7 @@ GAME = Game(
     editing=levels,
     solver=solve,
     mutation=mutate,
+    cells=cells,
     benchmark=Benchmark("anywhere", envpool="MazeHard-v0"),
     invariants=levels.invariants,
 )

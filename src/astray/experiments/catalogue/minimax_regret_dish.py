@@ -1,5 +1,0 @@
-"""Mice whose cheese lay on a dish, with levels that a curriculum of regret chooses."""
-
-from astray.experiments import regret
-
-EXPERIMENT = regret.experiment("Minimax regret: cheese on a dish", "dish-small", "dish")
