@@ -265,8 +265,8 @@ EXPERIMENT = Experiment(
         "smoke": Plan(
             levels=200,
             differences="one novice of each game, that come with astray, see symbols and were "
-            "trained for minutes; intervals are over levels alone; the expert is the solver, where theirs "
-            "are trained agents; none of the same training to disagree with",
+            "trained for minutes; intervals are over levels alone; the expert is the solver, where "
+            "theirs are trained agents; none of the same training to disagree with",
         ),
         "published": coin.plan(PUBLISHED, 1, 100),
     },
