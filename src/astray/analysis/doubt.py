@@ -218,8 +218,7 @@ class GoalPosterior:
 
     def _key(self, env: GameVectorEnv, s: Any) -> tuple[int, bytes]:
         """What a level is known by while it is played: its number, and the goals' places."""
-        told = env.game.editing.describe(s)
-        places = agency.named_places(env.game, told, self.shift)
+        places = agency.named_places(env.game, s, self.shift)
         return int(s.level), repr(places).encode()
 
     def _imagine(self, env: GameVectorEnv, fresh: dict[tuple[int, bytes], int]) -> None:
