@@ -9,18 +9,20 @@ import reprlib
 import typing
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
-from typing import Any, Self
+from typing import Any, Literal, Self
 
 import numpy as np
 
 from astray.bounds import bounded, of_kind, shown
 from astray.kernel.rng import RNG_FIELDS, WORDS
-from astray.protocols import Cells, Editing, Levels, Rules, Solver, Symbols
+from astray.protocols import Cells, Editing, Levels, Mutating, Rules, Solver, Symbols
 
 NEVER = -1  # the step of an event that has not happened; the number of a level that has none
 LEVELS = range(2**31 - 1)  # all numbers that there are; the original has no others
 OWN = "own"  # the art that is drawn here
 MOST = 2**31 - 1  # of a knob, and of what is counted
+Mutation = Literal["constant", "identity", "binomial"]  # what is edited of a level, and how often
+MUTATIONS: tuple[Mutation, ...] = typing.get_args(Mutation)
 KINDS = {int: np.int64, float: np.float64, bool: np.bool_}
 
 
@@ -233,6 +235,7 @@ class Game:
     symbols: Symbols = None  # pyright: ignore
     editing: Editing = None  # pyright: ignore
     solver: Solver = None  # pyright: ignore
+    mutation: Mutating = None  # pyright: ignore
     cells: Cells = None  # pyright: ignore
     benchmark: Benchmark = None  # pyright: ignore
     invariants: Callable[[np.ndarray, Any], dict[str, np.ndarray]] = lambda s, variant: {}
@@ -246,7 +249,7 @@ class Game:
     real_time: bool = False  # things move while the agent stays; else a person may take time
 
     def __post_init__(self) -> None:
-        for ability in ("symbols", "editing", "solver", "cells", "benchmark"):
+        for ability in ("symbols", "editing", "solver", "mutation", "cells", "benchmark"):
             if getattr(self, ability) is None:
                 object.__setattr__(self, ability, Missing(self.name, ability))
 

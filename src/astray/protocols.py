@@ -145,3 +145,17 @@ class Solver(Protocol):
     def optimal_return(self) -> Callable[[Any, str, float], float]:
         """(s, goal, gamma) -> the return."""
         ...
+
+
+class Mutating(Protocol):
+    """Levels made of others by small edits, for curricula that search among them."""
+
+    @property
+    def mutate(self) -> Callable[..., np.ndarray]:
+        """(states [N], variant, seeds [N] uint32, edits, kind) -> states [N], the edited levels.
+
+        States are those that levels begin in; `kind` is one of `game.MUTATIONS`. The agent can
+        reach the goal in each, its `level` is NEVER, and `shifted` says whether its goal was
+        placed as in the variant's shifted levels.
+        """
+        ...

@@ -169,3 +169,25 @@ def test_every_state_that_is_played_passes_the_check(game, variant):
     for mode in MODES:
         env = played(game, variant, mode, n=32, steps=40)
         env.game.check(env.get_state(), env.variant)
+
+
+def test_an_environment_that_repeats_begins_in_its_own_state_again_and_again():
+    env = GameVectorEnv("maze", "anywhere-small", 6, observation="symbolic",
+                        autoreset_mode="SameStep", threads=2)  # fmt: skip
+    seen, _ = env.reset(seed=0)
+    begun = env.get_state()
+    env.repeat(begun)
+    ended, random = 0, np.random.default_rng(0)
+    for _ in range(150):
+        now, _, terminated, truncated, info = env.step(random.integers(9, size=6))
+        for i in np.flatnonzero(terminated | truncated):
+            ended += 1
+            assert env.states[i].tobytes() == begun[i].tobytes()
+            assert np.array_equal(now[i], seen[i]) and info["level"][i] == begun["level"][i]
+    assert ended > 6
+    env.repeat(None)
+    env.step(np.zeros(6, int))
+    levels = {int(env.reset(options={"reset_mask": np.ones(6, bool)})[1]["level"][0])}
+    assert levels != {int(begun["level"][0])}
+    with pytest.raises(ValueError, match="must be 6, one for each environment; got \\(2,\\)"):
+        env.repeat(begun[:2])

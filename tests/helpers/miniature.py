@@ -13,7 +13,7 @@ def miniature(plan: Plan, time_limit: int = 100) -> Plan:
     agents = {
         name: replace(
             config, levels=1000, steps=2048, num_envs=16, num_steps=32, minibatches=4, width=16,
-            checkpoint_every=1, knobs={**config.knobs, "time_limit": time_limit},
+            checkpoint_every=1, buffer=64, knobs={**config.knobs, "time_limit": time_limit},
         )
         for name, config in plan.agents.items()
     }  # fmt: skip

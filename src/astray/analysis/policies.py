@@ -118,11 +118,15 @@ class Random:
 
 @dataclass
 class Walk:
-    """Goes the best way to a goal, and is blind to all else; then stays there."""
+    """Goes the best way to a goal, and is blind to all else; then stays there.
+
+    remembers  a level of a number is the same one whenever it comes, and is solved but once
+    """
 
     goal: str
     observation: Observation = "symbolic"
     art: str = OWN
+    remembers: bool = False
     _experts: dict[int, Callable] = field(default_factory=dict, repr=False)  # by level
 
     @property
@@ -134,6 +138,6 @@ class Walk:
 
     def _action(self, env: GameVectorEnv, s: Any) -> int:
         level = int(s.level)
-        if s.time == 0:
+        if s.time == 0 and not (self.remembers and level in self._experts):
             self._experts[level] = env.game.solver.expert(s, self.goal)
         return self._experts[level](s)

@@ -15,7 +15,7 @@ from tyro.conf import Positional, Suppress
 from astray import games, imports
 from astray.agents.policy import check_network, renamed_network
 from astray.bounds import shown
-from astray.game import LEVELS, MOST, OWN, Game, Variant
+from astray.game import LEVELS, MOST, OWN, Game, Mutation, Variant
 
 # Settings as older run folders have them, and what they are called now.
 RENAMED = {"environments": "num_envs", "rollout": "num_steps", "kernels": "fused_cpu"}
@@ -23,16 +23,22 @@ MOST_STEPS = 10**15  # what the fastest machine does in a century
 SEEDS = 2**28  # every seed has streams of its own for training, validation, ...
 COUNTS = (
     "levels", "steps", "num_envs", "num_steps", "epochs", "minibatches", "scale", "width",
-    "validation_every", "checkpoint_every", "threads", "groups",
+    "validation_every", "checkpoint_every", "threads", "groups", "buffer", "edits",
 )  # fmt: skip
-SHARES = ("gamma", "lam", "reward_gamma")
+SHARES = ("gamma", "lam", "reward_gamma", "share", "staleness")
 AMOUNTS = ("learning_rate", "clip", "value_weight", "entropy_weight", "gradient_norm")
 RANGES = (
     {name: (1, MOST) for name in COUNTS}
     | {name: (0, 1) for name in SHARES}
     | {name: (0, inf) for name in AMOUNTS}
+    | {"replay": (0.01, 1), "temperature": (0.01, 100)}
     | {"first_level": (0, LEVELS.stop), "seed": (0, SEEDS - 1), "steps": (1, MOST_STEPS)}
 )
+
+
+SAMPLERS = ("uniform", "mixed", "plr", "accel")  # of levels, astray's own
+Schedule = Literal["throughout", "early", "late", "annealed"]
+Score = Literal["regret", "max-monte-carlo", "positive-value-loss"]
 
 
 @dataclass(frozen=True)
@@ -53,6 +59,17 @@ class Config:
     first_level: int = 0
     levels: int = 100_000  # training levels, from first_level on; validation draws from the rest
     seed: int = 0
+
+    sampler: str = "uniform"  # of levels: or mixed, plr, accel; or your own, module:Class
+    share: float | None = None  # mixed: of episodes in shifted levels; None: shift_probability
+    schedule: Schedule = "throughout"  # mixed: when the shifted levels are played
+    buffer: int = 4096  # plr, accel: levels that are kept, to be replayed
+    replay: float | None = None  # plr, accel: chance that a rollout replays; None: 1/3 and 1/2
+    temperature: float = 0.1  # plr, accel: a level's chance is (1 / its rank) ** (1 / temperature)
+    staleness: float = 0.1  # plr, accel: share of the chance that is for levels not replayed lately
+    score: Score = "max-monte-carlo"  # plr, accel: by which levels are ranked
+    mutation: Mutation = "constant"  # accel: what is edited, and how often
+    edits: int = 12  # accel: of a level, to make another
 
     observation: Literal["image", "symbolic"] = "image"
     art: str = OWN  # that images are drawn with; "original" has to be imported: astray art import
@@ -115,6 +132,9 @@ class Config:
                 f"got {self.first_level} to {self.training_levels.stop - 1}"
             )
         check_network(self.network)
+        if self.sampler not in SAMPLERS and not imports.is_name(self.sampler):
+            possible = f"{', '.join(SAMPLERS)}, or module:Class"
+            raise ValueError(f"sampler must be one of {possible}; got {self.sampler!r}")
         if self.loss is not None and not imports.is_name(self.loss):
             raise ValueError(f"loss must be module:function; got {self.loss!r}")
         self.training_variant()
@@ -155,6 +175,21 @@ class Config:
         """The variant to train on."""
         return self.variant_for(self.variant)
 
+    def intended_goal(self) -> str:
+        """The goal that the shifts of the training variant mean.
+
+        Raises ValueError where none of the game's shifts has the variant.
+        """
+        shifts = self.find_game().shifts.values()
+        for shift in shifts:
+            if self.variant in (shift.train, shift.test):
+                return shift.intended
+        known = ", ".join(dict.fromkeys(shift.train for shift in shifts))
+        raise ValueError(
+            f"score 'regret' needs a variant of which a shift says the goal; got {self.variant!r}, "
+            f"and there are: {known}"
+        )
+
     def validation_variant(self) -> Variant:
         """The variant that is played during training and never learned from."""
         assert self.validation is not None
@@ -189,9 +224,16 @@ class Config:
             raise ValueError(f"this version has no setting {unknown[0]!r}; a later one may")
         config = Config(**values)
         variant = json.loads(json.dumps(asdict(config.training_variant())))
-        if data.get("training_variant", variant) != variant:
+        if _levels_of(data.get("training_variant", variant)) != _levels_of(variant):
             raise ValueError(f"its {config.game} {config.variant} is not that of this version")
         return config
+
+
+def _levels_of(variant: Any) -> Any:
+    """What of a variant, written out, decides its levels: what it never shifts to does not."""
+    if isinstance(variant, dict) and variant.get("shift_probability") == 0:
+        return variant | {"shifted": None}
+    return variant
 
 
 def _check(name: str, value: Any, kind: Any) -> None:

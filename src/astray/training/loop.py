@@ -27,6 +27,7 @@ from astray.training import checkpoint, parallel, ppo
 from astray.training.config import Config
 from astray.training.fast import acceleration, actor
 from astray.training.fast.acceleration import Loss
+from astray.training.levels import MakeSampler
 from astray.training.log import Log
 from astray.training.ppo import Samples
 from astray.training.rollout import estimate
@@ -45,6 +46,7 @@ def train(
     *,
     network: Callable[[Architecture], nn.Module] | None = None,
     loss: Loss | None = None,
+    sampler: MakeSampler | None = None,
     progress: bool = True,
     wait: bool = False,
 ) -> Path:
@@ -53,6 +55,7 @@ def train(
     network  a class of your own, or a function, that is given an `Architecture` and makes a
              network: observations [B, ...] -> logits [B, actions], values [B]
     loss     a function of your own, of the arguments of `ppo.loss`; what it returns is logged
+    sampler  a class of your own that chooses the training levels: see `levels.Sampler`
     wait     where another process trains in the folder, until it has ended; else it is an error
 
     On a CPU, a run that was stopped and resumed has the weights and metrics of one that was not.
@@ -61,8 +64,8 @@ def train(
     it cannot be written, `checkpoint.Claimed` where another process trains in it, `Diverged` where
     weights are no finite numbers any more; the checkpoints before that are kept.
     """
-    iterations = iterate(config, folder, network=network, loss=loss, progress=progress, wait=wait)
-    for _ in iterations:
+    own: dict[str, Any] = {"network": network, "loss": loss, "sampler": sampler}
+    for _ in iterate(config, folder, **own, progress=progress, wait=wait):
         pass
     return checkpoint.latest(Path(folder))
 
@@ -91,6 +94,7 @@ def iterate(
     *,
     network: Callable[[Architecture], nn.Module] | None = None,
     loss: Loss | None = None,
+    sampler: MakeSampler | None = None,
     progress: bool = False,
     wait: bool = False,
 ) -> Iterator[Iteration]:
@@ -103,13 +107,13 @@ def iterate(
 
     Raises what `train` raises, at the first iteration.
     """
-    config = checked(config, network, loss)
+    config = checked(config, network, loss, sampler)
     folder = None if folder is None else Path(folder)
     settings = functools.partial(acceleration.torch_settings, config.threads)
     with (
         parallel.processes(config.device),
         checkpoint.claim(folder, config, wait) if folder else contextlib.nullcontext(),
-        contextlib.closing(begin(config, folder, network, loss)) as trainer,
+        contextlib.closing(begin(config, folder, network, loss, sampler)) as trainer,
         written(folder, trainer, progress) as log,
     ):
         saved = trainer.iteration
@@ -132,8 +136,8 @@ def iterate(
         parallel.wait()
 
 
-def checked(config: Config, network: Any, loss: Any) -> Config:
-    """The settings, with the names of a network and a loss of the user's own.
+def checked(config: Config, network: Any, loss: Any, sampler: Any) -> Config:
+    """The settings, with the names of a network, a loss and a sampler of the user's own.
 
     Raises ValueError where they cannot be trained with here.
     """
@@ -142,6 +146,8 @@ def checked(config: Config, network: Any, loss: Any) -> Config:
         config = replace(config, network=imports.name_of(network))
     if loss is not None and loss is not ppo.loss:
         config = replace(config, loss=imports.name_of(loss))
+    if sampler is not None:
+        config = replace(config, sampler=imports.name_of(sampler))
     if not policy.usable(config.device):
         raise ValueError(f"there is no device {config.device!r} that torch can use")
     bounded("threads", config.threads, 1, most_threads())
@@ -150,10 +156,10 @@ def checked(config: Config, network: Any, loss: Any) -> Config:
     return config
 
 
-def begin(config: Config, folder: Path | None, network: Any, loss: Any) -> Trainer:
+def begin(config: Config, folder: Path | None, network: Any, loss: Any, sampler: Any) -> Trainer:
     """All that lives in a training, as the last checkpoint in the run folder left it."""
     with acceleration.torch_settings(config.threads):
-        trainer = Trainer(config, network, loss)
+        trainer = Trainer(config, network, loss, sampler)
         if folder:
             with contextlib.ExitStack() as stack:
                 stack.callback(trainer.close)
@@ -179,7 +185,7 @@ def improve(trainer: Trainer) -> tuple[dict[str, float], dict[str, float]]:
         rate *= 1 - trainer.steps / config.steps
     if trainer.validation and trainer.iteration % config.validation_every == 0:
         validate(trainer)
-    rollout = collect(trainer)
+    rollout = play(trainer)
     played = time.perf_counter()
     metrics = {}
     if trainer.iteration == 0 and trainer.fast.using.bfloat16:
@@ -190,6 +196,8 @@ def improve(trainer: Trainer) -> tuple[dict[str, float], dict[str, float]]:
     trainer.steps += config.batch
     for name, player in trainer.players().items():
         metrics |= {f"{name}/{what}": x for what, x in player.summary().items()}
+        if player.sampler is not None:
+            metrics |= {f"levels/{what}": x for what, x in player.sampler.summary().items()}
     seconds = time.perf_counter() - began
     speed = {"steps_per_second": config.batch / seconds, "playing": (played - began) / seconds}
     return metrics | {"update/learning_rate": rate}, speed
@@ -217,6 +225,15 @@ def see_converging(trainer: Trainer) -> None:
         f"({config.learning_rate:g}) or gradient_norm ({config.gradient_norm:g}); the checkpoints "
         "before it are kept"
     )
+
+
+def play(trainer: Trainer) -> Samples:
+    """A rollout to learn from, after those in which a sampler only has levels scored."""
+    while True:
+        trainer.player.plan(trainer.steps)
+        rollout = collect(trainer)
+        if trainer.player.learns:
+            return rollout
 
 
 @torch.no_grad()

@@ -169,4 +169,8 @@ class RewardNormaliser:
         self.variance = (squares + delta**2 * self.count * n / total) / total
         self.count = total
         self.returns[ended] = 0.0
+        return self.scaled(reward)
+
+    def scaled(self, reward: np.ndarray) -> np.ndarray:
+        """Rewards of any shape, normalised by what was taken in so far."""
         return np.clip(reward / np.sqrt(self.variance + 1e-8), -self.clip, self.clip)

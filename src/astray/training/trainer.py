@@ -13,12 +13,14 @@ from astray.agents import policy
 from astray.agents.policy import Architecture
 from astray.memory import check_memory
 from astray.training import parallel, ppo
-from astray.training.config import Config
+from astray.training.config import SAMPLERS, Config
 from astray.training.fast import acceleration
 from astray.training.fast.acceleration import Loss
 from astray.training.fast.actor import Actor
 from astray.training.fast.graphs import Captured
+from astray.training.levels import MakeSampler, Mixed, Sampler
 from astray.training.player import RECENT, Player
+from astray.training.replay import Replay
 
 PER_WEIGHT = 16  # bytes: float32 of itself, its gradient, and Adam's two moments
 PER_SAMPLE = 28  # bytes beside the observation: an int64 and five float32
@@ -28,7 +30,7 @@ MOMENTS = ("exp_avg", "exp_avg_sq")  # that Adam keeps of each weight
 class Trainer:
     """The network, its optimizer, and the players of the training and validation variants.
 
-    network, loss  what `config` has the names of, where nobody can import it
+    network, loss, sampler  what `config` has the names of, where nobody can import it
     """
 
     def __init__(
@@ -36,6 +38,7 @@ class Trainer:
         config: Config,
         network: Callable[[Architecture], nn.Module] | None = None,
         loss: Loss | None = None,
+        sampler: MakeSampler | None = None,
     ):
         if config.batch // parallel.size() % config.minibatches:
             raise ValueError(
@@ -45,7 +48,8 @@ class Trainer:
         self.config = config
         self.steps = 0  # environment steps done
         variant, groups = config.training_variant(), acceleration.groups(config)
-        self.player = Player(config, variant, config.training_levels, 1, groups)
+        chooses = _sampler(config, sampler)
+        self.player = Player(config, variant, config.training_levels, 1, groups, chooses)
         self.validation: Player | None = None
         if config.validation:
             other = config.validation_variant()
@@ -189,6 +193,15 @@ class Trainer:
         for player in self.players().values():
             for env in player.envs:
                 env.close()
+
+
+def _sampler(config: Config, make: MakeSampler | None) -> Sampler | None:
+    """What chooses the training levels; None where the environments draw them."""
+    if make or config.sampler not in SAMPLERS:
+        return (make or imports.find(config.sampler))(config)
+    if config.sampler == "uniform":
+        return None
+    return Mixed(config) if config.sampler == "mixed" else Replay(config)
 
 
 @torch.no_grad()
