@@ -15,7 +15,7 @@ from astray.training.loop import train
 
 NAMES = (checkpoint.AGENT, checkpoint.TRAINER)
 TINY = replace(
-    PRESETS["small"], variant="corner-small", environments=8, rollout=4, minibatches=1, width=4,
+    PRESETS["small"], variant="corner-small", num_envs=8, num_steps=4, minibatches=1, width=4,
     steps=32, validation_every=1,
 )  # fmt: skip
 

@@ -67,12 +67,15 @@ def test_a_misspelt_word_is_no_other_word(misspelt):
 @pytest.mark.parametrize(
     "wrong, message",
     [
-        (lambda: Options(beta=float("nan")), "beta is nan; it is at least 1, and finite"),
-        (lambda: Options(legal="no"), "legal is 'no'; it is a bool"),
+        (lambda: Options(beta=float("nan")), "beta must be at least 1, and finite; got nan"),
+        (lambda: Options(legal="no"), "legal must be a bool; got 'no'"),
         (lambda: Options(observations=("type", "type")), "each is given once"),
-        (lambda: measure_online(WALK, switch="1/t"), "switch is '1/t'; it is from 0 to 1, or"),
-        (lambda: Config(learning_rate=float("inf")), "learning_rate is inf; it is a float"),
-        (lambda: Config(clip=float("nan")), "clip is nan; it is a float"),
+        (lambda: measure_online(WALK, switch="1/t"), "switch must be from 0 to 1, or"),
+        (
+            lambda: Config(learning_rate=float("inf")),
+            "learning_rate must be of type float; got inf",
+        ),
+        (lambda: Config(clip=float("nan")), "clip must be of type float; got nan"),
         (lambda: replace(SMALL, time_limit=5.5), "time_limit must be an integer from"),
         (lambda: replace(SMALL, time_limit=True), "time_limit must be an integer"),
         (lambda: replace(SMALL, time_limit=10**30), r"time_limit must be an integer"),
@@ -88,8 +91,8 @@ def test_a_number_or_a_fact_of_another_type_is_refused(wrong, message):
 @pytest.mark.parametrize(
     "take, message",
     [
-        (lambda: small_training(environments=10**9), "1,000,000,000 environments need"),
-        (lambda: small_training(rollout=10**9), r"rollouts of 4,000,000,004 samples need .* GB"),
+        (lambda: small_training(num_envs=10**9), "1,000,000,000 environments need"),
+        (lambda: small_training(num_steps=10**9), r"rollouts of 4,000,000,004 samples need .* GB"),
         (lambda: small_training(width=10**6), r"weights and rollouts .* need .* GB of memory; the"),
         (lambda: small_training(width=2**31 - 1), "too many weights for any memory|weights and"),
         (
@@ -114,7 +117,7 @@ def begun(count):
 
 
 def small_training(**change):
-    sizes = {"environments": 4, "rollout": 4, "minibatches": 1, "variant": "corner-small"} | change
+    sizes = {"num_envs": 4, "num_steps": 4, "minibatches": 1, "variant": "corner-small"} | change
     Trainer(replace(PRESETS["small"], **sizes))
 
 
@@ -143,10 +146,10 @@ def test_numbers_of_levels_are_integers_that_are_levels(take, levels):
     "options, message",
     [
         ({"levels": [1, 2]}, "unknown option 'levels'; there are: level, state, reset_mask"),
-        ({"level": 1.0}, "levels are integers; given 1.0"),
+        ({"level": 1.0}, "levels must be integers; got 1.0"),
         ({"level": [1, True]}, "levels are integers"),
-        ({"level": True}, "levels are integers; given True"),
-        ({"level": "1"}, "levels are integers; given '1'"),
+        ({"level": True}, "levels must be integers; got True"),
+        ({"level": "1"}, "levels must be integers; got '1'"),
         ({"level": 1, "state": small().get_state()}, "by a level or by a state, not both"),
     ],
 )
@@ -201,7 +204,7 @@ def test_a_count_is_a_whole_number_from_1_on(take, count):
     ],
 )
 def test_a_level_is_edited_by_whole_cells(edit):
-    with pytest.raises(ValueError, match="a cell is two integers, x and y; given"):
+    with pytest.raises(ValueError, match="a cell must be two integers, x and y; got"):
         edit(drawn())
 
 

@@ -14,11 +14,11 @@ from astray.envs import register as register
 
 if TYPE_CHECKING:
     from astray.analysis.adapters import Function as Function
+    from astray.analysis.estimates import Estimate as Estimate
     from astray.analysis.evaluate import evaluate as evaluate
     from astray.analysis.runs import evaluate_policies as evaluate_policies
     from astray.analysis.runs import evaluate_runs as evaluate_runs
     from astray.analysis.runs import load_agent as load_agent
-    from astray.analysis.statistics import Estimate as Estimate
     from astray.envs.single import GameEnv as GameEnv
     from astray.envs.vector import GameVectorEnv as GameVectorEnv
     from astray.experiments.run import reproduce as reproduce
@@ -33,7 +33,7 @@ __version__ = version("astray")
 # Where each is: imported when it is first asked for, as torch alone takes a second.
 FACE = {
     "Config": "astray.training.config:Config",
-    "Estimate": "astray.analysis.statistics:Estimate",
+    "Estimate": "astray.analysis.estimates:Estimate",
     "evaluate": "astray.analysis.evaluate:evaluate",
     "evaluate_policies": "astray.analysis.runs:evaluate_policies",
     "evaluate_runs": "astray.analysis.runs:evaluate_runs",

@@ -114,10 +114,10 @@ class Level:
         if not (
             isinstance(agent, list | tuple) and len(agent) == 2 and all(map(_is_number, agent))
         ):
-            raise ValueError(f"the agent is at two numbers, x and y; given {shown(agent)}")
+            raise ValueError(f"the agent must be at two numbers, x and y; got {shown(agent)}")
         looks = data.get("looks", {})
         if not isinstance(looks, Mapping):
-            raise ValueError(f"a level's looks are an object; given {shown(looks)}")
+            raise ValueError(f"a level's looks must be an object; got {shown(looks)}")
         level = Level(game, variant, cells, _cell(agent), looks)
         told = game.editing.describe(level.state(solvable=False))
         rest = {k: v for k, v in data.items() if k not in ("game", "variant", "level", "looks")}
@@ -246,7 +246,7 @@ def _cell(place: Any) -> Cell:
 def _whole(place: Any) -> Cell:
     """`place` as a cell; ValueError where it is not two integers."""
     if not np.shape(place) == (2,) or np.asarray(place).dtype.kind not in "iu":
-        raise ValueError(f"a cell is two integers, x and y; given {shown(place)}")
+        raise ValueError(f"a cell must be two integers, x and y; got {shown(place)}")
     x, y = place
     return int(x), int(y)
 

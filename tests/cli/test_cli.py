@@ -12,7 +12,7 @@ import pytest
 
 from astray import games
 
-TINY = ["--steps", "512", "--environments", "16", "--rollout", "16", "--minibatches", "4"]
+TINY = ["--steps", "512", "--num-envs", "16", "--num-steps", "16", "--minibatches", "4"]
 TINY += ["--width", "16", "--checkpoint-every", "1"]
 
 
@@ -142,7 +142,7 @@ def test_an_evaluation_that_finds_no_room_leaves_nothing(run_folder, tmp_path):
         ("level maze corner --numbers 0:2000000000", "at most 10000000 are taken at once"),
         ("level maze corner --set region=5", "need placement 'region'"),
         ("train maze corner --seeds 0", "seeds must be an integer from 1 to 268435456; got 0"),
-        ("level maze corner --set region", "a knob is set as NAME=VALUE; given 'region'"),
+        ("level maze corner --set region", "a knob must be set as NAME=VALUE; got 'region'"),
         ("level maze corner --set squid=5", "unknown knob 'squid'; there are: time_limit"),
         ("level maze corner --set region=5.5", "region must be of type int; got 5.5"),
         ("reproduce maze-cornr", "unknown experiment 'maze-cornr'; there are: agency, "),

@@ -102,7 +102,7 @@ def test_what_is_no_state_is_refused(game, variant, tmp_path):
     env = played(game, variant)
     states, path = env.get_state(), tmp_path / "states.npz"
     for wrong in (states[:2], states.view(np.uint8), np.zeros(4), None, "states"):
-        with pytest.raises(ValueError, match="are needed; given"):
+        with pytest.raises(ValueError, match="or one; got"):
             env.set_state(wrong)
     for field, value in (("time", -1), ("time", 16), ("time_limit", 0), ("turn", -1),
                          ("level", -2), ("level", 2**31 - 1), ("mt_next", 624)):  # fmt: skip

@@ -7,10 +7,10 @@ import numpy as np
 import polars as pl
 import pytest
 
-from astray import experiments
-from astray.experiments import insight, run
-from astray.experiments.catalogue import choice, retargeting
-from astray.experiments.insight import of_levels, within
+from astray.estimate import Estimate
+from astray.experiments import catalogue, run
+from astray.experiments.studies.insight import choice, retargeting
+from astray.experiments.studies.insight._plans import of_levels, within
 from astray.insight.retarget import AS_IS, MOVED
 
 LEVELS = {"cheese-vector": 12, "retargeting": 34, "decodable": 24, "choice": 1500}
@@ -18,11 +18,11 @@ LEVELS = {"cheese-vector": 12, "retargeting": 34, "decodable": 24, "choice": 150
 
 @pytest.mark.parametrize("name", LEVELS)
 def test_studies_of_kept_agents_run_in_miniature(name, tmp_path):
-    whole = experiments.load(name)
+    whole = catalogue.load(name)
     small = replace(whole, sizes={"smoke": replace(whole.sizes["smoke"], levels=LEVELS[name])})
     page = run.reproduce(small, "smoke", tmp_path)
     found = json.loads((page.parent / "findings.json").read_text())
-    claims = found["verdicts"]
+    claims = found["claims"]
     assert claims and all("holds where the interval is" in one["ours"] for one in claims)
     assert "nan" not in found["answer"], found["answer"]
     figures = {path.stem for path in (page.parent / "figures").iterdir()}
@@ -40,7 +40,7 @@ def test_a_claim_holds_only_where_its_whole_interval_does():
 
 
 def estimate(low, high):
-    return insight.Estimate((low + high) / 2, low, high, 1, 10)
+    return Estimate((low + high) / 2, low, high, 1, 10, 10)
 
 
 def test_differences_are_of_the_same_levels():

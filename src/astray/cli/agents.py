@@ -231,7 +231,7 @@ def agency(
             which most steps tell the goals apart
         json: print JSON
     """
-    from astray.analysis.agency_run import judge_run
+    from astray.analysis.agency import judge_run
 
     if out:
         see_writable(out / EPISODES)

@@ -13,6 +13,7 @@ from astray import games
 from astray.analysis import kept
 from astray.bounds import bounded
 from astray.cli.arguments import print_json, show
+from astray.experiments import catalogue
 from astray.experiments.spec import Size
 from astray.experiments.workers import Place
 from astray.game import OWN
@@ -29,7 +30,6 @@ def list_(json: bool = False) -> None:
     Args:
         json: print JSON
     """
-    from astray import experiments
 
     found = {
         "games": {
@@ -42,7 +42,7 @@ def list_(json: bool = False) -> None:
             for name in games.names()
             for game in [games.find(name)]
         },
-        "experiments": {name: experiments.load(name).title for name in experiments.NAMES},
+        "experiments": {name: catalogue.load(name).title for name in catalogue.NAMES},
         "agents": {name: _agent(name) for name in (*kept.names(), *kept.imported())},
         "presets": list(PRESETS),
     }

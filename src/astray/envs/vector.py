@@ -182,7 +182,7 @@ class GameVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         if "reset_mask" in options:
             which = np.array(options["reset_mask"])
             if which.shape != (self.num_envs,) or which.dtype != bool:
-                raise ValueError(f"reset_mask is {self.num_envs} booleans; given {which}")
+                raise ValueError(f"reset_mask must be {self.num_envs} booleans; got {which}")
         if not self._seeded and not which.all():
             raise ValueError("the first reset is of all environments")
         chosen = np.full(self.num_envs, NEXT_LEVEL)
@@ -198,7 +198,7 @@ class GameVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
             chosen[:] = integers(level, "levels")
             wrong = chosen[which & ((chosen < LEVELS.start) | (chosen >= LEVELS.stop))]
             if wrong.size:
-                raise ValueError(f"level is {wrong[0]}; it is from 0 to {LEVELS.stop - 1}")
+                raise ValueError(f"level must be from 0 to {LEVELS.stop - 1}; got {wrong[0]}")
         if seed is None and not self._seeded:
             seed = int(self.np_random.integers(2**62))
         if seed is not None:
@@ -240,7 +240,7 @@ class GameVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         if actions.shape != (n,) or not self._run(
             self._steps, out, actions, reward, terminated, truncated
         ):
-            raise ValueError(f"actions are {n} integers from 0 to {largest}; given {actions}")
+            raise ValueError(f"actions must be {n} integers from 0 to {largest}; got {actions}")
 
         info: Info = {}
         ended = terminated | truncated
@@ -274,7 +274,7 @@ class GameVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         given = np.asarray(states if isinstance(states, np.ndarray | np.void) else None)
         if given.dtype != self.game.state or given.shape not in ((), (1,), (self.num_envs,)):
             raise ValueError(
-                f"{self.num_envs} states of {self.game.name}, or one, are needed; given "
+                f"states must be {self.num_envs} of {self.game.name}, or one; got "
                 f"{given.dtype.names and len(given.dtype.names)} fields of shape {given.shape}"
             )
         given = np.broadcast_to(given, self.num_envs)[which]
@@ -349,7 +349,7 @@ def _checked(levels: Any) -> tuple[int, int, np.ndarray]:
         return 0, 1, level_numbers(levels)
     if not levels or levels.start < LEVELS.start or levels.stop > LEVELS.stop:
         raise ValueError(
-            f"levels are {levels}; they are numbers from 0 to {LEVELS.stop - 1}, at least one"
+            f"levels must be numbers from 0 to {LEVELS.stop - 1}, at least one; got {levels}"
         )
     return levels.start, len(levels), NUMBERS
 

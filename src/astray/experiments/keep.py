@@ -14,12 +14,12 @@ import numpy as np
 import polars as pl
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
-from astray import experiments
 from astray.analysis import video
 from astray.analysis.kept import KEPT
 from astray.analysis.outcomes import OUTCOMES, load_shift
 from astray.analysis.policies import Agent
 from astray.analysis.runs import evaluate_runs, open_run, shift_of
+from astray.experiments import catalogue
 from astray.experiments.outcomes import AGENTS
 from astray.files import folder_aside, write_aside
 from astray.game import Shift
@@ -40,7 +40,7 @@ def keep(
     levels  that it is evaluated on, the first that its training does not draw from
     """
     if not re.fullmatch(r"[a-z0-9]+(-[a-z0-9]+)*", name):
-        raise ValueError(f"an agent's name is of a-z, 0-9 and -, as maze-corner; given {name!r}")
+        raise ValueError(f"an agent's name must be of a-z, 0-9 and -, as maze-corner; got {name!r}")
     if (folder / name).exists():
         raise ValueError(f"there is an agent {name!r} in {folder} already")
     agent, config = open_run(run)
@@ -132,8 +132,8 @@ def commands(config: Config) -> list[str]:
     """The commands that train the agent of these settings."""
     return [
         f"astray reproduce {name} --size {size}"
-        for name in experiments.NAMES
-        for size, plan in experiments.load(name).sizes.items()
+        for name in catalogue.NAMES
+        for size, plan in catalogue.load(name).sizes.items()
         if any(config in configs for configs in plan.trainings().values())
     ]
 

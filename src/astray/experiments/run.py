@@ -2,26 +2,23 @@
 
 from __future__ import annotations
 
-import functools
 import hashlib
 import json
 from dataclasses import asdict
 from pathlib import Path
 
-import numpy as np
 import polars as pl
 import torch
 
-from astray import experiments
 from astray.analysis import kept
-from astray.analysis.overlap import met, unseen
 from astray.analysis.runs import open_run, play_all
-from astray.experiments import report
-from astray.experiments.spec import COMPUTED, PUBLISHED, Experiment, Plan, Runs, Size, Test, Work
+from astray.experiments import catalogue, report
+from astray.experiments.levels import levels_of
+from astray.experiments.spec import COMPUTED, PUBLISHED, Experiment, Plan, Runs, Size, Work
 from astray.experiments.spec import kept as kept_table
 from astray.experiments.workers import Place, train_all
 from astray.files import hold, read, write_aside
-from astray.game import OWN, Game, Variant
+from astray.game import OWN
 from astray.kernel.jit import source_digest
 from astray.training import checkpoint
 from astray.training.config import Config
@@ -44,14 +41,14 @@ def reproduce(
 ) -> Path:
     """Do what is missing of an experiment and write its report; the report's path.
 
-    experiment  of the catalogue, by name, or one of your own: see `experiments.find`
+    experiment  of the catalogue, by name, or one of your own: see `catalogue.find`
     root     gets the report, in <name>-<size>, and in `agents` the agents, which experiments share;
              on a cluster all nodes see it
     workers  agents trained at once here; None: one for each processor
     on       where agents are trained; they are evaluated here
     art      of all images; the report of another than our own is in <name>-<size>-<art>
     """
-    name, whole = experiments.find(experiment)
+    name, whole = catalogue.find(experiment)
     if not isinstance(size, str) or size not in whole.sizes:
         raise ValueError(f"unknown size {size!r} of {name}; there are: {', '.join(whole.sizes)}")
     torch.set_num_threads(1)  # several cost small networks more than they save
@@ -61,7 +58,7 @@ def reproduce(
     given = experiment if isinstance(experiment, str) else name
     heading = report.Heading(
         name=name, size=size, title=whole.title, reproduces=whole.reproduces,
-        question=whole.question, smaller=plan.smaller,
+        question=whole.question, differences=plan.differences,
         command=f"astray reproduce {given} --size {size}" + (f" --art {art}" if ending else ""),
     )  # fmt: skip
     with hold(folder, "works on"):
@@ -113,8 +110,8 @@ def reproduce_all(
     size: Size, root: Path, *, workers: int | None = None, on: Place = "here", art: str = OWN
 ) -> Path:
     """Every experiment that has this size, one after the other, and a page that leads to them."""
-    for name in experiments.NAMES:
-        if size in experiments.load(name).sizes:
+    for name in catalogue.NAMES:
+        if size in catalogue.load(name).sizes:
             reproduce(name, size, root, workers=workers, on=on, art=art)
             report.write_index(root)
     return report.write_index(root)
@@ -174,24 +171,3 @@ def play(plan: Plan, runs: Runs) -> pl.DataFrame:
         )  # fmt: skip
         parts.append(played.with_columns(test=pl.lit(name)))
     return pl.concat(parts).join(owners, on="run", how="left", maintain_order="left")
-
-
-def levels_of(plan: Plan, test: Test) -> np.ndarray:
-    """The numbers of a test's levels, which no agent of the plan has met under any number.
-
-    Published agents that were trained on all levels may have met some, of two thousand million;
-    these levels are as good as any.
-    """
-    if plan.published:
-        return np.array(plan.config.unseen_levels[: plan.levels])
-    trainings = tuple((c.training_variant(), c.training_levels) for c in plan.agents.values())
-    after = max((c.unseen_levels for c in plan.agents.values()), key=lambda left: left.start)
-    return unseen(
-        plan.game, met_in(plan.game, trainings), test.variant_for(plan.config), after, plan.levels
-    )
-
-
-@functools.lru_cache(maxsize=1)
-def met_in(game: Game, trainings: tuple[tuple[Variant, range], ...]) -> set[bytes]:
-    """`overlap.met`, once for all tests of a plan."""
-    return met(game, trainings)

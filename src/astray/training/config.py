@@ -13,14 +13,16 @@ from typing import Annotated, Any, Literal
 from tyro.conf import Positional, Suppress
 
 from astray import games, imports
-from astray.agents.policy import check_network
+from astray.agents.policy import check_network, renamed_network
 from astray.bounds import shown
 from astray.game import LEVELS, MOST, OWN, Game, Variant
 
+# Settings as older run folders have them, and what they are called now.
+RENAMED = {"environments": "num_envs", "rollout": "num_steps", "kernels": "fused_cpu"}
 MOST_STEPS = 10**15  # what the fastest machine does in a century
 SEEDS = 2**28  # every seed has streams of its own for training, validation, ...
 COUNTS = (
-    "levels", "steps", "environments", "rollout", "epochs", "minibatches", "scale", "width",
+    "levels", "steps", "num_envs", "num_steps", "epochs", "minibatches", "scale", "width",
     "validation_every", "checkpoint_every", "threads", "groups",
 )  # fmt: skip
 SHARES = ("gamma", "lam", "reward_gamma")
@@ -54,13 +56,13 @@ class Config:
 
     observation: Literal["image", "symbolic"] = "image"
     art: str = OWN  # that images are drawn with; "original" has to be imported: astray art import
-    network: str = "impala"  # or small, for symbols; or your own, module:Class
+    network: str = "impala"  # or mlp, for symbols; or your own, module:Class
     scale: int = 1  # of impala's channels; the paper's sweeps have 4
-    width: int = 64  # hidden units of the small network
+    width: int = 64  # hidden units of the mlp
 
     steps: int = 200_000_000  # environment steps, over all environments
-    environments: int = 256
-    rollout: int = 256  # steps of each environment between updates
+    num_envs: int = 256
+    num_steps: int = 256  # steps of each environment between updates
     epochs: int = 3  # passes over a rollout
     minibatches: int = 8  # per epoch: 256 x 256 / 8 = 8,192 samples
     gamma: float = 0.999
@@ -83,7 +85,7 @@ class Config:
     threads: int = 1  # that step environments; and, on a CPU, that torch uses
 
     # How it is computed; None is what suits the device, as `training.fast` resolves it.
-    kernels: bool | None = None  # of our own for the small network and the loss, on a CPU
+    fused_cpu: bool | None = None  # our own kernels for the mlp and the loss, on a CPU
     bfloat16: bool | None = None  # for the large products; weights and losses stay float32
     channels_last: bool | None = None  # the layout of impala's weights and activations
     compiled: bool | None = None  # by torch.compile, which fuses what is between the products
@@ -97,20 +99,20 @@ class Config:
             value = getattr(self, name)
             if value is not None and not low <= value <= high:
                 said = f"at least {low}" if high == inf else f"from {low} to {high}"
-                raise ValueError(f"{name} is {shown(value)}; it is {said}")
+                raise ValueError(f"{name} must be {said}; got {shown(value)}")
         if self.batch % self.minibatches:
             raise ValueError(
-                f"{self.environments} environments x {self.rollout} steps = {self.batch} samples "
+                f"{self.num_envs} environments x {self.num_steps} steps = {self.batch} samples "
                 f"are not divided by {self.minibatches} minibatches"
             )
-        if self.groups and self.environments % self.groups:
+        if self.groups and self.num_envs % self.groups:
             raise ValueError(
-                f"{self.environments} environments are not divided into {self.groups} groups"
+                f"{self.num_envs} environments are not divided into {self.groups} groups"
             )
         if self.training_levels.stop >= LEVELS.stop:
             raise ValueError(
-                f"training levels are {self.first_level} to {self.training_levels.stop - 1}; "
-                f"they are below {LEVELS.stop - 1}, and some are left for tests"
+                f"training levels must be below {LEVELS.stop - 1}, as some are left for tests; "
+                f"got {self.first_level} to {self.training_levels.stop - 1}"
             )
         check_network(self.network)
         if self.loss is not None and not imports.is_name(self.loss):
@@ -123,7 +125,7 @@ class Config:
     @property
     def batch(self) -> int:
         """Samples per iteration."""
-        return self.environments * self.rollout
+        return self.num_envs * self.num_steps
 
     @property
     def iterations(self) -> int:
@@ -175,9 +177,13 @@ class Config:
     @staticmethod
     def from_json(data: Any) -> Config:
         if not isinstance(data, dict):
-            raise ValueError(f"settings are an object; given {shown(data)}")
+            raise ValueError(f"settings must be an object; got {shown(data)}")
         known = [f.name for f in fields(Config)]
         values = {name: value for name, value in data.items() if name != "training_variant"}
+        for old, new in RENAMED.items():
+            if old in values:
+                values[new] = values.pop(old)
+        values["network"] = renamed_network(values.get("network", Config.network))
         unknown = [name for name in values if name not in known]
         if unknown:
             raise ValueError(f"this version has no setting {unknown[0]!r}; a later one may")
@@ -200,7 +206,7 @@ def _check(name: str, value: Any, kind: Any) -> None:
     if float in kinds:
         kinds.append(int)
     if type(value) not in kinds or (type(value) is float and not isfinite(value)):
-        raise ValueError(f"{name} is {shown(value)}; it is a {kinds[0].__name__}")
+        raise ValueError(f"{name} must be of type {kinds[0].__name__}; got {shown(value)}")
 
 
 PRESETS = {
@@ -210,10 +216,10 @@ PRESETS = {
     # than few large ones or convolutions.
     "small": Config(
         observation="symbolic",
-        network="small",
+        network="mlp",
         width=256,
         steps=5_500_000,
-        rollout=64,
+        num_steps=64,
         minibatches=16,
         gamma=0.98,
         entropy_weight=0.003,

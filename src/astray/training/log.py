@@ -41,10 +41,10 @@ def measured(line: str | bytes) -> dict[str, Any]:
     except (ValueError, RecursionError) as error:
         raise ValueError(f"it is no JSON: {error}") from error
     if not isinstance(data, dict) or type(data.get("steps")) is not int or data["steps"] < 0:
-        raise ValueError(f"it is an object with a number of steps; given {reprlib.repr(data)}")
+        raise ValueError(f"it must be an object with a number of steps; got {reprlib.repr(data)}")
     for name, value in data.items():
         if type(value) not in (int, float):
-            raise ValueError(f"{name} is {reprlib.repr(value)}; it is a number")
+            raise ValueError(f"{name} must be a number; got {reprlib.repr(value)}")
     return data
 
 

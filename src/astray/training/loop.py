@@ -143,11 +143,11 @@ def see_converging(trainer: Trainer) -> None:
 
 @torch.no_grad()
 def collect(trainer: Trainer) -> Samples:
-    """Play `config.rollout` steps of every environment with sampled actions, [T, N]."""
+    """Play `config.num_steps` steps of every environment with sampled actions, [T, N]."""
     if trainer.actor:
         return actor.collect(trainer.actor)
     config, player, network = trainer.config, trainer.player, trainer.fast.network
-    steps, n, device = config.rollout, len(player.images), config.device
+    steps, n, device = config.num_steps, len(player.images), config.device
     observation = torch.empty((steps, *player.images.shape), dtype=torch.uint8, device=device)
     action = torch.empty((steps, n), dtype=torch.int64, device=device)
     log_probability = torch.empty((steps, n), device=device)
@@ -176,8 +176,8 @@ def validate(trainer: Trainer) -> None:
     if trainer.validator:
         return actor.validate(trainer.validator)
     assert trainer.validation
-    player, noise = trainer.validation, trainer.validation.noise(trainer.config.rollout)
-    for t in range(trainer.config.rollout):
+    player, noise = trainer.validation, trainer.validation.noise(trainer.config.num_steps)
+    for t in range(trainer.config.num_steps):
         logits, _ = trainer.fast.network(player.images.to(trainer.config.device))
         action, _ = ppo.sample(logits, noise[t])
         player.step(t, action.numpy(force=True))

@@ -25,7 +25,7 @@ class Player:
     """
 
     def __init__(self, config: Config, variant: Variant, levels: range, salt: int, groups: int):
-        self.here = parallel.share(config.environments)  # of all environments, this process's
+        self.here = parallel.share(config.num_envs)  # of all environments, this process's
         n = self.here.stop - self.here.start
         if n % groups:
             raise ValueError(f"{n} environments are not divided into {groups} groups")
@@ -39,7 +39,7 @@ class Player:
             for group in self.groups
         ]  # fmt: skip
         self.game, self.space = self.envs[0].game, self.envs[0].single_observation_space
-        self.environments, self.actions = config.environments, len(self.game.actions)
+        self.num_envs, self.actions = config.num_envs, len(self.game.actions)
         # What the environments show now; a GPU reads pinned memory while the processor goes on.
         self.images = torch.empty(
             (n, *self.space.shape),  # pyright: ignore
@@ -51,7 +51,7 @@ class Player:
             self.images[group] = torch.from_numpy(env.reset(seed=seed + group.start)[0])
         self.device = config.device
         self.generator = torch.Generator(config.device).manual_seed(config.seed * 16 + salt)
-        self.normaliser = RewardNormaliser(config.environments, config.reward_gamma)
+        self.normaliser = RewardNormaliser(config.num_envs, config.reward_gamma)
         self.running_return = np.zeros(n)
         self.events = self.game.events
         self.recent: deque[list[float]] = deque(maxlen=RECENT)  # return, length, events' happening
@@ -62,7 +62,7 @@ class Player:
 
         All at once, and of all processes, so that it depends neither on groups nor on processes.
         """
-        shape = (steps, self.environments, self.actions)
+        shape = (steps, self.num_envs, self.actions)
         return torch.rand(shape, generator=self.generator, device=self.device)[:, self.here]
 
     def step(

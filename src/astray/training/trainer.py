@@ -73,7 +73,7 @@ class Trainer:
         self.fast = acceleration.accelerate(self.network, what, config, self.architecture)
         self.actor = self.validator = None  # where `loop` plays itself
         if self.fast.using.of_playing:
-            self.actor = Actor(self.fast, self.player, config, config.rollout)
+            self.actor = Actor(self.fast, self.player, config, config.num_steps)
             if self.validation:
                 self.validator = Actor(self.fast, self.validation, config, 1)
         self._captured: Captured | None = None
@@ -95,7 +95,7 @@ class Trainer:
                 f"a network of width {config.width} and scale {config.scale} has too many weights "
                 "for any memory"
             ) from error
-        samples = (config.rollout + 1) * len(self.player.images)
+        samples = (config.num_steps + 1) * len(self.player.images)
         if config.device == "cpu":
             check_memory(
                 PER_WEIGHT * count + samples * (shown + PER_SAMPLE),
@@ -160,13 +160,13 @@ class Trainer:
                 shape[0] = min(len(given) if given.ndim else 0, RECENT)
             if given.dtype != like.dtype or list(given.shape) != shape:
                 raise ValueError(
-                    f"{name} is {given.dtype} {list(given.shape)}; it is {like.dtype} {shape}"
+                    f"{name} must be {like.dtype} {shape}; got {given.dtype} {list(given.shape)}"
                 )
             if given.is_floating_point() and not given.isfinite().all():
                 raise ValueError(f"{name} has numbers that are not finite")
         steps = int(tensors["steps"])
         if steps < 0 or steps % self.config.batch:
-            raise ValueError(f"steps is {steps}; it is so many times {self.config.batch}")
+            raise ValueError(f"steps must be a multiple of {self.config.batch}; got {steps}")
 
     def restore(self, tensors: dict[str, Tensor]) -> None:
         """Go on from what `tensors` returned; the weights are loaded apart."""

@@ -43,17 +43,17 @@ class Maze(Variant):
     def __post_init__(self) -> None:
         super().__post_init__()
         if not 3 <= self.world <= LARGEST:
-            raise ValueError(f"world is {self.world} cells a side; it is from 3 to {LARGEST}")
+            raise ValueError(f"world must be from 3 to {LARGEST}; got {self.world} cells a side")
         sizes = (self.smallest, self.largest)
         if not 3 <= sizes[0] <= sizes[1] <= self.world or not sizes[0] % 2 == sizes[1] % 2 == 1:
             raise ValueError(
-                f"smallest and largest are {sizes}; they are odd, from 3 to the world's "
-                f"{self.world} cells, and smallest is not above largest"
+                f"smallest and largest must be odd, in order, and from 3 to the world's "
+                f"{self.world} cells; got {sizes}"
             )
         if (self.world - self.smallest) % 2:
-            raise ValueError(f"world is {self.world} cells a side; it is odd, as the mazes are")
+            raise ValueError(f"world must be odd, as the mazes are; got {self.world} cells a side")
         if not 0 <= self.window <= 2 * self.world:
-            raise ValueError(f"window is {self.window} cells; it is from 0 to {2 * self.world}")
+            raise ValueError(f"window must be from 0 to {2 * self.world}; got {self.window} cells")
         if self.placement != "region" and (self.region != 1 or self.strict):
             raise ValueError(f"region and strict need placement 'region'; it is {self.placement!r}")
         if isinstance(self.shifted, Maze) and (self.world, self.window) != (
@@ -62,11 +62,11 @@ class Maze(Variant):
         ):
             raise ValueError("the shifted variant has another world or window: it looks different")
         if self.region < 1:
-            raise ValueError(f"region is {self.region} cells a side; it is at least 1")
+            raise ValueError(f"region must be at least 1; got {self.region} cells a side")
         if not AS_NUMBERED <= self.background < FLOORS:
             raise ValueError(
-                f"background is {self.background}; it is from 0 to {FLOORS - 1}, "
-                f"or {AS_NUMBERED} for what the level's number decides"
+                f"background must be from 0 to {FLOORS - 1}, or {AS_NUMBERED} for what the "
+                f"level's number decides; got {self.background}"
             )
         for name in ("goal", "other"):
             shape, colour = getattr(self, f"{name}_shape"), getattr(self, f"{name}_colour")
