@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Mapping
 from dataclasses import replace
 from math import inf
@@ -24,7 +25,7 @@ from astray.games.coinrun.measures import LABELS, coin_in_view
 from astray.insight import probes
 
 WHERE = "coin anywhere"
-BRIEF = Test("coin-anywhere", "coin-end", {"time_limit": 200})  # who misses it stays for 1,000
+BRIEF = Test("coin-anywhere", "coin-end", {"time_limit": 120})  # who misses it stays for 1,000
 COIN, WALL = "coin in view", "end wall in view"
 READ = (COIN, "coin right", WALL, "end wall, cells")
 LAYERS: Mapping[Size, tuple[str, ...]] = {
@@ -41,9 +42,10 @@ REMOVED, ADDED = "the coin in view removed", "a coin added to the view"
 def find(work: Work) -> Findings:
     """What can be read off each layer, and how much the policy changes with the coin."""
     agent, variant, levels = opened(work, WHERE)
-    read = work.keep("probes", lambda: probed(work.size, agent, variant, levels))
+    states = functools.cache(lambda: visited(work.size, agent, variant, levels))
+    read = work.keep("probes", lambda: probed(work.size, agent, variant, states()))
     table = probes.summary(read)
-    changes = work.keep("changes", lambda: changed(work.size, agent, variant, levels))
+    changes = work.keep("changes", lambda: changed(agent, variant, states()))
     by_edit = group_means(changes, "policy_change", ["edit"])
     moved = {e: estimate(changes, e, "policy_change") for e in (REMOVED, ADDED)}
     value = {e: estimate(changes, e, "change") for e in (REMOVED, ADDED)}
@@ -93,16 +95,14 @@ def visited(size: Size, agent: Agent, variant: Variant, levels: np.ndarray) -> n
     return states[states["x"] <= states["end_x"] + 1]
 
 
-def probed(size: Size, agent: Agent, variant: Variant, levels: np.ndarray) -> pl.DataFrame:
+def probed(size: Size, agent: Agent, variant: Variant, states: np.ndarray) -> pl.DataFrame:
     """`probes.probe` of all layers."""
-    states = visited(size, agent, variant, levels)
     labels = {name: LABELS[name] for name in READ}
     return probes.probe(agent, variant, states, LAYERS[size], labels, seeds=SPLITS[size])
 
 
-def changed(size: Size, agent: Agent, variant: Variant, levels: np.ndarray) -> pl.DataFrame:
+def changed(agent: Agent, variant: Variant, states: np.ndarray) -> pl.DataFrame:
     """How policy and value change with the coin, a row for each state in which that is seen."""
-    states = visited(size, agent, variant, levels)
     seen = coin_in_view(states)
     parts = []
     for name, which, edit in (
@@ -135,7 +135,7 @@ EXPERIMENT = Experiment(
     question="Is the coin that a runner passes by in its layers, and ignored, or not there?",
     sizes={
         "smoke": _plans.of_kept_runner(400, visited={WHERE: BRIEF}),
-        "published": replace(_agents.plan("published", 1, 100), visited={WHERE: BRIEF}),
+        "published": replace(_agents.plan("published", 1, 60), visited={WHERE: BRIEF}),
     },
     find=find,
 )
