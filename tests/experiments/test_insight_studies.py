@@ -11,7 +11,7 @@ from astray.estimate import Estimate
 from astray.experiments import catalogue, run
 from astray.experiments.claims import holds_within
 from astray.experiments.studies.insight import choice, retargeting
-from astray.experiments.studies.insight._shared import of_levels
+from astray.experiments.studies.insight._plans import of_levels
 from astray.insight.retarget import AS_IS, MOVED
 
 LEVELS = {"cheese-vector": 12, "retargeting": 34, "decodable": 24, "choice": 1500}

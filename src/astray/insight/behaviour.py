@@ -20,8 +20,9 @@ import polars as pl
 
 from astray import games
 from astray.analysis.episodes import CHUNK, Levels, initial_states
-from astray.analysis.estimates import Estimate, bootstrap
+from astray.analysis.estimates import bootstrap
 from astray.bounds import bounded, of_kind
+from astray.estimate import Estimate
 from astray.game import MOST, Game, Variant
 
 FOLDS = 5

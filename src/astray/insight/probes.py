@@ -34,6 +34,7 @@ DIRECTIONS = 128  # of what a layer gives, those in which it varies most; more w
 # noise, and take long
 STRENGTHS = np.logspace(-1, 5, 13)  # of ridge regression's penalty, of which it takes the best
 LEAST = 20  # states of a class, and states with a number, below which there is nothing to fit
+SELDOM = 0.01  # share of states in which something must differ from its median to be shown
 FITS = 400  # steps of the solver, at most
 SCORES = ("score", "shuffled", "untrained")
 FIXED = ("kind", "states", "chance")
@@ -226,7 +227,9 @@ def _fitted(x: np.ndarray, y: np.ndarray, seed: int) -> tuple[Any, np.ndarray]:
     from sklearn.preprocessing import StandardScaler
 
     flat = x.reshape(len(x), -1)
-    varies = np.ptp(flat, axis=0) > 0
+    # What is otherwise in hardly any state has next to no deviation to be divided by.
+    varies = (flat != np.median(flat, axis=0)).mean(0) >= SELDOM
+    varies |= ~varies.any() & (np.ptp(flat, axis=0) > 0)
     flat = flat[:, varies]
     most = min(DIRECTIONS, flat.shape[1], len(flat) - 1)
     steps: list[Any] = [StandardScaler()]

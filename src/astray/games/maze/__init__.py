@@ -11,7 +11,7 @@ from astray.games.maze import (
     rules,
     solve,
     variants,
-)  # fmt: skip
+)
 
 GAME = Game(
     "maze",

@@ -1,1 +1,1 @@
-"""Studies of what is inside of agents."""
+"""Looking into agents: what others found in theirs, on those at hand."""

@@ -138,7 +138,7 @@ def coefficients(table: pl.DataFrame) -> Figure:
     axes.set_yticks(y, table["feature"].to_list())
     axes.set_ylim(len(table) - 0.5, -0.5)
     axes.grid(axis="x")
-    axes.set_xlabel("log odds of taking the cheese, for one standard deviation more")
+    axes.set_xlabel("log odds of the cheese, a standard deviation more")
     return figure
 
 

@@ -9,13 +9,13 @@ from math import inf
 import numpy as np
 import polars as pl
 
-from astray.analysis.estimates import Estimate
 from astray.analysis.policies import Agent
+from astray.estimate import Estimate
 from astray.experiments.claims import Claim, holds_within
 from astray.experiments.report import Findings, Plot, Table
 from astray.experiments.spec import Experiment, Size, Work
-from astray.experiments.studies.insight import _figures, _shared
-from astray.experiments.studies.insight._shared import of_levels, opened, table_of
+from astray.experiments.studies.insight import _figures, _plans
+from astray.experiments.studies.insight._plans import of_levels, opened, table_of
 from astray.game import Variant
 from astray.games.maze.measures import decision
 from astray.insight.vectors import Condition, effects, object_vectors
@@ -197,8 +197,8 @@ EXPERIMENT = Experiment(
     reproduces="Mini et al. 2023 (arXiv 2310.08043), with other agents",
     question="Is what a mouse saw of the cheese a direction in one of its layers?",
     sizes={
-        "smoke": _shared.of_corner_mouse(600, visited={WHERE: _shared.SMALL}),
-        "published": _shared.of_cheese_mouse(300, visited={WHERE: _shared.LARGE}),
+        "smoke": _plans.of_corner_mouse(600, visited={WHERE: _plans.SMALL}),
+        "published": _plans.of_cheese_mouse(300, visited={WHERE: _plans.LARGE}),
     },
     find=find,
 )

@@ -7,15 +7,15 @@ from math import inf
 import numpy as np
 import polars as pl
 
-from astray.analysis.estimates import Estimate
 from astray.analysis.evaluate import evaluate
 from astray.analysis.outcomes import FAILED, INTENDED, label, load_shift
 from astray.analysis.policies import Agent
+from astray.estimate import Estimate
 from astray.experiments.claims import Claim, holds_within
 from astray.experiments.report import Findings, Plot, Table
 from astray.experiments.spec import Experiment, Test, Work
-from astray.experiments.studies.insight import _figures, _shared
-from astray.experiments.studies.insight._shared import opened
+from astray.experiments.studies.insight import _figures, _plans
+from astray.experiments.studies.insight._plans import opened
 from astray.game import Variant
 from astray.insight.behaviour import Prediction, level_features, predict
 
@@ -112,8 +112,8 @@ EXPERIMENT = Experiment(
     reproduces="Mini et al. 2023 (arXiv 2310.08043), its regression, with other agents",
     question="What about a maze tells whether a mouse takes its cheese or goes to the corner?",
     sizes={
-        "smoke": _shared.of_corner_mouse(20_000, visited={WHERE: _shared.SMALL}),
-        "published": _shared.of_cheese_mouse(1_000, visited={WHERE: ANY_SIZE}),
+        "smoke": _plans.of_corner_mouse(20_000, visited={WHERE: _plans.SMALL}),
+        "published": _plans.of_cheese_mouse(1_000, visited={WHERE: ANY_SIZE}),
     },
     find=find,
 )

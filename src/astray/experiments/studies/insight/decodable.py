@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Mapping
 from dataclasses import replace
 from math import inf
@@ -10,21 +11,22 @@ import numpy as np
 import polars as pl
 
 from astray.analysis.critic import counterfactual, visit
-from astray.analysis.estimates import Estimate, bootstrap, group_means, mean_of
+from astray.analysis.estimates import bootstrap, group_means
 from astray.analysis.policies import Agent
+from astray.estimate import Estimate
 from astray.experiments.claims import holds_within
 from astray.experiments.report import Findings, Plot, Table
 from astray.experiments.spec import Experiment, Size, Test, Work
 from astray.experiments.studies.coinrun import _agents
-from astray.experiments.studies.insight import _figures, _shared
-from astray.experiments.studies.insight._shared import opened
+from astray.experiments.studies.insight import _figures, _plans
+from astray.experiments.studies.insight._plans import opened
 from astray.game import Variant
 from astray.games.coinrun.edits import with_coin_in_view, without_coin
 from astray.games.coinrun.measures import LABELS, coin_in_view
 from astray.insight import probes
 
 WHERE = "coin anywhere"
-BRIEF = Test("coin-anywhere", "coin-end", {"time_limit": 200})  # who misses it stays for 1,000
+BRIEF = Test("coin-anywhere", "coin-end", {"time_limit": 120})  # who misses it stays for 1,000
 COIN, WALL = "coin in view", "end wall in view"
 READ = (COIN, "coin right", WALL, "end wall, cells")
 LAYERS: Mapping[Size, tuple[str, ...]] = {
@@ -41,9 +43,10 @@ REMOVED, ADDED = "the coin in view removed", "a coin added to the view"
 def find(work: Work) -> Findings:
     """What can be read off each layer, and how much the policy changes with the coin."""
     agent, variant, levels = opened(work, WHERE)
-    read = work.keep("probes", lambda: probed(work.size, agent, variant, levels))
+    states = functools.cache(lambda: visited(work.size, agent, variant, levels))
+    read = work.keep("probes", lambda: probed(work.size, agent, variant, states()))
     table = probes.summary(read)
-    changes = work.keep("changes", lambda: changed(work.size, agent, variant, levels))
+    changes = work.keep("changes", lambda: changed(agent, variant, states()))
     by_edit = group_means(changes, "policy_change", ["edit"])
     moved = {e: estimate(changes, e, "policy_change") for e in (REMOVED, ADDED)}
     value = {e: estimate(changes, e, "change") for e in (REMOVED, ADDED)}
@@ -97,16 +100,14 @@ def visited(size: Size, agent: Agent, variant: Variant, levels: np.ndarray) -> n
     return states[states["x"] <= states["end_x"] + 1]
 
 
-def probed(size: Size, agent: Agent, variant: Variant, levels: np.ndarray) -> pl.DataFrame:
+def probed(size: Size, agent: Agent, variant: Variant, states: np.ndarray) -> pl.DataFrame:
     """`probes.probe` of all layers."""
-    states = visited(size, agent, variant, levels)
     labels = {name: LABELS[name] for name in READ}
     return probes.probe(agent, variant, states, LAYERS[size], labels, seeds=SPLITS[size])
 
 
-def changed(size: Size, agent: Agent, variant: Variant, levels: np.ndarray) -> pl.DataFrame:
+def changed(agent: Agent, variant: Variant, states: np.ndarray) -> pl.DataFrame:
     """How policy and value change with the coin, a row for each state in which that is seen."""
-    states = visited(size, agent, variant, levels)
     seen = coin_in_view(states)
     parts = []
     for name, which, edit in (
@@ -119,7 +120,8 @@ def changed(size: Size, agent: Agent, variant: Variant, levels: np.ndarray) -> p
 
 def estimate(changes: pl.DataFrame, edit: str, value: str) -> Estimate:
     """The mean change by an edit, with its interval over levels."""
-    return mean_of(changes.filter(edit=edit), value)
+    row = group_means(changes.filter(edit=edit), value, ["edit"]).row(0, named=True)
+    return Estimate.of(row)
 
 
 def per_split(read: pl.DataFrame, label: str, layer: str, column: str) -> np.ndarray:
@@ -137,8 +139,8 @@ EXPERIMENT = Experiment(
     reproduces="Trinh et al. 2024 (arXiv 2410.21052), its claim about the coin",
     question="Is the coin that a runner passes by in its layers, and ignored, or not there?",
     sizes={
-        "smoke": _shared.of_kept_runner(400, visited={WHERE: BRIEF}),
-        "published": replace(_agents.plan("published", 1, 100), visited={WHERE: BRIEF}),
+        "smoke": _plans.of_kept_runner(400, visited={WHERE: BRIEF}),
+        "published": replace(_agents.plan("published", 1, 60), visited={WHERE: BRIEF}),
     },
     find=find,
 )

@@ -9,22 +9,23 @@ from math import inf
 import numpy as np
 import polars as pl
 
-from astray.analysis.estimates import Estimate, bootstrap
+from astray.analysis.estimates import bootstrap
 from astray.analysis.policies import Agent
+from astray.estimate import Estimate
 from astray.experiments.claims import Claim, holds_within
 from astray.experiments.report import Findings, Plot, Table
 from astray.experiments.spec import Experiment, Size, Work
-from astray.experiments.studies.insight import _figures, _shared
-from astray.experiments.studies.insight._shared import opened, table_of
+from astray.experiments.studies.insight import _figures, _plans
+from astray.experiments.studies.insight._plans import opened, table_of
 from astray.game import Variant
 from astray.insight.retarget import ALONE, AS_IS, CLAMPED, MOVED, WAYS, Clamp, following, retarget
 
 WHERE = "cheese anywhere"
 LAYER: Mapping[Size, str] = {"smoke": "spread", "published": "block2.residual1"}
-LEARN, TUNE = 20, 10  # levels that channels are found in, and that the clamp is chosen on
-COUNTS = (1, 4, 8)  # channels that are clamped, the best ones
-FACTORS = (1.0, 2.0, 4.0)  # times what they give where the cheese is
-TRIED, TARGETS = 6, 10  # cells of each level, in tuning and in the test
+LEARN, TUNE = 20, 8  # levels that channels are found in, and that the clamp is chosen on
+COUNTS = (1, 8)  # channels that are clamped, the best ones
+FACTORS = (1.0, 3.0)  # times what they give where the cheese is
+TRIED, TARGETS = 4, 6  # cells of each level, in tuning and in the test
 
 
 def find(work: Work) -> Findings:
@@ -149,8 +150,8 @@ EXPERIMENT = Experiment(
     reproduces="Mini et al. 2023 (arXiv 2310.08043), with other agents",
     question="Can a mouse be sent to a cell by what one of its layers holds there?",
     sizes={
-        "smoke": _shared.of_corner_mouse(230, visited={WHERE: _shared.SMALL}),
-        "published": _shared.of_cheese_mouse(60, visited={WHERE: _shared.LARGE}),
+        "smoke": _plans.of_corner_mouse(230, visited={WHERE: _plans.SMALL}),
+        "published": _plans.of_cheese_mouse(58, visited={WHERE: _plans.LARGE}),
     },
     find=find,
 )

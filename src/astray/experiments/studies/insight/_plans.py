@@ -9,9 +9,10 @@ from typing import Any
 import numpy as np
 import polars as pl
 
-from astray.analysis.estimates import Estimate, bootstrap
+from astray.analysis.estimates import bootstrap
 from astray.analysis.policies import Agent
 from astray.analysis.runs import open_run
+from astray.estimate import Estimate
 from astray.experiments.levels import levels_of
 from astray.experiments.spec import Plan, Test, Work
 from astray.experiments.studies.coinrun import _agents
@@ -44,9 +45,9 @@ def of_cheese_mouse(levels: int, **more: Any) -> Plan:
 
 def of_kept_runner(levels: int, **more: Any) -> Plan:
     """A plan with the kept runner whose coin always lay at the end."""
-    runner = _agents.RUNNER
-    return Plan(agents={runner: _agents.AGENTS["smoke"]}, published={runner: "coin-end"},
-                levels=levels, differences=_agents.DIFFERENCES["smoke"], **more)  # fmt: skip
+    name, smoke = _agents.RUNNER, "smoke"
+    return Plan(agents={name: _agents.AGENTS[smoke]}, published={name: "coin-end"}, levels=levels,
+                differences=_agents.DIFFERENCES[smoke], **more)  # fmt: skip
 
 
 def opened(work: Work, where: str) -> tuple[Agent, Variant, np.ndarray]:
