@@ -7,12 +7,13 @@ import functools
 
 import tyro
 
-from astray.cli import agents, art, cache, experiments, levels, published
+from astray.cli import agents, art, cache, experiments, lab, levels, published
 from astray.training.config import PRESETS
 
 VERBS = {
     "list": experiments.list_,
     "play": levels.play,
+    "lab": lab.lab,
     "train": agents.train,
     "evaluate": agents.evaluate,
     "reproduce": experiments.reproduce,

@@ -16,7 +16,7 @@ from astray import games
 from astray.analysis.critic import judge
 from astray.bounds import brief
 from astray.envs.vector import picture
-from astray.game import Game
+from astray.game import Game, knobs
 from astray.lab import minds, pursuits
 from astray.lab.messages import Message, number_of, read
 from astray.lab.minds import Minds, rounded
@@ -111,7 +111,10 @@ def about_game(game: Game) -> Reply:
         "goals": dict(game.goals),
         "shifts": {name: vars(shift) for name, shift in game.shifts.items()},
         "variants": {name: variant.about for name, variant in game.variants.items()},
-        "windows": {name: vars(v).get("window", 0) for name, v in game.variants.items()},
+        "knobs": {
+            name: {knob: getattr(v, knob) for knob in knobs(type(v))}
+            for name, v in game.variants.items()
+        },
         "legend": legend,
         "objects": dict(game.editing.OBJECTS) if game.editing else {},
         "real_time": game.real_time,
