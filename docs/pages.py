@@ -230,7 +230,8 @@ def size_parts(plan: Plan) -> Iterator[str]:
     if plan.published:
         named = ", ".join(f"`{agent}`" for agent in plan.published.values())
         yield (
-            f"Nothing is trained. [Agents that others published](../published.md): {named}. "
+            f"Nothing is trained. Agents [that others published](../published.md) or that come "
+            f"with astray: {named}. "
             f"Levels of each test: {plan.levels:,}."
         )
     elif plan.agents:

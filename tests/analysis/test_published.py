@@ -289,7 +289,7 @@ def test_an_agent_of_a_test_variant_is_the_control_of_its_shift(game, variant, s
 
 def test_attribution_takes_the_clear_network(home, tmp_path, runner):
     pytest.importorskip("captum")
-    from astray.analysis import attribution
+    from astray.insight import attribution
 
     (tmp_path / "a.jd").write_bytes(runner)
     agent, _ = open_run(import_agent(tmp_path / "a.jd", "a", Known(art="own")))

@@ -7,7 +7,7 @@ import functools
 
 import tyro
 
-from astray.cli import agents, art, cache, experiments, lab, levels, published
+from astray.cli import agents, art, cache, experiments, insight, lab, levels, published
 from astray.training.config import PRESETS
 
 VERBS = {
@@ -23,6 +23,7 @@ VERBS = {
     "replay": levels.replay,
     "overlap": levels.overlap,
     "agency": agents.agency,
+    "explain": insight.explain,
     "art": art.art,
     "cache": cache.cache,
     "import": published.import_,

@@ -29,7 +29,7 @@ from astray.training.config import Config
 # The sources of what agents do, and of what is computed of it.
 COMPUTING = (
     "*.py", "kernel/*.py", "games/*/*.py", "envs/*.py", "agents/*.py", "agency/*.py",
-    "analysis/*.py", "experiments/**/*.py",
+    "analysis/*.py", "insight/*.py", "experiments/**/*.py",
 )  # fmt: skip
 
 
@@ -97,8 +97,11 @@ def train_agents(plan: Plan, root: Path, workers: int | None, on: Place) -> Runs
 
 
 def published_run(agent: str) -> Path:
-    """The run folder of a published agent; ValueError with what to do where it is not here."""
-    if agent not in kept.imported():
+    """The run folder of an agent that comes with astray, or that others published.
+
+    ValueError with what to do where it is not here.
+    """
+    if agent not in (*kept.names(), *kept.imported()):
         raise ValueError(
             f"the published agent {agent} is not here; to bring it: astray agents fetch {agent}, "
             f"and the pictures that it sees: astray art import"

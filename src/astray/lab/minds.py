@@ -15,6 +15,8 @@ from astray.analysis.critic import judge, observe
 from astray.analysis.policies import Agent
 from astray.analysis.runs import open_run, shift_of
 from astray.game import Game, Shift, Variant
+from astray.insight.activations import layers
+from astray.lab import steering
 from astray.lab.messages import Message
 from astray.lab.worlds import World
 from astray.training.config import Config
@@ -31,6 +33,7 @@ class Minds:
 
     paths: Mapping[str, Path]
     _opened: dict[str, tuple[Agent, Config]] = field(default_factory=dict)
+    _last: tuple[Any, Agent, Any] | None = None
 
     @classmethod
     def of(cls, runs: Mapping[str, Path]) -> Minds:
@@ -46,14 +49,29 @@ class Minds:
             self._opened[name] = open_run(self.paths[name])
         return self._opened[name]
 
-    def of_message(self, message: Message, game: Game) -> Agent:
-        """The agent that a message names, which plays `game`, with the message's mode and seed."""
+    def of_message(self, message: Message, world: World) -> Agent:
+        """The agent that a message names, which plays the world's game, as the message wants it.
+
+        Raises ValueError where there is none, or its layers cannot be changed so.
+        """
         agent, _ = self.open(message.agent)
+        game = world.game
         if agent.game != game.name:
             raise ValueError(f"the agent {message.agent!r} plays {agent.game}, not {game.name}")
-        agent = copy.copy(agent)
+        agent = copy.copy(self._steered(agent, message, world) if message.steering else agent)
         agent.mode, agent.seed = message.mode, agent.seed + message.seed
         return agent
+
+    def _steered(self, agent: Agent, message: Message, world: World) -> Agent:
+        """A copy of the agent whose layers are changed; the last one is remembered."""
+        key = (message.agent, repr(message.steering), world.key)
+        if self._last is None or self._last[0] != key:
+            other = copy.copy(agent)
+            other.network = copy.deepcopy(agent.network)
+            change = steering.change(other, world, message.steering)
+            change.__enter__()  # for as long as the copy is remembered
+            self._last = key, other, change
+        return self._last[1]
 
     def about(self, name: str) -> dict[str, Any]:
         """What a page is told of an agent."""
@@ -69,7 +87,8 @@ class Minds:
             "variants": [n for n, v in game.variants.items() if sees(agent, game, v)],
             "observation": agent.observation, "art": agent.art, "network": config.network,
             "knobs": dict(config.knobs), "steps": config.steps,
-            "gamma": config.gamma, "lam": config.lam,
+            "gamma": config.gamma, "lam": config.lam, "seed": agent.seed,
+            "layers": {name: list(shape) for name, shape in layers(agent).items()},
         }  # fmt: skip
 
 

@@ -15,7 +15,7 @@ from astray.agency.measure import CALIBRATED
 from astray.agency.online import Growth, measure_online
 from astray.analysis.agency import named_places
 from astray.analysis.episodes import steps
-from astray.analysis.policies import Agent, Walk
+from astray.analysis.policies import Agent
 from astray.game import NEVER, Game, Shift
 from astray.lab.messages import LONGEST
 from astray.lab.minds import rounded
@@ -127,28 +127,28 @@ def route(episode: Episode, goal: str) -> dict[str, Any]:
 
     Found by walking it: the cells, the first thing that is gone, and how many steps that took.
     """
-    world, walk = episode.world, Walk(goal)
+    world = episode.world
     env = environment(world)
-    s = episode.state.copy()
-    now = s["time"][0]
-    s["time"] = 0  # its time begins here, for the script that plans at a beginning
-    begun = episode.ended
-    seen = env.set_state(s)
+    env.set_state(episode.state)
+    policy = world.game.solver.expert(env.states[0], goal)
     before = _things(world, env.states[0])
     cells, takes, taken_at = [_cell(env.states[0])], None, None
-    while not begun and len(cells) <= LONGEST:
-        action = int(walk.actions(env, seen)[0])
-        seen, _, terminated, truncated, _ = env.step(np.array([action]))
+    while not env.states[0].ended and len(cells) <= LONGEST:
+        if env.states[0][world.game.goals[goal]] != NEVER or _stands(cells, world.game):
+            break
+        env.step(np.array([policy(env.states[0])]))
         cells.append(_cell(env.states[0]))
         gone = before - _things(world, env.states[0])
         if gone and takes is None:
             takes, taken_at = sorted(gone), len(cells) - 1
-        if terminated[0] or truncated[0] or env.states[0][world.game.goals[goal]] != NEVER:
-            break
-        if len(cells) > 3 and cells[-1] == cells[-2] == cells[-3] and not world.game.real_time:
-            break  # it stays where it is: the goal was reached, or cannot be
     env.close()
-    return {"cells": cells, "takes": takes, "steps": taken_at, "from": int(now)}
+    return {"cells": cells, "takes": takes, "steps": taken_at}
+
+
+def _stands(cells: list[list[float]], game: Game) -> bool:
+    """Whether a walk has come to where it stays: the goal was reached, or cannot be."""
+    patience = 40 if game.real_time else 2  # steps; to jump, a runner may stand and wait
+    return len(cells) > patience and all(cell == cells[-1] for cell in cells[-patience:])
 
 
 def _cell(s: Any) -> list[float]:

@@ -144,7 +144,7 @@ def level(session: Session, message: Message) -> Iterator[Reply]:
 def fields(session: Session, message: Message) -> Iterator[Reply]:
     """What the agent would do, and its value, at all places, in the state after the actions."""
     episode = session.episode(message)
-    agent = session.lab.minds.of_message(message, episode.world.game)
+    agent = session.lab.minds.of_message(message, episode.world)
     yield from minds.arrows(agent, episode.world, episode.state.view(np.recarray)[0])
 
 
@@ -155,7 +155,7 @@ def play(session: Session, message: Message) -> Iterator[Reply]:
     """
     episode = session.episode(message)
     world = episode.world
-    agent = session.lab.minds.of_message(message, world.game) if message.agent else None
+    agent = session.lab.minds.of_message(message, world) if message.agent else None
     yield _told(episode, 0, agent)
     if agent is None or not message.steps or episode.ended:
         return
@@ -200,7 +200,7 @@ def posterior(session: Session, message: Message) -> Iterator[Reply]:
 def splay(session: Session, message: Message) -> Iterator[Reply]:
     """Where the agent ends, for every place of a thing."""
     world = session.world(message)
-    agent = session.lab.minds.of_message(message, world.game)
+    agent = session.lab.minds.of_message(message, world)
     shift = _shift(session, message, world.game)
     yield from pursuits.splay(agent, world, message.thing, message.cell, shift, message.draws)
 
@@ -216,7 +216,7 @@ def _shift(session: Session, message: Message, game: Game) -> Any:
 
 def attribution(session: Session, message: Message) -> Iterator[Reply]:
     """What in the observation the value depends on, [C, H, W] or [H, W]."""
-    from astray.analysis import attribution as methods
+    from astray.insight import attribution as methods
 
     agent, observations = _seen(session, message)
     method: Callable[..., np.ndarray] = {
@@ -248,7 +248,7 @@ def _seen(session: Session, message: Message) -> tuple[Any, np.ndarray]:
     from astray.analysis.critic import observe
 
     episode = session.episode(message)
-    agent = session.lab.minds.of_message(message, episode.world.game)
+    agent = session.lab.minds.of_message(message, episode.world)
     return agent, observe(agent, episode.world.variant, episode.state)
 
 

@@ -8,7 +8,6 @@ from dataclasses import replace
 import numpy as np
 import polars as pl
 
-from astray.analysis import attribution
 from astray.analysis.critic import observe, visit
 from astray.analysis.policies import Agent
 from astray.analysis.runs import open_run
@@ -20,6 +19,7 @@ from astray.experiments.report import Findings, Plot, Table, Verdict
 from astray.experiments.run import levels_of
 from astray.experiments.spec import Experiment, Test, Work
 from astray.games.coinrun.edits import PARTS
+from astray.insight import attribution
 
 TESTS = {
     "in training": Test("coin-end", "coin-end"),

@@ -1,7 +1,7 @@
 """Maze: a mouse looks for its cheese; in training it lies in the upper right corner."""
 
 from astray.game import Benchmark, Game
-from astray.games.maze import draw, levels, original, rules, solve, variants
+from astray.games.maze import draw, levels, measures, original, rules, solve, variants
 
 GAME = Game(
     "maze",
@@ -17,4 +17,6 @@ GAME = Game(
     solver=solve,
     benchmark=Benchmark("anywhere", envpool="MazeHard-v0"),
     invariants=levels.invariants,
+    labels=measures.LABELS,
+    features=measures.features,
 )
