@@ -68,6 +68,7 @@ export class Stage {
   #draw() {
     const { lab } = this;
     const { left, low, rows } = this.#fit();
+    this.layers = {};
     const paint = this.canvas.getContext("2d");
     paint.setTransform(1, 0, 0, 1, 0, 0);
     paint.clearRect(0, 0, this.canvas.width, this.canvas.height);
@@ -113,8 +114,7 @@ export class Stage {
 
   #heat(brush) {
     const { lab } = this;
-    const layer = lab.part("heat").value;
-    this.layers = {};
+    const layer = lab.splay.size ? "none" : lab.part("heat").value;
     if (layer === "pursuit" && lab.pursuit) {
       const { cells, shares } = lab.pursuit;
       const row = shares[Math.min(lab.now, shares.length - 1)];

@@ -3,7 +3,7 @@
 import { themed } from "./colours.js";
 
 const EDGE = 8; // pixels around a chart
-const AXIS = 30; // pixels of the numbers at its left
+const AXIS = 36; // pixels of the numbers at its left
 
 // A canvas as sharp as the screen; its size in CSS pixels.
 export function fitted(canvas, height) {
@@ -126,9 +126,11 @@ export function drawTimeline(canvas, { value, advantage, events, last }, now) {
     paint.lineTo(across(step), height - 16);
     paint.stroke();
     paint.setLineDash([]);
-    const x = Math.min(Math.max(right, across(step) - 20), width - paint.measureText(name).width - 4);
+    const wide = paint.measureText(name).width;
+    const x = Math.min(across(step) - 20, width - wide - 4);
+    if (x < right) continue; // its button below names it
     paint.fillText(name, x, 10);
-    right = x + paint.measureText(name).width + 10;
+    right = x + wide + 10;
   }
   paint.save();
   paint.translate(10, middle);

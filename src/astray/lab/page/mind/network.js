@@ -92,8 +92,9 @@ export function readNetwork(buffer) {
     throw new Error(`network '${architecture.name}' is not computed without Python`);
   }
   const tensors = {};
-  for (const [name, { dtype, data_offsets: [from, to] }] of Object.entries(header)) {
+  for (const [name, { dtype, data_offsets: offsets }] of Object.entries(header)) {
     if (dtype !== FLOATS) continue;
+    const [from, to] = offsets;
     tensors[name] = new Float32Array(buffer.slice(8 + length + from, 8 + length + to));
   }
   return new Network(tensors, architecture);
