@@ -36,7 +36,7 @@ def browser():
 
 
 def wait(page, expression):
-    """Wait until an expression is true; not by `wait_for_function`, which the page's policy bars."""
+    """Wait until an expression is true; the page's policy bars `wait_for_function`."""
     end = time.monotonic() + PATIENCE
     while not page.evaluate(f"Boolean({expression})"):
         assert time.monotonic() < end, f"still not so: {expression}"

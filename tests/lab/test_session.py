@@ -131,7 +131,7 @@ def test_an_intervention_changes_the_arrows_of_its_question_alone(session):
 
 def test_the_best_way_takes_a_key_before_a_chest(session):
     told = ask(session, "route", game="keys", variant="many-keys-small", level=5, goal="chests")
-    ((x, y, what), *_) = told["takes"]
+    ((x, _, what), *_) = told["takes"]
     assert what == games.find("keys").editing.LEGEND["k"]
     assert (int(told["cells"][told["steps"]][0]) - x) ** 2 <= 1 and told["steps"] > 0
 

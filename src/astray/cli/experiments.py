@@ -105,7 +105,7 @@ def reproduce(
 
 
 def bench(
-    what: Positional[Literal["environments", "train", "agency", "start"]] = "environments",
+    what: Positional[Literal["environments", "train", "agency", "start", "lab"]] = "environments",
     markdown: bool = False,
     device: Literal["cpu", "cuda", "mps"] = "cpu",
 ) -> None:

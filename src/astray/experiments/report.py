@@ -40,6 +40,7 @@ class Video:
 
     caption: str
     path: Path
+    lab: str = ""  # the command that opens its level in the lab
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,4 +1,4 @@
-"""The lab: a page on which one edits a level and sees at once what an agent would do from everywhere.
+"""The lab: a page to edit a level on, and to see at once what an agent would do from everywhere.
 
 `astray lab` opens it; `astray lab --export FOLDER` writes it as files; in a notebook:
 

@@ -49,9 +49,9 @@ def export(lab: Lab, folder: Path, levels: int = 50, agents: list[str] | None = 
     Raises FileExistsError where the folder holds something else.
     """
     bounded("levels", levels, 1, 10_000)
-    if folder.exists() and not (folder / "data" / "index.json").is_file():
-        if not folder.is_dir() or any(folder.iterdir()):
-            raise FileExistsError(f"{folder} must be a lab that was exported, or nothing")
+    is_old = (folder / "data" / "index.json").is_file()
+    if folder.exists() and not is_old and (not folder.is_dir() or any(folder.iterdir())):
+        raise FileExistsError(f"{folder} must be a lab that was exported, or nothing")
     chosen = agents if agents is not None else _chosen(lab)
     with folder_aside(folder) as aside:
         _write_page(aside)
@@ -131,9 +131,7 @@ def _levels(game: Game, variant: Variant, count: int) -> list[dict[str, Any]]:
     return found
 
 
-def _write_agent(
-    minds: Minds, name: str, told: dict[str, Any], folder: Path, levels: int
-) -> None:
+def _write_agent(minds: Minds, name: str, told: dict[str, Any], folder: Path, levels: int) -> None:
     agent, config = minds.open(name)
     told.pop("layers", None)
     if agent.architecture.name == SMALL:

@@ -14,14 +14,16 @@ from astray.analysis import kept
 from astray.analysis.critic import judge, observe
 from astray.analysis.policies import Agent
 from astray.analysis.runs import open_run, shift_of
-from astray.game import Game, Shift, Variant
+from astray.game import Game, Shift, Variant, knobs
 from astray.insight.activations import layers
 from astray.lab import steering
 from astray.lab.messages import Message
 from astray.lab.worlds import World
 from astray.training.config import Config
 
-AT_ONCE = 64  # places whose arrows are reckoned together, and sent
+AT_ONCE = 64  # places whose arrows are computed together, and sent
+FAR = 16  # cells from the agent, of places in worlds that are larger than what is seen at once
+LARGE = 32  # cells a side of such a world
 
 
 @dataclass(eq=False)
@@ -86,10 +88,25 @@ class Minds:
             "game": config.game, "variant": config.variant, "test": test, "shift": shift,
             "variants": [n for n, v in game.variants.items() if sees(agent, game, v)],
             "observation": agent.observation, "art": agent.art, "network": config.network,
-            "knobs": dict(config.knobs), "steps": config.steps,
+            "knobs": _knobs(config, game), "steps": config.steps,
             "gamma": config.gamma, "lam": config.lam, "seed": agent.seed,
             "layers": {name: list(shape) for name, shape in layers(agent).items()},
         }  # fmt: skip
+
+
+def _knobs(config: Config, game: Game) -> dict[str, dict[str, Any]]:
+    """The knobs that are changed for the agent, of each variant where any is."""
+    found = {}
+    for name, plain in game.variants.items():
+        try:
+            own = config.variant_for(name)
+        except ValueError:
+            continue
+        changed = {knob: getattr(own, knob) for knob in knobs(type(own))
+                   if getattr(own, knob) != getattr(plain, knob)}  # fmt: skip
+        if changed:
+            found[name] = changed
+    return found
 
 
 def sees(agent: Agent, game: Game, variant: Variant) -> bool:
@@ -114,6 +131,9 @@ def places(world: World, s: Any) -> list[tuple[int, int]]:
     if not {"x", "y"} <= {*(game.state.names or ())}:
         raise ValueError(f"states of {game.name} must have x and y; they have neither")
     here = np.array([int(s.x), int(s.y)])
+    if max(height, width) > LARGE:
+        row, column = np.ogrid[:height, :width]
+        free &= (abs(row - here[1]) <= FAR) & (abs(column - here[0]) <= FAR)
     free[here[1], here[0]] = True
     found = np.argwhere(free)[:, ::-1]
     order = np.argsort(abs(found - here).sum(1), kind="stable")
@@ -144,4 +164,3 @@ def arrows(agent: Agent, world: World, s: Any) -> Iterator[dict[str, Any]]:
 def rounded(numbers: np.ndarray) -> Any:
     """`numbers` for JSON, to eight decimal places."""
     return np.round(np.asarray(numbers, float), 8).tolist()
-

@@ -1,4 +1,4 @@
-"""Which goal an episode speaks for, step by step; and where agents end, wherever the cheese lies."""
+"""Which goal an episode speaks for, step by step; and where agents end, wherever things lie."""
 
 from __future__ import annotations
 

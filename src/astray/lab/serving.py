@@ -43,7 +43,7 @@ def make_lab(agent: str | Path | None, start: Mapping[str, Any]) -> Lab:
 
 
 def _first_agent(minds: Minds, game: str | None) -> str:
-    """The name of an agent that plays `game`, or any where it is None; empty where there is none."""
+    """The name of an agent that plays `game`, None: any; empty where there is none."""
     names = sorted(minds.paths, key=lambda name: name != FIRST)
     for name in names:
         if game is None or minds.open(name)[0].game == game:

@@ -17,9 +17,7 @@ VECTOR, ABLATE, PATCH = "vector", "ablate", "patch"
 STRONGEST = 1e6  # of a coefficient or a value
 
 
-def change(
-    agent: Agent, world: World, wanted: Mapping[str, Any]
-) -> AbstractContextManager[Agent]:
+def change(agent: Agent, world: World, wanted: Mapping[str, Any]) -> AbstractContextManager[Agent]:
     """The change of an agent that a message describes.
 
     what  "vector": `coefficient` times what the layer gives here with `thing` less without it is

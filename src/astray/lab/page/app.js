@@ -73,9 +73,22 @@ export class Lab {
   // What every question about the level begins with.
   question(kind, more = {}) {
     const { game, variant, agent } = this;
-    const knobs = this.about.agents[agent]?.knobs ?? {};
+    const knobs = this.about.agents[agent]?.knobs[variant] ?? {};
     const level = this.number === null ? plain(this.level) : this.number;
-    return { kind, game, variant, knobs, level, agent, mode: this.mode, seed: this.seed, ...more };
+    const steering = this.part("steered").checked ? this.steering : {};
+    const { mode, seed } = this;
+    return { kind, game, variant, knobs, level, agent, mode, seed, steering, ...more };
+  }
+
+  // The change of a layer that is described on the page.
+  get steering() {
+    const channels = this.part("channels").value.split(/[\s,]+/).filter(Boolean).map(Number);
+    const what = this.part("change").value;
+    const amount = Number(this.part("amount").value);
+    return {
+      what, layer: this.part("layers").value, ...(channels.length && what !== "vector" && { channels }),
+      ...(what === "vector" && { coefficient: amount }), ...(what === "patch" && { value: amount }),
+    };
   }
 
   get mode() {
@@ -231,8 +244,8 @@ export class Lab {
       Object.assign(question, { level: number ?? plain(level), actions: [] });
     } else if (what.startsWith("agent ")) {
       question.agent = what.slice(6);
-    } else if (what.startsWith("steer ")) {
-      question.steering = JSON.parse(what.slice(6));
+    } else if (what === "change") {
+      question.steering = this.steering;
     } else {
       this.others.clear();
       this.panels.compared();

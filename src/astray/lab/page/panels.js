@@ -6,13 +6,12 @@ import { meanWay, shareOfWays } from "./draw/arrows.js";
 import { drawSight } from "./draw/sight.js";
 import { save } from "./files.js";
 import { firstOf } from "./link.js";
+import { bar, capital, keyed, named, options, percent, round } from "./parts.js";
 
 const NAMES = {
   "1,0": "right", "-1,0": "left", "0,1": "up", "0,-1": "down", "0,0": "stays", "1,1": "right and up",
   "-1,1": "left and up", "1,-1": "right and down", "-1,-1": "left and down",
 };
-const percent = (share) => `${Math.round(100 * share)} %`;
-
 export class Panels {
   constructor(lab) {
     this.lab = lab;
@@ -42,6 +41,14 @@ export class Panels {
     for (const name of ["mode", "seed"]) hear(name, "change", () => lab.refresh());
     for (const name of ["layer", "heat", "zoom"]) hear(name, "change", () => lab.stage.redraw());
     hear("compare", "change", () => lab.think());
+    for (const name of ["layers", "change", "amount", "channels"]) {
+      hear(name, "change", () => {
+        part("compare").value = "change";
+        lab.think();
+        if (part("steered").checked) lab.refresh();
+      });
+    }
+    hear("steered", "change", () => lab.refresh());
     hear("splay", "click", () => lab.askSplay());
     hear("unsplay", "click", () => this.#unsplay());
     hear("route", "click", () => lab.askRoute());
@@ -90,11 +97,15 @@ export class Panels {
     this.#tools();
     const others = Object.entries(about.agents)
       .filter(([name, a]) => name !== lab.agent && a.game === game && a.variants.includes(lab.variant));
+    const layers = Object.entries(about.agents[lab.agent]?.layers ?? {});
+    part("steering").hidden = !layers.length;
+    const late = layers.findLast(([name]) => name.includes("relu") || name.includes("residual"));
+    options(part("layers"), layers.map(([name, shape]) => [name, `${name} (${shape.join(" x ")})`]),
+      part("layers").value || late?.[0]);
     options(part("compare"), [
       ["", "nothing"], ["level", "the level as it was"],
       ...others.map(([name]) => [`agent ${name}`, `agent ${name}`]),
-      ...(about.agents[lab.agent]?.steerings ?? []).map(({ name, steering }) =>
-        [`steer ${JSON.stringify(steering)}`, name]),
+      ...(layers.length ? [["change", "its mind changed (below)"]] : []),
     ], part("compare").value);
     options(part("goal"), Object.keys(lab.rules.goals).map((goal) => [goal, goal]), this.shift?.intended);
     part("pursuit").hidden = lab.rules.real_time;
@@ -399,48 +410,3 @@ export class Panels {
     }
   }
 }
-
-function options(select, pairs, chosen) {
-  select.replaceChildren(...pairs.map(([value, text]) => {
-    const option = document.createElement("option");
-    [option.value, option.textContent] = [value, text];
-    return option;
-  }));
-  if (pairs.some(([value]) => value === chosen)) select.value = chosen;
-}
-
-// What an object or goal is called: the goal of a maze by what it is.
-function named(lab, name) {
-  if (name !== "goal") return name;
-  return lab.panels.shift?.intended ?? name;
-}
-
-const capital = (text) => text[0].toUpperCase() + text.slice(1);
-
-function keyed(colour, text) {
-  const item = document.createElement("li");
-  const box = document.createElement("i");
-  if (colour) box.style.background = colour;
-  else box.className = "dashed";
-  item.append(box, text);
-  return item;
-}
-
-function bar(name, count, total, colour) {
-  const row = document.createElement("div");
-  row.className = "bar";
-  const label = document.createElement("span");
-  const track = document.createElement("div");
-  const filled = document.createElement("div");
-  const told = document.createElement("span");
-  label.textContent = name;
-  track.className = "track";
-  filled.style.width = `${(100 * count) / total}%`;
-  filled.style.background = colour;
-  track.append(filled);
-  told.textContent = `${count} of ${total} (${percent(count / total)})`;
-  row.append(label, track, told);
-  return row;
-}
-
-const round = (number) => Number(number.toFixed(3));
