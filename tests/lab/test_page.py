@@ -63,7 +63,8 @@ def arrows(page):
 
 def expected(grid, agent):
     game = games.find("maze")
-    level = Level.from_json(game, game.variant("anywhere-small"), {"grid": grid, "agent": agent})
+    data = {"grid": grid, "agent": [agent[0] + 0.5, agent[1] + 0.5]}
+    level = Level.from_json(game, game.variant("anywhere-small"), data)
     (field,) = fields(load_agent("maze-corner"), "anywhere-small", {"": level})
     return field
 
@@ -107,7 +108,7 @@ def test_a_wall_that_makes_the_cheese_unreachable_is_told_in_the_sentence_of_lev
 
 def test_a_level_is_edited_by_the_keyboard_alone(page):
     show(page, ROOM)
-    page.get_by_label("edit by keyboard").focus()
+    page.get_by_role("checkbox", name="edit by keyboard").focus()
     page.keyboard.press("Space")
     for key in ("ArrowUp", "ArrowUp", "ArrowUp", "ArrowUp", *["ArrowRight"] * 4, "Enter",
                 "ArrowLeft", "Enter"):  # fmt: skip
@@ -154,6 +155,7 @@ def test_a_link_holds_level_and_agent(chrome, page, served):
     show(page, ROOM)
     drag(page, (5, 5), (5, 1))
     wait(page, "location.hash.includes('drawn') && lab.level.grid[1][5] === 2 && lab.fields.size")
+    page.wait_for_timeout(500)  # until the last of the drag is in the address
     address = page.evaluate("location.href")
     with opened(chrome, address) as (other, told):
         assert other.evaluate("lab.text") == page.evaluate("lab.text")

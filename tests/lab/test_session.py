@@ -120,6 +120,17 @@ def test_a_splay_counts_every_place_of_the_cheese(session):
     assert all(sum(outcome.values()) == 2 for outcome in told["outcomes"])
 
 
+@pytest.mark.parametrize("game", ["maze", "keys", "coinrun"])
+def test_a_level_that_a_page_moved_the_agent_in_is_one(session, game):
+    variant = {"maze": "anywhere-small", "keys": "many-keys-small", "coinrun": "coin-end"}[game]
+    told = ask(session, "level", game=game, variant=variant, level=3)["level"]
+    x, y = map(int, told["agent"])
+    to = next([u, y] for u in (x + 1, x - 1, x) if told["grid"][y][u] == 0)
+    moved = {name: told[name] for name in ("grid", "looks")} | {"agent": [to[0] + 0.5, y + 0.5]}
+    again = ask(session, "level", game=game, variant=variant, level=moved)
+    assert "error" not in again and list(map(int, again["level"]["agent"])) == to
+
+
 def test_an_intervention_changes_the_arrows_of_its_question_alone(session):
     plain = ask(session, "fields", **MAZE, level=ROOM)
     steering = {"what": "ablate", "layer": "features.relu2"}

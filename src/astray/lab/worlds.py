@@ -66,11 +66,28 @@ def read_world(message: Message) -> World:
         level = Level.of(game, variant, s)
         return World(game, variant, level, s, number, _problem(level), key)
     if isinstance(message.level, Mapping):
-        level = Level.from_json(game, variant, message.level)
+        level = Level.from_json(game, variant, _centred(game, variant, message.level))
     else:
         level = Level.from_text(game, variant, message.level)
     s = level.state(solvable=False)
     return World(game, variant, level, s, None, _problem(level), key)
+
+
+def _centred(game: Game, variant: Variant, data: Mapping[str, Any]) -> Mapping[str, Any]:
+    """A level's data with the agent at the centre that it has in its cell: a page moves cells.
+
+    Data that cannot be a level stays as it is, for `Level` to say what is wrong.
+    """
+    try:
+        cells = np.array(data["grid"], np.uint8)
+        x, y = (int(np.floor(number)) for number in data["agent"])
+        known = np.isin(cells, [*game.editing.LEGEND.values()]).all()
+        if not known or cells.ndim != 2 or not (0 <= y < len(cells) and 0 <= x < len(cells[0])):
+            return data
+        s = game.editing.build(cells, (x, y), data.get("looks", {}), variant)
+        return {**data, "agent": game.editing.describe(s)["agent"]}
+    except (ValueError, TypeError, KeyError, IndexError, OverflowError, AttributeError):
+        return data
 
 
 def _problem(level: Level) -> str | None:

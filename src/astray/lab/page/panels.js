@@ -61,7 +61,12 @@ export class Panels {
       hear(name, "click", () => lab.tried(() => save[name](lab)));
     }
     new ResizeObserver(() => { this.played(); this.pursued(); }).observe(part("timeline").parentElement);
-    const note = lab.about.note;
+    const { note, engine } = lab.about;
+    part("zoom").checked = lab.root.clientWidth < 600; // the whole would be too small to see
+    part("way").hidden = engine === "static"; // what needs Python is not offered there
+    for (const option of part("method").options) {
+      option.hidden = engine === "static" && option.value.includes("gradients");
+    }
     part("offline").hidden = !note;
     part("offline").textContent = note ?? "";
   }

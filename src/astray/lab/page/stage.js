@@ -72,7 +72,7 @@ export class Stage {
     const paint = this.canvas.getContext("2d");
     paint.setTransform(1, 0, 0, 1, 0, 0);
     paint.clearRect(0, 0, this.canvas.width, this.canvas.height);
-    paint.setTransform(1, 0, 0, 1, -left * this.scale, low * this.scale);
+    paint.setTransform(1, 0, 0, 1, -Math.round(left * this.scale), Math.round(low * this.scale));
     this.paintWorld(paint, this.scale, rows);
     this.#mind(new Brush(paint, this.scale, rows), paint);
     this.#marks(new Brush(paint, this.scale, rows));

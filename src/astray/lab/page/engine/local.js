@@ -282,7 +282,7 @@ function told(episode, first, agent, rules) {
 
 // A state without what does not move.
 export function snapshot(s) {
-  const { cell, thing, twister, trail_x: trail, ...fields } = s;
+  const { cell, thing, draws, trail_x: trail, ...fields } = s;
   return structuredClone(fields);
 }
 

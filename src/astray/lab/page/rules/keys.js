@@ -50,8 +50,8 @@ function build({ grid, agent, looks = {} }, variant) {
     time: 0, time_limit: variant.time_limit, ended: false, level: 0,
   };
   const [number, draws] = looks.twister ?? [NEVER, 0];
-  s.twister = new Twister(Math.max(number, 0));
-  for (let k = 0; k < draws; k++) s.twister.word();
+  s.draws = new Twister(Math.max(number, 0));
+  for (let k = 0; k < draws; k++) s.draws.word();
   for (const [x, y, what] of objects) addObject(s, what, x, y, number !== NEVER);
   return s;
 }
@@ -67,17 +67,17 @@ function addObject(s, what, x, y, off) {
   s.keys += 1;
   if (off) {
     const low = f(f(0.5) - f(JITTER / 2));
-    s.object_x[k] = f(f(x) + f(low + f(JITTER * s.twister.unit())));
-    s.object_y[k] = f(f(y) + f(low + f(JITTER * s.twister.unit())));
+    s.object_x[k] = f(f(x) + f(low + f(JITTER * s.draws.unit())));
+    s.object_y[k] = f(f(y) + f(low + f(JITTER * s.draws.unit())));
   }
 }
 
 function copy(s) {
-  return { ...s, gone: [...s.gone], had: [...s.had], twister: s.twister.copy() };
+  return { ...s, gone: [...s.gone], had: [...s.had], draws: s.draws.copy() };
 }
 
 function step(s, action) {
-  move(s, action, s.twister.below(TIES));
+  move(s, action, s.draws.below(TIES));
   const [reward, terminated] = meet(s);
   return { reward: f(reward - f(s.step_penalty)), terminated };
 }
