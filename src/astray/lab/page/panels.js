@@ -1,12 +1,13 @@
 // What stands around the world: choices, sentences, charts.
 
-import { advantages, drawPosterior, drawTimeline, stepAt } from "./draw/charts.js";
+import { drawPosterior, stepAt } from "./draw/charts.js";
 import { goalColours, heat, signed } from "./draw/colours.js";
 import { meanWay, shareOfWays } from "./draw/arrows.js";
 import { drawSight } from "./draw/sight.js";
 import { save } from "./files.js";
 import { firstOf } from "./link.js";
 import { bar, capital, keyed, named, options, percent, round } from "./parts.js";
+import { showTimeline } from "./timeline.js";
 
 const NAMES = {
   "1,0": "right", "-1,0": "left", "0,1": "up", "0,-1": "down", "0,0": "stays", "1,1": "right and up",
@@ -297,7 +298,7 @@ export class Panels {
     part("account").textContent = last || now
       ? `Step ${now} of ${last}, return ${round(total)}${end}.${this.#hands()}`
       : `Nothing has moved yet: play, or hand over.${this.#hands()}`;
-    this.#timeline();
+    showTimeline(lab);
   }
 
   #hands() {
@@ -306,38 +307,6 @@ export class Panels {
     if (s?.taken === undefined) return "";
     return ` In hand: ${s.taken - s.opened}; keys taken ${s.taken} of ${s.keys}, ` +
       `chests opened ${s.opened} of ${s.chests}.`;
-  }
-
-  #timeline() {
-    const { lab, part } = this;
-    const { episode, now } = lab;
-    const last = episode.actions.length;
-    const canvas = part("timeline");
-    canvas.hidden = !last || episode.value.length < last + 1;
-    if (canvas.hidden) {
-      part("bookmarks").replaceChildren();
-      return;
-    }
-    const { gamma, lam } = lab.about.agents[lab.agent];
-    const advantage = advantages(episode.value, episode.rewards, episode.terminated, gamma, lam);
-    const final = episode.states.at(-1);
-    const events = lab.rules.events.filter((name) => final[name] >= 0 && final[name] <= last)
-      .map((name) => ({ name: name.replace(/_/g, " "), step: final[name] }))
-      .sort((one, two) => one.step - two.step);
-    drawTimeline(canvas, { value: episode.value, advantage, events, last }, now);
-    const best = advantage.indexOf(Math.max(...advantage));
-    const worst = advantage.indexOf(Math.min(...advantage));
-    this.#bookmarks([["highest advantage", best], ["lowest advantage", worst],
-      ...events.slice(0, 4).map(({ name, step }) => [name, step])]);
-  }
-
-  #bookmarks(marks) {
-    this.part("bookmarks").replaceChildren(...marks.map(([name, step]) => {
-      const button = document.createElement("button");
-      button.textContent = `${name}: step ${step}`;
-      button.addEventListener("click", () => this.lab.go(step));
-      return button;
-    }));
   }
 
   pursued() {
