@@ -140,6 +140,14 @@ def test_an_intervention_changes_the_arrows_of_its_question_alone(session):
     assert ask(session, "fields", **MAZE, level=ROOM)["policy"] == plain["policy"]
 
 
+def test_probes_read_what_is_true_of_the_state(session):
+    pytest.importorskip("sklearn", reason="scikit-learn is not installed")
+    told = ask(session, "reading", **MAZE, level=17, layer="features.relu1")
+    assert told["rows"] and all(row["layer"] == "features.relu1" for row in told["rows"])
+    assert any(row["true"] is not None and row["score"] > 0.5 for row in told["rows"])
+    assert "layer" in ask(session, "reading", **MAZE, level=17, layer="nothing")["error"]
+
+
 def test_the_best_way_takes_a_key_before_a_chest(session):
     told = ask(session, "route", game="keys", variant="many-keys-small", level=5, goal="chests")
     ((x, _, what), *_) = told["takes"]
@@ -186,7 +194,7 @@ def test_random_messages_are_answered_and_nothing_breaks(session):
         {"id": 1, "kind": kind, **MAZE, "level": level, "mode": "greedy", "seed": 3, "slot": "a",
          "actions": [7, 5], "steps": 2, "thing": "goal", "cell": [1, 1], "goal": "cheese",
          "draws": 1, "knobs": {}, "steering": {}, "method": "occlusion"}
-        for kind in ANSWERS if kind not in ("hello", "art") for level in (3, ROOM)
+        for kind in ANSWERS if kind not in ("hello", "art", "reading") for level in (3, ROOM)
     ]  # fmt: skip
     random, refused = np.random.default_rng(0), 0
     for _ in range(MESSAGES):

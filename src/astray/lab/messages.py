@@ -17,6 +17,7 @@ NAME = 100  # characters of a name
 
 Kind = Literal[
     "hello", "art", "level", "fields", "play", "posterior", "splay", "attribution", "route", "view",
+    "reading",
 ]  # fmt: skip
 Mode = Literal["sampled", "greedy"]
 Method = Literal["occlusion", "gradients", "integrated gradients"]
@@ -29,6 +30,7 @@ class Message:
     actions  numbers, from the beginning of the level: they lead to the state that is asked about
     steps    that the agent goes on for
     thing    whose places are splayed: "agent", or an object at `cell`
+    layer    that probes read
     slot     a question is given up when another of its kind and slot comes
     """
 
@@ -46,6 +48,7 @@ class Message:
     thing: str = ""
     cell: tuple[int, int] | None = None
     goal: str = ""
+    layer: str = ""
     slot: str = ""
     draws: int = 1
     method: Method = "occlusion"
@@ -56,7 +59,7 @@ class Message:
         check_word("kind", self.kind, Kind)
         check_word("mode", self.mode, Mode)
         check_word("method", self.method, Method)
-        for name in ("game", "variant", "agent", "thing", "goal", "slot"):
+        for name in ("game", "variant", "agent", "thing", "goal", "layer", "slot"):
             text = getattr(self, name)
             of_kind(name, text, str)
             if len(text) > NAME:

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from astray.analysis import kept
-from astray.analysis.critic import judge, observe
+from astray.analysis.critic import judge, observe, visit
 from astray.analysis.policies import Agent
 from astray.analysis.runs import open_run, shift_of
 from astray.game import Game, Shift, Variant, knobs
@@ -22,6 +22,7 @@ from astray.lab.worlds import World
 from astray.training.config import Config
 
 AT_ONCE = 64  # places whose arrows are computed together, and sent
+FIRST_VISITED, VISITED, EACH = 900_000, 150, 4  # levels whose states probes are fitted in
 FAR = 16  # cells from the agent, of places in worlds that are larger than what is seen at once
 LARGE = 32  # cells a side of such a world
 
@@ -35,6 +36,7 @@ class Minds:
 
     paths: Mapping[str, Path]
     _opened: dict[str, tuple[Agent, Config]] = field(default_factory=dict)
+    _visited: dict[tuple[str, str], np.ndarray] = field(default_factory=dict)
     _last: tuple[Any, Agent, Any] | None = None
 
     @classmethod
@@ -74,6 +76,15 @@ class Minds:
             change.__enter__()  # for as long as the copy is remembered
             self._last = key, other, change
         return self._last[1]
+
+    def visited(self, name: str, world: World) -> np.ndarray:
+        """States of the agent's own episodes in the world's variant, to fit probes in."""
+        agent, _ = self.open(name)
+        key = (name, repr(world.variant))
+        if key not in self._visited:
+            levels = range(FIRST_VISITED, FIRST_VISITED + VISITED)
+            self._visited[key] = visit(agent, world.variant, levels, per_episode=EACH)[1]
+        return self._visited[key]
 
     def about(self, name: str) -> dict[str, Any]:
         """What a page is told of an agent."""

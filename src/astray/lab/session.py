@@ -261,8 +261,21 @@ def route(session: Session, message: Message) -> Iterator[Reply]:
     yield pursuits.route(episode, message.goal)
 
 
+def reading(session: Session, message: Message) -> Iterator[Reply]:
+    """What linear probes of a layer read of the state after the actions, and what is true of it."""
+    from astray.insight.probes import read as read_probes
+
+    episode = session.episode(message)
+    world = episode.world
+    agent = session.lab.minds.of_message(message, world)
+    seen = session.lab.minds.visited(message.agent, world)
+    here = episode.state.view(np.recarray)
+    table = read_probes(agent, world.variant, seen, here, [message.layer], dict(world.game.labels))
+    yield {"rows": table.to_dicts(), "states": len(seen)}
+
+
 ANSWERS: Mapping[str, Callable[[Session, Message], Iterator[Reply]]] = {
     "hello": hello, "art": art, "level": level, "fields": fields, "play": play,
     "posterior": posterior, "splay": splay, "attribution": attribution, "route": route,
-    "view": view,
+    "view": view, "reading": reading,
 }  # fmt: skip

@@ -370,6 +370,14 @@ export class Lab {
     });
   }
 
+  async askReading() {
+    const question = this.question("reading", { actions: this.actions, layer: this.part("probed").value });
+    this.panels.status("Fitting probes …");
+    const found = await this.tried(() => this.engine.ask(question));
+    this.panels.status("connected");
+    if (found) this.panels.read(found);
+  }
+
   async askRoute() {
     const goal = this.part("goal").value;
     const question = this.question("route", { goal, actions: this.actions });

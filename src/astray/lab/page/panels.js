@@ -6,7 +6,7 @@ import { meanWay, shareOfWays } from "./draw/arrows.js";
 import { drawSight } from "./draw/sight.js";
 import { save } from "./files.js";
 import { firstOf } from "./link.js";
-import { bar, capital, keyed, named, options, percent, round } from "./parts.js";
+import { bar, capital, fillTable, keyed, named, options, percent, round } from "./parts.js";
 import { showTimeline } from "./timeline.js";
 
 const NAMES = {
@@ -49,6 +49,7 @@ export class Panels {
         if (part("steered").checked) lab.refresh();
       });
     }
+    hear("reading", "click", () => lab.askReading());
     hear("steered", "change", () => lab.refresh());
     hear("splay", "click", () => lab.askSplay());
     hear("unsplay", "click", () => this.#unsplay());
@@ -108,6 +109,9 @@ export class Panels {
     const late = layers.findLast(([name]) => name.includes("relu") || name.includes("residual"));
     options(part("layers"), layers.map(([name, shape]) => [name, `${name} (${shape.join(" x ")})`]),
       part("layers").value || late?.[0]);
+    options(part("probed"), layers.map(([name]) => [name, name]), part("probed").value || late?.[0]);
+    part("probing").hidden = !layers.length;
+    part("readings").hidden = true;
     options(part("compare"), [
       ["", "nothing"], ["level", "the level as it was"],
       ...others.map(([name]) => [`agent ${name}`, `agent ${name}`]),
@@ -367,6 +371,16 @@ export class Panels {
     part("taking").textContent = !way ? "" : way.takes
       ? `It takes what is at (${way.takes[0].slice(0, 2).join(", ")}) first, after ${way.steps} steps.`
       : `${way.cells.length - 1} steps; it takes nothing.`;
+  }
+
+  // What probes read of the state, beside what is true of it.
+  read({ rows, states }) {
+    const table = this.part("readings");
+    table.hidden = false;
+    const told = (number) => (number === null ? "none" : String(round(number)));
+    fillTable(table, ["label", "read", "true", "score elsewhere"], rows.map((row) =>
+      [row.label, told(row.read), told(row.true), row.score.toFixed(2)]));
+    table.title = `Probes fitted in ${states} states of its own episodes; classes as numbers.`;
   }
 
   // What the agent sees now, where that is open.

@@ -48,4 +48,13 @@ export function bar(name, count, total, colour) {
   return row;
 }
 
+export function fillTable(table, head, rows) {
+  const line = (cells, kind) => {
+    const row = document.createElement("tr");
+    row.append(...cells.map((text) => Object.assign(document.createElement(kind), { textContent: text })));
+    return row;
+  };
+  table.replaceChildren(line(head, "th"), ...rows.map((cells) => line(cells, "td")));
+}
+
 export const round = (number) => Number(number.toFixed(3));
