@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from astray.analysis import agency_run
+from astray.analysis import agency
 from astray.cli import agents as verbs
 from astray.files import aside_of, folder_aside, remove_left, write_aside
 from astray.kernel import cache, jit
@@ -119,6 +119,6 @@ def test_no_file_takes_the_place_of_a_link(tmp_path, name, target):
 @pytest.mark.parametrize("name", ["episodes.parquet", "posterior.mp4", "posterior.gif"])
 def test_all_that_a_verb_writes_is_seen_before_anything_is_played(tmp_path, monkeypatch, name):
     (tmp_path / name).mkdir()
-    monkeypatch.setattr(agency_run, "judge_run", lambda *a, **k: pytest.fail("it was played"))
+    monkeypatch.setattr(agency, "judge_run", lambda *a, **k: pytest.fail("it was played"))
     with pytest.raises(OSError, match=f"{name} must be a file to write"):
         verbs.agency(agent="maze-corner", out=tmp_path)

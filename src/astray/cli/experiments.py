@@ -109,7 +109,7 @@ def reproduce(
 
 def bench(
     what: Positional[
-        Literal["environments", "train", "agency", "insight", "start"]
+        Literal["environments", "train", "agency", "insight", "lab", "start"]
     ] = "environments",
     markdown: bool = False,
     device: Literal["cpu", "cuda", "mps"] = "cpu",

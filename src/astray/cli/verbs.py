@@ -17,6 +17,7 @@ from astray.cli import (
     experiments,
     hub,
     insight,
+    lab,
     levels,
     published,
     sweep,
@@ -26,6 +27,7 @@ from astray.training.config import PRESETS
 VERBS = {
     "list": experiments.list_,
     "play": levels.play,
+    "lab": lab.lab,
     "train": agents.train,
     "evaluate": agents.evaluate,
     "reproduce": experiments.reproduce,
