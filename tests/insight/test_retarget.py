@@ -44,7 +44,7 @@ class Seeker(nn.Module):
 def seeker(tmp_path):
     agent = make_agent("small", tmp_path)
     agent.network = Seeker()
-    agent.architecture = Architecture("small", (4, 7, 7), (1, 1, 6, 6), 15)
+    agent.architecture = Architecture("mlp", (4, 7, 7), (1, 1, 6, 6), 15)
     return agent
 
 
