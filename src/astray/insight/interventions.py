@@ -64,12 +64,10 @@ def steer(
     if not np.isfinite(coefficient):
         raise ValueError(f"coefficient must be a finite number; got {coefficient}")
     shapes = see_layers(agent, list(vectors))
-    added = {
-        name: torch.from_numpy(
-            coefficient * _fitting(f"the vector at {name}", vector, shapes[name])
-        )
-        for name, vector in vectors.items()
-    }
+    added = {}
+    for name, vector in vectors.items():
+        array = _fitting(f"the vector at {name}", vector, shapes[name])
+        added[name] = torch.as_tensor(coefficient * array)
 
     def change(name: str) -> Change:
         return lambda x: x + added[name].to(x) if coefficient else x
