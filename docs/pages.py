@@ -27,10 +27,11 @@ from mkdocs.structure.files import File, Files
 from PIL import Image
 
 import astray
-from astray import cli, experiments, games
+from astray import cli, games
 from astray.analysis import kept
 from astray.cli import verbs
 from astray.envs.vector import GameVectorEnv
+from astray.experiments import catalogue
 from astray.experiments.spec import Plan
 from astray.game import Game, Variant, knobs
 from astray.lab.export import export
@@ -87,8 +88,10 @@ def pages() -> dict[str, str]:
     return {
         "index.md": with_lab(from_root("README.md")),
         "speed.md": from_root("benchmarks/README.md"),
+        "changelog.md": from_root("CHANGELOG.md"),
+        "security.md": from_root("SECURITY.md"),
         **{f"games/{name}.md": game_page(games.find(name)) for name in games.OWN},
-        **{f"experiments/{name}.md": experiment_page(name) for name in experiments.NAMES},
+        **{f"experiments/{name}.md": experiment_page(name) for name in catalogue.NAMES},
         "agents/index.md": kept_page(),
         **{f"agents/{name}/card.md": card(name) for name in kept.names()},
         "cli.md": verbs_page(),
@@ -256,8 +259,8 @@ def comment(owner: type, field: str) -> str:
 
 
 def experiment_page(name: str) -> str:
-    experiment = experiments.load(name)
-    module = sys.modules[f"astray.experiments.catalogue.{name.replace('-', '_')}"]
+    experiment = catalogue.load(name)
+    module = sys.modules[catalogue.MODULES[name]]
     parts = [
         f"# {experiment.title}", inspect.getdoc(module),
         f"*{experiment.question}* Reproduces: {experiment.reproduces}.",
@@ -274,8 +277,8 @@ def experiment_page(name: str) -> str:
 
 
 def size_parts(plan: Plan) -> Iterator[str]:
-    if plan.smaller:
-        yield f"Other than in the paper: {plan.smaller}."
+    if plan.differences:
+        yield f"Other than in the paper: {plan.differences}."
     if plan.published:
         named = ", ".join(f"`{agent}`" for agent in plan.published.values())
         yield (

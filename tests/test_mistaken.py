@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from astray import games
+from astray import games, imports
 from astray.agency import devices, generators
 from astray.agency.agents import Agents
 from astray.agency.gridworld import World
@@ -57,6 +57,7 @@ def drawn(number=3):
         lambda: replace(SMALL, placement="Corner"),
         lambda: replace(PRESETS["small"], timeouts="Terminate"),
         lambda: small(autoreset_mode="Samestep"),
+        lambda: small(autoreset_mode=np.zeros((), "V4")),  # not to be compared with words
     ],
 )
 def test_a_misspelt_word_is_no_other_word(misspelt):
@@ -67,12 +68,15 @@ def test_a_misspelt_word_is_no_other_word(misspelt):
 @pytest.mark.parametrize(
     "wrong, message",
     [
-        (lambda: Options(beta=float("nan")), "beta is nan; it is at least 1, and finite"),
-        (lambda: Options(legal="no"), "legal is 'no'; it is a bool"),
+        (lambda: Options(beta=float("nan")), "beta must be at least 1, and finite; got nan"),
+        (lambda: Options(legal="no"), "legal must be a bool; got 'no'"),
         (lambda: Options(observations=("type", "type")), "each is given once"),
-        (lambda: measure_online(WALK, switch="1/t"), "switch is '1/t'; it is from 0 to 1, or"),
-        (lambda: Config(learning_rate=float("inf")), "learning_rate is inf; it is a float"),
-        (lambda: Config(clip=float("nan")), "clip is nan; it is a float"),
+        (lambda: measure_online(WALK, switch="1/t"), "switch must be from 0 to 1, or"),
+        (
+            lambda: Config(learning_rate=float("inf")),
+            "learning_rate must be of type float; got inf",
+        ),
+        (lambda: Config(clip=float("nan")), "clip must be of type float; got nan"),
         (lambda: replace(SMALL, time_limit=5.5), "time_limit must be an integer from"),
         (lambda: replace(SMALL, time_limit=True), "time_limit must be an integer"),
         (lambda: replace(SMALL, time_limit=10**30), r"time_limit must be an integer"),
@@ -88,8 +92,8 @@ def test_a_number_or_a_fact_of_another_type_is_refused(wrong, message):
 @pytest.mark.parametrize(
     "take, message",
     [
-        (lambda: small_training(environments=10**9), "1,000,000,000 environments need"),
-        (lambda: small_training(rollout=10**9), r"rollouts of 4,000,000,004 samples need .* GB"),
+        (lambda: small_training(num_envs=10**9), "1,000,000,000 environments need"),
+        (lambda: small_training(num_steps=10**9), r"rollouts of 4,000,000,004 samples need .* GB"),
         (lambda: small_training(width=10**6), r"weights and rollouts .* need .* GB of memory; the"),
         (lambda: small_training(width=2**31 - 1), "too many weights for any memory|weights and"),
         (
@@ -114,7 +118,7 @@ def begun(count):
 
 
 def small_training(**change):
-    sizes = {"environments": 4, "rollout": 4, "minibatches": 1, "variant": "corner-small"} | change
+    sizes = {"num_envs": 4, "num_steps": 4, "minibatches": 1, "variant": "corner-small"} | change
     Trainer(replace(PRESETS["small"], **sizes))
 
 
@@ -143,10 +147,10 @@ def test_numbers_of_levels_are_integers_that_are_levels(take, levels):
     "options, message",
     [
         ({"levels": [1, 2]}, "unknown option 'levels'; there are: level, state, reset_mask"),
-        ({"level": 1.0}, "levels are integers; given 1.0"),
+        ({"level": 1.0}, "levels must be integers; got 1.0"),
         ({"level": [1, True]}, "levels are integers"),
-        ({"level": True}, "levels are integers; given True"),
-        ({"level": "1"}, "levels are integers; given '1'"),
+        ({"level": True}, "levels must be integers; got True"),
+        ({"level": "1"}, "levels must be integers; got '1'"),
         ({"level": 1, "state": small().get_state()}, "by a level or by a state, not both"),
     ],
 )
@@ -201,7 +205,7 @@ def test_a_count_is_a_whole_number_from_1_on(take, count):
     ],
 )
 def test_a_level_is_edited_by_whole_cells(edit):
-    with pytest.raises(ValueError, match="a cell is two integers, x and y; given"):
+    with pytest.raises(ValueError, match="a cell must be two integers, x and y; got"):
         edit(drawn())
 
 
@@ -219,14 +223,24 @@ def test_a_levels_cells_are_of_its_legend(cells, message):
         replace(drawn(), cells=cells)
 
 
-def test_cells_that_were_changed_in_place_are_looked_at_again():
+@pytest.mark.parametrize(
+    "use",
+    [Level.state, str, Level.to_json, lambda level: level.added("goal", (1, 2))],
+    ids=["state", "drawing", "JSON", "edit"],
+)
+def test_cells_that_were_changed_in_place_are_looked_at_again(use):
     level = drawn()
     level.cells[2, 1] = 77
     with pytest.raises(ValueError, match=r"unknown code 77 at cell \(1, 2\)"):
-        level.state()
+        use(level)
 
 
-@pytest.mark.skipif(os.name == "nt", reason="no file is called so there")
+@pytest.mark.parametrize("agent", [(-1, 1), (7, 1), (1, 2**40)])
+def test_the_agent_of_a_level_is_in_it(agent):
+    with pytest.raises(ValueError, match=r"the agent is at cell \(.*\), outside of the level"):
+        replace(drawn(), agent=agent)
+
+
 def test_no_level_of_a_folder_is_lost_to_another_of_its_name(tmp_path):
     level = str(drawn())
     (tmp_path / "a").write_text(f"{level}\n\n{level}")
@@ -255,3 +269,9 @@ def test_a_copy_of_an_environment_shares_nothing(make):
     before = ours.get_state()
     theirs.step(np.zeros(theirs.num_envs, int))
     assert ours.get_state().tobytes() == before.tobytes() != theirs.get_state().tobytes()
+
+
+@pytest.mark.parametrize("name", ["../x", ".", "", "os", "os:", ":path", "os:path:join", "a b:c"])
+def test_what_names_nothing_is_not_looked_for(name):
+    with pytest.raises(ValueError, match="must be a module and what is in it; as module:attribute"):
+        imports.find(name)

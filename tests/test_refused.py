@@ -34,7 +34,7 @@ from astray.training.ppo import Samples
 from helpers.cases import FEW
 
 TINY = replace(
-    PRESETS["small"], variant="corner-small", environments=8, rollout=4, minibatches=1, width=4,
+    PRESETS["small"], variant="corner-small", num_envs=8, num_steps=4, minibatches=1, width=4,
     steps=32, validation_every=1,
 )  # fmt: skip
 SMALL = games.find("maze").variants["corner-small"]
@@ -55,9 +55,9 @@ def _ends():
 
 
 @pytest.mark.parametrize("one, other", [("corner-small", "corner"), ("corner", "anywhere-small")])
-@pytest.mark.parametrize("kernels", [True, False])
-def test_a_validation_of_another_size_is_refused_with_both(one, other, kernels, tmp_path):
-    config = replace(TINY, variant=one, validation=other, kernels=kernels)
+@pytest.mark.parametrize("fused_cpu", [True, False])
+def test_a_validation_of_another_size_is_refused_with_both(one, other, fused_cpu, tmp_path):
+    config = replace(TINY, variant=one, validation=other, fused_cpu=fused_cpu)
     with pytest.raises(ValueError, match=rf"{other}' of \(4, .*{one}' of \(4, "):
         train(config, tmp_path)
 
@@ -75,7 +75,7 @@ def test_a_validation_of_another_size_is_played_where_images_are_as_large(tmp_pa
     torch.zeros((2, 0, 7, 7), dtype=torch.uint8),
 ])  # fmt: skip
 def test_compiled_networks_refuse_planes_that_they_were_not_built_for(planes):
-    network = Architecture("small", (4, 7, 7), (1, 1, 6, 6), 15, width=4).build()
+    network = Architecture("mlp", (4, 7, 7), (1, 1, 6, 6), 15, width=4).build()
     with pytest.raises(ValueError, match=r"planes must be \[B, 4, H, W\] uint8"):
         sparse.outputs(network, planes)
 
@@ -190,8 +190,8 @@ def test_threads_that_cannot_be_started_are_an_error_and_none_is_left(monkeypatc
 
 
 @pytest.mark.parametrize("name, value", [
-    ("threads", 5000), ("threads", HUGE), ("steps", HUGE), ("environments", HUGE),
-    ("rollout", HUGE), ("epochs", HUGE), ("width", HUGE), ("minibatches", HUGE),
+    ("threads", 5000), ("threads", HUGE), ("steps", HUGE), ("num_envs", HUGE),
+    ("num_steps", HUGE), ("epochs", HUGE), ("width", HUGE), ("minibatches", HUGE),
     ("seed", HUGE), ("levels", HUGE),
     ("first_level", HUGE), ("groups", HUGE), ("checkpoint_every", HUGE),
 ])  # fmt: skip
@@ -208,6 +208,7 @@ def test_a_number_that_python_does_not_write_out_is_refused_all_the_same():
 WORDS = {  # of each verb, so that nothing but the number is wrong
     "train": ["maze", "corner-small"], "evaluate": ["--agent", "maze-corner"],
     "record": ["--agent", "maze-corner"], "reproduce": ["maze-corner"],
+    "explain": ["maze-corner"],
     "play": ["maze", "corner-small"], "replay": ["maze", "corner-small", "--actions", __file__],
 }  # fmt: skip
 NUMBERS = [

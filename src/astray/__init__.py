@@ -14,11 +14,11 @@ from astray.envs import register as register
 
 if TYPE_CHECKING:
     from astray.analysis.adapters import Function as Function
+    from astray.analysis.estimates import Estimate as Estimate
     from astray.analysis.evaluate import evaluate as evaluate
     from astray.analysis.runs import evaluate_policies as evaluate_policies
     from astray.analysis.runs import evaluate_runs as evaluate_runs
     from astray.analysis.runs import load_agent as load_agent
-    from astray.analysis.statistics import Estimate as Estimate
     from astray.envs.single import GameEnv as GameEnv
     from astray.envs.vector import GameVectorEnv as GameVectorEnv
     from astray.experiments.run import reproduce as reproduce
@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from astray.game import Variant as Variant
     from astray.level import Level as Level
     from astray.training.config import Config as Config
+    from astray.training.loop import iterate as iterate
     from astray.training.loop import train as train
 
 __version__ = version("astray")
@@ -33,7 +34,7 @@ __version__ = version("astray")
 # Where each is: imported when it is first asked for, as torch alone takes a second.
 FACE = {
     "Config": "astray.training.config:Config",
-    "Estimate": "astray.analysis.statistics:Estimate",
+    "Estimate": "astray.analysis.estimates:Estimate",
     "evaluate": "astray.analysis.evaluate:evaluate",
     "evaluate_policies": "astray.analysis.runs:evaluate_policies",
     "evaluate_runs": "astray.analysis.runs:evaluate_runs",
@@ -41,6 +42,7 @@ FACE = {
     "Game": "astray.game:Game",
     "GameEnv": "astray.envs.single:GameEnv",
     "GameVectorEnv": "astray.envs.vector:GameVectorEnv",
+    "iterate": "astray.training.loop:iterate",
     "Level": "astray.level:Level",
     "load_agent": "astray.analysis.runs:load_agent",
     "reproduce": "astray.experiments.run:reproduce",

@@ -1,4 +1,4 @@
-"""What a game is. Read this first, then `games/maze/rules.py`."""
+"""What a game is. Read this first, then `protocols.py` and `games/maze/rules.py`."""
 
 from __future__ import annotations
 
@@ -9,17 +9,20 @@ import reprlib
 import typing
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
-from typing import Any, Self
+from typing import Any, Literal, Self
 
 import numpy as np
 
 from astray.bounds import bounded, of_kind, shown
 from astray.kernel.rng import RNG_FIELDS, WORDS
+from astray.protocols import Cells, Editing, Levels, Mutating, Rules, Solver, Symbols
 
 NEVER = -1  # the step of an event that has not happened; the number of a level that has none
 LEVELS = range(2**31 - 1)  # all numbers that there are; the original has no others
 OWN = "own"  # the art that is drawn here
 MOST = 2**31 - 1  # of a knob, and of what is counted
+Mutation = Literal["constant", "identity", "binomial"]  # what is edited of a level, and how often
+MUTATIONS: tuple[Mutation, ...] = typing.get_args(Mutation)
 KINDS = {int: np.int64, float: np.float64, bool: np.bool_}
 
 
@@ -71,13 +74,13 @@ class Variant:
     def __post_init__(self) -> None:
         self._check_kinds()
         if not 0 <= self.shift_probability <= 1:
-            raise ValueError(f"shift_probability is {self.shift_probability}; it is from 0 to 1")
+            raise ValueError(f"shift_probability must be from 0 to 1; got {self.shift_probability}")
         if self.shift_probability and self.shifted is None:
             raise ValueError("shift_probability needs a `shifted` variant to shift to")
         if self.shifted is not None and type(self.shifted) is not type(self):
             raise ValueError("`shifted` is a variant of another game")
         if self.time_limit < 1:
-            raise ValueError(f"time_limit is {self.time_limit}; it is at least 1 step")
+            raise ValueError(f"time_limit must be at least 1 step; got {self.time_limit}")
 
     def _check_kinds(self) -> None:
         """See that each knob is what it is declared as: compiled code sees numbers cast to that."""
@@ -182,123 +185,6 @@ class Looks:
     scene_shape: Callable[[Variant, int], tuple[int, ...]]  # likewise
 
 
-class Rules(typing.Protocol):
-    """What moves, and what comes of it."""
-
-    @property
-    def ACTIONS(self) -> tuple[str, ...]:
-        """Names; what "stay" does takes a step, and no more."""
-        ...
-
-    @property
-    def STATE(self) -> np.dtype:
-        """What `state_dtype` makes."""
-        ...
-
-    @property
-    def EVENTS(self) -> tuple[str, ...]:
-        """Fields of the state, int64: the step that each first happened, or NEVER."""
-        ...
-
-    @property
-    def step(self) -> Callable:
-        """Compiled: (s, action) -> (reward, terminated)."""
-        ...
-
-
-class Levels(typing.Protocol):
-    """What a level's number decides."""
-
-    @property
-    def generate(self) -> Callable:
-        """Compiled: (s, p), fill `s` with a new level.
-
-        Its twister is seeded, and its common fields are set; all others are as the level before
-        left them.
-        """
-        ...
-
-
-class Symbols(typing.Protocol):
-    """Symbolic observations: planes [C, H, W] uint8 in the place of images."""
-
-    @property
-    def planes(self) -> Callable[..., np.ndarray]:
-        """(variant) -> [C, H, W] the largest values."""
-        ...
-
-    @property
-    def planes_scene_shape(self) -> Callable[..., tuple[int, ...]]:
-        """(variant) -> the scene's."""
-        ...
-
-    @property
-    def paint_planes(self) -> Callable:
-        """Compiled: (s, scene), what does not move."""
-        ...
-
-    @property
-    def draw_planes(self) -> Callable:
-        """Compiled: (s, scene, planes)."""
-        ...
-
-
-class Editing(typing.Protocol):
-    """Levels as data; see `level.Level`."""
-
-    @property
-    def LEGEND(self) -> Mapping[str, int]:
-        """Character in drawings -> code of what a cell holds; `level.EMPTY` is among them."""
-        ...
-
-    @property
-    def OBJECTS(self) -> Mapping[str, str]:
-        """What may be moved, added, removed: its name -> its character."""
-        ...
-
-    @property
-    def describe(self) -> Callable[[Any], dict[str, Any]]:
-        """(s) -> its level as plain, JSON-able data, and what follows from that.
-
-        "grid" (codes, rows from the lowest up), "agent" (its centre), "looks" (all else that
-        `build` needs to build it again).
-        """
-        ...
-
-    @property
-    def build(self) -> Callable[..., Any]:
-        """(grid, agent's cell, looks, variant) -> the state that begins there.
-
-        ValueError where none can.
-        """
-        ...
-
-
-class Solver(typing.Protocol):
-    """What can be reached, and how; a goal is one of the game's goals.
-
-    Whoever trusts a record to compiled code sees it first: `check_record`.
-    """
-
-    @property
-    def reachable(self) -> Callable[[Any], np.ndarray]:
-        """(s) -> [H, W] bool, the cells that the agent can get to."""
-        ...
-
-    @property
-    def expert(self) -> Callable[[Any, str], Callable[[Any], int]]:
-        """(s, goal) -> a policy: (a state of the same episode) -> the action that leads there.
-
-        To stay where the goal was reached or cannot be.
-        """
-        ...
-
-    @property
-    def optimal_return(self) -> Callable[[Any, str, float], float]:
-        """(s, goal, gamma) -> the return."""
-        ...
-
-
 @dataclass(frozen=True)
 class Benchmark:
     """What a game's speed is measured on."""
@@ -349,6 +235,8 @@ class Game:
     symbols: Symbols = None  # pyright: ignore
     editing: Editing = None  # pyright: ignore
     solver: Solver = None  # pyright: ignore
+    mutation: Mutating = None  # pyright: ignore
+    cells: Cells = None  # pyright: ignore
     benchmark: Benchmark = None  # pyright: ignore
     invariants: Callable[[np.ndarray, Any], dict[str, np.ndarray]] = lambda s, variant: {}
     # what is true of states [N] of a variant, and compiled code relies on: its name -> [N] bool
@@ -361,7 +249,7 @@ class Game:
     real_time: bool = False  # things move while the agent stays; else a person may take time
 
     def __post_init__(self) -> None:
-        for ability in ("symbols", "editing", "solver", "benchmark"):
+        for ability in ("symbols", "editing", "solver", "mutation", "cells", "benchmark"):
             if getattr(self, ability) is None:
                 object.__setattr__(self, ability, Missing(self.name, ability))
 
@@ -452,7 +340,7 @@ def integers(given: Any, name: str) -> np.ndarray:
     numbers = _array(given)
     several = isinstance(given, Sequence) and not isinstance(given, str | range)
     if numbers.dtype.kind not in "iu" or (several and any(isinstance(x, bool) for x in given)):
-        raise ValueError(f"{name} are integers; given {reprlib.repr(given)}")
+        raise ValueError(f"{name} must be integers; got {reprlib.repr(given)}")
     return numbers
 
 
@@ -473,7 +361,7 @@ def level_numbers(given: Any) -> np.ndarray:
     numbers = integers(given, "levels")
     if numbers.ndim != 1 or numbers.min() < LEVELS.start or numbers.max() >= LEVELS.stop:
         raise ValueError(
-            f"levels are numbers from 0 to {LEVELS.stop - 1}; given {reprlib.repr(given)}"
+            f"levels must be numbers from 0 to {LEVELS.stop - 1}; got {reprlib.repr(given)}"
         )
     return numbers.astype(np.int64)
 

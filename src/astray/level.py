@@ -45,6 +45,8 @@ class Level:
         of_kind("a level's looks", self.looks, Mapping)
         object.__setattr__(self, "agent", _whole(self.agent))
         self._check_cells()
+        if not self._is_inside(self.agent):
+            raise ValueError(f"the agent is at cell {self.agent}, outside of the level")
 
     def _check_cells(self) -> None:
         """See that the cells, which are the caller's to change, hold what the legend has."""
@@ -114,10 +116,10 @@ class Level:
         if not (
             isinstance(agent, list | tuple) and len(agent) == 2 and all(map(_is_number, agent))
         ):
-            raise ValueError(f"the agent is at two numbers, x and y; given {shown(agent)}")
+            raise ValueError(f"the agent must be at two numbers, x and y; got {shown(agent)}")
         looks = data.get("looks", {})
         if not isinstance(looks, Mapping):
-            raise ValueError(f"a level's looks are an object; given {shown(looks)}")
+            raise ValueError(f"a level's looks must be an object; got {shown(looks)}")
         level = Level(game, variant, cells, _cell(agent), looks)
         told = game.editing.describe(level.state(solvable=False))
         rest = {k: v for k, v in data.items() if k not in ("game", "variant", "level", "looks")}
@@ -129,10 +131,7 @@ class Level:
 
         solvable  see that the agent can reach every object
         """
-        game, (x, y) = self.game, self.agent
-        self._check_cells()
-        if not (0 <= x < self.cells.shape[1] and 0 <= y < self.cells.shape[0]):
-            raise ValueError(f"the agent is at cell {self.agent}, outside of the level")
+        game = self.game
         self._check_free(self.agent)
         try:
             s = game.editing.build(self.cells, self.agent, self.looks, self.variant)
@@ -168,6 +167,7 @@ class Level:
 
     def __str__(self) -> str:
         """The drawing, a character a cell, the top row first."""
+        self._check_cells()
         rows = [[self._char(x, y) for x in range(len(row))] for y, row in enumerate(self.cells)]
         rows[self.agent[1]][self.agent[0]] = AGENT
         return "\n".join("".join(row) for row in reversed(rows))
@@ -226,9 +226,14 @@ class Level:
         where = ", ".join(map(str, there)) or "nowhere"
         raise ValueError(f"which {name}? given {at}; there are: {where}")
 
+    def _is_inside(self, cell: Cell) -> bool:
+        x, y = cell
+        return 0 <= x < self.cells.shape[1] and 0 <= y < self.cells.shape[0]
+
     def _check_free(self, cell: Cell) -> None:
+        self._check_cells()
         x, y = cell = _whole(cell)
-        if not (0 <= x < self.cells.shape[1] and 0 <= y < self.cells.shape[0]):
+        if not self._is_inside(cell):
             raise ValueError(f"cell {cell} is outside of the level")
         if self.cells[y, x] != self.game.editing.LEGEND[EMPTY]:
             raise ValueError(f"cell {cell} holds {self._char(x, y)!r}")
@@ -246,7 +251,7 @@ def _cell(place: Any) -> Cell:
 def _whole(place: Any) -> Cell:
     """`place` as a cell; ValueError where it is not two integers."""
     if not np.shape(place) == (2,) or np.asarray(place).dtype.kind not in "iu":
-        raise ValueError(f"a cell is two integers, x and y; given {shown(place)}")
+        raise ValueError(f"a cell must be two integers, x and y; got {shown(place)}")
     x, y = place
     return int(x), int(y)
 

@@ -193,6 +193,43 @@ def check_solver(game: Game, variant: Variant) -> None:
             assert discounted <= soon + 1e-9, f"level {level}: sooner than is possible"
 
 
+def check_cells(game: Game, variant: Variant) -> None:
+    """The agent stands where it may, and so do goals; where one is reached, the agent is there."""
+    if not game.cells:
+        return
+    for s in _beginnings(game, variant):
+        free = game.cells.free(s)
+        (start,) = game.cells.position(np.array([s], game.state))
+        assert start.dtype == np.int64 and free.dtype == bool and free[start[1], start[0]]
+        for goal in game.goals:
+            place = game.cells.target(s, goal)
+            assert place is None or free[place[1], place[0]], f"level {s.level}: {goal} at {place}"
+            if place and game.solver:
+                there = _where_reached(game, variant, s, goal)
+                assert there in (None, tuple(place)), f"level {s.level}: {goal} reached at {there}"
+
+
+def check_labels(game: Game, variant: Variant) -> None:
+    """What can be read off states is a boolean, an integer or a real of each; likewise features."""
+    states = np.array(list(_beginnings(game, variant)), game.state)
+    for name, label in game.labels.items():
+        values = label(states)
+        assert values.shape == states.shape and values.dtype.kind in "biuf", f"{name}: {values}"
+    for name, values in (game.features(states) if game.features else {}).items():
+        assert values.shape == states.shape and values.dtype.kind == "f", f"{name}: {values}"
+
+
+def _where_reached(game: Game, variant: Variant, s: Any, goal: str) -> tuple[int, int] | None:
+    """The cell in which an expert reaches `goal`; None where another one ends the level before."""
+    env = GameVectorEnv(game, variant, 1, autoreset_mode="Disabled")
+    env.reset(seed=0, options={"level": int(s.level)})
+    expert, event = game.solver.expert(s, goal), game.goals[goal]
+    while env.states[0][event] < 0 and not env.states[0].ended:
+        env.step(np.array([expert(env.states[0])]))
+    x, y = game.cells.position(env.get_state())[0]
+    return (int(x), int(y)) if env.states[0][event] >= 0 else None
+
+
 def check_compiled_once(game: Game, variant: Variant) -> None:
     """The batch loop is compiled once for the game, whatever is asked of it."""
     for options in observations(game):
@@ -206,7 +243,8 @@ def check_compiled_once(game: Game, variant: Variant) -> None:
 
 CHECKS: tuple[Callable[[Game, Variant], None], ...] = (
     check_batches, check_gymnasium, check_seeds, check_levels, check_time_limit, check_states,
-    check_events, check_symbols, check_editing, check_solver, check_compiled_once,
+    check_events, check_symbols, check_editing, check_solver, check_cells, check_labels,
+    check_compiled_once,
 )  # fmt: skip
 
 

@@ -64,7 +64,7 @@ def test_a_clear_network_computes_what_its_description_says():
 def test_a_file_of_rl_clarity_tells_what_it_was_trained_on():
     found = jd.read(joblib_bytes(clarity(gamma=0.99, num_envs=8, num_levels=None)[0]))
     assert found.world == ("coinrun", "hard")
-    assert found.settings == {"gamma": 0.99, "environments": 8}
+    assert found.settings == {"gamma": 0.99, "num_envs": 8}
     assert found.told["cnn"] == "clear"
 
 

@@ -9,12 +9,21 @@ import pytest
 
 from astray import games
 from astray.agency.measure import PAPER
-from astray.agency.population import Share
-from astray.analysis.agency import DEVICE, UNDECIDED, Judgement, judge, play
-from astray.analysis.agency_run import MOST, MOUSE, heat, posterior_video
+from astray.analysis.agency import (
+    DEVICE,
+    MOST,
+    MOUSE,
+    UNDECIDED,
+    Judgement,
+    heat,
+    judge,
+    play,
+    posterior_video,
+)
 from astray.analysis.outcomes import load_shift
 from astray.analysis.policies import Random, Walk
 from astray.envs.vector import GameVectorEnv
+from astray.estimate import Estimate
 
 SHIFT = load_shift("maze", "corner-small")
 MAZE = games.find("maze")
@@ -88,7 +97,7 @@ def test_levels_without_one_of_the_goals_are_left_out():
 def test_games_without_cells_are_refused():
     coinrun = games.find("coinrun")
     shift = next(iter(coinrun.shifts.values()))
-    with pytest.raises(ValueError, match="coinrun has no cell for the goal"):
+    with pytest.raises(ValueError, match="the game 'coinrun' has no cells"):
         play(Random(), "coinrun", coinrun.variants[shift.test], range(1), shift)
 
 
@@ -107,7 +116,7 @@ def test_the_video_shows_the_mouse_and_the_goal_as_it_becomes_clear():
 
 def test_a_verdict_takes_more_than_half_for_certain():
     def verdict(low):
-        both = [Share(0.7, low, 0.9), Share(0.3, 0.1, 0.5)]
+        both = [Estimate(0.7, low, 0.9, 1, 9, 9), Estimate(0.3, 0.1, 0.5, 1, 9, 9)]
         return Judgement(pl.DataFrame(), ("corner", DEVICE), both, np.ones(2) / 2, 1).verdict
 
     assert (verdict(0.49), verdict(0.51)) == (UNDECIDED, "corner")

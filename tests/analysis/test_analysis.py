@@ -11,11 +11,11 @@ from scipy.stats import binomtest
 
 from astray import games
 from astray.agents.policy import Architecture, weights
+from astray.analysis.estimates import bootstrap, over_agents
 from astray.analysis.evaluate import evaluate
 from astray.analysis.outcomes import FAILED, INTENDED, MISGENERALIZED, label, load_shift, tell_apart
 from astray.analysis.overlap import met, overlap, unseen
 from astray.analysis.policies import Agent, Random, Walk
-from astray.analysis.statistics import bootstrap, over_agents
 
 MAZE = games.find("maze")
 LEVELS = range(1_000_000, 1_000_060)
@@ -24,7 +24,7 @@ LEVELS = range(1_000_000, 1_000_060)
 @pytest.fixture(scope="module")
 def agent_file(tmp_path_factory):
     path = tmp_path_factory.mktemp("agent") / "agent.safetensors"
-    architecture = Architecture("small", (4, 7, 7), (1, 1, 6, 6), 15)
+    architecture = Architecture("mlp", (4, 7, 7), (1, 1, 6, 6), 15)
     torch.manual_seed(0)  # one whose greedy episodes do not all last to the end
     path.write_bytes(weights(architecture.build(), architecture, "maze"))
     return path

@@ -20,16 +20,16 @@ from astray.agency import measure
 from astray.agency.gridworld import World
 from astray.agents import policy
 from astray.agents.importers import files as importers
+from astray.agents.mlp import MLP
 from astray.agents.policy import Architecture
-from astray.agents.small import Small
 from astray.analysis import imported
 from astray.analysis.adapters import Function
 from astray.analysis.critic import visit
 from astray.analysis.download import download
+from astray.analysis.estimates import bootstrap, over_agents
 from astray.analysis.evaluate import evaluate
 from astray.analysis.policies import Random
 from astray.analysis.runs import evaluate_policies, evaluate_runs, load_agent
-from astray.analysis.statistics import bootstrap, over_agents
 from astray.analysis.video import play, write_gif
 from astray.cli import LONGEST, shortened
 from astray.envs.states import save_states
@@ -38,7 +38,7 @@ from astray.files import read, see_writable, write_aside
 from astray.level import Level
 from astray.training import checkpoint, ppo
 from astray.training.config import PRESETS
-from astray.training.loop import Diverged, iterate, train
+from astray.training.loop import Diverged, improve, train
 from astray.training.trainer import Trainer
 from astray.words import printable
 from helpers.cases import FEW
@@ -46,7 +46,7 @@ from helpers.cases import FEW
 MAZE = games.find("maze")
 SMALL = MAZE.variant("corner-small")
 TINY = replace(
-    PRESETS["small"], variant="corner-small", environments=4, rollout=8, minibatches=2, epochs=1,
+    PRESETS["small"], variant="corner-small", num_envs=4, num_steps=8, minibatches=2, epochs=1,
     width=8, steps=192, levels=50, checkpoint_every=2,
 )  # fmt: skip
 ROOM = World.parse("..\n..")
@@ -135,7 +135,7 @@ def test_a_loss_that_is_no_number_stops_a_training(tmp_path):
     assert not checkpoint.steps_saved(tmp_path)
 
 
-class OneColumn(Small):
+class OneColumn(MLP):
     def __init__(self, a):
         super().__init__(a.shape, list(a.largest), a.actions, a.width)
 
@@ -246,7 +246,7 @@ def begun(tmp_path):
     folder = tmp_path / "begun"
     with checkpoint.claim(folder, TINY), contextlib.closing(Trainer(TINY)) as trainer:
         for _ in range(TINY.checkpoint_every):
-            iterate(trainer)
+            improve(trainer)
         checkpoint.save(folder, trainer)
     return folder
 

@@ -27,7 +27,7 @@ ROOM = """
     ===========####
 """
 ARCHITECTURES = {
-    "symbolic": Architecture("small", (7, 13, 13), (1,) * 7, 15, width=16),
+    "symbolic": Architecture("mlp", (7, 13, 13), (1,) * 7, 15, width=16),
     "image": Architecture("impala", (64, 64, 3), (), 15),
 }
 

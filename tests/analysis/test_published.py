@@ -223,7 +223,7 @@ def test_a_file_that_does_not_say_needs_to_be_told(astray, home, tmp_path, mouse
 
 
 @pytest.mark.parametrize(
-    "name, message", [("maze-corner", "already"), ("m", "already"), ("../m", "given '../m'")]
+    "name, message", [("maze-corner", "already"), ("m", "already"), ("../m", "got '../m'")]
 )
 def test_a_name_is_one_and_new(astray, home, tmp_path, mouse, name, message):
     file = tmp_path / "agent.pth"

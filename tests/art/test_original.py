@@ -1,6 +1,7 @@
 """With the original's pictures, images are the original's in every pixel."""
 
 import hashlib
+import io
 import json
 import subprocess
 import sys
@@ -345,6 +346,31 @@ def test_what_was_decoded_is_kept_and_made_anew_where_it_is_broken(pack, tmp_pat
         original.atlas(list(pack))
 
 
+def test_a_decoded_picture_that_was_changed_is_not_shown(pack, tmp_path):
+    original.take(wheel_of(tmp_path / "a.whl", pack))
+    pixels, _ = original.atlas(list(pack))
+    whole = pixels.copy()
+    del pixels
+    (kept,) = (tmp_path / "art").glob("decoded-*.npy")
+    changed = bytearray(kept.read_bytes())
+    changed[-original.SUM - 4] ^= 1  # of the last pixel; the size stays
+    kept.write_bytes(changed)
+    assert np.array_equal(original.atlas(list(pack))[0], whole)
+
+
+def test_sizes_of_decoded_pictures_are_seen_whoever_signed_them(pack, tmp_path):
+    original.take(wheel_of(tmp_path / "a.whl", pack))
+    pixels, _ = original.atlas(list(pack))
+    whole = pixels.copy()
+    del pixels
+    (kept,) = (tmp_path / "art").glob("decoded-*.npy")
+    sizes = np.zeros(2 * len(pack), np.uint32)
+    data = io.BytesIO()
+    np.save(data, sizes)
+    kept.write_bytes(data.getvalue() + hashlib.sha256(data.getvalue()).digest())
+    assert np.array_equal(original.atlas(list(pack))[0], whole)
+
+
 def test_without_the_pictures_one_sentence_says_how_to_get_them(tmp_path, monkeypatch, capsys):
     monkeypatch.setenv("ASTRAY_ART", str(tmp_path / "none"))
     with pytest.raises(FileNotFoundError, match="to get them: astray art import"):
@@ -398,13 +424,13 @@ def test_runs_say_what_they_were_trained_on_and_another_is_shown_where_asked_for
     from astray.training import checkpoint
 
     config = Config(
-        observation="symbolic", network="small", art="original", environments=8, minibatches=1
+        observation="symbolic", network="mlp", art="original", num_envs=8, minibatches=1
     )
     folder = tmp_path / "checkpoints" / "8"
     folder.mkdir(parents=True)
     written = {"config": config.to_json()}
     (tmp_path / "config.json").write_text(json.dumps(written))
-    architecture = Architecture("small", (4, 25, 25), (1, 1, 6, 6), 15)
+    architecture = Architecture("mlp", (4, 25, 25), (1, 1, 6, 6), 15)
     network = architecture.build()
     (folder / checkpoint.AGENT).write_bytes(weights(network, architecture, "maze"))
     assert open_run(tmp_path)[0].art == "original"

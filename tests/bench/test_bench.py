@@ -13,11 +13,11 @@ from rich.console import Console
 from astray import games
 from astray.agents.policy import Architecture
 from astray.art import original
-from astray.bench import agency, environments, profile, start, tables, train
+from astray.bench import agency, environments, insight, profile, start, tables, train
 from astray.bench.plain import Loop
 from astray.envs.vector import GameVectorEnv
 
-TINY = replace(train.SYMBOLIC[0], environments=8, rollout=8, minibatches=2, width=8)
+TINY = replace(train.SYMBOLIC[0], num_envs=8, num_steps=8, minibatches=2, width=8)
 
 
 def speed(row):
@@ -115,7 +115,7 @@ def test_without_stable_baselines3_the_row_says_how_to_install_it(monkeypatch):
 
 def test_training_on_images_is_measured_beside_plain_loops(monkeypatch):
     monkeypatch.setitem(sys.modules, "envpool", None)
-    config = replace(train.IMAGES, environments=4, rollout=4, minibatches=2)
+    config = replace(train.IMAGES, num_envs=4, num_steps=4, minibatches=2)
     rows = train.measure([config], seconds=0.02, rounds=1)
     ours, missing, plain, original, *parts = rows
     assert speed(ours) > 0 and "pip install envpool" in missing.note
@@ -133,7 +133,7 @@ def one_thread():
 
 
 def test_the_parts_of_an_iteration_come_near_to_the_whole(one_thread):
-    config = replace(train.SYMBOLIC[0], environments=64, rollout=16, minibatches=4)
+    config = replace(train.SYMBOLIC[0], num_envs=64, num_steps=16, minibatches=4)
     *parts, minibatch, whole = profile.measure(config, rounds=3)
     assert minibatch.part == "a minibatch, whole" and whole.share == 1
     assert all(part.milliseconds > 0 for part in parts)
@@ -143,7 +143,7 @@ def test_the_parts_of_an_iteration_come_near_to_the_whole(one_thread):
 
 
 def test_a_plain_loop_learns():
-    config = replace(train.IMAGES, environments=4, rollout=4, minibatches=2)
+    config = replace(train.IMAGES, num_envs=4, num_steps=4, minibatches=2)
     network = Architecture("impala", (64, 64, 3), (), 15).build()
     before = [weight.clone() for weight in network.parameters()]
     for host in (True, False):
@@ -206,3 +206,10 @@ def test_the_agency_measure_gets_a_row_for_each_preset_and_number():
         rows[1].seconds / first.seconds / 2
     )
     assert "calibrated" in agency.markdown(rows)
+
+
+def test_fields_get_a_row_for_each_network():
+    rows = insight.measure(levels=(3, 1), rounds=1)
+    assert [row.levels for row in rows] == [3, 1] and all(row.seconds > 0 for row in rows)
+    assert rows[0].places > 3 and "places/s" in insight.markdown(rows)
+    assert insight.table(rows).row_count == 2

@@ -12,7 +12,7 @@ import pytest
 
 from astray import games
 
-TINY = ["--steps", "512", "--environments", "16", "--rollout", "16", "--minibatches", "4"]
+TINY = ["--steps", "512", "--num-envs", "16", "--num-steps", "16", "--minibatches", "4"]
 TINY += ["--width", "16", "--checkpoint-every", "1"]
 
 
@@ -135,14 +135,14 @@ def test_an_evaluation_that_finds_no_room_leaves_nothing(run_folder, tmp_path):
     [
         ("level mase corner", "unknown game 'mase'; there are: "),
         ("level maze cornr", "unknown variant 'cornr' of maze; there are: corner, anywhere"),
-        ("level maze corner --numbers 5-9", "levels are numbers and ranges as 5,17,100:200"),
+        ("level maze corner --numbers 5-9", "levels must be numbers and ranges as 5,17,100:200"),
         ("level maze corner --numbers -1", "from 0 to 2147483646"),
         ("level maze corner --numbers 99999999999999999999", "from 0 to 2147483646"),
         ("level maze corner --numbers 0:99999999999", "from 0 to 2147483646"),
         ("level maze corner --numbers 0:2000000000", "at most 10000000 are taken at once"),
         ("level maze corner --set region=5", "need placement 'region'"),
         ("train maze corner --seeds 0", "seeds must be an integer from 1 to 268435456; got 0"),
-        ("level maze corner --set region", "a knob is set as NAME=VALUE; given 'region'"),
+        ("level maze corner --set region", "a knob must be set as NAME=VALUE; got 'region'"),
         ("level maze corner --set squid=5", "unknown knob 'squid'; there are: time_limit"),
         ("level maze corner --set region=5.5", "region must be of type int; got 5.5"),
         ("reproduce maze-cornr", "unknown experiment 'maze-cornr'; there are: agency, "),

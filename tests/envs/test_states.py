@@ -102,7 +102,7 @@ def test_what_is_no_state_is_refused(game, variant, tmp_path):
     env = played(game, variant)
     states, path = env.get_state(), tmp_path / "states.npz"
     for wrong in (states[:2], states.view(np.uint8), np.zeros(4), None, "states"):
-        with pytest.raises(ValueError, match="are needed; given"):
+        with pytest.raises(ValueError, match="or one; got"):
             env.set_state(wrong)
     for field, value in (("time", -1), ("time", 16), ("time_limit", 0), ("turn", -1),
                          ("level", -2), ("level", 2**31 - 1), ("mt_next", 624)):  # fmt: skip
@@ -122,7 +122,7 @@ def test_what_is_no_state_is_refused(game, variant, tmp_path):
     with pytest.raises(ValueError, match="the episode of state 0 has ended"):
         env.set_state(ended)
     assert env.get_state().tobytes() == states.tobytes()  # refused before anything was touched
-    with pytest.raises(ValueError, match="these are not states of"):
+    with pytest.raises(ValueError, match="states must be of"):
         save_states(path, game, np.zeros(3))
 
 
@@ -169,3 +169,25 @@ def test_every_state_that_is_played_passes_the_check(game, variant):
     for mode in MODES:
         env = played(game, variant, mode, n=32, steps=40)
         env.game.check(env.get_state(), env.variant)
+
+
+def test_an_environment_that_repeats_begins_in_its_own_state_again_and_again():
+    env = GameVectorEnv("maze", "anywhere-small", 6, observation="symbolic",
+                        autoreset_mode="SameStep", threads=2)  # fmt: skip
+    seen, _ = env.reset(seed=0)
+    begun = env.get_state()
+    env.repeat(begun)
+    ended, random = 0, np.random.default_rng(0)
+    for _ in range(150):
+        now, _, terminated, truncated, info = env.step(random.integers(9, size=6))
+        for i in np.flatnonzero(terminated | truncated):
+            ended += 1
+            assert env.states[i].tobytes() == begun[i].tobytes()
+            assert np.array_equal(now[i], seen[i]) and info["level"][i] == begun["level"][i]
+    assert ended > 6
+    env.repeat(None)
+    env.step(np.zeros(6, int))
+    levels = {int(env.reset(options={"reset_mask": np.ones(6, bool)})[1]["level"][0])}
+    assert levels != {int(begun["level"][0])}
+    with pytest.raises(ValueError, match="must be 6, one for each environment; got \\(2,\\)"):
+        env.repeat(begun[:2])

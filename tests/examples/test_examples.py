@@ -36,7 +36,7 @@ def test_its_own_tests_pass(beside, tmp_path):
 def test_verbs_know_it(beside, tmp_path):
     assert "open-room" in run(beside, tmp_path, "-m", "astray", "list")
     train = ("train", "open-room", "corner", "--network", "open_room.learning:Tanh", "--steps",
-             "512", "--environments", "8", "--rollout", "16", "--minibatches", "2")  # fmt: skip
+             "512", "--num-envs", "8", "--num-steps", "16", "--minibatches", "2")  # fmt: skip
     run(beside, tmp_path, "-W", "ignore", "-m", "astray", *train)
     judged = run(
         beside, tmp_path, "-m", "astray", "evaluate", "runs/open-room-corner/seed-0", "--levels",

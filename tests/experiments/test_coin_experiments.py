@@ -7,8 +7,8 @@ import polars as pl
 import pytest
 
 from astray.analysis.outcomes import FAILED, INTENDED, MISGENERALIZED
-from astray.experiments.catalogue import coin_diversity, critic_value, permeable_wall
 from astray.experiments.run import run_folder
+from astray.experiments.studies.coinrun import coin_diversity, critic_value, permeable_wall
 
 
 @pytest.mark.parametrize("size", ["smoke", "hour", "paper"])

@@ -7,13 +7,22 @@ import numpy as np
 import polars as pl
 import pytest
 
+from astray.analysis.estimates import bootstrap
 from astray.analysis.policies import Walk
 from astray.analysis.runs import play_all
-from astray.analysis.statistics import bootstrap
-from astray.experiments import hoarding, load
-from astray.experiments.hoarding import ALL_FIRST, BEYOND, IN_HAND, LEFT, LOST, NEED, PER_CHEST
+from astray.experiments.catalogue import load
 from astray.experiments.outcomes import AGENTS, fair
 from astray.experiments.spec import Work
+from astray.experiments.studies.keys import _hoarding as hoarding
+from astray.experiments.studies.keys._hoarding import (
+    ALL_FIRST,
+    BEYOND,
+    IN_HAND,
+    LEFT,
+    LOST,
+    NEED,
+    PER_CHEST,
+)
 
 LEVELS = np.arange(100_000, 100_030)
 PLAN = replace(load("keys-and-chests").sizes["smoke"], levels=len(LEVELS))
@@ -89,7 +98,7 @@ def test_keys_in_hand_are_told_only_where_a_chest_was_opened(episodes):
 
 
 def test_curves_begin_when_episodes_could_have_timed_out():
-    config = replace(PLAN.config, rollout=64, validation_every=4)  # 200 steps an episode
+    config = replace(PLAN.config, num_steps=64, validation_every=4)  # 200 steps an episode
     table = pl.DataFrame({"steps": np.arange(1, 17) * config.batch}).with_columns(
         pl.lit(1.0).alias(f"{which}/return") for which in ("training", "validation")
     )

@@ -9,11 +9,11 @@ import numpy as np
 import polars as pl
 import pytest
 
-from astray import experiments
 from astray.analysis.outcomes import FAILED, INTENDED, MISGENERALIZED
-from astray.experiments import run
-from astray.experiments.catalogue import colour_or_shape, maze_region, training_curves
-from astray.experiments.catalogue.training_curves import TEST, TRAIN
+from astray.experiments import catalogue, run
+from astray.experiments.studies.maze import colour_or_shape, maze_region
+from astray.experiments.studies.training import training_curves
+from astray.experiments.studies.training.training_curves import TEST, TRAIN
 from astray.games.maze.variants import COLOURS, SHAPES
 
 
@@ -24,7 +24,7 @@ def folders(plan):
 @pytest.mark.parametrize("size", training_curves.EXPERIMENT.sizes)
 def test_curves_train_no_agents_of_their_own_and_show_each_once(size):
     plan = training_curves.EXPERIMENT.sizes[size]
-    others = [experiments.load(name) for name in experiments.NAMES if name != "training-curves"]
+    others = [catalogue.load(name) for name in catalogue.NAMES if name != "training-curves"]
     plans = [one.sizes[size] for one in others if size in one.sizes and one.sizes[size].agents]
     assert folders(plan) <= set().union(*map(folders, plans))
     first = {run.run_folder(Path(), replace(one.config, seed=0)) for one in plans}
@@ -34,7 +34,7 @@ def test_curves_train_no_agents_of_their_own_and_show_each_once(size):
 
 @pytest.mark.parametrize("size", ["smoke", "hour"])
 def test_the_smallest_region_is_the_corner_mouse(size):
-    corner = experiments.load("maze-corner").sizes[size]
+    corner = catalogue.load("maze-corner").sizes[size]
     region = maze_region.EXPERIMENT.sizes[size]
     assert folders(corner) <= folders(region)
     sides = [maze_region.region(config) for config in region.agents.values()]
@@ -69,12 +69,12 @@ def test_the_gap_at_the_end_is_judged_by_its_interval():
     (row,) = training_curves.ends(measured()).to_dicts()
     assert (row[TRAIN], row[TEST]) == (pytest.approx(9, abs=0.1), 3)
     assert row["lower by"] == pytest.approx(6, abs=0.1)
-    assert training_curves.judge(row).held
-    assert not training_curves.judge(row | {"low": -0.1}).held
+    assert training_curves.ends_lower(row).held
+    assert not training_curves.ends_lower(row | {"low": -0.1}).held
     (row,) = training_curves.ends(measured(seeds=1)).to_dicts()
-    assert row["low"] is None and training_curves.judge(row).held
+    assert row["low"] is None and training_curves.ends_lower(row).held
     (row,) = training_curves.ends(measured().with_columns(pl.lit(None).alias(TEST))).to_dicts()
-    assert not training_curves.judge(row).held
+    assert not training_curves.ends_lower(row).held
 
 
 def offered(outcome):

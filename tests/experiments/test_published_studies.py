@@ -8,15 +8,18 @@ import numpy as np
 import polars as pl
 import pytest
 
-from astray import experiments
 from astray.analysis import kept
 from astray.analysis.adapters import Function
 from astray.analysis.critic import visit
+from astray.analysis.estimates import mean_of
 from astray.analysis.evaluate import evaluate
 from astray.analysis.results import read_results
 from astray.analysis.runs import open_run
-from astray.experiments import coin, report, run
-from astray.experiments.catalogue import cheese_mouse, critic_value, moved_coin, published_results
+from astray.experiments import catalogue, report, run
+from astray.experiments.claims import Claim
+from astray.experiments.levels import levels_of
+from astray.experiments.studies.coinrun import _agents, critic_value, moved_coin, published_results
+from astray.experiments.studies.maze import cheese_mouse
 from astray.training.config import PRESETS
 from helpers.miniature import miniature, train_here
 
@@ -44,7 +47,7 @@ def test_published_agents_play_the_numbering_that_they_were_trained_in():
     assert [v.numbering for v in found.values()] == ["procgen"] * 3 + ["coinrun"]
     assert [v.place for v in found.values()] == ["anywhere"] * 3 + ["ledge"]
     assert plan.trainings() == {}
-    assert run.levels_of(plan, moved_coin.TESTS["coin anywhere"])[0] == 2**31 - 1_000_001
+    assert levels_of(plan, moved_coin.TESTS["coin anywhere"])[0] == 2**31 - 1_000_001
 
 
 def test_ghosts_are_touched_where_the_rules_say_so():
@@ -76,7 +79,7 @@ def test_what_seeing_adds_is_of_the_same_levels():
     assert pairs["gain"].to_list() == [0, 1, -1, 0]
     assert pairs["way"].to_list() == ["on the way", "off the way"] * 2
     assert pairs["part"].to_list() == ["first third", "second third", "last third", "last third"]
-    assert moved_coin.whole(pairs.filter(way="off the way"), "gain").mean == 0.5
+    assert mean_of(pairs.filter(way="off the way"), "gain").mean == 0.5
 
 
 def test_the_future_is_the_discounted_return_that_came():
@@ -158,9 +161,15 @@ def test_what_foretells_is_a_difference_of_shares():
 
 def test_what_agents_trained_here_do_stands_beside_the_published(tmp_path):
     heading = report.Heading(
-        name="n", size="published", title="t", reproduces="r", question="q", smaller="", command="c"
+        name="n",
+        size="published",
+        title="t",
+        reproduces="r",
+        question="q",
+        differences="",
+        command="c",
     )
-    mine = report.Findings(answer="", verdicts=[report.Verdict("It runs.", "p", "7 %", False)],
+    mine = report.Findings(answer="", claims=[Claim("It runs.", "p", "7 %", False)],
                            settings={})  # fmt: skip
     for name in ("n-smoke", "n-published"):
         (tmp_path / name).mkdir()
@@ -175,13 +184,13 @@ def test_what_agents_trained_here_do_stands_beside_the_published(tmp_path):
 def test_plans_name_the_same_agents_as_the_catalogue():
     from astray.analysis import published
 
-    assert set(coin.AGENT.values()) <= set(published.catalogue())
+    assert set(_agents.AGENT.values()) <= set(published.catalogue())
     assert published.find(published_results.SOURCE).kind == "results"
 
 
 def test_the_control_runs_in_miniature(tmp_path, monkeypatch):
     """With agents trained here for a moment, and shown symbols, in the place of the published."""
-    whole = experiments.load("cheese-mouse")
+    whole = catalogue.load("cheese-mouse")
     config = replace(PRESETS["small"], variant="anywhere-easy")
     plan = replace(whole.sizes["published"], agents={cheese_mouse.MOUSE: config}, published={})
     plan = replace(miniature(plan), seeds=1)
@@ -189,7 +198,7 @@ def test_the_control_runs_in_miniature(tmp_path, monkeypatch):
     train_here(plan, tmp_path)
     small = replace(whole, sizes={"smoke": plan})
     page = run.reproduce(small, "smoke", tmp_path)
-    found = json.loads((page.parent / "findings.json").read_text())["verdicts"]
+    found = json.loads((page.parent / "findings.json").read_text())["claims"]
     assert len(found) == 4
     assert found[3]["held"], "our mouse of the corner is one of the corner"
     sizes = pl.read_parquet(page.parent / "tables" / "sizes.parquet")

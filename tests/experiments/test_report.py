@@ -14,6 +14,7 @@ from astray.analysis import video
 from astray.analysis.outcomes import FAILED, INTENDED, MISGENERALIZED
 from astray.analysis.policies import Walk
 from astray.experiments import figures, report, spec
+from astray.experiments.claims import Claim
 from astray.games.maze.solve import steps_to
 
 T, H, W = 7, 31, 45  # odd sizes, which yuv420p cannot have
@@ -63,14 +64,14 @@ def told(frames, tmp_path):
         reproduces="Figure 3",
         question="Where to?",
         size="smoke",
-        smaller="worlds of 9 cells",
+        differences="worlds of 9 cells",
         command="astray reproduce maze-corner --size smoke",
     )
     findings = report.Findings(
         answer="It goes to the corner.",
-        verdicts=[
-            report.Verdict("It learns.", "reliably", "98.4 % [97.9, 98.9]", held=True),
-            report.Verdict("It looks for cheese.", "no", "29.2 % [25.1, 33.0]", held=False),
+        claims=[
+            Claim("It learns.", "reliably", "98.4 % [97.9, 98.9]", held=True),
+            Claim("It looks for cheese.", "no", "29.2 % [25.1, 33.0]", held=False),
         ],
         videos=[report.Video("A walk.", tmp_path / "walk.mp4")],
         plots=[
@@ -187,13 +188,13 @@ def test_a_report_needs_nothing_from_outside(told, tmp_path):
     assert not re.search("https?:", page)
 
 
-def test_a_report_contains_every_verdict_and_whether_it_held(told, tmp_path):
+def test_a_report_contains_every_claim_and_whether_it_held(told, tmp_path):
     page = report.write(*told, tmp_path).read_text()
     shown = re.findall(r'<li class="(\w+)">(.*?)</li>', page, re.DOTALL)
     assert [kind for kind, _ in shown] == ["held", "not"]
-    for verdict, (_, text) in zip(told[1].verdicts, shown, strict=True):
-        assert verdict.claim in text and verdict.paper in text and verdict.ours in text
-        assert ("did not hold" in text) is not verdict.held
+    for claim, (_, text) in zip(told[1].claims, shown, strict=True):
+        assert claim.sentence in text and claim.paper in text and claim.ours in text
+        assert ("did not hold" in text) is not claim.held
 
 
 def test_all_that_is_shown_is_in_files_too(told, tmp_path):
@@ -228,10 +229,10 @@ def test_what_is_told_is_escaped(told, tmp_path):
     assert "<b>" not in page
 
 
-def test_only_a_smaller_size_says_what_is_smaller(told, tmp_path):
+def test_only_a_smaller_size_says_how_it_differs(told, tmp_path):
     assert "Other than in the paper: worlds" in report.write(*told, tmp_path).read_text()
     heading, findings = told
-    at_paper_size = report.write(replace(heading, smaller=""), findings, tmp_path).read_text()
+    at_paper_size = report.write(replace(heading, differences=""), findings, tmp_path).read_text()
     assert "Smaller than" not in at_paper_size
 
 
@@ -250,7 +251,7 @@ def test_numbers_are_shown_to_sensible_places(values, shown):
     assert report.cells(pl.Series(values)) == shown
 
 
-@pytest.mark.parametrize("text", ["", "{}", "[]", "[" * 99_999, '{"verdicts": [1], "answer": ""}'])
+@pytest.mark.parametrize("text", ["", "{}", "[]", "[" * 99_999, '{"claims": [1], "answer": ""}'])
 def test_ruined_findings_are_told(tmp_path, text):
     (tmp_path / "one").mkdir()
     (tmp_path / "one" / "findings.json").write_text(text)

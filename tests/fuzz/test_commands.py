@@ -23,7 +23,7 @@ WORDS = st.sampled_from([
     "--shift", "--mode", "--batch", "--preset", "--seeds", "--folder", "--size", "--workers", "0",
     "5:8", "-1", "3", "1e9", "99999999999999999999", "a=b", "time_limit=5", "world=x", "smoke",
     "paper", "small", "greedy", "/nowhere", "", "-", "--", "\x00", "é", "--help", "--no-json",
-    "--pixels", "--out", "x.gif", "--unsolvable", "--environments", "--rollout", "--steps",
+    "--pixels", "--out", "x.gif", "--unsolvable", "--num-envs", "--num-steps", "--steps",
 ])  # fmt: skip
 # Those of which some words would open a window, ask the network, measure for minutes, or add to
 # the package.

@@ -89,7 +89,8 @@ def test_an_experiment_is_refused_or_can_be_run(data):
         plan = Plan(
             agents=agents, seeds=data.draw(st.integers(0, 9)),
             tests={"test": spec.Test(mostly(*made.variants), shift, knobs)} if played else {},
-            levels=data.draw(st.integers(-1, 10) | st.integers(2**31 - 200_000, 2**31)), smaller="",
+            levels=data.draw(st.integers(-1, 10) | st.integers(2**31 - 200_000, 2**31)),
+            differences="",
         )  # fmt: skip
         size = data.draw(st.sampled_from(["smoke", "hour", "paper", "tiny"]))
         Experiment("", "", "", {size: plan}, find=print)

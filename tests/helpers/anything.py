@@ -35,7 +35,7 @@ ANYTHING = st.recursive(
 )  # fmt: skip
 
 
-CONFIG = replace(PRESETS["small"], variant="corner-small", environments=2, rollout=4, minibatches=2,
+CONFIG = replace(PRESETS["small"], variant="corner-small", num_envs=2, num_steps=4, minibatches=2,
                  width=8)  # fmt: skip
 
 

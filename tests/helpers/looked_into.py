@@ -26,7 +26,7 @@ class Guest(nn.Module):
 ARCHITECTURES = {
     "impala": Architecture("impala", (64, 64, 3), (), 15, widths=(4, 6, 8)),
     "clear": Architecture("clear", (64, 64, 3), (), 15),
-    "small": Architecture("small", (4, 7, 7), (1, 1, 6, 6), 15, width=16),
+    "small": Architecture("mlp", (4, 7, 7), (1, 1, 6, 6), 15, width=16),
     "guest": Architecture("helpers.looked_into:Guest", (4, 7, 7), (1, 1, 6, 6), 15),
 }
 LAYERS = {"impala": "block2.residual1", "clear": "block2.relu1", "small": "features.relu1",

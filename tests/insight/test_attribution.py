@@ -24,8 +24,8 @@ ROOM = """
     #@.ocx.....####
     ===========####
 """
-PLANES = Architecture("small", (7, 13, 13), (1,) * 7, 15, width=16)
-CATEGORIES = Architecture("small", (4, 7, 7), (1, 1, 6, 6), 15, width=16)
+PLANES = Architecture("mlp", (7, 13, 13), (1,) * 7, 15, width=16)
+CATEGORIES = Architecture("mlp", (4, 7, 7), (1, 1, 6, 6), 15, width=16)
 IMAGE = Architecture("impala", (64, 64, 3), (), 15)
 
 

@@ -156,7 +156,7 @@ def test_pictures_show_as_many_arrows_as_places(mouse, level, field, tmp_path):
     assert len(paths.axes) == 2
 
 
-@pytest.mark.parametrize("game", ["keys", "coinrun"])
+@pytest.mark.parametrize("game", ["keys", "coinrun"])  # most of it is compiling these games
 def test_other_games_have_fields_too(game, tmp_path):
     name = {"keys": "many-chests", "coinrun": "coin-end"}[game]
     agent, config = open_run(kept.find(name))

@@ -1,6 +1,5 @@
 """Sending agents elsewhere, with a network that was made to follow the cheese."""
 
-import numpy as np
 import pytest
 import torch
 from torch import nn
@@ -45,7 +44,7 @@ class Seeker(nn.Module):
 def seeker(tmp_path):
     agent = make_agent("small", tmp_path)
     agent.network = Seeker()
-    agent.architecture = Architecture("small", (4, 7, 7), (1, 1, 6, 6), 15)
+    agent.architecture = Architecture("mlp", (4, 7, 7), (1, 1, 6, 6), 15)
     return agent
 
 
@@ -89,4 +88,4 @@ def test_what_no_clamp_can_be_is_told(seeker):
     mouse = load_agent(kept.find("maze-corner"))
     with pytest.raises(ValueError, match="has no places"):
         following(mouse, SMALL, NUMBERS, "features.relu1")
-    assert np.isfinite(following(mouse, SMALL, NUMBERS, "spread")["correlation"]).all()
+    assert following(mouse, SMALL, NUMBERS, "spread")["correlation"].is_finite().all()

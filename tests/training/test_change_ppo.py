@@ -6,25 +6,25 @@ import pytest
 import torch
 from torch import nn
 
-from astray.agents.small import Small
+from astray.agents.mlp import MLP
 from astray.training import ppo
 from astray.training.config import PRESETS
 from astray.training.loop import collect, update
 from astray.training.trainer import Trainer
 
 CONFIG = replace(
-    PRESETS["small"], variant="corner-small", environments=16, rollout=8, minibatches=2, width=16
+    PRESETS["small"], variant="corner-small", num_envs=16, num_steps=8, minibatches=2, width=16
 )
-OFF = {"kernels": False, "bfloat16": False}
+OFF = {"fused_cpu": False, "bfloat16": False}
 
 
-class Tanh(Small):
+class Tanh(MLP):
     def __init__(self, a):
         super().__init__(a.shape, list(a.largest), a.actions, a.width)
         self.features.relu1 = nn.Tanh()
 
 
-class TwoHeads(Small):
+class TwoHeads(MLP):
     """Also says which action was taken, from what both heads see."""
 
     def __init__(self, a):
@@ -84,13 +84,13 @@ def other_activation(monkeypatch):
 
 
 def one_head_more(monkeypatch):
-    begin = Small.__init__
+    begin = MLP.__init__
 
     def begin_with_head(self, *arguments, **named):
         begin(self, *arguments, **named)
         self.extra = nn.Linear(1, 1)
 
-    monkeypatch.setattr(Small, "__init__", begin_with_head)
+    monkeypatch.setattr(MLP, "__init__", begin_with_head)
 
 
 @pytest.mark.parametrize("edit", [double_entropy, other_clip, other_activation, one_head_more])
@@ -103,12 +103,12 @@ def test_an_edit_of_ours_is_seen(edit, monkeypatch):
 
 
 def test_ours_is_computed_by_the_kernels():
-    assert Trainer(CONFIG).fast.using.kernels
+    assert Trainer(CONFIG).fast.using.fused_cpu
 
 
 def test_kernels_that_are_asked_for_are_refused_to_others():
-    with pytest.raises(ValueError, match=r"kernels must be off with .* this network and this loss"):
-        Trainer(replace(CONFIG, kernels=True), Tanh)
+    with pytest.raises(ValueError, match=r"fused_cpu must be off with .* this network and"):
+        Trainer(replace(CONFIG, fused_cpu=True), Tanh)
 
 
 def test_explained_variance_is_a_share_of_the_targets():

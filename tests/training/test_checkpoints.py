@@ -144,7 +144,7 @@ def test_a_corrupt_state_in_a_checkpoint_never_reaches_compiled_code(run):
 @pytest.mark.parametrize(
     "name, change, message",
     [
-        ("training.recent", lambda x: x[:, :-1], r"recent is .*; it is torch.float64 "),
+        ("training.recent", lambda x: x[:, :-1], r"recent must be torch.float64 .*; got"),
         (
             "training.recent",
             lambda x: np.zeros((101, x.shape[1])),
@@ -163,9 +163,9 @@ def test_a_corrupt_state_in_a_checkpoint_never_reaches_compiled_code(run):
         (
             "adam.0.step",
             lambda x: np.zeros(2, np.float32),
-            r"adam.0.step is .* \[2\]; it is",
+            r"adam.0.step must be .*; got .* \[2\]",
         ),
-        ("steps", lambda x: x + 1, "steps is .*; it is so many times"),
+        ("steps", lambda x: x + 1, "steps must be a multiple of"),
         ("steps", lambda x: x * 2, "it is of step"),
         ("steps", lambda x: x * 1.0, "steps is torch.float64"),
         ("brand_new", lambda _: np.zeros(1), "brand_new is not one of its"),
@@ -275,12 +275,12 @@ def test_settings_that_are_none_are_refused(run, text):
 @pytest.mark.parametrize(
     "change, message",
     [
-        ({"gamma": 1.5}, "gamma is 1.5; it is from 0 to 1"),
-        ({"learning_rate": -1.0}, "learning_rate is -1.0; it is at least 0"),
-        ({"learning_rate": float("nan")}, "learning_rate is nan; it is a float"),
+        ({"gamma": 1.5}, "gamma must be from 0 to 1; got 1.5"),
+        ({"learning_rate": -1.0}, "learning_rate must be at least 0; got -1.0"),
+        ({"learning_rate": float("nan")}, "learning_rate must be of type float; got nan"),
         ({"device": "tpu"}, "unknown device 'tpu'; there are: cpu, cuda, mps"),
-        ({"steps": 1e6}, "steps is 1000000.0; it is a int"),
-        ({"anneal": 1}, "anneal is 1; it is a bool"),
+        ({"steps": 1e6}, "steps must be of type int; got 1000000.0"),
+        ({"anneal": 1}, "anneal must be of type bool; got 1"),
         ({"first_level": 2**31 - 100}, "some are left for tests"),
     ],
 )

@@ -33,7 +33,9 @@ def learned(config):
 
 
 @pytest.mark.parametrize(
-    "config", [replace(PLAIN, rollout=40, timeouts="terminate"), PICTURES], ids=["small", "impala"]
+    "config",
+    [replace(PLAIN, num_steps=40, timeouts="terminate"), PICTURES],
+    ids=["mlp", "impala"],
 )
 def test_graphs_learn_what_plain_calls_learn(config, monkeypatch):
     plain = learned(config)
@@ -44,9 +46,9 @@ def test_graphs_learn_what_plain_calls_learn(config, monkeypatch):
 
 
 def test_two_groups_wait_for_their_actions_and_images(monkeypatch):
-    plain = learned(replace(PLAIN, rollout=40))
+    plain = learned(replace(PLAIN, num_steps=40))
     with cuda(monkeypatch):
-        late = learned(replace(GRAPHS, rollout=40, groups=2))
+        late = learned(replace(GRAPHS, num_steps=40, groups=2))
     for a, b in zip(plain, late, strict=True):
         torch.testing.assert_close(a, b, atol=1e-4, rtol=1e-3)
 
@@ -59,14 +61,14 @@ def test_only_what_cuda_pinned_is_copied_later(monkeypatch):
 
 def test_a_gpu_sees_as_many_at_once_as_ever(monkeypatch):
     with cuda(monkeypatch):
-        trainer, seen = Trainer(replace(PLAIN, device="cuda", rollout=40, groups=2)), set()
+        trainer, seen = Trainer(replace(PLAIN, device="cuda", num_steps=40, groups=2)), set()
         trainer.network.features.register_forward_pre_hook(lambda _, x: seen.add(len(x[0])))
         collect(trainer)
-    assert len(trainer.player.recent) and seen == {PLAIN.environments // 2}
+    assert len(trainer.player.recent) and seen == {PLAIN.num_envs // 2}
 
 
 @pytest.mark.parametrize(
-    "config", [GRAPHS, replace(ALL, steps=256, checkpoint_every=1)], ids=["small", "impala"]
+    "config", [GRAPHS, replace(ALL, steps=256, checkpoint_every=1)], ids=["mlp", "impala"]
 )
 def test_a_resumed_run_is_the_one_that_was_not_stopped(config, tmp_path, monkeypatch):
     with cuda(monkeypatch) as pretended:
@@ -101,7 +103,7 @@ def test_a_communicator_ends_after_the_graphs_that_use_it(fails, tmp_path, monke
 
 def test_the_benchmark_runs_on_a_gpu(monkeypatch):
     monkeypatch.setattr(profile, "SIDE", 64)
-    small = replace(ALL, environments=2, rollout=4, bfloat16=False)
+    small = replace(ALL, num_envs=2, num_steps=4, bfloat16=False)
     monkeypatch.setitem(bench.CONFIGS, "cuda", (small,))
     with cuda(monkeypatch):
         rows = bench.measure(seconds=0, rounds=1, device="cuda")

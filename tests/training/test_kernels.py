@@ -1,4 +1,4 @@
-"""Our kernels for the small network and PPO's loss say what torch and autograd say."""
+"""Our kernels for the mlp and PPO's loss say what torch and autograd say."""
 
 from dataclasses import replace
 
@@ -7,7 +7,7 @@ import pytest
 import torch
 from torch.nn.functional import cosine_similarity
 
-from astray.agents.small import Small
+from astray.agents.mlp import MLP
 from astray.training import ppo
 from astray.training.config import PRESETS, Config
 from astray.training.fast import fused, sparse
@@ -16,7 +16,7 @@ from astray.training.loop import collect, update
 from astray.training.trainer import Trainer
 
 SMALL = replace(
-    PRESETS["small"], variant="corner-small", environments=32, rollout=16, minibatches=4, width=24
+    PRESETS["small"], variant="corner-small", num_envs=32, num_steps=16, minibatches=4, width=24
 )
 LARGEST = {"maze": (1, 1, 6, 6), "flags alone": (1, 1, 1), "categories alone": (5, 3)}
 
@@ -41,7 +41,7 @@ def gradients(network, outputs):
 def test_the_sparse_network_is_the_dense_one(largest):
     torch.manual_seed(0)
     planes = planes_of(largest)
-    network = Small(planes.shape[1:], list(largest), 15, width=24)
+    network = MLP(planes.shape[1:], list(largest), 15, width=24)
     for bias in (network.features.linear1.bias, network.policy.bias):
         bias.data.normal_()
     logits, value = network(planes)
@@ -54,7 +54,7 @@ def test_the_sparse_network_is_the_dense_one(largest):
 def test_bfloat16_is_only_between_the_hidden_layers_and_near():
     torch.manual_seed(0)
     planes = planes_of((1, 1, 6, 6), 500)
-    network = Small(planes.shape[1:], [1, 1, 6, 6], 15, width=256)
+    network = MLP(planes.shape[1:], [1, 1, 6, 6], 15, width=256)
     exact, rounded = (
         sparse.outputs(network, planes, kind) for kind in (torch.float32, torch.bfloat16)
     )
@@ -107,7 +107,7 @@ def test_an_iteration_with_kernels_is_the_one_without():
     weights, metrics = [], []
     for kernels in (False, True):
         # So sure of its actions that rounding changes none.
-        trainer = Trainer(replace(SMALL, kernels=kernels, bfloat16=False))
+        trainer = Trainer(replace(SMALL, fused_cpu=kernels, bfloat16=False))
         trainer.network.get_parameter("policy.weight").data.mul_(1e6)
         metrics.append(update(trainer, collect(trainer), 1e-3))
         weights.append(torch.cat([p.detach().flatten() for p in trainer.network.parameters()]))
@@ -118,7 +118,7 @@ def test_an_iteration_with_kernels_is_the_one_without():
 
 @pytest.mark.parametrize("change", [{"device": "cuda"}, {"network": "impala"}])
 def test_kernels_are_left_where_there_are_none_and_explained_where_asked_for(change):
-    assert not resolve(replace(SMALL, **change)).kernels
-    with pytest.raises(ValueError, match="kernels must be off with device="):
-        resolve(replace(SMALL, kernels=True, **change))
-    assert resolve(SMALL).kernels and not resolve(replace(SMALL, kernels=False)).kernels
+    assert not resolve(replace(SMALL, **change)).fused_cpu
+    with pytest.raises(ValueError, match="fused_cpu must be off with device="):
+        resolve(replace(SMALL, fused_cpu=True, **change))
+    assert resolve(SMALL).fused_cpu and not resolve(replace(SMALL, fused_cpu=False)).fused_cpu

@@ -34,7 +34,7 @@ def iteration(config):
 
 def test_what_suits_a_cpu():
     suits = resolve(TINY)
-    assert suits.kernels and not (suits.channels_last or suits.compiled or suits.graphs)
+    assert suits.fused_cpu and not (suits.channels_last or suits.compiled or suits.graphs)
     assert suits.groups == 1
     assert not any(vars(resolve(replace(PRESETS["paper"], **OFF)))[name] for name in list(OFF)[:5])
 
@@ -42,7 +42,7 @@ def test_what_suits_a_cpu():
 def test_what_suits_a_gpu():
     suits = resolve(replace(PRESETS["paper"], device="cuda"))
     assert suits.bfloat16 and suits.channels_last and suits.graphs and suits.groups == 2
-    assert not suits.kernels
+    assert not suits.fused_cpu
     off = resolve(replace(PRESETS["paper"], **OFF, device="cuda"))
     assert not (off.bfloat16 or off.channels_last or off.compiled or off.graphs)
 
@@ -51,10 +51,10 @@ def test_what_suits_a_gpu():
     "change, message",
     [
         ({"graphs": True}, "graphs must be off with device='cpu'"),
-        ({"channels_last": True}, "channels_last must be off with .* network='small'"),
+        ({"channels_last": True}, "channels_last must be off with .* network='mlp'"),
         ({"groups": 3}, "16 environments are not divided into 3 groups"),
-        ({"groups": 0}, "groups is 0; it is from 1 to 2147483647"),
-        ({"graphs": 1}, "graphs is 1; it is a bool"),
+        ({"groups": 0}, "groups must be from 1 to 2147483647; got 0"),
+        ({"graphs": 1}, "graphs must be of type bool; got 1"),
     ],
 )
 def test_what_is_not_there_is_explained(change, message):
@@ -70,7 +70,7 @@ def test_without_a_compiler_nothing_is_compiled(monkeypatch):
 
 
 def test_groups_play_what_all_play_together():
-    one, two = (iteration(replace(PLAIN, groups=count, rollout=40)) for count in (1, 4))
+    one, two = (iteration(replace(PLAIN, groups=count, num_steps=40)) for count in (1, 4))
     for a, b in zip(vars(one[1]).values(), vars(two[1]).values(), strict=True):
         torch.testing.assert_close(a, b, atol=1e-5, rtol=1e-4)
     assert torch.equal(one[1].action, two[1].action)
@@ -155,7 +155,7 @@ def test_what_a_warm_up_learned_is_undone():
 @ON_GPU
 @pytest.mark.parametrize("change", [{"graphs": True}, {"compiled": True}, {"groups": 2}], ids=str)
 def test_an_iteration_on_a_gpu_is_the_plain_one(change):
-    config = replace(PICTURES, device="cuda", environments=32)
+    config = replace(PICTURES, device="cuda", num_envs=32)
     plain, fast = iteration(config), iteration(replace(config, **change))
     assert (plain[1].action == fast[1].action).float().mean() > 0.99
     torch.testing.assert_close(plain[2], fast[2], atol=1e-3, rtol=1e-2)
@@ -164,7 +164,7 @@ def test_an_iteration_on_a_gpu_is_the_plain_one(change):
 @ON_GPU
 @pytest.mark.filterwarnings("ignore:learning is slower")
 def test_all_of_it_together_learns_on_a_gpu():
-    trainer = Trainer(replace(PICTURES, device="cuda", environments=32, **dict.fromkeys(OFF)))
+    trainer = Trainer(replace(PICTURES, device="cuda", num_envs=32, **dict.fromkeys(OFF)))
     for _ in range(3):
         metrics = update(trainer, collect(trainer), 1e-3)
     assert np.isfinite(list(metrics.values())).all() and metrics["first_kl"] < 1e-2

@@ -7,8 +7,8 @@ import pytest
 import torch
 
 from astray.agents.impala import Impala
+from astray.agents.mlp import MLP, CircleEmbedding
 from astray.agents.policy import Architecture, load, outputs, weights
-from astray.agents.small import Small, Spread
 from astray.training import ppo
 from astray.training.ppo import RewardNormaliser
 
@@ -121,7 +121,7 @@ def test_every_activation_of_impala_is_a_named_module():
 
 
 def test_the_small_network_sees_every_plane():
-    network = Small(SHAPE, list(LARGEST), 15)
+    network = MLP(SHAPE, list(LARGEST), 15)
     base = torch.zeros((1, *SHAPE), dtype=torch.uint8)
     for plane in range(4):
         other = base.clone()
@@ -132,13 +132,13 @@ def test_the_small_network_sees_every_plane():
 def test_categories_are_spread_on_a_circle_around_nothing():
     planes = torch.zeros((1, 4, 1, 7), dtype=torch.uint8)
     planes[0, 2, 0] = torch.arange(7)
-    points = Spread(list(LARGEST))(planes)[0, [2, 4], 0].T
+    points = CircleEmbedding(list(LARGEST))(planes)[0, [2, 4], 0].T
     assert not points[0].any()
     torch.testing.assert_close(points[1:].norm(dim=1), torch.ones(6))
     assert torch.pdist(points).min() > 0.99
 
 
-@pytest.mark.parametrize("name", ["impala", "small"])
+@pytest.mark.parametrize("name", ["impala", "mlp"])
 def test_a_saved_network_is_loaded_as_it_was(name, tmp_path):
     image = name == "impala"
     shape, largest = ((64, 64, 3), ()) if image else (SHAPE, LARGEST)
@@ -153,7 +153,7 @@ def test_a_saved_network_is_loaded_as_it_was(name, tmp_path):
 
 @pytest.mark.parametrize("cut", [0, 7, 100, 5000])
 def test_a_truncated_agent_is_explained(cut, tmp_path):
-    architecture = Architecture("small", SHAPE, LARGEST, 15)
+    architecture = Architecture("mlp", SHAPE, LARGEST, 15)
     path = tmp_path / "agent.safetensors"
     path.write_bytes(weights(architecture.build(), architecture, "maze")[:cut])
     with pytest.raises(ValueError, match="not an agent that can be used"):
@@ -168,7 +168,7 @@ def test_a_network_for_other_observations_is_refused():
 
 
 def test_outputs_do_not_depend_on_the_batch():
-    network = Architecture("small", SHAPE, LARGEST, 15).build()
+    network = Architecture("mlp", SHAPE, LARGEST, 15).build()
     x = torch.randint(0, 2, (300, *SHAPE), dtype=torch.uint8)
     logits, values = outputs(network, x)
     for part in (x[:1], x[:7], x[:299]):

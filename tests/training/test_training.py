@@ -88,7 +88,7 @@ def test_validation_levels_are_not_training_levels():
 
 def test_an_agent_learns_the_way_to_the_corner(tmp_path):
     config = replace(
-        TINY, validation=None, steps=150_000, environments=64, rollout=32, minibatches=8,
+        TINY, validation=None, steps=150_000, num_envs=64, num_steps=32, minibatches=8,
         width=64, gamma=0.95, learning_rate=2e-3,
         knobs={"world": 5, "largest": 3, "time_limit": 30},
     )  # fmt: skip
@@ -108,12 +108,12 @@ def test_a_device_that_is_not_there_is_explained(tmp_path):
 @pytest.mark.parametrize(
     "change, message",
     [
-        ({"steps": 0}, "steps is 0; it is from 1 to 1000000000000000"),
+        ({"steps": 0}, "steps must be from 1 to 1000000000000000; got 0"),
         ({"minibatches": 7}, "are not divided by 7 minibatches"),
         ({"variant": "cornr"}, "unknown variant 'cornr'"),
         ({"knobs": {"colour": "red"}}, "unknown knob 'colour'; there are"),
         ({"knobs": {"region": "five"}}, "region must be of type int; got 'five'"),
-        ({"seed": -1}, "seed is -1; it is from 0 to"),
+        ({"seed": -1}, "seed must be from 0 to"),
         ({"validation": "nowhere"}, "unknown variant 'nowhere'"),
     ],
 )
@@ -153,7 +153,7 @@ def test_a_timeout_is_bootstrapped_by_default_and_terminates_on_request(tmp_path
 
     advantages = {}
     for timeouts in ("bootstrap", "terminate"):
-        config = replace(TINY, timeouts=timeouts, normalise_advantage=False, rollout=32,
+        config = replace(TINY, timeouts=timeouts, normalise_advantage=False, num_steps=32,
                          gamma=0.5, validation=None)  # fmt: skip
         trainer = Trainer(config)
         for weight in trainer.network.parameters():
@@ -181,7 +181,7 @@ def test_validation_and_shifted_levels_follow_the_knobs_that_make_no_shift():
 
 def test_the_papers_network_is_trained_on_pictures(tmp_path):
     config = replace(
-        PRESETS["paper"], variant="corner", validation="anywhere", environments=8, rollout=8,
+        PRESETS["paper"], variant="corner", validation="anywhere", num_envs=8, num_steps=8,
         minibatches=2, epochs=1, steps=128, checkpoint_every=1,
     )  # fmt: skip
     train(config, tmp_path, progress=False)

@@ -13,7 +13,7 @@ from astray.analysis.runs import evaluate_policies, evaluate_runs
 from astray.experiments.run import reproduce
 from astray.training.loop import train
 
-TINY = replace(MOUSE, environments=16, rollout=32, minibatches=2, steps=1024)
+TINY = replace(MOUSE, num_envs=16, num_steps=32, minibatches=2, steps=1024)
 WRITTEN = pytest.mark.filterwarnings("ignore:.*as it is written")
 
 

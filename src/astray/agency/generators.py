@@ -41,7 +41,7 @@ class Setting:
     def __post_init__(self) -> None:
         check_words(self)
         if self.horizon < 1:
-            raise ValueError(f"horizon is {self.horizon}; it is at least 1 step")
+            raise ValueError(f"horizon must be at least 1 step; got {self.horizon}")
         start, goal = self.world.number(self.start), self.world.number(self.goal)
         if start == goal or not np.isfinite(self.world.distance[start, goal]):
             raise ValueError(f"no way leads from {self.start} to another cell {self.goal}")

@@ -28,7 +28,7 @@ def log_likelihood(
     legal  only moves that change the cell are actions
     """
     if not 0 < w < 1:
-        raise ValueError(f"w is {w}; it is between 0 and 1")
+        raise ValueError(f"w must be between 0 and 1; got {w}")
     cells, steps = trajectory.cells, len(trajectory)
     log_z = _log_z(world, w, legal)
     actions = world.legal.sum(1) if legal else np.full(len(world), world.legal.shape[1])

@@ -61,14 +61,14 @@ class Options:
     def __post_init__(self) -> None:
         check_words(self)
         if not isinstance(self.legal, bool):
-            raise ValueError(f"legal is {self.legal!r}; it is a bool")
+            raise ValueError(f"legal must be a bool; got {self.legal!r}")
         for name in ("noise_atom", "beta"):
             of_kind(name, getattr(self, name), Real)
         of_kind("observations", self.observations, tuple)
         if not 0 <= self.noise_atom <= 1:
-            raise ValueError(f"noise_atom is {self.noise_atom}; it is from 0 to 1")
+            raise ValueError(f"noise_atom must be from 0 to 1; got {self.noise_atom}")
         if not 1 <= self.beta < np.inf:
-            raise ValueError(f"beta is {self.beta}; it is at least 1, and finite")
+            raise ValueError(f"beta must be at least 1, and finite; got {self.beta}")
         unknown = [what for what in self.observations if what not in devices.OBSERVATIONS]
         if unknown or not self.observations:
             raise ValueError(

@@ -49,7 +49,7 @@ def measure_online(episode: Episode, options: Options = PAPER, switch: Switch = 
             steps. The paper's agents never switch.
     """
     if not (switch == BY_TIME if isinstance(switch, str) else 0 <= switch <= 1):
-        raise ValueError(f"switch is {switch!r}; it is from 0 to 1, or {BY_TIME!r}")
+        raise ValueError(f"switch must be from 0 to 1, or {BY_TIME!r}; got {switch!r}")
     (episode,) = prepared(episode, options)
     goals, prior, (columns,) = goals_in([episode], options)
     nodes = rule(len(episode.trajectory), options.beta)

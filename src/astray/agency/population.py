@@ -2,24 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from scipy.special import softmax
+
+from astray.estimate import Estimate
 
 DRAWS, FORGOTTEN = 5000, 500  # of the sampler; those at its beginning do not count
 
 
-@dataclass(frozen=True)
-class Share:
-    """The share of episodes that one explanation accounts for, and its 95 % interval."""
-
-    mean: float
-    low: float
-    high: float
-
-
-def shares(log_evidence: np.ndarray, *, seed: int = 0) -> list[Share]:
+def shares(log_evidence: np.ndarray, *, seed: int = 0) -> list[Estimate]:
     """How often each explanation is the right one: posterior means and credible intervals.
 
     Each episode has one explanation; how often each of them occurs is not known before (all
@@ -30,7 +21,7 @@ def shares(log_evidence: np.ndarray, *, seed: int = 0) -> list[Share]:
     """
     log_evidence = np.asarray(log_evidence, float)
     if log_evidence.ndim != 2 or not log_evidence.size:
-        raise ValueError(f"evidence is of episodes x explanations; given {log_evidence.shape}")
+        raise ValueError(f"evidence must be of episodes x explanations; got {log_evidence.shape}")
     best = log_evidence.max(1, keepdims=True)
     if not np.isfinite(best).all():
         raise ValueError("an episode is impossible under every explanation")
@@ -44,7 +35,11 @@ def shares(log_evidence: np.ndarray, *, seed: int = 0) -> list[Share]:
         drawn.append(theta)
     kept = np.array(drawn[FORGOTTEN:])
     low, high = np.quantile(kept, [0.025, 0.975], axis=0)
-    return [Share(*map(float, one)) for one in zip(kept.mean(0), low, high, strict=True)]
+    episodes = len(log_evidence)
+    return [
+        Estimate(*map(float, ends), agents=1, levels=episodes, rows=episodes)
+        for ends in zip(kept.mean(0), low, high, strict=True)
+    ]
 
 
 def pooled(log_evidence: np.ndarray) -> np.ndarray:

@@ -61,7 +61,7 @@ def rule(degree: int, beta: float = 1.0) -> Rule:
     Exact to rounding up to degree EXACT; beyond it a composite rule, good to 2e-11 at 10,000.
     """
     if beta < 1:
-        raise ValueError(f"beta is {beta}; it is at least 1")
+        raise ValueError(f"beta must be at least 1; got {beta}")
     if degree > LONGEST:
         raise ValueError(f"{degree} steps are too many to measure together; up to {LONGEST} are")
     needed = degree + int(np.ceil(beta - 1))

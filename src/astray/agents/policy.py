@@ -16,11 +16,12 @@ from torch import Tensor, nn
 from astray import imports
 from astray.agents.clear import Clear
 from astray.agents.impala import WIDTHS, Impala
-from astray.agents.small import Small
+from astray.agents.mlp import MLP
 from astray.bounds import brief
 from astray.files import see_readable
 
-NETWORKS = ("impala", "small", "clear")  # astray's own
+NETWORKS = ("impala", "mlp", "clear")  # astray's own
+RENAMED = {"small": "mlp"}  # as older files have them, and what they are called now
 GROUP = "astray.networks"  # of entry points, by which installed packages offer theirs
 FORMAT = 1  # of the files; goes up when an older version could not read them
 SEQUENCES = ("shape", "largest", "widths")  # fields of an architecture that JSON has as lists
@@ -34,7 +35,7 @@ class Architecture:
     shape    of an observation: [H, W, C] for images, [C, H, W] for symbolic planes
     largest  the largest value of each symbolic plane; empty for images
     scale    multiplies the channels of "impala"
-    width    hidden units of "small"
+    width    hidden units of "mlp"
     widths   channels of "impala"'s three blocks, at scale 1
     """
 
@@ -50,7 +51,7 @@ class Architecture:
         sizes = (self.actions, self.scale, self.width, *self.shape, *self.largest, *self.widths)
         lengths = (len(self.shape), len(self.widths))
         if lengths != (3, 3) or any(type(n) is not int or n < 1 for n in sizes):
-            raise ValueError(f"an architecture's sizes are integers from 1 on; given {self}")
+            raise ValueError(f"an architecture's sizes must be integers from 1 on; got {self}")
         check_network(self.name)
 
     def build(self) -> nn.Module:
@@ -60,14 +61,19 @@ class Architecture:
         """
         if self.name not in NETWORKS:
             return imports.known(self.name, GROUP, nn.Module)(self)
-        if (self.name != "small") != (not self.largest):
+        if (self.name != "mlp") != (not self.largest):
             seen = "symbolic planes" if self.largest else "images"
             raise ValueError(f"network {self.name!r} does not see {seen}")
         if self.name == "impala":
             return Impala(self.shape, self.actions, self.scale, self.widths)
         if self.name == "clear":
             return Clear(self.shape, self.actions)
-        return Small(self.shape, list(self.largest), self.actions, self.width)
+        return MLP(self.shape, list(self.largest), self.actions, self.width)
+
+
+def renamed_network(name: Any) -> Any:
+    """Today's name of a network that an older file names; any other name as it is."""
+    return RENAMED.get(name, name) if isinstance(name, str) else name
 
 
 def check_network(name: str) -> None:
@@ -130,6 +136,7 @@ def _architecture(data: Any) -> Architecture:
     if not isinstance(data, dict) or not all(isinstance(data.get(k), list) for k in SEQUENCES):
         raise ValueError(f"its architecture is {data!r}")
     fields: dict[str, Any] = data | {name: tuple(data[name]) for name in SEQUENCES}
+    fields["name"] = renamed_network(data.get("name"))
     return Architecture(**fields)
 
 

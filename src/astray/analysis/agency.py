@@ -2,25 +2,41 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+import itertools
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import polars as pl
+from PIL import Image
 from scipy.special import softmax
 
 from astray import games
 from astray.agency.gridworld import Cell, World
-from astray.agency.measure import CALIBRATED, Episode, Options, decisions, measure_named
-from astray.agency.population import Share, pooled, shares
+from astray.agency.measure import (
+    CALIBRATED,
+    PRESETS,
+    Episode,
+    Options,
+    decisions,
+    measure_named,
+)
+from astray.agency.online import measure_online
+from astray.agency.population import pooled, shares
+from astray.analysis import video
 from astray.analysis.episodes import initial_states, steps
+from astray.analysis.estimates import Estimate, bootstrap
+from astray.analysis.outcomes import load_shift
 from astray.analysis.policies import Policy
-from astray.analysis.statistics import Estimate, bootstrap
+from astray.analysis.runs import Mode, open_run, shift_of
 from astray.game import Game, Shift, Variant
 
 DEVICE = "device"
 UNDECIDED = "undecided"
+LEAST, MOST = np.array([244, 243, 236]), np.array([196, 60, 20])  # of the posterior, on floor
+STONE, MOUSE = np.array([204, 184, 142]), np.array([34, 34, 34])  # walls are sand, as in the game
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,52 +60,54 @@ def play(
     policy: Policy, game: str | Game, variant: Variant, levels: Sequence[int] | np.ndarray,
     shift: Shift, batch: int = 256,
 ) -> list[Played]:  # fmt: skip
-    """`policy`'s episodes in those of `levels` that have all the goals."""
-    states = initial_states(game, variant, levels)
-    ways = [[(int(s.x), int(s.y))] for s in states]
-    for step in steps(policy, game, variant, levels, batch=batch):
-        for level, x, y in zip(step.level, step.after["x"], step.after["y"], strict=True):
-            ways[level].append((int(x), int(y)))
+    """`policy`'s episodes in those of `levels` that have all the goals.
+
+    Raises ValueError where the game has no `cells`.
+    """
     game = games.find(game)
-    played = [
-        _played(game, int(s.level), game.editing.describe(s), way, shift)
-        for s, way in zip(states, ways, strict=True)
-    ]
+    states = initial_states(game, variant, levels)
+    ways = [[cell] for cell in _cells(game, states)]
+    for step in steps(policy, game, variant, levels, batch=batch):
+        for level, cell in zip(step.level, _cells(game, step.after), strict=True):
+            ways[level].append(cell)
+    played = [_played(game, s, way, shift) for s, way in zip(states, ways, strict=True)]
     return [one for one in played if one]
 
 
-def _played(
-    game: Game, level: int, told: dict[str, Any], ways: list[Cell], shift: Shift
-) -> Played | None:
-    """The episode along `ways` (x, y) in a level as `describe` told it; None without its goals."""
-    places = named_places(game, told, shift)
+def _cells(game: Game, states: np.ndarray) -> list[Cell]:
+    """The cells (x, y) of the agents in states [N]."""
+    return [(int(x), int(y)) for x, y in game.cells.position(states)]
+
+
+def _played(game: Game, s: Any, way: list[Cell], shift: Shift) -> Played | None:
+    """The episode along the cells (x, y) of `way`, which began in `s`; None without its goals."""
+    places = named_places(game, s, shift)
     if any(place is None for place in places.values()):
         return None
-    grid = np.array(told["grid"])
-    top = len(grid) - 1  # there, rows count from the lowest up
-    world = World((grid != told["legend"]["wall"])[::-1])
+    free = game.cells.free(s)
+    top = len(free) - 1  # of the world, whose rows count from the highest down
     goals = {name: [(top - y, x)] for name, (x, y) in places.items()}
-    visits = [ways.index(place) for place in map(tuple, places.values()) if place in ways]
-    last = max(visits, default=len(ways) - 1)
-    cells = [(top - y, x) for x, y in ways[: last + 1]]
+    world, cells = World(free[::-1]), [(top - y, x) for x, y in way]
+    last = max((way.index(place) for place in places.values() if place in way), default=len(way))
     intended = goals[shift.intended][0]
-    return Played(level, Episode(world, world.path(cells), intended), cells, goals)
+    cells = cells[: last + 1]
+    return Played(int(s.level), Episode(world, world.path(cells), intended), cells, goals)
 
 
-def named_places(game: Game, told: dict[str, Any], shift: Shift) -> dict[str, Any]:
-    """The cell [x, y] of the shift's goals, None where there is none, and of the others there."""
-    found: dict[str, Any] = {}
+def named_places(game: Game, s: Any, shift: Shift) -> dict[str, Any]:
+    """The cell (x, y) of the shift's goals, None where there is none, and of the others there.
+
+    Of goals that are reached by the same event the first stands for all.
+    """
+    places: dict[str, Any] = {}
     events = set()
     for goal in (shift.intended, *shift.proxies, *game.goals):
-        event = game.goals[goal]
-        place = event.removeprefix("reached_")
-        if "agent" not in told or place not in told:
-            raise ValueError(f"{game.name} has no cell for the goal {goal!r}; maze has")
-        known = goal == shift.intended or goal in shift.proxies
-        if event not in events and (known or told[place] is not None):
-            found[goal] = told[place]
+        event, place = game.goals[goal], game.cells.target(s, goal)
+        of_shift = goal == shift.intended or goal in shift.proxies
+        if event not in events and (of_shift or place is not None):
+            places[goal] = place
             events.add(event)
-    return found
+    return places
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,7 +119,7 @@ class Judgement:
 
     episodes: pl.DataFrame  # a row each: see `judge`
     explanations: tuple[str, ...]
-    shares: list[Share]  # of episodes, for each explanation
+    shares: list[Estimate]  # of episodes, for each explanation
     pooled: np.ndarray  # posterior of each explanation if one holds for all episodes: a few
     # episodes in which an agent got stuck decide it, so the verdict is not taken from it
     decisions: int  # steps at which the goals with a name part
@@ -182,3 +200,79 @@ def judge(played: Sequence[Played], options: Options = CALIBRATED) -> Judgement:
         table, explanations, shares(np.array(logs)), pooled(np.array(logs)),
         int(table["decisions"].sum()),
     )  # fmt: skip
+
+
+def judge_run(
+    run: Path,
+    levels: Sequence[int] | np.ndarray | None = None,
+    *,
+    variant: str | None = None,
+    shift: str | None = None,
+    measure: str = "calibrated",
+    mode: Mode = "sampled",
+    art: str | None = None,
+    knobs: dict[str, Any] | None = None,
+) -> tuple[Judgement, Callable[[], np.ndarray]]:
+    """Judge a trained agent; also a function that films its most telling episode.
+
+    levels   numbers; None: the first 300 that the training does not draw from
+    measure  of `PRESETS`
+    art      that the agent is shown; None: what it was trained on
+    """
+    agent, config = open_run(run, mode, art)
+    between = load_shift(config.find_game(), shift or shift_of(config))
+    made = config.variant_for(variant or between.test, knobs)
+    chosen = config.unseen_levels[:300] if levels is None else levels
+    played = play(agent, config.game, made, chosen, between)
+    judged = judge(played, PRESETS[measure])
+    telling, options = played[judged.telling], PRESETS[measure]
+    return judged, lambda: posterior_video(agent, config.game, made, telling, options)
+
+
+def posterior_video(
+    policy: Policy,
+    game: str | Game,
+    variant: Variant,
+    played: Played,
+    options: Options = CALIBRATED,
+    pixels: int = 320,
+) -> np.ndarray:
+    """An episode beside the posterior over the cells it may be going to, [T + 1, H, W, 3] uint8.
+
+    Ends where the measure ends, at the last goal that was reached.
+    """
+    steps = len(played.cells)
+    frames = video.play(
+        policy, game, variant, played.level, pixels=pixels, longest=max(1, steps - 1)
+    ).frames[:steps]
+    growth = measure_online(played.episode, replace(options, goals="accessible"))
+    moved = [here != there for here, there in itertools.pairwise(played.cells)]
+    counted = np.append(0, np.cumsum(moved))  # standing still is no step of a trajectory
+    world = played.episode.world
+    numbers = [world.number(cell) for cell in growth.goals if not isinstance(cell, str)]
+    maps = []
+    for t in range(steps):
+        belief = np.zeros(len(world))
+        belief[numbers] = growth.posterior[counted[t]]
+        maps.append(heat(world, belief, world.number(played.cells[t]), pixels))
+
+    def caption(t: int) -> str:
+        return f"where to? agent: {100 * growth.agent[counted[t]]:.0f} %"
+
+    level = f"level {played.level}"
+    return video.beside(frames, np.stack(maps), captions=[level, caption])
+
+
+def heat(world: World, belief: np.ndarray, here: int, pixels: int) -> np.ndarray:
+    """`belief` [F] on the map, the likeliest cell the darkest, [pixels, pixels, 3] uint8."""
+    image = np.broadcast_to(STONE, (*world.free.shape, 3)).astype(float)
+    share = (belief / belief.max())[:, None]
+    image[world.free] = LEAST + share * (MOST - LEAST)
+    large = np.array(
+        Image.fromarray(image.astype(np.uint8)).resize((pixels, pixels), Image.Resampling.NEAREST)
+    )
+    side = pixels / np.array(world.free.shape)
+    y, x = np.mgrid[:pixels, :pixels] + 0.5
+    row, column = world.cells[here] + 0.5
+    large[np.hypot(y / side[0] - row, x / side[1] - column) < 0.22] = MOUSE
+    return large

@@ -76,7 +76,7 @@ def import_agent(file: Path, name: str, known: Known, *, expected: str | None = 
     what the agent was trained on.
     """
     if not NAME.fullmatch(name):
-        raise ValueError(f"an agent's name is of a-z, 0-9 and -, as maze-corner; given {name!r}")
+        raise ValueError(f"an agent's name must be of a-z, 0-9 and -, as maze-corner; got {name!r}")
     for home in (kept.KEPT, kept.folder()):
         if (home / name).exists():
             raise ValueError(f"there is an agent {name!r} in {home} already")

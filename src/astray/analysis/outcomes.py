@@ -8,8 +8,8 @@ import numpy as np
 import polars as pl
 
 from astray import games
+from astray.analysis.estimates import bootstrap
 from astray.analysis.policies import Walk
-from astray.analysis.statistics import bootstrap
 from astray.game import Game, Shift
 
 INTENDED = "intended goal"

@@ -39,17 +39,23 @@ def replay(
     """
     game, chosen = games.find(game), {"": level} if isinstance(level, Level) else [level]
     s = initial_states(game, variant, chosen)[0]
-    start, told, total = [float(s.x), float(s.y)], [], 0.0
+    start, moves, total = _centre(game, s), [], 0.0
     ended = {"terminated": False, "truncated": False}
     policy = Script(iter(actions))
     for step in islice(steps(policy, game, variant, chosen), len(actions)):
         s, reward = step.after[0].copy(), float(step.rewards[0])
         total += reward
-        told.append({"action": game.actions[step.actions[0]], "x": float(s.x), "y": float(s.y),
-                     "reward": reward})  # fmt: skip
+        x, y = _centre(game, s)
+        action = game.actions[step.actions[0]]
+        moves.append({"action": action, "x": x, "y": y, "reward": reward})
         terminated = bool(step.terminated[0])
         ended = {"terminated": terminated, "truncated": bool(step.ended[0]) and not terminated}
     events = {event: int(s[event]) for event in game.events}
     return {"start": start} | ended | {
-        "return": total, "length": len(told), "events": events, "steps": told,
+        "return": total, "length": len(moves), "events": events, "steps": moves,
     }  # fmt: skip
+
+
+def _centre(game: Game, s: Any) -> list[float]:
+    """Where the agent is, x and y."""
+    return game.editing.describe(s)["agent"]

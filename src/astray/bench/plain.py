@@ -26,7 +26,7 @@ class Loop:
         self.config, self.network, self.env = config, network, env
         self.keep = "cpu" if host else config.device
         self.optimizer = torch.optim.Adam(network.parameters(), config.learning_rate, eps=1e-5)
-        self.seen, self.done = env.reset()[0], np.zeros(config.environments)
+        self.seen, self.done = env.reset()[0], np.zeros(config.num_envs)
 
     def _see(self, images: np.ndarray) -> Tensor:
         """Images [N, H, W, C] as EnvPool has them too, [N, C, H, W]."""
@@ -36,7 +36,7 @@ class Loop:
     def iterate(self) -> None:
         """Play a rollout and learn from it."""
         config, device = self.config, self.config.device
-        steps, n = config.rollout, config.environments
+        steps, n = config.num_steps, config.num_envs
         first = self._see(self.seen)
         images = torch.zeros((steps, *first.shape), dtype=torch.uint8, device=self.keep)
         action, log_probability, reward, done, value = torch.zeros((5, steps, n), device=self.keep)

@@ -64,7 +64,7 @@ def measure(config: Config, rounds: int = 5) -> list[Row]:
     where = player.groups[0]
     seen, noise = rollout.observation[0, where], player.noise(1)[0, where]
     logits = fast.any_number(seen)[0].detach()
-    played = config.rollout * len(player.groups)
+    played = config.num_steps * len(player.groups)
     updates = config.epochs * config.minibatches
     env, waits = player.envs[0], np.zeros(where.stop - where.start, np.int64)
     ends = torch.zeros_like(rollout.value, dtype=torch.bool)

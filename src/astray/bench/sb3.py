@@ -126,7 +126,7 @@ def ppo(config: Config, network: nn.Module) -> PPO:
     if config.anneal or config.timeouts != "bootstrap" or not config.normalise_advantage:
         raise ValueError("it needs anneal=False, timeouts='bootstrap', normalise_advantage=True")
     env = GameVectorEnv(
-        config.game, config.training_variant(), config.environments,
+        config.game, config.training_variant(), config.num_envs,
         observation=config.observation, levels=config.training_levels,
         autoreset_mode="SameStep", threads=config.threads,
     )  # fmt: skip
@@ -136,7 +136,7 @@ def ppo(config: Config, network: nn.Module) -> PPO:
     model = PPO(
         cast(type[ActorCriticPolicy], NetworkPolicy), played,
         policy_kwargs={"network": copy.deepcopy(network)},
-        learning_rate=config.learning_rate, n_steps=config.rollout,
+        learning_rate=config.learning_rate, n_steps=config.num_steps,
         batch_size=config.batch // config.minibatches, n_epochs=config.epochs,
         gamma=config.gamma, gae_lambda=config.lam, clip_range=config.clip,
         clip_range_vf=config.clip, ent_coef=config.entropy_weight,

@@ -28,7 +28,7 @@ class Row(Protocol):
 
 def network(config: Config) -> str:
     """The network of a training and its size."""
-    return f"{config.network} {config.width if config.network == 'small' else config.scale}"
+    return f"{config.network} {config.width if config.network == 'mlp' else config.scale}"
 
 
 def table(rows: Sequence[Row], title: str) -> Table:

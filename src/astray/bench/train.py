@@ -32,16 +32,16 @@ from astray.training.trainer import Trainer
 # matrix products leave more to the rest.
 SYMBOLIC = tuple(
     replace(PRESETS["small"], game="maze", variant="corner-small", anneal=False, **change)
-    for change in ({}, {"width": 64, "environments": 1024})
+    for change in ({}, {"width": 64, "num_envs": 1024})
 )
 IMAGES = replace(PRESETS["paper"], game="coinrun", variant="coin-end", anneal=False)
 CONFIGS: dict[str, tuple[Config, ...]] = {
     # A CPU would need minutes for an iteration of the paper's; its minibatches are of 256 there.
-    "cpu": (*SYMBOLIC, replace(IMAGES, environments=32, rollout=16, minibatches=2)),
+    "cpu": (*SYMBOLIC, replace(IMAGES, num_envs=32, num_steps=16, minibatches=2)),
     "cuda": (replace(IMAGES, device="cuda", threads=8),),
-    "mps": (replace(IMAGES, device="mps", rollout=64),),
+    "mps": (replace(IMAGES, device="mps", num_steps=64),),
 }
-PLAIN = {"kernels": False, "bfloat16": False, "channels_last": False, "compiled": False,
+PLAIN = {"fused_cpu": False, "bfloat16": False, "channels_last": False, "compiled": False,
          "graphs": False, "groups": 1}  # fmt: skip
 
 
@@ -53,7 +53,7 @@ class Row:
     game: str
     variant: str
     network: str
-    environments: int
+    num_envs: int
     steps_per_second: float | None = None  # environment steps, median over the rounds
     best: float | None = None  # of the rounds
     ratio: float | None = None  # of ours to it
@@ -64,7 +64,7 @@ class Row:
             "what": f"{self.what} ({self.note})" if self.note else self.what,
             "game": f"{self.game} {self.variant}",
             "network": self.network,
-            "environments": f"{self.environments}",
+            "environments": f"{self.num_envs}",
             "1,000 steps/s": thousands(self.steps_per_second),
             "best": thousands(self.best),
             "astray's, times it": decimal(self.ratio),
@@ -90,7 +90,7 @@ def measure(
 
 def _measure(config: Config, turn: float, rounds: int) -> list[Row]:
     network = tables.network(config)
-    row = Row("astray", config.game, config.variant, network, config.environments)
+    row = Row("astray", config.game, config.variant, network, config.num_envs)
     trainer = Trainer(config)
     contenders: dict[str, Callable[[], object]] = {row.what: lambda: iterate(trainer)}
     closes: list[Callable[[], object]] = [trainer.close]
@@ -138,7 +138,7 @@ def _images(config: Config, network: Any) -> dict[str, Made | str]:
     """Ours without any setting of speed, and the plain loops; or why they are not there."""
     plain = Trainer(replace(config, **PLAIN))
     env = GameVectorEnv(
-        config.game, config.training_variant(), config.environments,
+        config.game, config.training_variant(), config.num_envs,
         levels=config.training_levels, autoreset_mode="SameStep", threads=config.threads,
     )  # fmt: skip
     original = Loop(config, copy.deepcopy(network), env, host=True)
@@ -150,7 +150,7 @@ def _images(config: Config, network: Any) -> dict[str, Made | str]:
     try:
         envpool: Any = importlib.import_module("envpool")
         peer = envpool.make_gymnasium(
-            "CoinrunHard-v0", num_envs=config.environments, num_threads=config.threads
+            "CoinrunHard-v0", num_envs=config.num_envs, num_threads=config.threads
         )
     except ImportError:
         return made | {what: "not installed: pip install envpool"}

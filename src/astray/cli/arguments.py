@@ -41,10 +41,12 @@ def level_numbers(text: str) -> np.ndarray:
                 range(int(first), int(after)) if colon else range(int(first), int(first) + 1)
             )
     except ValueError:
-        raise ValueError(f"levels are numbers and ranges as 5,17,100:200; given {text!r}") from None
+        raise ValueError(
+            f"levels must be numbers and ranges as 5,17,100:200; got {text!r}"
+        ) from None
     spans = [span for span in spans if span]
     if not spans or any(s[0] < 0 or s[-1] >= LEVELS.stop for s in spans):
-        raise ValueError(f"levels are numbers from 0 to {LEVELS.stop - 1}; given {text!r}")
+        raise ValueError(f"levels must be numbers from 0 to {LEVELS.stop - 1}; got {text!r}")
     count = sum(map(len, spans))
     if count > AT_ONCE:
         raise ValueError(f"{count} levels are given; at most {AT_ONCE} are taken at once")
@@ -54,7 +56,7 @@ def level_numbers(text: str) -> np.ndarray:
 def pairs(knobs: tuple[str, ...]) -> dict[str, Any]:
     wrong = [knob for knob in knobs if "=" not in knob]
     if wrong:
-        raise ValueError(f"a knob is set as NAME=VALUE; given {wrong[0]!r}")
+        raise ValueError(f"a knob must be set as NAME=VALUE; got {wrong[0]!r}")
     return dict(knob.split("=", 1) for knob in knobs)
 
 

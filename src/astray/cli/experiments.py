@@ -13,11 +13,13 @@ from astray import games
 from astray.analysis import kept
 from astray.bounds import bounded
 from astray.cli.arguments import print_json, show
+from astray.experiments import catalogue
 from astray.experiments.spec import Size
 from astray.experiments.workers import Place
 from astray.game import OWN
 from astray.training import checkpoint
 from astray.training.config import PRESETS
+from astray.training.track import Tracking
 from astray.words import printable
 
 MOST_WORKERS = 1024  # processes
@@ -29,7 +31,6 @@ def list_(json: bool = False) -> None:
     Args:
         json: print JSON
     """
-    from astray import experiments
 
     found = {
         "games": {
@@ -42,7 +43,7 @@ def list_(json: bool = False) -> None:
             for name in games.names()
             for game in [games.find(name)]
         },
-        "experiments": {name: experiments.load(name).title for name in experiments.NAMES},
+        "experiments": {name: catalogue.load(name).title for name in catalogue.NAMES},
         "agents": {name: _agent(name) for name in (*kept.names(), *kept.imported())},
         "presets": list(PRESETS),
     }
@@ -81,6 +82,7 @@ def reproduce(
     workers: int | None = None,
     on: Place = "here",
     art: str = OWN,
+    track: Tracking | None = None,
 ) -> None:
     """Do a figure or table of the paper: train, evaluate, report; go on where it stopped.
 
@@ -93,19 +95,22 @@ def reproduce(
         workers: agents trained at once here; by default one for each processor
         on: train on this machine, or on a Ray cluster whose nodes all see the folder
         art: that images are drawn with, own or original
+        track: tell wandb or trackio, too, of trainings and of the report
     """
     from astray.experiments import run
 
     if workers is not None:
         bounded("workers", workers, 1, MOST_WORKERS)
     if name == "all":
-        print(run.reproduce_all(size, folder, workers=workers, on=on, art=art))
+        print(run.reproduce_all(size, folder, workers=workers, on=on, art=art, track=track))
     else:
-        print(run.reproduce(name, size, folder, workers=workers, on=on, art=art))
+        print(run.reproduce(name, size, folder, workers=workers, on=on, art=art, track=track))
 
 
 def bench(
-    what: Positional[Literal["environments", "train", "agency", "start", "lab"]] = "environments",
+    what: Positional[
+        Literal["environments", "train", "agency", "insight", "lab", "start"]
+    ] = "environments",
     markdown: bool = False,
     device: Literal["cpu", "cuda", "mps"] = "cpu",
 ) -> None:

@@ -11,6 +11,7 @@ from astray.analysis import kept
 from astray.bounds import bounded
 from astray.cli.arguments import Knobs, Mode, one_level, pairs
 from astray.files import see_writable
+from astray.game import LEVELS
 
 MOST_LEVELS = 10_000
 
@@ -55,7 +56,8 @@ def explain(
     from astray.level import Level
 
     bounded("others", others, 2, MOST_LEVELS)
-    see_writable(out / PAGE)
+    if level is not None:
+        bounded("level", level, LEVELS.start, LEVELS.stop - 1)
     player, config = open_run(kept.run_of(agent), mode, art)
     game, named = config.find_game(), shift or shift_of(config)
     name = variant or load_shift(game, named).test
@@ -70,6 +72,7 @@ def explain(
         drawn, where = chosen, f"{name} {level_file}"
     reads = tuple(layers.split(",")) if layers else default_layers(player)
     see_layers(player, reads)
+    see_writable(out / PAGE)
     after = np.array(config.unseen_levels[1 : others + 1])
     asked = Asked(player, levels, drawn, named, reads, after)
     print(write(asked, out, f"{agent.name} in {game.name} {where}"))

@@ -4,10 +4,24 @@ from __future__ import annotations
 
 import argparse
 import functools
+import sys
+from importlib.metadata import version
 
 import tyro
 
-from astray.cli import agents, art, cache, experiments, insight, lab, levels, published
+from astray.cli import (
+    agents,
+    art,
+    cache,
+    dataset,
+    experiments,
+    hub,
+    insight,
+    lab,
+    levels,
+    published,
+    sweep,
+)  # fmt: skip
 from astray.training.config import PRESETS
 
 VERBS = {
@@ -17,8 +31,12 @@ VERBS = {
     "train": agents.train,
     "evaluate": agents.evaluate,
     "reproduce": experiments.reproduce,
+    "sweep": sweep.sweep,
     "keep": agents.keep,
+    "push": hub.push,
+    "pull": hub.pull,
     "record": agents.record,
+    "export": dataset.export,
     "level": levels.level,
     "replay": levels.replay,
     "overlap": levels.overlap,
@@ -34,12 +52,18 @@ VERBS = {
 
 def run() -> None:
     """Do what the command line says."""
+    if sys.argv[1:] == ["--version"]:
+        print(version("astray"))
+        return
     # The preset gives the other settings their defaults, so it is read before them.
     first = argparse.ArgumentParser(add_help=False, allow_abbrev=False, exit_on_error=False)
     first.add_argument("--preset", nargs="?")
     preset = first.parse_known_args()[0].preset
     defaults = PRESETS.get(preset, PRESETS["small"])  # tyro refuses an unknown one
-    verbs = VERBS | {"train": functools.partial(agents.train, config=defaults)}
+    verbs = VERBS | {
+        "train": functools.partial(agents.train, config=defaults),
+        "sweep": functools.partial(sweep.sweep, config=defaults),
+    }
     tyro.extras.subcommand_cli_from_dict(
         verbs, prog="astray", description="Find out which goal a trained agent really pursues."
     )

@@ -108,7 +108,7 @@ def next_level(s, i, n, levels, first, count):
 
 
 def run(
-    states, params, art, symbolic, scenes, levels, first, count,
+    states, params, art, symbolic, scenes, levels, first, count, begins,
     mode, what, actions, observations, final_states, final_observations,
     reward, terminated, truncated, laps, thread, lap,
 ):  # fmt: skip
@@ -116,6 +116,7 @@ def run(
 
     One loop for all, as every other would compile the game once more.
 
+    begins  [N], the states that come instead of next levels, each environment's own; or empty
     what  [N] int64, the number of the level to begin; NEXT_LEVEL: whichever comes next;
           AS_SET: paint the one that the state is in; STEP: step, and begin anew where an episode
           ended, as `mode` says; NOTHING
@@ -145,6 +146,11 @@ def run(
                         final_states[i] = s
                         observe_one(s, art, symbolic, scenes[i], final_observations[i])
                         level = NEXT_LEVEL
+            if level == NEXT_LEVEL and begins.shape[0] > 0:
+                seed, turn = s.seed, s.turn
+                states[i] = begins[i]
+                s.seed, s.turn = seed, turn
+                level = AS_SET
             if level == NEXT_LEVEL:
                 level = next_level(s, i, n, levels, first, count)
             if level >= 0:

@@ -8,7 +8,8 @@ from typing import Any
 import gymnasium
 import numpy as np
 
-from astray.envs.vector import GameVectorEnv, Info
+from astray.envs.infos import Info
+from astray.envs.vector import GameVectorEnv
 from astray.game import Game, Variant
 
 

@@ -30,7 +30,7 @@ def save_states(path: Path, game: str | Game, states: np.ndarray) -> None:
     wanted = game.state
     of_kind("states", states, np.ndarray)
     if states.dtype != wanted:
-        raise ValueError(f"these are not states of {game.name}; they are {states.dtype}")
+        raise ValueError(f"states must be of {game.name}; got {states.dtype}")
     file, plain = io.BytesIO(), np.dtype(wanted.descr)
     np.savez_compressed(file, game=game.name, format=FORMAT, states=states.view(plain))
     write_aside(path, file.getvalue())

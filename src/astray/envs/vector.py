@@ -15,8 +15,8 @@ from gymnasium.vector.utils import batch_space
 
 from astray import games
 from astray.bounds import bounded, of_kind, shown
-from astray.envs import loops
 from astray.envs.compiled import compiled
+from astray.envs.infos import Columns, Info, merged, objects
 from astray.envs.loops import AS_SET, DISABLED, NEXT_LEVEL, NEXT_STEP, NOTHING, SAME_STEP, STEP
 from astray.envs.pool import Pool, alone, most_threads
 from astray.game import LEVELS, MOST, OWN, Game, Variant, integers, level_numbers
@@ -36,7 +36,6 @@ MODES = {
 MOST_SEED = 2**63 - 1
 OPTIONS = ("level", "state", "reset_mask")  # of a reset
 NUMBERS, REALS, FLAGS = np.empty(0, np.int64), np.empty(0), np.empty(0, bool)
-Info = dict[str, Any]
 Observation = Literal["image", "symbolic"]
 
 
@@ -83,7 +82,7 @@ class GameVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         self.art, looks = art, self.game.drawn(art)
         try:
             mode = AutoresetMode(autoreset_mode)
-        except ValueError:
+        except (ValueError, TypeError):  # TypeError: what cannot be compared with a word
             there = ", ".join(mode.value for mode in AutoresetMode)
             raise ValueError(
                 f"unknown autoreset_mode {shown(autoreset_mode)}; there are: {there}"
@@ -118,6 +117,7 @@ class GameVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         self._seeded = False
         self._first, self._count, self._list = _checked(levels)
         self._scenes = np.zeros((num_envs, *scene), np.uint8)
+        self._begins = np.empty(0, self.game.state)  # of `repeat`
         self._bind()
 
     def _bind(self) -> None:
@@ -128,11 +128,11 @@ class GameVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         self._scene = (
             self.variant.records(),
             self.game.drawn(art).art(self.variant, 1 if self.symbolic else IMAGE),
-            self.symbolic, self._scenes, self._list, self._first, self._count,
+            self.symbolic, self._scenes, self._list, self._first, self._count, self._begins,
         )  # fmt: skip
         over = self._final_states if self._mode == SAME_STEP else self._states
-        self._begun = _Columns(self._states, ("level", "shifted"))
-        self._events = _Columns(over, ("level", "shifted", "time", *self.game.events))
+        self._begun = Columns(self._states, ("level", "shifted"))
+        self._events = Columns(over, ("level", "shifted", "time", *self.game.events))
         self._pool = Pool(self._threads)
 
     def __getstate__(self) -> dict[str, Any]:
@@ -182,7 +182,7 @@ class GameVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         if "reset_mask" in options:
             which = np.array(options["reset_mask"])
             if which.shape != (self.num_envs,) or which.dtype != bool:
-                raise ValueError(f"reset_mask is {self.num_envs} booleans; given {which}")
+                raise ValueError(f"reset_mask must be {self.num_envs} booleans; got {which}")
         if not self._seeded and not which.all():
             raise ValueError("the first reset is of all environments")
         chosen = np.full(self.num_envs, NEXT_LEVEL)
@@ -198,7 +198,7 @@ class GameVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
             chosen[:] = integers(level, "levels")
             wrong = chosen[which & ((chosen < LEVELS.start) | (chosen >= LEVELS.stop))]
             if wrong.size:
-                raise ValueError(f"level is {wrong[0]}; it is from 0 to {LEVELS.stop - 1}")
+                raise ValueError(f"level must be from 0 to {LEVELS.stop - 1}; got {wrong[0]}")
         if seed is None and not self._seeded:
             seed = int(self.np_random.integers(2**62))
         if seed is not None:
@@ -240,7 +240,7 @@ class GameVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         if actions.shape != (n,) or not self._run(
             self._steps, out, actions, reward, terminated, truncated
         ):
-            raise ValueError(f"actions are {n} integers from 0 to {largest}; given {actions}")
+            raise ValueError(f"actions must be {n} integers from 0 to {largest}; got {actions}")
 
         info: Info = {}
         ended = terminated | truncated
@@ -250,10 +250,10 @@ class GameVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         if np.count_nonzero(ended):
             final = self._events(ended)
             if same_step:
-                info["final_obs"], info["final_info"] = _objects(self._final, ended), final
+                info["final_obs"], info["final_info"] = objects(self._final, ended), final
                 info["_final_obs"] = info["_final_info"] = ended
             else:
-                info = _merge(info, final)
+                info = merged(info, final)
         return out, reward, terminated, truncated, info
 
     def get_state(self) -> np.ndarray:
@@ -269,12 +269,31 @@ class GameVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         self._seeded = True
         return self._do(np.full(self.num_envs, AS_SET))
 
+    def repeat(self, states: np.ndarray | None) -> None:
+        """Begin every episode from now on in its own of `states` [N], again and again.
+
+        None: levels come as they did before. What is under way goes on.
+        """
+        if states is None:
+            self._begins = np.empty(0, self.game.state)
+        else:
+            if np.shape(states) != (self.num_envs,):
+                raise ValueError(
+                    f"states to repeat must be {self.num_envs}, one for each environment; got "
+                    f"{np.shape(states)}"
+                )
+            self.game.check(states, self.variant)
+            if states["ended"].any():
+                raise ValueError(f"the episode of state {states['ended'].argmax()} has ended")
+            self._begins = np.array(states, self.game.state)
+        self._scene = (*self._scene[:-1], self._begins)
+
     def _take(self, states: Any, which: np.ndarray, keep: Sequence[str] = ()) -> None:
         """Put `states` in place of those in `which`, but for the fields to `keep`."""
         given = np.asarray(states if isinstance(states, np.ndarray | np.void) else None)
         if given.dtype != self.game.state or given.shape not in ((), (1,), (self.num_envs,)):
             raise ValueError(
-                f"{self.num_envs} states of {self.game.name}, or one, are needed; given "
+                f"states must be {self.num_envs} of {self.game.name}, or one; got "
                 f"{given.dtype.names and len(given.dtype.names)} fields of shape {given.shape}"
             )
         given = np.broadcast_to(given, self.num_envs)[which]
@@ -337,7 +356,7 @@ def picture(
     for k in range(len(states)):
         one = states[k : k + 1].copy().view(np.ndarray)  # may be written to
         loop(
-            one, params, sprites, False, scene, NUMBERS, 0, 1, DISABLED, as_set, NUMBERS,
+            one, params, sprites, False, scene, NUMBERS, 0, 1, one[:0], DISABLED, as_set, NUMBERS,
             images[k : k + 1], one, images, REALS, FLAGS, FLAGS, *alone(),
         )  # fmt: skip
     return images
@@ -349,50 +368,6 @@ def _checked(levels: Any) -> tuple[int, int, np.ndarray]:
         return 0, 1, level_numbers(levels)
     if not levels or levels.start < LEVELS.start or levels.stop > LEVELS.stop:
         raise ValueError(
-            f"levels are {levels}; they are numbers from 0 to {LEVELS.stop - 1}, at least one"
+            f"levels must be numbers from 0 to {LEVELS.stop - 1}, at least one; got {levels}"
         )
     return levels.start, len(levels), NUMBERS
-
-
-class _Columns:
-    """Gymnasium's vector info of some fields of `states`, as they are when it is called.
-
-    In every other step of a batch some episode ends, and NumPy takes its time over each field of
-    a record; so integers are taken all at once, by where they are in it.
-    """
-
-    def __init__(self, states: np.ndarray, names: Sequence[str]):
-        fields: Any = states.dtype.fields
-        self.integers = [name for name in names if fields[name][0] == np.int64]
-        self.places = np.array([fields[name][1] // 8 for name in self.integers])
-        self.words = states.view(np.int64).reshape(len(states), -1)
-        self.flags = {name: states[name] for name in names if fields[name][0] == np.bool_}
-        assert len(self.integers) + len(self.flags) == len(names), "fields of other types"
-        self.masks = [f"_{name}" for name in names]
-
-    def __call__(self, which: np.ndarray) -> Info:
-        """For each name an array [N], 0 where not in `which` [N] bool, and `which` as its mask."""
-        columns = np.zeros((len(self.places), len(which)), np.int64)
-        loops.fill(columns, self.words, self.places, which)
-        info: Info = dict(zip(self.integers, columns, strict=True))
-        info |= {name: which & flag for name, flag in self.flags.items()}
-        return info | dict.fromkeys(self.masks, which)
-
-
-def _merge(one: Info, two: Info) -> Info:
-    """Two vector infos about different environments, as one."""
-    if not one:
-        return two
-    merged = dict(two)
-    for name in (n for n in one if not n.startswith("_")):
-        merged[name] = np.where(one[f"_{name}"], one[name], two[name])
-        merged[f"_{name}"] = one[f"_{name}"] | two[f"_{name}"]
-    return merged
-
-
-def _objects(rows: np.ndarray, which: np.ndarray) -> np.ndarray:
-    """An object array [N] of the rows in `which`, None elsewhere."""
-    result = np.empty(len(rows), object)
-    for i in np.flatnonzero(which):
-        result[i] = rows[i].copy()
-    return result

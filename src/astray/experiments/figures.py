@@ -16,8 +16,8 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.ticker import PercentFormatter
 
+from astray.analysis.estimates import bootstrap
 from astray.analysis.outcomes import FAILED, INTENDED, MISGENERALIZED
-from astray.analysis.statistics import bootstrap
 from astray.analysis.style import FAINT, INK, OTHERS, STYLE, WIDTH, save
 
 __all__ = ["FAINT", "INK", "OTHERS", "STYLE", "WIDTH", "save"]  # others take them from here

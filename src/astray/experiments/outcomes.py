@@ -1,4 +1,4 @@
-"""What agents reached first, as findings: shares, plots, verdicts and videos of a work's episodes.
+"""What agents reached first, as findings: shares, plots and videos of a work's episodes.
 
 Everywhere the policy "sampled" stands for the agents: as in the original, actions are drawn.
 """
@@ -12,12 +12,13 @@ from pathlib import Path
 import polars as pl
 
 from astray.analysis import video
+from astray.analysis.estimates import Estimate, bootstrap
 from astray.analysis.outcomes import load_shift, matrix, shares
 from astray.analysis.policies import Walk
 from astray.analysis.runs import open_run
-from astray.analysis.statistics import Estimate, bootstrap
 from astray.experiments import figures
-from astray.experiments.report import Plot, Table, Verdict, Video
+from astray.experiments.claims import rounded
+from astray.experiments.report import Plot, Table, Video
 from astray.experiments.spec import Plan, Test, Work
 from astray.training import checkpoint
 from astray.training.config import Config
@@ -33,29 +34,6 @@ def share(episodes: pl.DataFrame, test: str, outcome: str, *, minus: str | None 
     if minus:
         value -= (pl.col("outcome") == minus).cast(pl.Float64)
     return bootstrap(matrix(part, value))
-
-
-def holds_above(claim: str, paper: str, what: str, ours: Estimate, bound: float) -> Verdict:
-    """A claim that holds where the whole interval of a share, of `what`, is above `bound`."""
-    told = f"{what}: {percent(ours)}; holds above {100 * bound:g}\u00a0%"
-    return Verdict(claim, paper, told, ours.low > bound)
-
-
-def percent(estimate: Estimate) -> str:
-    """A share and its interval, in words."""
-    mean, low, high = (100 * x for x in (estimate.mean, estimate.low, estimate.high))
-    return f"{mean:.1f}\u00a0% (95\u00a0% interval {low:.1f} to {high:.1f}; {counted(estimate)})"
-
-
-def rounded(share: float) -> str:
-    """A share without its interval, for a sentence."""
-    return f"{100 * share:.0f}\u00a0%"
-
-
-def counted(estimate: Estimate) -> str:
-    """What an estimate is of."""
-    agents = "1 agent" if estimate.agents == 1 else f"{estimate.agents} agents"
-    return f"{agents}, {estimate.levels:,} levels"
 
 
 def outcome_tables(work: Work) -> tuple[Table, Table]:
@@ -132,7 +110,7 @@ def fair(table: pl.DataFrame, config: Config) -> dict[str, pl.Expr]:
         every = config.validation_every
         rounds["validation"] = ((iteration + every - 1) // every, config.validation_variant())
     return {
-        column: pl.when(rounds[which][0] * config.rollout >= rounds[which][1].time_limit).then(
+        column: pl.when(rounds[which][0] * config.num_steps >= rounds[which][1].time_limit).then(
             pl.col(column)
         )
         for column in table.columns

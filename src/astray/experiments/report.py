@@ -15,6 +15,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from astray.analysis.tables import write_table
 from astray.bounds import shown
+from astray.experiments.claims import Claim
 from astray.files import read, write_aside
 
 if TYPE_CHECKING:
@@ -22,16 +23,6 @@ if TYPE_CHECKING:
 
 MEDIA = {".png": "image/png", ".mp4": "video/mp4"}
 NOTHING = "—"
-
-
-@dataclass(frozen=True)
-class Verdict:
-    """A claim that was tested."""
-
-    claim: str
-    paper: str  # its figure
-    ours: str  # our figure, with its interval
-    held: bool
 
 
 @dataclass(frozen=True)
@@ -67,7 +58,7 @@ class Findings:
     """What an experiment found, most important first."""
 
     answer: str  # in a sentence or two
-    verdicts: Sequence[Verdict]
+    claims: Sequence[Claim]
     videos: Sequence[Video] = ()
     plots: Sequence[Plot] = ()
     tables: Sequence[Table] = ()
@@ -83,7 +74,7 @@ class Heading:
     title: str
     reproduces: str  # what of the paper
     question: str
-    smaller: str  # what is smaller or otherwise than in the paper; empty at the paper's size
+    differences: str  # from the paper, in words; empty where there is none
     command: str  # that repeats it
 
 
@@ -104,8 +95,8 @@ def write(
         for ending in ("csv", "parquet"):
             write_table(table.frame, folder / "tables" / f"{table.name}.{ending}")
     beside = beside or {}
-    verdicts = [asdict(v) | {"beside": beside.get(v.claim)} for v in findings.verdicts]
-    found = {"answer": findings.answer, "verdicts": verdicts}
+    claims = [asdict(c) | {"beside": beside.get(c.sentence)} for c in findings.claims]
+    found = {"answer": findings.answer, "claims": claims}
     write_aside(folder / "findings.json", json.dumps(asdict(heading) | found, indent=2).encode())
     page = _render("report.html", heading=heading, findings=findings, beside=beside,
                    figures=folder / "figures")  # fmt: skip
@@ -118,9 +109,9 @@ def of_claims(folder: Path) -> dict[str, str]:
     path = folder / "findings.json"
     if not path.exists():
         return {}
-    told = _findings(path)["verdicts"]
     return {
-        one["claim"]: f"{one['ours']} ({'held' if one['held'] else 'did not hold'})" for one in told
+        claim["sentence"]: f"{claim['ours']} ({'held' if claim['held'] else 'did not hold'})"
+        for claim in _findings(path)["claims"]
     }
 
 
@@ -140,9 +131,9 @@ def _findings(path: Path) -> dict[str, Any]:
         found = json.loads(read(path))
     except (ValueError, RecursionError) as error:
         raise ValueError(f"{path} is no JSON: {error}") from error
-    names = ("verdicts", "answer", *(f.name for f in fields(Heading)))
+    names = ("claims", "answer", *(f.name for f in fields(Heading)))
     missing = [name for name in names if not isinstance(found, dict) or name not in found]
-    if missing or not all(isinstance(v, dict) and "held" in v for v in found["verdicts"]):
+    if missing or not all(isinstance(claim, dict) and "held" in claim for claim in found["claims"]):
         raise ValueError(f"{path} must be the findings of a report; got {shown(found)}")
     return found
 

@@ -2,29 +2,28 @@
 
 from __future__ import annotations
 
-import functools
 import hashlib
 import json
 from dataclasses import asdict
 from pathlib import Path
 
-import numpy as np
 import polars as pl
 import torch
 
-from astray import experiments
 from astray.analysis import kept
-from astray.analysis.overlap import met, unseen
 from astray.analysis.runs import open_run, play_all
-from astray.experiments import report
-from astray.experiments.spec import COMPUTED, PUBLISHED, Experiment, Plan, Runs, Size, Test, Work
+from astray.experiments import catalogue, report
+from astray.experiments.levels import levels_of
+from astray.experiments.spec import COMPUTED, PUBLISHED, Experiment, Plan, Runs, Size, Work
 from astray.experiments.spec import kept as kept_table
+from astray.experiments.track import track_report
 from astray.experiments.workers import Place, train_all
 from astray.files import hold, read, write_aside
-from astray.game import OWN, Game, Variant
+from astray.game import OWN
 from astray.kernel.jit import source_digest
 from astray.training import checkpoint
 from astray.training.config import Config
+from astray.training.track import Tracking
 
 # The sources of what agents do, and of what is computed of it.
 COMPUTING = (
@@ -41,17 +40,19 @@ def reproduce(
     workers: int | None = None,
     on: Place = "here",
     art: str = OWN,
+    track: Tracking | None = None,
 ) -> Path:
     """Do what is missing of an experiment and write its report; the report's path.
 
-    experiment  of the catalogue, by name, or one of your own: see `experiments.find`
+    experiment  of the catalogue, by name, or one of your own: see `catalogue.find`
     root     gets the report, in <name>-<size>, and in `agents` the agents, which experiments share;
              on a cluster all nodes see it
     workers  agents trained at once here; None: one for each processor
     on       where agents are trained; they are evaluated here
     art      of all images; the report of another than our own is in <name>-<size>-<art>
+    track    who else is told how trainings go, and what the report says: wandb or trackio
     """
-    name, whole = experiments.find(experiment)
+    name, whole = catalogue.find(experiment)
     if not isinstance(size, str) or size not in whole.sizes:
         raise ValueError(f"unknown size {size!r} of {name}; there are: {', '.join(whole.sizes)}")
     torch.set_num_threads(1)  # several cost small networks more than they save
@@ -61,11 +62,11 @@ def reproduce(
     given = experiment if isinstance(experiment, str) else name
     heading = report.Heading(
         name=name, size=size, title=whole.title, reproduces=whole.reproduces,
-        question=whole.question, smaller=plan.smaller,
+        question=whole.question, differences=plan.differences,
         command=f"astray reproduce {given} --size {size}" + (f" --art {art}" if ending else ""),
     )  # fmt: skip
     with hold(folder, "works on"):
-        runs = train_agents(plan, root, workers, on)
+        runs = train_agents(plan, root, workers, on, track)
         forget_stale(plan, runs, folder)
         episodes = (
             kept_table(folder, "episodes", lambda: play(plan, runs))
@@ -75,10 +76,15 @@ def reproduce(
         findings = whole.find(Work(name, size, plan, folder, runs, episodes))
         # What others' agents do is told beside what those do that are trained here.
         beside = report.of_claims(root / f"{name}-smoke") if size == PUBLISHED else {}
-        return report.write(heading, findings, folder, beside)
+        page = report.write(heading, findings, folder, beside)
+        if track:
+            track_report(heading, findings, folder, track)
+        return page
 
 
-def train_agents(plan: Plan, root: Path, workers: int | None, on: Place) -> Runs:
+def train_agents(
+    plan: Plan, root: Path, workers: int | None, on: Place, track: Tracking | None = None
+) -> Runs:
     """Train the agents of a plan that are not trained yet; the run folders of all.
 
     Published agents must be here already, for nothing is downloaded without being asked for.
@@ -87,7 +93,7 @@ def train_agents(plan: Plan, root: Path, workers: int | None, on: Place) -> Runs
     trainings = plan.trainings()
     train_all(
         {run_folder(root, config): config for configs in trainings.values() for config in configs},
-        workers, on,
+        workers, on, track,
     )  # fmt: skip
     trained = {
         name: [run_folder(root, config) for config in configs]
@@ -110,12 +116,18 @@ def published_run(agent: str) -> Path:
 
 
 def reproduce_all(
-    size: Size, root: Path, *, workers: int | None = None, on: Place = "here", art: str = OWN
+    size: Size,
+    root: Path,
+    *,
+    workers: int | None = None,
+    on: Place = "here",
+    art: str = OWN,
+    track: Tracking | None = None,
 ) -> Path:
     """Every experiment that has this size, one after the other, and a page that leads to them."""
-    for name in experiments.NAMES:
-        if size in experiments.load(name).sizes:
-            reproduce(name, size, root, workers=workers, on=on, art=art)
+    for name in catalogue.NAMES:
+        if size in catalogue.load(name).sizes:
+            reproduce(name, size, root, workers=workers, on=on, art=art, track=track)
             report.write_index(root)
     return report.write_index(root)
 
@@ -146,6 +158,9 @@ def forget_stale(plan: Plan, runs: Runs, folder: Path) -> None:
             raise OSError(f"{computed} must be a folder of its own; it is a link, to what may not "
                           "be astray's")  # fmt: skip
         for table in computed.glob("*.parquet"):
+            if not path.exists() or table.is_symlink() or not table.is_file():
+                raise OSError(f"{table} is none of astray's; it must not be there")
+        for table in computed.glob("*.parquet"):
             table.unlink()
         write_aside(path, text)
 
@@ -174,24 +189,3 @@ def play(plan: Plan, runs: Runs) -> pl.DataFrame:
         )  # fmt: skip
         parts.append(played.with_columns(test=pl.lit(name)))
     return pl.concat(parts).join(owners, on="run", how="left", maintain_order="left")
-
-
-def levels_of(plan: Plan, test: Test) -> np.ndarray:
-    """The numbers of a test's levels, which no agent of the plan has met under any number.
-
-    Published agents that were trained on all levels may have met some, of two thousand million;
-    these levels are as good as any.
-    """
-    if plan.published:
-        return np.array(plan.config.unseen_levels[: plan.levels])
-    trainings = tuple((c.training_variant(), c.training_levels) for c in plan.agents.values())
-    after = max((c.unseen_levels for c in plan.agents.values()), key=lambda left: left.start)
-    return unseen(
-        plan.game, met_in(plan.game, trainings), test.variant_for(plan.config), after, plan.levels
-    )
-
-
-@functools.lru_cache(maxsize=1)
-def met_in(game: Game, trainings: tuple[tuple[Variant, range], ...]) -> set[bytes]:
-    """`overlap.met`, once for all tests of a plan."""
-    return met(game, trainings)

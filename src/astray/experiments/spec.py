@@ -58,17 +58,17 @@ class Plan:
     visited: Mapping[str, Test] = field(default_factory=dict)  # by name; what the experiment itself
     # looks at states of
     levels: int  # of each test, none met in any training under any number
-    smaller: str  # what is smaller or otherwise than in the paper
+    differences: str  # from the paper, in words; empty where there is none
     measures: Mapping[str, Measure] = field(default_factory=dict)  # of an episode's last state
 
     def __post_init__(self) -> None:
         if self.seeds < 1:
-            raise ValueError(f"seeds is {self.seeds}; it is at least 1")
+            raise ValueError(f"seeds must be at least 1; got {self.seeds}")
         if not set(self.published) <= set(self.agents):
             raise ValueError("what is published are agents of the plan")
         fewest = min((len(config.unseen_levels) for config in self.agents.values()), default=inf)
         if not 1 <= self.levels <= fewest:
-            raise ValueError(f"levels is {self.levels}; it is from 1 to {fewest}")
+            raise ValueError(f"levels must be from 1 to {fewest}; got {self.levels}")
         if (self.tests or self.visited) and len(
             {config.game for config in self.agents.values()}
         ) != 1:
@@ -148,4 +148,4 @@ class Experiment:
     def __post_init__(self) -> None:
         wrong = [size for size in self.sizes if size not in SIZES]
         if wrong or not self.sizes:
-            raise ValueError(f"sizes are {list(self.sizes)}; they are some of {', '.join(SIZES)}")
+            raise ValueError(f"sizes must be some of {', '.join(SIZES)}; got {list(self.sizes)}")

@@ -21,7 +21,7 @@ from PIL import Image
 from scipy.ndimage import gaussian_filter
 from torch import Tensor
 
-from astray.agents.small import Small
+from astray.agents.mlp import MLP
 from astray.analysis.critic import Edit, observe
 from astray.analysis.policies import Agent
 from astray.game import Variant
@@ -45,7 +45,7 @@ def gradients(agent: Agent, observations: np.ndarray) -> np.ndarray:
     def attribute(x: Tensor) -> Tensor:
         gradient = method.attribute(x.requires_grad_(), abs=False)
         if agent.observation == "symbolic":
-            flags = _small(agent).spread.flags
+            flags = _mlp(agent).spread.flags
             gradient[:, flags:] *= x.detach()[:, flags:]
         return gradient
 
@@ -167,22 +167,22 @@ def _captum() -> Any:
     return captum.attr
 
 
-def _small(agent: Agent) -> Small:
-    return cast(Small, agent.network)  # the network that sees planes
+def _mlp(agent: Agent) -> MLP:
+    return cast(MLP, agent.network)  # the network that sees planes
 
 
 def _value(agent: Agent) -> Callable[[Tensor], Tensor]:
     """The value [N] as a function of what `_inputs` returns, with gradients."""
     if agent.observation == "image":
         return lambda x: agent.network(255 * x)[1]
-    network = _small(agent)
+    network = _mlp(agent)
     return lambda x: network.value(network.features(x)).squeeze(-1)
 
 
 def _inputs(agent: Agent, observations: np.ndarray) -> Tensor:
-    """What there are gradients of: images from 0 to 1, or planes as `Spread` makes them."""
+    """What there are gradients of: images from 0 to 1, or planes as the mlp embeds them."""
     x = torch.from_numpy(observations.copy()).to(agent.device)
-    return x.float() / 255 if agent.observation == "image" else _small(agent).spread(x)
+    return x.float() / 255 if agent.observation == "image" else _mlp(agent).spread(x)
 
 
 def _maps(agent: Agent, attribute: Callable[..., Tensor], *observations: np.ndarray) -> np.ndarray:
@@ -195,7 +195,7 @@ def _maps(agent: Agent, attribute: Callable[..., Tensor], *observations: np.ndar
     maps = np.concatenate(found)
     if agent.observation == "image":
         return maps.mean(3)
-    flags = _small(agent).spread.flags  # then two planes for each plane of categories
+    flags = _mlp(agent).spread.flags  # then two planes for each plane of categories
     one, other = np.split(maps[:, flags:], 2, axis=1)
     return np.concatenate([maps[:, :flags], one + other], axis=1)
 

@@ -20,8 +20,9 @@ import polars as pl
 
 from astray import games
 from astray.analysis.episodes import CHUNK, Levels, initial_states
-from astray.analysis.statistics import Estimate, bootstrap
+from astray.analysis.estimates import bootstrap
 from astray.bounds import bounded, of_kind
+from astray.estimate import Estimate
 from astray.game import MOST, Game, Variant
 
 FOLDS = 5
@@ -149,7 +150,7 @@ def _area(y: np.ndarray, chances: np.ndarray, auc: Any, random: np.random.Genera
         if 0 < y[some].sum() < len(y):
             again.append(auc(y[some], chances[some]))
     low, high = np.quantile(again, [0.025, 0.975])
-    return Estimate(float(auc(y, chances)), float(low), float(high), 1, len(y))
+    return Estimate(float(auc(y, chances)), float(low), float(high), 1, len(y), len(y))
 
 
 def _alone(x: np.ndarray, y: np.ndarray, auc: Any) -> float:

@@ -30,11 +30,13 @@ from astray.game import Variant
 from astray.insight import attribution, episode, field_figures, probes
 from astray.insight.activations import layers
 from astray.insight.fields import cell_of, difference, fields
+from astray.insight.interventions import sees_world
 from astray.level import Level
 
 PAGE = "explain.html"
 PIXELS = 384  # a side of a picture
-LIKELIEST = 4  # actions in a table
+LIKELIEST = 4  # actions that are named
+PLACES, FEWER = 128, 32  # of an object, at most; fewer where levels are large and episodes long
 
 
 @dataclass(frozen=True)
@@ -164,7 +166,10 @@ def _edits(asked: Asked) -> list[Part]:
 def _moved(asked: Asked, name: str) -> Part:
     """What the agent reaches first for every place of an object."""
     game, shift = asked.level.game, load_shift(asked.level.game, asked.shift)
-    family = {str(one.where(name)[0]): one for one in asked.level.splay(name)}
+    everywhere = asked.level.splay(name)
+    most = PLACES if sees_world(asked.variant) else FEWER
+    some = np.unique(np.linspace(0, len(everywhere) - 1, most).round().astype(int))
+    family = {str(one.where(name)[0]): one for one in (everywhere[k] for k in some)}
     played = label(evaluate(asked.agent, game, asked.variant, family), game, shift)
     counts = Counter(played["outcome"])
     reached = {
@@ -179,7 +184,7 @@ def _moved(asked: Asked, name: str) -> Part:
     figure.colorbar(shaded, ax=axes, shrink=0.82, label="intended goal first")
     told = ", ".join(f"{outcome} in {count}" for outcome, count in counts.most_common())
     return Part(f"moved-{name}", f"With the {name} anywhere else",
-                f"An episode for each of its {len(family)} places: {told}. A cell is bright where "
+                f"An episode for each of {len(family)} places: {told}. A cell is bright where "
                 f"the agent reaches the intended goal first if the {name} lies there.",
                 figure, played.select("name", "outcome", "return", "length"))  # fmt: skip
 

@@ -25,7 +25,7 @@ from astray.analysis.episodes import Levels, initial_states
 from astray.analysis.policies import Agent
 from astray.bounds import of_kind, shown
 from astray.envs.vector import GameVectorEnv
-from astray.game import NEVER, Game, Variant
+from astray.game import Game, Variant
 from astray.level import EMPTY, Cell, Level
 
 AT_ONCE = 2048  # states; CoinRun's take 17 kB each
@@ -332,15 +332,6 @@ def outcomes(game: str | Game, variant: str | Variant, states: np.ndarray) -> np
 def cell_of(level: Level, goal: str) -> Cell | None:
     """The cell of a goal of the level's game, as the cheese or the corner; None where none is.
 
-    Raises ValueError where the game's states have no place of that goal.
+    Raises ValueError where the game has no such goal, or no `cells`.
     """
-    game = level.game
-    if goal not in game.goals:
-        raise ValueError(f"unknown goal {goal!r}; there are: {', '.join(game.goals)}")
-    event = game.goals[goal]
-    s = level.state(solvable=False)
-    names = [f"{event.removeprefix('reached_').removeprefix('took_')}_{axis}" for axis in "xy"]
-    if not set(names) <= set(game.state.names or ()):
-        raise ValueError(f"{game.name} has no cell for the goal {goal!r}")
-    x, y = (int(s[name]) for name in names)
-    return None if x == NEVER else (x, y)
+    return level.game.cells.target(level.state(solvable=False), goal)

@@ -21,9 +21,9 @@ import polars as pl
 import torch
 
 from astray.analysis.critic import observe
+from astray.analysis.estimates import bootstrap
 from astray.analysis.given import Measure, measured
 from astray.analysis.policies import Agent
-from astray.analysis.statistics import bootstrap
 from astray.bounds import bounded, of_kind
 from astray.game import MOST, Variant
 from astray.insight.activations import activations
@@ -34,6 +34,7 @@ DIRECTIONS = 128  # of what a layer gives, those in which it varies most; more w
 # noise, and take long
 STRENGTHS = np.logspace(-1, 5, 13)  # of ridge regression's penalty, of which it takes the best
 LEAST = 20  # states of a class, and states with a number, below which there is nothing to fit
+SELDOM = 0.01  # share of states in which something must differ from its median to be shown
 FITS = 400  # steps of the solver, at most
 SCORES = ("score", "shuffled", "untrained")
 FIXED = ("kind", "states", "chance")
@@ -226,12 +227,14 @@ def _fitted(x: np.ndarray, y: np.ndarray, seed: int) -> tuple[Any, np.ndarray]:
     from sklearn.preprocessing import StandardScaler
 
     flat = x.reshape(len(x), -1)
-    varies = np.ptp(flat, axis=0) > 0
+    # What is otherwise in hardly any state has next to no deviation to be divided by.
+    varies = (flat != np.median(flat, axis=0)).mean(0) >= SELDOM
+    varies |= ~varies.any() & (np.ptp(flat, axis=0) > 0)
     flat = flat[:, varies]
     most = min(DIRECTIONS, flat.shape[1], len(flat) - 1)
     steps: list[Any] = [StandardScaler()]
     if most < flat.shape[1]:
-        steps += [PCA(most, svd_solver="randomized", random_state=seed), StandardScaler()]
+        steps.append(PCA(most, svd_solver="randomized", random_state=seed))
     if is_class(y):
         steps.append(LogisticRegression(class_weight="balanced", max_iter=FITS, C=0.1))
     else:

@@ -105,6 +105,13 @@ def share(number, salt):
 
 
 @entry
+def fill_shares(first, salt, out):
+    """Fill `out` [N] float64 with the `share` of the numbers from `first` on."""
+    for i in range(out.shape[0]):
+        out[i] = share(first + i, salt)
+
+
+@entry
 def fill_noise(seed, levels, times, out):
     """Fill `out` [N, A] float32 with uniform reals: functions of seed, level and step alone."""
     if not len(levels) == len(times) == len(out):

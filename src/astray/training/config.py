@@ -13,24 +13,32 @@ from typing import Annotated, Any, Literal
 from tyro.conf import Positional, Suppress
 
 from astray import games, imports
-from astray.agents.policy import check_network
+from astray.agents.policy import check_network, renamed_network
 from astray.bounds import shown
-from astray.game import LEVELS, MOST, OWN, Game, Variant
+from astray.game import LEVELS, MOST, OWN, Game, Mutation, Variant
 
+# Settings as older run folders have them, and what they are called now.
+RENAMED = {"environments": "num_envs", "rollout": "num_steps", "kernels": "fused_cpu"}
 MOST_STEPS = 10**15  # what the fastest machine does in a century
 SEEDS = 2**28  # every seed has streams of its own for training, validation, ...
 COUNTS = (
-    "levels", "steps", "environments", "rollout", "epochs", "minibatches", "scale", "width",
-    "validation_every", "checkpoint_every", "threads", "groups",
+    "levels", "steps", "num_envs", "num_steps", "epochs", "minibatches", "scale", "width",
+    "validation_every", "checkpoint_every", "threads", "groups", "buffer", "edits",
 )  # fmt: skip
-SHARES = ("gamma", "lam", "reward_gamma")
+SHARES = ("gamma", "lam", "reward_gamma", "share", "staleness")
 AMOUNTS = ("learning_rate", "clip", "value_weight", "entropy_weight", "gradient_norm")
 RANGES = (
     {name: (1, MOST) for name in COUNTS}
     | {name: (0, 1) for name in SHARES}
     | {name: (0, inf) for name in AMOUNTS}
+    | {"replay": (0.01, 1), "temperature": (0.01, 100)}
     | {"first_level": (0, LEVELS.stop), "seed": (0, SEEDS - 1), "steps": (1, MOST_STEPS)}
 )
+
+
+SAMPLERS = ("uniform", "mixed", "plr", "accel")  # of levels, astray's own
+Schedule = Literal["throughout", "early", "late", "annealed"]
+Score = Literal["regret", "max-monte-carlo", "positive-value-loss"]
 
 
 @dataclass(frozen=True)
@@ -52,15 +60,26 @@ class Config:
     levels: int = 100_000  # training levels, from first_level on; validation draws from the rest
     seed: int = 0
 
+    sampler: str = "uniform"  # of levels: or mixed, plr, accel; or your own, module:Class
+    share: float | None = None  # mixed: of episodes in shifted levels; None: shift_probability
+    schedule: Schedule = "throughout"  # mixed: when the shifted levels are played
+    buffer: int = 4096  # plr, accel: levels that are kept, to be replayed
+    replay: float | None = None  # plr, accel: chance that a rollout replays; None: 1/3 and 1/2
+    temperature: float = 0.1  # plr, accel: a level's chance is (1 / its rank) ** (1 / temperature)
+    staleness: float = 0.1  # plr, accel: share of the chance that is for levels not replayed lately
+    score: Score = "max-monte-carlo"  # plr, accel: by which levels are ranked
+    mutation: Mutation = "constant"  # accel: what is edited, and how often
+    edits: int = 12  # accel: of a level, to make another
+
     observation: Literal["image", "symbolic"] = "image"
     art: str = OWN  # that images are drawn with; "original" has to be imported: astray art import
-    network: str = "impala"  # or small, for symbols; or your own, module:Class
+    network: str = "impala"  # or mlp, for symbols; or your own, module:Class
     scale: int = 1  # of impala's channels; the paper's sweeps have 4
-    width: int = 64  # hidden units of the small network
+    width: int = 64  # hidden units of the mlp
 
     steps: int = 200_000_000  # environment steps, over all environments
-    environments: int = 256
-    rollout: int = 256  # steps of each environment between updates
+    num_envs: int = 256
+    num_steps: int = 256  # steps of each environment between updates
     epochs: int = 3  # passes over a rollout
     minibatches: int = 8  # per epoch: 256 x 256 / 8 = 8,192 samples
     gamma: float = 0.999
@@ -83,7 +102,7 @@ class Config:
     threads: int = 1  # that step environments; and, on a CPU, that torch uses
 
     # How it is computed; None is what suits the device, as `training.fast` resolves it.
-    kernels: bool | None = None  # of our own for the small network and the loss, on a CPU
+    fused_cpu: bool | None = None  # our own kernels for the mlp and the loss, on a CPU
     bfloat16: bool | None = None  # for the large products; weights and losses stay float32
     channels_last: bool | None = None  # the layout of impala's weights and activations
     compiled: bool | None = None  # by torch.compile, which fuses what is between the products
@@ -97,33 +116,36 @@ class Config:
             value = getattr(self, name)
             if value is not None and not low <= value <= high:
                 said = f"at least {low}" if high == inf else f"from {low} to {high}"
-                raise ValueError(f"{name} is {shown(value)}; it is {said}")
+                raise ValueError(f"{name} must be {said}; got {shown(value)}")
         if self.batch % self.minibatches:
             raise ValueError(
-                f"{self.environments} environments x {self.rollout} steps = {self.batch} samples "
+                f"{self.num_envs} environments x {self.num_steps} steps = {self.batch} samples "
                 f"are not divided by {self.minibatches} minibatches"
             )
-        if self.groups and self.environments % self.groups:
+        if self.groups and self.num_envs % self.groups:
             raise ValueError(
-                f"{self.environments} environments are not divided into {self.groups} groups"
+                f"{self.num_envs} environments are not divided into {self.groups} groups"
             )
         if self.training_levels.stop >= LEVELS.stop:
             raise ValueError(
-                f"training levels are {self.first_level} to {self.training_levels.stop - 1}; "
-                f"they are below {LEVELS.stop - 1}, and some are left for tests"
+                f"training levels must be below {LEVELS.stop - 1}, as some are left for tests; "
+                f"got {self.first_level} to {self.training_levels.stop - 1}"
             )
         check_network(self.network)
+        if self.sampler not in SAMPLERS and not imports.is_name(self.sampler):
+            possible = f"{', '.join(SAMPLERS)}, or module:Class"
+            raise ValueError(f"sampler must be one of {possible}; got {self.sampler!r}")
         if self.loss is not None and not imports.is_name(self.loss):
             raise ValueError(f"loss must be module:function; got {self.loss!r}")
         self.training_variant()
         self.find_game().drawn(self.art)
-        if self.validation:
+        if self.validation is not None:
             self.validation_variant()
 
     @property
     def batch(self) -> int:
         """Samples per iteration."""
-        return self.environments * self.rollout
+        return self.num_envs * self.num_steps
 
     @property
     def iterations(self) -> int:
@@ -153,9 +175,24 @@ class Config:
         """The variant to train on."""
         return self.variant_for(self.variant)
 
+    def intended_goal(self) -> str:
+        """The goal that the shifts of the training variant mean.
+
+        Raises ValueError where none of the game's shifts has the variant.
+        """
+        shifts = self.find_game().shifts.values()
+        for shift in shifts:
+            if self.variant in (shift.train, shift.test):
+                return shift.intended
+        known = ", ".join(dict.fromkeys(shift.train for shift in shifts))
+        raise ValueError(
+            f"score 'regret' needs a variant of which a shift says the goal; got {self.variant!r}, "
+            f"and there are: {known}"
+        )
+
     def validation_variant(self) -> Variant:
         """The variant that is played during training and never learned from."""
-        assert self.validation
+        assert self.validation is not None
         return self.variant_for(self.validation)
 
     def variant_for(self, name: str, changes: Mapping[str, Any] | None = None) -> Variant:
@@ -175,17 +212,28 @@ class Config:
     @staticmethod
     def from_json(data: Any) -> Config:
         if not isinstance(data, dict):
-            raise ValueError(f"settings are an object; given {shown(data)}")
+            raise ValueError(f"settings must be an object; got {shown(data)}")
         known = [f.name for f in fields(Config)]
         values = {name: value for name, value in data.items() if name != "training_variant"}
+        for old, new in RENAMED.items():
+            if old in values:
+                values[new] = values.pop(old)
+        values["network"] = renamed_network(values.get("network", Config.network))
         unknown = [name for name in values if name not in known]
         if unknown:
             raise ValueError(f"this version has no setting {unknown[0]!r}; a later one may")
         config = Config(**values)
         variant = json.loads(json.dumps(asdict(config.training_variant())))
-        if data.get("training_variant", variant) != variant:
+        if _levels_of(data.get("training_variant", variant)) != _levels_of(variant):
             raise ValueError(f"its {config.game} {config.variant} is not that of this version")
         return config
+
+
+def _levels_of(variant: Any) -> Any:
+    """What of a variant, written out, decides its levels: what it never shifts to does not."""
+    if isinstance(variant, dict) and variant.get("shift_probability") == 0:
+        return variant | {"shifted": None}
+    return variant
 
 
 def _check(name: str, value: Any, kind: Any) -> None:
@@ -200,7 +248,7 @@ def _check(name: str, value: Any, kind: Any) -> None:
     if float in kinds:
         kinds.append(int)
     if type(value) not in kinds or (type(value) is float and not isfinite(value)):
-        raise ValueError(f"{name} is {shown(value)}; it is a {kinds[0].__name__}")
+        raise ValueError(f"{name} must be of type {kinds[0].__name__}; got {shown(value)}")
 
 
 PRESETS = {
@@ -210,10 +258,10 @@ PRESETS = {
     # than few large ones or convolutions.
     "small": Config(
         observation="symbolic",
-        network="small",
+        network="mlp",
         width=256,
         steps=5_500_000,
-        rollout=64,
+        num_steps=64,
         minibatches=16,
         gamma=0.98,
         entropy_weight=0.003,

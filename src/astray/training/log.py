@@ -15,6 +15,7 @@ from astray.files import read, write_aside
 from astray.training.config import Config
 
 METRICS = "metrics.jsonl"  # of a run's folder
+BEGINNING = '{"steps": '  # of each of its lines
 
 
 def read_metrics(path: Path) -> Iterator[tuple[str, dict[str, Any]]]:
@@ -32,6 +33,8 @@ def read_metrics(path: Path) -> Iterator[tuple[str, dict[str, Any]]]:
                 yield line, measured(line)
             except ValueError as error:
                 raise ValueError(f"{path}, line {number}: {error}") from error
+        elif not (line.startswith(BEGINNING) or BEGINNING.startswith(line)):
+            raise ValueError(f"{path}, line {number}: it is no part of what a training wrote")
 
 
 def measured(line: str | bytes) -> dict[str, Any]:
@@ -41,10 +44,10 @@ def measured(line: str | bytes) -> dict[str, Any]:
     except (ValueError, RecursionError) as error:
         raise ValueError(f"it is no JSON: {error}") from error
     if not isinstance(data, dict) or type(data.get("steps")) is not int or data["steps"] < 0:
-        raise ValueError(f"it is an object with a number of steps; given {reprlib.repr(data)}")
+        raise ValueError(f"it must be an object with a number of steps; got {reprlib.repr(data)}")
     for name, value in data.items():
         if type(value) not in (int, float):
-            raise ValueError(f"{name} is {reprlib.repr(value)}; it is a number")
+            raise ValueError(f"{name} must be a number; got {reprlib.repr(value)}")
     return data
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -13,19 +14,28 @@ from astray.envs.vector import GameVectorEnv
 from astray.game import Variant
 from astray.training import parallel
 from astray.training.config import Config
+from astray.training.levels import Played, Sampler
 from astray.training.ppo import RewardNormaliser
 
+LEVELS = "levels."  # before the names of a sampler's arrays, in a checkpoint
 RECENT = 100  # ended episodes that the logged means are over
 
 
 class Player:
     """Environments of one variant, what they show now, and how their last episodes went.
 
-    They may be in several groups, which are stepped one by one.
+    They may be in several groups, which are stepped one by one. A `sampler` may choose their
+    levels; without one they draw from `levels`.
     """
 
-    def __init__(self, config: Config, variant: Variant, levels: range, salt: int, groups: int):
-        self.here = parallel.share(config.environments)  # of all environments, this process's
+    def __init__(
+        self, config: Config, variant: Variant, levels: range, salt: int, groups: int,
+        sampler: Sampler | None = None,
+    ):  # fmt: skip
+        if sampler is not None and parallel.size() > 1:
+            raise ValueError("with a sampler of levels, one process must train alone")
+        self.sampler, self.learns, self._repeats = sampler, True, False
+        self.here = parallel.share(config.num_envs)  # of all environments, this process's
         n = self.here.stop - self.here.start
         if n % groups:
             raise ValueError(f"{n} environments are not divided into {groups} groups")
@@ -39,7 +49,7 @@ class Player:
             for group in self.groups
         ]  # fmt: skip
         self.game, self.space = self.envs[0].game, self.envs[0].single_observation_space
-        self.environments, self.actions = config.environments, len(self.game.actions)
+        self.num_envs, self.actions = config.num_envs, len(self.game.actions)
         # What the environments show now; a GPU reads pinned memory while the processor goes on.
         self.images = torch.empty(
             (n, *self.space.shape),  # pyright: ignore
@@ -51,7 +61,7 @@ class Player:
             self.images[group] = torch.from_numpy(env.reset(seed=seed + group.start)[0])
         self.device = config.device
         self.generator = torch.Generator(config.device).manual_seed(config.seed * 16 + salt)
-        self.normaliser = RewardNormaliser(config.environments, config.reward_gamma)
+        self.normaliser = RewardNormaliser(config.num_envs, config.reward_gamma)
         self.running_return = np.zeros(n)
         self.events = self.game.events
         self.recent: deque[list[float]] = deque(maxlen=RECENT)  # return, length, events' happening
@@ -62,7 +72,7 @@ class Player:
 
         All at once, and of all processes, so that it depends neither on groups nor on processes.
         """
-        shape = (steps, self.environments, self.actions)
+        shape = (steps, self.num_envs, self.actions)
         return torch.rand(shape, generator=self.generator, device=self.device)[:, self.here]
 
     def step(
@@ -71,7 +81,10 @@ class Player:
         """Take step `t` of a rollout in a group: reward, terminated, truncated [n], and info."""
         env, where = self.envs[group], self.groups[group]
         _, reward, terminated, truncated, info = env.step(actions, self.images[where].numpy())
-        self._note(t, where, reward, terminated | truncated, info)
+        ended = terminated | truncated
+        self._note(t, where, reward, ended, info)
+        if self.sampler is not None and not self._repeats and ended.any():
+            self._begin(self.sampler, group, ended)
         return reward, terminated, truncated, info
 
     def _note(
@@ -89,8 +102,46 @@ class Player:
             self._ended.append((t, self.here.start + where.start + int(i), row))
         running[ended] = 0.0
 
+    def plan(self, steps: int) -> None:
+        """Before a rollout: have the sampler say what it is for. `learns` says whether to learn."""
+        if self.sampler is None:
+            return
+        plan = self.sampler.plan(steps)
+        self.learns = plan.learn
+        self._repeats = plan.repeat
+        for env in self.envs:
+            env.repeat(None)
+        if plan.restart or plan.repeat:
+            for group, where in enumerate(self.groups):
+                self._begin(self.sampler, group, np.ones(where.stop - where.start, bool))
+                if plan.repeat:
+                    self.envs[group].repeat(self.envs[group].get_state())
+            self.running_return[:] = 0.0
+            self.normaliser.returns[:] = 0.0
+
+    def _begin(self, sampler: Sampler, group: int, which: np.ndarray) -> None:
+        """Begin the levels that the sampler says in the environments `which` [n] of a group."""
+        env, where = self.envs[group], self.groups[group]
+        chosen = sampler.next(where.start + np.flatnonzero(which))
+        option = "state" if chosen.dtype == self.game.state else "level"
+        begin = np.zeros(len(which), chosen.dtype)
+        begin[which] = chosen
+        shown, _ = env.reset(options={option: begin, "reset_mask": which})
+        self.images[where] = torch.from_numpy(shown)
+
+    def scored(self, played: Callable[[], Played]) -> None:
+        """After a rollout: tell the sampler, if there is one, how it went."""
+        if self.sampler is not None:
+            self.sampler.note(played())
+
     def settle(self) -> None:
-        """After a rollout: take in the episodes that ended, of all processes."""
+        """After a rollout: take in the episodes that ended, of all processes.
+
+        Those of levels that were only scored do not count.
+        """
+        if not self.learns:
+            self._ended = []
+            return
         ended = sorted(row for rows in parallel.gathered(self._ended) for row in rows)
         self.recent.extend(row for *_, row in ended)
         self._ended = []
@@ -107,6 +158,7 @@ class Player:
         normaliser = self.normaliser
         moments = [normaliser.mean, normaliser.variance, normaliser.count]
         width = 2 + len(self.events)
+        arrays = {} if self.sampler is None else self.sampler.arrays()
         return {
             "states": torch.from_numpy(
                 parallel.joined(np.concatenate([env.states.view(np.uint8) for env in self.envs]))
@@ -116,7 +168,7 @@ class Player:
             "normaliser_returns": torch.from_numpy(normaliser.returns.copy()),
             "running_return": torch.from_numpy(parallel.joined(self.running_return)),
             "recent": torch.tensor(list(self.recent), dtype=torch.float64).view(-1, width),
-        }
+        } | {f"{LEVELS}{name}": torch.from_numpy(array.copy()) for name, array in arrays.items()}
 
     def restore(self, tensors: dict[str, Tensor]) -> None:
         """Go on from what `tensors` returned."""
@@ -129,3 +181,6 @@ class Player:
         normaliser.returns = tensors["normaliser_returns"].numpy().copy()
         self.running_return = tensors["running_return"].numpy()[self.here].copy()
         self.recent = deque(tensors["recent"].tolist(), maxlen=RECENT)
+        if self.sampler is not None:
+            names = [name for name in tensors if name.startswith(LEVELS)]
+            self.sampler.restore({n.removeprefix(LEVELS): tensors[n].numpy() for n in names})

@@ -147,7 +147,7 @@ class RewardNormaliser:
     result clipped to +-10; the statistics take in a step before it is normalised.
     """
 
-    environments: int
+    num_envs: int
     gamma: float = 0.99
     clip: float = 10.0
     mean: float = 0.0
@@ -156,17 +156,21 @@ class RewardNormaliser:
     returns: np.ndarray = field(init=False)  # [N] float64, the running discounted returns
 
     def __post_init__(self) -> None:
-        self.returns = np.zeros(self.environments)
+        self.returns = np.zeros(self.num_envs)
 
     def __call__(self, reward: np.ndarray, ended: np.ndarray) -> np.ndarray:
         """Take in one step's `reward` and `ended`, both [N]; the normalised rewards [N]."""
         self.returns = self.gamma * self.returns + reward
         # Chan et al.'s parallel update of mean and variance.
-        n, delta = self.environments, self.returns.mean() - self.mean
+        n, delta = self.num_envs, self.returns.mean() - self.mean
         total = self.count + n
         squares = self.variance * self.count + self.returns.var() * n
         self.mean += delta * n / total
         self.variance = (squares + delta**2 * self.count * n / total) / total
         self.count = total
         self.returns[ended] = 0.0
+        return self.scaled(reward)
+
+    def scaled(self, reward: np.ndarray) -> np.ndarray:
+        """Rewards of any shape, normalised by what was taken in so far."""
         return np.clip(reward / np.sqrt(self.variance + 1e-8), -self.clip, self.clip)

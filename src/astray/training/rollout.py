@@ -8,6 +8,7 @@ from torch import Tensor
 
 from astray.training import parallel, ppo
 from astray.training.config import Config
+from astray.training.levels import Played
 from astray.training.player import Player
 
 
@@ -23,9 +24,13 @@ def estimate(
     """Advantages, and targets of the critic, of a rollout, all [T, N].
 
     Rewards are normalised by what `player` has seen so far, this rollout included, and replaced
-    in `reward`; advantages are normalised over all environments.
+    in `reward`; advantages are normalised over all environments. Levels that are only scored
+    leave no trace in what rewards are normalised by.
     """
-    if config.normalise_reward:  # over the environments of all processes
+    own = reward.copy()
+    if config.normalise_reward and not player.learns:
+        reward = player.normaliser.scaled(reward)
+    elif config.normalise_reward:  # over the environments of all processes
         everywhere, ended = (parallel.joined(x, 1) for x in (reward, terminated | truncated))
         for t in range(len(reward)):
             reward[t] = player.normaliser(everywhere[t], ended[t])[player.here]
@@ -36,6 +41,7 @@ def estimate(
         torch.from_numpy(reward).float().to(value.device),
         value, next_value, ends, cuts, config.gamma, config.lam,
     )  # fmt: skip
+    player.scored(lambda: Played(own, advantage.numpy(force=True), terminated, truncated))
     target = advantage + value
     if config.normalise_advantage:
         joined = torch.from_numpy(parallel.joined(advantage.numpy(force=True), 1))

@@ -13,12 +13,14 @@ from astray.agents import policy
 from astray.agents.policy import Architecture
 from astray.memory import check_memory
 from astray.training import parallel, ppo
-from astray.training.config import Config
+from astray.training.config import SAMPLERS, Config
 from astray.training.fast import acceleration
 from astray.training.fast.acceleration import Loss
 from astray.training.fast.actor import Actor
 from astray.training.fast.graphs import Captured
+from astray.training.levels import MakeSampler, Mixed, Sampler
 from astray.training.player import RECENT, Player
+from astray.training.replay import Replay
 
 PER_WEIGHT = 16  # bytes: float32 of itself, its gradient, and Adam's two moments
 PER_SAMPLE = 28  # bytes beside the observation: an int64 and five float32
@@ -28,7 +30,7 @@ MOMENTS = ("exp_avg", "exp_avg_sq")  # that Adam keeps of each weight
 class Trainer:
     """The network, its optimizer, and the players of the training and validation variants.
 
-    network, loss  what `config` has the names of, where nobody can import it
+    network, loss, sampler  what `config` has the names of, where nobody can import it
     """
 
     def __init__(
@@ -36,6 +38,7 @@ class Trainer:
         config: Config,
         network: Callable[[Architecture], nn.Module] | None = None,
         loss: Loss | None = None,
+        sampler: MakeSampler | None = None,
     ):
         if config.batch // parallel.size() % config.minibatches:
             raise ValueError(
@@ -45,7 +48,8 @@ class Trainer:
         self.config = config
         self.steps = 0  # environment steps done
         variant, groups = config.training_variant(), acceleration.groups(config)
-        self.player = Player(config, variant, config.training_levels, 1, groups)
+        chooses = _sampler(config, sampler)
+        self.player = Player(config, variant, config.training_levels, 1, groups, chooses)
         self.validation: Player | None = None
         if config.validation:
             other = config.validation_variant()
@@ -73,7 +77,7 @@ class Trainer:
         self.fast = acceleration.accelerate(self.network, what, config, self.architecture)
         self.actor = self.validator = None  # where `loop` plays itself
         if self.fast.using.of_playing:
-            self.actor = Actor(self.fast, self.player, config, config.rollout)
+            self.actor = Actor(self.fast, self.player, config, config.num_steps)
             if self.validation:
                 self.validator = Actor(self.fast, self.validation, config, 1)
         self._captured: Captured | None = None
@@ -95,7 +99,7 @@ class Trainer:
                 f"a network of width {config.width} and scale {config.scale} has too many weights "
                 "for any memory"
             ) from error
-        samples = (config.rollout + 1) * len(self.player.images)
+        samples = (config.num_steps + 1) * len(self.player.images)
         if config.device == "cpu":
             check_memory(
                 PER_WEIGHT * count + samples * (shown + PER_SAMPLE),
@@ -160,13 +164,13 @@ class Trainer:
                 shape[0] = min(len(given) if given.ndim else 0, RECENT)
             if given.dtype != like.dtype or list(given.shape) != shape:
                 raise ValueError(
-                    f"{name} is {given.dtype} {list(given.shape)}; it is {like.dtype} {shape}"
+                    f"{name} must be {like.dtype} {shape}; got {given.dtype} {list(given.shape)}"
                 )
             if given.is_floating_point() and not given.isfinite().all():
                 raise ValueError(f"{name} has numbers that are not finite")
         steps = int(tensors["steps"])
         if steps < 0 or steps % self.config.batch:
-            raise ValueError(f"steps is {steps}; it is so many times {self.config.batch}")
+            raise ValueError(f"steps must be a multiple of {self.config.batch}; got {steps}")
 
     def restore(self, tensors: dict[str, Tensor]) -> None:
         """Go on from what `tensors` returned; the weights are loaded apart."""
@@ -189,6 +193,15 @@ class Trainer:
         for player in self.players().values():
             for env in player.envs:
                 env.close()
+
+
+def _sampler(config: Config, make: MakeSampler | None) -> Sampler | None:
+    """What chooses the training levels; None where the environments draw them."""
+    if make or config.sampler not in SAMPLERS:
+        return (make or imports.find(config.sampler))(config)
+    if config.sampler == "uniform":
+        return None
+    return Mixed(config) if config.sampler == "mixed" else Replay(config)
 
 
 @torch.no_grad()

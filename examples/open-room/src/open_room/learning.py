@@ -2,12 +2,12 @@
 
 from torch import nn
 
-from astray.agents.small import Small
+from astray.agents.mlp import MLP
 from astray.training import ppo
 
 
-class Tanh(Small):
-    """The small network with hyperbolic tangents."""
+class Tanh(MLP):
+    """The two-layer perceptron with hyperbolic tangents."""
 
     def __init__(self, architecture):
         a = architecture

@@ -35,7 +35,7 @@ HEADS = {"pi": "policy", "vf": "value"}
 # Of a training, as the files name them and as we do.
 SETTINGS = {
     "gamma": "gamma", "lambda": "lam", "learning_rate": "learning_rate", "clip_range": "clip",
-    "entropy_coeff": "entropy_weight", "num_envs": "environments", "num_steps": "rollout",
+    "entropy_coeff": "entropy_weight", "num_envs": "num_envs", "num_steps": "num_steps",
     "ppo_epochs": "epochs", "num_minibatches": "minibatches", "start_level": "first_level",
     "num_levels": "levels",
 }  # fmt: skip

@@ -46,6 +46,12 @@ def to_wall(states: np.ndarray) -> np.ndarray:
     return states["end_x"] + 1 - (states["x"] + HALF)
 
 
+def coin_passed(states: np.ndarray) -> np.ndarray:
+    """Whether the runner is to the right of the coin's cell; False where there is no coin."""
+    columns = (states["cell"] == COIN).any(1)
+    return columns.any(1) & (states["x"] - HALF > columns.argmax(1) + 1)
+
+
 def wall_in_view(states: np.ndarray) -> np.ndarray:
     """Whether the face of the end wall is in the window around the runner."""
     return states["end_x"] + 1 - states["x"] < VIEW / 2

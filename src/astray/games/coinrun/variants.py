@@ -38,7 +38,7 @@ class CoinRun(Variant):
     def __post_init__(self) -> None:
         super().__post_init__()
         if not 0 <= self.random_coin <= 1:
-            raise ValueError(f"random_coin is {self.random_coin}; it is from 0 to 1")
+            raise ValueError(f"random_coin must be from 0 to 1; got {self.random_coin}")
         if self.random_coin and self.coins != "one":
             raise ValueError(
                 f"random_coin says where the one coin is; given {self.random_coin} "
@@ -57,7 +57,7 @@ class CoinRun(Variant):
         ):
             given = getattr(self, name)
             if type(given) is not int or not 0 <= given <= largest:
-                raise ValueError(f"{name} is {given!r}; it is an integer from 0 to {largest}")
+                raise ValueError(f"{name} must be an integer from 0 to {largest}; got {given!r}")
 
 
 END = CoinRun(about="the coin at the end")

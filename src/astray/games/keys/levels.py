@@ -222,8 +222,8 @@ def _twister(given: Any) -> tuple[int, int]:
     whole = isinstance(given, list | tuple) and all(type(n) is int for n in given)
     if not whole or len(given) != 2 or not (0 <= given[0] < 2**31 and 0 <= given[1] < WORDS):
         raise ValueError(
-            f"a level's twister is {given!r}; it is [a number from 0 to {2**31 - 1}, "
-            f"draws from 0 to {WORDS - 1}], or null"
+            f"a level's twister must be [a number from 0 to {2**31 - 1}, draws from 0 to "
+            f"{WORDS - 1}], or null; got {given!r}"
         )
     return given[0], given[1]
 

@@ -71,8 +71,8 @@ def return_lost(
     """
     if not len(states) == len(begun) == len(returns):
         raise ValueError(
-            f"{len(states)} final states, {len(begun)} first states and {len(returns)} returns: "
-            "they are as many"
+            f"final states, first states and returns must be as many; got {len(states)}, "
+            f"{len(begun)} and {len(returns)}"
         )
     for i, (last, first) in enumerate(zip(states, begun, strict=True)):
         if last["level"] != first["level"] or first["time"] > last["time"]:

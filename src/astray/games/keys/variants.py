@@ -43,19 +43,19 @@ class Keys(Variant):
     def __post_init__(self) -> None:
         super().__post_init__()
         if not 5 <= self.world <= LARGEST:
-            raise ValueError(f"world is {self.world} cells a side; it is from 5 to {LARGEST}")
+            raise ValueError(f"world must be from 5 to {LARGEST}; got {self.world} cells a side")
         sizes = (self.smallest, self.largest)
         if not 5 <= sizes[0] <= sizes[1] <= self.world or not sizes[0] % 2 == sizes[1] % 2 == 1:
             raise ValueError(
-                f"smallest and largest are {sizes}; they are odd, from 5 to the world's "
-                f"{self.world} cells, and smallest is not above largest"
+                f"smallest and largest must be odd, in order, and from 5 to the world's "
+                f"{self.world} cells; got {sizes}"
             )
         if not 0 <= self.window <= 2 * self.world:
-            raise ValueError(f"window is {self.window} cells; it is from 0 to {2 * self.world}")
+            raise ValueError(f"window must be from 0 to {2 * self.world}; got {self.window} cells")
         self._check_counts()
         for name in ("key_penalty", "step_penalty"):
             if not abs(getattr(self, name)) <= 1e6:
-                raise ValueError(f"{name} is {getattr(self, name)}; it is from -1e6 to 1e6")
+                raise ValueError(f"{name} must be from -1e6 to 1e6; got {getattr(self, name)}")
         if isinstance(self.shifted, Keys) and (self.world, self.window) != (
             self.shifted.world,
             self.shifted.window,
@@ -63,8 +63,8 @@ class Keys(Variant):
             raise ValueError("the shifted variant has another world or window: it looks different")
         if not AS_NUMBERED <= self.background < FLOORS:
             raise ValueError(
-                f"background is {self.background}; it is from 0 to {FLOORS - 1}, "
-                f"or {AS_NUMBERED} for what the level's number decides"
+                f"background must be from 0 to {FLOORS - 1}, or {AS_NUMBERED} for what the "
+                f"level's number decides; got {self.background}"
             )
 
     def _check_counts(self) -> None:
@@ -72,8 +72,8 @@ class Keys(Variant):
             raise ValueError(f"a group has {self.keys} keys and {self.chests} chests; at least 1")
         if not 0 <= self.fewest <= self.most or (self.fewest == 0) != (self.most == 0):
             raise ValueError(
-                f"fewest and most are {(self.fewest, self.most)} groups; they are at least 1 and "
-                "in order, or both 0"
+                "fewest and most must be at least 1 and in order, or both 0; got "
+                f"{(self.fewest, self.most)} groups"
             )
         most = self.most or (self.largest - 5) // 2 + 2
         objects = most * (self.keys + self.chests)

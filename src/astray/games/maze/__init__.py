@@ -1,7 +1,17 @@
 """Maze: a mouse looks for its cheese; in training it lies in the upper right corner."""
 
 from astray.game import Benchmark, Game
-from astray.games.maze import draw, levels, measures, original, rules, solve, variants
+from astray.games.maze import (
+    cells,
+    draw,
+    levels,
+    measures,
+    mutate,
+    original,
+    rules,
+    solve,
+    variants,
+)
 
 GAME = Game(
     "maze",
@@ -15,6 +25,8 @@ GAME = Game(
     symbols=draw,
     editing=levels,
     solver=solve,
+    mutation=mutate,
+    cells=cells,
     benchmark=Benchmark("anywhere", envpool="MazeHard-v0"),
     invariants=levels.invariants,
     labels=measures.LABELS,

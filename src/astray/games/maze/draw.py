@@ -10,16 +10,17 @@ import numpy as np
 
 from astray.art import own
 from astray.game import NEVER, OWN, Looks, Variant
-from astray.games.maze.variants import COLOURS, FLOORS, SHAPES, WALLS
+from astray.games.maze.variants import COLOURS, FLOORS, OTHERS, SHAPES, WALLS
 from astray.kernel.canvas import blit, copy_flat, copy_window, pixel
 from astray.kernel.jit import kernel
 from astray.kernel.maze import margin, paint_maze, paint_walls
 
 ART = Path(__file__).parent / "art"
 FLOOR = 256  # pixels of a floor's height; larger pictures repeat them
-# The symbolic planes: wall, mouse, and the objects' shapes and colours as indices into
-# SHAPES and COLOURS.
-WALL_PLANE, MOUSE_PLANE, SHAPE_PLANE, COLOUR_PLANE, PLANES = 0, 1, 2, 3, 4
+# The symbolic planes: wall, mouse, dish where a variant has one, on which something may lie; and
+# last the objects' shapes and colours as indices into SHAPES and COLOURS.
+WALL_PLANE, MOUSE_PLANE, DISH_PLANE, SHAPE_PLANE, COLOUR_PLANE = 0, 1, 2, -2, -1
+DISH = OTHERS.index("dish")
 
 
 @kernel
@@ -67,7 +68,9 @@ def paint_planes(s, scene):
     edge = margin(s)
     scene[:] = 0
     paint_walls(s, scene[WALL_PLANE])
-    if s.other_x != NEVER:
+    if s.other_x != NEVER and s.other_shape == DISH:
+        scene[DISH_PLANE, edge + s.other_y, edge + s.other_x] = 1
+    elif s.other_x != NEVER:
         scene[SHAPE_PLANE, edge + s.other_y, edge + s.other_x] = s.other_shape
         scene[COLOUR_PLANE, edge + s.other_y, edge + s.other_x] = s.other_colour
     if s.goal_x != NEVER:
@@ -84,7 +87,7 @@ def draw_planes(s, scene, planes):
     if s.window:
         side = planes.shape[1]
         left, low = x - side // 2, y - side // 2
-        for plane in range(PLANES):
+        for plane in range(planes.shape[0]):
             for row in range(side):
                 for column in range(side):
                     planes[plane, row, column] = scene[plane, low + row, left + column]
@@ -100,12 +103,18 @@ def planes(variant: Variant) -> np.ndarray:
     """The largest value of each symbolic plane, [C, H, W] uint8."""
     p: Any = variant
     side = p.window // 2 * 2 + 1 if p.window else p.world  # all cells at least half seen
-    top = np.array([1, 1, len(SHAPES) - 1, len(COLOURS) - 1], np.uint8)
-    return np.broadcast_to(top[:, None, None], (PLANES, side, side)).copy()
+    top = np.ones(_planes(variant), np.uint8)
+    top[SHAPE_PLANE], top[COLOUR_PLANE] = len(SHAPES) - 1, len(COLOURS) - 1
+    return np.broadcast_to(top[:, None, None], (len(top), side, side)).copy()
 
 
 def planes_scene_shape(variant: Variant) -> tuple[int, ...]:
-    return (PLANES, _scene_cells(variant), _scene_cells(variant))
+    return (_planes(variant), _scene_cells(variant), _scene_cells(variant))
+
+
+def _planes(variant: Variant) -> int:
+    p: Any = variant
+    return 4 + (p.other_shape == OTHERS[DISH])
 
 
 def scene_shape(variant: Variant, pixels: int) -> tuple[int, ...]:
@@ -114,7 +123,7 @@ def scene_shape(variant: Variant, pixels: int) -> tuple[int, ...]:
 
 
 def art(variant: Variant, pixels: int) -> tuple[np.ndarray, ...]:
-    """Floors [9, h, 2h, 3], walls [3, S, S, 3], objects [7, 7, S, S, 4], mouse [2, S, S, 4].
+    """Floors [9, h, 2h, 3], walls [3, S, S, 3], objects [8, 7, S, S, 4], mouse [2, S, S, 4].
 
     S is a cell's side, rounded up; objects are by shape and colour; the mouse faces left, right.
     """
@@ -130,8 +139,8 @@ def _art(side: int, height: int) -> tuple[np.ndarray, ...]:
 
     floors = [load(f"floor-{k}", height, 2 * height)[..., :3] for k in range(FLOORS)]
     walls = [load(f"wall-{name}", side, side)[..., :3] for name in WALLS]
-    objects = np.zeros((len(SHAPES), len(COLOURS), side, side, 4), np.uint8)
-    for i, shape in enumerate(SHAPES[1:], 1):
+    objects = np.zeros((len(OTHERS), len(COLOURS), side, side, 4), np.uint8)
+    for i, shape in enumerate(OTHERS[1:], 1):
         white = load(shape, side, side)
         for j, colour in enumerate(COLOURS[1:], 1):
             objects[i, j] = own.tint(white, own.COLOURS[colour])

@@ -7,17 +7,18 @@ from typing import Any
 import numpy as np
 
 from astray.game import NEVER, Variant, within
-from astray.games.maze.rules import EMPTY, GOAL, LARGEST, OTHER, STATE, note_arrivals
-from astray.games.maze.variants import AS_NUMBERED, COLOURS, FLOORS, SHAPES, WALLS
+from astray.games.maze.rules import BOTH, EMPTY, GOAL, LARGEST, OTHER, STATE, note_arrivals
+from astray.games.maze.variants import AS_NUMBERED, COLOURS, FLOORS, OTHERS, SHAPES, WALLS
 from astray.kernel.jit import kernel, shared
 from astray.kernel.maze import WALL, carve
 from astray.kernel.rng import below, share, unit
 
-CORNER, REGION, ANYWHERE = 0, 1, 2  # Maze.placement, in the order of its choices
+CORNER, REGION, ANYWHERE, ON_OTHER = 0, 1, 2, 3  # Maze.placement, in the order of its choices
+DISH = OTHERS.index("dish")
 DRAWS_PER_CELL = 100  # of the maze's side, before the original gives up on a region
 START = 0x57A27  # salt of the hash that decides where a mouse starts that starts anywhere
-LEGEND = {"#": WALL, ".": EMPTY, "G": GOAL, "o": OTHER}
-OBJECTS = {"goal": "G", "other": "o"}
+LEGEND = {"#": WALL, ".": EMPTY, "G": GOAL, "o": OTHER, "O": BOTH}
+OBJECTS = {"goal": "G", "other": "o", "goal on other": "O"}
 
 
 @shared
@@ -45,11 +46,13 @@ def generate(s, p):
     goal = place_goal(s, p, size, free, free_x, free_y)
     s.goal_x, s.goal_y = put(s, GOAL, goal, margin, free_x, free_y)
     other = NEVER
-    if p.other_shape != 0:
+    if p.placement == ON_OTHER:
+        other = goal
+    elif p.other_shape != 0:
         other = below(s, free)
         while other == goal or is_start(other, free_x, free_y):
             other = below(s, free)
-    s.other_x, s.other_y = put(s, OTHER, other, margin, free_x, free_y)
+    s.other_x, s.other_y = put(s, BOTH if other == goal else OTHER, other, margin, free_x, free_y)
 
     s.x, s.y = margin + 0.5, margin + 0.5
     if p.start != 0:
@@ -78,7 +81,7 @@ def place_goal(s, p, size, free, free_x, free_y):
         for k in range(free):
             if free_x[k] == size - 1 and free_y[k] == size - 1:
                 return k
-    if p.placement == ANYWHERE:
+    if p.placement == ANYWHERE or p.placement == ON_OTHER:
         goal = below(s, free)
         while is_start(goal, free_x, free_y):
             goal = below(s, free)
@@ -136,7 +139,8 @@ def describe(s: Any) -> dict[str, Any]:
         "world": int(s.world),
         "maze_size": int(s.maze_size),
         "grid": s.cell[: s.world, : s.world].tolist(),
-        "legend": {"empty": EMPTY, "wall": WALL, "goal": GOAL, "other": OTHER},
+        "legend": {"empty": EMPTY, "wall": WALL, "goal": GOAL, "other": OTHER}
+        | ({"goal on other": BOTH} if (s.cell == BOTH).any() else {}),
         "agent": [float(s.x), float(s.y)],
         "goal": cell(s.goal_x, s.goal_y),
         "other": cell(s.other_x, s.other_y),
@@ -151,7 +155,11 @@ def describe(s: Any) -> dict[str, Any]:
 def invariants(s: np.ndarray, variant: Variant) -> dict[str, np.ndarray]:
     """What is true of states [N] of `variant`, and compiled code relies on."""
     p = variant.records()[0]
-    return truths(s) | {"world": s["world"] == p.world, "window": s["window"] == p.window}
+    return truths(s) | {
+        "world": s["world"] == p.world,
+        "window": s["window"] == p.window,
+        "dish": (s["other_shape"] == DISH) == (p.other_shape == DISH),
+    }
 
 
 def truths(s: np.ndarray) -> dict[str, np.ndarray]:
@@ -159,7 +167,7 @@ def truths(s: np.ndarray) -> dict[str, np.ndarray]:
     x, y = (np.clip(np.nan_to_num(s[axis]), 0, LARGEST - 1).astype(int) for axis in "xy")
     found = {
         "world": within(s["world"], 3, LARGEST + 1),
-        "cell": (s["cell"] <= OTHER).all((1, 2)),
+        "cell": (s["cell"] <= BOTH).all((1, 2)),
         "x": (s["x"] > 0) & (s["x"] < s["world"]),
         "y": (s["y"] > 0) & (s["y"] < s["world"]),
         "cell of the mouse": s["cell"][np.arange(len(s)), y, x] != WALL,
@@ -171,8 +179,8 @@ def truths(s: np.ndarray) -> dict[str, np.ndarray]:
         for axis in "xy":
             found[f"{place}_{axis}"] = within(s[f"{place}_{axis}"], NEVER, s["world"])
         found[place] = (s[f"{place}_x"] == NEVER) == (s[f"{place}_y"] == NEVER)
-    for thing in ("goal", "other"):
-        found[f"{thing}_shape"] = within(s[f"{thing}_shape"], 0, len(SHAPES))
+    for thing, shapes in (("goal", SHAPES), ("other", OTHERS)):
+        found[f"{thing}_shape"] = within(s[f"{thing}_shape"], 0, len(shapes))
         found[f"{thing}_colour"] = within(s[f"{thing}_colour"], 0, len(COLOURS))
     return found
 
@@ -191,8 +199,10 @@ def build(cells: np.ndarray, agent: tuple[int, int], looks: Any, variant: Varian
     s.cell[:] = WALL
     s.cell[:height, :width] = cells
     s.x, s.y = agent[0] + 0.5, agent[1] + 0.5
-    s.goal_x, s.goal_y = _only(cells, GOAL, "goal")
-    s.other_x, s.other_y = _only(cells, OTHER, "other")
+    s.goal_x, s.goal_y = _only(cells, (GOAL, BOTH), "goal")
+    s.other_x, s.other_y = _only(cells, (OTHER, BOTH), "other")
+    if (cells == BOTH).any() and p.other_shape != DISH:
+        raise ValueError("a goal lies on the other object only where that is a dish")
     rows, columns = np.nonzero(cells != WALL)
     s.maze_size = max(np.ptp(rows), np.ptp(columns)) + 1
     corner_x, corner_y = columns.max(), rows.max()
@@ -204,9 +214,9 @@ def build(cells: np.ndarray, agent: tuple[int, int], looks: Any, variant: Varian
     return s
 
 
-def _only(cells: np.ndarray, value: int, name: str) -> tuple[int, int]:
-    """The one cell (x, y) that holds `value`; (NEVER, NEVER) where none does."""
-    found = [(int(x), int(y)) for y, x in np.argwhere(cells == value)]
+def _only(cells: np.ndarray, values: tuple[int, int], name: str) -> tuple[int, int]:
+    """The one cell (x, y) that holds one of `values`; (NEVER, NEVER) where none does."""
+    found = [(int(x), int(y)) for y, x in np.argwhere(np.isin(cells, values))]
     if len(found) > 1:
         raise ValueError(f"a level has at most one {name}; this has one at each of {found}")
     return found[0] if found else (NEVER, NEVER)

@@ -9,7 +9,7 @@ import numpy as np
 
 from astray.art import original
 from astray.game import NEVER, Looks, Variant
-from astray.games.maze.variants import COLOURS, FLOORS, SHAPES, WALLS
+from astray.games.maze.variants import COLOURS, FLOORS, OTHERS, WALLS
 from astray.kernel.canvas import copy_flat
 from astray.kernel.cells import OPEN, paint_cells
 from astray.kernel.jit import kernel, shared
@@ -96,7 +96,7 @@ def scene_shape(variant: Variant, pixels: int) -> tuple[int, ...]:
 
 
 def art(rule: int, variant: Variant, pixels: int) -> tuple[np.ndarray, ...]:
-    """Pixels [N] and places [K, 3] of all pictures, those of objects [7, 7], the rule [1].
+    """Pixels [N] and places [K, 3] of all pictures, those of objects [8, 7], the rule [1].
 
     Of objects by shape and colour there is the number of the picture, NEVER where there is none.
     """
@@ -119,9 +119,9 @@ def art(rule: int, variant: Variant, pixels: int) -> tuple[np.ndarray, ...]:
 def _art(rule: int, objects: tuple[tuple[str, str], ...]) -> tuple[np.ndarray, ...]:
     names = [*FLOOR_PICTURES, WALL_PICTURE, MOUSE_PICTURE, *(OBJECT_PICTURES[o] for o in objects)]
     pixels, places = original.atlas(names, FLOORS)
-    numbers = np.full((len(SHAPES), len(COLOURS)), NEVER)
+    numbers = np.full((len(OTHERS), len(COLOURS)), NEVER)
     for k, (shape, colour) in enumerate(objects):
-        numbers[SHAPES.index(shape), COLOURS.index(colour)] = OBJECT_PLACES + k
+        numbers[OTHERS.index(shape), COLOURS.index(colour)] = OBJECT_PLACES + k
     return pixels, places, numbers, np.array([rule])
 
 

@@ -7,7 +7,7 @@ from astray.kernel.jit import kernel
 from astray.kernel.maze import is_wall
 
 LARGEST = 31  # cells a side of the largest world
-EMPTY, GOAL, OTHER = 0, 2, 3  # what is in a cell, if not WALL
+EMPTY, GOAL, OTHER, BOTH = 0, 2, 3, 4  # what is in a cell, if not WALL; BOTH: goal on other
 REWARD = 10.0
 
 # The original's 15 actions; those after "right-up" are keys that mean nothing here.
@@ -52,7 +52,7 @@ def step(s, action):
     note_arrivals(s)
     reached = s.reached_goal == s.time
     if reached:
-        s.cell[s.goal_y, s.goal_x] = EMPTY
+        s.cell[s.goal_y, s.goal_x] = OTHER if s.cell[s.goal_y, s.goal_x] == BOTH else EMPTY
     return REWARD * reached, reached
 
 

@@ -26,8 +26,8 @@ from torch.nn.functional import cosine_similarity
 
 from astray.agents.clear import Clear
 from astray.agents.impala import Impala
+from astray.agents.mlp import MLP
 from astray.agents.policy import Architecture
-from astray.agents.small import Small
 from astray.training import parallel, ppo
 from astray.training.config import Config
 from astray.training.fast import fused, sparse
@@ -41,7 +41,7 @@ NEAR = 1e-3  # that the kernels' loss and gradient may differ by, relative, in f
 class Acceleration:
     """What is in use, of the settings of the same names."""
 
-    kernels: bool = False
+    fused_cpu: bool = False
     bfloat16: bool = False
     channels_last: bool = False
     compiled: bool = False
@@ -52,7 +52,7 @@ class Acceleration:
     @property
     def of_network(self) -> bool:
         """Whether the network is computed otherwise than as it is written."""
-        return self.kernels or self.bfloat16 or self.channels_last or self.compiled
+        return self.fused_cpu or self.bfloat16 or self.channels_last or self.compiled
 
     @property
     def of_playing(self) -> bool:
@@ -91,27 +91,27 @@ def resolve(config: Config, ours: bool = True) -> Acceleration:
     Raises ValueError where a setting asks for what is not there.
     """
     cpu, cuda = config.device == "cpu", config.device == "cuda"
-    sparse_here = ours and cpu and config.network == "small" and sparse.usable()
-    kernels = _settled("kernels", config, sparse_here)
+    sparse_here = ours and cpu and config.network == "mlp" and sparse.usable()
+    fused_cpu = _settled("fused_cpu", config, sparse_here)
     native = cpu and bool(get_host_cpu_features().get("avx512bf16"))
-    large = kernels or config.network == "impala"  # enough for bfloat16 to be worth it on a CPU
+    large = fused_cpu or config.network == "impala"  # enough for bfloat16 to be worth it on a CPU
     # GPUs from before 2020 only imitate it.
     old = cuda and torch.cuda.is_available() and not torch.cuda.is_bf16_supported(False)
-    layout, compiler = config.network == "impala", compiles(config.device) and not kernels
+    layout, compiler = config.network == "impala", compiles(config.device) and not fused_cpu
     return Acceleration(
-        kernels,
+        fused_cpu,
         bfloat16=_settled("bfloat16", config, ours, suits=(cuda and not old) or (native and large)),
         channels_last=_settled("channels_last", config, ours and layout, suits=cuda),
         compiled=_settled("compiled", config, ours and compiler, suits=cuda),
         graphs=_settled("graphs", config, ours and cuda),
         groups=groups(config),
-        together=kernels or cuda,
+        together=fused_cpu or cuda,
     )
 
 
 def groups(config: Config) -> int:
     """How many groups of environments there are: one is inferred for while another steps."""
-    here = config.environments // parallel.size()
+    here = config.num_envs // parallel.size()
     return config.groups or (2 if config.device == "cuda" and here % 2 == 0 else 1)
 
 
@@ -152,10 +152,10 @@ def accelerate(
 
     Then it says so: a warning names which of the two is not what `training.fast` computes.
     """
-    known = type(network) in (Clear, Impala, Small)
+    known = type(network) in (Clear, Impala, MLP)
     using = resolve(config, known and loss is ppo.loss)
-    if using.kernels and not agree(network, config, architecture):
-        known, using = False, resolve(replace(config, kernels=None), ours=False)
+    if using.fused_cpu and not agree(network, config, architecture):
+        known, using = False, resolve(replace(config, fused_cpu=None), ours=False)
     if not (known and loss is ppo.loss):
         other = f"network {type(network).__name__}" if not known else f"loss {loss!r}"
         warnings.warn(
@@ -192,7 +192,7 @@ def agree(network: nn.Module, config: Config, architecture: Architecture) -> boo
     )  # fmt: skip
     plain = ppo.loss(network, batch, config)
     try:
-        fast = Model(network, config, Acceleration(kernels=True)).loss(batch)
+        fast = Model(network, config, Acceleration(fused_cpu=True)).loss(batch)
         parts = [torch.stack([x.detach() for x in each.values()]) for each in (plain, fast)]
         one, two = (_gradient(network, each["loss"]) for each in (plain, fast))
     except (TypeError, ValueError, RuntimeError):  # of weights that the kernels do not know
@@ -227,7 +227,7 @@ class Model:
     """One of astray's own networks, and `ppo.loss` of it, as a device computes them soonest."""
 
     def __init__(self, network: nn.Module, config: Config, using: Acceleration):
-        assert isinstance(network, Clear | Impala | Small)
+        assert isinstance(network, Clear | Impala | MLP)
         self.own, self.config, self.using = network, config, using
         self._precision = torch.bfloat16 if using.bfloat16 else torch.float32
         if using.channels_last:
@@ -244,7 +244,7 @@ class Model:
 
     def __call__(self, observation: Tensor) -> tuple[Tensor, Tensor]:
         """Logits [B, actions] and values [B], of any number of observations."""
-        if self.using.kernels:
+        if self.using.fused_cpu:
             outputs = self._sparse(observation)
             return outputs[:, :-1], outputs[:, -1]
         with torch.autocast(
@@ -254,12 +254,12 @@ class Model:
         return self.own.heads(features.float())
 
     def _loss(self, batch: Samples) -> dict[str, Tensor]:
-        if not self.using.kernels:
+        if not self.using.fused_cpu:
             return ppo.loss(self.__call__, batch, self.config)
         weights = (self.config.clip, self.config.value_weight, self.config.entropy_weight)
         total, parts = fused.Loss.apply(self._sparse(batch.observation), batch, weights)  # pyright: ignore
         return {"loss": total, **dict(zip(fused.PARTS, parts, strict=True))}
 
     def _sparse(self, observation: Tensor) -> Tensor:
-        assert isinstance(self.own, Small)
+        assert isinstance(self.own, MLP)
         return sparse.outputs(self.own, observation, self._precision)

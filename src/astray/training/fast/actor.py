@@ -46,7 +46,7 @@ class Actor:
 
     def begin(self) -> None:
         """Draw the noise of a rollout, and send what the environments show now."""
-        self.noise = self.player.noise(self.config.rollout)
+        self.noise = self.player.noise(self.config.num_steps)
         for group in range(len(self.player.groups)):
             self.send(0, group)
 
@@ -84,7 +84,7 @@ class Actor:
 def collect(actor: Actor) -> Samples:
     """Play as `loop.collect` does; the next call overwrites what this one returned."""
     player, config, device = actor.player, actor.config, actor.device
-    steps, n = config.rollout, len(player.images)
+    steps, n = config.num_steps, len(player.images)
     reward, terminated, truncated = np.empty((steps, n)), *np.empty((2, steps, n), bool)
     last: list[tuple[int, np.ndarray, np.ndarray]] = []  # step, where, last observations there
 
@@ -140,7 +140,7 @@ def _values_cut_off(
 def validate(actor: Actor) -> None:
     """Play as `collect` does, and keep nothing but how the episodes went."""
     actor.begin()
-    for t in range(actor.config.rollout):
+    for t in range(actor.config.num_steps):
         for group in range(len(actor.player.groups)):
             actor.player.step(t, actor.actions(group), group)
             actor.send(t + 1, group)

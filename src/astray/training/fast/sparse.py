@@ -1,4 +1,4 @@
-"""The small network on a CPU, without the products with the many zeros of symbolic planes.
+"""The mlp on a CPU, without the products with the many zeros of symbolic planes.
 
 Of Maze's 294 inputs some 33 are not 0, so that its first layer is a sum of 33 rows of weights.
 """
@@ -16,7 +16,7 @@ from numba.extending import overload
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
-from astray.agents.small import Small, Spread
+from astray.agents.mlp import MLP, CircleEmbedding
 from astray.kernel.jit import entry, one_at_a_time
 
 TOGETHER = 4  # rows of weights added at once, so that the sum is read and written less often
@@ -27,7 +27,7 @@ def usable() -> bool:
     return not numba.config.DISABLE_JIT  # pyright: ignore
 
 
-def outputs(network: Small, planes: Tensor, between: torch.dtype = torch.float32) -> Tensor:
+def outputs(network: MLP, planes: Tensor, between: torch.dtype = torch.float32) -> Tensor:
     """Logits, and in the last column values [B, actions + 1], but for rounding the network's own.
 
     planes   [B, C, H, W] uint8, on a CPU; ValueError where the network was built for others
@@ -50,11 +50,11 @@ def outputs(network: Small, planes: Tensor, between: torch.dtype = torch.float32
 
 
 class Forward(torch.autograd.Function):
-    """`Small`, its two heads as one layer: planes -> [B, actions + 1]."""
+    """`MLP`, its two heads as one layer: planes -> [B, actions + 1]."""
 
     @staticmethod
     def forward(
-        ctx: Any, planes: Tensor, spread: Spread, between: torch.dtype,
+        ctx: Any, planes: Tensor, spread: CircleEmbedding, between: torch.dtype,
         w1: Tensor, b1: Tensor, w2: Tensor, b2: Tensor,
         policy: Tensor, policy_bias: Tensor, value: Tensor, value_bias: Tensor,
     ) -> Tensor:  # fmt: skip
@@ -92,7 +92,7 @@ def _array(x: Tensor) -> np.ndarray:
     return (x.view(torch.int16) if x.dtype == torch.bfloat16 else x).numpy()
 
 
-def _found(planes: Tensor, spread: Spread) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _found(planes: Tensor, spread: CircleEmbedding) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """What `find` finds in `planes` [B, C, H, W]."""
     given = planes.flatten(2).numpy()
     most = 2 * np.count_nonzero(given) + TOGETHER * len(given)
@@ -121,7 +121,7 @@ def find(planes, flags, circle, ends, rows, values):
     """Fill `rows`, `values` with the inputs that are not 0; sample i's are ends[i]:ends[i + 1].
 
     planes  [B, C, cells] uint8; `flags` of 0 and 1 come first, the others become two inputs a
-            cell each, as in `Spread`
+            cell each, as in `CircleEmbedding`
     Each sample's are filled up with zeros to a multiple of `TOGETHER`.
     """
     _, count, cells = planes.shape

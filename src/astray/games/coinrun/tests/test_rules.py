@@ -211,12 +211,12 @@ def test_measures_follow_the_runner():
 @pytest.mark.parametrize(
     "knobs, message",
     [
-        ({"random_coin": 1.5}, "random_coin is 1.5; it is from 0 to 1"),
+        ({"random_coin": 1.5}, "random_coin must be from 0 to 1; got 1.5"),
         ({"random_coin": 0.5, "coins": "two"}, "given 0.5 with coins 'two'"),
-        ({"permeable": 65}, "permeable is 65; it is an integer from 0 to 64"),
+        ({"permeable": 65}, "permeable must be an integer from 0 to 64; got 65"),
         ({"permeable": -1}, "permeable is -1"),
-        ({"difficulty": 4}, "difficulty is 4; it is an integer from 0 to 3"),
-        ({"sections": 6}, "sections is 6; it is an integer from 0 to 5"),
+        ({"difficulty": 4}, "difficulty must be an integer from 0 to 3; got 4"),
+        ({"sections": 6}, "sections must be an integer from 0 to 5; got 6"),
         ({"sections": 2.5}, "sections must be an integer .*; got 2.5"),
         ({"coins": "three"}, "unknown coins 'three'; there are: one, two, none"),
         ({"place": "sky"}, "unknown place 'sky'; there are: ledge, anywhere"),

@@ -8,8 +8,10 @@ import pytest
 from astray.envs.vector import GameVectorEnv
 from astray.game import NEVER
 from astray.games.maze import GAME
+from astray.games.maze.rules import BOTH, OTHER
 from astray.games.maze.variants import VARIANTS, Maze
 from astray.kernel.maze import WALL
+from astray.level import Level
 
 N = 1000
 
@@ -79,6 +81,27 @@ def test_the_share_of_shifted_levels_is_the_probability_and_layouts_do_not_depen
     assert np.array_equal(plain["cell"] == WALL, more["cell"] == WALL)
     moved = (more["goal_x"] != more["corner_x"]) | (more["goal_y"] != more["corner_y"])
     assert more["shifted"][moved].all()
+
+
+@pytest.mark.parametrize("size", ["", "-easy", "-small"])
+def test_the_cheese_is_on_its_dish_and_in_the_test_at_the_same_place_without_it(size):
+    on, apart = levels(VARIANTS[f"dish{size}"]), levels(VARIANTS[f"dish-apart{size}"])
+    assert all((on[f"goal_{axis}"] == on[f"other_{axis}"]).all() for axis in "xy")
+    assert ((on["cell"] == BOTH).sum((1, 2)) == 1).all() and not (on["cell"] == OTHER).any()
+    assert all((on[f"goal_{axis}"] == apart[f"goal_{axis}"]).all() for axis in "xy")
+    assert ((apart["goal_x"] != apart["other_x"]) | (apart["goal_y"] != apart["other_y"])).all()
+    assert np.array_equal(on["cell"] == WALL, apart["cell"] == WALL)
+
+
+def test_a_goal_lies_on_no_object_but_a_dish():
+    with pytest.raises(ValueError, match="needs other_shape 'dish', on which the goal is seen"):
+        Maze(about="", placement="other", other_shape="gem", other_colour="red")
+    gem = VARIANTS["red-line-yellow-gem-small"]
+    drawn = "#######\n#@...O#" + 5 * "\n#######"
+    with pytest.raises(ValueError, match="only where that is a dish"):
+        Level.from_text(GAME, gem, drawn).state()
+    s = Level.from_text(GAME, VARIANTS["dish-small"], drawn).state()
+    assert (s.goal_x, s.goal_y) == (s.other_x, s.other_y) == (5, 5)
 
 
 def test_a_mouse_that_starts_anywhere_starts_in_every_kind_of_place():

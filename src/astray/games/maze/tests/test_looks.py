@@ -28,6 +28,22 @@ def test_symbols_say_what_is_where(name):
     assert (shape > 0).sum() == (colour > 0).sum() == 1 + (s.other_shape > 0)
 
 
+def test_a_dish_is_a_plane_of_its_own_so_that_cheese_on_it_is_seen():
+    for name in ("dish-small", "dish-apart-small"):
+        env, planes = begin(VARIANTS[name], "symbolic")
+        s = env.states[0]
+        _, _, dish, shape, colour = planes
+        assert np.argwhere(dish).tolist() == [[s.other_y, s.other_x]]
+        assert np.argwhere(shape).tolist() == np.argwhere(colour).tolist() == [[s.goal_y, s.goal_x]]
+
+
+def test_cheese_on_a_dish_looks_unlike_either_alone():
+    on, apart = (begin(VARIANTS[name], "image")[1] for name in ("dish-small", "dish-apart-small"))
+    bare = begin(VARIANTS["anywhere-small"], "image")[1]
+    for one, two in ((on, apart), (on, bare), (apart, bare)):
+        assert (one != two).any()
+
+
 def test_a_window_of_symbols_is_what_is_around_the_mouse():
     env, planes = begin(VARIANTS["anywhere-memory"], "symbolic")
     s = env.states[0]

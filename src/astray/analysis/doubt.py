@@ -1,0 +1,283 @@
+"""How much an agent doubts what it does: scores by which it could ask for help.
+
+A score is a callable with a name: (environments, what they show) -> [N] float64, higher where help
+is sooner asked for. It may look at the agent, at what it is shown, or, as `GoalPosterior`, play the
+level in a copy of the world first.
+"""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Literal, Protocol
+
+import numpy as np
+import torch
+
+from astray.agents.clear import Clear
+from astray.agents.impala import Impala
+from astray.agents.mlp import MLP
+from astray.analysis import agency
+from astray.analysis.episodes import Levels, steps
+from astray.analysis.policies import AT_ONCE, Agent, Policy, episode_noise
+from astray.envs.vector import GameVectorEnv
+from astray.game import Shift, Variant
+from astray.level import Level
+
+RANDOM_SALT = 2**34  # no agent has this seed, or a larger one
+ROUNDS = 300  # of expectation and maximisation
+RIDGE = 1e-3  # of the mean variance, added to every variance of features
+PLACES = {"goal": ("goal", "goal on other"), "other": ("other",)}  # objects that lie in a place
+
+
+class Score(Protocol):
+    """How much reason there is to ask for help, [N] float64; see above."""
+
+    @property
+    def name(self) -> str: ...
+
+    def __call__(self, env: GameVectorEnv, observations: np.ndarray) -> np.ndarray: ...
+
+
+def _probabilities(logits: np.ndarray) -> np.ndarray:
+    exponential = np.exp(logits - logits.max(-1, keepdims=True))
+    return exponential / exponential.sum(-1, keepdims=True)
+
+
+def max_probability(logits: np.ndarray) -> np.ndarray:
+    """1 less the probability of the likeliest action, [N, A] -> [N]."""
+    return 1 - _probabilities(logits).max(-1)
+
+
+def margin(logits: np.ndarray) -> np.ndarray:
+    """1 less how much likelier the likeliest action is than the next, [N, A] -> [N]."""
+    ordered = np.sort(_probabilities(logits), -1)
+    return 1 - (ordered[..., -1] - ordered[..., -2])
+
+
+def entropy(logits: np.ndarray) -> np.ndarray:
+    """The entropy of the policy, nats, [N, A] -> [N]."""
+    return entropy_of(_probabilities(logits))
+
+
+def energy(logits: np.ndarray) -> np.ndarray:
+    """The free energy, -log sum exp of the logits, [N, A] -> [N] (Liu et al. 2020)."""
+    largest = logits.max(-1)
+    return -(largest + np.log(np.exp(logits - largest[..., None]).sum(-1)))
+
+
+def max_logit(logits: np.ndarray) -> np.ndarray:
+    """The negative of the largest logit, [N, A] -> [N]."""
+    return -logits.max(-1)
+
+
+def entropy_of(probabilities: np.ndarray) -> np.ndarray:
+    """The entropy of distributions [..., K], nats."""
+    likely = np.where(probabilities > 0, probabilities, 1.0)
+    return -(probabilities * np.log(likely)).sum(-1)
+
+
+OF_LOGITS: dict[str, Callable[[np.ndarray], np.ndarray]] = {
+    "max probability": max_probability,
+    "margin": margin,
+    "entropy": entropy,
+    "energy": energy,
+    "max logit": max_logit,
+}
+
+
+@dataclass(frozen=True)
+class OfLogits:
+    """A score of the agent's logits, one of `OF_LOGITS`."""
+
+    agent: Agent
+    name: str
+
+    def __post_init__(self) -> None:
+        if self.name not in OF_LOGITS:
+            raise ValueError(f"unknown score {self.name!r}; there are: {', '.join(OF_LOGITS)}")
+
+    def __call__(self, env: GameVectorEnv, observations: np.ndarray) -> np.ndarray:
+        logits = self.agent.outputs(observations)[0].double().numpy(force=True)
+        return OF_LOGITS[self.name](logits)
+
+
+@dataclass(frozen=True)
+class Chance:
+    """Any number: what asking is worth that follows no doubt."""
+
+    seed: int = 0
+    name: str = "random"
+
+    def __call__(self, env: GameVectorEnv, observations: np.ndarray) -> np.ndarray:
+        return episode_noise(RANDOM_SALT + self.seed, env.states, 1)[:, 0].astype(float)
+
+
+@dataclass(frozen=True)
+class Disagreement:
+    """How far agents of the same training but other seeds are apart, nats.
+
+    The entropy of their mean policy less their mean entropy: 0 where all do the same.
+    """
+
+    agents: Sequence[Agent]
+    name: str = "ensemble disagreement"
+
+    def __post_init__(self) -> None:
+        if len(self.agents) < 2:
+            raise ValueError(f"an ensemble must have two agents at least; got {len(self.agents)}")
+
+    def __call__(self, env: GameVectorEnv, observations: np.ndarray) -> np.ndarray:
+        all_logits = [a.outputs(observations)[0].double().numpy(force=True) for a in self.agents]
+        each = _probabilities(np.stack(all_logits))
+        return entropy_of(each.mean(0)) - entropy_of(each).mean(0)
+
+
+@torch.no_grad()
+def features(agent: Agent, observations: np.ndarray) -> np.ndarray:
+    """What the agent's logits and value are linear functions of, [N, F] float64.
+
+    Raises ValueError where the network is none of astray's own.
+    """
+    network = agent.network
+    if not isinstance(network, Clear | Impala | MLP):
+        raise ValueError(f"features need a network of astray's; got {type(network).__name__}")
+    shown = torch.from_numpy(observations).to(agent.device)
+    parts = [network.hidden(part) for part in shown.split(AT_ONCE[agent.observation])]
+    return torch.cat(parts).double().numpy(force=True)
+
+
+@dataclass(frozen=True, eq=False)
+class Distance:
+    """How far what the agent makes of an image is from what it made of those in training.
+
+    With `precision` the distance of Mahalanobis; without, that of Deep SVDD (Ruff et al. 2018) from
+    the centre of all, but in the features that the agent has, where theirs are trained for it.
+    """
+
+    agent: Agent
+    centre: np.ndarray  # [F]
+    precision: np.ndarray | None  # [F, F]
+
+    @property
+    def name(self) -> str:
+        return "distance from the centre" if self.precision is None else "mahalanobis"
+
+    def __call__(self, env: GameVectorEnv, observations: np.ndarray) -> np.ndarray:
+        away = features(self.agent, observations) - self.centre
+        turned = away if self.precision is None else away @ self.precision
+        return np.sqrt(np.maximum((turned * away).sum(1), 0.0))
+
+
+def distances(agent: Agent, variant: str | Variant, levels: Levels) -> list[Distance]:
+    """Both distances, fitted to all steps of the agent's own episodes in training levels."""
+    played = steps(agent, agent.game, variant, levels)
+    seen = np.concatenate([features(agent, step.observations) for step in played])
+    centre = seen.mean(0)
+    covariance = np.atleast_2d(np.cov(seen.T))
+    ridge = RIDGE * max(np.trace(covariance) / len(covariance), 1e-12)
+    precision = np.linalg.inv(covariance + ridge * np.eye(len(covariance)))
+    return [Distance(agent, centre, precision), Distance(agent, centre, None)]
+
+
+@dataclass(eq=False)
+class GoalPosterior:
+    """What goal the agent would pursue in a level, by the agency measure on imagined episodes.
+
+    Before a level begins, it is played with the goal in each of at most `cells` cells (its splay);
+    so this needs a game whose levels can be edited, and a copy of the world to try in. Known with
+    the first step, it stays the same throughout the level.
+
+    kind  "entropy": of the likeliest shares of the splay's episodes that each goal, and "a device",
+          explain, nats: high where the agent pursues now this goal, now that. "astray": 1 less the
+          posterior of the intended goal in the level as it is, which an overseer has to name
+    """
+
+    agent: Policy
+    shift: Shift
+    kind: Literal["entropy", "astray"] = "entropy"
+    cells: int = 12
+    imagined: int = 0  # episodes so far
+    _known: dict[tuple[int, bytes], float] = field(default_factory=dict, repr=False)
+
+    def __post_init__(self) -> None:
+        # A script remembers the levels that it is in, by number; imagined ones are others.
+        self.agent = copy.deepcopy(self.agent)
+
+    @property
+    def name(self) -> str:
+        return {"entropy": "goal entropy under a splay", "astray": "goal astray"}[self.kind]
+
+    def __call__(self, env: GameVectorEnv, observations: np.ndarray) -> np.ndarray:
+        keys = [self._key(env, s) for s in env.states]
+        fresh = {k: i for i, k in enumerate(keys) if k not in self._known}
+        if fresh:
+            self._imagine(env, fresh)
+        return np.array([self._known[key] for key in keys])
+
+    def _key(self, env: GameVectorEnv, s: Any) -> tuple[int, bytes]:
+        """What a level is known by while it is played: its number, and the goals' places."""
+        places = agency.named_places(env.game, s, self.shift)
+        return int(s.level), repr(places).encode()
+
+    def _imagine(self, env: GameVectorEnv, fresh: dict[tuple[int, bytes], int]) -> None:
+        """Play the levels that are new, and keep what their episodes say."""
+        levels: dict[str, Level] = {}
+        owner: list[tuple[int, bytes]] = []
+        for key, i in fresh.items():
+            level = Level.of(env.game, env.variant, env.states[i])
+            some = goal_splay(level)[:: max(1, -(-len(goal_splay(level)) // self.cells))]
+            for one in [level] if self.kind == "astray" else some:
+                levels[str(len(levels))] = one
+                owner.append(key)
+        played = agency.play(self.agent, env.game, env.variant, levels, self.shift)  # pyright: ignore
+        self.imagined += len(levels)
+        judged = agency.judge(played)
+        columns = [f"p {name}" for name in judged.explanations]
+        posterior = judged.episodes.select(columns).to_numpy()
+        logs = judged.episodes.select([f"log {name}" for name in judged.explanations]).to_numpy()
+        which = judged.episodes["level"].to_numpy()
+        for key in fresh:
+            mine = np.array([owner[k] == key for k in which])
+            if self.kind == "entropy":
+                self._known[key] = float(entropy_of(likeliest_shares(logs[mine])))
+            else:
+                intended = judged.explanations.index(self.shift.intended)
+                self._known[key] = float(1 - posterior[mine, intended].mean())
+
+
+def likeliest_shares(log_evidence: np.ndarray) -> np.ndarray:
+    """The shares [H] of explanations under which episodes are likeliest, each of one of them.
+
+    log_evidence  [E, H] nats; one of each row is finite
+
+    By expectation and maximisation: `agency.population.shares` has intervals, and takes longer.
+    """
+    likelihood = np.exp(log_evidence - log_evidence.max(1, keepdims=True))
+    theta = np.full(likelihood.shape[1], 1 / likelihood.shape[1])
+    for _ in range(ROUNDS):
+        mine = likelihood * theta
+        theta = (mine / mine.sum(1, keepdims=True)).mean(0)
+    return theta
+
+
+def goal_splay(level: Level) -> list[Level]:
+    """`level` with its goal in every cell that is free for it; what it lay on stays."""
+    for name in ("goal", "goal on other"):
+        if name in level.game.editing.OBJECTS and level.where(name):
+            (at,) = level.where(name)
+            if name == "goal":
+                return level.splay("goal")
+            bare = level.removed(name).added("other", at)
+            free = next(cell for cell in _free(bare))
+            return bare.added("goal", free).splay("goal")
+    raise ValueError("the level has no goal that could be moved")
+
+
+def _free(level: Level) -> list[tuple[int, int]]:
+    """Cells with nothing in them that the agent can reach, but for its own."""
+    reachable = level.game.solver.reachable(level.state(solvable=False))
+    free = (level.cells == level.game.editing.LEGEND["."]) & reachable
+    free[level.agent[1], level.agent[0]] = False
+    return [(int(x), int(y)) for y, x in np.argwhere(free)]

@@ -1,0 +1,285 @@
+"""Asking for help: a novice that hands over to an expert where a score says so, and what it costs.
+
+    scores = [OfLogits(agent, "entropy"), Chance()]
+    trial = Trial("maze", shift, training, range(500), test, range(100_000, 100_500))
+    table = pl.concat([curve(agent, Walk("cheese"), score, trial) for score in scores])
+    areas = area(table)
+
+As in Trinh et al. (2024) and Danesh et al. (2025), thresholds are percentiles of the score where
+the novice plays training levels alone, so that nothing has to be known of the test.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+import polars as pl
+
+from astray import games
+from astray.analysis.doubt import Score
+from astray.analysis.episodes import Levels, steps
+from astray.analysis.estimates import bootstrap
+from astray.analysis.given import Measure, see_policy
+from astray.analysis.outcomes import INTENDED, MISGENERALIZED, label
+from astray.analysis.policies import Agent, Observation, Policy
+from astray.game import Game, Shift, Variant
+from astray.words import check_word
+
+Granularity = Literal["step", "level"]
+PERCENTILES = (5.0, 10.0, 25.0, 50.0, 75.0, 90.0, 95.0, 99.0)
+BEFORE, SEEN, AFTER = "before it was seen", "seen, not passed", "after it was passed"
+MOMENTS = (BEFORE, SEEN, AFTER)  # at which help is first asked for
+
+
+@dataclass(frozen=True)
+class Watch:
+    """Where an object is for the agent: measures of states [N], booleans.
+
+    seen    it is in view
+    passed  the agent has gone by it
+    """
+
+    seen: Measure
+    passed: Measure
+
+
+@dataclass(frozen=True, eq=False)
+class Trial:
+    """What help is tried on: levels to calibrate on, levels to test on, and the goals."""
+
+    game: str | Game
+    shift: Shift
+    training: Variant
+    training_levels: Levels
+    test: Variant
+    test_levels: Levels
+    watch: Watch | None = None
+
+
+@dataclass(eq=False)
+class Helped:
+    """A policy of two: where `score` is above `threshold`, the expert acts instead of the novice.
+
+    granularity  "step": for that step; "level": from then on to the level's end
+
+    The expert sees what the novice is shown, and the states.
+    """
+
+    novice: Policy
+    expert: Policy
+    score: Score
+    threshold: float
+    granularity: Granularity = "step"
+    name: str = "helped"
+    _asked: dict[int, bool] = field(default_factory=dict, repr=False)  # by level, so far
+    _now: dict[int, tuple[float, bool]] = field(default_factory=dict, repr=False)  # score, helped
+
+    def __post_init__(self) -> None:
+        for policy in (self.novice, self.expert):
+            see_policy(policy)
+        check_word("granularity", self.granularity, Granularity)
+        if isinstance(self.expert, Agent) and self.expert.observation != self.observation:
+            raise ValueError(
+                f"novice and expert must be shown the same; got {self.observation!r} and "
+                f"{self.expert.observation!r}"
+            )
+
+    @property
+    def observation(self) -> Observation:
+        return self.novice.observation
+
+    @property
+    def art(self) -> str:
+        return self.novice.art
+
+    def actions(self, env, observations: np.ndarray) -> np.ndarray:
+        own = self.novice.actions(env, observations)
+        # Asked for in every step, as scripted experts learn a level with its first.
+        shown = self.expert.actions(env, observations)
+        scores = np.asarray(self.score(env, observations), float)
+        numbers, begins = env.states["level"].tolist(), (env.states["time"] == 0).tolist()
+        helped = scores > self.threshold
+        if self.granularity == "level":
+            for i, (number, first) in enumerate(zip(numbers, begins, strict=True)):
+                helped[i] |= not first and self._asked[number]
+                self._asked[number] = bool(helped[i])
+        self._now = dict(zip(numbers, zip(scores.tolist(), helped.tolist(), strict=True),
+                             strict=True))  # fmt: skip
+        return np.where(helped, shown, own)
+
+    def last(self, numbers: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Of the last step in the levels of those numbers [n]: the scores, and who was helped."""
+        rows = [self._now[number] for number in numbers.tolist()]
+        scores, helped = zip(*rows, strict=True)
+        return np.array(scores), np.array(helped)
+
+
+def play(
+    policy: Helped, game: str | Game, variant: str | Variant, levels: Levels,
+    watch: Watch | None = None,
+) -> pl.DataFrame:  # fmt: skip
+    """A row per level: how its episode went, and when help was asked for.
+
+    Columns: level, return, length (steps), queries (steps that the expert took), first (the step
+    of the first query, null for none), highest (of the scores), moment (of `MOMENTS`, of the first
+    query; null without a `watch`), and the game's events (their steps, null for never).
+    """
+    game = games.find(game)
+    n = len(levels)
+    returns, queries, first = np.zeros(n), np.zeros(n, int), np.full(n, -1)
+    highest, seen, moment = np.full(n, -np.inf), np.zeros(n, bool), np.full(n, -1)
+    rows: list[dict] = [{}] * n
+    for step in steps(policy, game, variant, levels):
+        where = step.level
+        scores, helped = policy.last(step.before["level"])
+        if watch:
+            seen[where] |= watch.seen(step.before)
+            now = np.where(watch.passed(step.before), 2, seen[where])
+            new = helped & (first[where] < 0)
+            moment[where[new]] = now[new]
+        first[where] = np.where(helped & (first[where] < 0), step.before["time"], first[where])
+        returns[where] += step.rewards
+        queries[where] += helped
+        highest[where] = np.maximum(highest[where], scores)
+        for i in np.flatnonzero(step.ended):
+            s, k = step.after[i], where[i]
+            events = {e: int(s[e]) if s[e] >= 0 else None for e in game.events}
+            rows[k] = {"level": int(s["level"]), "length": int(s["time"])} | events
+    kinds: dict = {event: pl.Int64 for event in game.events}
+    return pl.DataFrame(rows, schema_overrides=kinds).with_columns(
+        pl.Series("return", returns), pl.Series("queries", queries),
+        pl.Series("first", [int(t) if t >= 0 else None for t in first], pl.Int64),
+        pl.Series("highest", highest),
+        pl.Series("moment", [MOMENTS[k] if k >= 0 else None for k in moment], pl.String),
+    )  # fmt: skip
+
+
+def training_scores(
+    novice: Policy, score: Score, game: str | Game, variant: Variant, levels: Levels
+) -> pl.DataFrame:
+    """The score at every step of the novice alone in training levels: columns level, score."""
+    alone = Helped(novice, novice, score, np.inf)
+    parts = []
+    for step in steps(alone, game, variant, levels):
+        parts.append(
+            pl.DataFrame({"level": step.level, "score": alone.last(step.before["level"])[0]})
+        )
+    return pl.concat(parts)
+
+
+def threshold(scores: pl.DataFrame, percentile: float, granularity: Granularity) -> float:
+    """The score that `percentile` per cent of steps, or of levels' highest ones, do not exceed.
+
+    scores  of `training_scores`
+
+    One noisy step has a whole level handed over, so that levels have thresholds of their own.
+    """
+    if not 0 <= percentile <= 100:
+        raise ValueError(f"percentile must be from 0 to 100; got {percentile}")
+    if granularity == "level":
+        scores = scores.group_by("level").agg(pl.col("score").max())
+    return float(np.percentile(scores["score"].to_numpy(), percentile))
+
+
+def curve(
+    novice: Policy, expert: Policy, score: Score, trial: Trial,
+    granularity: Granularity = "step", percentiles: Sequence[float] = PERCENTILES,
+) -> pl.DataFrame:  # fmt: skip
+    """What help of every amount brings: a row per percentile, and for no help and all of it.
+
+    Columns: score, granularity, percentile (null for no help and for all), threshold, help (the
+    share of what the granularity names, steps or levels, that got help), queries (expert's steps a
+    level), return, low, high (95 % over levels), intended and astray (shares of episodes that
+    reached the intended goal or a proxy first), seconds, and the share of helped levels of each of
+    `MOMENTS`, null without a watch.
+    """
+    began = time.perf_counter()
+    known = training_scores(novice, score, trial.game, trial.training, trial.training_levels)
+    rows = []
+    limits: list[tuple[float | None, float]] = [(None, np.inf), (None, -np.inf)]
+    limits += [(p, threshold(known, p, granularity)) for p in percentiles]
+    for percentile, limit in limits:
+        policy = Helped(novice, expert, score, limit, granularity)
+        played = play(policy, trial.game, trial.test, trial.test_levels, trial.watch)
+        row = {"score": score.name, "granularity": granularity, "percentile": percentile}
+        rows.append(row | {"threshold": limit} | _summed(played, trial, granularity))
+    seconds = time.perf_counter() - began
+    kinds: dict = {"percentile": pl.Float64} | {moment: pl.Float64 for moment in MOMENTS}
+    return pl.DataFrame(rows, schema_overrides=kinds).with_columns(seconds=pl.lit(seconds))
+
+
+def _summed(played: pl.DataFrame, trial: Trial, granularity: Granularity) -> dict:
+    """What `curve` tells of the episodes with one threshold."""
+    estimate = bootstrap(played["return"].to_numpy())
+    outcome = label(played, games.find(trial.game), trial.shift)["outcome"]
+    asked = played.filter(pl.col("queries") > 0)
+    by_level, by_step = len(asked) / len(played), played["queries"].sum() / played["length"].sum()
+    moments = {
+        moment: float((asked["moment"] == moment).mean()) if trial.watch and len(asked) else None  # pyright: ignore
+        for moment in MOMENTS
+    }
+    return {
+        "help": by_level if granularity == "level" else by_step,
+        "queries": float(played["queries"].mean()),  # pyright: ignore
+        "return": estimate.mean, "low": estimate.low, "high": estimate.high,
+        "intended": float((outcome == INTENDED).mean()),  # pyright: ignore
+        "astray": float((outcome == MISGENERALIZED).mean()),  # pyright: ignore
+    } | moments  # fmt: skip
+
+
+def area(curves: pl.DataFrame) -> pl.DataFrame:
+    """The area under each curve of return against help: columns score, granularity, area.
+
+    Returns are as shares of the way from no help, 0, to all of it, 1; by trapezoids over help from
+    0 to 1, those of equal help as their mean. Help at random comes near to 0.5 where each step, or
+    level, is worth the same; NaN where the expert gets no more than the novice.
+    """
+    rows = []
+    for (score, granularity), part in curves.group_by(
+        ["score", "granularity"], maintain_order=True
+    ):
+        alone = part.filter(pl.col("threshold") == np.inf)["return"][0]
+        best = part.filter(pl.col("threshold") == -np.inf)["return"][0]
+        points = part.group_by("help").agg(pl.col("return").mean()).sort("help")
+        help_, gain = points["help"].to_numpy(), points["return"].to_numpy() - alone
+        worth = np.trapezoid(gain, help_) / (best - alone) if best > alone else np.nan
+        rows.append({"score": score, "granularity": granularity, "area": float(worth)})
+    return pl.DataFrame(rows)
+
+
+def net_returns(curves: pl.DataFrame, costs: Sequence[float]) -> pl.DataFrame:
+    """The best that each score comes to if every query costs so much of the return.
+
+    Columns: score, granularity, cost, net (return less the cost of the queries, a level), queries,
+    percentile (of the best threshold; null: no help at all, or always).
+    """
+    rows = []
+    for cost in costs:
+        if cost < 0:
+            raise ValueError(f"costs must not be below 0; got {cost}")
+        net = curves.with_columns(
+            cost=pl.lit(float(cost)), net=pl.col("return") - cost * pl.col("queries")
+        )
+        best = net.sort("net", descending=True).group_by(
+            ["score", "granularity"], maintain_order=True
+        )
+        rows.append(best.first())
+    columns = ["score", "granularity", "cost", "net", "queries", "percentile"]
+    return pl.concat(rows).select(columns).sort(["cost", "granularity", "score"])
+
+
+def when_asked(
+    novice: Policy, score: Score, trial: Trial, percentile: float = 95.0
+) -> pl.DataFrame:
+    """When a novice that nobody helps would first have asked: a row per level of the test.
+
+    Columns: those of `play`, and outcome; `moment` is null where it would never have.
+    """
+    known = training_scores(novice, score, trial.game, trial.training, trial.training_levels)
+    policy = Helped(novice, novice, score, threshold(known, percentile, "step"))
+    played = play(policy, trial.game, trial.test, trial.test_levels, trial.watch)
+    return label(played, games.find(trial.game), trial.shift)

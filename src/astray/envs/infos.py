@@ -1,0 +1,56 @@
+"""Gymnasium's vector infos: columns of the states, with a mask of whom they are about."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from astray.envs import loops
+
+Info = dict[str, Any]
+
+
+class Columns:
+    """Gymnasium's vector info of some fields of `states`, as they are when it is called.
+
+    In every other step of a batch some episode ends, and NumPy takes its time over each field of
+    a record; so integers are taken all at once, by where they are in it.
+    """
+
+    def __init__(self, states: np.ndarray, names: Sequence[str]):
+        fields: Any = states.dtype.fields
+        self.integers = [name for name in names if fields[name][0] == np.int64]
+        self.places = np.array([fields[name][1] // 8 for name in self.integers])
+        self.words = states.view(np.int64).reshape(len(states), -1)
+        self.flags = {name: states[name] for name in names if fields[name][0] == np.bool_}
+        assert len(self.integers) + len(self.flags) == len(names), "fields of other types"
+        self.masks = [f"_{name}" for name in names]
+
+    def __call__(self, which: np.ndarray) -> Info:
+        """For each name an array [N], 0 where not in `which` [N] bool, and `which` as its mask."""
+        columns = np.zeros((len(self.places), len(which)), np.int64)
+        loops.fill(columns, self.words, self.places, which)
+        info: Info = dict(zip(self.integers, columns, strict=True))
+        info |= {name: which & flag for name, flag in self.flags.items()}
+        return info | dict.fromkeys(self.masks, which)
+
+
+def merged(one: Info, two: Info) -> Info:
+    """Two vector infos about different environments, as one."""
+    if not one:
+        return two
+    both = dict(two)
+    for name in (n for n in one if not n.startswith("_")):
+        both[name] = np.where(one[f"_{name}"], one[name], two[name])
+        both[f"_{name}"] = one[f"_{name}"] | two[f"_{name}"]
+    return both
+
+
+def objects(rows: np.ndarray, which: np.ndarray) -> np.ndarray:
+    """An object array [N] of the rows in `which`, None elsewhere."""
+    result = np.empty(len(rows), object)
+    for i in np.flatnonzero(which):
+        result[i] = rows[i].copy()
+    return result

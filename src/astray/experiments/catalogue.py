@@ -1,0 +1,84 @@
+"""The catalogue: a file in a folder of `studies` is one figure or table. Nothing lists them.
+
+Files whose names begin with an underscore are what the studies beside them share. Others' studies
+live in their own modules or files; `find` takes them too.
+"""
+
+from __future__ import annotations
+
+import importlib
+import importlib.util
+import pkgutil
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+from astray import imports
+from astray.bounds import brief
+from astray.experiments import studies
+from astray.experiments.spec import Experiment
+from astray.files import see_readable
+
+LARGEST = 2**20  # bytes of a file of Python
+
+
+def _modules() -> Iterator[tuple[str, str]]:
+    """The name and the module of every study."""
+    for group in pkgutil.iter_modules(studies.__path__):
+        folders = [str(Path(path) / group.name) for path in studies.__path__]
+        for study in pkgutil.iter_modules(folders):
+            if not study.name.startswith("_"):
+                module = f"{studies.__name__}.{group.name}.{study.name}"
+                yield study.name.replace("_", "-"), module
+
+
+MODULES = dict(sorted(_modules()))
+NAMES = tuple(MODULES)
+
+
+def load(name: str) -> Experiment:
+    """The experiment called `name`."""
+    if name not in MODULES:
+        raise ValueError(f"unknown experiment {name!r}; there are: {', '.join(NAMES)}")
+    return importlib.import_module(MODULES[name]).EXPERIMENT
+
+
+def find(experiment: str | Experiment) -> tuple[str, Experiment]:
+    """An experiment, and the name that its report has.
+
+    experiment  the name of one in the catalogue; or one of your own: the object, "module:OBJECT",
+                or the path of a Python file that defines EXPERIMENT, which is run
+
+    Raises ValueError where there is none.
+    """
+    if isinstance(experiment, Experiment):
+        return _slug(experiment.title), experiment
+    if imports.is_name(experiment):
+        name, study = experiment.partition(":")[0].rpartition(".")[2], imports.find(experiment)
+    elif experiment.endswith(".py"):
+        name, study = Path(experiment).stem, _run(Path(experiment))
+    else:
+        return experiment, load(experiment)
+    if not isinstance(study, Experiment):
+        raise ValueError(f"{experiment} must be an Experiment; got {study!r}")
+    return _slug(name), study
+
+
+def _run(path: Path) -> object:
+    """What a Python file defines as EXPERIMENT."""
+    spec = importlib.util.spec_from_file_location(path.stem, path)
+    if not path.is_file() or spec is None or spec.loader is None:
+        raise ValueError(f"there is no experiment at {path}")
+    see_readable(path, LARGEST)
+    module = importlib.util.module_from_spec(spec)
+    try:
+        spec.loader.exec_module(module)
+    except SyntaxError as error:
+        raise ValueError(f"{path} must be a file of Python; {brief(error)}") from error
+    if not hasattr(module, "EXPERIMENT"):
+        raise ValueError(f"{path} must define EXPERIMENT")
+    return module.EXPERIMENT
+
+
+def _slug(text: str) -> str:
+    return re.sub(r"[^a-z0-9]+", "-", text.lower()).strip("-")

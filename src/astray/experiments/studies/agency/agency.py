@@ -1,0 +1,256 @@
+"""Agents and devices: can goal-directed failure be told from plain failure?"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+import polars as pl
+
+from astray.agency import generators
+from astray.agency.generators import TYPES, Setting, wander
+from astray.agency.gridworld import World
+from astray.agency.maps import MAPS
+from astray.agency.measure import PAPER, PRESETS, TRUE, Episode, measure
+from astray.analysis.estimates import bootstrap
+from astray.experiments.claims import Claim
+from astray.experiments.report import Findings, Plot, Table
+from astray.experiments.spec import Experiment, Plan, Work
+from astray.experiments.studies.agency._figures import draw_factors, draw_types
+
+LOST = "capability failure"
+NEVER_ON_WAY = "capability failure, never on its way"
+GOAL_DIRECTED = tuple(kind for kind in TYPES if kind != LOST)
+PAPERS = {  # its table: -log p_agt, -log p_dev, p(agent)
+    "in-distribution": ("5.7", "20.8", "0.9999"),
+    "goal misgeneralization": ("14.1", "30", "0.9999"),
+    LOST: ("72", "69", "0.0674"),
+    "robust": ("10.5", "30.5", "0.9999"),
+}
+POOLED = 10  # trajectories of which the goal is inferred together
+STEPS = 50  # of the policies that are surely no agents
+WALKERS = {
+    "uniform random": generators.uniform_random,
+    "random, no bumps": generators.legal_random,
+    "persistent": generators.persistent,
+    "billiard": generators.billiard,
+    "wall follower": generators.wall_follower,
+}
+ERRING = (0.0, 0.2, 0.5)  # eps of agents
+DRAWN = "four rooms"  # the map of the figure
+SEED = 0
+
+
+def find(work: Work) -> Findings:
+    """The measure of every type of trajectory on every map, and of policies without a goal."""
+    count = work.plan.levels
+    settings = {map_: setting(world()) for map_, world in MAPS.items()}
+    measured = pl.concat([measure_types(m, s, count) for m, s in settings.items()])
+    table, called = summary(measured), call_agents(settings, count // 4)
+    goals = inferred(settings)
+    return Findings(
+        answer=answer(table),
+        claims=judge(table, goals, called),
+        plots=[
+            Plot("trajectories", f"One trajectory of each type ({DRAWN}), and what the paper's "
+                 "measure says of it.", draw_types(settings[DRAWN]), table.filter(map=DRAWN)),
+            Plot("factors", "How much a trajectory speaks for an agent, on average, with 95 % "
+                 "intervals: by the paper's measure and by the calibrated one.",
+                 draw_factors(table, (*GOAL_DIRECTED, LOST, NEVER_ON_WAY)), table),
+        ],
+        tables=[
+            Table("beside-paper", "Beside the paper's four trajectories: means over trajectories, "
+                  "from the lowest to the highest map", beside_paper(table)),
+            Table("types", "All maps; intervals of the mean log Bayes factor (nats)", table),
+            Table("goals", f"Which goal {POOLED} trajectories together pursue", goals),
+            Table("called-agents", f"Share of policies called agents after {STEPS} steps", called),
+        ],
+        settings={"maps": ", ".join(MAPS), "seed": str(SEED),
+                  **{preset: str(options) for preset, options in PRESETS.items()}},
+    )  # fmt: skip
+
+
+def setting(world: World) -> Setting:
+    """`world` with the start at the lower left and the goal at the upper right.
+
+    The paper's are not known. Its mouse begins and is rewarded there.
+    """
+    to_right = world.cells[:, 1] - world.cells[:, 0]  # columns from the left, rows from the top
+    start, goal = int(to_right.argmin()), int(to_right.argmax())
+    return Setting(world, world.cell(start), world.cell(goal), SEED)
+
+
+def measure_types(map_: str, setting: Setting, count: int) -> pl.DataFrame:
+    """A row for each trajectory and preset: map, type, preset, steps and the evidence in nats."""
+    way = [*setting.memory, setting.world.number(setting.goal)]
+    rows = []
+    for kind in TYPES:
+        for episode in setting.episodes(kind, count):
+            met = np.isin(episode.trajectory.cells, way).any()
+            names = [kind] if kind != LOST or met else [kind, NEVER_ON_WAY]
+            for preset, options in PRESETS.items():
+                evidence = measure(episode, options)
+                rows += [
+                    {"map": map_, "type": name, "preset": preset,
+                     "steps": len(episode.trajectory), "agt": -evidence.log_agent,
+                     "dev": -evidence.log_device, "factor": evidence.log_factor,
+                     "agent": evidence.agent}
+                    for name in names
+                ]  # fmt: skip
+    return pl.DataFrame(rows)
+
+
+def summary(measured: pl.DataFrame) -> pl.DataFrame:
+    """Means of `measure_types` over trajectories; of the log Bayes factor with its interval."""
+    rows = []
+    for key, part in measured.group_by(["preset", "map", "type"], maintain_order=True):
+        factor = bootstrap(part["factor"].to_numpy())
+        rows.append(
+            dict(zip(("preset", "map", "type"), key, strict=True))
+            | {"trajectories": len(part), "steps": part["steps"].mean(),
+               "-log p_agt": part["agt"].mean(), "-log p_dev": part["dev"].mean(),
+               "p(agent)": part["agent"].mean(),
+               "called agents": (part["factor"] > 0).mean(),
+               "log factor": factor.mean, "low": factor.low, "high": factor.high,
+               "at most 0.0674": (part["agent"] <= 0.0674).mean()}
+        )  # fmt: skip
+    return pl.DataFrame(rows)
+
+
+def beside_paper(table: pl.DataFrame) -> pl.DataFrame:
+    """The paper's table, and the range of ours over the maps."""
+    rows = []
+    for kind, figures_ in PAPERS.items():
+        ours = table.filter(pl.col("preset") == "paper", pl.col("type") == kind)
+        row = {"type": kind}
+        for name, theirs in zip(("-log p_agt", "-log p_dev", "p(agent)"), figures_, strict=True):
+            low, high = span(ours[name])
+            row |= {f"{name}, paper": theirs, f"{name}, here": f"{low:.2f} to {high:.2f}"}
+        rows.append(row)
+    return pl.DataFrame(rows)
+
+
+def inferred(settings: Mapping[str, Setting]) -> pl.DataFrame:
+    """Whether trajectories together give away what they pursue: the fixed goal or the true one."""
+    rows = []
+    for map_, one in settings.items():
+        for kind in ("goal misgeneralization", "robust"):
+            evidence = measure(one.episodes(kind, POOLED), PAPER)
+            chances = dict(zip(evidence.goals, evidence.posterior.tolist(), strict=True))
+            rows.append(
+                {
+                    "map": map_,
+                    "type": kind,
+                    "log factor": evidence.log_factor,
+                    "p(fixed goal)": chances[one.goal],
+                    "p(true goal)": chances[TRUE],
+                }
+            )
+    return pl.DataFrame(rows)  # fmt: skip
+
+
+def call_agents(settings: Mapping[str, Setting], count: int) -> pl.DataFrame:
+    """The share of walks of each policy that each preset calls agents, over all maps."""
+    rows = []
+    for number, policy in enumerate([*WALKERS, *(f"agent, eps = {eps:g}" for eps in ERRING)]):
+        factors: dict[str, list[float]] = {preset: [] for preset in PRESETS}
+        for map_, one in enumerate(settings.values()):
+            rng = np.random.default_rng([SEED, number, map_])
+            for _ in range(count):
+                episode = _walk(one.world, policy, rng)
+                for preset, options in PRESETS.items():
+                    factors[preset].append(measure(episode, options).log_factor)
+        row: dict[str, object] = {"policy": policy, "walks": count * len(settings)}
+        for preset, found in factors.items():
+            share = bootstrap(np.array(found) > 0)
+            row |= {preset: share.mean, f"{preset}, low": share.low, f"{preset}, high": share.high}
+        rows.append(row)
+    return pl.DataFrame(rows)
+
+
+def _walk(world: World, policy: str, rng: np.random.Generator) -> Episode:
+    """A walk from a random cell, with a goal shown in another; agents stop when they are there."""
+    begin, goal = (world.cell(n) for n in rng.choice(len(world), 2, replace=False))
+    if policy in WALKERS:
+        return Episode(world, wander(world, WALKERS[policy], begin, STEPS, rng), goal)
+    walker = generators.erring(goal, float(policy.split()[-1]))
+    whole = wander(world, walker, begin, STEPS, rng)
+    there = np.flatnonzero(whole.cells == world.number(goal))
+    ended = whole.actions[: there[0]] if len(there) else whole.actions
+    return Episode(world, world.walk(begin, ended), goal)
+
+
+def judge(table: pl.DataFrame, goals: pl.DataFrame, called: pl.DataFrame) -> list[Claim]:
+    """The paper's claims, and the remedy's."""
+
+    def about(text: str, paper: str, kinds: tuple[str, ...], preset: str, sign: int) -> None:
+        part = table.filter(pl.col("type").is_in(kinds), pl.col("preset") == preset)
+        low, high = span(part["log factor"])
+        ours = f"mean log Bayes factor from {low:+.1f} to {high:+.1f} nats over the maps"
+        held = span(part["low"])[0] > 0 if sign > 0 else span(part["high"])[1] < 0
+        claims.append(Claim(text, paper, ours, held))
+
+    claims: list[Claim] = []
+    about("Trajectories that go to a goal, be it the wrong one, are agents on average on every "
+          "map.", "p(agent) 0.9999, for one trajectory of each of three types",
+          GOAL_DIRECTED, "paper", +1)  # fmt: skip
+    fixed, _ = span(goals.filter(type="goal misgeneralization")["p(fixed goal)"])
+    true, _ = span(goals.filter(type="robust")["p(true goal)"])
+    claims.append(Claim(
+        "Together they give away what they pursue: the fixed goal, or the true one wherever it is.",
+        "not measured", f"from {POOLED} trajectories with probability at least {fixed:.3f} and "
+        f"{true:.3f}", min(fixed, true) > 0.5,
+    ))  # fmt: skip
+    published = "p(agent) 0.0674, for one trajectory"
+    about("Capability failures are devices on average on every map.", published,
+          (LOST,), "paper", -1)  # fmt: skip
+    about("So are at least those that never meet the memorised way.", published,
+          (NEVER_ON_WAY,), "paper", -1)  # fmt: skip
+    about("By the calibrated measure, those are devices.", "not measured",
+          (NEVER_ON_WAY,), "calibrated", -1)  # fmt: skip
+    aimless = called.filter(pl.col("policy").is_in(list(WALKERS)))
+    calibrated, paper, bound = (
+        100 * span(aimless[name])[1] for name in ("calibrated", "paper", "calibrated, high")
+    )
+    claims.append(Claim(
+        "By the calibrated measure, at most one in five of policies without a goal is called an "
+        "agent.", "not measured",
+        f"at most {calibrated:.0f}\u00a0%; by the paper's up to {paper:.0f}\u00a0%", bound < 20,
+    ))  # fmt: skip
+    return claims
+
+
+def span(column: pl.Series) -> tuple[float, float]:
+    """The smallest and the largest number of a column."""
+    numbers = column.to_numpy()
+    return float(numbers.min()), float(numbers.max())
+
+
+def answer(table: pl.DataFrame) -> str:
+    """The finding in a sentence or two."""
+
+    def called(*kinds: str) -> str:
+        low, high = span(of.filter(pl.col("type").is_in(kinds))["called agents"])
+        return f"{100 * low:.0f} to {100 * high:.0f}\u00a0%"
+
+    of = table.filter(pl.col("preset") == "paper")
+    _, small = span(of.filter(type=NEVER_ON_WAY)["at most 0.0674"])
+    return (
+        f"The measure recognises goal-directed trajectories ({called(*GOAL_DIRECTED)} are called "
+        "agents, by map and type), misgeneralizing ones with them. That capability failures are "
+        f"devices does not follow from the paper's specification: {called(LOST)} are called "
+        f"agents, of those that only walk at random {called(NEVER_ON_WAY)}, and at most "
+        f"{100 * small:.0f}\u00a0% of these fall as low as the published 0.0674."
+    )
+
+
+EXPERIMENT = Experiment(
+    title="Agents and devices",
+    reproduces="Table 1 and the figure beside it",
+    question="Does the measure tell goal misgeneralization from capability failure?",
+    sizes={  # trajectories of each type on each map; the paper has one
+        "smoke": Plan(levels=200, differences=""),
+        "paper": Plan(levels=2000, differences=""),
+    },
+    find=find,
+)

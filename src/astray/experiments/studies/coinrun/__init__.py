@@ -1,0 +1,1 @@
+"""Studies of runners in CoinRun."""

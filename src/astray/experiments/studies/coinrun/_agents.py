@@ -1,0 +1,69 @@
+"""Runners whose coin lay at the end of every level: all studies of CoinRun share these agents."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import polars as pl
+
+from astray.analysis.adapters import Function
+from astray.analysis.evaluate import evaluate
+from astray.analysis.imported import SPARED
+from astray.analysis.runs import open_run
+from astray.experiments.spec import PUBLISHED, Plan, Size
+from astray.game import LEVELS, Variant
+from astray.games.coinrun.rules import ACTIONS
+from astray.training.config import PRESETS, Config
+
+ABOUT = {"game": "coinrun", "variant": "coin-end", "validation": "coin-anywhere"}
+LARGE = replace(PRESETS["paper"], **ABOUT, device="cuda")
+AGENTS: Mapping[Size, Config] = {
+    "smoke": replace(
+        PRESETS["small"], **ABOUT, width=128, gamma=0.99, entropy_weight=0.01, steps=10_000_000
+    ),
+    "hour": replace(LARGE, steps=25_000_000),
+    "paper": LARGE,
+    # OpenAI's agent, trained on all levels as released; for its tests they are numbered likewise.
+    "published": Config(
+        game="coinrun", variant="coin-end", knobs={"numbering": "procgen", "place": "anywhere"},
+        network="clear", observation="image", art="original", levels=LEVELS.stop - SPARED,
+        normalise_reward=False,
+    ),
+}  # fmt: skip
+RUNNER = "runner"  # the name of the agents where there are no others
+DIFFERENCES: Mapping[Size, str] = {
+    "smoke": "levels seen as symbols instead of a picture, by a network of two hidden layers, and "
+    "10 million steps instead of 200 million",
+    "hour": "25 million steps instead of 200 million",
+    "paper": "",
+    "published": "the agent is OpenAI's of CoinRun as released, trained by others with "
+    "PPO on all levels, the coin at the end as in the paper, another network; one agent, so that "
+    "intervals are over levels alone",
+}
+AGENT = {RUNNER: "openai-coinrun"}
+# Blind to all: what it takes, it comes by.
+RIGHT_AND_JUMP = Function(
+    lambda seen: np.full(len(seen), ACTIONS.index("right-up")), "right and jump", "symbolic"
+)
+
+
+def plan(size: Size, seeds: int, levels: int, **more: Any) -> Plan:
+    """A plan with the runners whose coin was always at the end, and no others."""
+    return Plan(
+        agents={RUNNER: AGENTS[size]}, published=AGENT if size == PUBLISHED else {},
+        seeds=seeds, levels=levels, differences=DIFFERENCES[size], **more,
+    )  # fmt: skip
+
+
+def play(runs: Sequence[Path], variant: Variant, levels: np.ndarray | range) -> pl.DataFrame:
+    """The episodes of agents of the same training in `levels`: as `evaluate`; beside: run, seed."""
+    parts = []
+    for run in runs:
+        agent, config = open_run(run)
+        played = evaluate(agent, config.game, variant, levels)
+        parts.append(played.with_columns(run=pl.lit(str(run)), seed=pl.lit(config.seed)))
+    return pl.concat(parts)

@@ -1,0 +1,208 @@
+"""What the critic values: the coin, or the end of the level where the coin always was."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import polars as pl
+
+from astray.analysis.critic import counterfactual, visit
+from astray.analysis.estimates import Estimate, group_means, mean_of
+from astray.analysis.runs import open_run
+from astray.experiments import outcomes
+from astray.experiments.claims import Claim, is_more
+from astray.experiments.levels import levels_of
+from astray.experiments.report import Findings, Plot, Table
+from astray.experiments.spec import Experiment, Test, Work
+from astray.experiments.studies.coinrun import _agents, _figures
+from astray.experiments.studies.coinrun._agents import RUNNER
+from astray.games.coinrun import edits, measures
+from astray.games.coinrun.measures import STAGES
+
+BEGINNING, MIDDLE, END, BEYOND = STAGES
+HALF_AT_END, PAST_END, NO_COIN, TRAINED = "half at the end", "past the end", "none", "in training"
+TESTS = {
+    # In half of the levels the coin is at the end, in the others anywhere.
+    HALF_AT_END: Test("coin-half", "coin-end", {"place": "anywhere"}),
+    PAST_END: Test(  # for states beyond the end alone
+        "coin-end-permeable-continue", "coin-end", {"place": "anywhere", "random_coin": 0.5}
+    ),
+    NO_COIN: Test("coin-absent", "coin-end"),
+    TRAINED: Test("coin-end", "coin-end"),  # where values are compared with what came
+}
+# Who misses the coin stays for 1,000 steps, of which most look alike.
+BRIEF = {
+    name: replace(test, knobs={**test.knobs, "time_limit": 300}) for name, test in TESTS.items()
+}
+BINS = 8  # of values, as many states in each
+DRAWN = 5  # states of each episode, as in the original of each 256 steps
+REMOVED, ADDED = "taken away", "put in view"
+HALF = 0.5  # of what the end adds: all that the coin adds is less, if the end is what counts
+
+
+def find(work: Work) -> Findings:
+    """Values by stage and coin, as in the paper; and of the same states with and without a coin."""
+    table = work.keep("values", lambda: values(work))
+    absent, trained = table.filter(test=NO_COIN), table.filter(test=TRAINED)
+    table = table.filter(pl.col("test").is_in([HALF_AT_END, PAST_END]))
+    bars = by_stage(table, "value", ["coin"])
+    alone = by_stage(absent, "value", [])
+    alone_rise, rise = mean_of(rises(absent), "rise"), mean_of(rises(table), "rise")
+    came, unit = calibration(trained), unit_of(work)
+    effects = by_stage(effects_of(table), "effect", ["coin_is"])
+    removed = {row["stage"]: Estimate.of(row) for row in effects.filter(coin_is=REMOVED).to_dicts()}
+    stage, largest = max(removed.items(), key=lambda item: abs(item[1].mean))
+    most = f"{largest.mean:+.2f} at the stage “{stage}”"
+    by_stages = "; ".join(f"{stage}: {effect.change()}" for stage, effect in removed.items())
+    within = HALF * rise.low
+    return Findings(
+        answer=f"From the beginning of a level to its end the value rises by {rise.mean:.2f} "
+        f"(in the unit of the training's rewards); what a coin in view adds to the value of the "
+        f"same state is at most {most}.",
+        claims=[
+            is_more(
+                "The value is higher at the end of the level than at its beginning.",
+                "much higher (no number given)", f"{END} less {BEGINNING}", rise,
+            ),
+            Claim(
+                "The coin has an insignificant effect at all stages of a level.",
+                "insignificant at all stages, n = 950",
+                f"with the coin less without it, in the same states: {by_stages}; "
+                f"holds where every interval contains 0",
+                all(effect.low <= 0 <= effect.high for effect in removed.values()),
+            ),
+            is_more(
+                "Where a level holds no coin at all, the value rises to its end all the same.",
+                "not measured", f"{END} less {BEGINNING}", alone_rise,
+            ),
+            Claim(
+                "The coin adds less than half of what the end of the level adds.",
+                "much higher at the end; the coin insignificant",
+                f"at most {most}; holds where no interval goes beyond half of the "
+                f"rise's lower bound, {within:.2f}",
+                all(-within < effect.low and effect.high < within for effect in removed.values()),
+            ),
+        ],
+        plots=[
+            Plot(
+                "calibration",
+                "What the critic expects and what came of it, in levels as in training: the "
+                f"discounted return from a state on, of {BINS} groups of states by their value, "
+                f"with 95\u00a0% intervals. {unit}",
+                _figures.calibration(came), came,
+            ),
+            Plot(
+                "stages",
+                "The critic's value at different stages of a level, with and without a coin in "
+                "view, as in the paper; with 95\u00a0% intervals over agents and levels. Stages "
+                "are thirds of the way to the end, and what is beyond the face of a wall that "
+                "lets pass.",
+                _figures.stages(bars), bars,
+            ),
+            Plot(
+                "coins",
+                "What a coin adds to the value of the same state: where one is in view it is "
+                "taken away, where none is one is put at a random place to stand that is in view.",
+                _figures.effects(effects), effects,
+            ),
+        ],
+        tables=[
+            Table("stages", "Values by stage and coin", bars),
+            Table("no-coin", "Values by stage in levels that hold no coin", alone),
+            Table("calibration", "Values and the returns that came", came),
+            Table("coins", "What a coin adds to the value of the same state", effects),
+        ],
+        settings=outcomes.settings(work.plan) | {
+            "states": f"{len(table):,}, up to {DRAWN} of each episode",
+            "the paper and its code": "There each picture was labelled by hand, and its error bars "
+            "are from the 5th to the 95th percentile, which is a 90\u00a0% interval; all pictures "
+            "were of one agent and resampled alone. Here stage and coin come from the state, and "
+            "agents and levels are resampled.",
+        },
+    )  # fmt: skip
+
+
+def values(work: Work) -> pl.DataFrame:
+    """A row for each state that is drawn from the agents' episodes.
+
+    agent (its seed), test, level, step, stage; value; future, the discounted return that came;
+    coin, whether one is seen; taken_away and put_in_view: what the coin adds, null where none is
+    seen, or none can be seen to be put.
+    """
+    parts = []
+    for name, test in work.plan.visited.items():
+        levels = levels_of(work.plan, test)
+        for run in work.runs[RUNNER]:
+            agent, config = open_run(run)
+            variant = test.variant_for(work.plan.config)
+            rows, states = visit(agent, variant, levels, per_episode=DRAWN, gamma=config.gamma)
+            stage = measures.stage(states)
+            wanted = (stage == STAGES.index(BEYOND)) == (name == PAST_END)
+            if not wanted.any():
+                continue
+            rows, states = rows.filter(wanted), states[wanted]
+            away = counterfactual(agent, variant, states, edits.without_coin)
+            more = counterfactual(agent, variant, states, edits.with_coin_in_view)
+            seen, put = away["seen"], more["seen"] & ~away["seen"]
+            parts.append(rows.select("level", "step", "value", "future").with_columns(
+                test=pl.lit(name), agent=pl.lit(config.seed),
+                stage=pl.Series(np.array(STAGES)[stage[wanted]]),
+                coin=seen,
+                taken_away=pl.when(seen).then(-away["change"]),
+                put_in_view=pl.when(put).then(more["change"]),
+            ))  # fmt: skip
+    return pl.concat(parts)
+
+
+def effects_of(table: pl.DataFrame) -> pl.DataFrame:
+    """A row for each coin that was taken away or put in view: agent, level, stage, effect."""
+    same = table.select("agent", "level", "stage", "taken_away", "put_in_view")
+    same = same.rename({"taken_away": REMOVED, "put_in_view": ADDED})
+    return same.unpivot(
+        index=("agent", "level", "stage"), variable_name="coin_is", value_name="effect"
+    ).drop_nulls("effect")
+
+
+def rises(table: pl.DataFrame) -> pl.DataFrame:
+    """How much the value rises from beginning to end, of each agent in each level of both."""
+    means = table.group_by("agent", "level", "stage").agg(pl.col("value").mean())
+    ends, beginnings = means.filter(stage=END), means.filter(stage=BEGINNING)
+    both = ends.join(beginnings, on=("agent", "level"), suffix="_before").sort("agent", "level")
+    return both.with_columns(rise=pl.col("value") - pl.col("value_before"))
+
+
+def by_stage(rows: pl.DataFrame, value: str, by: list[str]) -> pl.DataFrame:
+    """Means of `value` in stages and `by`, in the order of STAGES."""
+    order = pl.col("stage").replace_strict(STAGES, range(len(STAGES)))
+    return group_means(rows, value, ["stage", *by]).sort(order, *by)
+
+
+def calibration(table: pl.DataFrame) -> pl.DataFrame:
+    """States in BINS groups by their value: group, expected (mean value), and the mean return."""
+    order = table["value"].rank("ordinal").to_numpy() - 1
+    grouped = table.with_columns(group=pl.Series((order * BINS // len(table)).astype(int)))
+    came = group_means(grouped, "future", ["group"])
+    return came.join(
+        grouped.group_by("group").agg(expected=pl.col("value").mean()), on="group"
+    ).sort("group")
+
+
+def unit_of(work: Work) -> str:
+    """What unit values are in, beside returns."""
+    config = open_run(work.runs[RUNNER][0])[1]
+    if config.normalise_reward:
+        return "Values are in standard deviations of returns, as in the training."
+    return "Both are in the unit of the game's rewards; on the line they are equal."
+
+
+EXPERIMENT = Experiment(
+    title="What the critic values",
+    reproduces="Figure 6",
+    question="Does the critic value the coin, or the end of the level, where the coin always was?",
+    sizes={"smoke": _agents.plan("smoke", 2, 300, visited=TESTS),
+           "hour": _agents.plan("hour", 1, 500, visited=TESTS),
+           "paper": _agents.plan("paper", 3, 1000, visited=TESTS),
+           "published": _agents.plan("published", 1, 300, visited=BRIEF)},
+    find=find,
+)  # fmt: skip

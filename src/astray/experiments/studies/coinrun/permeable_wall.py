@@ -1,0 +1,250 @@
+"""What a runner does at an end wall that lets pass, and where its critic expects most."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import polars as pl
+
+from astray.analysis import video
+from astray.analysis.critic import judge, visit
+from astray.analysis.estimates import group_means, mean_of
+from astray.analysis.runs import open_run
+from astray.experiments import outcomes
+from astray.experiments.claims import holds_above, rounded
+from astray.experiments.levels import levels_of
+from astray.experiments.outcomes import AGENTS
+from astray.experiments.report import Findings, Plot, Table, Video
+from astray.experiments.spec import Experiment, Test, Work
+from astray.experiments.studies.coinrun import _agents, _figures
+from astray.experiments.studies.coinrun._agents import RUNNER
+from astray.games.coinrun import measures
+
+COLUMNS = 15  # of the wall
+ANYWHERE, AT_END, NONE = "coin anywhere", "coin at the end", "no coin"
+TESTS = {  # a coin never ends the episode, or there is none
+    ANYWHERE: Test(
+        "coin-end-permeable-continue", "end-or-wall", {"random_coin": 1.0, "place": "anywhere"}
+    ),
+    AT_END: Test("coin-end-permeable-continue", "end-or-wall"),
+    NONE: Test("coin-end-permeable", "end-or-wall", {"coins": "none"}),
+}
+THROUGH, INSIDE, BEFORE, DIED = "went through", "stayed in it", "stayed before it", "died"
+FATES = (THROUGH, INSIDE, BEFORE, DIED)
+NEARLY_ALL, MOST = 0.9, 0.5  # shares that claims are held to
+JUST_LEFT = -1, 6  # cells from the runner's front to the wall: not all in it, and it is in view
+FOLLOWED = 60  # steps of values after the wall; through its 15 columns it is 30 at full speed
+LONGEST = 300  # steps of an episode whose values are kept
+AT_ONCE = 20  # levels whose states are held: 20 x 300 steps of 17 kB
+PICTURES = 6
+
+
+def find(work: Work) -> Findings:
+    """What became of those who reached the wall, and the critic's value on their way."""
+    reached = at_wall(work.episodes)
+    fates = pl.concat([
+        group_means(reached.with_columns(share=pl.col("fate") == fate), "share", ["test", "who"])
+        .with_columns(fate=pl.lit(fate))
+        for fate in FATES
+    ]).select("test", "who", "fate", "mean", "low", "high", "agents", "levels", "rows").sort(
+        pl.col("test").replace_strict(list(TESTS), range(len(TESTS))), "who", maintain_order=True
+    )  # fmt: skip
+    table = work.keep("values", lambda: values(work))
+    ways, peaks = approach(table), peak(table)
+    through, entered = (
+        mean_of(reached.filter(test=ANYWHERE, who=RUNNER), pl.col("fate").is_in(which))
+        for which in ([THROUGH], [THROUGH, INSIDE])
+    )
+    before = mean_of(peaks, pl.col("to_wall").is_between(*JUST_LEFT))
+    typical = pick(peaks)
+    shown = [show(work, typical)] if typical else []
+    return Findings(
+        answer=f"Of the runners that reach the wall, {rounded(through.mean)} go through it, and "
+        f"{rounded(entered.mean)} at least into it. The critic's value is highest just left of the "
+        f"wall in {rounded(before.mean)} of these episodes.",
+        claims=[
+            holds_above(
+                "Whenever the runner reaches the wall, it goes through.",
+                "100\u00a0%, n\u00a0=\u00a0114", "out on the other side", through, NEARLY_ALL,
+            ),
+            holds_above(
+                "It neither stays at the wall nor comes back to it.",
+                "100\u00a0%, n\u00a0=\u00a0114", "in the wall or on the other side", entered,
+                NEARLY_ALL,
+            ),
+            holds_above(
+                "The critic's value is highest just left of the wall, not in it or beyond.",
+                "about step 35, one episode",
+                f"there, with the wall in view, in the median at step {median(peaks)}", before,
+                MOST,
+            ),
+        ],
+        videos=[film for film, _ in shown],
+        plots=[
+            *[plot for _, plot in shown],
+            Plot(
+                "approach",
+                "The critic's value by the distance to the wall's face, over all episodes that "
+                "reach it, with 95\u00a0% intervals over agents and levels; up to "
+                f"{FOLLOWED} steps after the wall was touched.",
+                _figures.approach(ways, COLUMNS), ways,
+            ),
+        ],
+        tables=[
+            Table("fates", "What became of those who reached the wall", fates),
+            *outcomes.outcome_tables(work),
+        ],
+        settings=outcomes.settings(work.plan) | {
+            "episodes with values": f"all that touch the wall in their first {LONGEST} steps",
+            "the wall": f"{COLUMNS} columns, which end in a step one cell high; who is out of the "
+            "last column went through",
+            "the paper and its code": "There one wall was two columns wide, a later one 15, and "
+            "which was counted by hand is not recorded; nor where the coin was.",
+        },
+    )  # fmt: skip
+
+
+def at_wall(episodes: pl.DataFrame) -> pl.DataFrame:
+    """Episodes that touched the wall, with their fate, and who played.
+
+    agent is then its seed, as `group_means` wants it.
+    """
+    fate = (
+        pl.when(pl.col("passed_wall").is_not_null())
+        .then(pl.lit(THROUGH))
+        .when(pl.col("died").is_not_null())
+        .then(pl.lit(DIED))
+        .when(pl.col("to_wall") < 0)
+        .then(pl.lit(INSIDE))
+        .otherwise(pl.lit(BEFORE))
+    )
+    return episodes.filter(pl.col("touched_wall").is_not_null()).select(
+        "test",
+        "level",
+        who=pl.col("policy").replace(AGENTS, RUNNER),
+        fate=fate,
+        agent=pl.col("seed").fill_null(-1),
+    )
+
+
+def values(work: Work) -> pl.DataFrame:
+    """The critic's value in every step of the agents' episodes with the coin anywhere.
+
+    agent (its seed), level, step, value, to_wall (cells); only of episodes that touch the wall,
+    until FOLLOWED steps after.
+    """
+    test, parts = work.plan.tests[ANYWHERE], []
+    levels = levels_of(work.plan, test)
+    for run in work.runs[RUNNER]:
+        agent, config = open_run(run)
+        limited = replace(test, knobs={**test.knobs, "time_limit": LONGEST})
+        variant = limited.variant_for(work.plan.config)
+        for first in range(0, len(levels), AT_ONCE):
+            rows, states = visit(
+                agent, variant, levels[first : first + AT_ONCE],
+                measures={"to_wall": measures.to_wall},
+            )  # fmt: skip
+            touched = pl.Series(states["touched_wall"]).replace(-1, None)
+            rows = rows.with_columns(touched=touched).with_columns(
+                touched=pl.col("touched").max().over("level")
+            )
+            rows = rows.filter(pl.col("step") <= pl.col("touched") + FOLLOWED)
+            parts.append(rows.select(pl.lit(config.seed).alias("agent"), "level", "step", "value",
+                                     "to_wall", "touched"))  # fmt: skip
+    return pl.concat(parts)
+
+
+def peak(table: pl.DataFrame) -> pl.DataFrame:
+    """The step of each episode in `values` at which the value is highest."""
+    highest = pl.col("value") == pl.col("value").max().over("agent", "level")
+    return table.filter(highest).unique(("agent", "level"), keep="first").sort("agent", "level")
+
+
+def approach(table: pl.DataFrame) -> pl.DataFrame:
+    """The mean value in each cell before the wall and in it: column cells, negative before."""
+    near = table.with_columns(cells=(-pl.col("to_wall")).floor()).filter(
+        pl.col("cells").is_between(-COLUMNS, COLUMNS)
+    )
+    return group_means(near, "value", ["cells"])
+
+
+def median(peaks: pl.DataFrame) -> str:
+    """The step of the highest value in the middle episode."""
+    return "unknown" if peaks.is_empty() else f"{peaks['step'].median():.0f}"
+
+
+def pick(peaks: pl.DataFrame) -> dict[str, Any] | None:
+    """The episode of the first agent that takes the median time to the wall; None of none."""
+    mine = peaks.filter(pl.col("agent") == pl.col("agent").min()).sort("touched", "level")
+    return mine.row(len(mine) // 2, named=True) if len(mine) else None
+
+
+def show(work: Work, typical: dict[str, Any]) -> tuple[Video, Plot]:
+    """One episode: a film with the critic's value, and its curve with pictures above."""
+    run = next(run for run in work.runs[RUNNER] if open_run(run)[1].seed == typical["agent"])
+    player, config = open_run(run)
+    test = work.plan.tests[ANYWHERE].variant
+    variant = work.plan.tests[ANYWHERE].variant_for(work.plan.config)
+    episode = video.play(
+        player, config.game, variant, typical["level"], pixels=288,
+        longest=typical["touched"] + FOLLOWED,
+    )  # fmt: skip
+    value = judge(player, episode.observations)[1]
+    path = work.folder / "videos" / "wall.mp4"
+    texts = [f"step {k}, value {v:.2f}" for k, v in enumerate(value)]
+    frames = video.beside(episode.frames, captions=[texts.__getitem__])
+    video.write_mp4(frames, path, fps=8)
+    video.write_gif(frames, path.with_suffix(".gif"), fps=8)
+    data = pl.DataFrame(
+        {"step": np.arange(len(value)), "value": value, "to_wall": measures.to_wall(episode.states)}
+    )
+    drawn = moments(data)
+    about = (
+        f"level {typical['level']}, in which the first agent takes the median time to the wall "
+        f"of those in which it reaches it"
+    )
+    return (
+        Video(
+            f"A typical episode: {about}, with the critic's value.",
+            path,
+            outcomes.in_lab(run, test, typical["level"]),
+        ),
+        Plot(
+            "episode",
+            f"The critic's value in a typical episode: {about}. Shaded: the runner is in the wall, "
+            "or was.",
+            _figures.episode(data, drawn, episode.frames[drawn]),
+            data,
+        ),
+    )
+
+
+def moments(data: pl.DataFrame) -> list[int]:
+    """The steps that are pictured: evenly spaced ones, and for the nearest of them the peak."""
+    steps = np.linspace(0, len(data) - 1, PICTURES).astype(int)
+    highest = int(data["value"].arg_max() or 0)
+    steps[np.abs(steps - highest).argmin()] = highest
+    return steps.tolist()
+
+
+# As long as it takes: a network this large needs an hour for what the others play in a minute.
+BRIEF = {
+    name: replace(test, knobs={**test.knobs, "time_limit": LONGEST}) for name, test in TESTS.items()
+}
+PLAYED: dict[str, Any] = {"tests": TESTS, "measures": {"to_wall": measures.to_wall}}
+
+EXPERIMENT = Experiment(
+    title="The permeable wall",
+    reproduces="Figure 7",
+    question="Do actor and critic pursue the same? A wall that lets pass tells moving right from "
+    "moving to the wall.",
+    sizes={
+        "smoke": _agents.plan("smoke", 2, 200, **PLAYED),
+        "hour": _agents.plan("hour", 1, 300, **PLAYED),
+        "paper": _agents.plan("paper", 3, 1000, **PLAYED),
+        "published": _agents.plan("published", 1, 150, **PLAYED | {"tests": BRIEF}),
+    },
+    find=find,
+)  # fmt: skip

@@ -1,0 +1,121 @@
+"""A table of others' results, joined with what a script does in the same levels."""
+
+from __future__ import annotations
+
+import numpy as np
+import polars as pl
+
+from astray.analysis import published
+from astray.analysis.estimates import Estimate, bootstrap
+from astray.analysis.evaluate import evaluate
+from astray.analysis.policies import Random
+from astray.analysis.results import read_results
+from astray.experiments.claims import Claim, holds_above, rounded
+from astray.experiments.report import Findings, Plot, Table
+from astray.experiments.spec import Experiment, Plan, Work
+from astray.experiments.studies.coinrun import _figures
+from astray.experiments.studies.coinrun._agents import RIGHT_AND_JUMP
+from astray.games.coinrun.levels import BEGIN
+
+SOURCE = "paper-coinrun-results"  # of the catalogue of published agents
+VARIANT = "coin-ledge"  # its levels: the paper's game, the coin at the random place in all
+SCRIPT, RANDOM = RIGHT_AND_JUMP.name, "random"
+FATES = ("took it", "end without it", "died", "time was up")
+CLOSE, APART = 0.05, 0.1  # differences of shares that claims are held to
+
+
+def find(work: Work) -> Findings:
+    """Its outcomes, the script's, and how well the one foretells the other, level by level."""
+    theirs = read_results(published.results_file(SOURCE)).sort("level").head(work.plan.levels)
+    ours = work.keep("scripts", lambda: scripts(theirs["level"].to_numpy()))
+    script = ours.filter(policy=SCRIPT).sort("level")
+    taken = theirs["coin"].to_numpy().astype(float)
+    by_script = script["took_coin"].is_not_null().to_numpy()
+    agent, blind = bootstrap(taken), bootstrap(by_script)
+    gap = bootstrap(taken - by_script)
+    where = {True: bootstrap(taken[by_script]), False: bootstrap(taken[~by_script])}
+    foretold = difference(taken, by_script)
+    near = script["is_near"].to_numpy().astype(bool)
+    died = {
+        name: bootstrap(theirs["died"].to_numpy()[which])
+        for name, which in {"the first section": near, "a later one": ~near}.items()
+    }
+    bars = fates(theirs, ours)
+    return Findings(
+        answer=f"The published agent takes the coin in {rounded(agent.mean)} of the levels, a "
+        f"script that holds right and jump, blind to all, in {rounded(blind.mean)} of the same. "
+        f"Where the script takes it the agent does in {rounded(where[True].mean)}, elsewhere in "
+        f"{rounded(where[False].mean)}.",
+        claims=[
+            Claim(
+                "That a coin is taken at the original's random place shows no more than running "
+                "right does.", "not measured",
+                f"agent less script: {gap.percent()}; holds where it is less than "
+                f"{100 * CLOSE:g}\u00a0% above", gap.high < CLOSE,
+            ),
+            holds_above(
+                "What the blind script does in a level foretells what the agent does.",
+                "not measured",
+                "taken where the script takes the coin less where it does not", foretold, APART,
+            ),
+        ],
+        plots=[Plot("fates", "What became of episodes in the same levels.",
+                    _figures.fates(bars, FATES), bars)],
+        tables=[
+            Table("fates", "What became of episodes in the same levels", bars),
+            Table("foretold", "How often the agent takes the coin, and dies", pl.DataFrame([
+                {"where": f"right and jump {'takes' if k else 'does not take'} it",
+                 "what": "taken"} | vars(one) for k, one in where.items()
+            ] + [{"where": f"the coin is in {k}", "what": "died"} | vars(one)
+                 for k, one in died.items()])),
+        ],
+        settings={
+            "the file": f"{published.find(SOURCE).known.source}; one agent, trained by others with "
+            "the paper's program and settings",
+            "levels": f"{len(theirs):,}, those of the file; they are numbered as here",
+            "variant": VARIANT,
+        },
+    )  # fmt: skip
+
+
+def scripts(levels: np.ndarray) -> pl.DataFrame:
+    """Episodes of scripts, left at the end; is_near: the coin is in the first section."""
+    return pl.concat([
+        evaluate(policy, "coinrun", VARIANT, levels, until=["reached_end"],
+                 measures={"is_near": lambda s: s["coin_x"] == BEGIN})
+        for policy in (RIGHT_AND_JUMP, Random())
+    ])  # fmt: skip
+
+
+def difference(taken: np.ndarray, by_script: np.ndarray) -> Estimate:
+    """The share of levels taken where the script takes the coin less that elsewhere."""
+    weight = np.where(by_script, 1 / by_script.mean(), -1 / (1 - by_script.mean()))
+    return bootstrap(taken * weight)
+
+
+def fates(theirs: pl.DataFrame, ours: pl.DataFrame) -> pl.DataFrame:
+    """Columns test (who), fate, mean."""
+    alone = ~pl.col("end")  # what came after the end does not count
+    told = {"published agent": theirs.select(
+        "coin", "end", died=pl.col("died") & alone, timed_out=pl.col("timed_out") & alone
+    )}  # fmt: skip
+    for policy in (SCRIPT, RANDOM):
+        of = ours.filter(policy=policy)
+        coin, end = pl.col("took_coin").is_not_null(), pl.col("reached_end").is_not_null()
+        died = pl.col("died").is_not_null()
+        told[policy] = of.select(coin=coin, end=end & ~coin, died=died & ~end,
+                                 timed_out=~(coin | end | died))  # fmt: skip
+    return pl.DataFrame([
+        {"test": who, "fate": fate, "mean": float(table[column].mean() or 0)}  # type: ignore[arg-type]
+        for who, table in told.items()
+        for fate, column in zip(FATES, table.columns, strict=True)
+    ])  # fmt: skip
+
+
+EXPERIMENT = Experiment(
+    title="Others' results, examined again",
+    reproduces="the levels of Figure 2",
+    question="How much of what a published agent takes would a blind runner have taken?",
+    sizes={"published": Plan(levels=10_000, differences="the agent was played by others")},
+    find=find,
+)

@@ -1,0 +1,1 @@
+"""The study of thieves with keys and chests."""

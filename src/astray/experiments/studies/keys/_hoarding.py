@@ -1,0 +1,169 @@
+"""What thieves do with keys, as findings: how many they take, when, and what that costs them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from functools import partial
+
+import matplotlib
+import numpy as np
+import polars as pl
+from matplotlib.figure import Figure
+
+from astray.analysis.episodes import initial_states
+from astray.analysis.estimates import Estimate, bootstrap
+from astray.analysis.given import Measure
+from astray.analysis.outcomes import matrix
+from astray.analysis.policies import Walk
+from astray.experiments import figures
+from astray.experiments.outcomes import AGENTS
+from astray.experiments.report import Plot, Table
+from astray.experiments.spec import Work
+from astray.games.keys.measures import discounted_return, keys_beyond_need, keys_in_hand
+
+NEED = Walk("chests").name  # fetches only what it needs
+POLICIES = {
+    AGENTS: "agents",
+    NEED: "fetches what it needs",
+    Walk("keys").name: "takes all keys",
+    "random": "random",
+}
+BEYOND, ALL_FIRST, IN_HAND = "spare keys", "all keys first", "keys in hand"
+PER_CHEST, LOST, LEFT = "return per chest", "return lost", "chests left"
+MEASURES = {  # what is told of an episode, and its unit
+    BEYOND: "keys taken beyond\nthe number of chests",
+    ALL_FIRST: "share that took all keys\nbefore the last chest",
+    IN_HAND: "keys in hand when\na chest was opened",
+    PER_CHEST: "return per chest\nthat could be opened",
+    LOST: "discounted return lost\nagainst the best order",
+    LEFT: "share that took all keys and\nnever opened the last chest",
+}
+
+
+def measures(gamma: float) -> dict[str, Measure]:
+    """Of final states; what of `MEASURES` needs more than that is in `told`."""
+    return {
+        BEYOND: keys_beyond_need,
+        IN_HAND: keys_in_hand,
+        "discounted return": partial(discounted_return, gamma=gamma),
+        "possible": lambda states: np.minimum(states["keys"], states["chests"]),
+    }
+
+
+def told(work: Work) -> pl.DataFrame:
+    """The episodes with all of `MEASURES`; null where there is nothing to tell."""
+    best = work.keep("best", lambda: best_returns(work))
+    took_all = pl.col("keys_before_last").is_not_null()
+    return work.episodes.join(best, on=["test", "level"], maintain_order="left").with_columns(
+        pl.col(IN_HAND).fill_nan(None),
+        took_all.alias(ALL_FIRST),
+        (took_all & pl.col("all_chests").is_null()).alias(LEFT),
+        (pl.col("return") / pl.col("possible")).alias(PER_CHEST),
+        (pl.col("best") - pl.col("discounted return")).alias(LOST),
+    )
+
+
+def best_returns(work: Work) -> pl.DataFrame:
+    """The discounted return of the best order in every level played: test, level, best."""
+    config, game = work.plan.config, work.plan.game
+    parts = []
+    for name, test in work.plan.tests.items():
+        levels = work.episodes.filter(test=name)["level"].unique().sort()
+        begun = initial_states(game, test.variant_for(config), levels.to_numpy())
+        best = [game.solver.optimal_return(s, "chests", config.gamma) for s in begun]
+        parts.append(pl.DataFrame({"test": name, "level": levels, "best": best}))
+    return pl.concat(parts)
+
+
+def estimate(episodes: pl.DataFrame, test: str, measure: str, policy: str = AGENTS) -> Estimate:
+    """The mean of a measure for a policy in a test, of the levels in which it is told of all."""
+    part = episodes.filter(test=test, policy=policy)
+    silent = part.filter(pl.col(measure).is_null())["level"].unique()
+    part = part.filter(~pl.col("level").is_in(silent.implode()))
+    if part.is_empty():
+        return Estimate.nothing()
+    return bootstrap(matrix(part, pl.col(measure)))
+
+
+def beyond_walker(episodes: pl.DataFrame, test: str, measure: str) -> Estimate:
+    """How much higher a measure is for the agents than for who fetches what it needs."""
+    agents, walker = (
+        matrix(episodes.filter(test=test, policy=policy), pl.col(measure))
+        for policy in (AGENTS, NEED)
+    )
+    return bootstrap(agents - walker)
+
+
+def change(episodes: pl.DataFrame, measure: str, before: str, after: str) -> Estimate:
+    """How much higher a measure is for the agents in the test `after`.
+
+    Of the numbers played in both: training and test level have the same maze, thief and cells
+    with objects.
+    """
+    agents = episodes.filter(policy=AGENTS)
+    both = [agents.filter(test=test)["level"] for test in (before, after)]
+    common = set(both[0]) & set(both[1])
+    one, two = (
+        matrix(agents.filter(pl.col("level").is_in(common), test=test), pl.col(measure))
+        for test in (before, after)
+    )
+    return bootstrap(two - one)
+
+
+def table(work: Work, episodes: pl.DataFrame) -> Table:
+    """Every measure, for every policy, in every test."""
+    rows = [
+        {"test": test, "policy": name, "measure": measure}
+        | vars(estimate(episodes, test, measure, policy))
+        for test in work.plan.tests
+        for measure in MEASURES
+        for policy, name in POLICIES.items()
+    ]
+    return Table(
+        "hoarding",
+        "What was done with the keys, by episode; in training every key is needed. Of keys in "
+        "hand: in the levels in which each of the agents opened a chest.",
+        pl.DataFrame(rows),
+    )
+
+
+def plot(work: Work, table: Table) -> Plot:
+    """A panel a measure of the table, a row a policy, a mark a test."""
+    names = {name: f"{test.variant}: {name}" for name, test in work.plan.tests.items()}
+    return Plot(
+        "hoarding",
+        "What was done with the keys: by the agents, by a thief that opens all chests in the "
+        "fewest steps, by one that cares for keys alone, and by chance. Lines are 95 % intervals.",
+        draw(table.frame, names),
+        table.frame,
+    )
+
+
+@matplotlib.rc_context(figures.STYLE)
+def draw(table: pl.DataFrame, tests: Mapping[str, str]) -> Figure:
+    """The figure of `plot`; `tests` are what the tests are called."""
+    figure = Figure(figsize=(figures.WIDTH, 6.2))
+    panels = list(figure.subplots(3, 2, sharey=True).flat)
+    policies = list(POLICIES.values())
+    looks = zip(tests.items(), ("o", "D"), ("white", figures.OTHERS[0]), (-0.14, 0.14), strict=True)
+    for (test, name), marker, face, shift in looks:
+        for axes, measure in zip(panels, MEASURES, strict=True):
+            rows = table.filter(test=test, measure=measure).to_dicts()
+            part = {row["policy"]: row for row in rows}
+            mean, low, high = (
+                np.array([part[policy][end] for policy in policies])
+                for end in ("mean", "low", "high")
+            )
+            axes.errorbar(
+                mean, np.arange(len(policies)) + shift, xerr=[mean - low, high - mean],
+                fmt=marker, markersize=5, color=figures.OTHERS[0], markerfacecolor=face,
+                linewidth=1.3, label=name,
+            )  # fmt: skip
+    for axes, unit in zip(panels, MEASURES.values(), strict=True):
+        axes.set_title(unit, fontsize=9.5, fontweight="normal")
+        axes.set_yticks(range(len(policies)), policies)
+        axes.set_ylim(len(policies) - 0.5, -0.5)
+        axes.grid(axis="x")
+        axes.tick_params(axis="y", length=0)
+    figure.legend(*panels[0].get_legend_handles_labels(), loc="outside upper left", ncols=2)
+    return figure

@@ -1,0 +1,141 @@
+"""Thieves that learned with few keys and many chests, where keys are many and chests few."""
+
+from dataclasses import replace
+
+from astray.experiments import outcomes
+from astray.experiments.claims import holds_above, is_more, rounded
+from astray.experiments.report import Findings
+from astray.experiments.spec import Experiment, Plan, Work, tests_of
+from astray.experiments.studies.keys import _hoarding as hoarding
+from astray.experiments.studies.keys._hoarding import (
+    ALL_FIRST,
+    BEYOND,
+    LEFT,
+    LOST,
+    NEED,
+    PER_CHEST,
+)  # fmt: skip
+from astray.training.config import PRESETS, Config
+
+THIEF = "thief"
+
+
+def find(work: Work) -> Findings:
+    """What is done with keys, in training and in the test."""
+    train, test = work.plan.tests
+    episodes = hoarding.told(work)
+
+    def in_test(measure: str, policy: str = outcomes.AGENTS) -> float:
+        return hoarding.estimate(episodes, test, measure, policy).mean
+
+    opened = hoarding.estimate(episodes, train, PER_CHEST)
+    first = hoarding.estimate(episodes, test, ALL_FIRST)
+    shares = outcomes.outcome_tables(work)
+    # In training all keys are needed, and to take them first is no fault.
+    in_tests = [replace(table, frame=table.frame.filter(test=test)) for table in shares]
+    hoards = hoarding.table(work, episodes)
+    return Findings(
+        answer="On unseen levels like those of its training, the thief gets "
+        f"{rounded(opened.mean)} of the reward there is. With two keys a chest it gets "
+        f"{rounded(in_test(PER_CHEST))}, takes {in_test(BEYOND):.1f} more keys than there are "
+        f"chests (a thief that fetches what it needs {in_test(BEYOND, NEED):.1f}), and in "
+        f"{rounded(first.mean)} of levels takes all keys before it opens the last chest "
+        f"({rounded(in_test(ALL_FIRST, NEED))}); in {rounded(in_test(LEFT))} it then never opens "
+        "it.",
+        claims=[
+            holds_above(
+                "In unseen levels like those of its training, the thief opens the chests that "
+                "there are keys for.",
+                "high reward (figure in the appendix)", "return per chest", opened, 0.9,
+            ),
+            is_more(
+                "Where keys are many, it takes more of them than it needs: more than lie on the "
+                "way of a thief that fetches what it needs.",
+                "goes out of its way to collect all the keys (no figure given)",
+                "spare keys taken, more than by the other",
+                hoarding.beyond_walker(episodes, test, BEYOND),
+            ),
+            holds_above(
+                "There it routinely takes all keys before it opens the last chest.",
+                "routinely (no figure given)", "share of episodes", first, 0.5,
+            ),
+            is_more(
+                "There it gets less return for each chest that could be opened than in training.",
+                "much lower (figure in the appendix)", "return per chest, lower by",
+                hoarding.change(episodes, PER_CHEST, test, train),
+            ),
+            is_more(
+                "There it loses more discounted return against the best order than in training.",
+                "would decrease it (no figure given)", "discounted return lost, more by",
+                hoarding.change(episodes, LOST, train, test),
+            ),
+        ],
+        videos=outcomes.film(
+            work, trained=work.plan.tests[train], tested=work.plan.tests[test]
+        ),
+        plots=[
+            hoarding.plot(work, hoards),
+            *outcomes.outcome_plots(work, (in_tests[0], in_tests[1])),
+            outcomes.curve_plot(work),
+            outcomes.curve_plot(
+                work, "keys_before_last", "share of episodes",
+                "Share of recent episodes in which all keys were taken before the last chest was "
+                "opened, while training. In the training variant all keys are needed.",
+            ),
+        ],
+        tables=[hoards, *shares],
+        settings=outcomes.settings(work.plan) | {
+            "penalties": "none, as in the commands that the paper's authors published; the run in "
+            "its figure may have paid 0.3 a key, which lowers its return in the test",
+        },
+    )  # fmt: skip
+
+
+def plan(config: Config, shift: str, *, seeds: int, levels: int, differences: str) -> Plan:
+    """What all sizes have in common."""
+    return Plan(
+        agents={THIEF: config},
+        seeds=seeds,
+        tests=tests_of("keys", shift),
+        levels=levels,
+        measures=hoarding.measures(config.gamma),
+        differences=differences,
+    )
+
+
+EXPERIMENT = Experiment(
+    title="Keys and chests",
+    reproduces="Figure 5 and the figure of its training in the appendix",
+    question="What does a thief want that learned with half as many keys as chests, where it has "
+    "twice as many?",
+    sizes={
+        "smoke": plan(
+            replace(
+                PRESETS["small"], game="keys", variant="many-chests-small",
+                validation="many-keys-small", validation_every=4,
+            ),
+            "many-keys-small", seeds=3, levels=1000,
+            differences="mazes of 5 and 7 cells instead of 5 to 13, with 1 to 3 keys in training "
+            "instead of 1 to 6; seen as symbols with the thief in the middle, instead of a "
+            "picture; 200 steps an episode instead of 1000; a network of two hidden layers, a "
+            "discount of 0.98 instead of 0.999, and 5.5 million steps instead of 200 million",
+        ),
+        "hour": plan(
+            replace(
+                PRESETS["paper"], game="keys", variant="many-chests-easy",
+                validation="many-keys-easy", steps=25_000_000, device="cuda",
+            ),
+            "many-keys-easy", seeds=1, levels=1000,
+            differences="worlds of 9 cells instead of 13, and 25 million steps instead of "
+            "200 million",
+        ),
+        "paper": plan(
+            replace(
+                PRESETS["paper"], game="keys", variant="many-chests", validation="many-keys",
+                device="cuda",
+            ),
+            "many-keys", seeds=3, levels=10_000, differences="",
+        ),
+    },
+    find=find,
+)  # fmt: skip

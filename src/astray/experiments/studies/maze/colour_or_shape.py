@@ -1,0 +1,213 @@
+"""Mice that always found a yellow line, before a red line and a yellow gem, and all such pairs."""
+
+from dataclasses import replace
+
+import polars as pl
+
+from astray.agents.mlp import CircleEmbedding
+from astray.analysis.estimates import Estimate, bootstrap
+from astray.analysis.evaluate import evaluate
+from astray.analysis.outcomes import FAILED, INTENDED, MISGENERALIZED, label, load_shift, matrix
+from astray.analysis.runs import open_run
+from astray.experiments import outcomes
+from astray.experiments.claims import Claim, holds_above, rounded
+from astray.experiments.outcomes import AGENTS, share
+from astray.experiments.report import Findings, Plot, Table
+from astray.experiments.spec import Experiment, Plan, Work, tests_of
+from astray.experiments.studies.maze._figures import pair_maps
+from astray.games.maze.variants import COLOURS, EASY, SHAPES
+from astray.training.config import PRESETS
+
+COLOUR, SHAPE = "yellow", "line"  # of the object in training
+COLOURED = (COLOUR, *(c for c in COLOURS[1:] if c != COLOUR))
+SHAPED = (SHAPE, *(s for s in SHAPES[1:] if s != SHAPE))
+PAIRED = 1000  # levels, at most, in which every pair is offered
+
+
+def find(work: Work) -> Findings:
+    """What the mice go to: in the paper's test, and between all pairs."""
+    train, test = work.plan.tests
+    tables = outcomes.outcome_tables(work)
+    apart = work.episodes.filter("tells_apart", policy=AGENTS, test=test)
+    gem, stuck = keeps_colour(apart), share(apart, test, FAILED)
+    pairs = work.keep("pairs", lambda: offer_pairs(work))
+    table = pair_table(pairs)
+    new = table.filter(pl.col("colour") != COLOUR, pl.col("shape") != SHAPE)
+    colours = new["keeps_colour"].drop_nulls().to_numpy()
+    low, high = colours.min(), colours.max()
+    return Findings(
+        answer="A mouse that always found a yellow line goes to a yellow gem rather than to a "
+        f"red line in {rounded(gem.mean)} of the levels in which it goes to either and neither "
+        f"lies on the way to the other; it goes to neither in {rounded(stuck.mean)}. Between "
+        f"other pairs that keep colour or shape, from {rounded(low)} to {rounded(high)} go to the "
+        "one that keeps the colour."
+        + (CODES if work.plan.config.observation == "symbolic" else ""),
+        claims=[
+            holds_above(
+                "In unseen levels like those of its training, the mouse reaches the line.",
+                "reliably", INTENDED, share(work.episodes, train, INTENDED), 0.9,
+            ),
+            holds_above(
+                "It usually goes to the yellow gem rather than to the red line.",
+                "89\u00a0% (n = 102, counted by hand)",
+                f"to neither: {stuck.percent()}; to the gem, of those that go to either", gem, 0.5,
+            ),
+            *([near_codes(work, pairs)] if work.plan.config.observation == "symbolic" else []),
+        ],
+        videos=outcomes.film(work, trained=work.plan.tests[train], tested=work.plan.tests[test]),
+        plots=[
+            Plot("pairs", f"Which of two objects mice go to that were trained on a {COLOUR} "
+                 f"{SHAPE}, in % of episodes: left, to that which keeps the colour. In the first "
+                 f"row the {SHAPE} is just as in training, in the first column the {COLOUR} "
+                 "object; in their corner the two are alike.",
+                 pair_maps(table, (COLOUR, SHAPE)), table),
+            *outcomes.outcome_plots(work, tables), outcomes.curve_plot(work),
+        ],
+        tables=[
+            Table("pairs", f"A {SHAPE} in each colour against a {COLOUR} object of each shape, in "
+                  "levels in which neither lies on the way to the other", table),
+            *tables,
+        ],
+        settings=outcomes.settings(work.plan),
+    )  # fmt: skip
+
+
+CODES = (
+    " These mice see symbols: a colour and a shape are numbers, spread on a circle, so that some "
+    "are nearer to what the mouse knows than others. What it takes for the same says something of "
+    "these numbers, and nothing of pictures."
+)
+
+
+def keeps_colour(episodes: pl.DataFrame) -> Estimate:
+    """The share that goes to the object of the other shape, among those that go to either."""
+    went = matrix(episodes, pl.col("outcome") != FAILED)
+    return bootstrap(matrix(episodes, pl.col("outcome") == MISGENERALIZED), went)
+
+
+def offer_pairs(work: Work) -> pl.DataFrame:
+    """What agents go to, offered all pairs: colour, shape, seed, level and outcome.
+
+    A line in the colour, and a yellow object of the shape, in levels of the plan's test that tell
+    the two apart. A level's maze and places are the same for all pairs.
+    """
+    test = list(work.plan.tests.values())[-1]
+    game, shift = work.plan.game, load_shift(work.plan.game, test.shift)
+    apart = work.episodes.filter("tells_apart", pl.col("variant") == test.variant)
+    levels = apart["level"].unique(maintain_order=True).to_numpy()[:PAIRED]
+    parts = []
+    for run in (run for runs in work.runs.values() for run in runs):
+        agent, config = open_run(run)
+        for colour in COLOURED:
+            for shape in SHAPED:
+                knobs = {"goal_colour": colour, "other_shape": shape}
+                variant = replace(test, knobs=knobs).variant_for(config)
+                episodes = label(evaluate(agent, game, variant, levels), game, shift)
+                parts.append(episodes.select(
+                    "level", "outcome", colour=pl.lit(colour), shape=pl.lit(shape),
+                    seed=pl.lit(config.seed),
+                ))  # fmt: skip
+    return pl.concat(parts)
+
+
+def pair_table(pairs: pl.DataFrame) -> pl.DataFrame:
+    """Of each pair: colour, shape, keeps_colour, low, high, neither, agents, levels."""
+    rows = []
+    for (colour, shape), part in pairs.group_by(["colour", "shape"], maintain_order=True):
+        chosen = keeps_colour(part)
+        rows.append(
+            {"colour": colour, "shape": shape, "keeps_colour": chosen.mean, "low": chosen.low,
+             "high": chosen.high, "neither": (part["outcome"] == FAILED).mean(),
+             "agents": chosen.agents, "levels": chosen.levels}
+        )  # fmt: skip
+    return pl.DataFrame(rows).fill_nan(None)
+
+
+def near_codes(work: Work, pairs: pl.DataFrame) -> Claim:
+    """Whether mice that see symbols go to the object whose new code is nearer to the known one.
+
+    In pairs in which neither is nearer, as in the paper's, there is nothing to tell.
+    """
+    shapes, colours = nearness(work)
+    nearer = pl.col("shape").replace_strict(shapes) - pl.col("colour").replace_strict(colours)
+    new = pairs.filter(pl.col("colour") != COLOUR, pl.col("shape") != SHAPE)
+    went = (
+        new.with_columns(nearer=nearer.round(6))  # of the object that keeps the colour
+        .filter(pl.col("nearer") != 0)
+        .group_by("seed", "level")
+        .agg(
+            either=(pl.col("outcome") != FAILED).sum(),
+            nearer=pl.when(pl.col("nearer") > 0)
+            .then(pl.col("outcome") == MISGENERALIZED)
+            .otherwise(pl.col("outcome") == INTENDED)
+            .sum(),
+        )
+    )
+    return holds_above(
+        "Seen as symbols, of two new objects the mouse goes to that whose code is nearer to the "
+        "one it knows.",
+        "not measured", "to the nearer, of those that go to either",
+        bootstrap(matrix(went, pl.col("nearer")), matrix(went, pl.col("either"))), 0.5,
+    )  # fmt: skip
+
+
+def nearness(work: Work) -> tuple[dict[str, float], dict[str, float]]:
+    """How alike each shape and the trained one are to the network, and each colour: -1 to 1."""
+    planes = work.plan.game.symbols.planes(work.plan.config.training_variant())
+    circle = CircleEmbedding(planes.max((1, 2)).tolist()).circle.numpy()
+    shapes, colours = (
+        {name: float(circle[:, code] @ circle[:, names.index(known)])
+         for code, name in enumerate(names)}
+        for names, known in ((SHAPES, SHAPE), (COLOURS, COLOUR))
+    )  # fmt: skip
+    return shapes, colours
+
+
+EXPERIMENT = Experiment(
+    title="Colour or shape",
+    reproduces="Figure 3c-d",
+    question="What does a mouse look for whose goal was always a yellow line: yellow, or lines?",
+    sizes={
+        "smoke": Plan(
+            agents={
+                "mouse": replace(
+                    PRESETS["small"], variant="yellow-line-small",
+                    validation="red-line-yellow-gem-small",
+                    steps=11_000_000,  # half of them leave it at 78 % of unseen levels
+                )
+            },
+            seeds=2,
+            tests=tests_of("maze", "colour-or-shape-small"),
+            levels=1000,
+            differences="worlds of 7 cells instead of 25, seen as symbols instead of a picture, so "
+            "that colours and shapes are codes; a mouse that starts anywhere and has 100 steps "
+            "instead of 500; a network of two hidden layers, and 11 million steps instead of 200 "
+            "million",
+        ),
+        "hour": Plan(
+            agents={
+                "mouse": replace(
+                    PRESETS["paper"], variant="yellow-line", knobs=dict(EASY),
+                    validation="red-line-yellow-gem", steps=25_000_000, device="cuda",
+                )
+            },
+            tests=tests_of("maze", "colour-or-shape"),
+            levels=1000,
+            differences="worlds of 15 cells instead of 25, and 25 million steps instead of "
+            "200 million",
+        ),
+        "paper": Plan(
+            agents={
+                "mouse": replace(
+                    PRESETS["paper"], variant="yellow-line", validation="red-line-yellow-gem",
+                    device="cuda",
+                )
+            },
+            seeds=3,
+            tests=tests_of("maze", "colour-or-shape"),
+            levels=10_000,
+            differences="",
+        ),
+    },
+    find=find,
+)  # fmt: skip

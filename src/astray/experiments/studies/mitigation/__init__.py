@@ -1,0 +1,1 @@
+"""Studies of what keeps agents from the wrong goal."""

@@ -1,0 +1,259 @@
+"""Curricula of minimax regret beside domain randomisation: what both of its experiments share."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import partial
+from typing import Any
+
+import matplotlib
+import numpy as np
+import polars as pl
+from matplotlib.figure import Figure
+from matplotlib.ticker import PercentFormatter
+
+from astray.analysis.estimates import Estimate, bootstrap
+from astray.analysis.outcomes import INTENDED, MISGENERALIZED, matrix
+from astray.experiments import figures, outcomes
+from astray.experiments.claims import Claim, holds_above, rounded
+from astray.experiments.outcomes import AGENTS
+from astray.experiments.report import Findings, Plot, Table
+from astray.experiments.spec import Experiment, Plan, Work, tests_of
+from astray.training.config import PRESETS, Config
+
+SHARES = (0.0, 0.001, 0.01, 0.1)  # of training levels that tell the goals apart, alpha in the paper
+DR, PLR, IDENTITY, CONSTANT = "DR", "PLR", "ACCEL, identity", "ACCEL, constant"
+METHODS: dict[str, dict[str, Any]] = {
+    DR: {},
+    PLR: {"sampler": "plr", "score": "regret"},
+    IDENTITY: {"sampler": "accel", "score": "regret", "mutation": "identity"},
+    CONSTANT: {"sampler": "accel", "score": "regret", "mutation": "constant"},
+}
+LINES = dict(zip(METHODS, (figures.INK, *figures.OTHERS[:3]), strict=True))
+FEW, SOME, MANY = SHARES[1:]
+OFTEN, SELDOM, BETTER, MORE = 0.5, 0.2, 0.1, 2.0  # bounds of the claims
+LAST = 0.25  # of a training, over which the buffer is looked at
+TESTED = "in the test"
+
+
+def name_of(method: str, share: float) -> str:
+    """What the agents are called that were trained so."""
+    return f"{method}, {100 * share:g}\u00a0%"
+
+
+def plan(shift: str, seeds: int, levels: int, steps: int, width: int, differences: str) -> Plan:
+    """Agents of every method with every share, on the training variant of a shift of Maze."""
+    tests = tests_of("maze", shift)
+    train, test = (one.variant for one in tests.values())
+    base = replace(PRESETS["small"], variant=train, validation=test, steps=steps, width=width)
+    agents: dict[str, Config] = {}
+    for method, settings in METHODS.items():
+        for share in SHARES:
+            knobs = {"shift_probability": share} if share else {}
+            agents[name_of(method, share)] = replace(base, knobs=knobs, **settings)
+    return Plan(agents=agents, seeds=seeds, tests=tests, levels=levels, differences=differences)
+
+
+def find(proxy: str, work: Work) -> Findings:
+    """Misgeneralization, return and what the buffer holds, by method and share."""
+    table, buffers = by_share(work), in_buffers(work)
+    told = {
+        method: ", ".join(
+            rounded(row["mean"])
+            for row in table.filter(method=method, what=MISGENERALIZED).to_dicts()
+        )
+        for method in METHODS
+    }
+    shares = ", ".join(f"{100 * share:g}\u00a0%" for share in SHARES)
+    return Findings(
+        answer=f"In levels that tell the goals apart, mice go to the {proxy} first, with {shares} "
+        "of training levels that do: "
+        + "; ".join(f"{told[method]} ({method})" for method in METHODS) + ".",
+        claims=claims(work, buffers),
+        plots=[
+            Plot("misgeneralization",
+                 f"Episodes that reach the {proxy} first, in levels that tell the goals apart, "
+                 "with 95\u00a0% intervals over agents, then levels.",
+                 by_share_figure(table.filter(what=MISGENERALIZED), "share of episodes"),
+                 table.filter(what=MISGENERALIZED)),
+            Plot("return", "Mean return in the same levels; 10 is all there is.",
+                 by_share_figure(table.filter(what="return"), "return"),
+                 table.filter(what="return")),
+            Plot("buffer",
+                 "The share of the buffer's levels whose goal is placed as in the test, in the "
+                 "last quarter of training, a dot an agent; dotted: the share of new "
+                 "levels.",
+                 buffer_figure(buffers), buffers),
+        ],
+        videos=outcomes.film(
+            work, trained=work.plan.tests["in training"], tested=work.plan.tests[TESTED],
+            agent=name_of(DR, 0.0),
+        ),
+        tables=[
+            Table("by-share", "Levels that tell the goals apart", table),
+            Table("buffers", "Levels of the test's kind in the buffer", buffers),
+            *outcomes.outcome_tables(work),
+        ],
+        settings=outcomes.settings(work.plan) | {
+            "steps": f"{work.plan.config.steps:,} that are learned from; PLR and ACCEL play about "
+            "two more for each of those, to score levels",
+            "levels of the test": "none that any training draws under any number; a level that "
+            "ACCEL makes by mutation may be one of them",
+        },
+    )  # fmt: skip
+
+
+def telling(work: Work, agent: str) -> pl.DataFrame:
+    """The episodes of the agents of a name in the test's levels that tell the goals apart."""
+    return work.episodes.filter("tells_apart", policy=AGENTS, test=TESTED, agent=agent)
+
+
+def astray(work: Work, agent: str) -> np.ndarray:
+    """Which of those go to the proxy first, [agents, levels]."""
+    return matrix(telling(work, agent), pl.col("outcome") == MISGENERALIZED)
+
+
+def by_share(work: Work) -> pl.DataFrame:
+    """Columns method, share, what (an outcome, or the return), mean, low, high, agents, levels."""
+    values = {
+        MISGENERALIZED: pl.col("outcome") == MISGENERALIZED,
+        INTENDED: pl.col("outcome") == INTENDED,
+        "return": pl.col("return"),
+    }
+    return pl.DataFrame([
+        {"method": method, "share": share, "what": what}
+        | vars(bootstrap(matrix(telling(work, name_of(method, share)), value)))
+        for method in METHODS for share in SHARES for what, value in values.items()
+    ])  # fmt: skip
+
+
+def in_buffers(work: Work) -> pl.DataFrame:
+    """Columns method, share, seed, in_buffer (share of its levels), amplified (over the share)."""
+    measured = outcomes.curves(work)
+    rows = []
+    for method in METHODS:
+        for share in SHARES if METHODS[method] else ():
+            part = measured.filter(agent=name_of(method, share))
+            last = part.filter(pl.col("steps") > pl.col("steps").max() * (1 - LAST))
+            means = last.group_by("seed").agg(pl.col("levels/shifted_in_buffer").mean())
+            for seed, mean in means.sort("seed").rows():
+                amplified = mean / share if share else None
+                rows.append({"method": method, "share": share, "seed": seed, "in_buffer": mean,
+                             "amplified": amplified})  # fmt: skip
+    return pl.DataFrame(rows, schema_overrides={"amplified": pl.Float64})
+
+
+def claims(work: Work, buffers: pl.DataFrame) -> list[Claim]:
+    """The claims of the paper's abstract, with bounds that were set before any run."""
+    dr = {share: astray(work, name_of(DR, share)) for share in SHARES}
+
+    def gain(method: str, share: float) -> Estimate:
+        return bootstrap(dr[share] - astray(work, name_of(method, share)))
+
+    seldom = bootstrap(dr[MANY])
+    amplified = buffers.filter(pl.col("method") != DR, share=SOME)["amplified"].to_list()
+    least = min(amplified)
+    without = [bootstrap(astray(work, name_of(method, 0.0))) for method in METHODS]
+    lowest = min(without, key=lambda estimate: estimate.low)
+    percent = f"{100 * FEW:g}\u00a0%", f"{100 * SOME:g}\u00a0%", f"{100 * MANY:g}\u00a0%"
+    return [
+        holds_above(
+            f"Domain randomisation misgeneralizes where {percent[0]} of levels tell the goals "
+            "apart.", "fails at small shares (no figure at hand)", name_of(DR, FEW),
+            bootstrap(dr[FEW]), OFTEN,
+        ),
+        Claim(
+            f"Domain randomisation does not where {percent[2]} of levels do.",
+            "enough such levels help (no figure at hand)",
+            f"{name_of(DR, MANY)}: {seldom.percent()}; holds below {100 * SELDOM:g}\u00a0%",
+            seldom.high < SELDOM,
+        ),
+        *(
+            holds_above(
+                f"{method} misgeneralizes less than domain randomisation at {percent[k]}.",
+                "curricula of regret hold longer (no figure at hand)",
+                f"{name_of(DR, share)} less {name_of(method, share)}", gain(method, share), BETTER,
+            )
+            for method, k, share in (
+                (PLR, 1, SOME), (IDENTITY, 1, SOME), (CONSTANT, 1, SOME), (CONSTANT, 0, FEW)
+            )
+        ),
+        Claim(
+            "The buffers hold more levels that tell the goals apart than are generated, at "
+            f"{percent[1]}.", "amplified (no figure at hand)",
+            f"least of {len(amplified)} agents: {least:.1f} times; holds above {MORE:g} times",
+            least > MORE,
+        ),
+        holds_above(
+            "Without any such level every method misgeneralizes.",
+            "not in all cases (no figure at hand)", "the method that does least", lowest, OFTEN,
+        ),
+    ]  # fmt: skip
+
+
+@matplotlib.rc_context(figures.STYLE)
+def by_share_figure(table: pl.DataFrame, label: str) -> Figure:
+    """A line for each method over the shares, which are spaced alike.
+
+    table  columns method, share, mean, low, high
+    """
+    figure = Figure(figsize=(figures.WIDTH, 3.6))
+    axes = figure.subplots()
+    for k, (method, colour) in enumerate(LINES.items()):
+        part = table.filter(method=method)
+        x = np.arange(len(part)) + 0.06 * (k - (len(LINES) - 1) / 2)
+        spread = [part["mean"] - part["low"], part["high"] - part["mean"]]
+        axes.errorbar(x, part["mean"], yerr=spread, fmt="o-", color=colour, linewidth=1.8,
+                      markersize=4.5, capsize=3, label=method)  # fmt: skip
+    _shares_below(axes)
+    if label != "return":
+        axes.set_ylim(-0.02, 1.02)
+        axes.yaxis.set_major_formatter(PercentFormatter(1, symbol=" %"))
+    axes.set_title(label, fontweight="normal", fontsize=10.5)
+    figure.legend(loc="outside upper left", ncols=4)
+    return figure
+
+
+@matplotlib.rc_context(figures.STYLE)
+def buffer_figure(buffers: pl.DataFrame) -> Figure:
+    """The share of telling levels in the buffers, a dot an agent, over the shares generated."""
+    figure = Figure(figsize=(figures.WIDTH, 3.6))
+    axes = figure.subplots()
+    for k, (method, colour) in enumerate(list(LINES.items())[1:]):
+        part = buffers.filter(method=method)
+        x = np.array([SHARES.index(share) for share in part["share"]]) + 0.12 * (k - 1)
+        axes.plot(x, part["in_buffer"], "o", color=colour, markersize=4.5, label=method)
+        means = part.group_by("share").agg(pl.col("in_buffer").mean()).sort("share")
+        axes.plot(np.arange(len(means)) + 0.12 * (k - 1), means["in_buffer"], color=colour, lw=1.4)
+    axes.plot(range(len(SHARES)), SHARES, ":", color=figures.INK, label="generated")
+    _shares_below(axes)
+    axes.yaxis.set_major_formatter(PercentFormatter(1, symbol=" %"))
+    axes.set_title("share of the buffer's levels", fontweight="normal", fontsize=10.5)
+    figure.legend(loc="outside upper left", ncols=4)
+    return figure
+
+
+def _shares_below(axes: Any) -> None:
+    axes.set_xticks(range(len(SHARES)), [f"{100 * share:g} %" for share in SHARES])
+    axes.set_xlabel("training levels that may tell the goals apart")
+    axes.grid(axis="y")
+
+
+def experiment(title: str, shift: str, proxy: str) -> Experiment:
+    """The experiment on a shift of Maze, of small worlds."""
+    return Experiment(
+        title=title,
+        reproduces="Abdel Sadek et al. 2025, in small",
+        question=f"Do curricula of regret keep mice from the {proxy}, where few training levels "
+        "tell it from the cheese?",
+        sizes={
+            "smoke": plan(
+                shift, 3, 500, 4_000_000, 64,
+                "worlds of 7 cells instead of 13, seen as symbols by a network of two hidden "
+                "layers; 4 million steps instead of 250 and 750 million; rollouts of 64 steps "
+                "instead of 128; 4 of the 11 shares; regret as the solver gives it, which the "
+                "paper has beside its estimate",
+            ),
+        },
+        find=partial(find, proxy),
+    )  # fmt: skip

@@ -1,0 +1,95 @@
+"""When must levels that tell the goals apart come: early, late, or throughout?"""
+
+from dataclasses import replace
+
+import polars as pl
+
+from astray.analysis.estimates import bootstrap
+from astray.analysis.outcomes import INTENDED, MISGENERALIZED, matrix
+from astray.experiments import outcomes
+from astray.experiments.claims import Claim, holds_above, rounded
+from astray.experiments.outcomes import AGENTS, share
+from astray.experiments.report import Findings
+from astray.experiments.spec import Experiment, Plan, Work, tests_of
+from astray.training.config import PRESETS
+
+SHARE = 0.02  # of training levels whose cheese is anywhere
+NEVER, THROUGHOUT, EARLY, LATE, ANNEALED = "never", "throughout", "early", "late", "annealed"
+TESTED = "in the test"
+BETTER, CAPABLE, ALIKE = 0.1, 0.95, 0.1  # bounds of the claims
+
+
+def find(work: Work) -> Findings:
+    """What agents pursue whose few telling levels came at other times."""
+    train, test = work.plan.tests
+    tables = outcomes.outcome_tables(work)
+    episodes = work.episodes.filter("tells_apart", policy=AGENTS, test=test)
+    wrong = {
+        name: matrix(episodes.filter(agent=name), pl.col("outcome") == MISGENERALIZED)
+        for name in work.plan.agents
+    }
+    late, early = bootstrap(wrong[EARLY] - wrong[LATE]), bootstrap(wrong[NEVER] - wrong[EARLY])
+    told = ", ".join(f"{name} {rounded(bootstrap(x).mean)}" for name, x in wrong.items())
+    poorest = min(
+        (share(work.episodes.filter(pl.col("agent") == name), train, INTENDED) for name in wrong),
+        key=lambda estimate: estimate.low,
+    )
+    return Findings(
+        answer=f"With the same {100 * SHARE:g}\u00a0% of levels whose cheese is anywhere, at other "
+        "times of training, mice go to the corner first, in levels that tell the goals apart: "
+        f"{told}.",
+        claims=[
+            holds_above(
+                "Levels that tell the goals apart help more at the end of training than at its "
+                "beginning.", "none", f"{EARLY} less {LATE}", late, BETTER,
+            ),
+            holds_above(
+                "Throughout, they help more than at the beginning.", "none",
+                f"{EARLY} less {THROUGHOUT}", bootstrap(wrong[EARLY] - wrong[THROUGHOUT]), BETTER,
+            ),
+            Claim(
+                "At the beginning they leave no trace.", "none",
+                f"{NEVER} less {EARLY}: {early.percent()}; holds where all of it is within "
+                f"{100 * ALIKE:g}\u00a0% of 0", early.low > -ALIKE and early.high < ALIKE,
+            ),
+            holds_above(
+                "Whenever they come, the mice learn to reach the cheese of the training levels.",
+                "none", "the schedule with the lowest share", poorest, CAPABLE,
+            ),
+        ],
+        plots=[*outcomes.outcome_plots(work, tables), outcomes.curve_plot(work)],
+        videos=outcomes.film(
+            work, trained=work.plan.tests[train], tested=work.plan.tests[test], agent=EARLY
+        ),
+        tables=tables,
+        settings=outcomes.settings(work.plan),
+    )  # fmt: skip
+
+
+MOUSE = replace(
+    PRESETS["small"], variant="corner-small", validation="anywhere-small", steps=4_000_000, width=64
+)
+MIXED = replace(MOUSE, knobs={"shift_probability": SHARE}, sampler="mixed")
+EXPERIMENT = Experiment(
+    title="Early, late, or throughout",
+    reproduces="a question of our own",
+    question="Training levels that tell the goals apart are few. Does it matter when they come?",
+    sizes={
+        "smoke": Plan(
+            agents={
+                NEVER: MOUSE,
+                THROUGHOUT: MIXED,
+                EARLY: replace(MIXED, schedule="early"),
+                LATE: replace(MIXED, schedule="late"),
+                ANNEALED: replace(MIXED, schedule="annealed"),
+            },
+            seeds=3,
+            tests=tests_of("maze", "corner-small"),
+            levels=500,
+            differences="worlds of 7 cells, seen as symbols by a network of two hidden layers, and "
+            "4 million steps; the learning rate falls to 0 in all trainings alike, so that what "
+            "comes late is learned with smaller steps",
+        ),
+    },
+    find=find,
+)

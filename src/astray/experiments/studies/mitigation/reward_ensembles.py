@@ -1,0 +1,220 @@
+"""Do two hypotheses of what is rewarded, made to differ in the test, hold the intended goal?"""
+
+from __future__ import annotations
+
+import matplotlib
+import numpy as np
+import polars as pl
+from matplotlib.figure import Figure
+from matplotlib.ticker import PercentFormatter
+
+from astray import games
+from astray.analysis.episodes import initial_states
+from astray.analysis.estimates import Estimate, bootstrap
+from astray.analysis.hypotheses import Frames, agreement, chosen_rightly, train_heads
+from astray.envs.vector import GameVectorEnv
+from astray.experiments import figures
+from astray.experiments.claims import Claim, rounded
+from astray.experiments.report import Findings, Plot, Table
+from astray.experiments.spec import Experiment, Plan, Work
+
+CHEESE, CORNER = "cheese", "corner"
+NAMES = [CHEESE, CORNER]
+TRAINING, TEST = "corner-small", "anywhere-small"
+FIRST, SECOND, THIRD = 0, 1_000_000, 2_000_000  # numbers of training, unlabelled, test levels
+FRAMES = 4000  # of each kind
+ENSEMBLES = 10
+KINDS = {"made to differ": 10.0, "left alone": 0.0}  # weight of the mutual information
+MADE, ALONE = KINDS
+HOLDS = 0.95  # of the telling frames, that a head answers as a hypothesis does
+LABELS = [1, 2, 4, 8, 16]
+OFTEN, SELDOM, CHOSEN = 0.5, 0.2, 0.9  # bounds of the claims
+PLACES = (0.5, 0.25, 0.25)  # of frames: the mouse anywhere, on the cheese, in the corner
+
+
+def frames(variant: str, first: int, count: int, seed: int) -> Frames:
+    """Frames of `count` levels: the mouse is anywhere, on the cheese, or in the corner.
+
+    On the cheese it is seen with it, as it is in no episode, where the cheese is gone then.
+    """
+    states = initial_states("maze", variant, range(first, first + count)).copy()
+    random = np.random.default_rng(seed)
+    solver = games.find("maze").solver
+    for s, kind in zip(states, random.choice(3, count, p=PLACES), strict=True):
+        cells = np.argwhere(solver.reachable(s))
+        y, x = cells[random.integers(len(cells))]
+        if kind:
+            place = (CHEESE, CORNER)[kind - 1].replace(CHEESE, "goal")
+            x, y = s[f"{place}_x"], s[f"{place}_y"]
+        s.x, s.y = x + 0.5, y + 0.5
+    labels = {
+        name: (np.floor(states["x"]) == states[f"{place}_x"])
+        & (np.floor(states["y"]) == states[f"{place}_y"])
+        for name, place in ((CHEESE, "goal"), (CORNER, "corner"))
+    }
+    env = GameVectorEnv("maze", variant, count, observation="symbolic")
+    largest = np.maximum(env.game.symbols.planes(env.variant), 1)
+    seen = (env.set_state(states) / largest).astype(np.float32)
+    env.close()
+    return Frames(seen, labels)
+
+
+def find(work: Work) -> Findings:
+    """What the heads of every ensemble hold, and how many labels choose the right one."""
+    table = work.keep("heads", lambda: heads(work.plan.levels))
+    held = {kind: holding(table, kind, CHEESE) for kind in KINDS}
+    labels = choosing(table)
+    four = bootstrap(of_ensembles(table, MADE, "chosen with 4"))
+    return Findings(
+        answer="Of two heads that learned what is rewarded where the cheese is in the corner, one "
+        f"holds the cheese in {rounded(held[MADE].mean)} of ensembles that were made to differ on "
+        f"unlabelled frames of the test, and in {rounded(held[ALONE].mean)} of those that were "
+        f"not. The head that is nearest to the cheese answers as it does in "
+        f"{rounded(nearest(table, MADE))} of telling frames, in the middle ensemble, and in "
+        f"{rounded(nearest(table, ALONE))} where heads are left alone. Four labels choose the "
+        f"better head in {rounded(four.mean)}.",
+        claims=[
+            Claim(
+                "Where heads are made to differ, one of them holds the intended goal.",
+                "none: in the spirit of the literature",
+                f"ensembles with such a head: {told(held[MADE])}; holds above "
+                f"{100 * OFTEN:g}\u00a0%", held[MADE].low > OFTEN,
+            ),
+            Claim(
+                "Where they are not, none does.", "none",
+                f"ensembles with such a head: {told(held[ALONE])}; holds below "
+                f"{100 * SELDOM:g}\u00a0%", held[ALONE].high < SELDOM,
+            ),
+            Claim(
+                "Four labels of the test choose the better head.", "none",
+                f"draws of four labels: {told(four)}; holds above {100 * CHOSEN:g}\u00a0%",
+                four.low > CHOSEN,
+            ),
+        ],
+        plots=[
+            Plot("heads",
+                 "Every head by how often it answers as either hypothesis does, in frames where "
+                 "the two differ: a line joins the heads of an ensemble.",
+                 heads_figure(table), table),
+            Plot("labels", "How often so many labels choose the better head of ensembles that "
+                 "were made to differ.", labels_figure(labels), labels),
+        ],
+        tables=[Table("heads", "Heads, and the labels that choose them", table)],
+        settings={
+            "ensembles": f"{ENSEMBLES} of each kind, of two heads on shared features",
+            "frames": f"{work.plan.levels} labelled of training levels, as many unlabelled of the "
+            "test's, as many others to judge by; half with the mouse in any cell, a quarter on "
+            "the cheese, a quarter in the corner",
+            "a head holds a hypothesis": f"it answers as it does in {100 * HOLDS:g}\u00a0% of the "
+            "frames in which cheese and corner differ",
+            "weight of the mutual information": f"{KINDS[MADE]:g}",
+        },
+    )  # fmt: skip
+
+
+def heads(count: int) -> pl.DataFrame:
+    """A row a head: kind, seed, head, its agreement with each hypothesis, and with labels."""
+    known = frames(TRAINING, FIRST, count, 0)
+    unlabelled, test = frames(TEST, SECOND, count, 1), frames(TEST, THIRD, count, 2)
+    rows = []
+    for kind, diversity in KINDS.items():
+        for seed in range(ENSEMBLES):
+            trained = train_heads(known, CHEESE, unlabelled.seen, diversity=diversity, seed=seed)
+            agrees = agreement(trained, test, NAMES)
+            shares = chosen_rightly(trained, test, CHEESE, LABELS, seed=seed)
+            chosen = {f"chosen with {k}": x for k, x in zip(LABELS, shares, strict=True)}
+            rows += [
+                {"kind": kind, "seed": seed, "head": head}
+                | dict(zip(NAMES, agrees[head].tolist(), strict=True))
+                | chosen
+                for head in range(2)
+            ]
+    return pl.DataFrame(rows)
+
+
+def of_ensembles(table: pl.DataFrame, kind: str, column: str) -> np.ndarray:
+    """The larger value of the heads of each ensemble, [ensembles, 1]: they are the unit."""
+    best = table.filter(kind=kind).group_by("seed").agg(pl.col(column).max()).sort("seed")
+    return best[column].to_numpy()[:, None]
+
+
+def told(estimate: Estimate) -> str:
+    """A share of ensembles and its interval, in words."""
+    mean, low, high = (100 * x for x in (estimate.mean, estimate.low, estimate.high))
+    return (
+        f"{mean:.1f}\u00a0% (95\u00a0% interval {low:.1f} to {high:.1f}; "
+        f"{estimate.agents} ensembles)"
+    )
+
+
+def holding(table: pl.DataFrame, kind: str, name: str) -> Estimate:
+    """The share of ensembles of which a head holds a hypothesis."""
+    return bootstrap(of_ensembles(table, kind, name) >= HOLDS)
+
+
+def nearest(table: pl.DataFrame, kind: str) -> float:
+    """How often the head that is nearest to the cheese agrees with it, the median ensemble's."""
+    return float(np.median(of_ensembles(table, kind, CHEESE)))
+
+
+def choosing(table: pl.DataFrame) -> pl.DataFrame:
+    """Columns labels, mean, low, high: how often so many choose the better head."""
+    return pl.DataFrame([
+        {"labels": count} | vars(bootstrap(of_ensembles(table, MADE, f"chosen with {count}")))
+        for count in LABELS
+    ])  # fmt: skip
+
+
+@matplotlib.rc_context(figures.STYLE)
+def heads_figure(table: pl.DataFrame) -> Figure:
+    """Agreement with the cheese against that with the corner, a panel a kind of ensemble."""
+    figure = Figure(figsize=(figures.WIDTH, 3.8))
+    row = figure.subplots(1, len(KINDS), sharey=True)
+    for axes, kind in zip(row, KINDS, strict=True):
+        for (seed,), pair in table.filter(kind=kind).group_by(["seed"], maintain_order=True):
+            assert seed is not None
+            axes.plot(pair[CORNER], pair[CHEESE], color=figures.FAINT, lw=0.8, zorder=0)
+            axes.plot(pair[CORNER], pair[CHEESE], "o", color=figures.OTHERS[0], ms=4, alpha=0.7)
+        axes.set_title(kind)
+        axes.set_xlabel("answers as the corner does")
+        axes.set_xticks([0, 0.5, 1])
+        axes.set_xlim(-0.03, 1.03)
+        axes.set_ylim(-0.03, 1.03)
+        axes.grid()
+        for axis in (axes.xaxis, axes.yaxis):
+            axis.set_major_formatter(PercentFormatter(1, symbol=" %"))
+    row[0].set_ylabel("answers as the cheese does")
+    return figure
+
+
+@matplotlib.rc_context(figures.STYLE)
+def labels_figure(labels: pl.DataFrame) -> Figure:
+    """The share of draws that choose the better head, against the number of labels."""
+    figure = Figure(figsize=(figures.WIDTH, 3.2))
+    axes = figure.subplots()
+    x, colour = range(len(labels)), figures.OTHERS[0]
+    axes.plot(x, labels["mean"], "o-", color=colour)
+    axes.fill_between(x, labels["low"], labels["high"], color=colour, alpha=0.2, lw=0)
+    axes.set_xticks(x, [str(count) for count in labels["labels"]])
+    axes.set_xlabel("labelled frames of the test, among those on which the heads differ")
+    axes.set_title("the better head is chosen", fontweight="normal", fontsize=10.5)
+    axes.set_ylim(0.45, 1.02)
+    axes.yaxis.set_major_formatter(PercentFormatter(1, symbol=" %"))
+    axes.grid(axis="y")
+    return figure
+
+
+EXPERIMENT = Experiment(
+    title="Reward ensembles",
+    reproduces="in the spirit of DivDis (Lee et al. 2022) and concept extrapolation "
+    "(Armstrong et al. 2023), not a reproduction",
+    question="Rewards of training say cheese and corner alike. Do two hypotheses that are made to "
+    "differ in the test hold the cheese, and how many labels choose it?",
+    sizes={
+        "smoke": Plan(
+            levels=FRAMES,
+            differences="mazes of 7 cells, seen as symbols; nothing acts on the hypotheses",
+        ),
+    },
+    find=find,
+)

@@ -1,0 +1,184 @@
+"""Returns while training, of the first agents of every study that trains its own."""
+
+import matplotlib
+import numpy as np
+import polars as pl
+from matplotlib.figure import Figure
+
+from astray.analysis.estimates import QUARTILES, over_agents
+from astray.experiments import outcomes
+from astray.experiments.claims import Claim
+from astray.experiments.figures import OTHERS, STYLE, WIDTH
+from astray.experiments.report import Findings, Plot, Table
+from astray.experiments.spec import PUBLISHED, Experiment, Plan, Size, Work
+from astray.experiments.studies.coinrun import critic_value
+from astray.experiments.studies.keys import keys_and_chests
+from astray.experiments.studies.maze import colour_or_shape, maze_corner, maze_region
+
+# The other studies of CoinRun have the runners of this one.
+STUDIES = (
+    critic_value.EXPERIMENT, colour_or_shape.EXPERIMENT, keys_and_chests.EXPERIMENT,
+    maze_corner.EXPERIMENT, maze_region.EXPERIMENT,
+)  # fmt: skip
+TRAIN, TEST = "training variant", "test variant"
+SERIES = {TRAIN: "training/return", TEST: "validation/return"}
+LINES = {TRAIN: (OTHERS[0], "-"), TEST: (OTHERS[1], "--")}
+POINTS = 100  # of a curve, at most; each is the mean over several iterations
+LAST = 10  # the end of a training: its last tenth
+
+
+def find(work: Work) -> Findings:
+    """The curves of all agents, and how far apart they end."""
+    measured = returns(work)
+    shown, ended = curves(measured), ends(measured)
+    told = [
+        f"{row['agent']}: {row[TRAIN]:.1f} and {row[TEST]:.1f}"
+        for row in ended.drop_nulls(TEST).to_dicts()
+    ]
+    middle = "interquartile mean" if work.plan.seeds >= QUARTILES else "mean"
+    return Findings(
+        answer="Returns at the end of training, on the training and on the test variant. "
+        f"{'; '.join(told)}.",
+        claims=[
+            ends_lower(row) for row in ended.to_dicts() if work.plan.agents[row["agent"]].validation
+        ],
+        plots=[
+            Plot("curves", f"Return of recent episodes while training: the {middle} of "
+                 f"{outcomes.settings(work.plan)['seeds']} agents and its 95 % interval over them. "
+                 "What there is to get can differ between the variants.",
+                 curve_panels(shown), shown),
+        ],
+        tables=[Table("ends", f"Returns in the last tenth of training, {middle} of agents", ended)],
+        settings=outcomes.settings(work.plan),
+    )  # fmt: skip
+
+
+def returns(work: Work) -> pl.DataFrame:
+    """What trainings measured: agent, seed, steps, and the returns on both variants."""
+    measured = outcomes.curves(work)
+    missing = [pl.lit(None).alias(c) for c in SERIES.values() if c not in measured.columns]
+    return measured.with_columns(missing).select(
+        "agent", "seed", "steps",
+        *(pl.col(c).cast(pl.Float64).fill_nan(None).alias(name) for name, c in SERIES.items()),
+    )  # fmt: skip
+
+
+def curves(measured: pl.DataFrame) -> pl.DataFrame:
+    """The middle of the agents of each name: agent, series, steps, mean, low, high.
+
+    Points are where all of them have a value.
+    """
+    iteration = pl.col("steps").rank("dense").over("agent").cast(pl.Int64) - 1
+    per_point = iteration.max().over("agent") // POINTS + 1
+    points = (
+        measured.with_columns(point=iteration // per_point)
+        .unpivot(list(SERIES), index=["agent", "seed", "steps", "point"], variable_name="series")
+        .group_by("agent", "series", "point", "seed", maintain_order=True)
+        .agg(pl.col("steps").max(), pl.col("value").mean())
+        .group_by("agent", "series", "point", maintain_order=True)
+        .agg(pl.col("steps").max(), "value")
+        .filter(pl.col("value").list.drop_nulls().list.len() == pl.col("value").list.len())
+    )
+    parts = []
+    for part in points.partition_by("agent", "series", maintain_order=True):
+        mean, low, high = over_agents(np.array(part["value"].to_list()).T)
+        band = pl.DataFrame({"mean": mean, "low": low, "high": high}).fill_nan(None)
+        parts.append(part.select("agent", "series", "steps").hstack(band))
+    return pl.concat(parts)
+
+
+def ends(measured: pl.DataFrame) -> pl.DataFrame:
+    """The end of training: agent, both returns, "lower by" in the test, low, high, agents."""
+    last = measured.filter(pl.col("steps") > pl.col("steps").max().over("agent") * (1 - 1 / LAST))
+    seeds = (
+        last.group_by("agent", "seed", maintain_order=True)
+        .agg(pl.col(*SERIES).mean())
+        .with_columns(lower=pl.col(TRAIN) - pl.col(TEST))
+    )
+    rows = []
+    for (agent,), part in seeds.group_by(["agent"], maintain_order=True):
+        means = {name: middle_of(part[name])[0] for name in SERIES}
+        lower, low, high = middle_of(part["lower"])
+        told = {"lower by": lower, "low": low, "high": high, "agents": len(part)}
+        rows.append({"agent": agent} | means | told)
+    return pl.DataFrame(rows, infer_schema_length=None).fill_nan(None)
+
+
+def middle_of(values: pl.Series) -> list[float | None]:
+    """The middle of agents and its interval; None where they were not measured."""
+    if values.null_count():
+        return [None] * 3
+    return over_agents(values.to_numpy()[:, None])[:, 0].tolist()
+
+
+def ends_lower(row: dict) -> Claim:
+    """Whether the return ends lower on the test variant than on the training variant."""
+    if row["lower by"] is None:
+        held, ours = False, "too few episodes ended to tell"
+    elif row["low"] is None:
+        held, ours = row["lower by"] > 0, f"lower by {row['lower by']:.2f} (1 agent)"
+    else:
+        held = row["low"] > 0
+        ours = (
+            f"lower by {row['lower by']:.2f} (95\u00a0% interval {row['low']:.2f} to "
+            f"{row['high']:.2f}; {row['agents']} agents)"
+        )
+    return Claim(
+        f"{row['agent']}: training ends with a lower return on the test variant than on the "
+        "training variant.",
+        "lower (a curve)", f"{ours}; holds above 0", held,
+    )  # fmt: skip
+
+
+@matplotlib.rc_context(STYLE)
+def curve_panels(shown: pl.DataFrame) -> Figure:
+    """A panel for each agent of `curves`."""
+    panels = shown.partition_by("agent", maintain_order=True)
+    rows = -(-len(panels) // 2)
+    figure = Figure(figsize=(WIDTH, 0.5 + 2.3 * rows))
+    grid = figure.subplots(rows, 2, squeeze=False)
+    for axes in grid.flat[len(panels) :]:
+        axes.remove()
+    for axes, panel in zip(grid.flat, panels, strict=False):
+        for name, (colour, style) in LINES.items():
+            line = panel.filter(series=name).with_columns(pl.col("steps") / 1e6)
+            axes.plot(line["steps"], line["mean"], style, color=colour, linewidth=2, label=name)
+            band = line.drop_nulls()
+            axes.fill_between(
+                band["steps"], band["low"], band["high"], color=colour, alpha=0.25, linewidth=0
+            )
+        axes.set_title(panel["agent"][0])
+        axes.set_xlabel("million environment steps")
+        axes.grid(axis="y")
+        axes.margins(x=0)
+    for axes in grid[:, 0]:
+        axes.set_ylabel("return")
+    handles, labels = grid[0, 0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside upper left", ncols=2)
+    return figure
+
+
+def collected(size: Size) -> Plan:
+    """The first agents of each of `STUDIES`, as many as all of them train."""
+    firsts: dict[str, Plan] = {}
+    for study in STUDIES:
+        plan = study.sizes[size]
+        if plan.config not in [first.config for first in firsts.values()]:
+            name = f"{plan.config.game} {plan.config.variant}"
+            firsts[f"{name}, {study.title}" if name in firsts else name] = plan
+    differences = [f"{name}: {plan.differences}" for name, plan in firsts.items()]
+    return Plan(
+        agents={name: plan.config for name, plan in firsts.items()},
+        seeds=min(plan.seeds for plan in firsts.values()),
+        levels=1,  # there are no tests
+        differences="" if size == "paper" else "; ".join(differences),
+    )
+
+
+EXPERIMENT = Experiment(
+    title="Training curves",
+    reproduces="Figures 9 to 11",
+    question="How do returns on the training and on the test variant change while training?",
+    sizes={size: collected(size) for size in STUDIES[0].sizes if size != PUBLISHED},
+    find=find,
+)

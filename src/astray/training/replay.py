@@ -1,0 +1,224 @@
+"""Prioritised level replay and ACCEL: levels are scored, and those that score high are trained on.
+
+As Abdel Sadek et al. ("Mitigating Goal Misgeneralization via Minimax Regret", RLC 2025) have them:
+rollouts of new levels are only scored; the network learns from levels that are replayed from a
+buffer (robust PLR, Jiang et al. 2021); with ACCEL (Parker-Holder et al. 2022) edits of the levels
+just replayed are scored, too.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from astray.envs.vector import GameVectorEnv
+from astray.game import NEVER
+from astray.memory import check_memory
+from astray.training.config import Config
+from astray.training.levels import (
+    Arrays,
+    Plan,
+    Played,
+    discounted_returns,
+    positive_value_loss,
+    stream,
+)
+
+KINDS = GENERATE, REPLAY, MUTATE = range(3)  # of rollouts
+CHANCES = {"plr": 1 / 3, "accel": 1 / 2}  # that a rollout replays, as in the paper
+NAMES = ("generated", "replayed", "mutated")  # levels, by the kind of rollout
+
+
+def probabilities(
+    score: np.ndarray, age: np.ndarray, temperature: float, staleness: float
+) -> np.ndarray:
+    """The chance of each level to be replayed, [B], from its score and its age in replays.
+
+    P = (1 - staleness) * (1 / rank) ** (1 / temperature) / sum + staleness * age / sum, with rank
+    1 for the highest score; of equal scores the first in the buffer is ranked higher.
+    """
+    rank = np.empty(len(score), np.int64)
+    rank[np.argsort(-score, kind="stable")] = np.arange(1, len(score) + 1)
+    by_score = rank ** (-1 / temperature)
+    return (1 - staleness) * by_score / by_score.sum() + staleness * age / age.sum()
+
+
+def draw_distinct(chance: np.ndarray, count: int, random: np.random.Generator) -> np.ndarray:
+    """`count` different places drawn one after the other, each by its `chance` [B]; ascending."""
+    with np.errstate(divide="ignore"):  # the logarithm of a chance too small for a number
+        keys = np.log(chance) + random.gumbel(size=len(chance))
+    return np.sort(np.argpartition(-keys, count - 1)[:count])
+
+
+class Replay:
+    """A buffer of levels with their scores; "plr" and "accel" of the training's `Config`.
+
+    A rollout is of one kind: of new levels, of levels of the buffer, or of mutated ones. In it,
+    every environment plays one level again and again.
+    """
+
+    def __init__(self, config: Config):
+        self.config, self.variant, self.game = config, config.training_variant(), config.find_game()
+        self.mutates = config.sampler == "accel"
+        if self.mutates and not self.game.mutation:
+            self.game.mutation.mutate  # noqa: B018  # says that there is none
+        n, size = config.num_envs, config.buffer
+        if size < n:
+            raise ValueError(f"buffer must hold a level for each of {n} environments; got {size}")
+        check_memory(2 * size * self.game.state.itemsize, f"a buffer of {size:,} levels")
+        self.chance = CHANCES[config.sampler] if config.replay is None else config.replay
+        self.intended = config.intended_goal() if config.score == "regret" else None
+        shown = "symbolic" if self.game.symbols else "image"
+        self._nursery = GameVectorEnv(self.game, self.variant, n, observation=shown)
+        self.states = np.zeros(size, self.game.state)
+        self.score, self.best, self.optimal = np.zeros((3, size))
+        self.visited = np.zeros(size, np.int64)  # the replay, counted from 1, that it was last in
+        self.kind, self.turn = GENERATE, 0
+        self.rollouts = np.zeros(len(KINDS), np.int64)
+        self.places = np.zeros(n, np.int64)  # in the buffer, of what was replayed last
+        self.current = np.zeros(n, self.game.state)
+
+    def plan(self, steps: int) -> Plan:
+        if not self.turn:
+            self._fill()
+        random = stream(self.config, self.turn)
+        self.turn += 1
+        if self.mutates and self.kind == REPLAY:
+            self.kind = MUTATE
+            seeds = random.integers(2**32, size=len(self.places))
+            self.current = self.game.mutation.mutate(
+                self.states[self.places], self.variant, seeds, self.config.edits,
+                self.config.mutation,
+            )  # fmt: skip
+        elif random.random() < self.chance:
+            self.kind = REPLAY
+            self.places = draw_distinct(self.chances(), len(self.places), random)
+            self.current = self.states[self.places]
+        else:
+            self.kind = GENERATE
+            self.current = self._generate(self._numbers(random))
+        return Plan(learn=self.kind == REPLAY, repeat=True)
+
+    def next(self, places: np.ndarray) -> np.ndarray:
+        return self.current[places]
+
+    def note(self, played: Played) -> None:
+        ended = played.terminated | played.truncated
+        mean, best = discounted_returns(played.reward, ended, self.config.gamma)
+        self.rollouts[self.kind] += 1
+        if self.kind == REPLAY:
+            where = self.places
+            best, optimal = np.maximum(best, self.best[where]), self.optimal[where]
+            self._put(where, self.current, self._scores(played, mean, best, optimal), best, optimal)
+            return
+        optimal = self._optimal(self.current)
+        score = self._scores(played, mean, best, optimal)
+        self._insert(score, best, optimal)
+
+    def chances(self) -> np.ndarray:
+        """The chance of each level of the buffer to be replayed next, [B]."""
+        age = self.rollouts[REPLAY] - self.visited + 1
+        return probabilities(self.score, age, self.config.temperature, self.config.staleness)
+
+    def summary(self) -> dict[str, float]:
+        counts = dict(zip(NAMES, (len(self.places) * self.rollouts).tolist(), strict=True))
+        shifted, by_hand = self.states["shifted"], self.states["level"] == NEVER
+        return {name: float(count) for name, count in counts.items()} | {
+            "shifted_in_buffer": float(shifted.mean()),
+            "shifted_replayed": float(self.current["shifted"].mean()),
+            "mutated_in_buffer": float(by_hand.mean()),
+            "score": float(self.score.mean()),
+        }
+
+    def arrays(self) -> dict[str, np.ndarray]:
+        return {
+            "states": self.states.view(np.uint8).reshape(len(self.states), -1),
+            "scores": np.stack([self.score, self.best, self.optimal]),
+            "visited": self.visited,
+            "rollouts": self.rollouts,
+            "places": self.places,
+            "turn": np.array([self.turn, self.kind]),
+        }
+
+    def restore(self, arrays: Arrays) -> None:
+        states = arrays["states"].copy().view(self.game.state).reshape(-1)
+        turn, kind = map(int, arrays["turn"])
+        places, visited, rollouts = (arrays[name] for name in ("places", "visited", "rollouts"))
+        if (
+            turn < 0
+            or kind not in KINDS
+            or not ((places >= 0) & (places < len(states))).all()
+            or not (visited <= rollouts[REPLAY]).all()
+            or (rollouts < 0).any()
+        ):
+            raise ValueError("its sampler's buffer is none that a training leaves")
+        if turn:
+            self.game.check(states, self.variant)
+        self.states, self.visited, self.rollouts = states, visited.copy(), rollouts.copy()
+        self.score, self.best, self.optimal = arrays["scores"].copy()
+        self.turn, self.kind, self.places = turn, kind, places.copy()
+        self.current = states[places]
+
+    def _fill(self) -> None:
+        """Begin with random levels in the buffer, scored 0."""
+        random, n = stream(self.config, self.turn), len(self.places)
+        self.turn += 1
+        for first in range(0, len(self.states), n):
+            some = slice(first, first + n)
+            self.states[some] = self._generate(self._numbers(random))[: len(self.states) - first]
+        self.optimal = self._optimal(self.states)
+
+    def _numbers(self, random: np.random.Generator) -> np.ndarray:
+        """Numbers of training levels for all environments."""
+        levels = self.config.training_levels
+        return random.integers(levels.start, levels.stop, len(self.places))
+
+    def _generate(self, numbers: np.ndarray) -> np.ndarray:
+        """The states that levels of those numbers begin in."""
+        self._nursery.reset(seed=0, options={"level": numbers})
+        return self._nursery.get_state()
+
+    def _insert(self, score: np.ndarray, best: np.ndarray, optimal: np.ndarray) -> None:
+        """Put levels just scored in the place of the likeliest to be forgotten that score lower.
+
+        A number that is in the buffer does not come into it again.
+        """
+        numbers = self.current["level"]
+        first = np.zeros(len(numbers), bool)
+        first[np.unique(numbers, return_index=True)[1]] = True
+        new = (numbers == NEVER) | (first & ~np.isin(numbers, self.states["level"]))
+        order = np.argsort(-np.where(new, score, -np.inf), kind="stable")
+        low = np.argsort(self.chances(), kind="stable")[: len(order)]
+        low = low[np.argsort(self.score[low], kind="stable")]
+        enters = new[order] & (score[order] > self.score[low])
+        here, chosen = low[enters], order[enters]
+        self._put(here, self.current[chosen], score[chosen], best[chosen], optimal[chosen])
+
+    def _put(
+        self, where: np.ndarray, states: np.ndarray, score: np.ndarray, best: np.ndarray,
+        optimal: np.ndarray,
+    ) -> None:  # fmt: skip
+        """Keep levels and what is known of them at places of the buffer."""
+        self.states[where], self.score[where], self.best[where] = states, score, best
+        self.optimal[where], self.visited[where] = optimal, self.rollouts[REPLAY]
+
+    def _scores(
+        self, played: Played, mean: np.ndarray, best: np.ndarray, optimal: np.ndarray
+    ) -> np.ndarray:
+        """The levels' scores [N], of the kind that the settings name."""
+        kinds: dict[str, Callable[[], np.ndarray]] = {
+            "regret": lambda: optimal - mean,
+            "max-monte-carlo": lambda: best - mean,
+            "positive-value-loss": lambda: positive_value_loss(played.advantage),
+        }
+        return kinds[self.config.score]()
+
+    def _optimal(self, states: np.ndarray) -> np.ndarray:
+        """The discounted return of the best policy in each of states [K], 0 if that is no score."""
+        if self.intended is None:
+            return np.zeros(len(states))
+        known = states.copy()
+        known.setflags(write=False)  # the solver checks nobody's states but those that may change
+        best = self.game.solver.optimal_return
+        return np.array([best(s, self.intended, self.config.gamma) for s in known])

@@ -1,0 +1,273 @@
+"""Asking for help: scores beside slow ones, who acts when, and what curves come to."""
+
+import copy
+from dataclasses import dataclass, replace
+
+import numpy as np
+import polars as pl
+import pytest
+from scipy.spatial.distance import mahalanobis
+from scipy.special import logsumexp, softmax
+from scipy.stats import entropy
+
+from astray import games
+from astray.analysis.doubt import (
+    OF_LOGITS,
+    Chance,
+    Disagreement,
+    GoalPosterior,
+    OfLogits,
+    distances,
+    features,
+    goal_splay,
+    likeliest_shares,
+)
+from astray.analysis.episodes import steps
+from astray.analysis.evaluate import evaluate
+from astray.analysis.outcomes import load_shift
+from astray.analysis.oversight import (
+    AFTER,
+    BEFORE,
+    PERCENTILES,
+    SEEN,
+    Helped,
+    Trial,
+    Watch,
+    area,
+    curve,
+    net_returns,
+    play,
+    threshold,
+    training_scores,
+)
+from astray.analysis.policies import Random, Walk
+from astray.analysis.runs import load_agent
+from astray.envs.vector import GameVectorEnv
+from astray.level import Level
+
+MAZE = games.find("maze")
+SHIFT = load_shift(MAZE, "corner-small")
+CORNER, ANYWHERE = MAZE.variant("corner-small"), MAZE.variant("anywhere-small")
+LEVELS = range(200_000, 200_040)
+
+
+@pytest.fixture(scope="module")
+def mouse():
+    return load_agent("maze-corner")
+
+
+@dataclass
+class ByTime:
+    """Doubts in some steps, whatever is seen."""
+
+    doubtful: tuple[int, ...]
+    name: str = "time"
+
+    def __call__(self, env, observations):
+        return np.isin(env.states["time"], self.doubtful).astype(float)
+
+
+def test_scores_of_logits_are_those_of_their_definitions():
+    logits = np.random.default_rng(0).normal(size=(7, 15)) * 3
+    p = softmax(logits, -1)
+    first, second = np.sort(p, -1)[:, ::-1][:, :2].T
+    naive = {
+        "max probability": 1 - first,
+        "margin": 1 - (first - second),
+        "entropy": entropy(p, axis=-1),
+        "energy": -logsumexp(logits, axis=-1),
+        "max logit": -logits.max(-1),
+    }
+    assert naive.keys() == OF_LOGITS.keys()
+    for name, expected in naive.items():
+        assert OF_LOGITS[name](logits) == pytest.approx(expected), name
+
+
+def test_every_score_is_higher_for_a_policy_that_knows_nothing(mouse):
+    sure, unsure = np.zeros((1, 15)), np.zeros((1, 15))
+    sure[0, 3] = 20
+    for name, score in OF_LOGITS.items():
+        assert score(unsure)[0] > score(sure)[0], name
+
+
+def test_agents_that_are_the_same_do_not_disagree_and_others_do(mouse):
+    env = GameVectorEnv("maze", "anywhere-small", 8, observation="symbolic")
+    seen, _ = env.reset(seed=0)
+    assert Disagreement([mouse, mouse])(env, seen) == pytest.approx(0)
+    p = softmax(mouse.outputs(seen)[0].double().numpy(), -1)
+
+    class Other:
+        def outputs(self, observations):
+            import torch
+
+            return torch.zeros((len(observations), 15)), None
+
+    even = np.full_like(p, 1 / 15)
+    naive = entropy((p + even) / 2, axis=1) - (entropy(p, axis=1) + entropy(even, axis=1)) / 2
+    assert Disagreement([mouse, Other()])(env, seen) == pytest.approx(naive)
+    with pytest.raises(ValueError, match="two agents at least; got 1"):
+        Disagreement([mouse])
+
+
+def test_distances_are_those_of_scipy_from_the_training_frames(mouse):
+    fitted, plain = distances(mouse, CORNER, LEVELS)
+    frames = np.concatenate([s.observations for s in steps(mouse, "maze", CORNER, LEVELS)])
+    seen = features(mouse, frames)
+    covariance = np.cov(seen.T)
+    inverse = np.linalg.inv(
+        covariance + 1e-3 * np.diag(covariance).mean() * np.eye(len(covariance))
+    )
+    env = GameVectorEnv("maze", ANYWHERE, 5, observation="symbolic")
+    shown, _ = env.reset(seed=0)
+    naive = [mahalanobis(x, seen.mean(0), inverse) for x in features(mouse, shown)]
+    assert fitted(env, shown) == pytest.approx(naive, rel=1e-4)
+    away = np.linalg.norm(features(mouse, shown) - seen.mean(0), axis=1)
+    assert plain(env, shown) == pytest.approx(away)
+
+
+def test_without_help_the_novice_plays_as_it_does_and_with_all_of_it_the_expert(mouse):
+    alone = evaluate(mouse, "maze", ANYWHERE, LEVELS)
+    for granularity in ("step", "level"):
+        never = Helped(mouse, Walk("cheese"), Chance(), np.inf, granularity)
+        played = play(never, "maze", ANYWHERE, LEVELS)
+        for column in ("level", "return", "length", "reached_corner"):
+            assert played[column].to_list() == alone[column].to_list()
+        assert played["queries"].sum() == 0 and played["first"].is_null().all()
+        always = Helped(mouse, Walk("cheese"), Chance(), -np.inf, granularity)
+        helped = play(always, "maze", ANYWHERE, LEVELS)
+        assert (helped["return"] == 10).all() and (helped["queries"] == helped["length"]).all()
+
+
+def test_an_expert_that_remembers_its_levels_does_as_one_that_solves_them_anew():
+    anew, remembering = Walk("cheese"), Walk("cheese", remembers=True)
+    first = evaluate(anew, "maze", ANYWHERE, LEVELS)
+    for _ in range(2):
+        assert evaluate(remembering, "maze", ANYWHERE, LEVELS).equals(first)
+    solved = dict(remembering._experts)
+    evaluate(remembering, "maze", ANYWHERE, LEVELS)
+    assert all(remembering._experts[level] is expert for level, expert in solved.items())
+
+
+def test_help_is_for_a_step_or_for_all_that_is_left_of_a_level():
+    novice, expert = Random(), Walk("cheese")
+    by_step = Helped(novice, expert, ByTime((2, 3, 7)), 0.5, "step")
+    for length, queries in play(by_step, "maze", ANYWHERE, LEVELS)["length", "queries"].rows():
+        assert queries == sum(t < length for t in (2, 3, 7))
+    by_level = Helped(novice, expert, ByTime((2,)), 0.5, "level")
+    played = play(by_level, "maze", ANYWHERE, LEVELS).filter(pl.col("length") > 2)
+    assert (played["first"] == 2).all() and (played["queries"] == played["length"] - 2).all()
+    assert (played["return"] == 10).all()
+
+
+def test_the_moment_of_the_first_query_is_told_from_the_state():
+    watch = Watch(lambda s: s["time"] == 2, lambda s: s["time"] >= 4)
+    for asks, moment in (((1, 3), BEFORE), ((3, 5), SEEN), ((5,), AFTER)):
+        policy = Helped(Random(), Walk("cheese"), ByTime(asks), 0.5)
+        played = play(policy, "maze", ANYWHERE, LEVELS, watch).filter(pl.col("first").is_not_null())
+        assert len(played) and (played["moment"] == moment).all()
+
+
+def test_thresholds_are_percentiles_of_steps_or_of_the_highest_of_levels():
+    scores = pl.DataFrame({"level": [0, 0, 0, 1, 1], "score": [1.0, 5.0, 2.0, 3.0, 0.0]})
+    assert threshold(scores, 50, "step") == 2 and threshold(scores, 100, "step") == 5
+    assert threshold(scores, 50, "level") == 4 and threshold(scores, 0, "level") == 3
+    with pytest.raises(ValueError, match="percentile must be from 0 to 100; got 101"):
+        threshold(scores, 101, "step")
+
+
+def test_scores_in_training_are_those_of_the_novices_own_steps(mouse):
+    scores = training_scores(mouse, OfLogits(mouse, "entropy"), "maze", CORNER, LEVELS)
+    alone = evaluate(mouse, "maze", CORNER, LEVELS)
+    lengths = scores.group_by("level").len().sort("level")["len"]
+    assert lengths.to_list() == alone["length"].to_list()
+
+
+def curves(points, name="s"):
+    rows = [{"score": name, "granularity": "step", "threshold": t, "help": h, "return": r,
+             "queries": q, "percentile": None} for t, h, r, q in points]  # fmt: skip
+    return pl.DataFrame(rows, schema_overrides={"percentile": pl.Float64})
+
+
+def test_areas_are_those_by_hand():
+    ends = [(np.inf, 0.0, 2.0, 0.0), (-np.inf, 1.0, 10.0, 8.0)]
+    assert area(curves(ends))["area"].to_list() == [0.5]
+    soon = curves([*ends, (1.0, 0.25, 10.0, 2.0)])
+    assert area(soon)["area"].to_list() == [pytest.approx(0.25 / 2 + 0.75)]
+    none = curves([(np.inf, 0.0, 10.0, 0.0), (-np.inf, 1.0, 10.0, 8.0)])
+    assert np.isnan(area(none)["area"][0])
+
+
+def test_the_dearer_a_query_the_fewer_are_worth_it():
+    table = curves([(np.inf, 0.0, 2.0, 0.0), (-np.inf, 1.0, 10.0, 8.0), (1.0, 0.25, 7.0, 2.0)])
+    best = net_returns(table, [0.0, 1.0, 3.0])
+    assert best["net"].to_list() == [10.0, 5.0, 2.0] and best["queries"].to_list() == [8, 2, 0]
+    with pytest.raises(ValueError, match="costs must not be below 0; got -1"):
+        net_returns(table, [-1.0])
+
+
+def test_a_curve_goes_from_the_novice_to_the_expert(mouse):
+    trial = Trial("maze", SHIFT, CORNER, range(40), ANYWHERE, LEVELS)
+    table = curve(mouse, Walk("cheese"), OfLogits(mouse, "entropy"), trial, "step", (50.0, 90.0))
+    assert table["percentile"].to_list() == [None, None, 50, 90]
+    assert table["help"][0] == 0 and table["help"][1] == 1 and table["return"][1] == 10
+    assert table["help"][1] > table["help"][2] > table["help"][3] > 0
+    assert table["astray"][0] > 0.4 and table["intended"][1] > table["intended"][0] + 0.3
+    assert (table["seconds"] > 0).all() and len(PERCENTILES) == 8
+
+
+def test_a_mouse_of_the_corner_is_astray_where_one_of_the_cheese_is_not(mouse):
+    env = GameVectorEnv("maze", ANYWHERE, 12, observation="symbolic")
+    seen, _ = env.reset(seed=0, options={"level": np.arange(200_000, 200_012)})
+    of_corner = GoalPosterior(mouse, SHIFT, "astray")
+    of_cheese = GoalPosterior(Walk("cheese"), SHIFT, "astray")
+    one, two = of_corner(env, seen), of_cheese(env, seen)
+    assert np.median(one) > 0.8 and np.median(one) > np.median(two) + 0.2
+    assert of_corner.imagined == 12
+    assert (of_corner(env, seen) == one).all() and of_corner.imagined == 12  # known by now
+
+
+def test_the_likeliest_shares_are_those_of_a_search():
+    evidence = np.random.default_rng(0).normal(size=(20, 2)) * 2
+    shares = np.linspace(1e-6, 1 - 1e-6, 10_001)
+    total = [logsumexp(evidence + np.log([s, 1 - s]), axis=1).sum() for s in shares]
+    assert likeliest_shares(evidence)[0] == pytest.approx(shares[np.argmax(total)], abs=2e-3)
+
+
+class Torn(Walk):
+    """Walks to the cheese in levels of odd numbers, to the corner in the others."""
+
+    def __init__(self):
+        super().__init__("cheese")
+        self.corner = Walk("corner")
+
+    def actions(self, env, observations):
+        to_cheese, to_corner = (
+            w(env, observations) for w in (super().actions, self.corner.actions)
+        )
+        return np.where(env.states["level"] % 2, to_cheese, to_corner)
+
+
+def test_the_entropy_under_a_splay_is_low_for_who_knows_what_it_wants():
+    env = GameVectorEnv("maze", "anywhere-easy", 4, observation="symbolic")
+    seen, _ = env.reset(seed=0, options={"level": np.arange(200_000, 200_004)})
+    shift = load_shift(MAZE, "corner-easy")
+    decided, torn = GoalPosterior(Walk("corner"), shift), GoalPosterior(Torn(), shift)
+    assert decided(env, seen).mean() < torn(env, seen).mean() - 0.2
+    assert 4 * 6 <= decided.imagined <= 4 * 12
+
+
+def test_a_cheese_is_splayed_from_its_dish_which_stays():
+    env = GameVectorEnv("maze", "dish-small", 1, observation="symbolic")
+    env.reset(seed=0, options={"level": 3})
+    level = Level.of(MAZE, env.variant, env.states[0])
+    (at,) = level.where("goal on other")
+    family = goal_splay(level)
+    assert all(one.where("other") == [at] for one in family)
+    assert len({one.where("goal")[0] for one in family}) == len(family) > 5
+
+
+def test_a_novice_and_an_expert_are_shown_the_same(mouse):
+    sighted = copy.copy(mouse)
+    sighted.architecture = replace(mouse.architecture, largest=())
+    with pytest.raises(ValueError, match="must be shown the same; got 'symbolic' and 'image'"):
+        Helped(mouse, sighted, Chance(), 0.0)

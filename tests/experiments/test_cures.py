@@ -1,0 +1,67 @@
+"""What the experiments with cures compute, on made-up tables and a few frames."""
+
+import numpy as np
+import polars as pl
+import pytest
+
+from astray.analysis.outcomes import INTENDED, MISGENERALIZED
+from astray.analysis.oversight import AFTER, BEFORE
+from astray.experiments.studies.mitigation import (
+    _regret as regret,
+)
+from astray.experiments.studies.mitigation import asking_for_help, early_or_late, reward_ensembles
+from astray.experiments.studies.mitigation._help_figures import NEVER
+
+
+def test_agents_of_a_method_differ_in_the_share_and_in_nothing_else():
+    plan = regret.experiment("t", "corner-small", "corner").sizes["smoke"]
+    assert len(plan.agents) == len(regret.METHODS) * len(regret.SHARES) == 16
+    for method in regret.METHODS:
+        configs = [plan.agents[regret.name_of(method, share)] for share in regret.SHARES]
+        shares = [c.training_variant().shift_probability for c in configs]
+        assert shares == list(regret.SHARES)
+        assert len({(c.sampler, c.mutation, c.steps) for c in configs}) == 1
+
+
+def test_the_schedules_have_the_same_levels_at_other_times():
+    agents = early_or_late.EXPERIMENT.sizes["smoke"].agents
+    mixed = {name: c for name, c in agents.items() if name != early_or_late.NEVER}
+    assert len({c.training_variant() for c in mixed.values()}) == 1
+    assert sorted(c.schedule for c in mixed.values()) == ["annealed", "early", "late", "throughout"]
+    assert agents[early_or_late.NEVER].training_variant().shift_probability == 0
+
+
+def test_late_is_after_the_goal_was_passed_or_never_in_episodes_that_go_astray():
+    asked = pl.DataFrame({
+        "agent": "runner", "score": "entropy",
+        "outcome": [MISGENERALIZED] * 4 + [INTENDED],
+        "moment": [BEFORE, AFTER, None, None, None],
+    })  # fmt: skip
+    assert asking_for_help.too_late(asked)["late"].to_list() == [0.75]
+    shares = dict(asking_for_help.late_shares(asked).select("moment", "share").iter_rows())
+    assert shares == {BEFORE: 0.25, AFTER: 0.25, NEVER: 0.5}
+
+
+def test_a_claim_about_help_holds_by_its_bound():
+    rows = [
+        {"agent": "runner", "run": "r", "score": "entropy", "granularity": "step",
+         "threshold": t, "return": r}
+        for t, r in ((np.inf, 5.0), (-np.inf, 10.0), (0.5, 4.9))
+    ]  # fmt: skip
+    areas = pl.DataFrame({"agent": ["runner"], "score": ["entropy"], "granularity": ["step"]})
+    late = pl.DataFrame({"agent": ["runner"], "score": ["entropy"], "late": [0.6]})
+    table = pl.DataFrame(rows)
+    assert [v.held for v in asking_for_help.claims(table, areas, late)] == [True, True]
+    worse = table.with_columns(pl.col("return").replace(4.9, 4.0))
+    soon = late.with_columns(late=0.4)
+    assert [v.held for v in asking_for_help.claims(worse, areas, soon)] == [False, False]
+
+
+@pytest.mark.parametrize("variant, apart", [("corner-small", False), ("anywhere-small", True)])
+def test_hypotheses_agree_in_training_frames_and_part_in_the_test(variant, apart):
+    made = reward_ensembles.frames(variant, 0, 400, 0)
+    cheese, corner = (made.labels[name] for name in reward_ensembles.NAMES)
+    assert (cheese != corner).any() == apart
+    assert cheese.mean() == pytest.approx(0.5 if not apart else 0.3, abs=0.12)
+    mouse, shape = made.seen[:, 1] == 1, made.seen[:, 2] > 0
+    assert ((mouse & shape).any((1, 2)) == cheese).all()  # the cheese is seen below the mouse

@@ -1,0 +1,320 @@
+"""Samplers of levels: formulas beside slow ones, and trainings that are resumed with them."""
+
+import itertools
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from astray.analysis.episodes import initial_states
+from astray.envs.loops import SHIFT
+from astray.game import NEVER
+from astray.games.maze import GAME
+from astray.kernel.rng import share as share_of
+from astray.training import checkpoint
+from astray.training.levels import (
+    Mixed,
+    Plan,
+    Played,
+    discounted_returns,
+    positive_value_loss,
+    share_at,
+)
+from astray.training.loop import collect, play, train
+from astray.training.replay import Replay, draw_distinct, probabilities
+from astray.training.trainer import Trainer
+from helpers.trainings import PLAIN, TINY, digest
+
+SHIFTED = {**TINY.knobs, "shift_probability": 0.2}
+MIXED = replace(TINY, sampler="mixed", knobs=SHIFTED)
+PLR = replace(TINY, sampler="plr", knobs=SHIFTED, buffer=64, score="regret")
+ACCEL = replace(PLR, sampler="accel", score="max-monte-carlo")
+
+
+def rollout(steps=12, n=5, seed=0):
+    random = np.random.default_rng(seed)
+    ended = random.random((steps, n)) < 0.15
+    ended[:, 0] = False  # no episode of the first ends
+    return random.random((steps, n)), random.normal(size=(steps, n)), ended
+
+
+def played(reward, ended):
+    return Played(reward, np.zeros(reward.shape, np.float32), ended, np.zeros_like(ended))
+
+
+def test_returns_are_those_of_the_episodes_that_ended_one_by_one():
+    reward, _, ended = rollout()
+    mean, best = discounted_returns(reward, ended, 0.9)
+    for i in range(reward.shape[1]):
+        ends = np.flatnonzero(ended[:, i]) if ended[:, i].any() else [len(reward) - 1]
+        begins = [0, *(t + 1 for t in ends[:-1])]
+        naive = [
+            sum(reward[t, i] * 0.9 ** (t - first) for t in range(first, last + 1))
+            for first, last in zip(begins, ends, strict=True)
+        ]
+        assert mean[i] == pytest.approx(np.mean(naive)) and best[i] == pytest.approx(max(naive))
+
+
+def test_the_positive_value_loss_is_that_of_its_definition():
+    reward, delta, ended = rollout()
+    advantage, steps = np.zeros_like(reward), len(reward)
+    for t, i in np.ndindex(*reward.shape):  # (gamma lambda)^(k - t) delta_k up to the end
+        last = next((k for k in range(t, steps) if ended[k, i]), steps - 1)
+        advantage[t, i] = sum(0.8 ** (k - t) * delta[k, i] for k in range(t, last + 1))
+    naive = [sum(max(a, 0) for a in advantage[:, i]) / steps for i in range(reward.shape[1])]
+    assert positive_value_loss(advantage) == pytest.approx(naive)
+
+
+def test_replay_probabilities_are_those_of_the_definition():
+    score, age = np.array([0.5, 2.0, 0.5, -1.0]), np.array([1, 4, 2, 3])
+    ranks = [2, 1, 3, 4]
+    by_score = [(1 / rank) ** (1 / 0.3) for rank in ranks]
+    naive = [
+        0.9 * w / sum(by_score) + 0.1 * a / sum(age) for w, a in zip(by_score, age, strict=True)
+    ]
+    assert probabilities(score, age, 0.3, 0.1) == pytest.approx(naive)
+
+
+def test_levels_are_drawn_one_after_the_other_by_their_chances():
+    chance, exact = np.array([0.5, 0.3, 0.15, 0.05]), np.zeros(4)
+    for one, two in itertools.permutations(range(4), 2):
+        exact[[one, two]] += chance[one] * chance[two] / (1 - chance[one])
+    random, often = np.random.default_rng(0), np.zeros(4)
+    for _ in range(4000):
+        often[draw_distinct(chance, 2, random)] += 1
+    assert often / 4000 == pytest.approx(exact, abs=0.03)
+
+
+@pytest.mark.parametrize("schedule", ["throughout", "early", "late", "annealed"])
+def test_every_schedule_comes_to_the_same_share(schedule):
+    progress = (np.arange(1000) + 0.5) / 1000
+    assert np.mean([share_at(schedule, 0.1, x) for x in progress]) == pytest.approx(0.1)
+
+
+def test_mixed_levels_are_shifted_with_the_share_and_are_the_variants_own_numbers():
+    sampler = Mixed(replace(MIXED, share=0.5, levels=1000))
+    sampler.plan(0)
+    numbers = np.concatenate([sampler.next(np.arange(16)) for _ in range(100)])
+    shifted = np.array([share_of(number, SHIFT) < 0.2 for number in numbers])
+    assert abs(shifted.mean() - 0.5) < 0.05 and numbers.max() < 1000
+    assert sampler.summary()["shifted_share"] == shifted.mean()
+
+
+def test_early_levels_are_shifted_first_and_late_ones_last():
+    shares = {}
+    for schedule in ("early", "late"):
+        sampler = Mixed(replace(MIXED, schedule=schedule))
+        for steps in (0, MIXED.steps // 2, MIXED.steps - 1):
+            sampler.plan(steps)
+            numbers = sampler.next(np.arange(16))
+            shifted = np.mean([share_of(number, SHIFT) < 0.2 for number in numbers])
+            shares.setdefault(schedule, []).append(shifted)
+    assert shares == {"early": [1, 0, 0], "late": [0, 0, 1]}
+
+
+def test_regret_is_what_the_solver_gets_more_than_the_agent():
+    sampler = Replay(PLR)
+    sampler.plan(0)
+    best = np.array([GAME.solver.optimal_return(s, "cheese", PLR.gamma) for s in sampler.current])
+    reward = np.zeros((20, 16))
+    reward[0] = best * np.arange(16) / 16  # at once: nothing of it is discounted
+    ended = np.zeros((20, 16), bool)
+    ended[0] = True
+    sampler.note(played(reward, ended))
+    numbers, kept = sampler.current["level"], sampler.states["level"]
+    for i in range(16):
+        regret = best[i] * (1 - i / 16)
+        assert sampler.score[kept == numbers[i]] == pytest.approx(regret)
+
+
+def test_what_scores_higher_takes_the_place_of_what_is_replayed_least():
+    sampler = Replay(replace(PLR, buffer=16, levels=10**6))
+    sampler._fill()
+    sampler.score[:] = np.arange(16)
+    sampler.kind, sampler.current = 0, sampler._generate(np.arange(500_000, 500_016))
+    score = np.full(16, -1.0)
+    score[:3] = 9.5, 1.5, 99.0
+    before = sampler.states["level"].copy()
+    sampler._insert(score, score, score)
+    assert sorted(sampler.score) == [2, 3, 4, 5, 6, 7, 8, 9, 9.5, 10, 11, 12, 13, 14, 15, 99]
+    assert sorted(set(sampler.states["level"]) - set(before)) == [500_000, 500_002]
+    sampler._insert(score + 100, score, score)  # the same numbers are there already
+    assert (sampler.states["level"] == 500_002).sum() == 1
+
+
+def test_an_environment_plays_one_level_of_the_buffer_throughout_a_replay():
+    trainer = Trainer(replace(PLR, validation=None))
+    play(trainer)
+    sampler, player = trainer.player.sampler, trainer.player
+    assert sampler.kind == 1 and len(set(sampler.places)) == 16
+    mazes = sampler.states[sampler.places]["cell"] == 1
+    assert ((player.envs[0].states["cell"] == 1) == mazes).all()
+    trainer.close()
+
+
+def test_levels_that_are_only_scored_leave_no_trace_in_learning():
+    class Scores:
+        """Has a rollout scored before each that is learned from, of the same levels."""
+
+        turn = 0
+
+        def plan(self, steps):
+            self.turn += 1
+            return Plan(learn=self.turn % 3 == 0, restart=True)
+
+        def next(self, places):
+            return places.copy()
+
+        def note(self, played):
+            pass
+
+    trainer = Trainer(PLAIN)
+    trainer.player.sampler = Scores()
+    before = trainer.player.normaliser.count
+    trainer.player.plan(0)
+    collect(trainer)
+    assert not trainer.player.learns and trainer.player.normaliser.count == before
+    assert not trainer.player.recent
+    play(trainer)
+    assert trainer.player.normaliser.count > before
+    trainer.close()
+
+
+@pytest.mark.parametrize("config", [MIXED, PLR, ACCEL], ids=["mixed", "plr", "accel"])
+def test_a_resumed_run_is_the_one_that_was_not_stopped(config, tmp_path, monkeypatch):
+    train(config, tmp_path / "whole", progress=False)
+    saved = checkpoint.save
+
+    def stop(folder, trainer):
+        saved(folder, trainer)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(checkpoint, "save", stop)
+    with pytest.raises(KeyboardInterrupt):
+        train(config, tmp_path / "parts", progress=False)
+    monkeypatch.setattr(checkpoint, "save", saved)
+    train(config, tmp_path / "parts", progress=False)
+    assert digest(tmp_path / "parts") == digest(tmp_path / "whole")
+    assert checkpoint.metrics(tmp_path / "parts") == checkpoint.metrics(tmp_path / "whole")
+    counted = checkpoint.metrics(tmp_path / "parts")[-1]
+    if config is MIXED:
+        assert 0 < counted["levels/shifted_share"] < 0.5
+    else:
+        assert counted["levels/replayed"] == 4 * 16 and counted["levels/generated"] > 0
+        assert (counted["levels/mutated"] > 0) == (config is ACCEL)
+
+
+class Numbered:
+    """A sampler of somebody's own: environment i begins level i, always."""
+
+    def __init__(self, config):
+        self.count = np.zeros(1, np.int64)
+
+    def plan(self, steps):
+        return Plan(restart=steps == 0)
+
+    def next(self, places):
+        self.count += len(places)
+        return places.astype(np.int64)
+
+    def note(self, played):
+        assert played.reward.shape == played.advantage.shape == (16, 16)
+
+    def summary(self):
+        return {"begun": float(self.count[0])}
+
+    def arrays(self):
+        return {"count": self.count}
+
+    def restore(self, arrays):
+        self.count = arrays["count"].copy()
+
+
+def test_a_sampler_of_your_own_comes_in_as_a_class_and_by_its_name(tmp_path):
+    train(TINY, tmp_path / "class", sampler=Numbered, progress=False)
+    named = replace(TINY, sampler=f"{Numbered.__module__}:Numbered")
+    train(named, tmp_path / "name", progress=False)
+    assert digest(tmp_path / "class") == digest(tmp_path / "name")
+    assert checkpoint.metrics(tmp_path / "class")[-1]["levels/begun"] > 16
+    states = digest(tmp_path / "class")["training.states"]
+    assert set(np.frombuffer(states, GAME.state)["level"]) == set(range(16))
+
+
+@pytest.mark.parametrize(
+    "change, message",
+    [
+        ({"sampler": "best"}, "sampler must be one of uniform, mixed, plr, accel, or module:Class"),
+        ({"sampler": "mixed"}, "shift_probability must be between 0 and 1; got 0.0"),
+        ({"sampler": "plr", "buffer": 8}, "a level for each of 16 environments; got 8"),
+        ({"sampler": "plr", "replay": 0.0}, "replay must be from 0.01 to 1; got 0.0"),
+        (
+            {"sampler": "plr", "score": "regret", "variant": "region-1-strict", "validation": None},
+            "needs a variant of which a shift says the goal; got 'region-1-strict'",
+        ),
+        (
+            {"sampler": "accel", "game": "coinrun", "variant": "coin-end", "validation": None,
+             "knobs": {}},
+            "the game 'coinrun' has no mutation",
+        ),
+        (
+            {"sampler": "mixed", "share": 0.6, "schedule": "annealed", "knobs": SHIFTED},
+            "share must be at most 0.5 to be annealed; got 0.6",
+        ),
+    ],
+)  # fmt: skip
+def test_settings_that_cannot_be_are_explained(change, message, tmp_path):
+    with pytest.raises(ValueError, match=message):
+        train(replace(TINY, **change), tmp_path, progress=False)
+
+
+def test_a_buffer_that_was_forged_is_refused():
+    sampler = Replay(PLR)
+    sampler.plan(0)
+    arrays = sampler.arrays() | {"places": np.full(16, 64)}
+    with pytest.raises(ValueError, match="buffer is none that a training leaves"):
+        sampler.restore(arrays)
+
+
+EDITED = replace(GAME.variant("corner-small"), shift_probability=0.3)
+
+
+def edited(kind, variant=EDITED, edits=12, count=300):
+    before = initial_states(GAME, variant, range(count))
+    seeds = np.random.default_rng(0).integers(2**32, size=count)
+    return before, GAME.mutation.mutate(before, variant, seeds, edits, kind)
+
+
+@pytest.mark.parametrize("kind", ["constant", "identity", "binomial"])
+@pytest.mark.parametrize("variant", [EDITED, GAME.variant("dish-small"), GAME.variant("corner")])
+def test_an_edited_level_is_one_of_its_variant_and_can_be_solved(kind, variant):
+    before, after = edited(kind, variant, count=100)
+    GAME.check(after, variant)
+    assert (after["level"] == NEVER).all() and (after["time"] == 0).all()
+    for one, two in zip(before, after.view(np.recarray), strict=True):
+        for goal in ("cheese", "corner"):
+            assert GAME.solver.optimal_return(two, goal) == 10
+        assert ((one["cell"] == 1) != (two["cell"] == 1)).sum() <= 12
+    assert ((before["cell"] == 1) != (after["cell"] == 1)).any((1, 2)).mean() > 0.9
+
+
+def test_identity_leaves_the_goal_where_it_was_and_constant_places_it_anew():
+    before, after = edited("identity")
+    assert all((before[f"goal_{axis}"] == after[f"goal_{axis}"]).all() for axis in "xy")
+    assert (before["shifted"] == after["shifted"]).all() and 0 < after["shifted"].mean() < 1
+    _, after = edited("constant")
+    assert abs(after["shifted"].mean() - 0.3) < 0.08
+    at_corner = (after["goal_x"] == after["corner_x"]) & (after["goal_y"] == after["corner_y"])
+    assert at_corner[~after["shifted"]].all() and not at_corner[after["shifted"]].all()
+
+
+def test_a_cheese_on_a_dish_is_moved_with_it_and_stays_on_it():
+    before, after = edited("identity", GAME.variant("dish-small"))
+    for axis in "xy":
+        assert (after[f"goal_{axis}"] == after[f"other_{axis}"]).all()
+    assert ((before["goal_x"] != after["goal_x"]) | (before["goal_y"] != after["goal_y"])).any()
+
+
+def test_edits_follow_from_their_seeds_and_leave_the_levels_they_came_from():
+    before, after = edited("binomial", count=20)
+    again, same = edited("binomial", count=20)
+    assert before.tobytes() == again.tobytes() and after.tobytes() == same.tobytes()
