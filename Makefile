@@ -68,11 +68,13 @@ wheel: $(INSTALLED)
 
 # What an installation of the newest allowed versions holds: dist/sbom.json, in CycloneDX's format.
 sbom:
-	rm -rf .bare && $(PYTHON) -m venv .bare
-	.bare/bin/python -m pip install --quiet . cyclonedx-bom
+	rm -rf .bare .sbom && $(PYTHON) -m venv .bare && $(PYTHON) -m venv .sbom
+	.bare/bin/python -m pip install --quiet .
+	.sbom/bin/python -m pip install --quiet cyclonedx-bom
 	mkdir -p dist
-	.bare/bin/cyclonedx-py environment --pyproject pyproject.toml --output-file dist/sbom.json
-	rm -rf .bare
+	.sbom/bin/cyclonedx-py environment --pyproject pyproject.toml --output-file dist/sbom.json \
+		.bare/bin/python
+	rm -rf .bare .sbom
 
 # The notebooks at their full size, with the seconds that each takes.
 notebooks: $(INSTALLED)
@@ -85,4 +87,4 @@ $(INSTALLED): pyproject.toml constraints.txt
 	touch $@
 
 clean:
-	rm -rf .venv .bare dist reports runs site sweeps
+	rm -rf .venv .bare .sbom dist reports runs site sweeps

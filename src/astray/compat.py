@@ -162,7 +162,7 @@ class ProcgenGym3Env:
         """Begin another level in the environments `which`, [num] bool."""
         for i in np.flatnonzero(which):
             onward = self.options.use_sequential_levels and complete[i]
-            self._level[i] = self._level[i] + ONWARD if onward else self._drawn(i)
+            self._level[i] = self._level[i] + ONWARD if onward else self._drawn(int(i))
         begun = {"level": self._level.astype(np.int64), "reset_mask": which}
         seen, _ = self.env.reset(options=begun)
         self._seen = np.where(which[:, None, None, None], seen, self._seen)

@@ -32,7 +32,7 @@ def test_how_many_train_at_once_is_not_asked_of_a_cluster(tmp_path):
 
 def test_a_node_that_does_not_see_the_run_folder_says_so(tmp_path):
     with pytest.raises(ValueError, match="is not seen by every node"):
-        cluster.train_on_node(CONFIG, tmp_path / "elsewhere")
+        cluster.train_on_node(CONFIG, tmp_path / "elsewhere", None)
 
 
 def test_a_successor_waits_for_the_process_before_it(tmp_path, monkeypatch):
@@ -40,7 +40,7 @@ def test_a_successor_waits_for_the_process_before_it(tmp_path, monkeypatch):
     monkeypatch.setattr(cluster, "PATIENCE", 0.2)
     monkeypatch.setattr(cluster.time, "sleep", waits.append)
     with checkpoint.claim(tmp_path, CONFIG), pytest.raises(checkpoint.Claimed):
-        cluster.train_on_node(CONFIG, tmp_path)
+        cluster.train_on_node(CONFIG, tmp_path, None)
     assert waits and set(waits) == {cluster.PAUSE}
 
 

@@ -46,7 +46,7 @@ def on_ray() -> Iterator[Submit]:
         ray.shutdown()  # and with it all that still trains
 
 
-def train_on_node(config: Config, run: Path, track: Tracking | None = None) -> None:
+def train_on_node(config: Config, run: Path, track: Tracking | None) -> None:
     """Train in `run`, once the process that did so before is surely gone."""
     if not run.is_dir():
         raise ValueError(f"{run} is not seen by every node; --folder is to be one that is")
