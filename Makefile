@@ -3,7 +3,7 @@ PYTHON ?= python3
 BIN := .venv/bin
 INSTALLED := .venv/installed
 
-.PHONY: demo test quick fuzz golden check lint docs bench clean
+.PHONY: demo test quick fuzz golden check lint docs bench wheel sbom notebooks clean
 
 # Train mice on cheese in the corner, test them on cheese anywhere, report what they pursue.
 demo: $(INSTALLED)
@@ -56,6 +56,28 @@ bench: $(INSTALLED)
 	$(BIN)/astray bench environments
 	$(BIN)/astray bench train
 
+# The wheel and the source archive, checked; then the wheel alone in a bare environment, tried.
+wheel: $(INSTALLED)
+	rm -rf dist
+	$(BIN)/python -m build --quiet
+	$(BIN)/twine check --strict dist/*
+	rm -rf .bare && $(PYTHON) -m venv .bare
+	.bare/bin/python -m pip install --quiet --constraint constraints.txt dist/*.whl
+	.bare/bin/python packaging/smoke.py
+	rm -rf .bare
+
+# What an installation of the newest allowed versions holds: dist/sbom.json, in CycloneDX's format.
+sbom:
+	rm -rf .bare && $(PYTHON) -m venv .bare
+	.bare/bin/python -m pip install --quiet . cyclonedx-bom
+	mkdir -p dist
+	.bare/bin/cyclonedx-py environment --pyproject pyproject.toml --output-file dist/sbom.json
+	rm -rf .bare
+
+# The notebooks at their full size, with the seconds that each takes.
+notebooks: $(INSTALLED)
+	ASTRAY_NOTEBOOKS=full $(BIN)/python -m pytest -n 0 tests/examples/test_notebooks.py --durations=0
+
 $(INSTALLED): pyproject.toml constraints.txt
 	$(PYTHON) -m venv .venv
 	$(BIN)/python -m pip install --quiet --upgrade 'pip>=25.1'
@@ -63,4 +85,4 @@ $(INSTALLED): pyproject.toml constraints.txt
 	touch $@
 
 clean:
-	rm -rf .venv reports runs site
+	rm -rf .venv .bare dist reports runs site sweeps

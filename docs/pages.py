@@ -34,11 +34,15 @@ from astray.envs.vector import GameVectorEnv
 from astray.experiments import catalogue
 from astray.experiments.spec import Plan
 from astray.game import Game, Variant, knobs
+from astray.lab.export import export
+from astray.lab.serving import make_lab
 from astray.training.config import Config
 
 ROOT = Path(__file__).parents[1]
 SIDE = 256  # pixels of a level's picture
 WIDTH = "90"  # characters of a help text
+LAB_LEVELS, FIRST_LEVEL = 100, 17  # of the lab that is shown on the site
+FIRST = f"game=maze&variant=anywhere-small&agent=maze-corner&level={FIRST_LEVEL}"
 MOST = 40  # rows of settings; a sweep may have more agents
 
 
@@ -71,7 +75,8 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
 
 
 def on_post_build(config: MkDocsConfig) -> None:
-    """See that no page fetches anything from elsewhere."""
+    """Write the lab beside the pages; see that no page fetches anything from elsewhere."""
+    export(make_lab(None, {"level": FIRST_LEVEL}), Path(config.site_dir) / "lab", LAB_LEVELS)
     for path in Path(config.site_dir).rglob("*.html"):
         if found := FETCHED.search(path.read_text()):
             raise PluginError(f"{path} would fetch something: {found[0]}")
@@ -81,16 +86,60 @@ def on_post_build(config: MkDocsConfig) -> None:
 def pages() -> dict[str, str]:
     """All pages that are made: their paths and Markdown."""
     return {
-        "index.md": from_root("README.md"),
+        "index.md": with_lab(from_root("README.md")),
         "speed.md": from_root("benchmarks/README.md"),
+        "changelog.md": from_root("CHANGELOG.md"),
+        "security.md": from_root("SECURITY.md"),
         **{f"games/{name}.md": game_page(games.find(name)) for name in games.OWN},
         **{f"experiments/{name}.md": experiment_page(name) for name in catalogue.NAMES},
         "agents/index.md": kept_page(),
-        **{f"agents/{name}/card.md": (kept.find(name) / "README.md").read_text()
-           for name in kept.names()},
+        **{f"agents/{name}/card.md": card(name) for name in kept.names()},
         "cli.md": verbs_page(),
         **dict(api_pages()),
     }  # fmt: skip
+
+
+def with_lab(text: str) -> str:
+    """A page with the lab as the first thing below its heading."""
+    heading, _, rest = text.partition("\n")
+    return "\n".join([
+        heading, "",
+        f'<iframe class="lab" src="lab/index.html?embedded#{FIRST}" '
+        'title="The lab: drag the cheese, and see where the mouse would go"></iframe>',
+        "", "*A mouse that was trained with its cheese in the upper right corner, live in your "
+        "browser: drag the cheese, and see where it would go from everywhere. "
+        "[More of the lab](lab.md).*",
+        "", rest,
+    ])  # fmt: skip
+
+
+def card(name: str) -> str:
+    """The card of a kept agent, with a link to the level of its film in the lab."""
+    text = (kept.find(name) / "README.md").read_text()
+    about = make_lab(name, {}).start
+    address = f"../../lab/index.html#game={about['game']}&variant={about['variant']}&agent={name}"
+    film = "(episode.gif)\n"
+    return text.replace(
+        film, film + f'\n<a href="{address}">Play it in the lab</a>, and move things.\n', 1
+    )
+
+
+def in_lab(plan: Plan) -> str:
+    """A link to the lab with an experiment's test levels, where a kept agent sees such."""
+    lab = make_lab(None, {})
+    for name in kept.names():
+        about = lab.minds.about(name)
+        for test in plan.tests.values():
+            if about["game"] == plan.game.name and test.variant in (
+                about["test"],
+                about["variant"],
+            ):
+                words = f"game={about['game']}&variant={test.variant}&agent={name}"
+                link = (
+                    f'<a href="../lab/index.html#{words}">Levels of this experiment in the lab</a>'
+                )
+                return f"{link}, with the kept agent `{name}`."
+    return ""
 
 
 def from_root(name: str) -> str:
@@ -220,6 +269,8 @@ def experiment_page(name: str) -> str:
         "Run again, it goes on where it stopped; agents are shared with the experiments that want "
         "the same. The report is one HTML file with claims, figures, tables and videos.",
     ]  # fmt: skip
+    links = filter(None, map(in_lab, experiment.sizes.values()))
+    parts += [*dict.fromkeys(links)]
     for size, plan in experiment.sizes.items():
         parts += [f"## Size {size}", *size_parts(plan)]
     return "\n\n".join(map(str, parts))
@@ -231,7 +282,8 @@ def size_parts(plan: Plan) -> Iterator[str]:
     if plan.published:
         named = ", ".join(f"`{agent}`" for agent in plan.published.values())
         yield (
-            f"Nothing is trained. [Agents that others published](../published.md): {named}. "
+            f"Nothing is trained. Agents [that others published](../published.md) or that come "
+            f"with astray: {named}. "
             f"Levels of each test: {plan.levels:,}."
         )
     elif plan.agents:

@@ -7,6 +7,8 @@ from pathlib import Path
 
 import pytest
 
+from astray.analysis import agency
+from astray.cli import agents as verbs
 from astray.files import aside_of, folder_aside, remove_left, write_aside
 from astray.kernel import cache, jit
 from astray.training import checkpoint
@@ -100,3 +102,23 @@ def test_old_compiled_code_is_removed_and_nothing_else(tmp_path, monkeypatch):
     folder = Path(cache.cache_folder(jit.source_digest()))
     assert folder.name == jit.source_digest() and not old.exists()
     assert (other / "envs_0/loops.nbi").exists() and (strange / "thesis.tex").exists()
+
+
+@pytest.mark.parametrize("name", ["report.html", "posterior.png"])
+@pytest.mark.parametrize("target", ["mine", "nowhere"])
+def test_no_file_takes_the_place_of_a_link(tmp_path, name, target):
+    (tmp_path / "mine").write_text("mine")
+    link = tmp_path / name
+    link.symlink_to(tmp_path / target)
+    with pytest.raises(OSError, match=f"{name} must be a file to write; it is a link"):
+        write_aside(link, b"ours")
+    assert link.is_symlink() and (tmp_path / "mine").read_text() == "mine"
+    assert len(list(tmp_path.iterdir())) == 2
+
+
+@pytest.mark.parametrize("name", ["episodes.parquet", "posterior.mp4", "posterior.gif"])
+def test_all_that_a_verb_writes_is_seen_before_anything_is_played(tmp_path, monkeypatch, name):
+    (tmp_path / name).mkdir()
+    monkeypatch.setattr(agency, "judge_run", lambda *a, **k: pytest.fail("it was played"))
+    with pytest.raises(OSError, match=f"{name} must be a file to write"):
+        verbs.agency(agent="maze-corner", out=tmp_path)

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from astray import games
+from astray import games, imports
 from astray.agency import devices, generators
 from astray.agency.agents import Agents
 from astray.agency.gridworld import World
@@ -57,6 +57,7 @@ def drawn(number=3):
         lambda: replace(SMALL, placement="Corner"),
         lambda: replace(PRESETS["small"], timeouts="Terminate"),
         lambda: small(autoreset_mode="Samestep"),
+        lambda: small(autoreset_mode=np.zeros((), "V4")),  # not to be compared with words
     ],
 )
 def test_a_misspelt_word_is_no_other_word(misspelt):
@@ -222,14 +223,24 @@ def test_a_levels_cells_are_of_its_legend(cells, message):
         replace(drawn(), cells=cells)
 
 
-def test_cells_that_were_changed_in_place_are_looked_at_again():
+@pytest.mark.parametrize(
+    "use",
+    [Level.state, str, Level.to_json, lambda level: level.added("goal", (1, 2))],
+    ids=["state", "drawing", "JSON", "edit"],
+)
+def test_cells_that_were_changed_in_place_are_looked_at_again(use):
     level = drawn()
     level.cells[2, 1] = 77
     with pytest.raises(ValueError, match=r"unknown code 77 at cell \(1, 2\)"):
-        level.state()
+        use(level)
 
 
-@pytest.mark.skipif(os.name == "nt", reason="no file is called so there")
+@pytest.mark.parametrize("agent", [(-1, 1), (7, 1), (1, 2**40)])
+def test_the_agent_of_a_level_is_in_it(agent):
+    with pytest.raises(ValueError, match=r"the agent is at cell \(.*\), outside of the level"):
+        replace(drawn(), agent=agent)
+
+
 def test_no_level_of_a_folder_is_lost_to_another_of_its_name(tmp_path):
     level = str(drawn())
     (tmp_path / "a").write_text(f"{level}\n\n{level}")
@@ -258,3 +269,9 @@ def test_a_copy_of_an_environment_shares_nothing(make):
     before = ours.get_state()
     theirs.step(np.zeros(theirs.num_envs, int))
     assert ours.get_state().tobytes() == before.tobytes() != theirs.get_state().tobytes()
+
+
+@pytest.mark.parametrize("name", ["../x", ".", "", "os", "os:", ":path", "os:path:join", "a b:c"])
+def test_what_names_nothing_is_not_looked_for(name):
+    with pytest.raises(ValueError, match="must be a module and what is in it; as module:attribute"):
+        imports.find(name)

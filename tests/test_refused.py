@@ -208,6 +208,7 @@ def test_a_number_that_python_does_not_write_out_is_refused_all_the_same():
 WORDS = {  # of each verb, so that nothing but the number is wrong
     "train": ["maze", "corner-small"], "evaluate": ["--agent", "maze-corner"],
     "record": ["--agent", "maze-corner"], "reproduce": ["maze-corner"],
+    "explain": ["maze-corner"],
     "play": ["maze", "corner-small"], "replay": ["maze", "corner-small", "--actions", __file__],
 }  # fmt: skip
 NUMBERS = [

@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from astray.game import Variant as Variant
     from astray.level import Level as Level
     from astray.training.config import Config as Config
+    from astray.training.loop import iterate as iterate
     from astray.training.loop import train as train
 
 __version__ = version("astray")
@@ -41,6 +42,7 @@ FACE = {
     "Game": "astray.game:Game",
     "GameEnv": "astray.envs.single:GameEnv",
     "GameVectorEnv": "astray.envs.vector:GameVectorEnv",
+    "iterate": "astray.training.loop:iterate",
     "Level": "astray.level:Level",
     "load_agent": "astray.analysis.runs:load_agent",
     "reproduce": "astray.experiments.run:reproduce",

@@ -53,8 +53,6 @@ def see_writable(path: Path) -> None:
 
     OSError where it cannot; what is there is not touched.
     """
-    if path.is_symlink():  # as /dev/stdout, which would become a file
-        raise OSError(f"{path} must be a file to write; it is a link")
     _see_replaceable(path)
     path.parent.mkdir(parents=True, exist_ok=True)
     aside = aside_of(path)
@@ -64,10 +62,12 @@ def see_writable(path: Path) -> None:
 
 
 def _see_replaceable(path: Path) -> None:
-    """OSError where something is at `path` that is neither a file nor a link; its target stays."""
-    if path.is_dir() and not path.is_symlink():
+    """OSError where something else than a file is at `path`; a file would take its place."""
+    if path.is_symlink():  # as /dev/stdout, or what leads to the user's other disk
+        raise OSError(f"{path} must be a file to write; it is a link")
+    if path.is_dir():
         raise IsADirectoryError(f"{path} must be a file to write; it is a folder")
-    if os.path.lexists(path) and not (path.is_symlink() or stat.S_ISREG(path.lstat().st_mode)):
+    if path.exists() and not path.is_file():
         raise OSError(f"{path} must be a file to write; it is a pipe or a device")
 
 
@@ -80,7 +80,7 @@ def write_aside(path: Path, data: bytes) -> None:
     """Write `data` to `path` so that a kill or a full disk leaves the old file or the new one.
 
     OSError where there is something else than a file: it would be replaced by one, which root can
-    do to /dev/null.
+    do to /dev/null, and anyone to a link.
     """
     _see_replaceable(path)
     aside = aside_of(path)

@@ -8,7 +8,7 @@ import math
 import reprlib
 import typing
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, field, fields, replace
 from typing import Any, Literal, Self
 
 import numpy as np
@@ -240,6 +240,12 @@ class Game:
     benchmark: Benchmark = None  # pyright: ignore
     invariants: Callable[[np.ndarray, Any], dict[str, np.ndarray]] = lambda s, variant: {}
     # what is true of states [N] of a variant, and compiled code relies on: its name -> [N] bool
+    labels: Mapping[str, Callable[[np.ndarray], np.ndarray]] = field(default_factory=dict)
+    # what states [N] say that probes may look for: its name -> [N]; booleans and integers are
+    # classes, reals are numbers, -1 and NaN are of states that do not have it
+    features: Callable[[np.ndarray], dict[str, np.ndarray]] | None = None
+    # what of levels may predict what an agent does in them: (states [N] that they begin in) -> by
+    # name reals [N], NaN where a level does not have it
     real_time: bool = False  # things move while the agent stays; else a person may take time
 
     def __post_init__(self) -> None:

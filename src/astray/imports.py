@@ -36,6 +36,8 @@ def find(name: str) -> Any:
 
     Raises ValueError where there is nothing.
     """
+    if not is_name(name):
+        raise ValueError(f"{name!r} must be a module and what is in it; as module:attribute")
     try:
         return _attribute(importlib.import_module(name.partition(":")[0]), name)
     except (ImportError, AttributeError, ValueError) as error:

@@ -45,6 +45,8 @@ class Level:
         of_kind("a level's looks", self.looks, Mapping)
         object.__setattr__(self, "agent", _whole(self.agent))
         self._check_cells()
+        if not self._is_inside(self.agent):
+            raise ValueError(f"the agent is at cell {self.agent}, outside of the level")
 
     def _check_cells(self) -> None:
         """See that the cells, which are the caller's to change, hold what the legend has."""
@@ -129,10 +131,7 @@ class Level:
 
         solvable  see that the agent can reach every object
         """
-        game, (x, y) = self.game, self.agent
-        self._check_cells()
-        if not (0 <= x < self.cells.shape[1] and 0 <= y < self.cells.shape[0]):
-            raise ValueError(f"the agent is at cell {self.agent}, outside of the level")
+        game = self.game
         self._check_free(self.agent)
         try:
             s = game.editing.build(self.cells, self.agent, self.looks, self.variant)
@@ -168,6 +167,7 @@ class Level:
 
     def __str__(self) -> str:
         """The drawing, a character a cell, the top row first."""
+        self._check_cells()
         rows = [[self._char(x, y) for x in range(len(row))] for y, row in enumerate(self.cells)]
         rows[self.agent[1]][self.agent[0]] = AGENT
         return "\n".join("".join(row) for row in reversed(rows))
@@ -226,9 +226,14 @@ class Level:
         where = ", ".join(map(str, there)) or "nowhere"
         raise ValueError(f"which {name}? given {at}; there are: {where}")
 
+    def _is_inside(self, cell: Cell) -> bool:
+        x, y = cell
+        return 0 <= x < self.cells.shape[1] and 0 <= y < self.cells.shape[0]
+
     def _check_free(self, cell: Cell) -> None:
+        self._check_cells()
         x, y = cell = _whole(cell)
-        if not (0 <= x < self.cells.shape[1] and 0 <= y < self.cells.shape[0]):
+        if not self._is_inside(cell):
             raise ValueError(f"cell {cell} is outside of the level")
         if self.cells[y, x] != self.game.editing.LEGEND[EMPTY]:
             raise ValueError(f"cell {cell} holds {self._char(x, y)!r}")

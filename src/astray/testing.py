@@ -209,6 +209,16 @@ def check_cells(game: Game, variant: Variant) -> None:
                 assert there in (None, tuple(place)), f"level {s.level}: {goal} reached at {there}"
 
 
+def check_labels(game: Game, variant: Variant) -> None:
+    """What can be read off states is a boolean, an integer or a real of each; likewise features."""
+    states = np.array(list(_beginnings(game, variant)), game.state)
+    for name, label in game.labels.items():
+        values = label(states)
+        assert values.shape == states.shape and values.dtype.kind in "biuf", f"{name}: {values}"
+    for name, values in (game.features(states) if game.features else {}).items():
+        assert values.shape == states.shape and values.dtype.kind == "f", f"{name}: {values}"
+
+
 def _where_reached(game: Game, variant: Variant, s: Any, goal: str) -> tuple[int, int] | None:
     """The cell in which an expert reaches `goal`; None where another one ends the level before."""
     env = GameVectorEnv(game, variant, 1, autoreset_mode="Disabled")
@@ -233,7 +243,8 @@ def check_compiled_once(game: Game, variant: Variant) -> None:
 
 CHECKS: tuple[Callable[[Game, Variant], None], ...] = (
     check_batches, check_gymnasium, check_seeds, check_levels, check_time_limit, check_states,
-    check_events, check_symbols, check_editing, check_solver, check_cells, check_compiled_once,
+    check_events, check_symbols, check_editing, check_solver, check_cells, check_labels,
+    check_compiled_once,
 )  # fmt: skip
 
 

@@ -38,7 +38,7 @@ from astray.files import read, see_writable, write_aside
 from astray.level import Level
 from astray.training import checkpoint, ppo
 from astray.training.config import PRESETS
-from astray.training.loop import Diverged, iterate, train
+from astray.training.loop import Diverged, improve, train
 from astray.training.trainer import Trainer
 from astray.words import printable
 from helpers.cases import FEW
@@ -246,7 +246,7 @@ def begun(tmp_path):
     folder = tmp_path / "begun"
     with checkpoint.claim(folder, TINY), contextlib.closing(Trainer(TINY)) as trainer:
         for _ in range(TINY.checkpoint_every):
-            iterate(trainer)
+            improve(trainer)
         checkpoint.save(folder, trainer)
     return folder
 

@@ -223,7 +223,7 @@ def test_a_file_that_does_not_say_needs_to_be_told(astray, home, tmp_path, mouse
 
 
 @pytest.mark.parametrize(
-    "name, message", [("maze-corner", "already"), ("m", "already"), ("../m", "given '../m'")]
+    "name, message", [("maze-corner", "already"), ("m", "already"), ("../m", "got '../m'")]
 )
 def test_a_name_is_one_and_new(astray, home, tmp_path, mouse, name, message):
     file = tmp_path / "agent.pth"
@@ -289,7 +289,7 @@ def test_an_agent_of_a_test_variant_is_the_control_of_its_shift(game, variant, s
 
 def test_attribution_takes_the_clear_network(home, tmp_path, runner):
     pytest.importorskip("captum")
-    from astray.analysis import attribution
+    from astray.insight import attribution
 
     (tmp_path / "a.jd").write_bytes(runner)
     agent, _ = open_run(import_agent(tmp_path / "a.jd", "a", Known(art="own")))

@@ -1,6 +1,7 @@
 """With the original's pictures, images are the original's in every pixel."""
 
 import hashlib
+import io
 import json
 import subprocess
 import sys
@@ -343,6 +344,31 @@ def test_what_was_decoded_is_kept_and_made_anew_where_it_is_broken(pack, tmp_pat
     (tmp_path / "art/kenney/a.png").write_bytes(b"other")
     with pytest.raises(ValueError, match="is not what was imported; again: astray art import"):
         original.atlas(list(pack))
+
+
+def test_a_decoded_picture_that_was_changed_is_not_shown(pack, tmp_path):
+    original.take(wheel_of(tmp_path / "a.whl", pack))
+    pixels, _ = original.atlas(list(pack))
+    whole = pixels.copy()
+    del pixels
+    (kept,) = (tmp_path / "art").glob("decoded-*.npy")
+    changed = bytearray(kept.read_bytes())
+    changed[-original.SUM - 4] ^= 1  # of the last pixel; the size stays
+    kept.write_bytes(changed)
+    assert np.array_equal(original.atlas(list(pack))[0], whole)
+
+
+def test_sizes_of_decoded_pictures_are_seen_whoever_signed_them(pack, tmp_path):
+    original.take(wheel_of(tmp_path / "a.whl", pack))
+    pixels, _ = original.atlas(list(pack))
+    whole = pixels.copy()
+    del pixels
+    (kept,) = (tmp_path / "art").glob("decoded-*.npy")
+    sizes = np.zeros(2 * len(pack), np.uint32)
+    data = io.BytesIO()
+    np.save(data, sizes)
+    kept.write_bytes(data.getvalue() + hashlib.sha256(data.getvalue()).digest())
+    assert np.array_equal(original.atlas(list(pack))[0], whole)
 
 
 def test_without_the_pictures_one_sentence_says_how_to_get_them(tmp_path, monkeypatch, capsys):

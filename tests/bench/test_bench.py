@@ -13,7 +13,7 @@ from rich.console import Console
 from astray import games
 from astray.agents.policy import Architecture
 from astray.art import original
-from astray.bench import agency, environments, profile, start, tables, train
+from astray.bench import agency, environments, insight, profile, start, tables, train
 from astray.bench.plain import Loop
 from astray.envs.vector import GameVectorEnv
 
@@ -206,3 +206,10 @@ def test_the_agency_measure_gets_a_row_for_each_preset_and_number():
         rows[1].seconds / first.seconds / 2
     )
     assert "calibrated" in agency.markdown(rows)
+
+
+def test_fields_get_a_row_for_each_network():
+    rows = insight.measure(levels=(3, 1), rounds=1)
+    assert [row.levels for row in rows] == [3, 1] and all(row.seconds > 0 for row in rows)
+    assert rows[0].places > 3 and "places/s" in insight.markdown(rows)
+    assert insight.table(rows).row_count == 2

@@ -135,7 +135,7 @@ def test_an_evaluation_that_finds_no_room_leaves_nothing(run_folder, tmp_path):
     [
         ("level mase corner", "unknown game 'mase'; there are: "),
         ("level maze cornr", "unknown variant 'cornr' of maze; there are: corner, anywhere"),
-        ("level maze corner --numbers 5-9", "levels are numbers and ranges as 5,17,100:200"),
+        ("level maze corner --numbers 5-9", "levels must be numbers and ranges as 5,17,100:200"),
         ("level maze corner --numbers -1", "from 0 to 2147483646"),
         ("level maze corner --numbers 99999999999999999999", "from 0 to 2147483646"),
         ("level maze corner --numbers 0:99999999999", "from 0 to 2147483646"),

@@ -79,6 +79,13 @@ def test_output_that_has_no_room_is_told_in_a_line():
     assert code == 2 and err == "astray: [Errno 28] No space left on device\n"
 
 
+@pytest.mark.skipif(not Path("/dev/full").is_char_device(), reason="needs a full device")
+@pytest.mark.parametrize("number, expected", [("7", 2), ("x", 2)])
+def test_with_no_room_for_words_either_the_code_says_it(number, expected):
+    code, _, _ = ended(begin(*LEVEL, number, shell='exec "$@" >/dev/full 2>/dev/full'))
+    assert code == expected
+
+
 @POSIX
 def test_paths_that_are_no_text_are_printed(tmp_path):
     folder = os.fsencode(tmp_path) + b"/\xff"

@@ -122,7 +122,7 @@ def test_what_is_no_state_is_refused(game, variant, tmp_path):
     with pytest.raises(ValueError, match="the episode of state 0 has ended"):
         env.set_state(ended)
     assert env.get_state().tobytes() == states.tobytes()  # refused before anything was touched
-    with pytest.raises(ValueError, match="these are not states of"):
+    with pytest.raises(ValueError, match="states must be of"):
         save_states(path, game, np.zeros(3))
 
 

@@ -69,12 +69,12 @@ def test_the_gap_at_the_end_is_judged_by_its_interval():
     (row,) = training_curves.ends(measured()).to_dicts()
     assert (row[TRAIN], row[TEST]) == (pytest.approx(9, abs=0.1), 3)
     assert row["lower by"] == pytest.approx(6, abs=0.1)
-    assert training_curves.judge(row).held
-    assert not training_curves.judge(row | {"low": -0.1}).held
+    assert training_curves.ends_lower(row).held
+    assert not training_curves.ends_lower(row | {"low": -0.1}).held
     (row,) = training_curves.ends(measured(seeds=1)).to_dicts()
-    assert row["low"] is None and training_curves.judge(row).held
+    assert row["low"] is None and training_curves.ends_lower(row).held
     (row,) = training_curves.ends(measured().with_columns(pl.lit(None).alias(TEST))).to_dicts()
-    assert not training_curves.judge(row).held
+    assert not training_curves.ends_lower(row).held
 
 
 def offered(outcome):

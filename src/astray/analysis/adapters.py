@@ -1,4 +1,4 @@
-"""Policies of others: a plain callable, or a model of Stable-Baselines3, played as an agent is.
+"""What else is played as an agent is: a plain callable, a model of Stable-Baselines3, a training.
 
 policy = Function(lambda images: np.full(len(images), 7), name="right")
 evaluate(policy, "coinrun", "coin-anywhere", range(1000))
@@ -9,14 +9,18 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any, Literal, Protocol
 
 import numpy as np
+import torch
 
-from astray.analysis.policies import Observation
+from astray.agents import policy as trained
+from astray.analysis.policies import AT_ONCE, Observation, chosen
 from astray.bounds import shown
 from astray.envs.vector import GameVectorEnv
 from astray.game import OWN
+from astray.training.trainer import Trainer
+from astray.words import check_word
 
 
 class Model(Protocol):
@@ -74,3 +78,38 @@ def from_sb3(
     return Function(
         lambda shown: model.predict(shown, deterministic=greedy)[0], name, observation, art
     )
+
+
+@dataclass
+class Learner:
+    """The network of a training that goes on, as a policy; see `from_trainer`."""
+
+    trainer: Trainer
+    mode: Literal["sampled", "greedy"]
+
+    @property
+    def name(self) -> str:
+        return self.mode
+
+    @property
+    def observation(self) -> Observation:
+        return self.trainer.config.observation
+
+    @property
+    def art(self) -> str:
+        return self.trainer.config.art
+
+    def actions(self, env: GameVectorEnv, observations: np.ndarray) -> np.ndarray:
+        config = self.trainer.config
+        shown = torch.from_numpy(observations).to(config.device)
+        logits, _ = trained.outputs(self.trainer.network, shown, AT_ONCE[self.observation])
+        return chosen(logits, self.mode, config.seed, env)
+
+
+def from_trainer(trainer: Trainer, mode: Literal["sampled", "greedy"] = "sampled") -> Learner:
+    """The agent of a training that goes on, as a policy: what its next checkpoint would do.
+
+    mode  "sampled" draws its actions from its policy, "greedy" takes the likeliest
+    """
+    check_word("mode", mode, Literal["sampled", "greedy"])
+    return Learner(trainer, mode)

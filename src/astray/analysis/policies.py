@@ -47,6 +47,16 @@ def episode_noise(seed: int, states: np.ndarray, count: int) -> np.ndarray:
     return out
 
 
+def chosen(
+    logits: torch.Tensor, mode: Literal["sampled", "greedy"], seed: int, env: GameVectorEnv
+) -> np.ndarray:
+    """The actions [N] that a policy of these logits [N, A] takes in the states of `env`."""
+    if mode == "greedy":
+        return logits.argmax(-1).numpy(force=True)
+    uniform = torch.from_numpy(episode_noise(seed, env.states, logits.shape[1]))
+    return ppo.sample(logits, uniform.to(logits.device))[0].numpy(force=True)
+
+
 @dataclass
 class Agent:
     """A trained network; `mode` "sampled" draws from its policy, "greedy" takes the likeliest."""
@@ -90,10 +100,7 @@ class Agent:
         logits, _ = self.outputs(observations)
         if not logits.isfinite().all():
             raise ValueError(f"the agent at {self.path} gives logits that are not finite")
-        if self.mode == "greedy":
-            return logits.argmax(-1).numpy(force=True)
-        uniform = torch.from_numpy(episode_noise(self.seed, env.states, logits.shape[1]))
-        return ppo.sample(logits, uniform.to(self.device))[0].numpy(force=True)
+        return chosen(logits, self.mode, self.seed, env)
 
 
 @dataclass

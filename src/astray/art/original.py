@@ -35,6 +35,8 @@ INSIDE = "procgen/data/assets/"  # of a wheel
 FORK = "github.com/JacobPfau/procgenAISC"
 FORK_ALONE = ("kenney/Items/yellow_line_diag.png", "kenney/Items/red_line_diag.png")
 COMMAND = "astray art import"
+SUM = hashlib.sha256().digest_size  # bytes
+LARGEST_SIDE = 2**15  # pixels; the largest picture has 1,920
 
 # As ASSET_LICENSES.md of github.com/openai/procgen has them, of all its games' pictures; the two
 # lines are the fork's own, which has Procgen's licence (MIT).
@@ -225,7 +227,8 @@ def atlas(paths: Sequence[str], backgrounds: int = 0) -> tuple[np.ndarray, np.nd
         try:
             data = io.BytesIO()
             np.save(data, made)
-            write_aside(file, data.getvalue())
+            digest = hashlib.sha256(data.getbuffer()).digest()
+            write_aside(file, data.getvalue() + digest)
         except OSError:  # the folder may be read-only; then each process has its own
             kept = made
         else:
@@ -237,15 +240,23 @@ def atlas(paths: Sequence[str], backgrounds: int = 0) -> tuple[np.ndarray, np.nd
 
 
 def _open_atlas(file: Path, count: int) -> np.ndarray | None:
-    """The array that `_decode` made of `count` pictures; None where the file does not hold it."""
+    """The array that `_decode` made of `count` pictures; None where the file does not hold it.
+
+    After the array stands its SHA-256: a picture that was changed on the way would else be shown.
+    """
     try:
+        written = np.memmap(file, np.uint8, "r")
+        if hashlib.sha256(written[:-SUM]).digest() != written[-SUM:].tobytes():
+            return None
         # Copied where written to, which nobody does: compiled code takes no read-only arrays.
         kept = np.asarray(np.load(file, mmap_mode="c"))
     except (OSError, ValueError, EOFError):
         return None
+    # Compiled code trusts the sizes, whoever wrote them: none so large that products overflow.
     whole = kept.dtype == np.uint32 and kept.ndim == 1 and len(kept) >= 2 * count
-    sizes = kept[: 2 * count].reshape(-1, 2).astype(np.int64) if whole else np.zeros((1, 2))
-    return kept if whole and len(kept) == 2 * count + sizes.prod(1).sum() else None
+    sizes = kept[: 2 * count].reshape(-1, 2).astype(np.int64) if whole else np.full((1, 2), -1)
+    fits = ((sizes > 0) & (sizes < LARGEST_SIDE)).all()
+    return kept if fits and len(kept) == 2 * count + sizes.prod(1).sum() else None
 
 
 def _decode(paths: Sequence[str], backgrounds: int) -> np.ndarray:

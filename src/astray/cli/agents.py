@@ -29,8 +29,10 @@ from astray.envs.vector import PICTURES
 from astray.files import see_writable, write_aside
 from astray.game import MOST, OWN
 from astray.training.config import SEEDS, Config
+from astray.training.track import Tracking
 
 EPISODES = "episodes.parquet"
+POSTERIOR = ("posterior.mp4", "posterior.gif", "posterior.png")
 Preset = Literal["paper", "small"]
 
 
@@ -40,6 +42,7 @@ def train(
     knobs: Knobs = (),
     seeds: int = 1,
     folder: Path | None = None,
+    track: Tracking | None = None,
 ) -> None:
     """Train agents, or go on where they stopped.
 
@@ -48,16 +51,21 @@ def train(
         knobs: of the variant, changed
         seeds: agents to train one after the other, with this seed, the next, ...
         folder: of the runs; by default runs/<game>-<variant>
+        track: tell wandb or trackio, too, of the training, and at its end of what the agent does
     """
     from dataclasses import replace
 
-    from astray.training.loop import train as run
+    from astray.experiments.track import track_outcomes
+    from astray.training.track import train_tracked
 
     bounded("seeds", seeds, 1, SEEDS - config.seed)
     changed = replace(config, knobs=pairs(knobs))
     there = folder or Path("runs") / f"{config.game}-{config.variant}"
     for seed in range(config.seed, config.seed + seeds):
-        last = run(replace(changed, seed=seed), there / f"seed-{seed}")
+        run = there / f"seed-{seed}"
+        last = train_tracked(replace(changed, seed=seed), run, track)
+        if track:
+            track_outcomes(run, track)
         print(last)
 
 
@@ -234,8 +242,9 @@ def agency(
     from astray.analysis.agency import judge_run
 
     if out:
-        see_writable(out / EPISODES)
-    judged, film = judge_run(
+        for name in (EPISODES, *POSTERIOR):
+            see_writable(out / name)
+    judged, filmed = judge_run(
         chosen((run,) if run else (), agent)[0],
         level_numbers(levels) if levels else None,
         variant=variant,
@@ -250,12 +259,13 @@ def agency(
 
         from astray.analysis import video
 
-        frames = film()
-        video.write_mp4(frames, out / "posterior.mp4", fps=4)
-        video.write_gif(frames, out / "posterior.gif", fps=4)
+        frames = filmed()
+        film, loop, last = (out / name for name in POSTERIOR)
+        video.write_mp4(frames, film, fps=4)
+        video.write_gif(frames, loop, fps=4)
         picture = io.BytesIO()
         Image.fromarray(frames[-1]).save(picture, "PNG")
-        write_aside(out / "posterior.png", picture.getvalue())
+        write_aside(last, picture.getvalue())
         write_table(judged.episodes, out / EPISODES)
     if json:
         print_json(judged.summary())

@@ -19,6 +19,7 @@ from astray.experiments.workers import Place
 from astray.game import OWN
 from astray.training import checkpoint
 from astray.training.config import PRESETS
+from astray.training.track import Tracking
 from astray.words import printable
 
 MOST_WORKERS = 1024  # processes
@@ -81,6 +82,7 @@ def reproduce(
     workers: int | None = None,
     on: Place = "here",
     art: str = OWN,
+    track: Tracking | None = None,
 ) -> None:
     """Do a figure or table of the paper: train, evaluate, report; go on where it stopped.
 
@@ -93,19 +95,22 @@ def reproduce(
         workers: agents trained at once here; by default one for each processor
         on: train on this machine, or on a Ray cluster whose nodes all see the folder
         art: that images are drawn with, own or original
+        track: tell wandb or trackio, too, of trainings and of the report
     """
     from astray.experiments import run
 
     if workers is not None:
         bounded("workers", workers, 1, MOST_WORKERS)
     if name == "all":
-        print(run.reproduce_all(size, folder, workers=workers, on=on, art=art))
+        print(run.reproduce_all(size, folder, workers=workers, on=on, art=art, track=track))
     else:
-        print(run.reproduce(name, size, folder, workers=workers, on=on, art=art))
+        print(run.reproduce(name, size, folder, workers=workers, on=on, art=art, track=track))
 
 
 def bench(
-    what: Positional[Literal["environments", "train", "agency", "start"]] = "environments",
+    what: Positional[
+        Literal["environments", "train", "agency", "insight", "lab", "start"]
+    ] = "environments",
     markdown: bool = False,
     device: Literal["cpu", "cuda", "mps"] = "cpu",
 ) -> None:

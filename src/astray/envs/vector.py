@@ -82,7 +82,7 @@ class GameVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         self.art, looks = art, self.game.drawn(art)
         try:
             mode = AutoresetMode(autoreset_mode)
-        except ValueError:
+        except (ValueError, TypeError):  # TypeError: what cannot be compared with a word
             there = ", ".join(mode.value for mode in AutoresetMode)
             raise ValueError(
                 f"unknown autoreset_mode {shown(autoreset_mode)}; there are: {there}"

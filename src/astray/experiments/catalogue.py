@@ -14,8 +14,12 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from astray import imports
+from astray.bounds import brief
 from astray.experiments import studies
 from astray.experiments.spec import Experiment
+from astray.files import see_readable
+
+LARGEST = 2**20  # bytes of a file of Python
 
 
 def _modules() -> Iterator[tuple[str, str]]:
@@ -65,8 +69,12 @@ def _run(path: Path) -> object:
     spec = importlib.util.spec_from_file_location(path.stem, path)
     if not path.is_file() or spec is None or spec.loader is None:
         raise ValueError(f"there is no experiment at {path}")
+    see_readable(path, LARGEST)
     module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
+    try:
+        spec.loader.exec_module(module)
+    except SyntaxError as error:
+        raise ValueError(f"{path} must be a file of Python; {brief(error)}") from error
     if not hasattr(module, "EXPERIMENT"):
         raise ValueError(f"{path} must define EXPERIMENT")
     return module.EXPERIMENT

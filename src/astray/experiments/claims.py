@@ -35,6 +35,19 @@ def is_more(sentence: str, paper: str, measured: str, difference: Estimate) -> C
     return Claim(sentence, paper, ours, difference.low > 0)
 
 
+def holds_within(
+    sentence: str, paper: str, measured: str, estimate: Estimate, bounds: tuple[float, float]
+) -> Claim:
+    """A claim that holds where the whole interval is between two bounds, one of them maybe inf."""
+    low, high = bounds
+    if math.isinf(high):
+        rule = f"above {low:g}"
+    else:
+        rule = f"below {high:g}" if math.isinf(low) else f"between {low:g} and {high:g}"
+    ours = f"{measured}: {estimate.amount()}; holds where the interval is {rule}"
+    return Claim(sentence, paper, ours, low < estimate.low and estimate.high < high)
+
+
 def rounded(share: float) -> str:
     """A share without its interval, for a sentence."""
     return "none" if math.isnan(share) else f"{100 * share:.0f}\u00a0%"

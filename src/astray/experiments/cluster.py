@@ -10,13 +10,14 @@ from pathlib import Path
 
 from astray.training import checkpoint
 from astray.training.config import Config
-from astray.training.loop import train
+from astray.training.track import Tracking, train_tracked
 
 RETRIES = 20  # of a training whose node or process died; each goes on from its last checkpoint
 PATIENCE = 300.0  # seconds: a file server may hold a dead node's lock for minutes
 PAUSE = 5.0  # seconds between two looks at the lock
 
-Submit = Callable[[Config, Path], Future[None]]  # begins a training in a run folder
+# Begins a training in a run folder, and tells a tracker of it.
+Submit = Callable[[Config, Path, Tracking | None], Future[None]]
 
 
 @contextlib.contextmanager
@@ -31,13 +32,13 @@ def on_ray() -> Iterator[Submit]:
     except ConnectionError:
         raise ConnectionError("no Ray cluster is running; `ray start --head` begins one") from None
 
-    def submit(config: Config, run: Path) -> Future[None]:
+    def submit(config: Config, run: Path, track: Tracking | None) -> Future[None]:
         run.mkdir(parents=True, exist_ok=True)  # each node sees whether it is there
         task = ray.remote(train_on_node).options(
             name=str(run), num_cpus=config.threads, num_gpus=float(config.device == "cuda"),
             max_retries=RETRIES, retry_exceptions=[OSError],
         )  # fmt: skip
-        return task.remote(config, run.resolve()).future()
+        return task.remote(config, run.resolve(), track).future()
 
     try:
         yield submit
@@ -45,14 +46,14 @@ def on_ray() -> Iterator[Submit]:
         ray.shutdown()  # and with it all that still trains
 
 
-def train_on_node(config: Config, run: Path) -> None:
+def train_on_node(config: Config, run: Path, track: Tracking | None = None) -> None:
     """Train in `run`, once the process that did so before is surely gone."""
     if not run.is_dir():
         raise ValueError(f"{run} is not seen by every node; --folder is to be one that is")
     until = time.monotonic() + PATIENCE
     while True:
         try:
-            train(config, run, progress=False)
+            train_tracked(config, run, track, progress=False)
             return
         except checkpoint.Claimed:
             if time.monotonic() > until:

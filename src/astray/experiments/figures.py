@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-import io
 import textwrap
 from collections.abc import Mapping
 from itertools import cycle
-from pathlib import Path
-from typing import Any
 
 import matplotlib
 import numpy as np
@@ -21,27 +18,13 @@ from matplotlib.ticker import PercentFormatter
 
 from astray.analysis.estimates import bootstrap
 from astray.analysis.outcomes import FAILED, INTENDED, MISGENERALIZED
-from astray.files import write_aside
+from astray.analysis.style import FAINT, INK, OTHERS, STYLE, WIDTH, save
+
+__all__ = ["FAINT", "INK", "OTHERS", "STYLE", "WIDTH", "save"]  # others take them from here
 
 # Told apart by every kind of colour vision, and light enough to be written on.
 COLOURS = {MISGENERALIZED: "#f0a03c", INTENDED: "#2fa393", FAILED: "#d2d2ce"}
-OTHERS = ("#2e6db4", "#b5446e", "#6b5b95", "#8a6d1f")  # of what is not an outcome
-INK, FAINT = "#222222", "#dddddd"
-WIDTH = 7.0  # inches
 NARROWEST = 0.07  # share of a segment that has room for its percentage
-
-STYLE: dict[Any, Any] = {
-    "axes.axisbelow": True, "axes.edgecolor": INK, "axes.labelcolor": INK,
-    "axes.spines.right": False, "axes.spines.top": False,
-    "axes.titlelocation": "left", "axes.titlepad": 8, "axes.titlesize": 11,
-    "axes.titleweight": "bold",
-    "figure.facecolor": "white", "figure.constrained_layout.h_pad": 0.08,
-    "figure.constrained_layout.use": True,
-    "font.family": ["DejaVu Sans"],  # comes with matplotlib, so it is the same everywhere
-    "font.size": 10.5, "grid.color": FAINT, "legend.frameon": False, "legend.fontsize": 10,
-    "savefig.dpi": 150, "svg.fonttype": "none", "svg.hashsalt": "astray", "text.color": INK,
-    "xtick.color": INK, "ytick.color": INK,
-}  # fmt: skip
 
 
 @matplotlib.rc_context(STYLE)
@@ -140,15 +123,3 @@ def _curve(axes: Axes, values: pl.DataFrame, name: str, colour: str) -> None:
         low, high = [mean.low for mean in means], [mean.high for mean in means]
         axes.fill_between(million, low, high, color=colour, alpha=0.2, linewidth=0)
     axes.plot(million, every["value"].list.mean(), color=colour, linewidth=2.4, label=name)
-
-
-def save(figure: Figure, folder: Path, name: str) -> None:
-    """Write `<name>.png` and `<name>.svg`; the same figure is always the same bytes."""
-    folder.mkdir(parents=True, exist_ok=True)
-    png, svg = io.BytesIO(), io.BytesIO()
-    # The SVG's text and ids are settings of matplotlib, not arguments; they are put back after.
-    with matplotlib.rc_context(STYLE):
-        figure.savefig(png, format="png")
-        figure.savefig(svg, format="svg", metadata={"Date": None})
-    write_aside(folder / f"{name}.png", png.getvalue())
-    write_aside(folder / f"{name}.svg", svg.getvalue())

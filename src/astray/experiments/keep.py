@@ -14,39 +14,43 @@ import numpy as np
 import polars as pl
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
-from astray.analysis import video
 from astray.analysis.kept import KEPT
 from astray.analysis.outcomes import OUTCOMES, load_shift
-from astray.analysis.policies import Agent
 from astray.analysis.runs import evaluate_runs, open_run, shift_of
 from astray.experiments import catalogue
+from astray.experiments.films import film
 from astray.experiments.outcomes import AGENTS
 from astray.files import folder_aside, write_aside
-from astray.game import Shift
 from astray.training import checkpoint
 from astray.training.config import Config
 
 LARGEST = 3_000_000  # bytes of an agent that is kept
 POINTS = 300  # of its curve, at most
-SIDE, LONGEST = 224, 100  # of its film: pixels, steps
 
 
 def keep(
-    run: Path, name: str, *, shift: str | None = None, folder: Path = KEPT, levels: int = 1000
+    run: Path,
+    name: str,
+    *,
+    shift: str | None = None,
+    folder: Path = KEPT,
+    levels: int = 1000,
+    largest: int = LARGEST,
 ) -> Path:
     """Keep the agent of a run (or of a checkpoint in it) as `folder`/`name`; that folder.
 
-    shift   which goals are intended and proxies; None: the one that the run trained for
-    levels  that it is evaluated on, the first that its training does not draw from
+    shift    which goals are intended and proxies; None: the one that the run trained for
+    levels   that it is evaluated on, the first that its training does not draw from
+    largest  bytes of its weights
     """
     if not re.fullmatch(r"[a-z0-9]+(-[a-z0-9]+)*", name):
         raise ValueError(f"an agent's name must be of a-z, 0-9 and -, as maze-corner; got {name!r}")
     if (folder / name).exists():
         raise ValueError(f"there is an agent {name!r} in {folder} already")
     agent, config = open_run(run)
-    if (size := agent.path.stat().st_size) > LARGEST:
+    if (size := agent.path.stat().st_size) > largest:
         raise ValueError(
-            f"the agent is {size / 1e6:.1f} MB; one that is kept is at most {LARGEST / 1e6:g} MB"
+            f"the agent is {size / 1e6:.1f} MB; one that is kept is at most {largest / 1e6:g} MB"
         )
     source, named = agent.path.parents[2], shift or shift_of(config)
     with folder_aside(folder / name) as aside:
@@ -100,32 +104,6 @@ def write_card(name: str, run: Path, shift: str, levels: int) -> None:
         settings=asdict(config),
     )  # fmt: skip
     write_aside(run / "README.md", text.encode())
-
-
-def film(agent: Agent, config: Config, between: Shift, episodes: pl.DataFrame, path: Path) -> None:
-    """Film the agent in one level, as in training and in the test that `episodes` are of.
-
-    The level's outcome is the commonest, it tells the goals apart if one does, and is not short.
-    """
-    mine = episodes.filter(policy=agent.name)
-    apart = mine.filter("tells_apart")
-    mine = apart if len(apart) else mine
-    mine = mine.filter(outcome=mine["outcome"].mode().sort()[0])
-    level = mine.filter(pl.col("length") >= pl.col("length").quantile(0.75))["level"][0]
-    variants = (config.variant, between.test)
-    shown = [
-        video.play(
-            agent,
-            config.find_game(),
-            config.variant_for(variant),
-            level,
-            pixels=SIDE,
-            longest=LONGEST,
-        ).frames
-        for variant in variants
-    ]
-    captions = [f"{variant} {level}" for variant in variants]
-    video.write_gif(video.beside(*shown, captions=captions), path, fps=8)
 
 
 def commands(config: Config) -> list[str]:

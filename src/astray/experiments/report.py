@@ -31,6 +31,7 @@ class Video:
 
     caption: str
     path: Path
+    lab: str = ""  # the command that opens its level in the lab
 
 
 @dataclass(frozen=True, eq=False)

@@ -16,17 +16,19 @@ from astray.experiments import catalogue, report
 from astray.experiments.levels import levels_of
 from astray.experiments.spec import COMPUTED, PUBLISHED, Experiment, Plan, Runs, Size, Work
 from astray.experiments.spec import kept as kept_table
+from astray.experiments.track import track_report
 from astray.experiments.workers import Place, train_all
 from astray.files import hold, read, write_aside
 from astray.game import OWN
 from astray.kernel.jit import source_digest
 from astray.training import checkpoint
 from astray.training.config import Config
+from astray.training.track import Tracking
 
 # The sources of what agents do, and of what is computed of it.
 COMPUTING = (
     "*.py", "kernel/*.py", "games/*/*.py", "envs/*.py", "agents/*.py", "agency/*.py",
-    "analysis/*.py", "experiments/**/*.py",
+    "analysis/*.py", "insight/*.py", "experiments/**/*.py",
 )  # fmt: skip
 
 
@@ -38,6 +40,7 @@ def reproduce(
     workers: int | None = None,
     on: Place = "here",
     art: str = OWN,
+    track: Tracking | None = None,
 ) -> Path:
     """Do what is missing of an experiment and write its report; the report's path.
 
@@ -47,6 +50,7 @@ def reproduce(
     workers  agents trained at once here; None: one for each processor
     on       where agents are trained; they are evaluated here
     art      of all images; the report of another than our own is in <name>-<size>-<art>
+    track    who else is told how trainings go, and what the report says: wandb or trackio
     """
     name, whole = catalogue.find(experiment)
     if not isinstance(size, str) or size not in whole.sizes:
@@ -62,7 +66,7 @@ def reproduce(
         command=f"astray reproduce {given} --size {size}" + (f" --art {art}" if ending else ""),
     )  # fmt: skip
     with hold(folder, "works on"):
-        runs = train_agents(plan, root, workers, on)
+        runs = train_agents(plan, root, workers, on, track)
         forget_stale(plan, runs, folder)
         episodes = (
             kept_table(folder, "episodes", lambda: play(plan, runs))
@@ -72,10 +76,15 @@ def reproduce(
         findings = whole.find(Work(name, size, plan, folder, runs, episodes))
         # What others' agents do is told beside what those do that are trained here.
         beside = report.of_claims(root / f"{name}-smoke") if size == PUBLISHED else {}
-        return report.write(heading, findings, folder, beside)
+        page = report.write(heading, findings, folder, beside)
+        if track:
+            track_report(heading, findings, folder, track)
+        return page
 
 
-def train_agents(plan: Plan, root: Path, workers: int | None, on: Place) -> Runs:
+def train_agents(
+    plan: Plan, root: Path, workers: int | None, on: Place, track: Tracking | None = None
+) -> Runs:
     """Train the agents of a plan that are not trained yet; the run folders of all.
 
     Published agents must be here already, for nothing is downloaded without being asked for.
@@ -84,7 +93,7 @@ def train_agents(plan: Plan, root: Path, workers: int | None, on: Place) -> Runs
     trainings = plan.trainings()
     train_all(
         {run_folder(root, config): config for configs in trainings.values() for config in configs},
-        workers, on,
+        workers, on, track,
     )  # fmt: skip
     trained = {
         name: [run_folder(root, config) for config in configs]
@@ -94,8 +103,11 @@ def train_agents(plan: Plan, root: Path, workers: int | None, on: Place) -> Runs
 
 
 def published_run(agent: str) -> Path:
-    """The run folder of a published agent; ValueError with what to do where it is not here."""
-    if agent not in kept.imported():
+    """The run folder of an agent that comes with astray, or that others published.
+
+    ValueError with what to do where it is not here.
+    """
+    if agent not in (*kept.names(), *kept.imported()):
         raise ValueError(
             f"the published agent {agent} is not here; to bring it: astray agents fetch {agent}, "
             f"and the pictures that it sees: astray art import"
@@ -104,12 +116,18 @@ def published_run(agent: str) -> Path:
 
 
 def reproduce_all(
-    size: Size, root: Path, *, workers: int | None = None, on: Place = "here", art: str = OWN
+    size: Size,
+    root: Path,
+    *,
+    workers: int | None = None,
+    on: Place = "here",
+    art: str = OWN,
+    track: Tracking | None = None,
 ) -> Path:
     """Every experiment that has this size, one after the other, and a page that leads to them."""
     for name in catalogue.NAMES:
         if size in catalogue.load(name).sizes:
-            reproduce(name, size, root, workers=workers, on=on, art=art)
+            reproduce(name, size, root, workers=workers, on=on, art=art, track=track)
             report.write_index(root)
     return report.write_index(root)
 
@@ -139,6 +157,9 @@ def forget_stale(plan: Plan, runs: Runs, folder: Path) -> None:
         if computed.is_symlink():
             raise OSError(f"{computed} must be a folder of its own; it is a link, to what may not "
                           "be astray's")  # fmt: skip
+        for table in computed.glob("*.parquet"):
+            if not path.exists() or table.is_symlink() or not table.is_file():
+                raise OSError(f"{table} is none of astray's; it must not be there")
         for table in computed.glob("*.parquet"):
             table.unlink()
         write_aside(path, text)

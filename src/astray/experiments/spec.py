@@ -51,8 +51,8 @@ class Plan:
     """One size of an experiment: all that is computed for it."""
 
     agents: Mapping[str, Config] = field(default_factory=dict)  # by name; settings but for the seed
-    published: Mapping[str, str] = field(default_factory=dict)  # of those not trained here: of the
-    # catalogue of published agents, the one that is the agent of this name
+    published: Mapping[str, str] = field(default_factory=dict)  # of those not trained here: the
+    # agent that comes with astray, or of the catalogue of published ones, for each name
     seeds: int = 1  # agents of each name
     tests: Mapping[str, Test] = field(default_factory=dict)  # by name; all agents are played in all
     visited: Mapping[str, Test] = field(default_factory=dict)  # by name; what the experiment itself

@@ -26,7 +26,7 @@ from astray.experiments.cluster import Submit, on_ray
 from astray.training import checkpoint
 from astray.training.config import Config
 from astray.training.log import METRICS, measured
-from astray.training.loop import train
+from astray.training.track import Tracking, train_tracked
 
 SECONDS, QUIET = 0.5, 60.0  # from one look at the runs to the next; from line to line
 TAIL = 4096  # bytes of metrics.jsonl in which its last line is
@@ -35,10 +35,16 @@ TAIL = 4096  # bytes of metrics.jsonl in which its last line is
 Place = Literal["here", "ray"]
 
 
-def train_all(todo: Mapping[Path, Config], workers: int | None = None, on: Place = "here") -> None:
+def train_all(
+    todo: Mapping[Path, Config],
+    workers: int | None = None,
+    on: Place = "here",
+    track: Tracking | None = None,
+) -> None:
     """Train every agent whose run folder does not hold it finished.
 
     workers  how many at once, here; None: one for each processor
+    track    who else is told how the trainings go
     """
     if on == "ray" and workers is not None:
         raise ValueError("a cluster's processors and GPUs say how many agents are trained at once")
@@ -47,7 +53,7 @@ def train_all(todo: Mapping[Path, Config], workers: int | None = None, on: Place
         return
     count = min(workers or usable_processors(), len(missing))
     with on_ray() if on == "ray" else in_processes(count) as submit:
-        watch({run: submit(config, run) for run, config in missing.items()}, missing)
+        watch({run: submit(config, run, track) for run, config in missing.items()}, missing)
 
 
 @contextlib.contextmanager
@@ -68,14 +74,16 @@ def in_processes(count: int) -> Iterator[Submit]:
             raise
 
 
-def _submit(pool: ProcessPoolExecutor, config: Config, run: Path) -> Future[None]:
+def _submit(
+    pool: ProcessPoolExecutor, config: Config, run: Path, track: Tracking | None
+) -> Future[None]:
     """Give a training to `pool`, which may begin processes for it."""
     if os.name == "nt":
-        return pool.submit(_train, config, run)
+        return pool.submit(_train, config, run, track)
     # They inherit that an interrupt waits, which else would be told by each while it begins.
     before = signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT])
     try:
-        return pool.submit(_train, config, run)
+        return pool.submit(_train, config, run, track)
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
@@ -87,9 +95,9 @@ def _begin(end: Event) -> None:
         threading.Thread(target=target, daemon=True).start()
 
 
-def _train(config: Config, run: Path) -> None:
+def _train(config: Config, run: Path, track: Tracking | None) -> None:
     # Another experiment may want the same agent: it is trained once, for both.
-    train(config, run, progress=False, wait=True)
+    train_tracked(config, run, track, progress=False, wait=True)
 
 
 def _end_at(end: Event) -> None:

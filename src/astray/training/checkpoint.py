@@ -28,7 +28,16 @@ from safetensors.torch import save as to_bytes
 
 from astray.agents import policy
 from astray.bounds import brief, shown
-from astray.files import aside_of, folder_aside, hold, holds_only, read, remove_left, write_aside
+from astray.files import (
+    aside_of,
+    folder_aside,
+    hold,
+    holds_only,
+    read,
+    remove_left,
+    see_own,
+    write_aside,
+)
 from astray.kernel.jit import source_digest
 from astray.training import parallel
 from astray.training.config import Config
@@ -70,6 +79,8 @@ def claim(folder: Path, config: Config, wait: bool = False) -> Iterator[None]:
         path, there = folder / "config.json", folder / "checkpoints"
         if os.path.lexists(there) and not there.is_dir():  # as a link to a disk that is not there
             raise NotADirectoryError(f"{there} must be a folder, or not be there")
+        for name in (path.name, METRICS):  # a link would be replaced, or what it leads to
+            see_own(folder / name)
         if path.exists():
             check(folder, config)
         else:
@@ -80,7 +91,7 @@ def claim(folder: Path, config: Config, wait: bool = False) -> Iterator[None]:
             }  # fmt: skip
             data = {"config": config.to_json(), "versions": versions}
             write_aside(path, json.dumps(data, indent=2).encode())
-        remove_left(folder, (path.name,))
+        remove_left(folder, (path.name, METRICS))
         remove_left(there, (AGENT, TRAINER))
         parallel.wait()
         yield

@@ -139,7 +139,7 @@ class Config:
             raise ValueError(f"loss must be module:function; got {self.loss!r}")
         self.training_variant()
         self.find_game().drawn(self.art)
-        if self.validation:
+        if self.validation is not None:
             self.validation_variant()
 
     @property
@@ -192,7 +192,7 @@ class Config:
 
     def validation_variant(self) -> Variant:
         """The variant that is played during training and never learned from."""
-        assert self.validation
+        assert self.validation is not None
         return self.variant_for(self.validation)
 
     def variant_for(self, name: str, changes: Mapping[str, Any] | None = None) -> Variant:

@@ -15,6 +15,7 @@ from astray.files import read, write_aside
 from astray.training.config import Config
 
 METRICS = "metrics.jsonl"  # of a run's folder
+BEGINNING = '{"steps": '  # of each of its lines
 
 
 def read_metrics(path: Path) -> Iterator[tuple[str, dict[str, Any]]]:
@@ -32,6 +33,8 @@ def read_metrics(path: Path) -> Iterator[tuple[str, dict[str, Any]]]:
                 yield line, measured(line)
             except ValueError as error:
                 raise ValueError(f"{path}, line {number}: {error}") from error
+        elif not (line.startswith(BEGINNING) or BEGINNING.startswith(line)):
+            raise ValueError(f"{path}, line {number}: it is no part of what a training wrote")
 
 
 def measured(line: str | bytes) -> dict[str, Any]:

@@ -9,8 +9,8 @@ from __future__ import annotations
 import contextlib
 import functools
 import time
-from collections.abc import Callable, Mapping
-from dataclasses import replace
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -64,8 +64,84 @@ def train(
     it cannot be written, `checkpoint.Claimed` where another process trains in it, `Diverged` where
     weights are no finite numbers any more; the checkpoints before that are kept.
     """
+    own: dict[str, Any] = {"network": network, "loss": loss, "sampler": sampler}
+    for _ in iterate(config, folder, **own, progress=progress, wait=wait):
+        pass
+    return checkpoint.latest(Path(folder))
+
+
+@dataclass(frozen=True, eq=False)
+class Iteration:
+    """What a training did: a rollout was played, and learned from.
+
+    number   of those done, counted over all stops
+    steps    environment steps done
+    metrics  a line of metrics.jsonl: means of recent episodes and of the update, by name
+    speed    steps per second, and the share of the time that was spent playing
+    trainer  the network, its optimizer, its environments: all live
+    """
+
+    number: int
+    steps: int
+    metrics: Mapping[str, float]
+    speed: Mapping[str, float]
+    trainer: Trainer
+
+
+def iterate(
+    config: Config,
+    folder: str | Path | None = None,
+    *,
+    network: Callable[[Architecture], nn.Module] | None = None,
+    loss: Loss | None = None,
+    sampler: MakeSampler | None = None,
+    progress: bool = False,
+    wait: bool = False,
+) -> Iterator[Iteration]:
+    """Train as `train` does, and yield after every iteration, which is the caller's to look at.
+
+    Whoever leaves the loop stops the training, with a checkpoint of where it is, from which a
+    later call goes on. What is asked of the trainer changes nothing that is learned.
+
+    folder  of the run; None: nothing is written, and the training begins anew
+
+    Raises what `train` raises, at the first iteration.
+    """
+    config = checked(config, network, loss, sampler)
+    folder = None if folder is None else Path(folder)
+    settings = functools.partial(acceleration.torch_settings, config.threads)
+    with (
+        parallel.processes(config.device),
+        checkpoint.claim(folder, config, wait) if folder else contextlib.nullcontext(),
+        contextlib.closing(begin(config, folder, network, loss, sampler)) as trainer,
+        written(folder, trainer, progress) as log,
+    ):
+        saved = trainer.iteration
+        try:
+            while trainer.iteration < config.iterations:
+                with settings():  # the caller's own are back where it looks at an iteration
+                    metrics, speed = improve(trainer)
+                    see_converging(trainer)
+                    if log:
+                        log.write(trainer.steps, metrics, speed)
+                    done = trainer.iteration == config.iterations
+                    if folder and (done or trainer.iteration % config.checkpoint_every == 0):
+                        checkpoint.save(folder, trainer)
+                        saved = trainer.iteration
+                yield Iteration(trainer.iteration, trainer.steps, metrics, speed, trainer)
+        except GeneratorExit:  # the caller left the loop
+            if folder and saved < trainer.iteration:
+                checkpoint.save(folder, trainer)
+            raise
+        parallel.wait()
+
+
+def checked(config: Config, network: Any, loss: Any, sampler: Any) -> Config:
+    """The settings, with the names of a network, a loss and a sampler of the user's own.
+
+    Raises ValueError where they cannot be trained with here.
+    """
     of_kind("config", config, Config)
-    folder = Path(folder)
     if network is not None:
         config = replace(config, network=imports.name_of(network))
     if loss is not None and loss is not ppo.loss:
@@ -77,28 +153,31 @@ def train(
     bounded("threads", config.threads, 1, most_threads())
     if config.threads > 1:  # for both players' environments, for torch, and some to spare
         see_startable(SPARE + 4 * config.threads)
-    with (
-        acceleration.torch_settings(config.threads),
-        parallel.processes(config.device),
-        checkpoint.claim(folder, config, wait),
-        contextlib.closing(Trainer(config, network, loss, sampler)) as trainer,
-    ):
-        checkpoint.restore(folder, trainer)
-        writes = Log(folder, trainer.steps, config, progress) if parallel.first() else None
-        with writes or contextlib.nullcontext() as log:
-            while trainer.iteration < config.iterations:
-                metrics, speed = iterate(trainer)
-                see_converging(trainer)
-                if log:
-                    log.write(trainer.steps, metrics, speed)
-                done = trainer.iteration == config.iterations
-                if done or trainer.iteration % config.checkpoint_every == 0:
-                    checkpoint.save(folder, trainer)
-        parallel.wait()
-    return checkpoint.latest(folder)
+    return config
 
 
-def iterate(trainer: Trainer) -> tuple[dict[str, float], dict[str, float]]:
+def begin(config: Config, folder: Path | None, network: Any, loss: Any, sampler: Any) -> Trainer:
+    """All that lives in a training, as the last checkpoint in the run folder left it."""
+    with acceleration.torch_settings(config.threads):
+        trainer = Trainer(config, network, loss, sampler)
+        if folder:
+            with contextlib.ExitStack() as stack:
+                stack.callback(trainer.close)
+                checkpoint.restore(folder, trainer)
+                stack.pop_all()
+    return trainer
+
+
+def written(
+    folder: Path | None, trainer: Trainer, progress: bool
+) -> contextlib.AbstractContextManager[Log | None]:
+    """What writes metrics to the run folder; nothing without one, or in all processes but one."""
+    if folder is None or not parallel.first():
+        return contextlib.nullcontext()
+    return Log(folder, trainer.steps, trainer.config, progress)
+
+
+def improve(trainer: Trainer) -> tuple[dict[str, float], dict[str, float]]:
     """Play a rollout and learn from it: how it went, which is reproducible, and how fast."""
     config, began = trainer.config, time.perf_counter()
     rate = config.learning_rate

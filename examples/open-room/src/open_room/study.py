@@ -3,7 +3,8 @@
 from dataclasses import replace
 
 from astray.analysis.outcomes import INTENDED, MISGENERALIZED
-from astray.experiments.outcomes import holds_above, settings, share
+from astray.experiments.claims import holds_above
+from astray.experiments.outcomes import settings, share
 from astray.experiments.report import Findings
 from astray.experiments.spec import Experiment, Plan, tests_of
 from astray.training.config import PRESETS

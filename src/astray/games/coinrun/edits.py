@@ -133,7 +133,7 @@ def with_other_background(states: np.ndarray) -> np.ndarray:
     return edited
 
 
-# What a picture consists of, for `analysis.attribution.masks`: what is soft at its edge comes
+# What a picture consists of, for `insight.attribution.masks`: what is soft at its edge comes
 # before the background that shines through. What is left is ground and lava.
 PARTS = {
     "coin": without_coin,

@@ -5,13 +5,16 @@ All take states [N] and return [N].
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
+
 import numpy as np
 
 from astray.games.coinrun.draw import VIEW
-from astray.games.coinrun.rules import COIN, HALF, WORLD
+from astray.games.coinrun.rules import COIN, HALF, LAVA, LAVA_TOP, SAW, WORLD
 
 START = 1.5  # where the runner begins, in cells
 STAGES = ("beginning", "middle", "end", "beyond")  # thirds of the way, and past the end wall's face
+AHEAD = 4  # cells: what a runner at full speed, half a cell a step, meets within 8 steps
 QUARTER = 0.25  # the picture of a coin begins this far inside of its cell
 
 
@@ -47,3 +50,41 @@ def coin_passed(states: np.ndarray) -> np.ndarray:
     """Whether the runner is to the right of the coin's cell; False where there is no coin."""
     columns = (states["cell"] == COIN).any(1)
     return columns.any(1) & (states["x"] - HALF > columns.argmax(1) + 1)
+
+
+def wall_in_view(states: np.ndarray) -> np.ndarray:
+    """Whether the face of the end wall is in the window around the runner."""
+    return states["end_x"] + 1 - states["x"] < VIEW / 2
+
+
+def coin_offset(states: np.ndarray, axis: str) -> np.ndarray:
+    """Cells to the nearest coin in view along "x" or "y", float64; NaN where none is in view."""
+    found = np.full(len(states), np.nan)
+    for k in np.flatnonzero(coin_in_view(states)):
+        s = states[k]
+        rows, columns = np.nonzero(s["cell"] == COIN)
+        away = np.stack([columns + 0.5 - s["x"], rows + 0.5 - s["y"]])
+        found[k] = away["xy".index(axis), np.hypot(*away).argmin()]
+    return found
+
+
+def hazard_ahead(states: np.ndarray) -> np.ndarray:
+    """Whether a walker, a saw or lava is at most AHEAD cells before the runner, at any height."""
+    columns = np.arange(WORLD) + 0.5 - states["x"][:, None]
+    near = (columns > 0) & (columns <= AHEAD)
+    fixed = np.isin(states["cell"], (LAVA, LAVA_TOP)) | (states["thing"] == SAW)
+    away = states["walker_x"] - states["x"][:, None]
+    there = np.arange(away.shape[1]) < states["walkers"][:, None]
+    walks = (away > 0) & (away <= AHEAD) & there
+    return (fixed & near[:, None, :]).any((1, 2)) | walks.any(1)
+
+
+# What probes may look for in what an agent's layers give.
+LABELS: Mapping[str, Callable[[np.ndarray], np.ndarray]] = {
+    "coin in view": coin_in_view,
+    "coin right": lambda states: coin_offset(states, "x"),
+    "coin up": lambda states: coin_offset(states, "y"),
+    "end wall in view": wall_in_view,
+    "hazard ahead": hazard_ahead,
+    "end wall, cells": lambda states: to_wall(states).astype(np.float64),
+}

@@ -1,7 +1,7 @@
 """Keys and Chests: a thief opens chests with keys; in training there are fewer keys than chests."""
 
 from astray.game import Benchmark, Game
-from astray.games.keys import draw, levels, original, rules, solve, variants
+from astray.games.keys import draw, levels, measures, original, rules, solve, variants
 
 GAME = Game(
     "keys",
@@ -17,5 +17,6 @@ GAME = Game(
     solver=solve,
     benchmark=Benchmark("many-chests", envpool="HeistHard-v0"),
     invariants=levels.invariants,
+    labels=measures.LABELS,
     real_time=True,
 )

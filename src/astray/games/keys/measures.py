@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -94,3 +94,29 @@ def discounted_return(states: np.ndarray, gamma: float) -> np.ndarray:
     time = states["time"]
     spent = time if gamma == 1 else (1 - gamma**time) / (1 - gamma)
     return total - spent * states["step_penalty"]
+
+
+def nearest(states: np.ndarray, what: int) -> np.ndarray:
+    """Cells to the nearest KEY or CHEST that is left, along x and y, [N, 2] float64; NaN: none."""
+    left = (_objects(states) == what) & (states["gone"] == NEVER)
+    away = np.stack([states[f"object_{axis}"] - states[axis][:, None] for axis in "xy"], 2)
+    far = np.where(left, np.hypot(away[..., 0], away[..., 1]), np.inf)
+    found = away[np.arange(len(states)), far.argmin(1)].astype(np.float64)
+    return np.where(left.any(1)[:, None], found, np.nan)
+
+
+def quarter(away: np.ndarray) -> np.ndarray:
+    """Of offsets [N, 2]: 0 to 3, 1 for to the right and 2 for up; -1 where there is none."""
+    known = ~np.isnan(away[:, 0])
+    return np.where(known, (away[:, 0] > 0) + 2 * (away[:, 1] > 0), -1)
+
+
+# What probes may look for in what an agent's layers give.
+LABELS: Mapping[str, Callable[[np.ndarray], np.ndarray]] = {
+    "keys in hand": lambda states: states["taken"] - states["opened"],
+    "nearest key": lambda states: quarter(nearest(states, KEY)),
+    "nearest key right": lambda states: nearest(states, KEY)[:, 0],
+    "nearest key up": lambda states: nearest(states, KEY)[:, 1],
+    "nearest chest": lambda states: quarter(nearest(states, CHEST)),
+    "chests left": lambda states: (states["chests"] - states["opened"]).astype(np.float64),
+}

@@ -1,7 +1,17 @@
 """Maze: a mouse looks for its cheese; in training it lies in the upper right corner."""
 
 from astray.game import Benchmark, Game
-from astray.games.maze import cells, draw, levels, mutate, original, rules, solve, variants
+from astray.games.maze import (
+    cells,
+    draw,
+    levels,
+    measures,
+    mutate,
+    original,
+    rules,
+    solve,
+    variants,
+)
 
 GAME = Game(
     "maze",
@@ -19,4 +29,6 @@ GAME = Game(
     cells=cells,
     benchmark=Benchmark("anywhere", envpool="MazeHard-v0"),
     invariants=levels.invariants,
+    labels=measures.LABELS,
+    features=measures.features,
 )

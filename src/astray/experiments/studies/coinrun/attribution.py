@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 import polars as pl
 
-from astray.analysis import attribution
 from astray.analysis.critic import observe, visit
 from astray.analysis.estimates import Estimate, group_means, mean_of
 from astray.analysis.policies import Agent
@@ -22,6 +21,7 @@ from astray.experiments.spec import Experiment, Test, Work
 from astray.experiments.studies.coinrun import _agents, _figures
 from astray.experiments.studies.coinrun._agents import RUNNER
 from astray.games.coinrun.edits import PARTS
+from astray.insight import attribution
 
 TESTS = {
     "in training": Test("coin-end", "coin-end"),

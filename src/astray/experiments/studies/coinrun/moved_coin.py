@@ -210,7 +210,8 @@ def films(work: Work, pairs: pl.DataFrame) -> list[Video]:
             path = work.folder / "videos" / f"{name}.mp4"
             video.write_mp4(frames, path, fps=15)
             video.write_gif(frames, path.with_suffix(".gif"), fps=15)
-            shown.append(Video(f"A runner that {what}: level {level}, twice.", path))
+            command = outcomes.in_lab(work.runs[RUNNER][0], TESTS[ANYWHERE].variant, level)
+            shown.append(Video(f"A runner that {what}: level {level}, twice.", path, command))
     return shown
 
 

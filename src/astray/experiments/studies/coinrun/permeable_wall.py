@@ -183,9 +183,9 @@ def pick(peaks: pl.DataFrame) -> dict[str, Any] | None:
 
 def show(work: Work, typical: dict[str, Any]) -> tuple[Video, Plot]:
     """One episode: a film with the critic's value, and its curve with pictures above."""
-    player, config = open_run(
-        next(run for run in work.runs[RUNNER] if open_run(run)[1].seed == typical["agent"])
-    )
+    run = next(run for run in work.runs[RUNNER] if open_run(run)[1].seed == typical["agent"])
+    player, config = open_run(run)
+    test = work.plan.tests[ANYWHERE].variant
     variant = work.plan.tests[ANYWHERE].variant_for(work.plan.config)
     episode = video.play(
         player, config.game, variant, typical["level"], pixels=288,
@@ -206,7 +206,11 @@ def show(work: Work, typical: dict[str, Any]) -> tuple[Video, Plot]:
         f"of those in which it reaches it"
     )
     return (
-        Video(f"A typical episode: {about}, with the critic's value.", path),
+        Video(
+            f"A typical episode: {about}, with the critic's value.",
+            path,
+            outcomes.in_lab(run, test, typical["level"]),
+        ),
         Plot(
             "episode",
             f"The critic's value in a typical episode: {about}. Shaded: the runner is in the wall, "

@@ -126,7 +126,9 @@ def film(work: Work, name: str, judgement: Judgement, agent: Any, variant: Varia
     frames = posterior_video(agent, "maze", variant, played)
     video.write_mp4(frames, path, fps=6)
     video.write_gif(frames, path.with_suffix(".gif"), fps=6)
-    return Video(f"{name.capitalize()}, level {played.level}, and where it may be going.", path)
+    command = outcomes.in_lab(work.runs[MOUSE][0], TEST.variant, played.level)
+    told = f"{name.capitalize()}, level {played.level}, and where it may be going."
+    return Video(told, path, command)
 
 
 CONTROL = Config(

@@ -9,10 +9,10 @@ import torch
 
 from astray import games
 from astray.agents.policy import Architecture, weights
-from astray.analysis import attribution
 from astray.analysis.critic import observe
 from astray.analysis.policies import Agent
 from astray.games.coinrun import edits
+from astray.insight import attribution
 from astray.level import Level
 
 COINRUN, MAZE = games.find("coinrun"), games.find("maze")

@@ -1,0 +1,263 @@
+"""Trajectories of any policy as data sets that others learn from, with states.
+
+dataset.json               what was played, and how bytes are read
+episodes.parquet           an episode a row: level, return, length, terminated, every event
+steps/00000.parquet, ...   a state a row: level, step, observation, state, and what was done in it:
+                           action, reward, terminated, truncated (null in an episode's last state)
+
+Or in Minari's layout, data/main_data.hdf5, which its readers take.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import asdict, dataclass
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any, Literal
+
+import gymnasium
+import numpy as np
+import polars as pl
+from gymnasium import spaces
+
+from astray import games
+from astray.analysis.episodes import Levels, steps
+from astray.analysis.policies import Policy
+from astray.analysis.tables import write_table
+from astray.bounds import shown
+from astray.envs import VERSION
+from astray.envs.vector import GameVectorEnv
+from astray.files import folder_aside, read, write_aside
+from astray.game import Game, Variant
+from astray.words import check_word
+
+Format = Literal["parquet", "minari"]
+FORMAT = 1  # of dataset.json
+PART = 64_000_000  # bytes of observations and states in a file of steps, or a little more
+BATCH = 32  # episodes at once: of 500 steps and images they are 200 MB
+LARGEST = 2**20  # bytes of dataset.json
+
+
+@dataclass(frozen=True, eq=False)
+class Trajectory:
+    """One episode of T steps.
+
+    observations  [T + 1, ...] uint8, with the one that it ended in
+    states        [T + 1] records, likewise; "seed" and "turn", which decide on later levels, are 0
+    """
+
+    level: int
+    observations: np.ndarray
+    states: np.ndarray
+    actions: np.ndarray  # [T] int64
+    rewards: np.ndarray  # [T] float64
+    terminated: bool  # by the rules; else the time was up
+
+    def __len__(self) -> int:
+        return len(self.actions)
+
+
+def trajectories(
+    policy: Policy,
+    game: str | Game,
+    variant: str | Variant,
+    levels: Levels,
+    *,
+    batch: int = BATCH,
+) -> Iterator[Trajectory]:
+    """The episode of a policy in each of `levels`, as they end; each as it would be alone.
+
+    batch  episodes at once, which are in memory until they end
+    """
+    parts: dict[int, list[tuple]] = {}
+    for step in steps(policy, game, variant, levels, batch=batch):
+        for i, level in enumerate(step.level.tolist()):
+            parts.setdefault(level, []).append((
+                step.observations[i].copy(), step.before[i].copy(), int(step.actions[i]),
+                float(step.rewards[i]),
+            ))  # fmt: skip
+            if not step.ended[i]:
+                continue
+            seen, before, actions, rewards = zip(*parts.pop(level), strict=True)
+            states = np.array([*before, step.after[i]], step.before.dtype)
+            states["seed"] = states["turn"] = 0  # of the batch that it was played in
+            yield Trajectory(
+                int(states["level"][0]), np.stack([*seen, step.seen[i]]), states,
+                np.array(actions), np.array(rewards), bool(step.terminated[i]),
+            )  # fmt: skip
+
+
+def export(
+    policy: Policy,
+    game: str | Game,
+    variant: str | Variant,
+    levels: Levels,
+    folder: Path,
+    *,
+    form: Format = "parquet",
+    batch: int = BATCH,
+) -> Path:
+    """Play a policy in `levels` and write all of it to a new folder; that folder.
+
+    The folder is there once it is whole, and not before.
+
+    Raises ValueError where there is something at `folder`, or what is played cannot be.
+    """
+    check_word("format", form, Format)
+    if os.path.lexists(folder):
+        raise ValueError(f"a data set is written to a new folder; there is something at {folder}")
+    game = games.find(game)
+    of, write = game.variant(variant), write_minari if form == "minari" else write_parquet
+    about = {
+        "format": FORMAT, "astray": version("astray"), "levels_of": VERSION, "game": game.name,
+        "variant": asdict(of), "policy": policy.name, "observation": policy.observation,
+        "art": policy.art, "actions": list(game.actions), "events": list(game.events),
+        "state": [list(map(_plain, one)) for one in np.dtype(game.state.descr).descr],
+    }  # fmt: skip
+    with folder_aside(folder) as aside:
+        write(trajectories(policy, game, of, levels, batch=batch), game, of, about, aside)
+        os.replace(aside, folder)
+    return folder
+
+
+def _plain(part: Any) -> Any:
+    return list(part) if isinstance(part, tuple) else part
+
+
+def write_parquet(
+    played: Iterable[Trajectory], game: Game, variant: Variant, about: Mapping[str, Any],
+    folder: Path,
+) -> None:  # fmt: skip
+    """Write trajectories as Parquet files; see the module."""
+    (folder / "steps").mkdir(parents=True)
+    episodes, rows, size, files, shape = [], [], 0, 0, None
+    for one in played:
+        episodes.append(_episode(one, game))
+        rows.append(_rows(one))
+        shape, size = one.observations.shape[1:], size + one.observations.nbytes + one.states.nbytes
+        if size >= PART:
+            write_table(pl.concat(rows), folder / "steps" / f"{files:05}.parquet")
+            rows, size, files = [], 0, files + 1
+    if rows:
+        write_table(pl.concat(rows), folder / "steps" / f"{files:05}.parquet")
+    kinds = dict.fromkeys(game.events, pl.Int64)
+    write_table(pl.DataFrame(episodes, schema_overrides=kinds).sort("level"),
+                folder / "episodes.parquet")  # fmt: skip
+    data = {**about, "shape": shape, "dtype": "uint8"}
+    write_aside(folder / "dataset.json", json.dumps(data, indent=1).encode())
+
+
+def _episode(one: Trajectory, game: Game) -> dict[str, Any]:
+    last = one.states[-1]
+    happened = {event: int(last[event]) if last[event] >= 0 else None for event in game.events}
+    return {"level": one.level, "return": float(one.rewards.sum()), "length": len(one),
+            "terminated": one.terminated, **happened}  # fmt: skip
+
+
+def _rows(one: Trajectory) -> pl.DataFrame:
+    """A row for each state; what was done in it is null in the last."""
+    count = len(one)
+    ended = [False] * (count - 1)
+    return pl.DataFrame({
+        "level": pl.Series([one.level] * (count + 1), dtype=pl.Int64),
+        "step": pl.Series(range(count + 1), dtype=pl.Int32),
+        "action": pl.Series([*one.actions.tolist(), None], dtype=pl.Int64),
+        "reward": pl.Series([*one.rewards.tolist(), None], dtype=pl.Float64),
+        "terminated": [*ended, one.terminated, None],
+        "truncated": [*ended, not one.terminated, None],
+        "observation": [x.tobytes() for x in one.observations],
+        "state": [x.tobytes() for x in one.states],
+    })  # fmt: skip
+
+
+def read_trajectories(folder: Path) -> Iterator[Trajectory]:
+    """The trajectories that `export` wrote as Parquet, in its order.
+
+    Raises ValueError where the files are not as it writes them, or of another version's states.
+    """
+    path = folder / "dataset.json"
+    try:
+        about = json.loads(read(path, LARGEST))
+        if not isinstance(about, dict) or about.get("format") != FORMAT:
+            raise ValueError(f"it must be an object of format {FORMAT}; got {shown(about)}")
+        game, shape = games.find(about["game"]), tuple(about["shape"])
+        state = [list(map(_plain, one)) for one in np.dtype(game.state.descr).descr]
+        if json.loads(json.dumps(state)) != about["state"]:
+            raise ValueError("its states have other fields than those of this version")
+    except FileNotFoundError:
+        raise FileNotFoundError(f"there is no data set in {folder}") from None
+    except (ValueError, KeyError, TypeError, RecursionError) as error:
+        raise ValueError(f"{path} is no data set that can be read: {error}") from error
+    for part in sorted((folder / "steps").glob("[0-9]*.parquet")):
+        for rows in pl.read_parquet(part).partition_by("level", maintain_order=True):
+            yield _trajectory(rows, game, shape, part)
+
+
+def _trajectory(rows: pl.DataFrame, game: Game, shape: tuple[int, ...], path: Path) -> Trajectory:
+    try:
+        states = np.frombuffer(b"".join(rows["state"]), game.state)
+        seen = np.frombuffer(b"".join(rows["observation"]), np.uint8).reshape(-1, *shape)
+        done = rows[:-1]
+        if not len(states) == len(seen) == len(rows) or rows["action"][-1] is not None:
+            raise ValueError("an episode must be a row for each state")
+    except (ValueError, TypeError, pl.exceptions.PolarsError) as error:
+        raise ValueError(f"{path} is not as astray writes it: {error}") from error
+    return Trajectory(
+        rows["level"][0], seen, states, done["action"].to_numpy(), done["reward"].to_numpy(),
+        bool(done["terminated"][-1]),
+    )  # fmt: skip
+
+
+def write_minari(
+    played: Iterable[Trajectory], game: Game, variant: Variant, about: Mapping[str, Any],
+    folder: Path,
+) -> None:  # fmt: skip
+    """Write trajectories in Minari's layout, to the byte; states are infos, levels are seeds."""
+    try:
+        from minari.data_collector import EpisodeBuffer  # pyright: ignore[reportMissingImports]
+        from minari.dataset.minari_storage import (  # pyright: ignore[reportMissingImports]
+            MinariStorage,
+        )
+    except ImportError as error:
+        raise ImportError("Minari's layout needs it: pip install 'astray[minari]'") from error
+    env = GameVectorEnv(game, variant, observation=about["observation"], art=about["art"])
+    seen, taken = env.single_observation_space, env.single_action_space
+    env.close()
+    assert isinstance(taken, spaces.Discrete)
+    storage = MinariStorage.new(
+        folder / "data", observation_space=seen, action_space=taken, data_format="hdf5",
+        env_spec=_spec(game, variant), jpeg_encoding=False,
+    )  # fmt: skip
+    storage.update_metadata({
+        "dataset_id": f"astray/{folder_name(about)}-v0", "algorithm_name": about["policy"],
+        "author": set(), "author_email": set(), "code_permalink": "",
+        "description": json.dumps(about), "requirements": [f"astray=={version('astray')}"],
+        "minari_version": version("minari"),
+    })  # fmt: skip
+    storage.update_episodes(
+        EpisodeBuffer(
+            id=k, seed=one.level, observations=one.observations, actions=one.actions,  # pyright: ignore
+            rewards=one.rewards.tolist(), terminations=_last(len(one), one.terminated),
+            truncations=_last(len(one), not one.terminated),
+            infos={"state": one.states.view(np.uint8).reshape(len(one) + 1, -1)},
+        )
+        for k, one in enumerate(played)
+    )  # fmt: skip
+
+
+def folder_name(about: Mapping[str, Any]) -> str:
+    """A name for a data set among others of Minari's."""
+    return f"{about['game']}/{''.join(c if c.isalnum() else '-' for c in about['policy'])}"
+
+
+def _last(count: int, flag: bool) -> list[bool]:
+    return [*[False] * (count - 1), flag]
+
+
+def _spec(game: Game, variant: Variant) -> Any:
+    """What Gymnasium makes the environment of; None for one that has no id."""
+    name = next((n for n, other in game.variants.items() if other == variant), None)
+    return gymnasium.registry.get(f"astray/{game.name}-{name}-{VERSION}")

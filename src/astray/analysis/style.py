@@ -1,0 +1,41 @@
+"""The one style that all figures are drawn in, and how they are written."""
+
+from __future__ import annotations
+
+import io
+from pathlib import Path
+from typing import Any
+
+import matplotlib
+from matplotlib.figure import Figure
+
+from astray.files import write_aside
+
+OTHERS = ("#2e6db4", "#b5446e", "#6b5b95", "#8a6d1f")  # of what is not an outcome
+INK, FAINT = "#222222", "#dddddd"
+WIDTH = 7.0  # inches
+
+STYLE: dict[Any, Any] = {
+    "axes.axisbelow": True, "axes.edgecolor": INK, "axes.labelcolor": INK,
+    "axes.spines.right": False, "axes.spines.top": False,
+    "axes.titlelocation": "left", "axes.titlepad": 8, "axes.titlesize": 11,
+    "axes.titleweight": "bold",
+    "figure.facecolor": "white", "figure.constrained_layout.h_pad": 0.08,
+    "figure.constrained_layout.use": True,
+    "font.family": ["DejaVu Sans"],  # comes with matplotlib, so it is the same everywhere
+    "font.size": 10.5, "grid.color": FAINT, "legend.frameon": False, "legend.fontsize": 10,
+    "savefig.dpi": 150, "svg.fonttype": "none", "svg.hashsalt": "astray", "text.color": INK,
+    "xtick.color": INK, "ytick.color": INK,
+}  # fmt: skip
+
+
+def save(figure: Figure, folder: Path, name: str) -> None:
+    """Write `<name>.png` and `<name>.svg`; the same figure is always the same bytes."""
+    folder.mkdir(parents=True, exist_ok=True)
+    png, svg = io.BytesIO(), io.BytesIO()
+    # The SVG's text and ids are settings of matplotlib, not arguments; they are put back after.
+    with matplotlib.rc_context(STYLE):
+        figure.savefig(png, format="png")
+        figure.savefig(svg, format="svg", metadata={"Date": None})
+    write_aside(folder / f"{name}.png", png.getvalue())
+    write_aside(folder / f"{name}.svg", svg.getvalue())

@@ -1,0 +1,258 @@
+"""Faces of Procgen, for scripts that were written for it: change the import, and nothing else.
+
+    from astray.compat import ProcgenEnv  # was: from procgen import ProcgenEnv
+
+With one `rand_seed`, levels come in Procgen's order, and images, rewards, ends and infos are those
+of Procgen 0.10.7 to the byte. The pictures have to be imported once: astray art import.
+"""
+
+from __future__ import annotations
+
+import secrets
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+from gymnasium import spaces
+
+from astray.bounds import bounded
+from astray.envs.vector import GameVectorEnv
+from astray.game import LEVELS
+from astray.words import check_word
+
+Mode = Literal["easy", "hard", "memory", "exploration"]
+# Procgen's games and difficulties, and our variants.
+WORLDS = {
+    ("coinrun", "hard"): ("coinrun", "procgen"),
+    ("coinrun", "easy"): ("coinrun", "procgen-easy"),
+    ("maze", "hard"): ("maze", "anywhere"),
+    ("maze", "easy"): ("maze", "anywhere-easy"),
+    ("maze", "memory"): ("maze", "anywhere-memory"),
+}
+EXPLORATION = {"coinrun": 1949448038, "maze": 158988835}  # the one level of that mode
+COMBOS = [
+    ("LEFT", "DOWN"), ("LEFT",), ("LEFT", "UP"), ("DOWN",), (), ("UP",), ("RIGHT", "DOWN"),
+    ("RIGHT",), ("RIGHT", "UP"), ("D",), ("A",), ("W",), ("S",), ("Q",), ("E",),
+]  # fmt: skip
+FORCE_RESET, STAY = -1, 4  # actions
+ONWARD = 997  # from a sequential level that was completed to the next
+WORD = 2**32
+
+
+@dataclass(frozen=True, kw_only=True)
+class Options:
+    """Procgen's options. Those that change pictures can have their default alone.
+
+    num_levels   of the game's, from start_level on; 0: all that there are
+    rand_seed    decides which level comes when, and nothing else; None: another one each time
+    num_threads  that share the batch; what comes out does not depend on them
+    art          of the images: the original's, or "own", which needs no import
+    """
+
+    distribution_mode: Mode = "hard"
+    num_levels: int = 0
+    start_level: int = 0
+    use_sequential_levels: bool = False
+    rand_seed: int | None = None
+    num_threads: int = 4
+    art: str = "original"
+    center_agent: bool = True
+    use_backgrounds: bool = True
+    use_monochrome_assets: bool = False
+    restrict_themes: bool = False
+    use_generated_assets: bool = False
+    paint_vel_info: bool = False
+    render_mode: Literal["rgb_array"] | None = None
+
+    def __post_init__(self) -> None:
+        check_word("distribution_mode", self.distribution_mode, Mode)
+        bounded("num_levels", self.num_levels, 0, LEVELS.stop)
+        bounded("start_level", self.start_level, 0, LEVELS.stop - 1)
+        bounded("rand_seed", self.rand_seed or 0, 0, 2**31 - 1)
+        for name in ("center_agent", "use_backgrounds"):
+            if not getattr(self, name):
+                raise ValueError(f"{name} must be True: the other pictures are not drawn here")
+        for name in (
+            "use_monochrome_assets", "restrict_themes", "use_generated_assets", "paint_vel_info",
+        ):  # fmt: skip
+            if getattr(self, name):
+                raise ValueError(f"{name} must be False: the other pictures are not drawn here")
+
+    def levels(self, name: str) -> range:
+        """The levels to draw from."""
+        if self.distribution_mode == "exploration":
+            if name not in EXPLORATION or self.num_levels or self.start_level:
+                raise ValueError(
+                    "distribution_mode 'exploration' is one level of coinrun or maze; give neither "
+                    "num_levels nor start_level"
+                )
+            return range(EXPLORATION[name], EXPLORATION[name] + 1)
+        if not self.num_levels:
+            return LEVELS
+        return range(self.start_level, self.start_level + self.num_levels)
+
+
+class ProcgenGym3Env:
+    """`num` environments of Procgen's game `env_name`, with gym3's methods.
+
+    env_name  coinrun or maze; or any game and variant of astray's, as "maze/corner"
+    options   see `Options`
+
+    Raises ValueError where there is no such game or option.
+    """
+
+    def __init__(self, num: int, env_name: str, **options: Any):
+        unknown = [name for name in options if name not in Options.__dataclass_fields__]
+        if unknown:
+            there = ", ".join(Options.__dataclass_fields__)
+            raise ValueError(f"unknown option {unknown[0]!r}; there are: {there}")
+        chosen = Options(**options)
+        game, variant = world(env_name, chosen.distribution_mode)
+        self.num, self.env_name, self.options = num, env_name, chosen
+        self.env = GameVectorEnv(
+            game, variant, num, art=chosen.art, autoreset_mode="Disabled",
+            threads=min(chosen.num_threads, num), render_mode=chosen.render_mode,
+        )  # fmt: skip
+        self.combos = COMBOS
+        self.levels = chosen.levels(env_name)
+        seed = secrets.randbelow(2**31) if chosen.rand_seed is None else chosen.rand_seed
+        one = np.random.RandomState(seed)
+        self._draws = [np.random.RandomState(_word(one)) for _ in range(num)]
+        self.ob_space = spaces.Dict(rgb=self.env.single_observation_space)
+        self.ac_space = self.env.single_action_space
+        self._level = np.array([self._drawn(i) for i in range(num)], np.int32)
+        self._before = np.zeros(num, np.int32)
+        self._complete = np.zeros(num, np.uint8)
+        self._reward, self._first = np.zeros(num, np.float32), np.ones(num, bool)
+        self._seen, _ = self.env.reset(seed=0, options={"level": self._level})
+        over = (self.env.game.shifts[name].intended for name in self.env.game.shifts)
+        self._goals = sorted({self.env.game.goals[goal] for goal in over})
+
+    def observe(self) -> tuple[np.ndarray, dict[str, np.ndarray], np.ndarray]:
+        """Rewards [num] float32 of the last step, what is seen, and where an episode begins."""
+        return self._reward, {"rgb": self._seen}, self._first
+
+    def get_info(self) -> list[dict[str, Any]]:
+        """Of each environment: prev_level_seed, prev_level_complete, level_seed."""
+        return [
+            {"prev_level_seed": before, "prev_level_complete": complete, "level_seed": level}
+            for before, complete, level in zip(
+                self._before, self._complete, self._level, strict=True
+            )
+        ]
+
+    def act(self, ac: Any) -> None:
+        """Take a step; -1 leaves an episode. What has ended begins anew at once."""
+        actions = np.asarray(ac).astype(np.int64)
+        forced = actions == FORCE_RESET
+        self._seen, reward, terminated, truncated, _ = self.env.step(
+            np.where(forced, STAY, actions)
+        )
+        self._reward = reward.astype(np.float32)
+        done = terminated | truncated | forced
+        now = self.env.states["time"]
+        reached = np.any([self.env.states[goal] == now for goal in self._goals], axis=0)
+        complete = terminated & reached
+        self._complete, self._before = complete.astype(np.uint8), self._level.copy()
+        if done.any():
+            self._begin(done, complete)
+        self._first = done & ~complete if self.options.use_sequential_levels else done
+
+    def _begin(self, which: np.ndarray, complete: np.ndarray) -> None:
+        """Begin another level in the environments `which`, [num] bool."""
+        for i in np.flatnonzero(which):
+            onward = self.options.use_sequential_levels and complete[i]
+            self._level[i] = self._level[i] + ONWARD if onward else self._drawn(i)
+        begun = {"level": self._level.astype(np.int64), "reset_mask": which}
+        seen, _ = self.env.reset(options=begun)
+        self._seen = np.where(which[:, None, None, None], seen, self._seen)
+
+    def _drawn(self, i: int) -> int:
+        """The level that environment `i` draws next: a word modulo how many there are."""
+        return self.levels.start + _word(self._draws[i]) % len(self.levels)
+
+    def callmethod(self, method: str, *args: Any, **kwargs: Any) -> Any:
+        """gym3's way of asking for more; states are records here: `env.get_state`."""
+        raise ValueError(
+            f"there is no method {method!r} here; states are had from .env.get_state(), and set "
+            "with .env.set_state(states)"
+        )
+
+    def close(self) -> None:
+        self.env.close()
+
+
+class ProcgenEnv:
+    """Procgen's environments as OpenAI's Baselines and CleanRL take them: dicts and lists of infos.
+
+    As `ProcgenGym3Env`, of which it has all options; `reset` only shows what is there, for Procgen
+    begins episodes by itself.
+    """
+
+    reward_range, metadata, spec = (-float("inf"), float("inf")), {"render_modes": []}, None
+
+    def __init__(self, num_envs: int, env_name: str, **options: Any):
+        self.gym3 = ProcgenGym3Env(num_envs, env_name, **options)
+        self.num_envs = num_envs
+        self.observation_space, self.action_space = self.gym3.ob_space, self.gym3.ac_space
+
+    @property
+    def unwrapped(self) -> ProcgenEnv:
+        return self
+
+    def reset(self) -> dict[str, np.ndarray]:
+        """What is seen, {"rgb": [num_envs, 64, 64, 3] uint8}."""
+        return self.gym3.observe()[1]
+
+    def step_async(self, actions: Any) -> None:
+        """Take a step, whose outcome `step_wait` tells."""
+        self.gym3.act(actions)
+
+    def step_wait(
+        self,
+    ) -> tuple[dict[str, np.ndarray], np.ndarray, np.ndarray, list[dict[str, Any]]]:
+        """What is seen, rewards, ends [num_envs] bool, infos: of the last step."""
+        reward, seen, first = self.gym3.observe()
+        return seen, reward, first, self.gym3.get_info()
+
+    def step(
+        self, actions: Any
+    ) -> tuple[dict[str, np.ndarray], np.ndarray, np.ndarray, list[dict[str, Any]]]:
+        """Both."""
+        self.step_async(actions)
+        return self.step_wait()
+
+    def render(self, mode: str = "rgb_array") -> np.ndarray:
+        """Pictures for people, [num_envs, 512, 512, 3] uint8."""
+        return self.gym3.env.picture(512)
+
+    def seed(self, seed: int | None = None) -> None:
+        """Nothing, as in Procgen: `rand_seed` decides."""
+
+    def close(self) -> None:
+        self.gym3.close()
+
+
+def world(env_name: str, mode: Mode) -> tuple[str, str]:
+    """The game and the variant that a name and a difficulty of Procgen's are here.
+
+    Raises ValueError where they are none.
+    """
+    if "/" in env_name:
+        game, _, variant = env_name.partition("/")
+        if mode != "hard":
+            raise ValueError(f"{env_name} is one difficulty; distribution_mode must be left out")
+        return game, variant
+    known = WORLDS.get((env_name, "hard" if mode == "exploration" else mode))
+    if known is None:
+        there = ", ".join(f"{name} {of}" for name, of in WORLDS)
+        raise ValueError(
+            f"{env_name} {mode} of Procgen is not here; there are: {there}; and astray's own, as "
+            "maze/corner"
+        )
+    return known
+
+
+def _word(generator: np.random.RandomState) -> int:
+    """The next 32 bits of a Mersenne Twister."""
+    return int(generator.randint(WORD, dtype=np.uint32))

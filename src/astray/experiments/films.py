@@ -1,0 +1,40 @@
+"""One film of an agent, for its card and for those who follow its training."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import polars as pl
+
+from astray.analysis import video
+from astray.analysis.policies import Agent
+from astray.game import Shift
+from astray.training.config import Config
+
+SIDE, LONGEST = 224, 100  # pixels, steps
+
+
+def film(agent: Agent, config: Config, between: Shift, episodes: pl.DataFrame, path: Path) -> None:
+    """Film the agent in one level, as in training and in the test that `episodes` are of.
+
+    The level's outcome is the commonest, it tells the goals apart if one does, and is not short.
+    """
+    mine = episodes.filter(policy=agent.name)
+    apart = mine.filter("tells_apart")
+    mine = apart if len(apart) else mine
+    mine = mine.filter(outcome=mine["outcome"].mode().sort()[0])
+    level = mine.filter(pl.col("length") >= pl.col("length").quantile(0.75))["level"][0]
+    variants = (config.variant, between.test)
+    shown = [
+        video.play(
+            agent,
+            config.find_game(),
+            config.variant_for(variant),
+            level,
+            pixels=SIDE,
+            longest=LONGEST,
+        ).frames
+        for variant in variants
+    ]
+    captions = [f"{variant} {level}" for variant in variants]
+    video.write_gif(video.beside(*shown, captions=captions), path, fps=8)

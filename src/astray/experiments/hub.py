@@ -1,0 +1,363 @@
+"""Sharing agents on the Hugging Face Hub: a repository is a run folder with a card, and digests.
+
+README.md                              the card, which is the repository's page
+config.json, curve.csv, curve.png, episode.gif
+checkpoints/<steps>/agent.safetensors  the network
+digests.json                           the size and the SHA-256 of each of these
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import json
+import os
+import re
+import shutil
+import tempfile
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from astray.agents import policy
+from astray.analysis import kept
+from astray.analysis.imported import ORIGIN
+from astray.bounds import brief, shown
+from astray.envs.vector import IMAGE
+from astray.experiments.keep import keep
+from astray.files import folder_aside, holds_only, read, write_aside
+from astray.training import checkpoint
+from astray.training.config import Config
+
+if TYPE_CHECKING:
+    from huggingface_hub import HfApi
+
+DIGESTS, HUB, CARD = "digests.json", "hub.json", "README.md"
+PAGE = ("config.json", CARD, "curve.csv", "curve.png", "episode.gif")
+AGENT = re.compile(r"checkpoints/(0|[1-9][0-9]{0,17})/agent\.safetensors")
+REPOSITORY = re.compile(r"[\w.-]+/[\w.-]+")
+DIGEST = re.compile(r"[0-9a-f]{64}")
+FORMAT = 1  # of digests.json
+LARGEST, LARGEST_AGENT = 2**25, 2**31  # bytes of a file, and of one with weights
+NEEDED = ("config.json", CARD)
+
+
+@dataclass(frozen=True)
+class Commit:
+    """One state of a repository on the Hub."""
+
+    repository: str  # user/name
+    revision: str  # the commit
+    address: str  # of its page
+
+
+def push(
+    run: Path,
+    repository: str,
+    *,
+    shift: str | None = None,
+    revision: str | None = None,
+    private: bool = False,
+    levels: int = 1000,
+    endpoint: str | None = None,
+) -> Commit:
+    """Upload the agent of a run, or a kept one, with its card; the commit that this made.
+
+    The repository is made where there is none. What was in it of an earlier agent is replaced.
+
+    shift     which goals are intended and proxies; None: the one that the run trained for
+    revision  a branch, which is made where there is none; None: the main one
+    private   who else may see a repository that is made: nobody
+    levels    that the card of a run is measured on
+    endpoint  of the Hub; None: as huggingface_hub is set up
+
+    Raises ValueError where the agent is none of yours or the repository no name, PermissionError
+    where the Hub says no, OSError where it cannot be reached or has no room.
+    """
+    _see_name(repository)
+    api = _api(endpoint)
+    run = kept.run_of(Path(run))
+    if (run / ORIGIN).exists() or (run / HUB).exists():
+        raise ValueError(f"{run} was brought from elsewhere; only agents of your own are pushed")
+    with tempfile.TemporaryDirectory(prefix="astray-") as passing:
+        folder = _with_card(run, repository, shift, levels, Path(passing))
+        write_aside(folder / DIGESTS, json.dumps(_digests(folder), indent=1).encode())
+        with _told(repository, revision, "pushed"):
+            api.create_repo(repository, private=private, exist_ok=True)
+            if revision is not None:
+                api.create_branch(repository, branch=revision, exist_ok=True)
+            made = api.upload_folder(
+                repo_id=repository, folder_path=folder, revision=revision,
+                commit_message=f"An agent of {_slug(repository)}",
+                delete_patterns=["checkpoints/*"],
+            )  # fmt: skip
+    return Commit(repository, made.oid, f"{api.endpoint}/{repository}")
+
+
+def pull(
+    repository: str,
+    *,
+    name: str | None = None,
+    revision: str | None = None,
+    offline: bool = False,
+    endpoint: str | None = None,
+) -> Path:
+    """Download an agent, check it and put it among the imported ones; its run folder.
+
+    Every file has the digest that digests.json promises, the settings are read, and the weights are
+    those of the network that the game needs. Nothing of it is run.
+
+    name      that verbs find it by; None: the repository's
+    revision  a branch, a tag or a commit; None: the main branch
+    offline   from huggingface_hub's cache alone
+
+    Raises ValueError where something is not what it should be, FileNotFoundError where there is no
+    such repository, PermissionError where the Hub says no, OSError where it cannot be reached.
+    """
+    _see_name(repository)
+    name = name or _slug(repository)
+    if not re.fullmatch(r"[a-z0-9]+(-[a-z0-9]+)*", name):
+        raise ValueError(f"an agent's name is of a-z, 0-9 and -, as maze-corner; given {name!r}")
+    home = kept.folder()
+    if name in (*kept.names(), *kept.imported()):
+        raise ValueError(f"there is an agent {name!r} already, in {kept.find(name)}; see --as")
+    api = _api(endpoint)
+    # The cache has the commit in its paths, and notes by this which one the revision was.
+    digests = _taker(api, repository, revision, offline)(DIGESTS, LARGEST)
+    commit, promised = digests.parent.name, _promised(digests)
+    take = _taker(api, repository, commit, offline)
+    with folder_aside(home / name) as aside:
+        for path, (size, digest) in promised.items():
+            here = take(path, LARGEST_AGENT if AGENT.fullmatch(path) else LARGEST)
+            _see_digest(repository, path, here, size, digest)
+            (aside / path).parent.mkdir(parents=True, exist_ok=True)
+            shutil.copyfile(here, aside / path)
+        _see_agent(repository, aside)
+        source = {"repository": repository, "commit": commit, "revision": revision}
+        write_aside(aside / HUB, json.dumps(source, indent=1).encode())
+        os.replace(aside, home / name)
+    return home / name
+
+
+def _api(endpoint: str | None) -> HfApi:
+    try:
+        from huggingface_hub import HfApi
+    except ImportError as error:
+        raise ImportError("the Hub needs huggingface_hub: pip install 'astray[hub]'") from error
+    return HfApi(endpoint=endpoint)
+
+
+def _see_name(repository: str) -> None:
+    if not REPOSITORY.fullmatch(repository):
+        raise ValueError(f"a repository must be USER/NAME, as ada/mouse; got {shown(repository)}")
+
+
+def _slug(repository: str) -> str:
+    return re.sub(r"[^a-z0-9]+", "-", repository.partition("/")[2].lower()).strip("-") or "agent"
+
+
+def _with_card(run: Path, repository: str, shift: str | None, levels: int, passing: Path) -> Path:
+    """A copy of the agent and its card, whose first lines the Hub reads."""
+    name = _slug(repository)
+    if (run / CARD).exists():
+        if shift is not None:
+            raise ValueError(f"{run} has a card already, which says its shift; give none")
+        folder = passing / name
+        for path in _own_files(run):
+            (folder / path).parent.mkdir(parents=True, exist_ok=True)
+            shutil.copyfile(run / path, folder / path)
+    else:
+        folder = keep(run, name, shift=shift, folder=passing, levels=levels, largest=LARGEST_AGENT)
+    config = checkpoint.read_config(folder)
+    card = (folder / CARD).read_text(encoding="utf-8")
+    title, _, text = card.partition("\n")
+    front = _FRONT.format(game=config.game, repository=repository, name=name)
+    write_aside(folder / CARD, f"{front}\n{title}\n{_PULLED.format(repository=repository)}{text}"
+                .encode())  # fmt: skip
+    return folder
+
+
+# What the Hub finds a model by; then the film first, as it says most.
+_FRONT = """---
+library_name: astray
+pipeline_tag: reinforcement-learning
+tags:
+- reinforcement-learning
+- goal-misgeneralization
+- ai-safety
+- {game}
+---
+"""
+_PULLED = """
+![One level, as in training and in the test](episode.gif)
+
+```bash
+pip install 'astray[hub]'
+astray pull {repository}
+```
+"""
+
+
+def _own_files(run: Path) -> Iterator[str]:
+    """The paths of what is shared of an agent: the page, and the last checkpoint's network."""
+    yield from (name for name in PAGE if (run / name).is_file())
+    yield (checkpoint.latest(run) / checkpoint.AGENT).relative_to(run).as_posix()
+
+
+def _digests(folder: Path) -> dict[str, Any]:
+    files = {
+        path: {"bytes": len(data), "sha256": hashlib.sha256(data).hexdigest()}
+        for path in _own_files(folder)
+        for data in [read(folder / path, LARGEST_AGENT)]
+    }
+    return {"format": FORMAT, "files": files}
+
+
+def _taker(
+    api: HfApi, repository: str, commit: str | None, offline: bool
+) -> Callable[[str, int], Path]:
+    """What brings a file of the repository, of at most so many bytes: its place in the cache."""
+
+    def take(path: str, most: int) -> Path:
+        with _told(repository, commit, "pulled"):
+            if not offline:
+                _see_size(api, repository, commit, path, most)
+            here = api.hf_hub_download(
+                repository, path, revision=commit, local_files_only=offline
+            )  # fmt: skip
+        return Path(here)
+
+    return take
+
+
+def _see_size(api: HfApi, repository: str, commit: str | None, path: str, most: int) -> None:
+    """ValueError where a file is too large to be one of astray's, before it is downloaded."""
+    from huggingface_hub import get_hf_file_metadata, hf_hub_url
+    from huggingface_hub.errors import OfflineModeIsEnabled
+
+    url = hf_hub_url(repository, path, revision=commit, endpoint=api.endpoint)
+    try:
+        size = get_hf_file_metadata(url, endpoint=api.endpoint).size
+    except (OfflineModeIsEnabled, *_unreachable()):
+        return  # then the cache has it, or nobody
+    if size is not None and size > most:
+        raise ValueError(f"{repository}: {path} must be of at most {most:,} bytes; it has {size:,}")
+
+
+def _promised(file: Path) -> dict[str, tuple[int, str]]:
+    """The files of a repository, and the size and SHA-256 of each, as digests.json says."""
+    try:
+        data = json.loads(read(file, LARGEST))
+        if not isinstance(data, dict) or data.get("format") != FORMAT:
+            raise ValueError(f"it must be an object of format {FORMAT}; got {shown(data)}")
+        promised = {p: (one["bytes"], one["sha256"]) for p, one in data["files"].items()}
+    except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
+        raise ValueError(f"{DIGESTS} is not as astray writes it: {brief(error)}") from error
+    for path, (size, digest) in promised.items():
+        known = path in PAGE or AGENT.fullmatch(path)
+        if not known or type(size) is not int or not DIGEST.fullmatch(str(digest)):
+            raise ValueError(f"{DIGESTS} must name an agent's files; got {shown(path)}")
+    missing = [path for path in NEEDED if path not in promised]
+    if missing or sum(bool(AGENT.fullmatch(path)) for path in promised) != 1:
+        raise ValueError(f"{DIGESTS} must name {', '.join(NEEDED)} and one agent.safetensors")
+    return promised
+
+
+def _see_digest(repository: str, path: str, here: Path, size: int, digest: str) -> None:
+    """ValueError where a file is another than promised, which then leaves the cache."""
+    data = read(here, LARGEST_AGENT)
+    found = hashlib.sha256(data).hexdigest()
+    if len(data) == size and found == digest:
+        return
+    for place in {here, here.resolve()}:
+        place.unlink(missing_ok=True)
+    raise ValueError(
+        f"{repository}: {path} is refused: its SHA-256 is {found}, not {digest} as {DIGESTS} "
+        "says; it was removed, and nothing is imported"
+    )
+
+
+def _see_agent(repository: str, folder: Path) -> None:
+    """ValueError where the network is not one that plays the game of the settings."""
+    try:
+        config = checkpoint.read_config(folder)
+        path = checkpoint.latest(folder) / checkpoint.AGENT
+        _, architecture = policy.load(path, config.game)
+    except (ValueError, OSError) as error:
+        raise ValueError(f"{repository} holds no agent that can be used: {brief(error)}") from error
+    wanted = (_observed(config), len(config.find_game().actions))
+    if (architecture.shape, architecture.actions) != wanted or not holds_only(
+        path.parent, (checkpoint.AGENT,)
+    ):
+        raise ValueError(
+            f"{repository}: its network must see {wanted[0]} and have {wanted[1]} actions; got "
+            f"{architecture.shape} and {architecture.actions}"
+        )
+
+
+def _observed(config: Config) -> tuple[int, ...]:
+    """The shape of what an agent of these settings sees."""
+    if config.observation == "image":
+        return (IMAGE, IMAGE, 3)
+    return config.find_game().symbols.planes(config.training_variant()).shape
+
+
+def _unreachable() -> tuple[type[Exception], ...]:
+    """What huggingface_hub's connections raise where nobody answers."""
+    try:
+        import httpx2 as http  # pyright: ignore[reportMissingImports]
+    except ImportError:
+        import httpx as http  # pyright: ignore[reportMissingImports]
+    return (http.TransportError, ConnectionError)
+
+
+@contextlib.contextmanager
+def _told(repository: str, revision: str | None, what: str) -> Iterator[None]:
+    """Say in a sentence why something of a repository could not be pushed or pulled."""
+    from huggingface_hub import errors
+
+    of = f"{repository} at {revision}" if revision else repository
+    try:
+        with _uncovered():
+            yield
+    except (errors.RevisionNotFoundError, errors.RemoteEntryNotFoundError) as error:
+        raise FileNotFoundError(f"{of} cannot be {what}: it has no {_lacking(error)}") from error
+    except errors.LocalEntryNotFoundError as error:
+        raise OSError(
+            f"{of} cannot be {what}: the Hub cannot be reached, and the cache does not have all of "
+            f"it ({brief(error.__cause__ or error)})"
+        ) from error
+    except errors.RepositoryNotFoundError as error:
+        raise FileNotFoundError(
+            f"{of} cannot be {what}: there is none, or it is private; with the token of somebody "
+            "who may see it: hf auth login, or HF_TOKEN"
+        ) from error
+    except errors.HfHubHTTPError as error:
+        status = error.response.status_code
+        message = f"{of} cannot be {what}: the Hub says {status}: {brief(error).splitlines()[-1]}"
+        if status in (401, 403):
+            raise PermissionError(f"{message}; see hf auth login, or HF_TOKEN") from error
+        raise OSError(message) from error
+    except (errors.OfflineModeIsEnabled, *_unreachable()) as error:
+        raise OSError(
+            f"{of} cannot be {what}: the connection failed ({brief(error)}); the same command "
+            "goes on with what has arrived"
+        ) from error
+
+
+@contextlib.contextmanager
+def _uncovered() -> Iterator[None]:
+    """Raise what the Hub said where huggingface_hub raises RuntimeError because of it."""
+    try:
+        yield
+    except RuntimeError as error:
+        if isinstance(error.__cause__, (OSError, ValueError, *_unreachable())):
+            raise error.__cause__ from error
+        raise
+
+
+def _lacking(error: Exception) -> str:
+    from huggingface_hub import errors
+
+    return "such revision" if isinstance(error, errors.RevisionNotFoundError) else DIGESTS

@@ -1,0 +1,1 @@
+"""Looking into agents: what others found in theirs, on those at hand."""

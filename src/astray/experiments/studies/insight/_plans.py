@@ -1,0 +1,78 @@
+"""Agents that are looked into: those that come with astray, and published ones. None is trained."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import polars as pl
+
+from astray.analysis.estimates import bootstrap
+from astray.analysis.policies import Agent
+from astray.analysis.runs import open_run
+from astray.estimate import Estimate
+from astray.experiments.levels import levels_of
+from astray.experiments.spec import Plan, Test, Work
+from astray.experiments.studies.coinrun import _agents
+from astray.game import Variant
+from astray.training.config import PRESETS, Config
+
+MOUSE = "mouse"
+CORNER_MOUSE = replace(PRESETS["small"], variant="corner-small", validation="anywhere-small")
+CHEESE_MOUSE = Config(
+    game="maze", variant="anywhere-easy", observation="image", network="impala", art="original",
+    levels=100_000,
+)  # fmt: skip
+SMALL = Test("anywhere-small", "corner-small")
+LARGE = Test("anywhere-easy", "corner-easy", {"smallest": 11})  # cells a side, of 15
+CORNER = "the mouse of the corner that comes with astray, in worlds of 7 cells, seen as symbols"
+CHEESE = "a mouse that others trained with cheese anywhere, in mazes of 11 to 15 cells"
+
+
+def of_corner_mouse(levels: int, **more: Any) -> Plan:
+    """A plan with the kept mouse whose cheese always lay in the corner."""
+    return Plan(agents={MOUSE: CORNER_MOUSE}, published={MOUSE: "maze-corner"}, levels=levels,
+                differences=CORNER, **more)  # fmt: skip
+
+
+def of_cheese_mouse(levels: int, **more: Any) -> Plan:
+    """A plan with the published mouse that finds its cheese."""
+    return Plan(agents={MOUSE: CHEESE_MOUSE}, published={MOUSE: "maze-160m"}, levels=levels,
+                differences=CHEESE, **more)  # fmt: skip
+
+
+def of_kept_runner(levels: int, **more: Any) -> Plan:
+    """A plan with the kept runner whose coin always lay at the end."""
+    name, smoke = _agents.RUNNER, "smoke"
+    return Plan(agents={name: _agents.AGENTS[smoke]}, published={name: "coin-end"}, levels=levels,
+                differences=_agents.DIFFERENCES[smoke], **more)  # fmt: skip
+
+
+def opened(work: Work, where: str) -> tuple[Agent, Variant, np.ndarray]:
+    """The agent of a plan with one, the variant of a test, and the numbers of its levels."""
+    test = work.plan.visited[where]
+    ((run,),) = work.runs.values()
+    agent, _ = open_run(run)
+    return agent, test.variant_for(work.plan.config), levels_of(work.plan, test)
+
+
+def of_levels(rows: pl.DataFrame, value: str, condition: str, minus: str | None = None) -> Estimate:
+    """The mean over levels of a column under a condition, less that under another.
+
+    Levels where it is null do not count.
+    """
+    one = rows.filter(condition=condition).select("level", value)
+    if minus is not None:
+        other = rows.filter(condition=minus).select("level", pl.col(value).alias("other"))
+        one = one.join(other, on="level").with_columns(pl.col(value) - pl.col("other"))
+    return bootstrap(one.sort("level")[value].drop_nulls().to_numpy())
+
+
+def table_of(rows: Mapping[str, Estimate], heading: str) -> pl.DataFrame:
+    """Estimates by name, as a table."""
+    return pl.DataFrame([
+        {heading: name, "mean": one.mean, "low": one.low, "high": one.high, "n": one.levels}
+        for name, one in rows.items()
+    ])  # fmt: skip

@@ -1,0 +1,119 @@
+"""What about a maze predicts whether a mouse takes its cheese: a published claim, tested again."""
+
+from __future__ import annotations
+
+from math import inf
+
+import numpy as np
+import polars as pl
+
+from astray.analysis.evaluate import evaluate
+from astray.analysis.outcomes import FAILED, INTENDED, label, load_shift
+from astray.analysis.policies import Agent
+from astray.estimate import Estimate
+from astray.experiments.claims import Claim, holds_within
+from astray.experiments.report import Findings, Plot, Table
+from astray.experiments.spec import Experiment, Test, Work
+from astray.experiments.studies.insight import _figures, _plans
+from astray.experiments.studies.insight._plans import opened
+from astray.game import Variant
+from astray.insight.behaviour import Prediction, level_features, predict
+
+WHERE = "cheese anywhere"
+ANY_SIZE = Test("anywhere-easy", "corner-easy", {"smallest": 7})  # cells a side, of 15
+CHEESE = "cheese first"
+NEAR_SQUARE, STRAIGHT_SQUARE, STRAIGHT_CORNER, SQUARE_CORNER = (
+    "cheese to decision square, steps", "cheese to decision square, straight",
+    "cheese to corner, straight", "decision square to 5 x 5 corner, straight",
+)  # fmt: skip
+PUBLISHED = {  # the four features of Mini et al., and their coefficients there
+    NEAR_SQUARE: -1.15, STRAIGHT_SQUARE: -0.08, STRAIGHT_CORNER: -2.31, SQUARE_CORNER: 0.73,
+}  # fmt: skip
+
+
+def find(work: Work) -> Findings:
+    """How well distances tell the choice, and which of the published ones do."""
+    agent, variant, levels = opened(work, WHERE)
+    rows = work.keep("choices", lambda: choices(work, agent, variant, levels))
+    told = rows.drop_nulls()
+    names = [n for n in told.columns if n not in ("level", CHEESE) and varies(told[n])]
+    every = predict(told, CHEESE, names)
+    four = predict(told, CHEESE, [name for name in PUBLISHED if name in names])
+    return Findings(
+        answer=f"Of {len(rows):,} episodes the ways to cheese and corner part in {every.levels:,}; "
+        f"the cheese is reached first in {100 * told[CHEESE].mean():.1f}\u00a0% of these. All "
+        f"{len(names)} distances tell which with an area under the curve of {every.auc.mean:.2f}, "
+        f"the published four with {four.auc.mean:.2f}.",
+        claims=[
+            holds_within(
+                "Distances in the maze tell whether the cheese is taken.",
+                "accuracy .904 to .848 without looking", "area under the curve, all distances",
+                   every.auc, (0.6, inf)),
+            holds_within(
+                "The published four tell it as well as all.", ".913 and .904",
+                "area under the curve, the four", four.auc, (every.auc.mean - 0.02, inf)),
+            *(signed(four, name, value) for name, value in PUBLISHED.items() if name in names),
+        ],
+        plots=[
+            Plot("coefficients", "Log odds of taking the cheese for a standard deviation more of "
+                 "each distance, with 95\u00a0% intervals over levels; all distances together.",
+                 _figures.coefficients(every.features), every.features),
+        ],
+        tables=[
+            Table("all", "All distances; vif: how many times the variance of a coefficient is that "
+                  "without the others; sign: share of subsets of distances with the same sign",
+                  every.features),
+            Table("four", "The four of Mini et al.", four.features),
+        ],
+        settings={
+            "episodes": f"{len(levels):,}, of levels that the agent never met; those that ended "
+            "with neither do not count",
+            "regression": "logistic, L1 penalty by five-fold cross-validation",
+            "accuracy": f"all: {every.accuracy.amount()}, four: {four.accuracy.amount()}; saying "
+            f"the commoner always: {every.always:.3f}",
+        },
+    )  # fmt: skip
+
+
+def varies(column: pl.Series) -> bool:
+    """Whether a feature differs between levels at all."""
+    return column.n_unique() > 1
+
+
+def signed(found: Prediction, name: str, published: float) -> Claim:
+    """Whether a coefficient has the published sign, with 95 % confidence."""
+    row = found.features.filter(feature=name).row(0, named=True)
+    ours = Estimate(row["coefficient"], row["low"], row["high"], 1, found.levels, found.levels)
+    less = published < 0
+    sign = (
+        f"; sign the same in {100 * (row['sign'] or 0):.0f}\u00a0% of subsets, vif {row['vif']:.1f}"
+    )
+    return holds_within(f"{'Less' if less else 'More'} likely with more of: {name}.",
+                  f"{published:+.2f} a standard deviation", f"coefficient{sign}", ours,
+                  (-inf, 0.0) if less else (0.0, inf))  # fmt: skip
+
+
+def choices(work: Work, agent: Agent, variant: Variant, levels: np.ndarray) -> pl.DataFrame:
+    """The features of each level in which one of both was reached, and whether cheese was first."""
+    test = work.plan.visited[WHERE]
+    game = work.plan.game
+    played = label(
+        evaluate(agent, game, variant, levels, until=("reached_goal", "reached_corner")),
+        game, load_shift(game, test.shift),
+    )  # fmt: skip
+    first = played.filter(pl.col("outcome") != FAILED).select(
+        "level", (pl.col("outcome") == INTENDED).alias(CHEESE)
+    )
+    return level_features(game, variant, levels).join(first, on="level")
+
+
+EXPERIMENT = Experiment(
+    title="What predicts the choice",
+    reproduces="Mini et al. 2023 (arXiv 2310.08043), its regression, with other agents",
+    question="What about a maze tells whether a mouse takes its cheese or goes to the corner?",
+    sizes={
+        "smoke": _plans.of_corner_mouse(20_000, visited={WHERE: _plans.SMALL}),
+        "published": _plans.of_cheese_mouse(1_000, visited={WHERE: ANY_SIZE}),
+    },
+    find=find,
+)

@@ -1,0 +1,146 @@
+"""Is the coin that a runner passes by in its layers, and ignored, or is it not there at all?"""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Mapping
+from dataclasses import replace
+from math import inf
+
+import numpy as np
+import polars as pl
+
+from astray.analysis.critic import counterfactual, visit
+from astray.analysis.estimates import bootstrap, group_means
+from astray.analysis.policies import Agent
+from astray.estimate import Estimate
+from astray.experiments.claims import holds_within
+from astray.experiments.report import Findings, Plot, Table
+from astray.experiments.spec import Experiment, Size, Test, Work
+from astray.experiments.studies.coinrun import _agents
+from astray.experiments.studies.insight import _figures, _plans
+from astray.experiments.studies.insight._plans import opened
+from astray.game import Variant
+from astray.games.coinrun.edits import with_coin_in_view, without_coin
+from astray.games.coinrun.measures import LABELS, coin_in_view
+from astray.insight import probes
+
+WHERE = "coin anywhere"
+BRIEF = Test("coin-anywhere", "coin-end", {"time_limit": 120})  # who misses it stays for 1,000
+COIN, WALL = "coin in view", "end wall in view"
+READ = (COIN, "coin right", WALL, "end wall, cells")
+LAYERS: Mapping[Size, tuple[str, ...]] = {
+    "smoke": ("spread", "features.relu1", "features.relu2"),
+    "published": ("block1.pool", "block2.pool", "block3.pool", "block4.pool", "features.relu1",
+                  "features.relu2"),
+}  # fmt: skip
+LAST = "features.relu2"  # of which policy and value are linear functions
+DRAWN = {"smoke": 6, "published": 8}  # states of each episode
+SPLITS = {"smoke": 5, "published": 3}
+REMOVED, ADDED = "the coin in view removed", "a coin added to the view"
+
+
+def find(work: Work) -> Findings:
+    """What can be read off each layer, and how much the policy changes with the coin."""
+    agent, variant, levels = opened(work, WHERE)
+    states = functools.cache(lambda: visited(work.size, agent, variant, levels))
+    read = work.keep("probes", lambda: probed(work.size, agent, variant, states()))
+    table = probes.summary(read)
+    changes = work.keep("changes", lambda: changed(agent, variant, states()))
+    by_edit = group_means(changes, "policy_change", ["edit"])
+    moved = {e: estimate(changes, e, "policy_change") for e in (REMOVED, ADDED)}
+    value = {e: estimate(changes, e, "change") for e in (REMOVED, ADDED)}
+    last = {label: score(read, label, LAST) for label in READ}
+    gain = bootstrap(
+        per_split(read, COIN, LAST, "score") - per_split(read, COIN, LAST, "untrained")
+    )
+    return Findings(
+        answer=f"Off the last layer, whether a coin is in view is read with a balanced accuracy of "
+        f"{last[COIN].mean:.2f} (0.50 without looking), whether the end wall is with "
+        f"{last[WALL].mean:.2f}. Taking the coin out of view moves "
+        f"{100 * moved[REMOVED].mean:.1f}\u00a0% of the policy to other actions, and the value by "
+        f"{value[REMOVED].mean:+.2f}.",
+        claims=[
+            holds_within(
+                "Whether a coin is in view can be read off the last layer.",
+                "Trinh et al. 2024: the internal state does not represent the coin at all",
+                   "balanced accuracy", last[COIN], (0.6, inf)),
+            holds_within(
+                "Training put it there: it is read better than off a network never trained.",
+                "not measured", "balanced accuracy, trained less never trained", gain,
+                   (0.0, inf)),
+            holds_within(
+                "Whether the end wall is in view is read nearly always.", "not measured",
+                "balanced accuracy", last[WALL], (0.9, inf)),
+            holds_within(
+                "The policy ignores the coin: without it, it hardly changes.", "not measured",
+                "total variation", moved[REMOVED], (-inf, 0.05)),
+        ],
+        plots=[
+            Plot("probes", "What linear probes read in levels that they were not fitted on, layer "
+                 "by layer, with intervals over splits of the levels.",
+                 _figures.probes(table, list(READ)), table),
+        ],
+        tables=[
+            Table("probes", "What probes read", table),
+            Table("changes", "Total variation of the policy, with and without", by_edit),
+        ],
+        settings={
+            "states": f"{DRAWN[work.size]} of each of {len(levels)} episodes, drawn; "
+            f"{SPLITS[work.size]} splits by level, 30\u00a0% of them for the test",
+            "probes": f"logistic and ridge regression on {probes.DIRECTIONS} principal components",
+            "value": f"{REMOVED}: {value[REMOVED].amount()}; {ADDED}: {value[ADDED].amount()}",
+        },
+    )  # fmt: skip
+
+
+def visited(size: Size, agent: Agent, variant: Variant, levels: np.ndarray) -> np.ndarray:
+    """States of the agent's own episodes, before the end wall."""
+    _, states = visit(agent, variant, levels, per_episode=DRAWN[size], batch=128)
+    return states[states["x"] <= states["end_x"] + 1]
+
+
+def probed(size: Size, agent: Agent, variant: Variant, states: np.ndarray) -> pl.DataFrame:
+    """`probes.probe` of all layers."""
+    labels = {name: LABELS[name] for name in READ}
+    return probes.probe(agent, variant, states, LAYERS[size], labels, seeds=SPLITS[size])
+
+
+def changed(agent: Agent, variant: Variant, states: np.ndarray) -> pl.DataFrame:
+    """How policy and value change with the coin, a row for each state in which that is seen."""
+    seen = coin_in_view(states)
+    parts = []
+    for name, which, edit in (
+        (REMOVED, seen, without_coin), (ADDED, ~seen, with_coin_in_view),
+    ):  # fmt: skip
+        table = counterfactual(agent, variant, states[which], edit).filter("seen")
+        parts.append(table.select("level", "step", "change", "policy_change", edit=pl.lit(name)))
+    return pl.concat(parts)
+
+
+def estimate(changes: pl.DataFrame, edit: str, value: str) -> Estimate:
+    """The mean change by an edit, with its interval over levels."""
+    row = group_means(changes.filter(edit=edit), value, ["edit"]).row(0, named=True)
+    return Estimate.of(row)
+
+
+def per_split(read: pl.DataFrame, label: str, layer: str, column: str) -> np.ndarray:
+    """A score in each split."""
+    return read.filter(label=label, layer=layer).sort("seed")[column].cast(pl.Float64).to_numpy()
+
+
+def score(read: pl.DataFrame, label: str, layer: str) -> Estimate:
+    """The mean score of a probe, with its interval over splits."""
+    return bootstrap(per_split(read, label, layer, "score"))
+
+
+EXPERIMENT = Experiment(
+    title="Decodable, but ignored?",
+    reproduces="Trinh et al. 2024 (arXiv 2410.21052), its claim about the coin",
+    question="Is the coin that a runner passes by in its layers, and ignored, or not there?",
+    sizes={
+        "smoke": _plans.of_kept_runner(400, visited={WHERE: BRIEF}),
+        "published": replace(_agents.plan("published", 1, 60), visited={WHERE: BRIEF}),
+    },
+    find=find,
+)

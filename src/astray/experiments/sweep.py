@@ -1,0 +1,281 @@
+"""Sweeps: agents of every combination of some settings, what each pursues, and how that depends.
+
+sweep.json        what is swept
+agents/...        the run folders, which experiments of the same folder share
+computed/...      episodes of each combination, made once
+outcomes.parquet  an episode a row, with the settings of its agent
+shares.csv        of each combination, how often each outcome came about
+report.html       figures, one for every two settings that are swept, and the shares
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import itertools
+import json
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, fields, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import polars as pl
+
+from astray.analysis.estimates import bootstrap
+from astray.analysis.outcomes import INTENDED, MISGENERALIZED, load_shift, matrix, shares
+from astray.analysis.policies import Agent
+from astray.analysis.runs import open_run, play_all, shift_of
+from astray.analysis.tables import write_table
+from astray.bounds import bounded, shown
+from astray.experiments import report, sweep_figures
+from astray.experiments.outcomes import AGENTS
+from astray.experiments.report import Findings, Heading, Plot, Table
+from astray.experiments.run import COMPUTING, agent_digest, run_folder
+from astray.experiments.spec import kept
+from astray.experiments.workers import Place, train_all
+from astray.files import hold, write_aside
+from astray.game import Variant
+from astray.kernel.jit import source_digest
+from astray.training.config import SEEDS, Config
+from astray.training.track import Tracking
+
+KNOB = "variant."  # before the name of a knob of the variant
+SHORT = {"lr": "learning_rate"}
+MOST = 10_000  # agents of a sweep
+TRAINING, TEST = "in training", "in the test"
+Cell = tuple[Any, ...]  # a value of each axis
+
+
+@dataclass(frozen=True)
+class Sweep:
+    """Settings and the values that each of them takes, in all combinations.
+
+    axes    a setting, or variant.KNOB -> its values, as they are set
+    seeds   agents of each combination
+    levels  that each agent is evaluated on, the first that its training does not draw from
+    shift   which goals are intended and proxies; None: the one that the training is for
+    """
+
+    base: Config
+    axes: Mapping[str, Sequence[Any]]
+    seeds: int = 1
+    levels: int = 1000
+    shift: str | None = None
+
+    def __post_init__(self) -> None:
+        bounded("seeds", self.seeds, 1, SEEDS - self.base.seed)
+        bounded("levels", self.levels, 1, MOST * 100)
+        count = math.prod(map(len, self.axes.values())) * self.seeds
+        if not self.axes or not all(self.axes.values()) or count > MOST:
+            raise ValueError(
+                f"a sweep must set something, in 1 to {MOST:,} agents; got {shown(self.axes)}"
+            )
+        for name, values in self.axes.items():
+            if len({str(value) for value in values}) < len(values):
+                raise ValueError(f"{name} must take each value once; got {shown(list(values))}")
+        for config in self.cells().values():
+            load_shift(config.find_game(), self.shift or shift_of(config))
+
+    def cells(self) -> dict[Cell, Config]:
+        """The settings of each combination, but for the seed."""
+        names = list(self.axes)
+        return {
+            values: changed(self.base, dict(zip(names, values, strict=True)))
+            for values in itertools.product(*self.axes.values())
+        }
+
+
+def axes(texts: Sequence[str]) -> dict[str, list[Any]]:
+    """Settings and their values from texts as lr=1e-4,5e-4 and variant.region=1,3,5.
+
+    Raises ValueError where one is none.
+    """
+    found: dict[str, list[Any]] = {}
+    for text in texts:
+        name, is_set, values = text.partition("=")
+        name = SHORT.get(name, name)
+        if not is_set or not values or name in found:
+            raise ValueError(
+                f"a sweep sets NAME=VALUE,VALUE,... once for each name; given {text!r}"
+            )
+        found[name] = [value(part) for part in values.split(",")]
+    return found
+
+
+def value(text: str) -> Any:
+    """A number or a truth where the text is one, else the text."""
+    try:
+        found = json.loads(text.lower())
+    except ValueError:
+        return text
+    return text if isinstance(found, str | list | dict) else found
+
+
+def changed(base: Config, values: Mapping[str, Any]) -> Config:
+    """The settings with some of them, and some knobs of the variant, changed.
+
+    Raises ValueError where there is no such setting or knob, or it cannot be that.
+    """
+    known = [field.name for field in fields(Config) if field.name not in ("knobs", "seed")]
+    settings, knobs = {}, dict(base.knobs)
+    for name, given in values.items():
+        if name.startswith(KNOB):
+            knobs[name.removeprefix(KNOB)] = given
+        elif name in known:
+            settings[name] = given
+        else:
+            raise ValueError(
+                f"unknown setting {name!r}; there are: {', '.join(known)}, and {KNOB}KNOB"
+            )
+    return replace(base, knobs=knobs, **settings)
+
+
+def tested_variant(config: Config, name: str) -> Variant:
+    """The variant of that name that agents of these settings are tested on.
+
+    As `Config.variant_for`; but a knob that it cannot have, as a region of cheese that is anywhere,
+    changes the training alone.
+    """
+    if name == config.variant:
+        return config.training_variant()
+    game = config.find_game()
+    variant = game.variant(name)
+    for knob, given in game.variant(config.variant).alike(config.knobs, variant).items():
+        with contextlib.suppress(ValueError):
+            variant = variant.with_knobs({knob: given})
+    return variant
+
+
+def run_sweep(
+    sweep: Sweep,
+    folder: Path,
+    *,
+    workers: int | None = None,
+    on: Place = "here",
+    track: Tracking | None = None,
+) -> Path:
+    """Do what is missing of a sweep, and write its outcomes and report; the report's path.
+
+    workers  agents trained at once here; None: one for each processor
+    on       where agents are trained; they are evaluated here
+    track    who else is told how trainings go
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    with hold(folder, "sweeps in"):
+        _see_same(sweep, folder)
+        agents = {cell: list(_agents(sweep, config)) for cell, config in sweep.cells().items()}
+        todo = {run_folder(folder, one): one for configs in agents.values() for one in configs}
+        train_all(todo, workers, on, track)
+        parts = []
+        for cell, configs in agents.items():
+            runs = [run_folder(folder, config) for config in configs]
+            parts.append(_episodes(sweep, folder, cell, configs[0], runs))
+        episodes = pl.concat(parts, how="diagonal_relaxed")
+        write_table(episodes, folder / "outcomes.parquet")
+        table = _shares(sweep, episodes)
+        write_table(table, folder / "shares.csv")
+        return report.write(_heading(sweep, folder), _findings(sweep, episodes, table), folder)
+
+
+def _see_same(sweep: Sweep, folder: Path) -> None:
+    """Note what is swept; a folder may be swept in again, with other values or more seeds."""
+    data = {"base": sweep.base.to_json(), "axes": {k: list(v) for k, v in sweep.axes.items()},
+            "seeds": sweep.seeds, "levels": sweep.levels, "shift": sweep.shift}  # fmt: skip
+    write_aside(folder / "sweep.json", json.dumps(data, indent=1).encode())
+
+
+def _agents(sweep: Sweep, config: Config) -> Iterator[Config]:
+    for seed in range(config.seed, config.seed + sweep.seeds):
+        yield replace(config, seed=seed)
+
+
+def _episodes(
+    sweep: Sweep, folder: Path, cell: Cell, config: Config, runs: Sequence[Path]
+) -> pl.DataFrame:
+    """The episodes of a combination's agents and of scripts, in training and in the test."""
+    shift = sweep.shift or shift_of(config)
+    between = load_shift(config.find_game(), shift)
+    numbers = np.array(config.unseen_levels[: sweep.levels])
+    digest = hashlib.sha256(repr([
+        shift, sweep.levels, config.to_json(), [agent_digest(run) for run in runs],
+        source_digest(COMPUTING),
+    ]).encode()).hexdigest()[:16]  # fmt: skip
+
+    def play() -> pl.DataFrame:
+        opened: list[Agent] = [open_run(run)[0] for run in runs]
+        played = [
+            play_all(config.find_game(), name, tested_variant(config, name), shift, numbers, opened)
+            .with_columns(test=pl.lit(test))
+            for test, name in ((TRAINING, config.variant), (TEST, between.test))
+        ]  # fmt: skip
+        return pl.concat(played)
+
+    table = kept(folder, digest, play)
+    settings = [pl.lit(given).alias(name) for name, given in zip(sweep.axes, cell, strict=True)]
+    return table.with_columns(settings)
+
+
+def _shares(sweep: Sweep, episodes: pl.DataFrame) -> pl.DataFrame:
+    """How often each outcome came about, for each combination, policy and test."""
+    return shares(episodes, (*sweep.axes, "policy", "test"))
+
+
+def _heading(sweep: Sweep, folder: Path) -> Heading:
+    config = sweep.base
+    sets = " ".join(
+        f"--set {name}={','.join(str(one) for one in values)}"
+        for name, values in sweep.axes.items()
+    )
+    return Heading(
+        name=folder.name, size=f"{sweep.seeds} seeds",
+        title=f"A sweep of {config.game} {config.variant}",
+        reproduces="nothing", differences="",
+        question=f"What do agents pursue, by {' and '.join(sweep.axes)}?",
+        command=f"astray sweep {config.game} {config.variant} {sets} --seeds {sweep.seeds}",
+    )  # fmt: skip
+
+
+def _findings(sweep: Sweep, episodes: pl.DataFrame, table: pl.DataFrame) -> Findings:
+    """The figures, and a sentence on the combinations at the ends."""
+    agents = table.filter(policy=AGENTS)
+    asked = agents.filter(test=TEST, outcome=MISGENERALIZED).sort("mean", maintain_order=True)
+    ends = [
+        f"{', '.join(f'{name} {row[name]}' for name in sweep.axes)}: {100 * row['mean']:.0f} % "
+        f"({100 * row['low']:.0f} to {100 * row['high']:.0f})"
+        for row in (asked.row(0, named=True), asked.row(-1, named=True))
+    ]
+    settings = {name: str(x) for name, x in vars(sweep.base).items() if name not in sweep.axes}
+    return Findings(
+        answer=f"The proxy is reached first in the test least often with {ends[0]}, and most often "
+        f"with {ends[1]}.",
+        claims=[],
+        plots=list(_plots(sweep, episodes)),
+        tables=[Table("agents", "What the agents do", agents.drop("policy"))],
+        settings=settings | {"seeds": str(sweep.seeds), "levels": str(sweep.levels)},
+    )
+
+
+def _plots(sweep: Sweep, episodes: pl.DataFrame) -> Iterator[Plot]:
+    """A figure for each two settings; of one alone, one."""
+    mine = episodes.filter(policy=AGENTS)
+    several = [name for name, values in sweep.axes.items() if len(values) > 1]
+    pairs = list(itertools.combinations(several, 2)) or [tuple(several or sweep.axes)[:1]]
+    for pair in pairs:
+        data = pl.DataFrame([
+            dict(zip(pair, key, strict=True)) | {"what": what}
+            | vars(bootstrap(matrix(part, pl.col("outcome") == outcome)))
+            for what, test, outcome in (
+                (f"{INTENDED}, {TRAINING}", TRAINING, INTENDED),
+                (f"{MISGENERALIZED}, {TEST}", TEST, MISGENERALIZED),
+            )
+            for key, part in mine.filter(test=test).group_by(pair, maintain_order=True)
+        ])  # fmt: skip
+        name = "-".join(one.replace(".", "-").replace("_", "-") for one in pair)
+        others = [one for one in several if one not in pair]
+        caption = f"What agents do, by {' and '.join(pair)}; shares of episodes"
+        if others:
+            caption += f", over all values of {', '.join(others)}"
+        draw = sweep_figures.grid if len(pair) == 2 else sweep_figures.line
+        yield Plot(name, f"{caption}.", draw(data, *pair), data)

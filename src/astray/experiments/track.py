@@ -1,0 +1,57 @@
+"""What trackers are told once an agent is trained, or a report is written."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import polars as pl
+
+from astray.analysis.outcomes import load_shift
+from astray.analysis.runs import evaluate_runs, open_run, shift_of
+from astray.experiments.films import film
+from astray.experiments.report import Findings, Heading
+from astray.training.track import Tracker, Tracking, label
+
+LEVELS = 200  # that an agent is evaluated on for its tracker
+FILM = "episode.gif"
+
+
+def track_outcomes(run: Path, by: Tracking, levels: int = LEVELS) -> None:
+    """Tell a tracker which goals the last agent of a run pursues: a table, and a film.
+
+    Nothing is told of an agent that no shift of its game says the goals of.
+    """
+    agent, config = open_run(run)
+    try:
+        between = load_shift(config.find_game(), shift_of(config))
+    except ValueError:
+        return
+    numbers, steps = np.array(config.unseen_levels[:levels]), int(agent.path.parent.name)
+    shares, episodes = evaluate_runs([run], numbers, variant=between.test)
+    film(agent, config, between, episodes, run / FILM)
+    tracker = Tracker(by, label(config), run, config.to_json())
+    tracker.film(steps, "film", run / FILM)
+    _table(tracker, steps, "outcomes", shares)
+    mine = shares.filter(policy=agent.name, levels_played="all")
+    tracker.log(steps, {f"outcome/{row['outcome']}": row["mean"] for row in mine.to_dicts()})
+    tracker.finish()
+
+
+def track_report(heading: Heading, findings: Findings, folder: Path, by: Tracking) -> None:
+    """Tell a tracker what a report in a folder says: claims, tables, figures, films."""
+    settings = {"answer": findings.answer, **vars(heading), **findings.settings}
+    tracker = Tracker(by, f"{heading.name}-{heading.size}", folder, settings)
+    claims = [[claim.sentence, claim.paper, claim.ours, claim.held] for claim in findings.claims]
+    tracker.table(0, "claims", ("claim", "paper", "ours", "held"), claims)
+    for table in findings.tables:
+        _table(tracker, 0, f"tables/{table.name}", table.frame)
+    for plot in findings.plots:
+        tracker.picture(0, f"figures/{plot.name}", folder / "figures" / f"{plot.name}.png")
+    for video in findings.videos:
+        tracker.film(0, f"films/{video.path.stem}", video.path)
+    tracker.finish()
+
+
+def _table(tracker: Tracker, steps: int, name: str, frame: pl.DataFrame) -> None:
+    tracker.table(steps, name, frame.columns, frame.rows())

@@ -1,0 +1,131 @@
+"""What a state says about where things are: labels for probes, and what may predict a choice.
+
+All take states [N]; those in `LABELS` return [N]. Of what a level does not have, integers are
+`NONE` and reals NaN.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from astray.games.maze.rules import ACTIONS
+from astray.games.maze.solve import STAY, routes, steps_to, target
+from astray.kernel.grid import UNREACHABLE
+
+NONE = -1  # of a label that a state does not have
+WAYS = tuple(ACTIONS.index(name) for name in ("left", "right", "down", "up"))
+
+
+def direction(states: np.ndarray, goal: str) -> np.ndarray:
+    """The way that the shortest way to `goal` begins: the index in WAYS, int64."""
+    found = np.full(len(states), NONE)
+    for k, s in enumerate(_records(states)):
+        action = routes(s, goal)[int(s.y), int(s.x)]
+        if action != STAY:
+            found[k] = WAYS.index(action)
+    return found
+
+
+def steps(states: np.ndarray, goal: str) -> np.ndarray:
+    """Steps of the shortest way to `goal`, float64."""
+    found = np.full(len(states), np.nan)
+    for k, s in enumerate(_records(states)):
+        count = steps_to(s, goal)[int(s.y), int(s.x)]
+        if count != UNREACHABLE:
+            found[k] = count
+    return found
+
+
+def offset(states: np.ndarray, goal: str, axis: int) -> np.ndarray:
+    """Cells to `goal` along x (axis 0) or y (axis 1), float64: to the right and up above 0."""
+    found = np.full(len(states), np.nan)
+    for k, s in enumerate(_records(states)):
+        cell = target(s, goal)
+        if cell is not None:
+            found[k] = cell[axis] - int(s["xy"[axis]])
+    return found
+
+
+def _labels_of(goal: str) -> dict[str, Callable[[np.ndarray], np.ndarray]]:
+    return {
+        f"{goal} direction": lambda states: direction(states, goal),
+        f"{goal} steps": lambda states: steps(states, goal),
+        f"{goal} right": lambda states: offset(states, goal, 0),
+        f"{goal} up": lambda states: offset(states, goal, 1),
+    }
+
+
+LABELS: Mapping[str, Callable[[np.ndarray], np.ndarray]] = _labels_of("cheese") | _labels_of(
+    "corner"
+)
+
+
+def way(s: Any, goal: str) -> list[tuple[int, int]]:
+    """The cells of a shortest way to `goal`, from the mouse's own on; empty where there is none."""
+    best, away = routes(s, goal), steps_to(s, goal)
+    x, y = int(s.x), int(s.y)
+    if away[y, x] == UNREACHABLE:
+        return []
+    found = [(x, y)]
+    while away[y, x]:
+        action = int(best[y, x])
+        x, y = x + action // 3 - 1, y + (action % 3 - 1 if action // 3 == 1 else 0)
+        found.append((x, y))
+    return found
+
+
+def decision(s: Any) -> tuple[int, int] | None:
+    """The cell in which the ways to cheese and corner part; None where one leads past the other."""
+    one, other = way(s, "cheese"), way(s, "corner")
+    shared = [a for a, b in zip(one, other, strict=False) if a == b]
+    if not shared or len(shared) in (len(one), len(other)):
+        return None
+    return shared[-1]
+
+
+def features(states: np.ndarray, corners: Sequence[int] = (5,)) -> dict[str, np.ndarray]:
+    """Distances between cheese, decision square, corner and start, [N] float64 each, in cells.
+
+    corners  sides, in cells, of squares in the upper right, to which distances are told, too
+
+    Each as "steps" along the shortest way and "straight"; NaN where the ways do not part.
+    """
+    columns: dict[str, list[float]] = {}
+    for s in _records(states):
+        parts = decision(s)
+        for name, value in _features(s, parts, corners).items():
+            columns.setdefault(name, []).append(value)
+    return {name: np.array(column) for name, column in columns.items()}
+
+
+def _features(s: Any, parts: tuple[int, int] | None, corners: Sequence[int]) -> dict[str, float]:
+    cheese, corner = target(s, "cheese"), target(s, "corner")
+    found = {}
+    for name, one, goal, to in (
+        ("cheese to decision square", parts, "cheese", cheese),
+        ("corner to decision square", parts, "corner", corner),
+        ("cheese to corner", cheese, "corner", corner),
+        ("start to decision square", parts, None, (int(s.x), int(s.y))),
+    ):
+        known = parts is not None and one is not None and to is not None
+        found[f"{name}, straight"] = np.hypot(one[0] - to[0], one[1] - to[1]) if known else np.nan
+        if goal is None:
+            count = way(s, "cheese").index(parts) if known else np.nan
+        else:
+            count = float(steps_to(s, goal)[one[1], one[0]]) if known else np.nan
+        found[f"{name}, steps"] = float(count)
+    for side in corners:
+        low = (corner[0] - side + 1, corner[1] - side + 1) if corner else None
+        for name, one in (("decision square", parts), ("cheese", cheese)):
+            known = parts is not None and one is not None and low is not None
+            gap = [max(low[k] - one[k], 0) for k in (0, 1)] if known else [np.nan, np.nan]
+            found[f"{name} to {side} x {side} corner, straight"] = float(np.hypot(*gap))
+    return found
+
+
+def _records(states: np.ndarray) -> np.recarray:
+    """States whose fields are attributes, as those of live ones are."""
+    return states.view(np.recarray)

@@ -1,0 +1,1 @@
+"""Looking inside agents: activations, interventions, fields, vectors, probes, attribution."""

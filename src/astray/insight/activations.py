@@ -1,0 +1,246 @@
+"""What the layers of an agent's network give for states, with labels.
+
+    found = capture(agent, "anywhere-small", states, ["features.relu1"])
+    found.values["features.relu1"]  # [N, 64] float32
+    found.labels  # N rows: level, step, and the measures that were asked for
+
+A layer is a module of the network by its name, as `block2.residual1`; what it gives is what it
+returns. That holds for every network: astray's own, imported ones, and those of guests.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import json
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import polars as pl
+import torch
+from torch import Tensor
+
+from astray.analysis.critic import observe
+from astray.analysis.given import Measure, measured, see_measures
+from astray.analysis.policies import Agent
+from astray.analysis.tables import write_table
+from astray.bounds import bounded, of_kind, shown
+from astray.envs.states import BROKEN
+from astray.files import folder_aside, read, see_readable, write_aside
+from astray.game import MOST, Variant
+from astray.memory import check_memory
+
+INDEX, LABELS, FORMAT = "index.json", "labels.parquet", 1
+LARGEST_INDEX = 2**20  # bytes
+LABEL = "label:"  # before the names of labels in an .npz file
+
+
+@dataclass(frozen=True, eq=False)
+class Activations:
+    """What layers gave for N states, and what those states were.
+
+    values  layer -> [N, ...] float32; of convolutions [N, channels, rows, columns]
+    labels  N rows: level, step, and measures of the states
+    """
+
+    values: Mapping[str, np.ndarray]
+    labels: pl.DataFrame
+
+    def __post_init__(self) -> None:
+        lengths = {len(self.labels), *(len(value) for value in self.values.values())}
+        if len(lengths) != 1:
+            raise ValueError(f"activations and labels must be equally long; got {sorted(lengths)}")
+
+    def save(self, path: Path) -> None:
+        """Write all to one .npz file, which any NumPy reads; labels have "label:" before."""
+        labels = {LABEL + name: self.labels[name].to_numpy() for name in self.labels.columns}
+        odd = [name for name, column in labels.items() if column.dtype.kind not in "biuf"]
+        if odd:
+            raise ValueError(f"labels must be numbers to be saved; got others in {odd}")
+        file = io.BytesIO()
+        np.savez(file, allow_pickle=False, **dict(self.values), **labels)
+        write_aside(path, file.getvalue())
+
+
+def layers(agent: Agent) -> dict[str, tuple[int, ...]]:
+    """The layers that can be read and changed, in the network's order: name -> shape of one.
+
+    Those are the modules that are used once in a pass and return a tensor of reals, an
+    observation a row.
+    """
+    calls: dict[str, list[Any]] = {}
+    with contextlib.ExitStack() as stack:
+        for name, module in agent.network.named_modules():
+            if name:
+                hook = module.register_forward_hook(
+                    lambda _, __, output, name=name: calls.setdefault(name, []).append(output)
+                )
+                stack.callback(hook.remove)
+        with torch.no_grad():
+            # Two, so that a layer is told whose rows are no observations.
+            agent.network(torch.zeros((2, *agent.architecture.shape), dtype=torch.uint8,
+                                      device=agent.device))  # fmt: skip
+    return {
+        name: tuple(outputs[0].shape[1:])
+        for name, outputs in calls.items()
+        if len(outputs) == 1 and _is_layer(outputs[0])
+    }
+
+
+def _is_layer(output: Any) -> bool:
+    return isinstance(output, Tensor) and output.is_floating_point() and len(output) == 2
+
+
+def see_layers(agent: Agent, names: Sequence[str]) -> dict[str, tuple[int, ...]]:
+    """The shapes of the layers called so; ValueError where one of them is none."""
+    of_kind("agent", agent, Agent)
+    if isinstance(names, str) or not isinstance(names, Sequence | Mapping) or not names:
+        raise ValueError(f"layers must be a list of names, at least one; got {shown(names)}")
+    shapes = layers(agent)
+    for name in names:
+        if name not in shapes:
+            raise ValueError(f"unknown layer {shown(name)}; there are: {', '.join(shapes)}")
+    return {name: shapes[name] for name in names}
+
+
+def activations(
+    agent: Agent, observations: np.ndarray, names: Sequence[str]
+) -> dict[str, np.ndarray]:
+    """What layers give for observations [N, ...]: layer -> [N, ...] float32.
+
+    What is given for an observation does not depend on the others. Raises ValueError where a
+    layer is unknown or the agent does not see such observations.
+    """
+    shapes = see_layers(agent, names)
+    parts: dict[str, list[Tensor]] = {name: [] for name in shapes}
+    modules = dict(agent.network.named_modules())
+    with contextlib.ExitStack() as stack:
+        for name in shapes:
+            hook = modules[name].register_forward_hook(
+                lambda _, __, output, name=name: parts[name].append(output.detach())
+            )
+            stack.callback(hook.remove)
+        agent.outputs(observations)  # in chunks of one size, the last one padded
+    n = len(observations)
+    return {
+        name: torch.cat(some)[:n].float().numpy(force=True)
+        if n
+        else np.empty((0, *shapes[name]), np.float32)
+        for name, some in parts.items()
+    }
+
+
+def capture(
+    agent: Agent,
+    variant: str | Variant,
+    states: np.ndarray,
+    layers: Sequence[str],
+    *,
+    measures: Mapping[str, Measure] | None = None,
+    folder: Path | None = None,
+    batch: int = 1024,
+) -> Activations:
+    """What `layers` give in `states` [N] of the agent's game, with labels.
+
+    measures  further labels, functions of states
+    folder    a new folder to write to, for what is more than memory holds: an .npy file a layer,
+              from which what is returned is read as needed
+    batch     states at a time; what comes out does not depend on it
+
+    Raises ValueError where a layer is unknown, a state is none of the variant, or memory is short.
+    """
+    of_kind("states", states, np.ndarray)
+    bounded("batch", batch, 1, MOST)
+    shapes, n = see_layers(agent, layers), len(states)
+    labels = _labels(states, measures)
+    if folder is not None:
+        return _capture_aside(agent, variant, states, shapes, labels, folder, batch)
+    check_memory(4 * n * sum(int(np.prod(s)) for s in shapes.values()), "activations")
+    values = {name: np.empty((n, *shape), np.float32) for name, shape in shapes.items()}
+    _fill(values, agent, variant, states, batch)
+    return Activations(values, labels)
+
+
+def _labels(states: np.ndarray, measures: Mapping[str, Measure] | None) -> pl.DataFrame:
+    columns = {"level": states["level"].copy(), "step": states["time"].copy()}
+    see_measures(measures, columns)
+    return pl.DataFrame(columns | {n: measured(n, m, states) for n, m in (measures or {}).items()})
+
+
+def _fill(
+    values: Mapping[str, np.ndarray], agent: Agent, variant: str | Variant, states: np.ndarray,
+    batch: int,
+) -> None:  # fmt: skip
+    """Write into `values` what each layer gives in `states`."""
+    for first in range(0, len(states), batch):
+        part = slice(first, first + batch)
+        shown = observe(agent, variant, states[part])
+        for name, some in activations(agent, shown, list(values)).items():
+            values[name][part] = some
+
+
+def _capture_aside(
+    agent: Agent, variant: str | Variant, states: np.ndarray,
+    shapes: Mapping[str, tuple[int, ...]], labels: pl.DataFrame, folder: Path, batch: int,
+) -> Activations:  # fmt: skip
+    """`capture` to a folder, which is there whole or not at all."""
+    folder = Path(folder)
+    if os.path.lexists(folder):
+        raise ValueError(f"{folder} must be a new folder; there is something already")
+    files = {name: f"{k}.npy" for k, name in enumerate(shapes)}
+    with folder_aside(folder) as aside:
+        values: dict[str, np.ndarray] = {
+            name: np.lib.format.open_memmap(
+                aside / files[name], "w+", np.float32, (len(states), *shape)
+            )
+            for name, shape in shapes.items()
+        }
+        _fill(values, agent, variant, states, batch)
+        for value in values.values():
+            assert isinstance(value, np.memmap)
+            value.flush()
+        values.clear()
+        write_table(labels, aside / LABELS)
+        write_aside(aside / INDEX, json.dumps({"format": FORMAT, "layers": files}).encode())
+        os.replace(aside, folder)
+    return load_activations(folder)
+
+
+def load_activations(path: Path) -> Activations:
+    """What `Activations.save` or `capture` with a folder wrote; nothing in it is executed.
+
+    From a folder arrays are read only where they are looked at. Raises FileNotFoundError where
+    nothing is at `path`, ValueError where it is something else.
+    """
+    path = Path(path)
+    if not path.exists():
+        raise FileNotFoundError(f"there are no activations at {path}")
+    try:
+        return _load_folder(path) if path.is_dir() else _load_file(path)
+    except (*BROKEN, pl.exceptions.PolarsError, RecursionError, TypeError) as error:
+        raise ValueError(f"{path} holds no activations: {error}") from error
+
+
+def _load_file(path: Path) -> Activations:
+    with np.lib.npyio.NpzFile(io.BytesIO(read(path)), allow_pickle=False) as file:
+        arrays = {name: file[name] for name in file.files}
+    labels = {n.removeprefix(LABEL): a for n, a in arrays.items() if n.startswith(LABEL)}
+    values = {n: a for n, a in arrays.items() if not n.startswith(LABEL)}
+    return Activations(values, pl.DataFrame(labels))
+
+
+def _load_folder(path: Path) -> Activations:
+    index = json.loads(read(path / INDEX, LARGEST_INDEX))
+    if index["format"] != FORMAT:
+        raise ValueError(f"it has format {index['format']}; this version reads {FORMAT}")
+    values = {}
+    for name, file in index["layers"].items():
+        if Path(file).name != file:
+            raise ValueError(f"its layer {shown(name)} is in another folder")
+        see_readable(path / file)
+        values[name] = np.load(path / file, mmap_mode="r", allow_pickle=False)
+    return Activations(values, pl.read_parquet(io.BytesIO(read(path / LABELS))))

@@ -1,0 +1,204 @@
+"""What about a level predicts what an agent does in it: features, and a regression that is tested.
+
+    table = level_features("maze", "anywhere-easy", levels)
+    found = predict(table.join(outcomes, on="level"), "cheese", FEATURES)
+
+After Mini et al. (2023, arXiv 2310.08043), who regressed whether a mouse takes the cheese on
+distances in the maze, and doubted their own choice of features. So each coefficient comes with its
+interval, with how much it shares with the others (the variance inflation factor), and with how
+often its sign holds when other features are there or not.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import polars as pl
+
+from astray import games
+from astray.analysis.episodes import CHUNK, Levels, initial_states
+from astray.analysis.estimates import bootstrap
+from astray.bounds import bounded, of_kind
+from astray.estimate import Estimate
+from astray.game import MOST, Game, Variant
+
+FOLDS = 5
+SUBSETS = 200  # of features, in which signs are compared
+RESAMPLES = 200  # of levels, for the intervals of coefficients
+PENALTIES = np.logspace(-3, 1, 9)  # C of the regression: the larger, the less is held back
+
+
+def level_features(game: str | Game, variant: str | Variant, levels: Levels) -> pl.DataFrame:
+    """What a game's `features` says of each of `levels`, a row each: level, then reals.
+
+    Of Maze, distances in cells between cheese, corner, start and the decision square, where the
+    ways to cheese and corner part; null where they do not. Raises ValueError where the game has
+    none.
+    """
+    found = games.find(game)
+    if found.features is None:
+        raise ValueError(f"the game {found.name!r} has no features of levels; maze has")
+    of_kind("levels", levels, Sequence | range | np.ndarray | dict)
+    parts, names = [], list(levels)
+    for first in range(0, len(names), CHUNK):
+        some: Any = (
+            {n: levels[n] for n in names[first : first + CHUNK]}
+            if isinstance(levels, dict)
+            else names[first : first + CHUNK]
+        )
+        states = initial_states(found, variant, some)
+        parts.append(pl.DataFrame({"level": states["level"].copy()} | found.features(states)))
+    return pl.concat(parts).with_columns(pl.selectors.float().fill_nan(None))
+
+
+@dataclass(frozen=True)
+class Prediction:
+    """How well features tell an outcome, and which of them do.
+
+    accuracy   of levels that were left out, with its interval over them
+    always     that of saying in every level what is commoner
+    auc        area under the ROC curve of levels that were left out, with its interval over them:
+               0.5 tells nothing, 1 all
+    features   a row for each: feature, coefficient (log odds for one standard deviation), low,
+               high, vif, sign (the share of subsets of features in which the coefficient has the
+               same sign), alone (the auc of that feature by itself), deviation (in cells)
+    """
+
+    levels: int
+    accuracy: Estimate
+    always: float
+    auc: Estimate
+    features: pl.DataFrame
+
+
+def predict(rows: pl.DataFrame, outcome: str, features: Sequence[str], *, seed: int = 0
+            ) -> Prediction:  # fmt: skip
+    """Regress an outcome on features: logistic, with an L1 penalty chosen by cross-validation.
+
+    rows     a row for each level, with the columns `outcome` (boolean) and `features` (reals);
+             those where one is null do not count
+    """
+    LogisticRegression, roc_auc_score = _sklearn()
+    bounded("seed", seed, 0, MOST)
+    missing = {outcome, *features} - set(rows.columns)
+    if missing or not features:
+        raise ValueError(f"no column {', '.join(sorted(missing)) or 'is named'}; there are: "
+                         f"{', '.join(rows.columns)}")  # fmt: skip
+    known = rows.select(outcome, *features).drop_nulls()
+    x, y = known.select(features).to_numpy(), known[outcome].cast(pl.Int64).to_numpy()
+    if len(y) < 2 * FOLDS or min(y.sum(), len(y) - y.sum()) < FOLDS:
+        raise ValueError(f"{outcome} must be true in {FOLDS} levels and false in {FOLDS}; "
+                         f"it is true in {y.sum()} of {len(y)}")  # fmt: skip
+    deviation = x.std(0)
+    if not deviation.all():
+        flat = [name for name, d in zip(features, deviation, strict=True) if not d]
+        raise ValueError(f"features must vary; {', '.join(flat)} is the same in all levels")
+    x = (x - x.mean(0)) / deviation
+    random = np.random.default_rng(seed)
+    fold = random.permutation(np.arange(len(y)) % FOLDS)
+    strength = max(PENALTIES, key=lambda c: _left_out(x, y, fold, c, LogisticRegression)[1])
+    chances, _ = _left_out(x, y, fold, strength, LogisticRegression)
+
+    def coefficients(which: np.ndarray, columns: np.ndarray) -> np.ndarray:
+        return _model(LogisticRegression, strength).fit(x[which][:, columns], y[which]).coef_[0]
+
+    every, all_rows = np.arange(len(features)), np.arange(len(y))
+    whole = coefficients(all_rows, every)
+    again = np.array([coefficients(random.integers(len(y), size=len(y)), every)
+                      for _ in range(RESAMPLES)])  # fmt: skip
+    low, high = np.quantile(again, [0.025, 0.975], axis=0)
+    return Prediction(
+        levels=len(y),
+        accuracy=bootstrap((chances > 0.5) == y, seed=seed),
+        always=float(max(y.mean(), 1 - y.mean())),
+        auc=_area(y, chances, roc_auc_score, random),
+        features=pl.DataFrame({
+            "feature": list(features), "coefficient": whole, "low": low, "high": high,
+            "vif": variance_inflation(x), "sign": _signs(coefficients, all_rows, whole, random),
+            "alone": [_alone(x[:, k], y, roc_auc_score) for k in every], "deviation": deviation,
+        }),
+    )  # fmt: skip
+
+
+def variance_inflation(x: np.ndarray) -> np.ndarray:
+    """[F] how many times the variance of a coefficient is that without the other features.
+
+    x  [N, F]; 1 where a feature has nothing in common with the others, infinite where they tell it
+    """
+    correlation = np.corrcoef(x, rowvar=False).reshape(x.shape[1], x.shape[1])
+    if np.linalg.matrix_rank(correlation, tol=1e-8) < len(correlation):
+        return np.array([_inflation(x, k) for k in range(x.shape[1])])
+    return np.diag(np.linalg.inv(correlation)).copy()
+
+
+def _inflation(x: np.ndarray, k: int) -> float:
+    """That of one feature, where some are told by others without error."""
+    others = np.column_stack([np.delete(x, k, 1), np.ones(len(x))])
+    left = x[:, k] - others @ np.linalg.lstsq(others, x[:, k], rcond=None)[0]
+    share = left.var() / x[:, k].var()
+    return float(1 / share) if share > 1e-10 else np.inf
+
+
+def _area(y: np.ndarray, chances: np.ndarray, auc: Any, random: np.random.Generator) -> Estimate:
+    """The area under the curve, and its interval over levels."""
+    again = []
+    for _ in range(RESAMPLES):
+        some = random.integers(len(y), size=len(y))
+        if 0 < y[some].sum() < len(y):
+            again.append(auc(y[some], chances[some]))
+    low, high = np.quantile(again, [0.025, 0.975])
+    return Estimate(float(auc(y, chances)), float(low), float(high), 1, len(y), len(y))
+
+
+def _alone(x: np.ndarray, y: np.ndarray, auc: Any) -> float:
+    """The area under the curve of a feature by itself, in the direction in which it tells more."""
+    found = float(auc(y, x))
+    return max(found, 1 - found)
+
+
+def _signs(coefficients: Any, rows: np.ndarray, whole: np.ndarray, random: np.random.Generator
+           ) -> list[float | None]:  # fmt: skip
+    """For each feature the share of random subsets with it in which its sign is that of `whole`.
+
+    None where it is 0 in the whole.
+    """
+    count = len(whole)
+    same: list[list[bool]] = [[] for _ in range(count)]
+    for _ in range(SUBSETS if count > 1 else 0):
+        columns = np.flatnonzero(random.random(count) < 0.5)
+        if not len(columns):
+            continue
+        for k, value in zip(columns, coefficients(rows, columns), strict=True):
+            if value:
+                same[k].append(bool(np.sign(value) == np.sign(whole[k])))
+    return [
+        float(np.mean(s)) if s and whole[k] else (1.0 if count == 1 else None)
+        for k, s in enumerate(same)
+    ]
+
+
+def _left_out(x: np.ndarray, y: np.ndarray, fold: np.ndarray, strength: float, model: Any
+              ) -> tuple[np.ndarray, float]:  # fmt: skip
+    """The chance of the outcome in each level by a fit without its fold; mean log likelihood."""
+    chances = np.empty(len(y))
+    for k in range(FOLDS):
+        fitted = _model(model, strength).fit(x[fold != k], y[fold != k])
+        chances[fold == k] = fitted.predict_proba(x[fold == k])[:, 1]
+    clipped = chances.clip(1e-9, 1 - 1e-9)
+    return chances, float(np.mean(y * np.log(clipped) + (1 - y) * np.log(1 - clipped)))
+
+
+def _model(kind: Any, strength: float) -> Any:
+    return kind(l1_ratio=1.0, C=strength, solver="liblinear", max_iter=1000)
+
+
+def _sklearn() -> tuple[Any, Any]:
+    try:
+        from sklearn.linear_model import LogisticRegression
+        from sklearn.metrics import roc_auc_score
+    except ImportError:
+        raise ImportError("predictions need scikit-learn: pip install 'astray[insight]'") from None
+    return LogisticRegression, roc_auc_score

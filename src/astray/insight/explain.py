@@ -1,0 +1,267 @@
+"""One page about an agent in a level: what it would do everywhere, and what that depends on."""
+
+from __future__ import annotations
+
+import base64
+from collections import Counter
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import matplotlib
+import numpy as np
+import polars as pl
+from jinja2 import Environment, PackageLoader, StrictUndefined
+from matplotlib.colors import TwoSlopeNorm
+from matplotlib.figure import Figure
+
+from astray.analysis import agency
+from astray.analysis.critic import judge, observe, visit
+from astray.analysis.evaluate import evaluate
+from astray.analysis.outcomes import label, load_shift
+from astray.analysis.policies import Agent
+from astray.analysis.style import STYLE, save
+from astray.analysis.tables import write_table
+from astray.bounds import bounded
+from astray.envs.vector import picture
+from astray.files import write_aside
+from astray.game import Variant
+from astray.insight import attribution, episode, field_figures, probes
+from astray.insight.activations import layers
+from astray.insight.fields import cell_of, difference, fields
+from astray.insight.interventions import sees_world
+from astray.level import Level
+
+PAGE = "explain.html"
+PIXELS = 384  # a side of a picture
+LIKELIEST = 4  # actions that are named
+PLACES, FEWER = 128, 32  # of an object, at most; fewer where levels are large and episodes long
+
+
+@dataclass(frozen=True)
+class Part:
+    """A part of the page: a heading, what it says, a figure, and a table; each may be missing."""
+
+    name: str  # of its files
+    heading: str
+    text: str = ""
+    figure: Figure | None = None
+    table: pl.DataFrame | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Asked:
+    """What is to be explained.
+
+    layers  that probes read; others  numbers of levels that they learn from
+    """
+
+    agent: Agent
+    variant: Variant
+    level: Level
+    shift: str
+    layers: tuple[str, ...]
+    others: np.ndarray
+
+
+def explain(asked: Asked, folder: Path, heading: str) -> Path:
+    """Write the page, its figures (PNG and SVG) and tables (Parquet) to `folder`; the page's path.
+
+    What an agent or a game does not allow, as goals without a cell, is told in its place.
+    """
+    makers: Mapping[str, Callable[[Asked], list[Part]]] = {
+        "Where it would go": _fields,
+        "What an edit of the level changes": _edits,
+        "What the value depends on": _attribution,
+        "What its layers tell": _probes,
+        "What it is after": _goals,
+        "Its episode": _episode,
+    }
+    parts: list[Part] = []
+    for title, make in makers.items():
+        try:
+            parts += make(asked)
+        except (ValueError, ImportError) as error:
+            parts.append(Part("", title, f"Not told here: {error}."))
+    for part in parts:
+        if part.figure is not None:
+            save(part.figure, folder, part.name)
+        if part.table is not None:
+            write_table(part.table, folder / f"{part.name}.parquet")
+    environment = Environment(
+        loader=PackageLoader("astray.insight", ""), autoescape=True, lstrip_blocks=True,
+        trim_blocks=True, undefined=StrictUndefined,
+    )  # fmt: skip
+    html = environment.get_template("page.html").render(
+        heading=heading, parts=parts, images={p.name: _embedded(folder, p) for p in parts},
+        drawing=str(asked.level), rows=_cells,
+    )  # fmt: skip
+    write_aside(folder / PAGE, html.encode())
+    return folder / PAGE
+
+
+def _embedded(folder: Path, part: Part) -> str | None:
+    if part.figure is None:
+        return None
+    data = base64.b64encode((folder / f"{part.name}.png").read_bytes()).decode()
+    return f"data:image/png;base64,{data}"
+
+
+def _cells(table: pl.DataFrame) -> list[list[str]]:
+    """A table as text, reals to three places."""
+    return [
+        [
+            "—" if value is None else f"{value:.3f}" if isinstance(value, float) else str(value)
+            for value in row
+        ]
+        for row in table.rows()
+    ]
+
+
+def _fields(asked: Asked) -> list[Part]:
+    """Policy and value everywhere, and the ways it takes to."""
+    (found,) = fields(asked.agent, asked.variant, {"level": asked.level})
+    begin = found.places.number[asked.level.agent]
+    order = np.argsort(-found.policy[begin])[:LIKELIEST]
+    said = ", ".join(f"{asked.level.game.actions[k]} {found.policy[begin, k]:.2f}" for k in order)
+    art = asked.agent.art
+    return [
+        Part("field", "Where it would go",
+             f"At the beginning the value is {found.value[begin]:.2f}, and the likeliest actions "
+             f"are {said}. An arrow is the step to be expected in that place.",
+             field_figures.draw({"policy and value": found}, art=art), found.table()),
+        Part("paths", "Which ways it takes to", "The geometric mean of the probabilities of the "
+             "steps of the shortest way from the beginning to each cell.",
+             field_figures.draw_paths({"from the beginning": found}, art=art)),
+    ]  # fmt: skip
+
+
+def _edits(asked: Asked) -> list[Part]:
+    """What is otherwise without each object, and with the first object in any other place."""
+    agent, level = asked.agent, asked.level
+    (plain,) = fields(agent, asked.variant, {"level": level})
+    parts = []
+    for name in level.game.editing.OBJECTS:
+        where = level.where(name)
+        if not where:
+            continue
+        (without,) = fields(agent, asked.variant, {"level": level.removed(name, where[0])})
+        change = difference(plain, without)
+        parts.append(
+            Part(f"without-{name}", f"Without the {name} at {where[0]}",
+                 f"On the mean over places the value changes by {change.value.mean():+.2f}, and "
+                 f"{100 * change.policy.mean():.0f} % of the policy moves to other actions.",
+                 field_figures.draw({"as it is": plain, f"without the {name}": without,
+                                     "change": change}, art=agent.art), change.table())
+        )  # fmt: skip
+        if len(where) == 1:
+            parts.append(_moved(asked, name))
+    if not parts:
+        raise ValueError("there is no object in the level")
+    return parts
+
+
+@matplotlib.rc_context(STYLE)
+def _moved(asked: Asked, name: str) -> Part:
+    """What the agent reaches first for every place of an object."""
+    game, shift = asked.level.game, load_shift(asked.level.game, asked.shift)
+    everywhere = asked.level.splay(name)
+    most = PLACES if sees_world(asked.variant) else FEWER
+    some = np.unique(np.linspace(0, len(everywhere) - 1, most).round().astype(int))
+    family = {str(one.where(name)[0]): one for one in (everywhere[k] for k in some)}
+    played = label(evaluate(asked.agent, game, asked.variant, family), game, shift)
+    counts = Counter(played["outcome"])
+    reached = {
+        one.where(name)[0]: float(outcome == "intended goal")
+        for one, outcome in zip(family.values(), played["outcome"], strict=True)
+    }
+    figure = Figure(figsize=(4.7, 4.2))
+    axes = figure.subplots()
+    shaded = field_figures.heat_map(
+        axes, asked.level.removed(name), reached, art=asked.agent.art, colours="viridis"
+    )
+    figure.colorbar(shaded, ax=axes, shrink=0.82, label="intended goal first")
+    told = ", ".join(f"{outcome} in {count}" for outcome, count in counts.most_common())
+    return Part(f"moved-{name}", f"With the {name} anywhere else",
+                f"An episode for each of {len(family)} places: {told}. A cell is bright where "
+                f"the agent reaches the intended goal first if the {name} lies there.",
+                figure, played.select("name", "outcome", "return", "length"))  # fmt: skip
+
+
+@matplotlib.rc_context(STYLE)
+def _attribution(asked: Asked) -> list[Part]:
+    """Integrated gradients of the value, over what the agent sees at the beginning."""
+    agent = asked.agent
+    states = np.array([asked.level.state(solvable=False)], asked.level.game.state)
+    shown = observe(agent, asked.variant, states)
+    (found,) = attribution.integrated_gradients(agent, shown)
+    image = picture(asked.level.game, asked.variant, states, PIXELS, agent.art)[0]
+    figure = Figure(figsize=(7.0, 3.6))
+    left, right = figure.subplots(1, 2)
+    left.imshow(image)
+    flat = found if found.ndim == 2 else found.sum(0)[::-1]  # planes have the lowest row first
+    most = max(abs(flat).max(), np.finfo(float).tiny)
+    drawn = right.imshow(flat, norm=TwoSlopeNorm(0, -most, most), cmap="RdBu")
+    figure.colorbar(drawn, ax=right, shrink=0.8, label="share in the value")
+    for axes, title in ((left, "what it is in"), (right, "integrated gradients")):
+        axes.set_title(title)
+        axes.set_xticks([])
+        axes.set_yticks([])
+    _, (value,) = judge(agent, shown)
+    return [Part("attribution", "What the value depends on",
+                 f"Integrated gradients of the value, {value:.2f}, from an empty observation: blue "
+                 "raises it, red lowers it.", figure)]  # fmt: skip
+
+
+def _probes(asked: Asked) -> list[Part]:
+    """What linear probes read of this level at its beginning, and how well they read elsewhere."""
+    game = asked.level.game
+    if not game.labels:
+        raise ValueError(f"{game.name} has no labels that probes could look for")
+    _, states = visit(asked.agent, asked.variant, asked.others, per_episode=4)
+    here = np.array([asked.level.state(solvable=False)], game.state)
+    table = probes.read(asked.agent, asked.variant, states, here, asked.layers, game.labels)
+    return [Part("probes", "What its layers tell",
+                 f"Linear probes of {', '.join(asked.layers)}, fitted in {len(asked.others)} other "
+                 "levels. Read is what they say of the beginning of this one; score is how well "
+                 "they read levels that they were not fitted on (balanced accuracy, or R squared).",
+                 None, table)]  # fmt: skip
+
+
+def _goals(asked: Asked) -> list[Part]:
+    """The posterior over the goals that its episode in the level may be of."""
+    shift = load_shift(asked.level.game, asked.shift)
+    for goal in (shift.intended, *shift.proxies):
+        cell_of(asked.level, goal)
+    levels: Any = {"level": asked.level}
+    played = agency.play(asked.agent, asked.level.game, asked.variant, levels, shift)
+    if not played:
+        raise ValueError("the level does not have all the goals")
+    found = agency.judge(played)
+    row = found.episodes.row(0, named=True)
+    table = pl.DataFrame({
+        "explanation": list(found.explanations),
+        "posterior": [float(row[f"p {name}"]) for name in found.explanations],
+    })  # fmt: skip
+    return [Part("goals", "What it is after",
+                 "The posterior over what its episode here is explained by: a goal with a name, "
+                 "another cell, or no goal at all (a device). One episode says little; `astray "
+                 "agency` weighs many.", None, table)]  # fmt: skip
+
+
+def _episode(asked: Asked) -> list[Part]:
+    """Its value, advantage and policy along the episode."""
+    course = episode.along(asked.agent, asked.variant, asked.level)
+    happened = {n.replace("_", " "): k for n, k in course.events.items() if k is not None}
+    events = [f"{name} at step {k}" for name, k in happened.items()]
+    said = f"{len(course.table)} steps: {', '.join(events) or 'no event'}."
+    return [Part("episode", "Its episode", said, episode.figure(course), course.table)]
+
+
+def default_layers(agent: Agent, count: int = 3) -> tuple[str, ...]:
+    """Some layers, evenly spread over the network, the last but the heads among them."""
+    names = [name for name in layers(agent) if name not in ("policy", "value")]
+    which = np.unique(np.linspace(0, len(names) - 1, count + 1).round().astype(int))[1:]
+    bounded("count", count, 1, len(names))
+    return tuple(names[k] for k in which)

@@ -1,0 +1,337 @@
+"""What an agent would do at every place of a level: its policy and value there.
+
+    (before,) = fields(agent, "anywhere-small", {"mine": level})
+    (after,) = fields(agent, "anywhere-small", {"mine": level.moved("goal", (5, 1))})
+    change = difference(before, after)
+    before.table()  # a row for each place
+
+Fields of other agents, or of one that is steered, are compared likewise. `field_figures` draws
+them.
+"""
+
+from __future__ import annotations
+
+import functools
+from collections import deque
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import polars as pl
+
+from astray import games
+from astray.analysis.critic import judge, observe
+from astray.analysis.episodes import Levels, initial_states
+from astray.analysis.policies import Agent
+from astray.bounds import of_kind, shown
+from astray.envs.vector import GameVectorEnv
+from astray.game import Game, Variant
+from astray.level import EMPTY, Cell, Level
+
+AT_ONCE = 2048  # states; CoinRun's take 17 kB each
+
+
+@dataclass(frozen=True, eq=False)
+class Places:
+    """The K places of a level in which an agent may stand, and where its actions lead from them.
+
+    centres  [K, 2] float64, the agent's centre in each place, in cells from the lower left
+    after    [K, A, 2] float64, that after each action
+    """
+
+    level: Level
+    centres: np.ndarray
+    after: np.ndarray
+
+    @functools.cached_property
+    def cells(self) -> np.ndarray:
+        """[K, 2] int64, (x, y) from the lower left."""
+        return np.floor(self.centres).astype(np.int64)
+
+    @functools.cached_property
+    def number(self) -> Mapping[Cell, int]:
+        """Which of the places a cell is."""
+        return {(x, y): k for k, (x, y) in enumerate(self.cells.tolist())}
+
+    @functools.cached_property
+    def leads(self) -> list[list[Cell]]:
+        """[K][A] the cell that each action leads to."""
+        return [[(x, y) for x, y in row] for row in np.floor(self.after).astype(int).tolist()]
+
+    def distances(self, to: Cell) -> dict[Cell, int]:
+        """Steps to the cell `to`, from it and from each place from which there is a way."""
+        before: dict[Cell, set[Cell]] = {}
+        for here, ways in zip(self.number, self.leads, strict=True):
+            for there in ways:
+                before.setdefault(there, set()).add(here)
+        found, queue = {to: 0}, deque([to])
+        while queue:
+            there = queue.popleft()
+            for here in before.get(there, set()) - found.keys():
+                found[here] = found[there] + 1
+                queue.append(here)
+        return found
+
+    def advancing(self, to: Cell) -> np.ndarray:
+        """[K, A] bool, the actions that are a step of a shortest way to the cell `to`."""
+        away = self.distances(to)
+        return np.array([
+            [away.get(there, -1) == away.get(here, 0) - 1 for there in ways]
+            for here, ways in zip(self.number, self.leads, strict=True)
+        ])  # fmt: skip
+
+    def way(self, to: Cell, start: Cell | None = None) -> list[Cell]:
+        """The cells of a shortest way, from `start` on to `to`; empty where there is none.
+
+        start  None: where the level begins
+
+        Of ways equally short it is the one whose cells come first in their order.
+        """
+        here = self.level.agent if start is None else start
+        away = self.distances(to)
+        if here not in away or here not in self.number:
+            return []
+        found = [here]
+        while here != to:
+            ways = self.leads[self.number[here]]
+            here = min(there for there in ways if away.get(there, -1) == away[here] - 1)
+            found.append(here)
+        return found
+
+
+@dataclass(frozen=True, eq=False)
+class Field:
+    """Policy and value of an agent at all K places of a level.
+
+    policy  [K, A] float64, the probability of each action
+    value   [K] float64
+    """
+
+    places: Places
+    policy: np.ndarray
+    value: np.ndarray
+
+    @property
+    def level(self) -> Level:
+        return self.places.level
+
+    @property
+    def cells(self) -> np.ndarray:
+        """[K, 2] int64, (x, y) from the lower left."""
+        return self.places.cells
+
+    @functools.cached_property
+    def arrows(self) -> np.ndarray:
+        """[K, 2] the step to be expected, in cells: the mean over actions of where each leads."""
+        moved = self.places.after - self.places.centres[:, None]
+        return np.einsum("ka,kad->kd", self.policy, moved)
+
+    def towards(self, to: Cell) -> np.ndarray:
+        """[K] the probability that the next step is one of a shortest way to the cell `to`.
+
+        NaN at that cell, and where there is no way.
+        """
+        away = self.places.distances(to)
+        there = [away.get(cell, 0) > 0 for cell in self.places.number]
+        chance = (self.policy * self.places.advancing(to)).sum(1)
+        return np.where(there, chance, np.nan)
+
+    def step(self, here: Cell, there: Cell) -> float:
+        """The probability that the next step leads from one cell to the other."""
+        k = self.places.number[here]
+        leads = self.places.leads[k]
+        return float(sum(p for p, c in zip(self.policy[k], leads, strict=True) if c == there))
+
+    def path_probability(self, start: Cell | None = None) -> dict[Cell, float]:
+        """How the agent takes to the way to each cell: from 0 to 1, 1 at the start.
+
+        The geometric mean of the probabilities of the steps of a shortest way from `start`,
+        None: where the level begins. Of ways equally short it is the one that is found first.
+        """
+        start = self.level.agent if start is None else start
+        number, leads = self.places.number, self.places.leads
+        if start not in number:
+            raise ValueError(f"start must be a place of the field; got {shown(start)}")
+        found, queue = {start: (0.0, 0)}, deque([start])
+        while queue:
+            here = queue.popleft()
+            log, count = found[here]
+            for there in sorted(set(leads[number[here]]) if here in number else ()):
+                if there not in found:
+                    chance = max(self.step(here, there), np.finfo(float).tiny)
+                    found[there] = (log + np.log(chance), count + 1)
+                    queue.append(there)
+        return {cell: float(np.exp(log / max(n, 1))) for cell, (log, n) in found.items()}
+
+    def table(self) -> pl.DataFrame:
+        """A row for each place: x, y, dx and dy (the arrow), value, path (its probability from the
+        start), and the probability of each action, under its name."""
+        ways = self.path_probability()
+        path = [ways.get(cell) for cell in self.places.number]
+        actions = {name: self.policy[:, k] for k, name in enumerate(self.level.game.actions)}
+        return _table(self, {"value": self.value, "path": path} | actions)
+
+
+@dataclass(frozen=True, eq=False)
+class Change:
+    """By how much a field differs from another, at the places of both.
+
+    cells   [K, 2] int64
+    value   [K] float64, the second's less the first's
+    arrows  [K, 2] float64, likewise
+    policy  [K] float64, total variation between the policies: 0 the same, 1 nothing in common
+    """
+
+    level: Level  # the second's
+    cells: np.ndarray
+    value: np.ndarray
+    arrows: np.ndarray
+    policy: np.ndarray
+
+    def table(self) -> pl.DataFrame:
+        """A row for each place: x, y, value, policy, dx, dy, all changes."""
+        return _table(self, {"value": self.value, "policy": self.policy})
+
+
+def _table(field: Field | Change, columns: Mapping[str, object]) -> pl.DataFrame:
+    (x, y), (dx, dy) = field.cells.T, field.arrows.T
+    return pl.DataFrame({"x": x, "y": y, "dx": dx, "dy": dy, **columns})
+
+
+def difference(one: Field, other: Field) -> Change:
+    """How `other` differs from `one`: of two levels, two agents, or with and without a change.
+
+    Raises ValueError where they have no place in common, or are of agents with other actions.
+    """
+    if one.policy.shape[1] != other.policy.shape[1]:
+        raise ValueError(
+            f"fields must be of the same actions; got {one.policy.shape[1]} and "
+            f"{other.policy.shape[1]}"
+        )
+    places = one.places.number
+    both = [(places[cell], k) for cell, k in other.places.number.items() if cell in places]
+    if not both:
+        raise ValueError("fields must have places in common; these have none")
+    first, second = np.array(both).T
+    return Change(
+        other.level, other.cells[second], other.value[second] - one.value[first],
+        other.arrows[second] - one.arrows[first],
+        abs(other.policy[second] - one.policy[first]).sum(1) / 2,
+    )  # fmt: skip
+
+
+def splay(level: Level) -> np.ndarray:
+    """The states that begin at every place of a level, [K]: the agent there, all else as it is.
+
+    Places are in the order of `Level.splay("agent")`, from the lowest row up.
+    """
+    of_kind("level", level, Level)
+    game, begun = level.game, level.state(solvable=False)
+    free = (level.cells == game.editing.LEGEND[EMPTY]) & game.solver.reachable(begun)
+    return states_at(level, [(int(x), int(y)) for y, x in np.argwhere(free)])
+
+
+def states_at(level: Level, cells: Sequence[Cell]) -> np.ndarray:
+    """The states that begin in a level with the agent in each of some cells, [K]."""
+    game = level.game
+    states = np.zeros(len(cells), game.state)
+    for k, cell in enumerate(cells):
+        states[k] = game.editing.build(level.cells, cell, level.looks, level.variant)
+    return states
+
+
+def fields(agent: Agent, variant: str | Variant, levels: Levels) -> list[Field]:
+    """The fields of an agent in `levels`, in their order.
+
+    levels  numbers, or levels that were drawn, by name
+
+    Raises ValueError where the game's states have no place of the agent, or the agent does not
+    see such levels.
+    """
+    return list(each_field(agent, variant, levels))
+
+
+def each_field(agent: Agent, variant: str | Variant, levels: Levels) -> Iterator[Field]:
+    """As `fields`, one after the other: of many levels, no more memory than of few."""
+    of_kind("agent", agent, Agent)
+    game = games.find(agent.game)
+    variant = game.variant(variant)
+    if not {"x", "y"} <= set(game.state.names or ()):
+        raise ValueError(f"fields need x and y of the agent in a state; {game.name} has none")
+    for some in _batches(game, variant, levels):
+        places, states = places_of(some)
+        policy, value = judge(agent, observe(agent, variant, np.concatenate(states)))
+        first = 0
+        for one in places:
+            part = slice(first, first + len(one.centres))
+            yield Field(one, policy[part], value[part])
+            first = part.stop
+
+
+def _batches(game: Game, variant: Variant, levels: Levels) -> Iterator[list[Level]]:
+    """The levels, so many at a time that they have some AT_ONCE places."""
+    waiting: list[Level] = []
+    room = 0
+    for level in drawn(game, variant, levels):
+        waiting.append(level)
+        room += np.count_nonzero(level.cells == game.editing.LEGEND[EMPTY])
+        if room >= AT_ONCE:
+            yield waiting
+            waiting, room = [], 0
+    if waiting:
+        yield waiting
+
+
+def places_of(levels: Sequence[Level]) -> tuple[list[Places], list[np.ndarray]]:
+    """The places of levels of one variant, and the states [K] of each, the agent in each place."""
+    if not levels:
+        return [], []
+    splayed = [splay(level) for level in levels]
+    states = np.concatenate(splayed)
+    after = outcomes(levels[0].game, levels[0].variant, states)
+    centres = np.stack([states[axis].astype(np.float64) for axis in "xy"], 1)
+    found, first = [], 0
+    for level, some in zip(levels, splayed, strict=True):
+        part = slice(first, first + len(some))
+        found.append(Places(level, centres[part], after[part]))
+        first = part.stop
+    return found, splayed
+
+
+def drawn(game: Game, variant: Variant, levels: Levels) -> Iterator[Level]:
+    """The levels as data."""
+    if isinstance(levels, Mapping):
+        yield from levels.values()
+        return
+    states = initial_states(game, variant, levels)
+    game.check(states, variant)
+    states.setflags(write=False)  # checked, all at once
+    for s in states:
+        yield Level.of(game, variant, s)
+
+
+def outcomes(game: str | Game, variant: str | Variant, states: np.ndarray) -> np.ndarray:
+    """Where the agent's centre is after each action in each of `states`, [N, A, 2], in cells.
+
+    By the rules themselves: what they draw at random is drawn as the states have it.
+    """
+    found = games.find(game)
+    shown_as = "symbolic" if found.symbols else "image"  # symbols take less time
+    env = GameVectorEnv(
+        found, variant, len(states), observation=shown_as, autoreset_mode="Disabled"
+    )
+    after = np.empty((len(states), len(found.actions), 2))
+    for action in range(len(found.actions)):
+        env.set_state(states)
+        env.step(np.full(len(states), action))
+        after[:, action, 0], after[:, action, 1] = env.states["x"], env.states["y"]
+    env.close()
+    return after
+
+
+def cell_of(level: Level, goal: str) -> Cell | None:
+    """The cell of a goal of the level's game, as the cheese or the corner; None where none is.
+
+    Raises ValueError where the game has no such goal, or no `cells`.
+    """
+    return level.game.cells.target(level.state(solvable=False), goal)

@@ -1,0 +1,234 @@
+"""Changes of what layers give, for as long as a `with` lasts.
+
+    with steer(agent, {"block2.residual1": vector}, -1.0):
+        shares, episodes = astray.evaluate_policies([agent], "maze", "corner-easy")
+
+They nest, the inner ones changing what the outer ones gave; they end with their `with`, also where
+an error leaves it, and then the agent gives what it gave before, to the bit. Whatever asks the
+agent feels them: episodes, fields, videos, gradients.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import zlib
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from astray.analysis.policies import Agent
+from astray.bounds import bounded, of_kind, shown
+from astray.game import MOST, Variant
+from astray.insight.activations import see_layers
+from astray.level import Cell
+
+Change = Callable[[Tensor], Tensor]  # what a layer gave [B, ...] -> what it gives instead
+
+
+@contextlib.contextmanager
+def changed(agent: Agent, changes: Mapping[str, Change]) -> Iterator[Agent]:
+    """The agent with what some layers give changed by functions: what all others here are made of.
+
+    changes  layer -> a function of what it gives, [B, ...], that returns what goes on instead,
+             of the same shape, and changes nothing in place
+
+    Raises ValueError where a layer is unknown.
+    """
+    of_kind("changes", changes, Mapping)
+    see_layers(agent, list(changes))
+    modules = dict(agent.network.named_modules())
+    with contextlib.ExitStack() as stack:
+        for name, change in changes.items():
+            handle = modules[name].register_forward_hook(
+                lambda _, __, output, change=change: change(output)
+            )
+            stack.callback(handle.remove)
+        yield agent
+
+
+def steer(
+    agent: Agent, vectors: Mapping[str, np.ndarray], coefficient: float = 1.0
+) -> AbstractContextManager[Agent]:
+    """Add vectors to what layers give: `coefficient` times each, in every state.
+
+    vectors  layer -> an array that goes with what the layer gives for one observation: of its
+             shape, or of one that NumPy stretches to it, as [channels, 1, 1] for all places
+
+    Raises ValueError where a layer is unknown, or a vector does not go with it.
+    """
+    of_kind("vectors", vectors, Mapping)
+    if not np.isfinite(coefficient):
+        raise ValueError(f"coefficient must be a finite number; got {coefficient}")
+    shapes = see_layers(agent, list(vectors))
+    added = {
+        name: torch.from_numpy(
+            coefficient * _fitting(f"the vector at {name}", vector, shapes[name])
+        )
+        for name, vector in vectors.items()
+    }
+
+    def change(name: str) -> Change:
+        return lambda x: x + added[name].to(x) if coefficient else x
+
+    return changed(agent, {name: change(name) for name in vectors})
+
+
+def patch(
+    agent: Agent,
+    layer: str,
+    channels: Sequence[int] | None,
+    value: float | np.ndarray,
+    cell: tuple[int, int] | None = None,
+) -> AbstractContextManager[Agent]:
+    """Set what a layer gives: some channels, at one place or everywhere.
+
+    channels  of the layer, or units of one without places; None: all
+    value     a number, or one for each of the channels
+    cell      (row, column) of the layer: `place` finds that of a level's cell
+
+    Raises ValueError where the layer has no such channels or place.
+    """
+    shape = see_layers(agent, [layer])[layer]
+    which = _channels(channels, shape[0])
+    if cell is not None:
+        if len(shape) != 3:
+            raise ValueError(f"{layer} has no places; what it gives is of shape {shape}")
+        for name, number, most in zip(("row", "column"), cell, shape[1:], strict=True):
+            bounded(f"the cell's {name}", number, 0, most - 1)
+    values = torch.from_numpy(_fitting("value", value, (len(which),))).float()
+
+    def change(x: Tensor) -> Tensor:
+        x = x.clone()
+        new = values.to(x).expand(len(which))
+        if cell is None:
+            x[:, which] = new.view(1, -1, *[1] * (x.dim() - 2)).expand_as(x[:, which])
+        else:
+            x[:, which, cell[0], cell[1]] = new
+        return x
+
+    return changed(agent, {layer: change})
+
+
+def ablate(
+    agent: Agent,
+    layer: str,
+    channels: Sequence[int] | None = None,
+    *,
+    mean_of: np.ndarray | None = None,
+) -> AbstractContextManager[Agent]:
+    """Set channels of a layer to 0, or to their mean at each place.
+
+    channels  None: all
+    mean_of   what the layer gave in some states, [M, ...], as `capture` returns it
+
+    Raises ValueError where the layer is not of these shapes.
+    """
+    shape = see_layers(agent, [layer])[layer]
+    which = _channels(channels, shape[0])
+    mean = np.zeros(shape) if mean_of is None else _given(mean_of, shape).mean(0)
+    new = torch.from_numpy(mean[which]).float()
+
+    def change(x: Tensor) -> Tensor:
+        x = x.clone()
+        x[:, which] = new.to(x)
+        return x
+
+    return changed(agent, {layer: change})
+
+
+def resample(
+    agent: Agent,
+    layer: str,
+    donors: np.ndarray,
+    channels: Sequence[int] | None = None,
+    *,
+    seed: int = 0,
+) -> AbstractContextManager[Agent]:
+    """Let channels of a layer give what they gave in other states, one of them drawn for each.
+
+    donors    what the layer gave in some states, [M, ...], as `capture` returns it
+    channels  None: all
+
+    Which donor an observation gets depends on `seed` and on what the layer would have given for
+    it, so that it is the same in every batch.
+    """
+    shape = see_layers(agent, [layer])[layer]
+    which = _channels(channels, shape[0])
+    bounded("seed", seed, 0, MOST)
+    pool = torch.from_numpy(np.ascontiguousarray(_given(donors, shape)[:, which]))
+
+    def change(x: Tensor) -> Tensor:
+        rows = x.detach().numpy(force=True)
+        drawn = [zlib.crc32(row.tobytes(), seed) % len(pool) for row in rows]
+        x = x.clone()
+        x[:, which] = pool[drawn].to(x)
+        return x
+
+    return changed(agent, {layer: change})
+
+
+def place(agent: Agent, variant: Variant, cell: Cell, shape: Sequence[int]) -> tuple[int, int]:
+    """The (row, column) of a layer that sees the middle of a level's cell.
+
+    Of images the first row is the highest; of symbolic planes it is the lowest, as in levels.
+
+    cell   (x, y) of the level, from the lower left
+    shape  of what the layer gives, [channels, rows, columns]
+
+    Raises ValueError where the agent sees only a part of the world, or the layer has no places.
+    """
+    if not sees_world(variant):
+        raise ValueError("a cell has a fixed place in a layer only where all the world is seen")
+    if len(shape) != 3:
+        raise ValueError(f"the layer has no places; what it gives is of shape {tuple(shape)}")
+    p: Any = variant
+    world, (_, rows, columns) = int(p.world), shape
+    for name, number in zip("xy", cell, strict=True):
+        bounded(name, number, 0, world - 1)
+    across, up = ((number + 0.5) / world for number in cell)
+    down = up if agent.observation == "symbolic" else 1 - up
+    return int(down * rows), int(across * columns)
+
+
+def sees_world(variant: Variant) -> bool:
+    """Whether images of the variant show all the world: a cell has a fixed place in them."""
+    names = variant.records().dtype.names or ()
+    return "world" in names and not ("window" in names and variant.records()[0]["window"])
+
+
+def _channels(channels: Sequence[int] | None, count: int) -> np.ndarray:
+    """`channels` as an array; all of them where None."""
+    if channels is None:
+        return np.arange(count)
+    found = np.asarray(channels)
+    if found.ndim != 1 or (found.size and found.dtype.kind not in "iu"):
+        raise ValueError(f"channels must be integers in a list; got {shown(channels)}")
+    if found.size and not (found.min() >= 0 and found.max() < count):
+        raise ValueError(f"channels must be from 0 to {count - 1}; got {shown(channels)}")
+    return found.astype(np.int64)
+
+
+def _fitting(name: str, given: Any, shape: tuple[int, ...]) -> np.ndarray:
+    """`given` as finite reals that NumPy can stretch to `shape`."""
+    try:
+        array = np.asarray(given, np.float64)
+        np.broadcast_to(array, shape)
+    except (TypeError, ValueError):
+        raise ValueError(
+            f"{name} must go with what is of shape {shape}; got {shown(np.shape(given))}"
+        ) from None
+    if not np.isfinite(array).all():
+        raise ValueError(f"{name} must be of finite numbers; it is not")
+    return array
+
+
+def _given(values: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
+    """What a layer of `shape` gave in some states, checked."""
+    of_kind("what the layer gave", values, np.ndarray)
+    if values.shape[1:] != shape or not len(values):
+        raise ValueError(f"what the layer gave must be [M, {shape}]; got {values.shape}")
+    return values

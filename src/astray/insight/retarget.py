@@ -1,0 +1,193 @@
+"""Sending an agent elsewhere by what one of its layers holds, beside moving the real object.
+
+    follow = following(agent, "anywhere-easy", range(20), "block2.residual1")
+    clamp = Clamp("block2.residual1", tuple(follow["channel"][:8]), tuple(follow["there"][:8]))
+    rows = retarget(agent, "anywhere-easy", range(100, 200), clamp)
+
+After Mini et al. (2023, arXiv 2310.08043), who found eleven channels of their mouse by eye. Here
+they are found in any network with places, by how what they give goes with where the object is.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import polars as pl
+
+from astray import games
+from astray.analysis.critic import judge, observe
+from astray.analysis.episodes import Levels
+from astray.analysis.policies import Agent
+from astray.bounds import bounded
+from astray.game import MOST, Variant
+from astray.insight.activations import activations, see_layers
+from astray.insight.fields import Places, drawn, places_of, states_at
+from astray.insight.interventions import patch, place
+from astray.level import Cell, Level
+
+AS_IS, CLAMPED, ALONE, MOVED = "as it is", "clamped", "clamped, no object", "object moved"
+WAYS = (AS_IS, CLAMPED, ALONE, MOVED)
+
+
+@dataclass(frozen=True)
+class Clamp:
+    """What is set at one place of a layer: some channels, each to a value."""
+
+    layer: str
+    channels: tuple[int, ...]
+    values: tuple[float, ...]
+
+    def __post_init__(self) -> None:
+        if len(self.channels) != len(self.values) or not self.channels:
+            raise ValueError(
+                f"a clamp must have a value for each channel, at least one; got "
+                f"{len(self.channels)} channels and {len(self.values)} values"
+            )
+
+
+def following(
+    agent: Agent,
+    variant: str | Variant,
+    levels: Levels,
+    layer: str,
+    name: str = "goal",
+    *,
+    places: int = 16,
+    seed: int = 0,
+) -> pl.DataFrame:
+    """How what each channel gives goes with where an object is, those that go with it most first.
+
+    The object is moved about each level, the agent stays where it begins; at every cell of the
+    layer, what a channel gives is compared with its mean over the object's places. So walls, which
+    stay, count for nothing.
+
+    name    of the object; Maze's cheese is its "goal"
+    places  of the object in each level, drawn with `seed`
+
+    Columns: channel; correlation, over all places, levels and cells of the layer, between that
+    difference and whether the object is in the middle of that cell; there and elsewhere, the mean
+    of what the channel gives where the object is, and at the other cells.
+
+    Raises ValueError where the layer has no places, or the agent sees only part of the world.
+    """
+    bounded("places", places, 2, MOST)
+    shape = see_layers(agent, [layer])[layer]
+    game = games.find(agent.game)
+    variant = game.variant(variant)
+    place(agent, variant, (0, 0), shape)  # which says why there is none
+    sums = np.zeros((6, shape[0]))  # of x, y, xx, yy, xy, and of what is given at the object
+    elsewhere, count, seen = np.zeros(shape[0]), 0, 0
+    for k, level in enumerate(drawn(game, variant, levels)):
+        family = _family(level, name, places, np.random.default_rng([seed, k]))
+        if len(family) < 2:
+            continue
+        states = np.array([one.state(solvable=False) for one in family], game.state)
+        given = activations(agent, observe(agent, variant, states), [layer])[layer]
+        given = given.astype(np.float64)
+        is_at = np.zeros((len(family), *shape[1:]))
+        for row, one in enumerate(family):
+            is_at[(row, *place(agent, variant, one.where(name)[0], shape))] = 1
+        x, y = given - given.mean(0), np.broadcast_to((is_at - is_at.mean(0))[:, None], given.shape)
+        axes = (0, 2, 3)
+        there = (given * is_at[:, None]).sum(axes)
+        sums += [x.sum(axes), y.sum(axes), (x * x).sum(axes), (y * y).sum(axes),
+                 (x * y).sum(axes), there]  # fmt: skip
+        elsewhere += given.sum(axes) - there
+        count, seen = count + is_at.size, seen + len(family)
+    if not seen:
+        raise ValueError(f"no level has a {name} that can be elsewhere")
+    _, _, xx, yy, xy, there = sums  # the sums of x and of y are 0
+    correlation = xy / np.sqrt(np.maximum(xx * yy, np.finfo(float).tiny))
+    return pl.DataFrame({
+        "channel": np.arange(shape[0]), "correlation": correlation, "there": there / seen,
+        "elsewhere": elsewhere / (count - seen),
+    }).sort(pl.col("correlation").abs(), descending=True)  # fmt: skip
+
+
+def _family(level: Level, name: str, count: int, random: np.random.Generator) -> list[Level]:
+    """The level with the object at some of the places where it could be."""
+    if not level.where(name):
+        return []
+    family = level.splay(name)
+    return [family[k] for k in sorted(random.permutation(len(family))[:count])]
+
+
+def retarget(
+    agent: Agent,
+    variant: str | Variant,
+    levels: Levels,
+    clamp: Clamp,
+    name: str = "goal",
+    *,
+    targets: int = 12,
+    how: Sequence[str] = WAYS,
+    seed: int = 0,
+) -> pl.DataFrame:
+    """How an agent takes to the way to cells that it is sent to: with and without a clamp.
+
+    targets  cells of each level, drawn with `seed` from the places where the object could be
+
+    A row for each level, target and way to send it: level (its place in `levels`), x and y of the
+    target, steps of the way there, how (of WAYS: nothing done; the clamp at the target, the object
+    in its place; the clamp in a level without the object; the object moved to the target) and path,
+    the geometric mean of the probabilities of the steps of the shortest way from the beginning.
+    how      the ways to send it that are tried; others cost time
+
+    Targets beyond the object, to which the way leads through it, are not among them.
+    """
+    bounded("targets", targets, 1, MOST)
+    unknown = [one for one in how if one not in WAYS]
+    if unknown or not how:
+        raise ValueError(f"how must be some of {', '.join(WAYS)}; got {', '.join(how) or 'none'}")
+    shape = see_layers(agent, [clamp.layer])[clamp.layer]
+    game = games.find(agent.game)
+    variant = game.variant(variant)
+    rows = []
+    for k, level in enumerate(drawn(game, variant, levels)):
+        (around,), _ = places_of([level])
+        at = level.where(name)
+        cells = [one.where(name)[0] for one in level.splay(name)] if at else []
+        ways = {cell: around.way(cell) for cell in cells}
+        open_ = [cell for cell, way in ways.items() if len(way) > 1 and at[0] not in way]
+        random = np.random.default_rng([seed, k])
+        for number in sorted(random.permutation(len(open_))[:targets]):
+            cell = open_[number]
+            told = {"level": k, "x": cell[0], "y": cell[1], "steps": len(ways[cell]) - 1}
+            for one, path in _paths(agent, around, ways[cell], clamp, shape, name, how):
+                rows.append(told | {"how": one, "path": path})
+    if not rows:
+        raise ValueError(f"no level has a {name} and a cell to send the agent to")
+    return pl.DataFrame(rows)
+
+
+def _paths(
+    agent: Agent, around: Places, way: list[Cell], clamp: Clamp, shape: tuple[int, ...], name: str,
+    how: Sequence[str],
+) -> Iterator[tuple[str, float]]:  # fmt: skip
+    """How the agent takes to a way, sent along it in each of some WAYS."""
+    level = around.level
+    gone = level.removed(name)
+    sees = {AS_IS: level, CLAMPED: level, ALONE: gone, MOVED: gone.added(name, way[-1])}
+    at = place(agent, level.variant, way[-1], shape)
+    for one in how:
+        if one in (CLAMPED, ALONE):
+            with patch(agent, clamp.layer, clamp.channels, np.array(clamp.values), at):
+                yield one, path_along(agent, sees[one], way, around)
+        else:
+            yield one, path_along(agent, sees[one], way, around)
+
+
+def path_along(agent: Agent, level: Level, way: list[Cell], around: Places) -> float:
+    """The geometric mean of the probabilities of the steps along the cells of a way.
+
+    around  the places of the level, or of one with the same walls
+    """
+    policy, _ = judge(agent, observe(agent, level.variant, states_at(level, way[:-1])))
+    chances = [
+        sum(p for p, leads in zip(some, around.leads[around.number[here]], strict=True)
+            if leads == there)
+        for some, here, there in zip(policy, way[:-1], way[1:], strict=True)
+    ]  # fmt: skip
+    return float(np.exp(np.log(np.maximum(chances, np.finfo(float).tiny)).mean()))

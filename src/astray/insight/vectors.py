@@ -1,0 +1,256 @@
+"""Directions in what a layer gives: with an object less without it, and between sets of states.
+
+    cheese = object_vectors(agent, "anywhere-easy", range(200), "block2.residual1")
+    with steer(agent, {cheese.layer: cheese.mean}, -1.0): ...
+
+`effects` measures what steering by such vectors does, beside vectors of the same length that point
+anywhere.
+"""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import polars as pl
+
+from astray import games
+from astray.analysis.critic import judge, observe
+from astray.analysis.episodes import Levels
+from astray.analysis.policies import Agent
+from astray.bounds import bounded, of_kind
+from astray.game import MOST, Variant
+from astray.insight.activations import activations
+from astray.insight.fields import Places, cell_of, drawn, places_of
+from astray.insight.interventions import steer
+from astray.level import Cell, Level
+
+Edit = Callable[[Level], Level]
+
+
+@dataclass(frozen=True, eq=False)
+class Vectors:
+    """Differences of what a layer gives, one for each of N pairs of states.
+
+    each  [N, ...] float32
+    """
+
+    layer: str
+    each: np.ndarray
+
+    @functools.cached_property
+    def mean(self) -> np.ndarray:
+        """[...] over the pairs."""
+        return self.each.mean(0)
+
+    @property
+    def norms(self) -> np.ndarray:
+        """[N] the lengths."""
+        return np.linalg.norm(self._flat, axis=1)
+
+    @property
+    def cosines(self) -> np.ndarray:
+        """[N, N] the cosines between them; 0 with one of no length."""
+        lengths = np.maximum(self.norms, np.finfo(np.float32).tiny)
+        unit = self._flat / lengths[:, None]
+        return unit @ unit.T
+
+    @property
+    def _flat(self) -> np.ndarray:
+        return self.each.reshape(len(self.each), -1).astype(np.float64)
+
+    def alike(self) -> float:
+        """The mean cosine between two different ones: 1 where the direction is the same in all."""
+        n = len(self.each)
+        if n < 2:
+            return np.nan
+        return float((self.cosines.sum() - np.trace(self.cosines)) / (n * (n - 1)))
+
+    def random(self, seed: int) -> Vectors:
+        """As many of the same lengths, in directions drawn with `seed`, all equally likely."""
+        bounded("seed", seed, 0, MOST)
+        drawn_at = np.random.default_rng(seed).normal(size=self._flat.shape)
+        drawn_at *= (self.norms / np.linalg.norm(drawn_at, axis=1))[:, None]
+        return Vectors(self.layer, drawn_at.reshape(self.each.shape).astype(np.float32))
+
+
+def pair_vectors(
+    agent: Agent, variant: str | Variant, layer: str, states: np.ndarray, others: np.ndarray
+) -> Vectors:
+    """What `layer` gives in each of `states` [N] less what it gives in each of `others` [N]."""
+    if len(states) != len(others):
+        raise ValueError(f"states must be pairs; got {len(states)} and {len(others)}")
+    one, other = (
+        activations(agent, observe(agent, variant, some), [layer])[layer]
+        for some in (states, others)
+    )
+    return Vectors(layer, one - other)
+
+
+def set_vector(
+    agent: Agent, variant: str | Variant, layer: str, states: np.ndarray, others: np.ndarray
+) -> Vectors:
+    """What `layer` gives on the mean in `states` less that in `others`: two sets of any sizes."""
+    one, other = (
+        activations(agent, observe(agent, variant, some), [layer])[layer].mean(0)
+        for some in (states, others)
+    )
+    return Vectors(layer, (one - other)[None])
+
+
+def object_vectors(
+    agent: Agent, variant: str | Variant, levels: Levels, layer: str, name: str = "goal"
+) -> Vectors:
+    """With an object less without it, where each level begins: Maze's cheese is its "goal".
+
+    Raises ValueError where a level has no such object, or several.
+    """
+    return edit_vectors(agent, variant, levels, layer, lambda level: level.removed(name))
+
+
+def corner_vectors(
+    agent: Agent, variant: str | Variant, levels: Levels, layer: str, goal: str = "corner"
+) -> Vectors:
+    """With the way to a goal's cell open less with that cell walled up, where each level begins.
+
+    The level's object in that cell, if any, is missing in both. Raises ValueError where a level
+    has no cell of that goal, or begins in it.
+    """
+
+    def open_(level: Level) -> Level:
+        return _filled(level, _cell(level, goal), ".")
+
+    def closed(level: Level) -> Level:
+        return _filled(level, _cell(level, goal), "#")
+
+    return edit_vectors(agent, variant, levels, layer, closed, open_)
+
+
+def edit_vectors(
+    agent: Agent, variant: str | Variant, levels: Levels, layer: str, edit: Edit,
+    first: Edit | None = None,
+) -> Vectors:  # fmt: skip
+    """Each level as it is (or as `first` makes it) less as `edit` makes it, where it begins."""
+    game = games.find(agent.game)
+    whole = list(drawn(game, game.variant(variant), levels))
+    pairs = [
+        np.array([made.state(solvable=False) for made in map(make, whole)], game.state)
+        for make in (first or (lambda level: level), edit)
+    ]
+    return pair_vectors(agent, variant, layer, *pairs)
+
+
+def _cell(level: Level, goal: str) -> Cell:
+    cell = cell_of(level, goal)
+    if cell is None or cell == level.agent:
+        raise ValueError(f"a level must have a cell of the goal {goal!r}, and not begin in it")
+    return cell
+
+
+def _filled(level: Level, cell: Cell, char: str) -> Level:
+    """With what the legend calls `char` in a cell."""
+    legend = level.game.editing.LEGEND
+    if char not in legend:
+        raise ValueError(f"{level.game.name} has no {char!r} in its legend")
+    cells = level.cells.copy()
+    cells[cell[1], cell[0]] = legend[char]
+    return Level(level.game, level.variant, cells, level.agent, level.looks)
+
+
+@dataclass(frozen=True, eq=False)
+class Condition:
+    """How agent or levels are otherwise, for `effects`.
+
+    vectors      added to what their layers give: each level's own, or the mean of all
+    coefficient  of the vectors
+    edit         of the levels
+    """
+
+    vectors: Sequence[Vectors] = ()
+    coefficient: float = 1.0
+    own: bool = True  # each level is steered by its own vector; else all by the mean
+    edit: Edit = field(default=lambda level: level)
+
+
+PLAIN = Condition()
+
+
+def effects(
+    agent: Agent,
+    variant: str | Variant,
+    levels: Levels,
+    goal: str,
+    conditions: Mapping[str, Condition],
+    *,
+    places: int = 16,
+    at: Callable[[Any], Cell | None] | None = None,
+    seed: int = 0,
+) -> pl.DataFrame:
+    """How likely the next step is one to `goal`, in each level under each condition.
+
+    places  of each level that are looked at: its beginning, then others drawn with `seed`; for a
+            network that sees images, multiples of 16 take the least time
+
+    at      one more place that is looked at, as the decision square: a function of the state that
+            a level begins in; None where a level has none
+
+    Columns: level (its place in `levels`), condition, towards (the probability of a step of a
+    shortest way to where the goal is in the unedited level, the mean over places), start (that at
+    the beginning), at (that at the further place, null where there is none), value (the mean over
+    places), places. Levels without the goal, or that begin at it, are left out. For means with
+    intervals: `statistics.group_means`.
+    """
+    of_kind("conditions", conditions, Mapping)
+    bounded("places", places, 1, MOST)
+    game = games.find(agent.game)
+    variant = game.variant(variant)
+    rows = []
+    for k, level in enumerate(drawn(game, variant, levels)):
+        to = cell_of(level, goal)
+        if to is None or to == level.agent:
+            continue
+        (around,), _ = places_of([level])
+        extra = at(level.state(solvable=False)) if at else None
+        count = places - (extra is not None)
+        some = _some(around, to, count, np.random.default_rng([seed, k]))
+        looked_at = [*some, *([] if extra is None else [extra])]
+        shown: dict[Edit, tuple[np.ndarray, np.ndarray]] = {}
+        for name, condition in conditions.items():
+            if condition.edit not in shown:
+                shown[condition.edit] = _seen(agent, variant, condition.edit(level), looked_at, to)
+            observations, advancing = shown[condition.edit]
+            vectors = {v.layer: v.each[k] if condition.own else v.mean for v in condition.vectors}
+            if vectors:
+                with steer(agent, vectors, condition.coefficient):
+                    policy, value = judge(agent, observations)
+            else:
+                policy, value = judge(agent, observations)
+            chance = (policy * advancing).sum(1)
+            n = len(some)
+            rows.append({
+                "level": k, "condition": name, "towards": chance[:n].mean(), "start": chance[0],
+                "at": None if extra is None else chance[n], "value": value[:n].mean(), "places": n,
+            })  # fmt: skip
+    if not rows:
+        raise ValueError(f"no level has a cell of the goal {goal!r} away from its beginning")
+    return pl.DataFrame(rows, schema_overrides={"at": pl.Float64})
+
+
+def _some(around: Places, to: Cell, count: int, random: np.random.Generator
+          ) -> list[Cell]:  # fmt: skip
+    """The beginning of a level and some other of its places from which there is a way."""
+    away = around.distances(to)
+    others = [c for c in around.number if away.get(c, 0) > 0 and c != around.level.agent]
+    drawn_at = random.permutation(len(others))[: max(count - 1, 0)]
+    return [around.level.agent, *(others[k] for k in sorted(drawn_at))]
+
+
+def _seen(agent: Agent, variant: Variant, level: Level, cells: Sequence[Cell],
+          to: Cell) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
+    """What is seen at some places of a level, and which actions lead from there to a cell."""
+    (around,), (states,) = places_of([level])
+    which = [around.number[cell] for cell in cells]
+    return observe(agent, variant, states[which]), around.advancing(to)[which]

@@ -1,0 +1,202 @@
+"""The lab as files: the page, levels and agents, which any web server serves and no Python answers.
+
+What a page does without Python is in `page/engine/local.js`: the rules of astray's own games, small
+networks, posteriors over goals. Networks that see images are looked up in tables that are computed
+here: for some levels, and in them for every place of the goal and of the agent, the policy and the
+value, a byte for each.
+"""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from astray import games
+from astray.analysis.critic import judge, observe
+from astray.analysis.episodes import initial_states
+from astray.analysis.policies import Agent
+from astray.bounds import bounded
+from astray.files import folder_aside, write_aside
+from astray.game import MOST, Game, Variant
+from astray.lab.minds import Minds, places, put, sees
+from astray.lab.server import TYPES
+from astray.lab.session import FORMAT, Lab, about_game, drawings
+from astray.lab.worlds import PAGE, World, is_drawn
+from astray.level import Level
+
+TABLE = 2**20  # bytes of an agent's table, at most
+SMALL = "small"  # networks that the page computes
+SHARE = 255  # a byte that is a probability of 1
+NOTE = (
+    "This page has no Python behind it. Levels, rules, arrows, episodes, splays and the posterior "
+    "over goals are computed in the browser, by the same rules and the same network. The odds that "
+    "it is an agent at all, gradients, interventions, best ways and other levels need the lab "
+    "itself: pip install 'astray[lab]', then astray lab."
+)
+
+
+def export(lab: Lab, folder: Path, levels: int = 50, agents: list[str] | None = None) -> None:
+    """Write the lab to `folder`, in the place of one that was there.
+
+    levels  how many of each variant that the agents see, from number 0 on
+    agents  by name; None: the one that the lab begins with, and all kept ones
+
+    Raises FileExistsError where the folder holds something else.
+    """
+    bounded("levels", levels, 1, 10_000)
+    is_old = (folder / "data" / "index.json").is_file()
+    if folder.exists() and not is_old and (not folder.is_dir() or any(folder.iterdir())):
+        raise FileExistsError(f"{folder} must be a lab that was exported, or nothing")
+    chosen = agents if agents is not None else _chosen(lab)
+    with folder_aside(folder) as aside:
+        _write_page(aside)
+        _write_data(lab, aside / "data", levels, chosen)
+        if folder.exists():
+            shutil.rmtree(folder)
+        aside.rename(folder)
+
+
+def _chosen(lab: Lab) -> list[str]:
+    """The agents to be exported: those with a run of a game that the page can play."""
+    first = lab.start.get("agent", "")
+    small = [
+        name
+        for name in lab.minds.paths
+        if lab.minds.open(name)[0].architecture.name == SMALL and _playable(lab.minds, name)
+    ]
+    return list(dict.fromkeys([*([first] if first else []), *small]))
+
+
+def _playable(minds: Minds, name: str) -> bool:
+    return is_drawn(games.find(minds.open(name)[0].game))
+
+
+def _write_page(folder: Path) -> None:
+    for path in PAGE.rglob("*"):
+        if path.suffix not in TYPES or path.name == "widget.js":
+            continue
+        to = folder / path.relative_to(PAGE)
+        to.parent.mkdir(parents=True, exist_ok=True)
+        data = path.read_bytes()
+        if path.name == "index.html":
+            data = data.replace(b'data-engine="socket"', b'data-engine="static"')
+        to.write_bytes(data)
+
+
+def _write_data(lab: Lab, folder: Path, levels: int, agents: list[str]) -> None:
+    about = {name: lab.minds.about(name) for name in agents}
+    played = {told["game"] for told in about.values()} | {lab.start["game"]}
+    found: dict[str, Any] = {}
+    for game in sorted(map(games.find, played), key=lambda game: game.name):
+        if not is_drawn(game):
+            raise ValueError(f"{game.name} must be a game of astray's own to be exported")
+        _write(folder / "art" / f"{game.name}.json", {"pictures": drawings(game)})
+        variants = _variants(lab, game, about)
+        told = about_game(game)
+        names = {"variants", "knobs"}
+        found[game.name] = told | {n: {v: told[n][v] for v in variants} for n in names}
+        for name in variants:
+            data = {"levels": _levels(game, game.variant(name), levels)}
+            _write(folder / "levels" / f"{game.name}-{name}.json", data)
+    for name, told in about.items():
+        told["variants"] = [v for v in told["variants"] if v in found[told["game"]]["variants"]]
+        _write_agent(lab.minds, name, told, folder, levels)
+    index = {
+        "format": FORMAT, "engine": "static", "note": NOTE, "games": found, "agents": about,
+        "broken": {}, "start": dict(lab.start),
+    }  # fmt: skip
+    _write(folder / "index.json", index)
+
+
+def _variants(lab: Lab, game: Game, about: Mapping[str, Any]) -> list[str]:
+    """The variants that are exported: those of the agents' shifts, and of the beginning."""
+    wanted = {lab.start["variant"]} if lab.start["game"] == game.name else set()
+    for told in about.values():
+        if told["game"] == game.name:
+            wanted |= {told["variant"], told["test"]} & set(told["variants"])
+    return [name for name in game.variants if name in wanted]
+
+
+def _levels(game: Game, variant: Variant, count: int) -> list[dict[str, Any]]:
+    """The levels of a variant, as drawings with their looks."""
+    found = []
+    for s in initial_states(game, variant, range(count)):
+        level = Level.of(game, variant, s)
+        found.append({"number": int(s.level), "text": str(level), "looks": dict(level.looks)})
+    return found
+
+
+def _write_agent(minds: Minds, name: str, told: dict[str, Any], folder: Path, levels: int) -> None:
+    agent, config = minds.open(name)
+    told.pop("layers", None)
+    if agent.architecture.name == SMALL:
+        path = folder / "agents" / f"{name}.safetensors"
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(agent.path.read_bytes())
+        return
+    game = config.find_game()
+    if game.real_time:
+        raise ValueError(
+            f"the agent {name!r} sees images of {game.name}, where things move by themselves: "
+            "there is no table of all that it may see"
+        )
+    variant = config.variant_for(told["test"])
+    index, data = table(agent, game, variant, levels)
+    _write(folder / "agents" / f"{name}.json", index)
+    (folder / "agents" / f"{name}.bin").write_bytes(data)
+    told["variants"] = [told["test"]]
+    told["table"] = {"path": f"data/agents/{name}.json", "bytes": f"data/agents/{name}.bin"}
+
+
+def table(
+    agent: Agent, game: Game, variant: Variant, count: int, most: int = TABLE
+) -> tuple[dict[str, Any], bytes]:
+    """What the agent does in the first levels, wherever goal and agent are: an index, and bytes.
+
+    A row is the policy [A] and the value, a byte each. Where all places of the goal would take more
+    than `most` bytes divided by `count`, a level has only the one where the goal lies.
+    """
+    bounded("levels", count, 1, MOST)
+    if not sees(agent, game, variant):
+        raise ValueError("the agent must see levels of the variant; it does not")
+    levels, policies, values, rows = {}, [], [], 0
+    for s in initial_states(game, variant, range(count)):
+        level = Level.of(game, variant, s)
+        begun = level.state(solvable=False)
+        world = World(game, variant, level, begun)
+        cells = places(world, level.removed("goal").state(solvable=False))
+        family = level.splay("goal")
+        if len(family) * len(cells) * (len(game.actions) + 1) > most / count:
+            family = [level]
+        goals = {}
+        for one in family:
+            (where,) = one.where("goal")
+            goals[f"{where[0]},{where[1]}"] = rows
+            states = put(world, one.state(solvable=False), cells)
+            policy, value = judge(agent, observe(agent, variant, states))
+            policies.append(policy)
+            values.append(value)
+            rows += len(cells)
+        walls = "\n".join("".join("#" if c == "#" else "." for c in line)
+                          for line in reversed(str(level).split("\n")))  # fmt: skip
+        levels[str(int(s.level))] = {
+            "walls": walls, "places": [f"{x},{y}" for x, y in cells], "goals": goals,
+        }  # fmt: skip
+    policy, value = np.concatenate(policies), np.concatenate(values)
+    low, high = float(value.min()), float(value.max())
+    spread = (high - low) or 1.0
+    data = np.empty((rows, len(game.actions) + 1), np.uint8)
+    data[:, :-1] = np.round(SHARE * policy)
+    data[:, -1] = np.round(SHARE * (value - low) / spread)
+    index = {"actions": len(game.actions), "low": low, "high": high, "levels": levels}
+    return index, data.tobytes()
+
+
+def _write(path: Path, data: Any) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    write_aside(path, json.dumps(data, separators=(",", ":")).encode())

@@ -1,0 +1,177 @@
+"""What agents would do, value and pursue, as plain data for a page."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from astray.analysis import kept
+from astray.analysis.critic import judge, observe, visit
+from astray.analysis.policies import Agent
+from astray.analysis.runs import open_run, shift_of
+from astray.game import Game, Shift, Variant, knobs
+from astray.insight.activations import layers
+from astray.lab import steering
+from astray.lab.messages import Message
+from astray.lab.worlds import World
+from astray.training.config import Config
+
+AT_ONCE = 64  # places whose arrows are computed together, and sent
+FIRST_VISITED, VISITED, EACH = 900_000, 150, 4  # levels whose states probes are fitted in
+FAR = 16  # cells from the agent, of places in worlds that are larger than what is seen at once
+LARGE = 32  # cells a side of such a world
+
+
+@dataclass(eq=False)
+class Minds:
+    """The agents that a page may name: kept, imported, and those that it was started with.
+
+    paths  of run folders, by name
+    """
+
+    paths: Mapping[str, Path]
+    _opened: dict[str, tuple[Agent, Config]] = field(default_factory=dict)
+    _visited: dict[tuple[str, str], np.ndarray] = field(default_factory=dict)
+    _last: tuple[Any, Agent, Any] | None = None
+
+    @classmethod
+    def of(cls, runs: Mapping[str, Path]) -> Minds:
+        """`runs` by name, and all agents that have a name."""
+        named = {name: kept.find(name) for name in (*kept.names(), *kept.imported())}
+        return cls(named | dict(runs))
+
+    def open(self, name: str) -> tuple[Agent, Config]:
+        """The agent of that name, and the settings that it was trained with."""
+        if name not in self.paths:
+            raise ValueError(f"unknown agent {name!r}; there are: {', '.join(self.paths)}")
+        if name not in self._opened:
+            self._opened[name] = open_run(self.paths[name])
+        return self._opened[name]
+
+    def of_message(self, message: Message, world: World) -> Agent:
+        """The agent that a message names, which plays the world's game, as the message wants it.
+
+        Raises ValueError where there is none, or its layers cannot be changed so.
+        """
+        agent, _ = self.open(message.agent)
+        game = world.game
+        if agent.game != game.name:
+            raise ValueError(f"the agent {message.agent!r} plays {agent.game}, not {game.name}")
+        agent = copy.copy(self._steered(agent, message, world) if message.steering else agent)
+        agent.mode, agent.seed = message.mode, agent.seed + message.seed
+        return agent
+
+    def _steered(self, agent: Agent, message: Message, world: World) -> Agent:
+        """A copy of the agent whose layers are changed; the last one is remembered."""
+        key = (message.agent, repr(message.steering), world.key)
+        if self._last is None or self._last[0] != key:
+            other = copy.copy(agent)
+            other.network = copy.deepcopy(agent.network)
+            change = steering.change(other, world, message.steering)
+            change.__enter__()  # for as long as the copy is remembered
+            self._last = key, other, change
+        return self._last[1]
+
+    def visited(self, name: str, world: World) -> np.ndarray:
+        """States of the agent's own episodes in the world's variant, to fit probes in."""
+        agent, _ = self.open(name)
+        key = (name, repr(world.variant))
+        if key not in self._visited:
+            levels = range(FIRST_VISITED, FIRST_VISITED + VISITED)
+            self._visited[key] = visit(agent, world.variant, levels, per_episode=EACH)[1]
+        return self._visited[key]
+
+    def about(self, name: str) -> dict[str, Any]:
+        """What a page is told of an agent."""
+        agent, config = self.open(name)
+        game = config.find_game()
+        try:
+            shift = shift_of(config)
+        except ValueError:
+            shift = next(iter(game.shifts), "")
+        test = game.shifts[shift].test if shift else config.variant
+        return {
+            "game": config.game, "variant": config.variant, "test": test, "shift": shift,
+            "variants": [n for n, v in game.variants.items() if sees(agent, game, v)],
+            "observation": agent.observation, "art": agent.art, "network": config.network,
+            "knobs": _knobs(config, game), "steps": config.steps,
+            "gamma": config.gamma, "lam": config.lam, "seed": agent.seed,
+            "layers": {name: list(shape) for name, shape in layers(agent).items()},
+        }  # fmt: skip
+
+
+def _knobs(config: Config, game: Game) -> dict[str, dict[str, Any]]:
+    """The knobs that are changed for the agent, of each variant where any is."""
+    found = {}
+    for name, plain in game.variants.items():
+        try:
+            own = config.variant_for(name)
+        except ValueError:
+            continue
+        changed = {knob: getattr(own, knob) for knob in knobs(type(own))
+                   if getattr(own, knob) != getattr(plain, knob)}  # fmt: skip
+        if changed:
+            found[name] = changed
+    return found
+
+
+def sees(agent: Agent, game: Game, variant: Variant) -> bool:
+    """Whether levels of `variant` look to the agent like what its network was made for."""
+    if agent.observation == "image":
+        return True
+    return bool(game.symbols) and game.symbols.planes(variant).shape == agent.architecture.shape
+
+
+def shift_between(game: Game, name: str) -> Shift | None:
+    """The shift of that name; else the game's first, if it has one."""
+    return game.shifts.get(name) or next(iter(game.shifts.values()), None)
+
+
+def places(world: World, s: Any) -> list[tuple[int, int]]:
+    """The cells that the agent could be in, nearest to it first."""
+    game = world.game
+    reachable = game.solver.reachable(s)
+    cells = np.array(game.editing.describe(s)["grid"])
+    height, width = cells.shape
+    free = (cells == game.editing.LEGEND["."]) & reachable[:height, :width]
+    if not {"x", "y"} <= {*(game.state.names or ())}:
+        raise ValueError(f"states of {game.name} must have x and y; they have neither")
+    here = np.array([int(s.x), int(s.y)])
+    if max(height, width) > LARGE:
+        row, column = np.ogrid[:height, :width]
+        free &= (abs(row - here[1]) <= FAR) & (abs(column - here[0]) <= FAR)
+    free[here[1], here[0]] = True
+    found = np.argwhere(free)[:, ::-1]
+    order = np.argsort(abs(found - here).sum(1), kind="stable")
+    return [(int(x), int(y)) for x, y in found[order]]
+
+
+def put(world: World, s: Any, cells: list[tuple[int, int]]) -> np.ndarray:
+    """The states [N] in which all is as in `s`, but the agent is in one of `cells`."""
+    states = np.repeat(np.array([s], world.game.state), len(cells))
+    for axis, where in zip("xy", np.array(cells).T, strict=True):
+        states[axis] = where + float(world.begin[axis]) % 1  # where in its cell an agent begins
+    for speed in {"vx", "vy"} & {*(world.game.state.names or ())}:
+        states[speed] = 0
+    return states
+
+
+def arrows(agent: Agent, world: World, s: Any) -> Iterator[dict[str, Any]]:
+    """The policy [A] and the value at all places, some at a time, those near the agent first."""
+    cells = places(world, s)
+    for first in range(0, len(cells), AT_ONCE):
+        some = cells[first : first + AT_ONCE]
+        policy, value = judge(agent, observe(agent, world.variant, put(world, s, some)))
+        yield {
+            "cells": some, "policy": rounded(policy), "value": rounded(value), "of": len(cells),
+        }  # fmt: skip
+
+
+def rounded(numbers: np.ndarray) -> Any:
+    """`numbers` for JSON, to eight decimal places."""
+    return np.round(np.asarray(numbers, float), 8).tolist()

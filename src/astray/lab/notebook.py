@@ -1,0 +1,76 @@
+"""The lab in a notebook: the same page, over the notebook's own channel."""
+
+from __future__ import annotations
+
+import functools
+from pathlib import Path
+from typing import Any
+
+from astray.lab.worlds import PAGE
+from astray.level import Level
+
+LOADER = PAGE / "widget.js"
+
+
+def show(agent: str | Path | None = None, level: int | str | Level = 0, **start: str) -> Any:
+    """A widget with the lab, in Jupyter, Colab, VS Code or Marimo.
+
+    agent  its name, or a run folder; None: the first that there is
+    level  a number, a drawing, or a level
+    start  more of what it shows first: game, variant
+
+    Raises ImportError where anywidget is missing.
+    """
+    from astray.lab.serving import make_lab
+    from astray.lab.session import Session
+
+    first: dict[str, Any] = dict(start)
+    if isinstance(level, Level):
+        first |= {"game": level.game.name, "level": level.to_json()}
+        first["variant"] = _name_of(level)
+    else:
+        first["level"] = level
+    lab = make_lab(agent, first)
+    session = Session(lab)
+    widget = _widget_class()(modules=modules())
+
+    def hear(_: Any, content: Any, buffers: Any) -> None:
+        with lab.lock:
+            for answer in session.answers(content):
+                widget.send(answer)
+
+    widget.on_msg(hear)
+    return widget
+
+
+def modules() -> dict[str, str]:
+    """The page's modules by their paths, for a loader that fetches nothing; and its markup."""
+    files = [*PAGE.rglob("*.js"), PAGE / "index.html"]
+    return {path.relative_to(PAGE).as_posix(): path.read_text("utf-8") for path in files}
+
+
+def _name_of(level: Level) -> str:
+    names = [name for name, variant in level.game.variants.items() if variant == level.variant]
+    if not names:
+        raise ValueError("a level's variant must be one of the game's by name to be shown")
+    return names[0]
+
+
+@functools.cache
+def _widget_class() -> type:
+    try:
+        import anywidget
+        import traitlets
+    except ImportError:
+        raise ImportError(
+            "the lab in a notebook needs anywidget: pip install 'astray[notebook]'"
+        ) from None
+
+    class Lab(anywidget.AnyWidget):
+        """The lab's page in a notebook's cell."""
+
+        _esm = LOADER.read_text("utf-8")
+        _css = (PAGE / "lab.css").read_text("utf-8")
+        modules = traitlets.Dict().tag(sync=True)
+
+    return Lab

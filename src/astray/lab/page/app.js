@@ -1,0 +1,388 @@
+// The lab's page: what is shown, and what is asked when something changes.
+//
+// It knows a level, an episode in it, and what an agent makes of both. Everything else is asked of
+// an engine: a Python process, a notebook's kernel, or `engine/local.js`.
+
+import { Editor } from "./editor.js";
+import { plain } from "./level.js";
+import { fromLink, toLink } from "./link.js";
+import { Panels } from "./panels.js";
+import { Stage } from "./stage.js";
+import { Pictures } from "./draw/pictures.js";
+import { lookOf } from "./games/looks.js";
+
+const HAND = 60; // milliseconds between the steps of an agent that plays, at most
+const PLAYED_AT_ONCE = 400; // steps that an agent is handed over for
+
+export class Lab {
+  // root: the element with the page's markup; links: whether the address follows what is shown.
+  constructor(root, engine, { links = true } = {}) {
+    Object.assign(this, { root, engine, links });
+    this.part = (name) => root.querySelector(`[data-lab="${name}"]`);
+    this.fields = new Map(); // "x,y" -> {cell, policy, value}
+    this.others = new Map(); // likewise, of what is compared with
+    this.splay = new Map();
+    Object.assign(this, { past: [], future: [], pictures: {}, now: 0, errors: [] });
+    this.stage = new Stage(this);
+    this.panels = new Panels(this);
+    this.editor = new Editor(this);
+  }
+
+  async begin() {
+    this.engine.status = (what) => this.panels.status(what);
+    const about = await this.tried(() => this.engine.ask({ kind: "hello" }));
+    if (!about) return;
+    this.about = about;
+    const start = { ...about.start, ...(this.links ? await fromLink(location.hash, about) : {}) };
+    this.agent = start.agent ?? "";
+    this.game = start.game;
+    this.variant = start.variant;
+    this.panels.begin();
+    this.panels.status("connected");
+    await this.open(start.level ?? 0);
+    globalThis.addEventListener("hashchange", () => this.follow());
+    this.ready = true;
+  }
+
+  async follow() {
+    if (!this.links || location.hash === this.address) return;
+    const { game, variant, agent, level } = await fromLink(location.hash, this.about);
+    if (game) Object.assign(this, { game, variant, agent });
+    this.panels.choices();
+    await this.open(level ?? 0);
+  }
+
+  // What `work` returns; null where it fails, and the page says why.
+  async tried(work) {
+    try {
+      return await work();
+    } catch (error) {
+      this.panels.problem(error.message);
+      return null;
+    }
+  }
+
+  get look() {
+    return lookOf(this.game);
+  }
+
+  get rules() {
+    return this.about.games[this.game];
+  }
+
+  // What every question about the level begins with.
+  question(kind, more = {}) {
+    const { game, variant, agent } = this;
+    const knobs = this.about.agents[agent]?.knobs[variant] ?? {};
+    const level = this.number === null ? plain(this.level) : this.number;
+    const steering = this.part("steered").checked ? this.steering : {};
+    const { mode, seed } = this;
+    return { kind, game, variant, knobs, level, agent, mode, seed, steering, ...more };
+  }
+
+  // The change of a layer that is described on the page.
+  get steering() {
+    const channels = this.part("channels").value.split(/[\s,]+/).filter(Boolean).map(Number);
+    const what = this.part("change").value;
+    const amount = Number(this.part("amount").value);
+    return {
+      what, layer: this.part("layers").value, ...(channels.length && what !== "vector" && { channels }),
+      ...(what === "vector" && { coefficient: amount }), ...(what === "patch" && { value: amount }),
+    };
+  }
+
+  get mode() {
+    return this.part("mode").value;
+  }
+
+  get seed() {
+    const seed = Math.trunc(Number(this.part("seed").value));
+    return Math.min(Math.max(seed || 0, 0), 999);
+  }
+
+  // Show a level: a number, a drawing, or an object as `Level.to_json` has it.
+  async open(level) {
+    await this.#art();
+    const question = { ...this.question("level"), level };
+    const told = await this.tried(() => this.engine.ask(question));
+    if (!told) return false;
+    this.#take(told);
+    this.original = { level: told.level, number: told.number };
+    Object.assign(this, { past: [], future: [] });
+    this.panels.level();
+    await this.refresh();
+    return true;
+  }
+
+  async #art() {
+    if (this.pictures[this.game]) return;
+    const found = await this.tried(() => this.engine.ask({ kind: "art", game: this.game }));
+    this.pictures[this.game] = new Pictures(found?.pictures ?? {}, () => this.stage.redraw());
+  }
+
+  #take({ level, number, text, problem, state }) {
+    Object.assign(this, { level, number, text, problem });
+    this.broken = false;
+    this.episode = { states: [state], actions: [], rewards: [], value: [], policy: [], ended: false };
+    this.now = 0;
+    this.splay.clear();
+    this.panels.problem(problem);
+  }
+
+  // Change the level, by hand; it is checked as all levels are. `first`: to be undone to here.
+  async edit(level, first = true) {
+    if (first) this.#remember();
+    await this.#change(level, null);
+  }
+
+  #remember() {
+    this.past.push({ level: this.level, number: this.number });
+    this.future = [];
+  }
+
+  async #change(level, number) {
+    Object.assign(this, { level, number });
+    this.stage.redraw();
+    this.panels.edited();
+    const mine = (this.changing = Symbol("change"));
+    try {
+      const told = await this.engine.ask(this.question("level"));
+      if (!told || this.changing !== mine) return;
+      this.#take(told);
+      await this.refresh();
+    } catch (error) {
+      if (this.changing !== mine) return;
+      this.broken = true;
+      this.#forget();
+      this.panels.problem(error.message);
+      this.stage.redraw();
+    }
+  }
+
+  #forget() {
+    this.fields.clear();
+    this.others.clear();
+    this.splay.clear();
+    this.pursuit = this.way = null;
+  }
+
+  async undo() {
+    const before = this.past.pop();
+    if (!before) return;
+    this.future.push({ level: this.level, number: this.number });
+    await this.#change(before.level, before.number);
+  }
+
+  async redo() {
+    const after = this.future.pop();
+    if (!after) return;
+    this.past.push({ level: this.level, number: this.number });
+    await this.#change(after.level, after.number);
+  }
+
+  async restore() {
+    this.#remember();
+    await this.#change(this.original.level, this.original.number);
+  }
+
+  // Ask anew for all that depends on level, agent and episode.
+  async refresh() {
+    this.way = null;
+    this.stage.redraw();
+    this.panels.edited();
+    if (this.links) {
+      this.address = await toLink(this);
+      if (this.address !== location.hash) history.replaceState(null, "", this.address);
+    }
+    await Promise.all([this.play(this.episode.actions.slice(0, this.now), 0), this.think()]);
+  }
+
+  // The arrows, in the state that is shown; and those of what is compared with.
+  async think() {
+    await Promise.all([
+      this.#arrows(this.fields, "own", this.question("fields", { actions: this.actions })),
+      this.#compare(), this.panels.look(),
+    ]);
+  }
+
+  get actions() {
+    return this.episode.actions.slice(0, this.now);
+  }
+
+  async #arrows(fields, slot, question) {
+    if (!question?.agent) {
+      fields.clear();
+      this.stage.redraw();
+      return;
+    }
+    const begun = performance.now();
+    let first = true;
+    const add = ({ cells, policy, value }) => {
+      if (first) fields.clear();
+      first = false;
+      cells.forEach((cell, k) => {
+        fields.set(String(cell), { cell, policy: policy[k], value: value[k] });
+      });
+      this.stage.redraw();
+    };
+    try {
+      const last = await this.engine.ask({ ...question, slot }, add);
+      if (last) add(last);
+      if (last && slot === "own") this.took = performance.now() - begun;
+    } catch (error) {
+      fields.clear();
+      if (slot === "own" || !this.problem) this.panels.problem(error.message);
+      this.stage.redraw();
+    }
+  }
+
+  async #compare() {
+    const what = this.part("compare").value;
+    const question = this.question("fields", { actions: this.actions });
+    if (what === "level") {
+      const { level, number } = this.original;
+      Object.assign(question, { level: number ?? plain(level), actions: [] });
+    } else if (what.startsWith("agent ")) {
+      question.agent = what.slice(6);
+    } else if (what === "change") {
+      question.steering = this.steering;
+    } else {
+      this.others.clear();
+      this.panels.compared();
+      return;
+    }
+    await this.#arrows(this.others, "other", question);
+    this.panels.compared();
+  }
+
+  // Play actions from the beginning, and let the agent go on for so many steps.
+  async play(actions, steps) {
+    const question = this.question("play", { actions, steps });
+    const add = (part) => {
+      const { episode } = this;
+      episode.states.splice(part.first, Infinity, ...part.states);
+      for (const name of ["value", "policy"]) {
+        episode[name].splice(part.first, Infinity, ...(part[name] ?? []));
+      }
+      const from = Math.max(part.first - 1, 0);
+      episode.actions.splice(from, Infinity, ...part.actions);
+      episode.rewards.splice(from, Infinity, ...part.rewards);
+      Object.assign(episode, { ended: part.ended, terminated: part.terminated });
+      if (!steps) this.now = episode.actions.length;
+      this.panels.played();
+      this.stage.redraw();
+    };
+    const done = await this.tried(async () => {
+      const last = await this.engine.ask(question, add);
+      if (last) add(last);
+      return last;
+    });
+    if (done) await this.#pursue();
+    return done;
+  }
+
+  async #pursue() {
+    this.pursuit = null;
+    if (this.episode.actions.length && this.agent && !this.rules.real_time && this.rules.solver) {
+      const question = this.question("posterior", { actions: this.episode.actions });
+      try {
+        this.pursuit = (await this.engine.ask(question)) ?? this.pursuit;
+      } catch (error) {
+        this.errors.push(error.message);
+      }
+    }
+    this.panels.pursued();
+    this.stage.redraw();
+  }
+
+  // The person's action, from the state that is shown on.
+  async act(name) {
+    const action = this.rules.actions.indexOf(name);
+    if (this.broken || action < 0 || (this.episode.ended && this.now === this.episode.actions.length)) {
+      return;
+    }
+    this.#stop();
+    const done = await this.play([...this.actions, action], 0);
+    if (done) await this.think();
+  }
+
+  async step() {
+    if (!this.agent || this.broken) return;
+    this.#stop();
+    const now = this.now;
+    await this.play(this.actions, 1);
+    await this.go(Math.min(now + 1, this.episode.actions.length));
+  }
+
+  // Let the agent play on, and show it step by step.
+  async handOver() {
+    if (this.running) {
+      this.#stop();
+      return;
+    }
+    if (!this.agent || this.broken) return;
+    const mine = (this.running = Symbol("run"));
+    this.panels.played();
+    const whole = this.play(this.actions, PLAYED_AT_ONCE).then(() => { this.known = mine; });
+    while (this.running === mine) {
+      await new Promise((resolve) => { setTimeout(resolve, HAND); });
+      if (this.now < this.episode.actions.length) this.show(this.now + 1);
+      else if (this.known === mine) break;
+    }
+    await whole;
+    if (this.running === mine) this.#stop();
+    await this.think();
+  }
+
+  #stop() {
+    this.running = null;
+    this.panels.played();
+  }
+
+  // Show the state after so many steps; `think` is asked for once it stays.
+  show(step) {
+    this.now = Math.min(Math.max(step, 0), this.episode.actions.length);
+    this.panels.played();
+    this.panels.pursued();
+    this.stage.redraw();
+  }
+
+  async go(step) {
+    this.show(step);
+    await this.think();
+  }
+
+  async askSplay() {
+    const [thing, at] = this.part("thing").value.split("@");
+    const cell = at ? at.split(",").map(Number) : null;
+    const draws = Number(this.part("draws").value);
+    this.splay.clear();
+    const add = ({ cells, outcomes, of }) => {
+      cells.forEach((where, k) => {
+        this.splay.set(String(where), { cell: where, outcomes: outcomes[k] });
+      });
+      this.panels.splayed(of);
+      this.stage.redraw();
+    };
+    await this.tried(async () => {
+      const last = await this.engine.ask(this.question("splay", { thing, cell, draws }), add);
+      if (last) add(last);
+    });
+  }
+
+  async askReading() {
+    const question = this.question("reading", { actions: this.actions, layer: this.part("probed").value });
+    this.panels.status("Fitting probes …");
+    const found = await this.tried(() => this.engine.ask(question));
+    this.panels.status("connected");
+    if (found) this.panels.read(found);
+  }
+
+  async askRoute() {
+    const goal = this.part("goal").value;
+    const question = this.question("route", { goal, actions: this.actions });
+    this.way = await this.tried(() => this.engine.ask(question));
+    this.panels.routed();
+    this.stage.redraw();
+  }
+}

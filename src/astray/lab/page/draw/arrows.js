@@ -1,0 +1,167 @@
+// What the mind does at all places, drawn over the world: arrows, bars, heat, splays, routes.
+
+import { heat, signed } from "./colours.js";
+
+const LEAST = 0.04; // of an arrow that is drawn at all
+
+// The mean way of a policy, [x, y] with lengths from 0 to 1.
+export function meanWay(policy, ways) {
+  let [x, y] = [0, 0];
+  policy.forEach((share, action) => {
+    x += share * ways[action][0];
+    y += share * ways[action][1];
+  });
+  return [x, y];
+}
+
+// The shares of each of the ways that a policy's actions lead: {"1,0": 0.7, ...}.
+export function shareOfWays(policy, ways) {
+  const shares = {};
+  policy.forEach((share, action) => {
+    const way = String(ways[action]);
+    shares[way] = (shares[way] ?? 0) + share;
+  });
+  return shares;
+}
+
+// fields: a Map of "x,y" -> {cell, policy, value}; colour and edge: of the arrows.
+export function drawArrows(brush, fields, ways, colour, edge) {
+  for (const { cell: [x, y], policy } of fields.values()) {
+    const [dx, dy] = meanWay(policy, ways);
+    const length = Math.hypot(dx, dy);
+    if (length < LEAST) dot(brush, x + 0.5, y + 0.5, colour, edge);
+    else arrow(brush, x + 0.5, y + 0.5, dx, dy, Math.min(length, 1), colour, edge);
+  }
+}
+
+function dot({ paint, scale, top }, x, y, colour, edge) {
+  paint.beginPath();
+  paint.arc(x * scale, (top - y) * scale, Math.max(1.5, 0.06 * scale), 0, 2 * Math.PI);
+  paint.strokeStyle = edge;
+  paint.lineWidth = Math.max(1.5, 0.05 * scale);
+  paint.stroke();
+  paint.fillStyle = colour;
+  paint.fill();
+}
+
+// An arrow about the centre (x, y), as long as the policy is sure.
+function arrow({ paint, scale, top }, x, y, dx, dy, sure, colour, edge) {
+  const angle = Math.atan2(-dy, dx);
+  const [length, wide] = [0.22 + 0.6 * sure, 0.045 + 0.055 * sure];
+  const [tail, tip] = [-length / 2, length / 2];
+  const head = Math.min(0.26, 0.55 * length);
+  paint.save();
+  paint.translate(x * scale, (top - y) * scale);
+  paint.rotate(angle);
+  paint.scale(scale, scale);
+  paint.beginPath();
+  paint.moveTo(tail, -wide / 2);
+  paint.lineTo(tip - head, -wide / 2);
+  paint.lineTo(tip - head, -head / 2.1);
+  paint.lineTo(tip, 0);
+  paint.lineTo(tip - head, head / 2.1);
+  paint.lineTo(tip - head, wide / 2);
+  paint.lineTo(tail, wide / 2);
+  paint.closePath();
+  paint.lineJoin = "round";
+  paint.lineWidth = Math.max(0.07, 2 / scale);
+  paint.strokeStyle = edge;
+  paint.stroke();
+  paint.fillStyle = colour;
+  paint.fill();
+  paint.restore();
+}
+
+// In every cell a bar towards each side, as long as the policy goes there.
+export function drawBars(brush, fields, ways, colour, edge) {
+  const { paint, scale, top } = brush;
+  for (const { cell: [x, y], policy } of fields.values()) {
+    const [cx, cy] = [(x + 0.5) * scale, (top - y - 0.5) * scale];
+    for (const [way, share] of Object.entries(shareOfWays(policy, ways))) {
+      const [dx, dy] = way.split(",").map(Number);
+      if ((!dx && !dy) || share < 0.02) continue;
+      const reach = (0.46 * share) / Math.hypot(dx, dy);
+      for (const [style, width] of [[edge, 0.15], [colour, 0.09]]) {
+        paint.beginPath();
+        paint.moveTo(cx, cy);
+        paint.lineTo(cx + dx * reach * scale, cy - dy * reach * scale);
+        paint.strokeStyle = style;
+        paint.lineWidth = Math.max(1.2, width * scale);
+        paint.lineCap = "butt";
+        paint.stroke();
+      }
+    }
+    const still = shareOfWays(policy, ways)["0,0"] ?? 0;
+    paint.beginPath();
+    paint.arc(cx, cy, Math.max(1, (0.03 + 0.13 * still) * scale), 0, 2 * Math.PI);
+    paint.fillStyle = colour;
+    paint.fill();
+  }
+}
+
+// Numbers of cells as colours, from the least to the largest: {low, high}, for a legend.
+export function drawHeat(brush, fields, number, alpha = 0.85) {
+  const numbers = [...fields.values()].map(number);
+  const [low, high] = [Math.min(...numbers), Math.max(...numbers)];
+  for (const one of fields.values()) {
+    const share = high > low ? (number(one) - low) / (high - low) : 0.5;
+    brush.fill(heat(share, alpha), ...one.cell);
+  }
+  return { low, high };
+}
+
+// Differences from 0 in two hues, the largest the darkest.
+export function drawDifference(brush, fields, number, alpha = 0.85) {
+  const most = Math.max(1e-9, ...[...fields.values()].map((one) => Math.abs(number(one))));
+  for (const one of fields.values()) brush.fill(signed(number(one) / most, alpha), ...one.cell);
+  return { low: -most, high: most };
+}
+
+// For every place of a thing, a disc with the outcomes' colours.
+export function drawSplay(brush, splay, colours, edge) {
+  const { paint, scale, top } = brush;
+  for (const { cell: [x, y], outcomes } of splay.values()) {
+    const total = Object.values(outcomes).reduce((a, b) => a + b, 0);
+    let angle = -Math.PI / 2;
+    const [cx, cy, radius] = [(x + 0.5) * scale, (top - y - 0.5) * scale, 0.36 * scale];
+    for (const [goal, count] of Object.entries(outcomes)) {
+      const after = angle + (2 * Math.PI * count) / total;
+      paint.beginPath();
+      if (count < total) paint.moveTo(cx, cy);
+      paint.arc(cx, cy, radius, angle, after);
+      paint.closePath();
+      paint.fillStyle = colours[goal] ?? "#888";
+      paint.fill();
+      angle = after;
+    }
+    paint.beginPath();
+    paint.arc(cx, cy, radius, 0, 2 * Math.PI);
+    paint.strokeStyle = edge;
+    paint.lineWidth = Math.max(1, 0.05 * scale);
+    paint.stroke();
+  }
+}
+
+// A way through the world, and rings around what it takes first.
+export function drawRoute(brush, { cells, takes }, colour, edge) {
+  const { paint, scale, top } = brush;
+  for (const [style, width] of [[edge, 0.2], [colour, 0.11]]) {
+    paint.beginPath();
+    cells.forEach(([x, y], k) => paint[k ? "lineTo" : "moveTo"](x * scale, (top - y) * scale));
+    paint.strokeStyle = style;
+    paint.lineWidth = Math.max(1.5, width * scale);
+    paint.lineJoin = paint.lineCap = "round";
+    paint.stroke();
+  }
+  for (const [x, y] of takes ?? []) ring(brush, x, y, colour, edge);
+}
+
+export function ring({ paint, scale, top }, x, y, colour, edge) {
+  for (const [style, width] of [[edge, 0.16], [colour, 0.09]]) {
+    paint.beginPath();
+    paint.arc((x + 0.5) * scale, (top - y - 0.5) * scale, 0.41 * scale, 0, 2 * Math.PI);
+    paint.strokeStyle = style;
+    paint.lineWidth = Math.max(1.5, width * scale);
+    paint.stroke();
+  }
+}

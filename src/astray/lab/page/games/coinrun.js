@@ -1,0 +1,79 @@
+// How the lab draws CoinRun: the whole level, and the part of it that the agent sees.
+
+import { eachCell } from "./common.js";
+
+const GROUNDS = ["dirt", "grass", "planet", "sand", "snow", "stone"];
+const RUNNERS = ["beige", "blue", "green", "pink", "yellow"];
+const POSES = ["stand", "walk-0", "walk-1"];
+const SKY = "#cfe3ea";
+const VIEW = 13; // cells a side that are seen
+const TALL = 0.5787; // half the runner's height, cells
+const HIGH = 88 / 64; // of its pictures, cells
+
+export const look = {
+  still, moving, direction, agent: "runner-beige-stand", wall: 1, view: VIEW, proxies, wide,
+};
+
+function still(brush, { grid, looks }, s, pictures) {
+  const ground = GROUNDS[s.ground] ?? "dirt";
+  const details = Object.fromEntries((looks?.details ?? []).map(([x, y, d]) => [`${x},${y}`, d]));
+  eachCell(grid, (what, x, y) => {
+    if (what === 1) return brush.tile(pictures.get(`ground-${ground}`), x, y);
+    if (what === 2) return brush.tile(pictures.get(`ground-${ground}-top`), x, y);
+    brush.fill(SKY, x, y);
+    if (what === 8) {
+      brush.paint.globalAlpha = 0.55;
+      brush.tile(pictures.get("ground-dirt"), x, y);
+      brush.paint.globalAlpha = 1;
+    }
+    if (what === 3) brush.tile(pictures.get("lava"), x, y);
+    if (what === 4) brush.tile(pictures.get("lava-top"), x, y);
+    if (what === 6) brush.tile(pictures.get("coin"), x, y);
+    if (what === 7) ghost(brush, x, y);
+    if (what === 9) brush.tile(pictures.get(`crate-${(details[`${x},${y}`] ?? 0) % 4}`), x, y);
+  });
+}
+
+function ghost(brush, x, y) {
+  const { paint, scale, top } = brush;
+  paint.strokeStyle = "rgba(90, 80, 20, 0.45)";
+  paint.lineWidth = Math.max(1, 0.06 * scale);
+  paint.setLineDash([0.14 * scale, 0.1 * scale]);
+  paint.beginPath();
+  paint.arc((x + 0.5) * scale, (top - y - 0.5) * scale, 0.33 * scale, 0, 2 * Math.PI);
+  paint.stroke();
+  paint.setLineDash([]);
+}
+
+function moving(brush, { grid }, s, pictures) {
+  eachCell(grid, (what, x, y) => {
+    if (what === 10 || what >= 13) brush.tile(pictures.get(`saw-${s.time % 2}`), x, y);
+  });
+  const runner = `runner-${RUNNERS[s.runner_look]}-${POSES[s.pose]}`;
+  brush.stamp(pictures.get(runner), s.x, s.y - TALL + HIGH / 2, 1, HIGH, s.faces_left);
+  for (let k = 0; k < s.walkers; k++) {
+    const image = pictures.get(`walker-${s.walker_look[k]}-${Math.floor(s.time / 5) % 2}`);
+    brush.stamp(image, s.walker_x[k], s.walker_y[k], 1, 1, s.walker_vx[k] > 0);
+  }
+}
+
+// The end of a level, where the coin is in training.
+function proxies(s) {
+  return { end: [s.end_x, s.end_y] };
+}
+
+// The part of the world that is worth showing: [columns, rows] from the lower left.
+function wide({ grid }, s) {
+  let top = 0;
+  grid.forEach((row, y) => row.forEach((what, x) => {
+    if (x <= s.end_x && x > 0 && what !== 0 && y < grid.length - 1) top = Math.max(top, y);
+  }));
+  const columns = Math.min(grid[0].length, s.end_x + (s.permeable || 0) + 4);
+  return [columns, Math.min(grid.length, Math.max(top + 6, 13))];
+}
+
+function direction(name) {
+  const x = name.startsWith("left") ? -1 : name.startsWith("right") ? 1 : 0;
+  const y = /(^|-)up$/.test(name) ? 1 : /(^|-)down$/.test(name) ? -1 : 0;
+  return [x, y];
+}

@@ -1,0 +1,41 @@
+// What the drawings of several games share. World coordinates are cells, y upward.
+
+// A brush that draws in cells on a canvas; top is the height of the world in cells.
+export class Brush {
+  constructor(paint, scale, top) {
+    Object.assign(this, { paint, scale, top });
+  }
+
+  // A picture centred at (x, y), so many cells wide and high.
+  stamp(image, x, y, width = 1, height = width, flipped = false) {
+    if (!image) return;
+    const { paint, scale, top } = this;
+    paint.save();
+    paint.translate(x * scale, (top - y) * scale);
+    if (flipped) paint.scale(-1, 1);
+    paint.drawImage(
+      image, (-width / 2) * scale, (-height / 2) * scale, width * scale, height * scale,
+    );
+    paint.restore();
+  }
+
+  // A picture that fills the cell (x, y), without gaps between cells.
+  tile(image, x, y) {
+    const { paint, scale, top } = this;
+    const [left, right] = [Math.round(x * scale), Math.round((x + 1) * scale)];
+    const [up, down] = [Math.round((top - y - 1) * scale), Math.round((top - y) * scale)];
+    if (image) paint.drawImage(image, left, up, right - left, down - up);
+  }
+
+  fill(colour, x, y) {
+    const { paint, scale, top } = this;
+    const [left, right] = [Math.round(x * scale), Math.round((x + 1) * scale)];
+    const [up, down] = [Math.round((top - y - 1) * scale), Math.round((top - y) * scale)];
+    paint.fillStyle = colour;
+    paint.fillRect(left, up, right - left, down - up);
+  }
+}
+
+export function eachCell(grid, visit) {
+  grid.forEach((row, y) => row.forEach((what, x) => visit(what, x, y)));
+}

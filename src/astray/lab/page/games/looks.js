@@ -1,0 +1,10 @@
+// How each game is drawn.
+
+import { look as any } from "./any.js";
+import { look as coinrun } from "./coinrun.js";
+import { look as keys } from "./keys.js";
+import { look as maze } from "./maze.js";
+
+const LOOKS = { coinrun, keys, maze };
+
+export const lookOf = (game) => LOOKS[game] ?? any;

@@ -1,0 +1,53 @@
+// How the lab draws Maze.
+
+import { eachCell } from "./common.js";
+
+const WALLS = ["sand", "stone", "hedge"];
+const SHAPES = ["none", "cheese", "line", "gem", "star", "ring", "cross"];
+const COLOURS = ["none", "yellow", "red", "green", "blue", "magenta", "cyan"];
+const FLOOR = "#ece6d6";
+const UNSEEN = "rgba(60, 60, 60, 0.35)"; // the outline of an object that the agent does not see
+
+export const look = { still, moving, direction, agent: "mouse", wall: 1, proxies };
+
+function still(brush, { grid }, s, pictures) {
+  const wall = pictures.get(`wall-${WALLS[s.walls]}`);
+  eachCell(grid, (what, x, y) => {
+    if (what === 1) brush.tile(wall, x, y);
+    else brush.fill(FLOOR, x, y);
+  });
+}
+
+function moving(brush, level, s, pictures) {
+  for (const what of ["other", "goal"]) {
+    const [x, y] = [s[`${what}_x`], s[`${what}_y`]];
+    if (x < 0 || (what === "goal" && s.reached_goal >= 0)) continue;
+    object(brush, SHAPES[s[`${what}_shape`]], COLOURS[s[`${what}_colour`]], x, y, pictures);
+  }
+  brush.stamp(pictures.get("mouse"), s.x, s.y, 0.86, 0.86, s.faces_right);
+}
+
+function object(brush, shape, colour, x, y, pictures) {
+  if (shape !== "none") {
+    brush.stamp(pictures.tint(shape, colour), x + 0.5, y + 0.5, 0.84);
+    return;
+  }
+  const { paint, scale, top } = brush;
+  paint.setLineDash([0.12 * scale, 0.1 * scale]);
+  paint.strokeStyle = UNSEEN;
+  paint.lineWidth = 0.05 * scale;
+  paint.strokeRect((x + 0.2) * scale, (top - y - 0.8) * scale, 0.6 * scale, 0.6 * scale);
+  paint.setLineDash([]);
+}
+
+// The cells that a proxy of the goals is at, to be marked.
+function proxies(s) {
+  return s.corner_x >= 0 ? { corner: [s.corner_x, s.corner_y] } : {};
+}
+
+// Where an action leads: the rules step in x first, and then no more.
+function direction(name) {
+  const x = name.startsWith("left") ? -1 : name.startsWith("right") ? 1 : 0;
+  if (x) return [x, 0];
+  return name === "up" ? [0, 1] : name === "down" ? [0, -1] : [0, 0];
+}

@@ -1,0 +1,80 @@
+// The goals that a walk speaks for, if whoever walks is an agent: `astray.agency.online`, with the
+// settings called CALIBRATED there. Whether it is an agent at all needs Python.
+
+import { WALL, distances } from "../rules/common.js";
+
+const SIDES = [[0, 1], [0, -1], [-1, 0], [1, 0]];
+
+// The posterior over cells after every step: {cells [G], shares [T + 1][G]}.
+export function posterior(grid, way) {
+  const open = grid.map((row) => row.map((what) => what !== WALL));
+  const moves = way.filter((cell, k) => k === 0 || String(cell) !== String(way[k - 1]));
+  const start = distances(open, ...way[0]);
+  const cells = [];
+  for (let y = grid.length - 1; y >= 0; y--) { // the uppermost row first, as there
+    for (let x = 0; x < grid[y].length; x++) if (start[y][x] >= 0) cells.push([x, y]);
+  }
+  const steps = cells.map(([x, y]) => distances(open, x, y));
+  const nodes = ruleOf(moves.length - 1);
+  const weights = cells.map(() => nodes.map(() => 0));
+  const shares = [shareOf(weights, nodes)];
+  for (let t = 1; t < moves.length; t++) {
+    steps.forEach((away, g) => {
+      const kind = kindOf(open, away, moves[t - 1], moves[t]);
+      nodes.forEach(({ eps }, n) => { weights[g][n] += logStep(kind, eps); });
+    });
+    shares.push(shareOf(weights, nodes));
+  }
+  let moved = -1;
+  const counted = way.map((cell, k) => {
+    if (k === 0 || String(cell) !== String(way[k - 1])) moved += 1;
+    return shares[moved];
+  });
+  return { cells, shares: counted };
+}
+
+// Whether a step comes nearer to a goal, how many others would, and how many steps there are.
+function kindOf(open, away, [x, y], [u, v]) {
+  const around = SIDES.map(([dx, dy]) => [x + dx, y + dy]).filter(([i, j]) => open[j]?.[i]);
+  const here = away[y][x];
+  if (here === 0) return { best: true, k: around.length, of: around.length };
+  const nearer = around.filter(([i, j]) => away[j][i] === here - 1);
+  return { best: away[v][u] === here - 1, k: nearer.length, of: around.length };
+}
+
+function logStep({ best, k, of }, eps) {
+  if (k === of) return -Math.log(of);
+  return Math.log((best ? (1 - eps) / k : 0) + eps / of);
+}
+
+function shareOf(weights, nodes) {
+  const logs = weights.map((row) => logSum(row.map((w, n) => w + nodes[n].logWeight)));
+  const all = logSum(logs);
+  return logs.map((log) => Math.exp(log - all));
+}
+
+function logSum(logs) {
+  const most = Math.max(...logs);
+  return most + Math.log(logs.reduce((sum, log) => sum + Math.exp(log - most), 0));
+}
+
+// Gauss-Legendre nodes in (0, 1) under the prior Beta(1, 2) of how often an agent errs.
+function ruleOf(degree) {
+  const half = Math.floor((degree + 1) / 2);
+  const n = Math.max(16, 2 ** (half === 0 ? 0 : Math.floor(Math.log2(half)) + 1));
+  return Array.from({ length: n }, (_, i) => {
+    let x = Math.cos((Math.PI * (i + 0.75)) / (n + 0.5));
+    let slope = 1;
+    for (let turn = 0; turn < 100; turn++) {
+      let [one, two] = [1, 0];
+      for (let k = 0; k < n; k++) [one, two] = [((2 * k + 1) * x * one - k * two) / (k + 1), one];
+      slope = (n * (x * one - two)) / (x * x - 1);
+      const change = one / slope;
+      x -= change;
+      if (Math.abs(change) < 1e-16) break;
+    }
+    const weight = 2 / ((1 - x * x) * slope * slope);
+    const eps = (1 + x) / 2;
+    return { eps, logWeight: Math.log(weight / 2) + Math.log(2) + Math.log(1 - eps) };
+  });
+}

@@ -1,0 +1,35 @@
+// Uniform numbers that are functions of seed, level and step: `astray.kernel.rng.fill_noise`.
+
+const MASK = (1n << 64n) - 1n;
+const GAMMA = 0x9e3779b97f4a7c15n;
+const MIX_1 = 0xbf58476d1ce4e5b9n;
+const MIX_2 = 0x94d049bb133111ebn;
+const TO_UNIT = 2 ** -53;
+const TINY = 1.1754943508222875e-38; // the smallest normal number of 32 bits
+
+function mix(number) {
+  let z = number ^ GAMMA;
+  z = ((z ^ (z >> 30n)) * MIX_1) & MASK;
+  z = ((z ^ (z >> 27n)) * MIX_2) & MASK;
+  return z ^ (z >> 31n);
+}
+
+const mixTwo = (number, salt) => mix(mix(number) ^ salt);
+
+// [count] numbers from 0 to 1 for the next action in a level at a step.
+export function noise(seed, level, time, count) {
+  const episode = mixTwo(BigInt(seed), BigInt(level));
+  return Array.from({ length: count }, (_, k) =>
+    Math.fround(Number(mixTwo(episode, BigInt(time * count + k)) >> 11n) * TO_UNIT));
+}
+
+// An action drawn from probabilities by the Gumbel trick, as `astray.training.ppo.sample` does.
+export function sample(policy, uniform) {
+  let [best, most] = [0, -Infinity];
+  policy.forEach((share, action) => {
+    const u = Math.min(Math.max(uniform[action], TINY), Math.fround(1 - 1e-7));
+    const score = Math.log(share) - Math.log(-Math.log(u));
+    if (score > most) [best, most] = [action, score];
+  });
+  return best;
+}

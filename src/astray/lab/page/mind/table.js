@@ -1,0 +1,34 @@
+// What an agent does, looked up: of agents that are too large to be computed here.
+//
+// For some levels, and in them for every place of the goal and of the agent, its policy and value
+// were computed beforehand, a byte for each probability.
+
+import { NEVER } from "../rules/common.js";
+
+const SHARE = 255;
+
+// file: fetches by path; about: {path, bytes}, of an index and of what it points into.
+export async function readTable(file, about) {
+  const index = await file(about.path);
+  const bytes = new Uint8Array(await file(about.bytes, "bytes"));
+  const { actions, low, high } = index;
+  return (s) => {
+    const level = index.levels[s.level];
+    const walls = s.cell.map((row) => [...row].map((what) => (what === 1 ? "#" : ".")).join(""));
+    if (!level || level.walls !== walls.join("\n")) {
+      throw new Error("this agent's answers were computed beforehand, for levels as they are " +
+        "numbered: its goal may be moved here, but no walls; with Python all may: astray lab");
+    }
+    const goal = s.goal_x === NEVER ? "none" : `${s.goal_x},${s.goal_y}`;
+    const rows = level.goals[goal];
+    const row = level.places.indexOf(`${Math.floor(s.x)},${Math.floor(s.y)}`);
+    if (rows === undefined || row < 0) {
+      throw new Error("this agent's answers were computed beforehand, but not of this place");
+    }
+    const at = (rows + row) * (actions + 1);
+    const policy = Array.from(bytes.subarray(at, at + actions), (byte) => byte / SHARE);
+    const sum = policy.reduce((a, b) => a + b, 0) || 1;
+    const value = low + ((high - low) * bytes[at + actions]) / SHARE;
+    return { policy: policy.map((share) => share / sum), value };
+  };
+}

@@ -1,0 +1,400 @@
+// What stands around the world: choices, sentences, charts.
+
+import { drawPosterior, stepAt } from "./draw/charts.js";
+import { goalColours, heat, signed } from "./draw/colours.js";
+import { meanWay, shareOfWays } from "./draw/arrows.js";
+import { drawSight } from "./draw/sight.js";
+import { save } from "./files.js";
+import { firstOf } from "./link.js";
+import { bar, capital, fillTable, keyed, named, options, percent, round } from "./parts.js";
+import { showTimeline } from "./timeline.js";
+
+const NAMES = {
+  "1,0": "right", "-1,0": "left", "0,1": "up", "0,-1": "down", "0,0": "stays", "1,1": "right and up",
+  "-1,1": "left and up", "1,-1": "right and down", "-1,-1": "left and down",
+};
+export class Panels {
+  constructor(lab) {
+    this.lab = lab;
+    this.part = lab.part;
+  }
+
+  // Fill what depends on what there is; hear what is chosen.
+  begin() {
+    const { lab, part } = this;
+    const hear = (name, what, work) => part(name).addEventListener(what, work);
+    this.choices();
+    hear("agent", "change", () => this.#agent(part("agent").value));
+    hear("variant", "change", () => this.#variant(part("variant").value));
+    hear("number", "change", () => lab.open(this.#number()));
+    hear("previous", "click", () => this.#to(Math.max(this.#number() - 1, 0)));
+    hear("next", "click", () => this.#to(this.#number() + 1));
+    hear("theme", "click", () => this.#theme());
+    for (const name of ["undo", "redo", "restore", "step"]) {
+      part(name === "step" ? "once" : name).addEventListener("click", () => lab[name]());
+    }
+    hear("hand", "click", () => lab.handOver());
+    hear("rewind", "click", () => lab.go(0));
+    hear("back", "click", () => lab.go(lab.now - 1));
+    hear("forth", "click", () => lab.go(lab.now + 1));
+    hear("scrub", "input", () => lab.show(Number(part("scrub").value)));
+    hear("scrub", "change", () => lab.go(Number(part("scrub").value)));
+    for (const name of ["mode", "seed"]) hear(name, "change", () => lab.refresh());
+    for (const name of ["layer", "heat", "zoom"]) hear(name, "change", () => lab.stage.redraw());
+    hear("compare", "change", () => lab.think());
+    for (const name of ["layers", "change", "amount", "channels"]) {
+      hear(name, "change", () => {
+        part("compare").value = "change";
+        lab.think();
+        if (part("steered").checked) lab.refresh();
+      });
+    }
+    hear("reading", "click", () => lab.askReading());
+    hear("steered", "change", () => lab.refresh());
+    hear("splay", "click", () => lab.askSplay());
+    hear("unsplay", "click", () => this.#unsplay());
+    hear("route", "click", () => lab.askRoute());
+    hear("unroute", "click", () => { lab.way = null; this.routed(); lab.stage.redraw(); });
+    hear("sight", "toggle", () => this.look());
+    hear("method", "change", () => this.look());
+    hear("timeline", "click", (event) => lab.go(stepAt(event.target, event.offsetX, this.last)));
+    hear("posterior", "click", (event) => lab.go(stepAt(event.target, event.offsetX, this.last)));
+    for (const name of ["link", "png", "gif", "json", "read"]) {
+      hear(name, "click", () => lab.tried(() => save[name](lab)));
+    }
+    new ResizeObserver(() => { this.played(); this.pursued(); }).observe(part("timeline").parentElement);
+    const { note, engine } = lab.about;
+    part("zoom").checked = lab.root.clientWidth < 600; // the whole would be too small to see
+    part("way").hidden = engine === "static"; // what needs Python is not offered there
+    for (const option of part("method").options) {
+      option.hidden = engine === "static" && option.value.includes("gradients");
+    }
+    part("offline").hidden = !note;
+    part("offline").textContent = note ?? "";
+  }
+
+  status(what) {
+    const line = this.part("status");
+    line.classList.toggle("lost", what === "lost");
+    line.textContent = {
+      connected: "",
+      lost: "Not connected: the lab's process has ended or is busy. Trying again; nothing here is lost.",
+    }[what] ?? what;
+  }
+
+  get shift() {
+    const { about, agent, game, rules, variant } = this.lab;
+    const named = rules.shifts[about.agents[agent]?.shift];
+    return named ?? Object.values(rules.shifts).find((s) => [s.train, s.test].includes(variant));
+  }
+
+  get last() {
+    return this.lab.episode.actions.length;
+  }
+
+  // The agents, levels, tools and things that may be chosen now.
+  choices() {
+    const { lab, part } = this;
+    const { about, game } = lab;
+    const agents = Object.entries(about.agents).map(([name, { game: plays }]) => [name, `${name} (${plays})`]);
+    const none = Object.keys(about.games).map((name) => [`none ${name}`, `no agent (${name})`]);
+    options(part("agent"), [...agents, ...none], lab.agent || `none ${game}`);
+    const seen = about.agents[lab.agent]?.variants ?? Object.keys(lab.rules.variants);
+    options(part("variant"), seen.map((name) => [name, `${name}: ${lab.rules.variants[name]}`]), lab.variant);
+    this.#tools();
+    const others = Object.entries(about.agents)
+      .filter(([name, a]) => name !== lab.agent && a.game === game && a.variants.includes(lab.variant));
+    const layers = Object.entries(about.agents[lab.agent]?.layers ?? {});
+    part("steering").hidden = !layers.length;
+    const late = layers.findLast(([name]) => name.includes("relu") || name.includes("residual"));
+    options(part("layers"), layers.map(([name, shape]) => [name, `${name} (${shape.join(" x ")})`]),
+      part("layers").value || late?.[0]);
+    options(part("probed"), layers.map(([name]) => [name, name]), part("probed").value || late?.[0]);
+    part("probing").hidden = !layers.length;
+    part("readings").hidden = true;
+    options(part("compare"), [
+      ["", "nothing"], ["level", "the level as it was"],
+      ...others.map(([name]) => [`agent ${name}`, `agent ${name}`]),
+      ...(layers.length ? [["change", "its mind changed (below)"]] : []),
+    ], part("compare").value);
+    options(part("goal"), Object.keys(lab.rules.goals).map((goal) => [goal, goal]), this.shift?.intended);
+    part("pursuit").hidden = lab.rules.real_time;
+    for (const option of part("heat").options) {
+      if (option.value === "pursuit") option.hidden = lab.rules.real_time;
+    }
+    part("zoomed").hidden = !lab.look.view;
+    part("things").textContent = ["agent", ...Object.keys(lab.rules.objects).slice(0, 2).map((name) => named(lab, name))]
+      .join(", ");
+  }
+
+  #tools() {
+    const { lab } = this;
+    const tools = [["hand", "Move"], ["wall", "Wall"], ...Object.keys(lab.rules.objects).slice(0, 4)
+      .map((name) => [name, capital(named(lab, name))])];
+    if (!tools.some(([name]) => name === lab.editor.tool)) lab.editor.tool = "hand";
+    this.part("tools").replaceChildren(...tools.map(([name, text]) => {
+      const button = document.createElement("button");
+      button.textContent = text;
+      button.dataset.tool = name;
+      button.setAttribute("aria-pressed", String(lab.editor.tool === name));
+      button.addEventListener("click", () => {
+        lab.editor.tool = name;
+        this.#tools();
+      });
+      return button;
+    }));
+  }
+
+  async #agent(value) {
+    const { lab } = this;
+    const before = lab.game;
+    const [none, game] = value.split(" ");
+    if (none === "none" && game) Object.assign(lab, { agent: "", game });
+    else Object.assign(lab, { agent: value, game: lab.about.agents[value].game });
+    const fits = lab.about.agents[lab.agent]?.variants ?? Object.keys(lab.rules.variants);
+    const same = lab.game === before && fits.includes(lab.variant);
+    if (!same) lab.variant = lab.about.agents[lab.agent]?.test ?? fits[0];
+    this.part("compare").value = "";
+    this.choices();
+    if (same) await lab.refresh();
+    else await lab.open(0);
+  }
+
+  async #variant(variant) {
+    const { lab } = this;
+    lab.variant = variant;
+    if (!lab.agent) lab.agent = firstOf(lab.about, lab.game, variant);
+    this.choices();
+    await lab.open(this.#number());
+  }
+
+  #number() {
+    const number = Math.trunc(Number(this.part("number").value));
+    return Math.min(Math.max(number || 0, 0), 2 ** 31 - 2);
+  }
+
+  #to(number) {
+    this.part("number").value = number;
+    this.lab.open(number);
+  }
+
+  #theme() {
+    const { root } = this.lab;
+    const dark = root.classList.contains("dark") ||
+      (!root.classList.contains("light") && matchMedia("(prefers-color-scheme: dark)").matches);
+    root.classList.toggle("dark", !dark);
+    root.classList.toggle("light", dark);
+    this.redraw();
+  }
+
+  redraw() {
+    this.played();
+    this.pursued();
+    this.lab.stage.redraw();
+  }
+
+  level() {
+    const { lab, part } = this;
+    this.choices();
+    if (lab.number !== null) part("number").value = lab.number;
+    this.#unsplay();
+  }
+
+  edited() {
+    const { lab, part } = this;
+    part("undo").disabled = !lab.past.length;
+    part("redo").disabled = !lab.future.length;
+    part("restore").disabled = !lab.past.length;
+    if (document.activeElement !== part("text")) part("text").value = lab.text ?? "";
+    this.#things();
+    part("counts").replaceChildren();
+    part("unsplay").hidden = true;
+    lab.splay.clear();
+    this.routed();
+  }
+
+  // The objects whose places may all be played; each that there are several of by its cell.
+  #things() {
+    const { lab, part } = this;
+    const found = [];
+    for (const [name, char] of Object.entries(lab.rules.objects)) {
+      const cells = [];
+      lab.level.grid.forEach((row, y) => row.forEach((code, x) => {
+        if (code === lab.rules.legend[char]) cells.push([x, y]);
+      }));
+      for (const cell of cells.slice(0, 12)) {
+        found.push([`${name}@${cell}`, cells.length > 1 ? `${name} at (${cell.join(", ")})` : named(lab, name)]);
+      }
+    }
+    options(part("thing"), [...found, ["agent", "agent (where it begins)"]], part("thing").value);
+  }
+
+  problem(text) {
+    const line = this.part("problem");
+    line.hidden = !text;
+    line.textContent = text ?? "";
+  }
+
+  // What is told of the cell under the pointer.
+  readout(cell) {
+    const { lab } = this;
+    const line = this.part("readout");
+    const found = cell && lab.fields.get(String(cell));
+    if (!found) {
+      line.textContent = cell ? `(${cell.join(", ")}) ${lab.editor.what(cell)}` : "";
+      return;
+    }
+    const ways = lab.rules.actions.map((name) => lab.look.direction(name));
+    const shares = Object.entries(shareOfWays(found.policy, ways)).sort((a, b) => b[1] - a[1]);
+    const told = shares.filter(([, share]) => share >= 0.01).slice(0, 4)
+      .map(([way, share]) => `${NAMES[way]} ${percent(share)}`);
+    line.textContent = `(${cell.join(", ")}) value ${found.value.toFixed(2)}; ${told.join(", ")}`;
+  }
+
+  legend({ heat: layer }) {
+    const box = this.part("legend");
+    box.hidden = !layer;
+    if (!layer) return;
+    const ramp = document.createElement("span");
+    ramp.className = "ramp";
+    const stops = Array.from({ length: 9 }, (_, k) => (layer.signed ? signed(k / 4 - 1) : heat(k / 8)));
+    ramp.style.background = `linear-gradient(to right, ${stops.join(", ")})`;
+    const told = (amount) => (layer.percent ? percent(amount) : amount.toFixed(2));
+    box.replaceChildren(`${layer.name}: ${told(layer.low)}`, ramp, told(layer.high));
+  }
+
+  compared() {
+    const { lab, part } = this;
+    const line = part("comparison");
+    const both = [...lab.fields.values()].filter(({ cell }) => lab.others.has(String(cell)));
+    if (!part("compare").value || !both.length) {
+      line.textContent = "";
+      return;
+    }
+    const ways = lab.rules.actions.map((name) => lab.look.direction(name));
+    const pairs = both.map((one) => [one, lab.others.get(String(one.cell))]);
+    const varied = pairs.map(([a, b]) => a.policy.reduce((sum, p, k) => sum + Math.abs(p - b.policy[k]) / 2, 0));
+    const turned = pairs.filter(([a, b]) => {
+      const [one, two] = [meanWay(a.policy, ways), meanWay(b.policy, ways)];
+      return one[0] * two[0] + one[1] * two[1] < 0;
+    }).length;
+    const mean = varied.reduce((a, b) => a + b, 0) / varied.length;
+    line.textContent = `Red: what it is compared with. Policies differ by ${percent(mean)} on average ` +
+      `(total variation), and point against each other at ${turned} of ${both.length} places.`;
+  }
+
+  played() {
+    const { lab, part } = this;
+    if (!lab.episode) return;
+    const { episode, now, agent, running, broken } = lab;
+    const last = episode.actions.length;
+    part("scrub").max = last;
+    part("scrub").value = now;
+    part("scrub").disabled = !last;
+    part("rewind").disabled = part("back").disabled = now === 0;
+    part("forth").disabled = now === last;
+    const over = episode.ended && now === last;
+    part("hand").disabled = !agent || broken || (over && !running);
+    part("once").disabled = !agent || broken || over;
+    part("hand").textContent = running ? "Stop" : "Hand over to the agent";
+    const total = episode.rewards.slice(0, now).reduce((a, b) => a + b, 0);
+    const end = over ? (episode.terminated ? "; the episode has ended" : "; the time was up") : "";
+    part("account").textContent = last || now
+      ? `Step ${now} of ${last}, return ${round(total)}${end}.${this.#hands()}`
+      : `Nothing has moved yet: play, or hand over.${this.#hands()}`;
+    showTimeline(lab);
+  }
+
+  #hands() {
+    const { lab } = this;
+    const s = lab.stage.state;
+    if (s?.taken === undefined) return "";
+    return ` In hand: ${s.taken - s.opened}; keys taken ${s.taken} of ${s.keys}, ` +
+      `chests opened ${s.opened} of ${s.chests}.`;
+  }
+
+  pursued() {
+    const { lab, part } = this;
+    const canvas = part("posterior");
+    const found = lab.pursuit;
+    canvas.hidden = !found;
+    part("key").replaceChildren();
+    if (!found || !lab.agent) {
+      part("verdict").textContent = lab.agent
+        ? "It shows as the agent walks: hand over to it, or walk yourself."
+        : "";
+      return;
+    }
+    const now = Math.min(lab.now, Object.values(found.goals)[0].length - 1);
+    const colours = goalColours(this.shift, Object.keys(found.goals));
+    drawPosterior(canvas, found, colours, now);
+    const [goal, share] = Object.entries(found.goals).map(([name, row]) => [name, row[now]])
+      .reduce((best, one) => (one[1] > best[1] ? one : best));
+    const agent = found.agent ? ` It is an agent rather than a device with ${percent(found.agent[now])}.` : "";
+    part("verdict").textContent = `After ${now} steps: if it pursues a goal, then ${goal} ` +
+      `(${percent(share)}).${agent}`;
+    const names = Object.keys(found.goals).map((name) => [colours[name], named(lab, name)]);
+    part("key").replaceChildren(...names.map(([colour, name]) => keyed(colour, name)),
+      ...(found.agent ? [keyed(null, "an agent at all")] : []));
+  }
+
+  splayed(of) {
+    const { lab, part } = this;
+    const [counts, places] = [{}, lab.splay.size];
+    for (const { outcomes } of lab.splay.values()) {
+      for (const [goal, count] of Object.entries(outcomes)) counts[goal] = (counts[goal] ?? 0) + count;
+    }
+    const total = Object.values(counts).reduce((a, b) => a + b, 0);
+    const colours = goalColours(this.shift);
+    const line = document.createElement("p");
+    line.className = "soft";
+    const draws = total === places ? "" : `, ${total} episodes`;
+    line.textContent = `${places} of ${of} places${draws}. A disc shows where it goes first.`;
+    const order = [this.shift?.intended, ...(this.shift?.proxies ?? []), "neither"].filter((g) => g in counts);
+    part("counts").replaceChildren(line, ...order.map((goal) =>
+      bar(goal === "neither" ? "neither" : `first to the ${named(lab, goal)}`, counts[goal], total, colours[goal])));
+    part("unsplay").hidden = false;
+  }
+
+  #unsplay() {
+    const { lab, part } = this;
+    lab.splay.clear();
+    part("counts").replaceChildren();
+    part("unsplay").hidden = true;
+    lab.stage.redraw();
+  }
+
+  routed() {
+    const { lab, part } = this;
+    const { way } = lab;
+    part("unroute").hidden = !way;
+    part("taking").textContent = !way ? "" : way.takes
+      ? `It takes what is at (${way.takes[0].slice(0, 2).join(", ")}) first, after ${way.steps} steps.`
+      : `${way.cells.length - 1} steps; it takes nothing.`;
+  }
+
+  // What probes read of the state, beside what is true of it.
+  read({ rows, states }) {
+    const table = this.part("readings");
+    table.hidden = false;
+    const told = (number) => (number === null ? "none" : String(round(number)));
+    fillTable(table, ["label", "read", "true", "score elsewhere"], rows.map((row) =>
+      [row.label, told(row.read), told(row.true), row.score.toFixed(2)]));
+    table.title = `Probes fitted in ${states} states of its own episodes; classes as numbers.`;
+  }
+
+  // What the agent sees now, where that is open.
+  async look() {
+    const { lab, part } = this;
+    if (!part("sight").open || !lab.agent || lab.broken) return;
+    const question = { actions: lab.actions };
+    const method = part("method").value;
+    try {
+      const seen = await lab.engine.ask(lab.question("view", question));
+      const found = method && await lab.engine.ask(lab.question("attribution", { ...question, method }));
+      if (seen) part("seen").textContent = drawSight(part("view"), seen, found?.map);
+    } catch (error) {
+      part("seen").textContent = error.message;
+    }
+  }
+}

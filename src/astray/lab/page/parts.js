@@ -1,0 +1,60 @@
+// Small parts of the page that are made anew whenever what they tell changes.
+
+export const percent = (share) => `${Math.round(100 * share)} %`;
+
+// Fill a choice with [value, text] pairs, and keep what is chosen where it is among them.
+export function options(select, pairs, chosen) {
+  select.replaceChildren(...pairs.map(([value, text]) => {
+    const option = document.createElement("option");
+    [option.value, option.textContent] = [value, text];
+    return option;
+  }));
+  if (pairs.some(([value]) => value === chosen)) select.value = chosen;
+}
+
+// What an object or goal is called: the goal of a maze by what it is.
+export function named(lab, name) {
+  if (name !== "goal") return name;
+  return lab.panels.shift?.intended ?? name;
+}
+
+export const capital = (text) => text[0].toUpperCase() + text.slice(1);
+
+// A line of a key: a colour (none: a dashed line) and what it means.
+export function keyed(colour, text) {
+  const item = document.createElement("li");
+  const box = document.createElement("i");
+  if (colour) box.style.background = colour;
+  else box.className = "dashed";
+  item.append(box, text);
+  return item;
+}
+
+// A bar that is as long as a count is of a total.
+export function bar(name, count, total, colour) {
+  const row = document.createElement("div");
+  row.className = "bar";
+  const label = document.createElement("span");
+  const track = document.createElement("div");
+  const filled = document.createElement("div");
+  const told = document.createElement("span");
+  label.textContent = name;
+  track.className = "track";
+  filled.style.width = `${(100 * count) / total}%`;
+  filled.style.background = colour;
+  track.append(filled);
+  told.textContent = `${count} of ${total} (${percent(count / total)})`;
+  row.append(label, track, told);
+  return row;
+}
+
+export function fillTable(table, head, rows) {
+  const line = (cells, kind) => {
+    const row = document.createElement("tr");
+    row.append(...cells.map((text) => Object.assign(document.createElement(kind), { textContent: text })));
+    return row;
+  };
+  table.replaceChildren(line(head, "th"), ...rows.map((cells) => line(cells, "td")));
+}
+
+export const round = (number) => Number(number.toFixed(3));

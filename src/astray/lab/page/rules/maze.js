@@ -1,0 +1,134 @@
+// Maze: `astray.games.maze.rules` and what an agent sees of it, for a page without Python.
+//
+// A test compares thousands of random steps with Python's, state by state.
+
+import { NEVER, WALL, cellsOf, checkAgent, distances, push, unreachable } from "./common.js";
+
+const EMPTY = 0;
+const GOAL = 2;
+const OTHER = 3;
+const REWARD = 10;
+const SHAPES = ["none", "cheese", "line", "gem", "star", "ring", "cross"];
+const COLOURS = ["none", "yellow", "red", "green", "blue", "magenta", "cyan"];
+const CHARS = { 0: ".", 1: "#", 2: "G", 3: "o" };
+
+export const rules = { build, step, planes, copy, problem, places, put, things: [GOAL, OTHER] };
+
+function only(grid, code, name) {
+  const found = cellsOf(grid, code);
+  if (found.length > 1) {
+    const cells = found.map(([x, y]) => `(${x}, ${y})`).join(", ");
+    throw new Error(`a level has at most one ${name}; this has one at each of [${cells}]`);
+  }
+  return found[0] ?? [NEVER, NEVER];
+}
+
+function build({ grid, agent, looks = {} }, variant) {
+  const world = grid.length;
+  const cell = agent.map(Math.floor);
+  checkAgent(grid, cell, CHARS);
+  const [goal_x, goal_y] = only(grid, GOAL, "goal");
+  const [other_x, other_y] = only(grid, OTHER, "other");
+  let [right, top] = [-1, -1];
+  grid.forEach((row, y) => row.forEach((what, x) => {
+    if (what !== WALL) [right, top] = [Math.max(right, x), Math.max(top, y)];
+  }));
+  const open = grid[top][right] !== WALL;
+  const s = {
+    cell: grid.map((row) => Uint8Array.from(row)),
+    world, window: variant.window, x: cell[0] + 0.5, y: cell[1] + 0.5, faces_right: false,
+    goal_x, goal_y, other_x, other_y,
+    corner_x: open ? right : NEVER, corner_y: open ? top : NEVER,
+    goal_shape: SHAPES.indexOf(variant.goal_shape), goal_colour: COLOURS.indexOf(variant.goal_colour),
+    other_shape: SHAPES.indexOf(variant.other_shape),
+    other_colour: COLOURS.indexOf(variant.other_colour),
+    walls: ["sand", "stone", "hedge"].indexOf(variant.walls), background: looks.background ?? 0,
+    background_offset: looks.background_offset ?? 0,
+    reached_goal: NEVER, reached_corner: NEVER, reached_other: NEVER,
+    time: 0, time_limit: variant.time_limit, ended: false, level: 0,
+  };
+  noteArrivals(s);
+  return s;
+}
+
+function copy(s) {
+  return { ...s, cell: s.cell.map((row) => row.slice()) };
+}
+
+function isWall(s, x, y) {
+  return !(x >= 0 && y >= 0 && x < s.world && y < s.world) || s.cell[y][x] === WALL;
+}
+
+function step(s, action) {
+  let [dx, dy] = push(action);
+  if (dx !== 0) {
+    dy = 0; // the original steps in x first, and then no more
+    s.faces_right = dx > 0;
+  }
+  const [x, y] = [Math.floor(s.x) + dx, Math.floor(s.y) + dy];
+  if (!isWall(s, x, y)) [s.x, s.y] = [x + 0.5, y + 0.5];
+  noteArrivals(s);
+  const reached = s.reached_goal === s.time;
+  if (reached) s.cell[s.goal_y][s.goal_x] = EMPTY;
+  return { reward: reached ? REWARD : 0, terminated: reached };
+}
+
+function noteArrivals(s) {
+  const [x, y] = [Math.floor(s.x), Math.floor(s.y)];
+  for (const what of ["goal", "corner", "other"]) {
+    if (s[`reached_${what}`] === NEVER && x === s[`${what}_x`] && y === s[`${what}_y`]) {
+      s[`reached_${what}`] = s.time;
+    }
+  }
+}
+
+// What an agent sees, planes of [C, H, W]: walls, mouse, shapes, colours.
+function planes(s) {
+  const side = s.window ? 2 * Math.floor(s.window / 2) + 1 : s.world;
+  const [x, y] = [Math.floor(s.x), Math.floor(s.y)];
+  const [left, low] = s.window ? [x - (side >> 1), y - (side >> 1)] : [0, 0];
+  const data = new Uint8Array(4 * side * side);
+  const at = (plane, i, j) => (plane * side + (j - low)) * side + (i - left);
+  const seen = (i, j) => i >= left && j >= low && i < left + side && j < low + side;
+  for (let j = low; j < low + side; j++) {
+    for (let i = left; i < left + side; i++) data[at(0, i, j)] = isWall(s, i, j) ? 1 : 0;
+  }
+  for (const what of ["other", "goal"]) {
+    const [i, j] = [s[`${what}_x`], s[`${what}_y`]];
+    if (i !== NEVER && seen(i, j)) {
+      data[at(2, i, j)] = s[`${what}_shape`];
+      data[at(3, i, j)] = s[`${what}_colour`];
+    }
+  }
+  data[at(1, x, y)] = 1;
+  if (s.reached_goal !== NEVER) data[at(2, x, y)] = data[at(3, x, y)] = 0; // it stands on it
+  return { shape: [4, side, side], data };
+}
+
+function ways(s) {
+  const open = s.cell.map((row) => [...row].map((what) => what !== WALL));
+  return distances(open, Math.floor(s.x), Math.floor(s.y));
+}
+
+function problem({ grid, agent }, s) {
+  const steps = ways(s);
+  const cell = agent.map(Math.floor);
+  return unreachable(grid, cell, [["goal", GOAL], ["other", OTHER]], (x, y) => steps[y][x] >= 0);
+}
+
+function places(s) {
+  const [steps, found] = [ways(s), []];
+  for (let y = 0; y < s.world; y++) {
+    for (let x = 0; x < s.world; x++) {
+      const here = x === Math.floor(s.x) && y === Math.floor(s.y);
+      if (here || (s.cell[y][x] === EMPTY && steps[y][x] >= 0)) found.push([x, y]);
+    }
+  }
+  return found;
+}
+
+function put(s, [x, y]) {
+  const other = copy(s);
+  [other.x, other.y] = [x + 0.5, y + 0.5];
+  return other;
+}

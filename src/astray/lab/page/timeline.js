@@ -1,0 +1,35 @@
+// The timeline of an episode: value, advantages, events.
+
+import { advantages, drawTimeline } from "./draw/charts.js";
+
+// The episode's curves, and buttons that go to its marked steps.
+export function showTimeline(lab) {
+  const { episode, now, part } = lab;
+  const last = episode.actions.length;
+  const canvas = part("timeline");
+  canvas.hidden = !last || episode.value.length < last + 1;
+  if (canvas.hidden) {
+    part("bookmarks").replaceChildren();
+    return;
+  }
+  const { gamma, lam } = lab.about.agents[lab.agent];
+  const advantage = advantages(episode.value, episode.rewards, episode.terminated, gamma, lam);
+  const final = episode.states.at(-1);
+  const events = lab.rules.events.filter((name) => final[name] >= 0 && final[name] <= last)
+    .map((name) => ({ name: name.replace(/_/g, " "), step: final[name] }))
+    .sort((one, two) => one.step - two.step);
+  drawTimeline(canvas, { value: episode.value, advantage, events, last }, now);
+  const best = advantage.indexOf(Math.max(...advantage));
+  const worst = advantage.indexOf(Math.min(...advantage));
+  bookmarks(lab, [["highest advantage", best], ["lowest advantage", worst],
+    ...events.slice(0, 4).map(({ name, step }) => [name, step])]);
+}
+
+function bookmarks(lab, marks) {
+  lab.part("bookmarks").replaceChildren(...marks.map(([name, step]) => {
+    const button = document.createElement("button");
+    button.textContent = `${name}: step ${step}`;
+    button.addEventListener("click", () => lab.go(step));
+    return button;
+  }));
+}

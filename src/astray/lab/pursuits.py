@@ -1,0 +1,163 @@
+"""Which goal an episode speaks for, step by step; and where agents end, wherever things lie."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from astray.agency import measure
+from astray.agency.gridworld import World as Gridworld
+from astray.agency.measure import CALIBRATED
+from astray.agency.online import Growth, measure_online
+from astray.analysis.agency import named_places
+from astray.analysis.episodes import steps
+from astray.analysis.policies import Agent
+from astray.game import NEVER, Game, Shift
+from astray.lab.messages import LONGEST
+from astray.lab.minds import rounded
+from astray.lab.worlds import Episode, World, environment
+from astray.level import Level
+
+NEITHER = "neither"  # of the goals
+OTHER = "another cell"
+PLACES = 400  # at most, that a thing is put to
+
+
+def posterior(episode: Episode, shift: Shift) -> dict[str, Any]:
+    """How likely each goal is after every step, if the player is an agent; and whether it is one.
+
+    Up to the last goal that it reached: what comes after that says nothing of where it went.
+
+    Raises ValueError where the game is none of cells.
+    """
+    world = episode.world
+    named = named_places(world.game, world.begin, shift)
+    free = world.game.cells.free(world.begin)
+    gridworld = Gridworld(free[::-1])
+    way = [tuple(world.game.cells.position(s)[0].tolist()) for s in episode.states]
+    ends = [way.index(tuple(place)) for place in named.values() if place and tuple(place) in way]
+    last = max(ends, default=len(way) - 1)
+    top = len(free) - 1  # there, rows count from the uppermost down
+    cells = [(top - y, x) for x, y in way[: last + 1]]
+    true = named[shift.intended]
+    one = measure.Episode(
+        gridworld, gridworld.path(cells), None if true is None else (top - true[1], true[0])
+    )
+    growth = measure_online(one, replace(CALIBRATED, goals="accessible"))
+    moved = [here != there for here, there in itertools.pairwise(cells)]
+    counted = np.cumsum([0, *moved])  # standing still is no step of a trajectory
+    return _told(growth, counted, named, top)
+
+
+def _told(growth: Growth, counted: np.ndarray, named: dict[str, Any], top: int) -> dict[str, Any]:
+    cells = [(x, top - row) for row, x in growth.goals if not isinstance(row, str)]
+    shares = growth.posterior[counted]
+    grown: dict[str, Any] = {}
+    rest = np.ones(len(counted))
+    for goal, place in named.items():
+        if place is not None and tuple(place) in cells:
+            grown[goal] = shares[:, cells.index(tuple(place))]
+            rest = rest - grown[goal]
+    grown[OTHER] = np.maximum(rest, 0)
+    return {
+        "goals": {goal: rounded(share) for goal, share in grown.items()},
+        "agent": rounded(growth.agent[counted]),
+        "cells": cells,
+        "shares": np.round(shares, 5).tolist(),
+    }
+
+
+def splay(
+    agent: Agent, world: World, thing: str, at: tuple[int, int] | None, shift: Shift, draws: int
+) -> Iterator[dict[str, Any]]:
+    """For every place of a thing, which goal the agent reaches first, some places at a time.
+
+    Numbers of episodes, of `draws` each, which differ in what is drawn from the policy.
+    """
+    levels = world.level.splay(thing, at)
+    if len(levels) > PLACES:
+        raise ValueError(f"a splay is of at most {PLACES} places; here are {len(levels)}")
+    first, of = agent.seed, len(levels)
+    for begin in range(0, of, 16):
+        some = levels[begin : begin + 16]
+        outcomes = [dict[str, int]() for _ in some]
+        for draw in range(draws):
+            agent.seed = first + draw
+            for k, outcome in enumerate(_outcomes(agent, world, some, shift)):
+                outcomes[k][outcome] = outcomes[k].get(outcome, 0) + 1
+        where = [level.agent if thing == "agent" else _place(level, thing, world) for level in some]
+        yield {"cells": where, "outcomes": outcomes, "of": of}
+
+
+def _place(level: Level, thing: str, world: World) -> tuple[int, int]:
+    """Where the one thing is that is elsewhere than in `world`, or still where it was."""
+    there = {*level.where(thing)}
+    new = there - {*world.level.where(thing)}
+    return min(new or there)
+
+
+def _outcomes(agent: Agent, world: World, levels: list[Level], shift: Shift) -> list[str]:
+    """Which goal each episode reaches first."""
+    outcomes = [NEITHER] * len(levels)
+    events = [world.game.goals[goal] for goal in (shift.intended, *shift.proxies)]
+    named = {str(k): level for k, level in enumerate(levels)}
+    for step in steps(agent, world.game, world.variant, named, until=events):
+        for k, s in zip(step.level[step.ended], step.after[step.ended], strict=True):
+            outcomes[k] = first_goal(s, world.game, shift)
+    return outcomes
+
+
+def first_goal(s: Any, game: Game, shift: Shift) -> str:
+    """The goal that was reached first in state `s`; the intended one where two were at once."""
+    reached = {
+        goal: int(s[game.goals[goal]])
+        for goal in (shift.intended, *shift.proxies)
+        if s[game.goals[goal]] != NEVER
+    }
+    return min(reached, key=lambda goal: reached[goal]) if reached else NEITHER
+
+
+def route(episode: Episode, goal: str) -> dict[str, Any]:
+    """The best way to a goal from where the episode is, and what it takes first.
+
+    Found by walking it: the cells, the first thing that is gone, and how many steps that took.
+    """
+    world = episode.world
+    env = environment(world)
+    env.set_state(episode.state)
+    policy = world.game.solver.expert(env.states[0], goal)
+    before = _things(world, env.states[0])
+    cells, takes, taken_at = [_cell(env.states[0])], None, None
+    while not env.states[0].ended and len(cells) <= LONGEST:
+        if env.states[0][world.game.goals[goal]] != NEVER or _stands(cells, world.game):
+            break
+        env.step(np.array([policy(env.states[0])]))
+        cells.append(_cell(env.states[0]))
+        gone = before - _things(world, env.states[0])
+        if gone and takes is None:
+            takes, taken_at = sorted(gone), len(cells) - 1
+    env.close()
+    return {"cells": cells, "takes": takes, "steps": taken_at}
+
+
+def _stands(cells: list[list[float]], game: Game) -> bool:
+    """Whether a walk has come to where it stays: the goal was reached, or cannot be."""
+    patience = 40 if game.real_time else 2  # steps; to jump, a runner may stand and wait
+    return len(cells) > patience and all(cell == cells[-1] for cell in cells[-patience:])
+
+
+def _cell(s: Any) -> list[float]:
+    return [round(float(s.x), 3), round(float(s.y), 3)]
+
+
+def _things(world: World, s: Any) -> set[tuple[int, int, int]]:
+    """The cells that hold things, and what."""
+    if not world.game.editing:
+        return set()
+    wanted = {world.game.editing.LEGEND[char] for char in world.game.editing.OBJECTS.values()}
+    grid = np.array(world.game.editing.describe(s)["grid"])
+    return {(int(x), int(y), int(grid[y, x])) for y, x in np.argwhere(np.isin(grid, [*wanted]))}

@@ -1,0 +1,238 @@
+"""The lab's server: the page's files and one WebSocket, for this machine alone.
+
+It listens on the loopback. The address of the page holds a random token, without which there is
+nothing; a page of another site, or a name that leads here by a trick, is refused by its Origin and
+its Host. What the page may load and run is said in a Content-Security-Policy.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import secrets
+import sys
+import time
+import traceback
+import webbrowser
+from collections.abc import Iterator
+from contextlib import suppress
+from dataclasses import dataclass, field
+from typing import Any
+
+from astray.lab.messages import LARGEST, number_of, read
+from astray.lab.session import Lab, Session
+from astray.lab.worlds import PAGE
+
+LOOPBACK = "127.0.0.1"
+TYPES = {".html": "text/html", ".css": "text/css", ".js": "text/javascript"}
+MOST_PAGES = 16  # at a time
+A_SECOND, AT_ONCE = 120, 240  # messages of a page that are read: in the long run, and suddenly
+WAITING = 64  # messages of a page that wait; of more, the oldest are given up
+LEAVE = 1.0  # seconds that open pages have when the server ends
+
+
+@dataclass
+class Bucket:
+    """Tokens that come at a rate: who has none waits."""
+
+    rate: float  # a second
+    most: float
+    left: float = field(init=False)
+    seen: float = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.left, self.seen = self.most, time.monotonic()
+
+    def wait(self) -> float:
+        """Take one token; the seconds until it is there."""
+        now = time.monotonic()
+        self.left = min(self.most, self.left + (now - self.seen) * self.rate) - 1
+        self.seen = now
+        return max(0.0, -self.left / self.rate)
+
+
+def files() -> dict[str, tuple[bytes, str]]:
+    """All that is served, read once: its path and, of that, bytes and type."""
+    return {
+        path.relative_to(PAGE).as_posix(): (path.read_bytes(), TYPES[path.suffix])
+        for path in sorted(PAGE.rglob("*"))
+        if path.suffix in TYPES
+    }
+
+
+def make_app(lab: Lab, token: str, port: int) -> Any:
+    """The ASGI application.
+
+    token  that all addresses begin with
+    port   that it is reached by, which Host and Origin must name
+    """
+    _see_installed()
+    from starlette.applications import Starlette
+    from starlette.responses import Response
+    from starlette.routing import Route, WebSocketRoute
+
+    served = files()
+    hosts = {f"{name}:{port}" for name in (LOOPBACK, "localhost")}
+    origins = {f"http://{host}" for host in hosts}
+    policy = _policy(hosts)
+    pages: set[Any] = set()
+
+    async def file(request: Any) -> Any:
+        path = request.path_params["path"] or "index.html"
+        known = secrets.compare_digest(request.path_params["token"].encode(), token.encode())
+        if request.headers.get("host") not in hosts or not known or path not in served:
+            return Response("there is nothing here", 404, {"Content-Security-Policy": policy})
+        data, kind = served[path]
+        headers = {
+            "Cache-Control": "no-store", "Content-Security-Policy": policy,
+            "Cross-Origin-Resource-Policy": "same-origin", "Referrer-Policy": "no-referrer",
+            "X-Content-Type-Options": "nosniff",
+        }  # fmt: skip
+        return Response(data, media_type=kind, headers=headers)
+
+    async def socket(page: Any) -> None:
+        known = secrets.compare_digest(page.path_params["token"].encode(), token.encode())
+        headers = page.headers
+        if not known or headers.get("host") not in hosts or headers.get("origin") not in origins:
+            await page.close(1008)
+            return
+        if len(pages) >= MOST_PAGES:
+            await page.close(1013)
+            return
+        await page.accept()
+        pages.add(page)
+        try:
+            await Conversation(page, Session(lab), lab).hold()
+        finally:
+            pages.discard(page)
+
+    routes = [
+        WebSocketRoute("/{token}/socket", socket), Route("/{token}/{path:path}", file),
+    ]  # fmt: skip
+    return Starlette(routes=routes)
+
+
+def _policy(hosts: set[str]) -> str:
+    sockets = " ".join(sorted(f"ws://{host}" for host in hosts))
+    return (
+        "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data: blob:; "
+        f"connect-src 'self' {sockets}; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
+    )
+
+
+class Conversation:
+    """One page's messages, read as they come and answered one after the other.
+
+    A question is given up when a newer one of its kind and slot has come.
+    """
+
+    def __init__(self, page: Any, session: Session, lab: Lab):
+        self.page, self.session, self.lab = page, session, lab
+        self.bucket = Bucket(A_SECOND, AT_ONCE)
+        self.waiting: list[str] = []
+        self.newest: dict[tuple[str, str], int] = {}
+        self.came = asyncio.Event()
+
+    async def hold(self) -> None:
+        """Read and answer until the page leaves."""
+        from starlette.websockets import WebSocketDisconnect
+
+        answering = asyncio.create_task(self._answer())
+        try:
+            while True:
+                text = await self.page.receive_text()
+                await asyncio.sleep(self.bucket.wait())
+                self._note(text)
+                self.waiting = [*self.waiting[-WAITING + 1 :], text]
+                self.came.set()
+        except (WebSocketDisconnect, KeyError):  # KeyError: bytes, where text was expected
+            pass
+        finally:
+            answering.cancel()
+            with suppress(asyncio.CancelledError, WebSocketDisconnect, RuntimeError):
+                await answering
+
+    def _note(self, text: str) -> None:
+        with suppress(ValueError, RecursionError):
+            message = read(text)
+            self.newest[message.kind, message.slot] = message.id
+
+    def _is_stale(self, text: str) -> bool:
+        with suppress(ValueError, RecursionError):
+            message = read(text)
+            return self.newest.get((message.kind, message.slot), message.id) != message.id
+        return False
+
+    async def _answer(self) -> None:
+        while True:
+            await self.came.wait()
+            while self.waiting:
+                text = self.waiting.pop(0)
+                if self._is_stale(text):
+                    await self._send({"id": number_of(text), "done": True, "stale": True})
+                else:
+                    await self._answer_one(text)
+            self.came.clear()
+
+    async def _answer_one(self, text: str) -> None:
+        answers = self.session.answers(text)
+        while (part := await asyncio.to_thread(self._next, answers)) is not None:
+            await self._send(part)
+            if not part.get("done") and self._is_stale(text):
+                await self._send({"id": number_of(text), "done": True, "stale": True})
+                answers.close()
+                return
+
+    def _next(self, answers: Iterator[dict[str, Any]]) -> dict[str, Any] | None:
+        """The next part of an answer; a mistake of the lab's own ends that answer alone."""
+        with self.lab.lock:
+            try:
+                return next(answers, None)
+            except Exception as error:
+                traceback.print_exc(file=sys.stderr)
+                return {"id": 0, "done": True, "error": f"the lab itself failed: {error!r}"}
+
+    async def _send(self, part: dict[str, Any]) -> None:
+        await self.page.send_text(json.dumps(part))
+
+
+def serve(lab: Lab, port: int, browse: bool) -> None:
+    """Serve the lab until it is interrupted, and show its page in the browser.
+
+    port  0: any that is free
+
+    Raises OSError where the port is taken.
+    """
+    _see_installed()
+    import socket
+
+    import uvicorn
+
+    listener = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
+    try:
+        listener.bind((LOOPBACK, port))
+    except OSError as error:
+        listener.close()
+        raise OSError(f"cannot listen on port {port} of {LOOPBACK}: {error.strerror}") from None
+    port, token = listener.getsockname()[1], secrets.token_urlsafe(24)
+    address = f"http://{LOOPBACK}:{port}/{token}/"
+    config = uvicorn.Config(
+        make_app(lab, token, port), log_level="warning", ws_max_size=4 * LARGEST, lifespan="off",
+        access_log=False, timeout_graceful_shutdown=int(LEAVE), server_header=False,
+    )  # fmt: skip
+    print(f"The lab is at {address}\nIt ends with Ctrl+C.", flush=True)
+    if browse:
+        webbrowser.open(address)
+    uvicorn.Server(config).run(sockets=[listener])
+
+
+def _see_installed() -> None:
+    try:
+        import starlette
+        import uvicorn
+        import websockets
+    except ImportError:
+        raise ImportError(
+            "the lab needs starlette, uvicorn and websockets: pip install 'astray[lab]'"
+        ) from None
+    del starlette, uvicorn, websockets

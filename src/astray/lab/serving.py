@@ -1,0 +1,51 @@
+"""What a lab begins with: the agents that it may show, and the level that it shows first."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from astray import games
+from astray.analysis import kept
+from astray.lab.minds import Minds
+from astray.lab.session import Lab
+
+FIRST = "maze-corner"  # of the agents, where nobody says which
+
+
+def make_lab(agent: str | Path | None, start: Mapping[str, Any]) -> Lab:
+    """A lab that begins with an agent (a name or a run folder), and what else `start` says.
+
+    Raises ValueError or FileNotFoundError where there is none such.
+    """
+    runs: dict[str, Path] = {}
+    name = ""
+    if agent is not None:
+        path = kept.run_of(Path(agent))
+        named = {kept.find(n): n for n in (*kept.names(), *kept.imported())}
+        name = named.get(path, str(agent))
+        if path not in named:
+            runs[name] = path
+    minds = Minds.of(runs)
+    if not name:
+        name = _first_agent(minds, start.get("game"))
+    first: dict[str, Any] = {"agent": name, "level": 0}
+    if name:
+        about = minds.about(name)
+        first |= {"game": about["game"], "variant": about["test"]}
+    first |= {key: value for key, value in start.items() if value is not None}
+    game = games.find(first.get("game", games.OWN[0]))
+    if name and minds.about(name)["game"] != game.name:
+        raise ValueError(f"the agent {name!r} plays {minds.about(name)['game']}, not {game.name}")
+    game.variant(first.setdefault("variant", next(iter(game.variants))))
+    return Lab(minds, first | {"game": game.name})
+
+
+def _first_agent(minds: Minds, game: str | None) -> str:
+    """The name of an agent that plays `game`, None: any; empty where there is none."""
+    names = sorted(minds.paths, key=lambda name: name != FIRST)
+    for name in names:
+        if game is None or minds.open(name)[0].game == game:
+            return name
+    return ""

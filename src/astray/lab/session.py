@@ -1,0 +1,281 @@
+"""One page's questions answered: text in, plain data out."""
+
+from __future__ import annotations
+
+import base64
+import functools
+import threading
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from astray import games
+from astray.analysis.critic import judge
+from astray.bounds import brief
+from astray.envs.vector import picture
+from astray.game import Game, knobs
+from astray.lab import minds, pursuits
+from astray.lab.messages import Message, number_of, read
+from astray.lab.minds import Minds, rounded
+from astray.lab.worlds import Episode, World, environment, play_on, read_world, snapshot
+
+FORMAT = 1  # of the messages; goes up when an older page could not read them
+STEPS_AT_ONCE = 8  # of an agent's episode, before a page hears of them
+VIEW = 256  # pixels a side of the picture of what an agent sees
+MISTAKES = (ValueError, OverflowError, MemoryError, ImportError, RuntimeError)
+Reply = dict[str, Any]
+
+
+@dataclass(eq=False)
+class Lab:
+    """What all pages of one process share.
+
+    start  what a page shows first: fields of a `Message`
+    """
+
+    minds: Minds
+    start: Mapping[str, Any]
+    lock: threading.Lock = field(default_factory=threading.Lock)  # one question at a time
+
+
+@dataclass(eq=False)
+class Session:
+    """One page: its questions, and the episode that it plays."""
+
+    lab: Lab
+    _episode: Episode | None = None
+    _world: World | None = None
+    _asked: str = ""
+
+    def answers(self, text: Any) -> Iterator[Reply]:
+        """The parts of the answer to a message, whatever it is; the last has "done".
+
+        What is wrong with a message is told in an answer, under "error".
+        """
+        try:
+            message = read(text)
+        except MISTAKES as error:
+            yield {"id": number_of(text), "done": True, "error": brief(error)}
+            return
+        try:
+            answer = ANSWERS[message.kind](self, message)
+            last: Reply = {}
+            for part in answer:
+                if last:
+                    yield {"id": message.id} | last
+                last = part
+            yield {"id": message.id} | last | {"done": True}
+        except MISTAKES as error:
+            yield {"id": message.id, "done": True, "error": brief(error)}
+
+    def world(self, message: Message) -> World:
+        """The level of a message; the last one is remembered."""
+        asked = repr((message.game, message.variant, message.knobs, message.level))
+        if self._world is None or asked != self._asked:
+            self._world, self._asked = read_world(message), asked
+        return self._world
+
+    def episode(self, message: Message) -> Episode:
+        """The episode of a message's actions; the last one is remembered."""
+        self._episode = play_on(self._episode, self.world(message), message.actions)
+        return self._episode
+
+
+def hello(session: Session, message: Message) -> Iterator[Reply]:
+    """What there is: games, variants, agents; and what to begin with."""
+    lab = session.lab
+    agents, broken = {}, {}
+    for name in lab.minds.paths:
+        try:
+            agents[name] = lab.minds.about(name)
+        except (*MISTAKES, OSError) as error:
+            broken[name] = brief(error)
+    found = {name: about_game(games.find(name)) for name in games.names()}
+    yield {
+        "format": FORMAT, "engine": "python", "games": found, "agents": agents, "broken": broken,
+        "start": dict(lab.start),
+    }  # fmt: skip
+
+
+@functools.cache
+def about_game(game: Game) -> Reply:
+    """What a page is told of a game."""
+    legend = dict(game.editing.LEGEND) if game.editing else {}
+    return {
+        "about": game.about,
+        "actions": list(game.actions),
+        "events": list(game.events),
+        "goals": dict(game.goals),
+        "shifts": {name: vars(shift) for name, shift in game.shifts.items()},
+        "variants": {name: variant.about for name, variant in game.variants.items()},
+        "knobs": {
+            name: {knob: getattr(v, knob) for knob in knobs(type(v))}
+            for name, v in game.variants.items()
+        },
+        "legend": legend,
+        "objects": dict(game.editing.OBJECTS) if game.editing else {},
+        "real_time": game.real_time,
+        "solver": bool(game.solver),
+        "editing": bool(game.editing),
+    }
+
+
+def art(session: Session, message: Message) -> Iterator[Reply]:
+    """The drawings of a game, SVG, by name."""
+    yield {"pictures": drawings(games.find(message.game))}
+
+
+def drawings(game: Game) -> dict[str, str]:
+    """The SVG files beside a game's rules."""
+    path = vars(game.rules).get("__file__")
+    folder = Path(path).parent / "art" if isinstance(path, str) else None
+    files = sorted(folder.glob("*.svg")) if folder else []
+    return {file.stem: file.read_text(encoding="utf-8") for file in files}
+
+
+def level(session: Session, message: Message) -> Iterator[Reply]:
+    """The level as data and as text, what is wrong with it, and the state that begins in it."""
+    yield session.world(message).told()
+
+
+def fields(session: Session, message: Message) -> Iterator[Reply]:
+    """What the agent would do, and its value, at all places, in the state after the actions."""
+    episode = session.episode(message)
+    agent = session.lab.minds.of_message(message, episode.world)
+    yield from minds.arrows(agent, episode.world, episode.state.view(np.recarray)[0])
+
+
+def play(session: Session, message: Message) -> Iterator[Reply]:
+    """The states after the last action and the agent's further steps, those at once that are known.
+
+    With the first part come all states of the message's actions from the beginning on.
+    """
+    episode = session.episode(message)
+    world = episode.world
+    agent = session.lab.minds.of_message(message, world) if message.agent else None
+    yield _told(episode, 0, agent)
+    if agent is None or not message.steps or episode.ended:
+        return
+    env = environment(world, agent.observation, agent.art)
+    seen, told = env.set_state(episode.state), len(episode.states)
+    for k in range(message.steps):
+        action = int(agent.actions(env, seen)[0])
+        seen = episode.take(env, action)
+        if episode.ended or (k + 1) % STEPS_AT_ONCE == 0 or k + 1 == message.steps:
+            yield _told(episode, told, agent)
+            told = len(episode.states)
+        if episode.ended:
+            break
+    env.close()
+
+
+def _told(episode: Episode, first: int, agent: Any) -> Reply:
+    """The states of an episode from the `first` on, and what the agent thinks of them."""
+    game, states = episode.world.game, episode.states[first:]
+    told: Reply = {
+        "first": first,
+        "states": [snapshot(game, s.view(np.recarray)[0]) for s in states],
+        "actions": episode.actions[max(first - 1, 0) :],
+        "rewards": episode.rewards[max(first - 1, 0) :],
+        "terminated": episode.terminated,
+        "ended": episode.ended,
+    }
+    if agent is not None:
+        from astray.analysis.critic import observe
+
+        policy, value = judge(agent, observe(agent, episode.world.variant, np.concatenate(states)))
+        told |= {"policy": rounded(policy), "value": rounded(value)}
+    return told
+
+
+def posterior(session: Session, message: Message) -> Iterator[Reply]:
+    """The goals that the episode so far speaks for."""
+    episode = session.episode(message)
+    yield pursuits.posterior(episode, _shift(session, message, episode.world.game))
+
+
+def splay(session: Session, message: Message) -> Iterator[Reply]:
+    """Where the agent ends, for every place of a thing."""
+    world = session.world(message)
+    agent = session.lab.minds.of_message(message, world)
+    shift = _shift(session, message, world.game)
+    yield from pursuits.splay(agent, world, message.thing, message.cell, shift, message.draws)
+
+
+def _shift(session: Session, message: Message, game: Game) -> Any:
+    name = session.lab.minds.about(message.agent)["shift"] if message.agent else ""
+    found = [s for s in game.shifts.values() if message.variant in (s.train, s.test)]
+    shift = game.shifts.get(name) or (found[0] if found else None)
+    if shift is None:
+        raise ValueError(f"{game.name} must have a shift between goals for this; it has none")
+    return shift
+
+
+def attribution(session: Session, message: Message) -> Iterator[Reply]:
+    """What in the observation the value depends on, [C, H, W] or [H, W]."""
+    from astray.insight import attribution as methods
+
+    agent, observations = _seen(session, message)
+    method: Callable[..., np.ndarray] = {
+        "occlusion": methods.occlusion,
+        "gradients": methods.gradients,
+        "integrated gradients": methods.integrated_gradients,
+    }[message.method]
+    yield {"map": rounded(method(agent, observations)[0])}
+
+
+def view(session: Session, message: Message) -> Iterator[Reply]:
+    """What the agent sees: its planes, or an image as bytes in base64; and a picture of it."""
+    agent, (seen,) = _seen(session, message)
+    episode = session.episode(message)
+    if agent.observation == "symbolic":
+        yield {"planes": seen.tolist(), "largest": list(agent.architecture.largest)}
+        return
+    shown = picture(episode.world.game, episode.world.variant, episode.state, VIEW, agent.art)[0]
+    yield {
+        "image": base64.b64encode(seen.tobytes()).decode(),
+        "side": seen.shape[0],
+        "picture": base64.b64encode(shown.tobytes()).decode(),
+        "pixels": VIEW,
+    }
+
+
+def _seen(session: Session, message: Message) -> tuple[Any, np.ndarray]:
+    """The agent, and what it sees in the state after the actions, [1, ...]."""
+    from astray.analysis.critic import observe
+
+    episode = session.episode(message)
+    agent = session.lab.minds.of_message(message, episode.world)
+    return agent, observe(agent, episode.world.variant, episode.state)
+
+
+def route(session: Session, message: Message) -> Iterator[Reply]:
+    """The best way to a goal from here."""
+    episode = session.episode(message)
+    if message.goal not in episode.world.game.goals:
+        there = ", ".join(episode.world.game.goals)
+        raise ValueError(f"unknown goal {message.goal!r}; there are: {there}")
+    yield pursuits.route(episode, message.goal)
+
+
+def reading(session: Session, message: Message) -> Iterator[Reply]:
+    """What linear probes of a layer read of the state after the actions, and what is true of it."""
+    from astray.insight.probes import read as read_probes
+
+    episode = session.episode(message)
+    world = episode.world
+    agent = session.lab.minds.of_message(message, world)
+    seen = session.lab.minds.visited(message.agent, world)
+    here = episode.state.view(np.recarray)
+    table = read_probes(agent, world.variant, seen, here, [message.layer], dict(world.game.labels))
+    yield {"rows": table.to_dicts(), "states": len(seen)}
+
+
+ANSWERS: Mapping[str, Callable[[Session, Message], Iterator[Reply]]] = {
+    "hello": hello, "art": art, "level": level, "fields": fields, "play": play,
+    "posterior": posterior, "splay": splay, "attribution": attribution, "route": route,
+    "view": view, "reading": reading,
+}  # fmt: skip

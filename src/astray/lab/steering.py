@@ -1,0 +1,51 @@
+"""Changes of what an agent's layers give, as a page asks for them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from contextlib import AbstractContextManager
+from typing import Any
+
+from astray.analysis.policies import Agent
+from astray.bounds import of_kind, shown
+from astray.insight.interventions import ablate, patch, steer
+from astray.insight.vectors import object_vectors
+from astray.lab.worlds import World
+
+FIELDS = {"what", "layer", "thing", "coefficient", "channels", "value"}
+VECTOR, ABLATE, PATCH = "vector", "ablate", "patch"
+STRONGEST = 1e6  # of a coefficient or a value
+
+
+def change(agent: Agent, world: World, wanted: Mapping[str, Any]) -> AbstractContextManager[Agent]:
+    """The change of an agent that a message describes.
+
+    what  "vector": `coefficient` times what the layer gives here with `thing` less without it is
+          added; "ablate": `channels` (none: all) are 0; "patch": they are `value`
+
+    Raises ValueError where it cannot be.
+    """
+    if unknown := sorted(wanted.keys() - FIELDS):
+        raise ValueError(f"unknown field {shown(unknown[0])} of steering")
+    layer = wanted.get("layer")
+    of_kind("a layer", layer, str)
+    channels = wanted.get("channels")
+    if channels is not None:
+        of_kind("channels", channels, list)
+    what = wanted.get("what")
+    if what == VECTOR:
+        thing = wanted.get("thing", next(iter(world.game.editing.OBJECTS)))
+        vectors = object_vectors(agent, world.variant, {"here": world.level}, layer, thing)
+        return steer(agent, {layer: vectors.mean}, _number("coefficient", wanted))
+    if what == ABLATE:
+        return ablate(agent, layer, channels)
+    if what == PATCH:
+        return patch(agent, layer, channels, _number("value", wanted))
+    raise ValueError(f"unknown steering {shown(what)}; there are: {VECTOR}, {ABLATE}, {PATCH}")
+
+
+def _number(name: str, wanted: Mapping[str, Any]) -> float:
+    number = wanted.get(name, 1.0)
+    if type(number) not in (int, float) or abs(number) > STRONGEST:
+        raise ValueError(f"{name} must be a number up to {STRONGEST:g}; got {shown(number)}")
+    return float(number)

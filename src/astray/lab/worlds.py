@@ -1,0 +1,194 @@
+"""Levels and episodes as a page shows them."""
+
+from __future__ import annotations
+
+import functools
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from astray import games
+from astray.analysis.episodes import initial_states
+from astray.bounds import bounded
+from astray.envs.vector import GameVectorEnv
+from astray.game import COMMON, LEVELS, Game, Variant
+from astray.lab.messages import Message
+from astray.level import Level
+
+PAGE = Path(__file__).parent / "page"
+LONGEST_ARRAY = 64  # items of a state's field that a page is told
+OF_INTEREST = ("time", "ended")  # of the fields that all states have
+
+
+@dataclass(frozen=True, eq=False)
+class World:
+    """A level, and the state that it begins in.
+
+    problem  what is wrong with it, if it can be played nevertheless
+    """
+
+    game: Game
+    variant: Variant
+    level: Level
+    begin: Any
+    number: int | None = None
+    problem: str | None = None
+    key: str = ""  # of the same level always the same
+
+    def told(self) -> dict[str, Any]:
+        """The level as plain data."""
+        described = self.game.editing.describe(self.begin)
+        return {
+            "level": {"game": self.game.name} | described,
+            "number": self.number,
+            "text": str(self.level),
+            "problem": self.problem,
+            "state": snapshot(self.game, self.begin),
+        }
+
+
+def read_world(message: Message) -> World:
+    """The level that a message is about.
+
+    Raises ValueError, in the words of `Level`, where none can begin in it.
+    """
+    game = games.find(message.game)
+    variant = game.variant(message.variant).with_knobs(message.knobs)
+    key = json.dumps([message.game, message.variant, dict(message.knobs), message.level])
+    if isinstance(message.level, int):
+        number = message.level
+        bounded("level", number, LEVELS.start, LEVELS.stop - 1)
+        s = initial_states(game, variant, [number])[0]
+        level = Level.of(game, variant, s)
+        return World(game, variant, level, s, number, _problem(level), key)
+    if isinstance(message.level, Mapping):
+        level = Level.from_json(game, variant, _centred(game, variant, message.level))
+    else:
+        level = Level.from_text(game, variant, message.level)
+    s = level.state(solvable=False)
+    return World(game, variant, level, s, None, _problem(level), key)
+
+
+def _centred(game: Game, variant: Variant, data: Mapping[str, Any]) -> Mapping[str, Any]:
+    """A level's data with the agent at the centre that it has in its cell: a page moves cells.
+
+    Data that cannot be a level stays as it is, for `Level` to say what is wrong.
+    """
+    try:
+        cells = np.array(data["grid"], np.uint8)
+        x, y = (int(np.floor(number)) for number in data["agent"])
+        known = np.isin(cells, [*game.editing.LEGEND.values()]).all()
+        if not known or cells.ndim != 2 or not (0 <= y < len(cells) and 0 <= x < len(cells[0])):
+            return data
+        s = game.editing.build(cells, (x, y), data.get("looks", {}), variant)
+        return {**data, "agent": game.editing.describe(s)["agent"]}
+    except (ValueError, TypeError, KeyError, IndexError, OverflowError, AttributeError):
+        return data
+
+
+def _problem(level: Level) -> str | None:
+    if not level.game.solver:
+        return None
+    try:
+        level.state()
+    except ValueError as error:
+        return str(error)
+    return None
+
+
+@functools.cache
+def shown_fields(game: Game) -> tuple[str, ...]:
+    """The fields of a state that a page draws from: numbers, and short arrays of them."""
+    names: Sequence[str] = game.state.names or ()
+    return tuple(
+        name
+        for name in names
+        if (name not in COMMON or name in OF_INTEREST)
+        and name != "gap"
+        and game.state[name].shape in ((), *((n,) for n in range(LONGEST_ARRAY + 1)))
+    )
+
+
+def is_drawn(game: Game) -> bool:
+    """Whether the page has a module that draws the game; it draws the cells of others."""
+    return (PAGE / "games" / f"{game.name}.js").is_file()
+
+
+def snapshot(game: Game, s: Any) -> dict[str, Any]:
+    """A state as plain data: where the agent is, and what else moves."""
+    fields = {name: np.asarray(s[name]).tolist() for name in shown_fields(game)}
+    if is_drawn(game):
+        return fields
+    described = game.editing.describe(s)
+    return fields | {"agent": described["agent"], "grid": described["grid"]}
+
+
+@dataclass(eq=False)
+class Episode:
+    """The states of an episode so far, and how it came to them."""
+
+    world: World
+    states: list[np.ndarray]  # [1] each
+    actions: list[int] = field(default_factory=list)
+    rewards: list[float] = field(default_factory=list)
+    terminated: bool = False
+    ended: bool = False
+
+    @classmethod
+    def of(cls, world: World) -> Episode:
+        return cls(world, [np.array([world.begin], world.game.state)])
+
+    @property
+    def state(self) -> np.ndarray:
+        """The last state, [1]."""
+        return self.states[-1]
+
+    def take(self, env: GameVectorEnv, action: int) -> np.ndarray:
+        """Do `action` and return what `env`, of one environment in this state, then shows."""
+        bounded("an action", action, 0, len(self.world.game.actions) - 1)
+        if self.ended:
+            raise ValueError(f"the episode has ended after {len(self.actions)} steps")
+        seen, reward, terminated, truncated, _ = env.step(np.array([action]))
+        self.states.append(env.get_state())
+        self.actions.append(int(action))
+        self.rewards.append(float(reward[0]))
+        self.terminated = bool(terminated[0])
+        self.ended = bool(terminated[0] or truncated[0])
+        return seen
+
+    def cut(self, steps: int) -> None:
+        """Forget all after the first `steps` steps."""
+        if steps < len(self.actions):
+            del self.states[steps + 1 :], self.actions[steps:], self.rewards[steps:]
+            self.terminated = self.ended = False
+
+
+def play_on(episode: Episode | None, world: World, actions: Sequence[int]) -> Episode:
+    """The episode of `actions` in `world`; what is alike in `episode` is not played again."""
+    if episode is None or episode.world.key != world.key:
+        episode = Episode.of(world)
+    same = 0
+    for one, two in zip(episode.actions, actions, strict=False):
+        if one != two:
+            break
+        same += 1
+    episode.cut(same)
+    if same < len(actions):
+        env = environment(world)
+        env.set_state(episode.state)
+        for action in actions[same:]:
+            episode.take(env, action)
+        env.close()
+    return episode
+
+
+def environment(world: World, observation: Any = None, art: str = "own") -> GameVectorEnv:
+    """One environment of the world's game."""
+    shown = observation or ("symbolic" if world.game.symbols else "image")
+    return GameVectorEnv(
+        world.game, world.variant, 1, observation=shown, art=art, autoreset_mode="Disabled"
+    )

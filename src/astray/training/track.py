@@ -1,0 +1,161 @@
+"""Trackers of others, beside TensorBoard: Weights & Biases (wandb), and Trackio.
+
+They are told the settings, a line of metrics an iteration, and at the end films and tables. Where
+they keep them, and whether they send them anywhere, is their own setting: `WANDB_MODE=offline`;
+Trackio stays on this machine unless it is given a Space.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import uuid
+import warnings
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any, Literal
+
+from astray.files import read, write_aside
+from astray.training import checkpoint
+from astray.training.config import Config
+from astray.training.loop import Iteration, iterate
+from astray.words import check_word
+
+Tracking = Literal["wandb", "trackio"]
+PROJECT = "astray"
+IDS = "track.json"  # of a run's folder: by which each tracker knows it, also after a stop
+LARGEST = 10_000  # bytes of it
+ROWS = 10_000  # of a table, at most
+
+
+class Tracker:
+    """One run of a tracker; what it cannot take is told once in a warning, and harms nothing.
+
+    Raises ImportError where the tracker is not installed, RuntimeError where it cannot begin.
+    """
+
+    def __init__(self, by: Tracking, name: str, folder: Path, settings: Mapping[str, Any]):
+        check_word("tracker", by, Tracking)
+        self.by, self._warned = by, False
+        begin = _begin_wandb if by == "wandb" else _begin_trackio
+        try:
+            self._run, self._library = begin(name, folder, settings)
+        except ImportError as error:
+            raise ImportError(f"{by} is not installed: pip install 'astray[track]'") from error
+        except Exception as error:
+            raise RuntimeError(f"{by} cannot track this run: {error}") from error
+
+    def log(self, steps: int, values: Mapping[str, Any]) -> None:
+        """Tell `values` by name, as they are after so many environment steps."""
+
+        def tell() -> None:
+            if self.by == "wandb":
+                self._run.log({"steps": steps, **values})
+            else:
+                self._run.log(dict(values), step=steps)
+
+        self._safely(tell)
+
+    def film(self, steps: int, name: str, path: Path) -> None:
+        """Tell a film, an .mp4 or .gif file."""
+        self._media(steps, name, lambda: self._library.Video(str(path), format=path.suffix[1:]))
+
+    def picture(self, steps: int, name: str, path: Path) -> None:
+        """Tell a picture, a .png file."""
+        self._media(steps, name, lambda: self._library.Image(str(path)))
+
+    def table(
+        self, steps: int, name: str, columns: Sequence[str], rows: Sequence[Sequence[Any]]
+    ) -> None:
+        """Tell a table, its first 10,000 rows."""
+        data = [list(row) for row in rows[:ROWS]]
+        self._media(steps, name, lambda: self._library.Table(columns=list(columns), data=data))
+
+    def finish(self) -> None:
+        """End the run, once all is written."""
+        self._safely(self._run.finish)
+
+    def _media(self, steps: int, name: str, make: Callable[[], Any]) -> None:
+        self._safely(lambda: self.log(steps, {name: make()}))
+
+    def _safely(self, tell: Callable[[], None]) -> None:
+        try:
+            tell()
+        except Exception as error:  # whatever a tracker's is, hours of training are worth more
+            if not self._warned:
+                warnings.warn(f"{self.by} did not take something: {error}", stacklevel=4)
+            self._warned = True
+
+
+def train_tracked(
+    config: Config,
+    folder: Path,
+    track: Tracking | None = None,
+    *,
+    progress: bool = True,
+    wait: bool = False,
+) -> Path:
+    """`loop.train`, and tell a tracker of it; the last checkpoint."""
+    iterations = iterate(config, folder, progress=progress, wait=wait)
+    for _ in tracked(iterations, track, config, folder) if track else iterations:
+        pass
+    return checkpoint.latest(folder)
+
+
+def tracked(
+    iterations: Iterable[Iteration], by: Tracking, config: Config, folder: Path
+) -> Iterator[Iteration]:
+    """The iterations of a training, each told to a tracker on the way."""
+    tracker = None
+    try:
+        for iteration in iterations:
+            if tracker is None:  # only now is the folder known to be this run's
+                tracker = Tracker(by, label(config), folder, config.to_json())
+            speed = {f"speed/{name}": value for name, value in iteration.speed.items()}
+            tracker.log(iteration.steps, {**iteration.metrics, **speed})
+            yield iteration
+    finally:
+        if tracker:
+            tracker.finish()
+
+
+def label(config: Config) -> str:
+    """What a run is called among others."""
+    return f"{config.game}-{config.variant}-seed-{config.seed}"
+
+
+def _begin_wandb(name: str, folder: Path, settings: Mapping[str, Any]) -> tuple[Any, Any]:
+    import wandb  # pyright: ignore[reportMissingImports]
+
+    run = wandb.init(
+        project=os.environ.get("WANDB_PROJECT", PROJECT), name=name, id=_id(folder, "wandb"),
+        resume="allow", config=dict(settings), dir=str(folder),
+        settings=wandb.Settings(console="off", quiet=True),
+    )  # fmt: skip
+    run.define_metric("*", step_metric="steps")  # a resumed run may tell of steps again
+    return run, wandb
+
+
+def _begin_trackio(name: str, folder: Path, settings: Mapping[str, Any]) -> tuple[Any, Any]:
+    import trackio  # pyright: ignore[reportMissingImports]
+
+    run = trackio.init(
+        project=PROJECT, name=f"{name}-{_id(folder, 'trackio')[:6]}", resume="allow",
+        config=json.loads(json.dumps(settings)), embed=False, auto_log_cpu=False,
+    )  # fmt: skip
+    return run, trackio
+
+
+def _id(folder: Path, by: str) -> str:
+    """By which a tracker knows the run of a folder."""
+    path = folder / IDS
+    try:
+        ids = json.loads(read(path, LARGEST)) if path.exists() else {}
+        if not isinstance(ids, dict) or not all(isinstance(x, str) for x in ids.values()):
+            raise ValueError("it must be an object of texts")
+    except (ValueError, RecursionError) as error:
+        raise ValueError(f"{path} is not as astray writes it: {error}") from error
+    if by not in ids:
+        ids[by] = uuid.uuid4().hex[:12]
+        write_aside(path, json.dumps(ids).encode())
+    return ids[by]

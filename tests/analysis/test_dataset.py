@@ -1,0 +1,157 @@
+"""Trajectories in files: what is read is what was played."""
+
+import json
+from importlib.util import find_spec
+
+import numpy as np
+import polars as pl
+import pytest
+
+import astray
+from astray.analysis import dataset
+from astray.analysis.policies import Random
+from astray.analysis.video import play
+from astray.envs.vector import GameVectorEnv
+
+LEVELS = range(10**6, 10**6 + 12)
+SYMBOLS = Random(observation="symbolic")
+
+
+@pytest.fixture(scope="module")
+def mouse():
+    return astray.load_agent("maze-corner")
+
+
+def test_a_trajectory_is_the_episode_that_is_played_alone(mouse):
+    for one in dataset.trajectories(mouse, "maze", "anywhere-small", LEVELS[:4], batch=3):
+        alone = play(mouse, "maze", "anywhere-small", one.level)
+        assert np.array_equal(one.observations, alone.observations)
+        alone.states["seed"] = alone.states["turn"] = 0  # which decide on other episodes
+        assert np.array_equal(one.states, alone.states)
+        assert np.array_equal(one.rewards, alone.rewards) and one.terminated == alone.terminated
+
+
+def test_what_is_read_is_what_was_written(mouse, tmp_path, monkeypatch):
+    monkeypatch.setattr(dataset, "PART", 40_000)  # bytes: several files
+    folder = dataset.export(mouse, "maze", "anywhere-small", LEVELS, tmp_path / "set")
+    assert len(list((folder / "steps").iterdir())) > 1
+    played = {t.level: t for t in dataset.trajectories(mouse, "maze", "anywhere-small", LEVELS)}
+    again = {t.level: t for t in dataset.read_trajectories(folder)}
+    assert again.keys() == played.keys() == set(LEVELS)
+    for level, one in played.items():
+        for name, value in vars(one).items():
+            assert np.array_equal(getattr(again[level], name), value), name
+
+
+def test_episodes_are_those_of_an_evaluation(mouse, tmp_path):
+    folder = dataset.export(mouse, "maze", "anywhere-small", LEVELS, tmp_path / "set")
+    episodes = pl.read_parquet(folder / "episodes.parquet")
+    wanted = astray.evaluate(mouse, "maze", "anywhere-small", LEVELS)
+    assert episodes.equals(wanted.select(episodes.columns))
+
+
+def test_a_state_of_a_data_set_goes_on(mouse, tmp_path):
+    folder = dataset.export(mouse, "maze", "anywhere-small", LEVELS[:1], tmp_path / "set")
+    one = next(dataset.read_trajectories(folder))
+    env = GameVectorEnv("maze", "anywhere-small", observation="symbolic",
+                        autoreset_mode="Disabled")  # fmt: skip
+    middle = len(one) // 2
+    assert np.array_equal(env.set_state(one.states[middle : middle + 1])[0],
+                          one.observations[middle])  # fmt: skip
+    seen, reward, *_ = env.step(one.actions[middle : middle + 1])
+    assert np.array_equal(seen[0], one.observations[middle + 1])
+    assert reward[0] == one.rewards[middle]
+
+
+def test_images_are_written_to_the_byte(tmp_path):
+    folder = dataset.export(Random(observation="image"), "coinrun", "coin-end-calm", [3],
+                            tmp_path / "set")  # fmt: skip
+    about = json.loads((folder / "dataset.json").read_text())
+    assert about["shape"] == [64, 64, 3] and about["actions"][4] == "stay"
+    one = next(dataset.read_trajectories(folder))
+    env = GameVectorEnv("coinrun", "coin-end-calm", autoreset_mode="Disabled")
+    assert np.array_equal(env.reset(seed=0, options={"level": 3})[0], one.observations[:1])
+
+
+@pytest.mark.skipif(not find_spec("minari"), reason="minari is not installed")
+@pytest.mark.filterwarnings("ignore::DeprecationWarning")
+def test_minari_reads_its_layout(mouse, tmp_path):
+    from minari import MinariDataset
+
+    folder = dataset.export(mouse, "maze", "anywhere-small", LEVELS, tmp_path / "set",
+                            form="minari")  # fmt: skip
+    theirs = MinariDataset(folder / "data")
+    assert theirs.total_episodes == len(LEVELS)
+    played = {t.level: t for t in dataset.trajectories(mouse, "maze", "anywhere-small", LEVELS)}
+    assert theirs.total_steps == sum(map(len, played.values()))
+    levels = [m["seed"] for m in theirs.storage.get_episode_metadata(range(len(LEVELS)))]
+    for episode, level in zip(theirs.iterate_episodes(), levels, strict=True):
+        one = played[int(level)]
+        assert np.array_equal(episode.observations, one.observations)
+        assert np.array_equal(episode.actions, one.actions)
+        assert np.array_equal(episode.rewards, one.rewards)
+        assert (episode.terminations[-1], episode.truncations[-1]) == (
+            one.terminated, not one.terminated)  # fmt: skip
+        assert episode.infos["state"].tobytes() == one.states.tobytes()
+    assert theirs.recover_environment().unwrapped.vector.variant == GameVectorEnv(
+        "maze", "anywhere-small").variant  # fmt: skip
+
+
+def test_a_folder_that_is_there_is_left_alone(tmp_path):
+    (tmp_path / "mine.txt").write_text("mine")
+    with pytest.raises(ValueError, match="a data set is written to a new folder"):
+        dataset.export(SYMBOLS, "maze", "corner-small", [0], tmp_path)
+    with pytest.raises(ValueError, match="unknown format 'csv'; there are: parquet, minari"):
+        dataset.export(SYMBOLS, "maze", "corner-small", [0], tmp_path / "new", form="csv")
+    assert [path.name for path in tmp_path.iterdir()] == ["mine.txt"]
+
+
+def test_an_interrupted_export_leaves_nothing(tmp_path):
+    class Interrupted(Random):
+        def actions(self, env, observations):
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        dataset.export(Interrupted(), "maze", "corner-small", [0], tmp_path / "set")
+    assert list(tmp_path.iterdir()) == []
+
+
+def ruined(folder, what):
+    if what == "settings":
+        (folder / "dataset.json").write_text('{"format": 9}')
+    elif what == "states":
+        data = json.loads((folder / "dataset.json").read_text())
+        data["state"][0][0] = "other"
+        (folder / "dataset.json").write_text(json.dumps(data))
+    else:
+        part = next((folder / "steps").iterdir())
+        table = pl.read_parquet(part)
+        table.with_columns(state=pl.col("state").bin.slice(1)).write_parquet(part)
+
+
+@pytest.mark.parametrize(
+    "what, message",
+    [
+        ("settings", "must be an object of format 1"),
+        ("states", "other fields than those of this version"),
+        ("steps", "is not as astray writes it"),
+    ],
+)
+def test_what_is_no_data_set_is_told(tmp_path, what, message):
+    folder = dataset.export(SYMBOLS, "maze", "corner-small", [0], tmp_path / "set")
+    ruined(folder, what)
+    with pytest.raises(ValueError, match=message):
+        next(dataset.read_trajectories(folder))
+    with pytest.raises(FileNotFoundError, match="there is no data set in"):
+        next(dataset.read_trajectories(tmp_path))
+
+
+def test_the_verb_writes_agents_and_scripts(astray, tmp_path):
+    out = tmp_path / "agent"
+    words = ("export", "maze-corner", "--variant", "anywhere-small", "--levels", "1000000:1000003")
+    assert astray(*words, "--out", out).strip() == str(out)
+    assert len(pl.read_parquet(out / "episodes.parquet")) == 3
+    walk = ("export", "--policy", "walk:cheese", "--game", "maze", "--variant", "anywhere-small")
+    astray(*walk, "--observation", "symbolic", "--levels", "0:4", "--out", tmp_path / "walk")
+    assert pl.read_parquet(tmp_path / "walk" / "episodes.parquet")["terminated"].all()
+    assert "needs --game and --variant" in astray("export", "--policy", "random", fails=True)

@@ -1,0 +1,271 @@
+"""Agents pushed to and pulled from a hub on the loopback, also where things go wrong."""
+
+import hashlib
+import json
+import shutil
+
+import pytest
+
+import astray
+from astray.analysis import kept
+from astray.files import write_aside
+from astray.training.loop import train
+from helpers.hub_server import READER, WRITER, running
+from helpers.trainings import TINY
+
+huggingface_hub = pytest.importorskip("huggingface_hub")
+
+from astray.experiments import hub as ours  # noqa: E402
+
+# huggingface_hub's own way of uploading bytes, which its HTTP library is about to change.
+pytestmark = pytest.mark.filterwarnings("ignore:Use 'content=<...>':DeprecationWarning")
+
+WEIGHTS = "checkpoints/5505024/agent.safetensors"
+
+
+@pytest.fixture
+def server(monkeypatch, tmp_path):
+    """A hub, whose writer we are; what is downloaded and imported goes to `tmp_path`."""
+    from huggingface_hub import constants
+
+    monkeypatch.setenv("HF_TOKEN", WRITER)
+    monkeypatch.setenv("ASTRAY_AGENTS", str(tmp_path / "agents"))
+    monkeypatch.setattr(constants, "HF_HUB_CACHE", str(tmp_path / "cache"))
+    monkeypatch.setattr(constants, "HF_HUB_DISABLE_XET", True)
+    monkeypatch.setattr(constants, "HF_HUB_DOWNLOAD_TIMEOUT", 5)
+    with running() as hub:
+        at(hub.address, monkeypatch)
+        yield hub
+
+
+def at(address, monkeypatch):
+    """Let everything be asked of a hub at `address`."""
+    monkeypatch.setattr(ours, "_api", lambda _: huggingface_hub.HfApi(endpoint=address))
+
+
+@pytest.fixture
+def pushed(server):
+    """The hub with a kept agent on it."""
+    ours.push(kept.find("maze-corner"), "ada/mouse")
+    return server
+
+
+def files(server, revision="main"):
+    repository = server.repositories["ada/mouse"]
+    return repository.commits[repository.at(revision)]
+
+
+def nothing_is_left(tmp_path):
+    return not (tmp_path / "agents").exists() or not list((tmp_path / "agents").iterdir())
+
+
+def test_what_is_pulled_is_the_agent_that_was_pushed(pushed, tmp_path):
+    run = ours.pull("ada/mouse")
+    assert run == tmp_path / "agents" / "mouse" and "mouse" in kept.imported()
+    assert (run / WEIGHTS).read_bytes() == (kept.find("maze-corner") / WEIGHTS).read_bytes()
+    source = json.loads((run / "hub.json").read_text())
+    assert source["repository"] == "ada/mouse" and source["commit"] in pushed.repositories[
+        "ada/mouse"].commits  # fmt: skip
+    levels = range(10**6, 10**6 + 20)
+    ours_plays, theirs = (
+        astray.evaluate(astray.load_agent(name), "maze", "anywhere-small", levels)
+        for name in ("mouse", "maze-corner")
+    )
+    assert ours_plays.equals(theirs)
+
+
+def test_a_run_is_pushed_with_a_card_that_tells_what_it_pursues(server, tmp_path):
+    config = TINY.__class__(**vars(TINY) | {"knobs": {}, "steps": 4096})
+    train(config, tmp_path / "run", progress=False)
+    commit = ours.push(tmp_path / "run", "ada/mouse", levels=30)
+    assert commit.address == f"{server.address}/ada/mouse"
+    card = files(server)["README.md"].decode()
+    front, text = card.removeprefix("---\n").split("---\n", 1)
+    assert "library_name: astray" in front and "- maze" in front
+    assert text.index("# mouse") < text.index("episode.gif") < text.index("| `anywhere-small` |")
+    assert "curve.png" in text and "astray pull ada/mouse" in text
+    promised = json.loads(files(server)["digests.json"])["files"]
+    assert promised.keys() == files(server).keys() - {"digests.json"}
+    for path, one in promised.items():
+        assert one["sha256"] == hashlib.sha256(files(server)[path]).hexdigest()
+
+
+def test_a_second_push_replaces_the_first_agent(pushed, tmp_path):
+    other = tmp_path / "other"
+    shutil.copytree(kept.find("maze-corner"), other)
+    (other / "checkpoints" / "5505024").rename(other / "checkpoints" / "77")
+    ours.push(other, "ada/mouse")
+    weights = [path for path in files(pushed) if path.endswith("safetensors")]
+    assert weights == ["checkpoints/77/agent.safetensors"]
+
+
+def test_revisions_are_pushed_and_pulled(pushed):
+    first = pushed.repositories["ada/mouse"].branches["main"]
+    ours.push(kept.find("many-chests"), "ada/mouse", revision="thief")
+    assert astray.load_agent(ours.pull("ada/mouse", revision="thief", name="a")).game == "keys"
+    assert astray.load_agent(ours.pull("ada/mouse", name="b")).game == "maze"
+    assert astray.load_agent(ours.pull("ada/mouse", revision=first, name="c")).game == "maze"
+    with pytest.raises(FileNotFoundError, match="ada/mouse at v9 cannot be pulled: it has no such"):
+        ours.pull("ada/mouse", revision="v9", name="d")
+
+
+def test_private_repositories_need_a_token(server, monkeypatch):
+    ours.push(kept.find("maze-corner"), "ada/mouse", private=True)
+    assert server.repositories["ada/mouse"].private
+    monkeypatch.setenv("HF_TOKEN", READER)
+    ours.pull("ada/mouse", name="seen")
+    monkeypatch.setenv("HF_TOKEN", "hf_nobody")
+    with pytest.raises(FileNotFoundError, match=r"there is none, or it is private; .* HF_TOKEN"):
+        ours.pull("ada/mouse", name="unseen")
+
+
+def test_without_permission_nothing_is_pushed(server, monkeypatch):
+    monkeypatch.setenv("HF_TOKEN", READER)
+    with pytest.raises(PermissionError, match="cannot be pushed: the Hub says 403"):
+        ours.push(kept.find("maze-corner"), "ada/mouse")
+    assert not server.repositories
+
+
+def test_a_hub_without_room_says_so(server):
+    server.no_room = True
+    with pytest.raises(OSError, match="the Hub says 507"):
+        ours.push(kept.find("maze-corner"), "ada/mouse")
+    assert files(server) == {}
+
+
+def test_an_interrupted_download_goes_on_where_it_was(pushed, monkeypatch):
+    monkeypatch.setattr("time.sleep", lambda _: None)  # of the library's, between its tries
+    size = len(files(pushed)[WEIGHTS])
+    pushed.cut[WEIGHTS] = [size // 2] + [0] * 20
+    with pytest.raises(OSError, match=r"the connection failed .* the same command goes on"):
+        ours.pull("ada/mouse")
+    pushed.cut.clear()
+    assert (ours.pull("ada/mouse") / WEIGHTS).stat().st_size == size
+
+
+def one_byte_changed(data):
+    return data[:-1] + bytes([data[-1] ^ 1])
+
+
+@pytest.mark.parametrize("path", [WEIGHTS, "config.json", "README.md", "episode.gif"])
+def test_a_file_with_another_digest_is_refused_and_forgotten(pushed, tmp_path, path):
+    pushed.changed[path] = one_byte_changed(files(pushed)[path])
+    with pytest.raises(ValueError, match=f"{path} is refused: its SHA-256 is .*, not .* as digest"):
+        ours.pull("ada/mouse")
+    assert nothing_is_left(tmp_path)
+    pushed.changed.clear()
+    ours.pull("ada/mouse")  # the cache does not hold the wrong one
+
+
+def rewritten(server, changes):
+    """The repository with files changed, and digests.json to fit."""
+    there = files(server) | changes
+    digests = {"format": 1, "files": {
+        path: {"bytes": len(x), "sha256": hashlib.sha256(x).hexdigest()}
+        for path, x in there.items() if path != "digests.json"
+    }}  # fmt: skip
+    there["digests.json"] = changes.get("digests.json", json.dumps(digests).encode())
+    server.repositories["ada/mouse"].commit("main", there)
+
+
+def settings(server, **changes):
+    data = json.loads(files(server)["config.json"])
+    data["config"] |= changes
+    data["config"].pop("training_variant")
+    return json.dumps(data).encode()
+
+
+@pytest.mark.parametrize(
+    "changes, message",
+    [
+        (lambda s: {WEIGHTS: files(s)[WEIGHTS][:1000]}, "holds no agent that can be used"),
+        (lambda s: {WEIGHTS: b"\x80\x04cos\nsystem\n"}, "holds no agent that can be used"),
+        (lambda s: {"config.json": b"[]"}, "is not the settings of a run"),
+        (lambda s: {"config.json": settings(s, game="coinrun", variant="coin-end",
+                                            validation=None)},
+         "of the game 'maze', not of 'coinrun'"),
+        (lambda s: {"config.json": settings(s, variant="corner", validation=None)},
+         r"its network must see \(4, 25, 25\) and have 15 actions; got \(4, 7, 7\)"),
+        (lambda s: {"evil.py": b"import os"}, "must name an agent's files; got 'evil.py'"),
+        (lambda s: {"../escape": b""}, "must name an agent's files; got '../escape'"),
+        (lambda s: {"digests.json": b"{"}, "digests.json is not as astray writes it"),
+        (lambda s: {"digests.json": b'{"format": 2}'}, "must be an object of format 1"),
+        (lambda s: {"digests.json": b'{"format": 1, "files": {}}'}, "must name config.json"),
+    ],
+)  # fmt: skip
+def test_what_is_no_agent_is_refused(pushed, tmp_path, changes, message):
+    rewritten(pushed, changes(pushed))
+    with pytest.raises(ValueError, match=message):
+        ours.pull("ada/mouse")
+    assert nothing_is_left(tmp_path)
+
+
+def test_only_promised_files_are_asked_for(pushed):
+    pushed.repositories["ada/mouse"].commit("main", files(pushed) | {"evil.bin": b"x"})
+    pushed.requests.clear()
+    ours.pull("ada/mouse")
+    assert not [request for request in pushed.requests if "evil" in request]
+
+
+def test_a_file_too_large_to_be_ours_is_not_downloaded(pushed, monkeypatch):
+    monkeypatch.setattr(ours, "LARGEST", 100)
+    pushed.requests.clear()
+    with pytest.raises(ValueError, match=r"digests.json must be of at most 100 bytes; it has"):
+        ours.pull("ada/mouse")
+    assert not [r for r in pushed.requests if r.startswith("GET") and "resolve" in r]
+
+
+def test_a_full_disk_leaves_nothing(pushed, tmp_path, monkeypatch):
+    def full(*_):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(ours.shutil, "copyfile", full)
+    with pytest.raises(OSError, match="No space left on device"):
+        ours.pull("ada/mouse")
+    assert nothing_is_left(tmp_path)
+
+
+def test_without_a_network_the_cache_is_enough(pushed, monkeypatch, tmp_path):
+    ours.pull("ada/mouse", name="first")
+    commit = pushed.repositories["ada/mouse"].branches["main"]
+    pushed.requests.clear()
+    assert ours.pull("ada/mouse", name="second", offline=True).is_dir()
+    assert ours.pull("ada/mouse", name="third", revision=commit, offline=True).is_dir()
+    assert pushed.requests == []
+    at("http://127.0.0.1:9", monkeypatch)  # where nobody listens
+    monkeypatch.setattr("time.sleep", lambda _: None)
+    assert ours.pull("ada/mouse", name="fourth").is_dir()
+    with pytest.raises(OSError, match="cannot be reached, and the cache does not have all of it"):
+        ours.pull("ada/other")
+    with pytest.raises(OSError, match="cannot be reached, and the cache does not have all of it"):
+        ours.pull("ada/other", offline=True)
+
+
+def test_a_name_that_is_taken_is_told_before_anything_is_asked(pushed):
+    ours.pull("ada/mouse")
+    pushed.requests.clear()
+    with pytest.raises(ValueError, match=r"there is an agent 'mouse' already, .* see --as"):
+        ours.pull("ada/mouse")
+    with pytest.raises(ValueError, match="an agent's name is of a-z"):
+        ours.pull("ada/mouse", name="../x")
+    with pytest.raises(ValueError, match="a repository must be USER/NAME"):
+        ours.pull("mouse")
+    assert pushed.requests == []
+
+
+def test_agents_of_others_are_not_pushed(pushed, tmp_path):
+    run = ours.pull("ada/mouse")
+    with pytest.raises(ValueError, match="was brought from elsewhere"):
+        ours.push(run, "eve/mouse")
+    shutil.copytree(kept.find("maze-corner"), tmp_path / "theirs")
+    write_aside(tmp_path / "theirs" / "origin.json", b"{}")
+    with pytest.raises(ValueError, match="was brought from elsewhere"):
+        ours.push(tmp_path / "theirs", "eve/mouse")
+
+
+def test_verbs_push_and_pull(server, astray):
+    said = astray("push", "maze-corner", "ada/mouse")
+    assert said.startswith(f"{server.address}/ada/mouse at ")
+    assert astray("pull", "ada/mouse", "--as", "mine").strip().endswith("mine")
+    assert '"mine"' in astray("list", "--json")
+    assert "cannot be pulled: there is none" in astray("pull", "ada/nothing", fails=True)

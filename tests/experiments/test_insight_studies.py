@@ -1,0 +1,68 @@
+"""Studies that look into agents run whole on the kept ones, in miniature."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import polars as pl
+import pytest
+
+from astray.estimate import Estimate
+from astray.experiments import catalogue, run
+from astray.experiments.claims import holds_within
+from astray.experiments.studies.insight import choice, retargeting
+from astray.experiments.studies.insight._plans import of_levels
+from astray.insight.retarget import AS_IS, MOVED
+
+LEVELS = {"cheese-vector": 12, "retargeting": 34, "decodable": 24, "choice": 1500}
+
+
+@pytest.mark.parametrize("name", LEVELS)
+def test_studies_of_kept_agents_run_in_miniature(name, tmp_path):
+    whole = catalogue.load(name)
+    small = replace(whole, sizes={"smoke": replace(whole.sizes["smoke"], levels=LEVELS[name])})
+    page = run.reproduce(small, "smoke", tmp_path)
+    found = json.loads((page.parent / "findings.json").read_text())
+    claims = found["claims"]
+    assert claims and all("holds where the interval is" in one["ours"] for one in claims)
+    assert "nan" not in found["answer"], found["answer"]
+    figures = {path.stem for path in (page.parent / "figures").iterdir()}
+    assert figures and (page.parent / "figures" / f"{min(figures)}.png").stat().st_size > 5000
+    assert not list(tmp_path.glob("agents/*")), "nothing is trained"
+
+
+def test_a_claim_holds_only_where_its_whole_interval_does():
+    low = holds_within("c", "p", "w", estimate(0.2, 0.3), (0.1, 0.25))
+    high = holds_within("c", "p", "w", estimate(0.2, 0.3), (0.1, 0.35))
+    assert (low.held, high.held) == (False, True)
+    assert "between 0.1 and 0.35" in high.ours
+    assert holds_within("c", "p", "w", estimate(0.2, 0.3), (0.1, np.inf)).ours.endswith("above 0.1")
+    assert holds_within("c", "p", "w", estimate(0.2, 0.3), (-np.inf, 0.1)).held is False
+
+
+def estimate(low, high):
+    return Estimate((low + high) / 2, low, high, 1, 10, 10)
+
+
+def test_differences_are_of_the_same_levels():
+    rows = pl.DataFrame({
+        "level": [0, 1, 2, 0, 2], "condition": ["a", "a", "a", "b", "b"],
+        "at": [0.5, 0.9, None, 0.1, 0.3],
+    })  # fmt: skip
+    assert of_levels(rows, "at", "a").mean == pytest.approx(0.7)
+    assert of_levels(rows, "at", "a", minus="b").mean == pytest.approx(0.4)
+    assert of_levels(rows, "at", "a", minus="b").levels == 1
+
+
+def test_paths_are_means_of_levels_not_of_targets():
+    rows = pl.DataFrame({
+        "level": [0, 0, 0, 1] * 2, "how": [AS_IS] * 4 + [MOVED] * 4,
+        "path": [0.1, 0.1, 0.1, 0.5, 0.3, 0.3, 0.3, 0.9],
+    })  # fmt: skip
+    assert retargeting.of_levels(rows, AS_IS).mean == pytest.approx(0.3)
+    assert retargeting.of_levels(rows, MOVED, AS_IS).mean == pytest.approx(0.3)
+
+
+def test_the_published_features_are_ones_that_mazes_have():
+    table = choice.level_features("maze", "anywhere-easy", range(3))
+    assert set(choice.PUBLISHED) <= set(table.columns)

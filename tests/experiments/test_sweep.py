@@ -1,0 +1,142 @@
+"""Sweeps: what is set, what is trained once, and what the outcomes are of."""
+
+from dataclasses import replace
+
+import polars as pl
+import pytest
+
+from astray.analysis.outcomes import MISGENERALIZED
+from astray.experiments import run as experiment_run
+from astray.experiments import sweep as sweeping
+from astray.experiments.sweep import Sweep, axes, run_sweep
+from astray.experiments.workers import train_all
+from astray.training.loop import train
+from helpers.trainings import TINY
+
+BASE = replace(TINY, knobs={}, steps=512)
+TWO = {"learning_rate": [1e-4, 5e-4], "variant.time_limit": [20, 40]}
+
+
+@pytest.fixture
+def trained(monkeypatch):
+    """The runs that a sweep trains, in this process."""
+    runs = []
+
+    def train_here(todo, workers=None, on="here", track=None):
+        for run, config in todo.items():
+            if not run.exists():
+                runs.append(config)
+                train(config, run, progress=False)
+
+    monkeypatch.setattr(sweeping, "train_all", train_here)
+    return runs
+
+
+def test_texts_are_settings_and_their_values():
+    assert axes(["lr=1e-4,5e-4", "variant.region=1,3", "anneal=true,False", "variant=a,b-1"]) == {
+        "learning_rate": [1e-4, 5e-4], "variant.region": [1, 3], "anneal": [True, False],
+        "variant": ["a", "b-1"],
+    }  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    "given, message",
+    [
+        (["lr"], "a sweep sets NAME=VALUE"),
+        (["lr="], "a sweep sets NAME=VALUE"),
+        (["lr=1", "learning_rate=2"], "once for each name"),
+        (["seed=1,2"], "unknown setting 'seed'; there are: game, variant"),
+        (["colour=red"], "unknown setting 'colour'"),
+        (["variant.colour=1"], "unknown knob 'colour'; there are"),
+        (["variant=nowhere"], "unknown variant 'nowhere'"),
+        (["width=8,8"], "width must take each value once"),
+        (["width=wide"], "width is 'wide'; it is a int"),
+        ([], "must set something"),
+    ],
+)
+def test_what_cannot_be_swept_is_told_before_anything_is_trained(given, message):
+    with pytest.raises(ValueError, match=message):
+        Sweep(BASE, axes(given))
+
+
+def test_cells_are_all_combinations():
+    cells = Sweep(BASE, TWO).cells()
+    assert list(cells) == [(1e-4, 20), (1e-4, 40), (5e-4, 20), (5e-4, 40)]
+    assert cells[5e-4, 40].learning_rate == 5e-4 and cells[5e-4, 40].knobs == {"time_limit": 40}
+
+
+def test_outcomes_are_of_all_agents_and_repeat_what_an_evaluation_says(trained, tmp_path):
+    page = run_sweep(Sweep(BASE, TWO, seeds=2, levels=20), tmp_path)
+    assert len(trained) == 8 and page == tmp_path / "report.html"
+    outcomes = pl.read_parquet(tmp_path / "outcomes.parquet")
+    mine = outcomes.filter(policy="sampled")
+    counts = mine.group_by(*TWO, "seed", "test").len()
+    assert len(counts) == 16 and set(counts["len"]) == {20}
+    one = replace(BASE, learning_rate=5e-4, knobs={"time_limit": 40}, seed=1)
+    of_run = mine.filter(pl.col("run") == str(experiment_run.run_folder(tmp_path, one)))
+    assert of_run.select(*TWO, "seed").unique().rows() == [(5e-4, 40, 1)]
+    again = sweeping.play_all(
+        one.find_game(), "anywhere-small", one.variant_for("anywhere-small"), "corner-small",
+        range(one.unseen_levels.start, one.unseen_levels.start + 20),
+        [sweeping.open_run(experiment_run.run_folder(tmp_path, one))[0]],
+    ).filter(policy="sampled")  # fmt: skip
+    tested = of_run.filter(test="in the test")
+    assert tested["outcome"].to_list() == again["outcome"].to_list()
+    share = pl.read_csv(tmp_path / "shares.csv").filter(
+        pl.col("learning_rate") == 5e-4, pl.col("variant.time_limit") == 40,
+        policy="sampled", test="in the test", outcome=MISGENERALIZED,
+    )  # fmt: skip
+    part = mine.filter(pl.col("learning_rate") == 5e-4, pl.col("variant.time_limit") == 40,
+                       test="in the test")  # fmt: skip
+    assert share["mean"][0] == pytest.approx((part["outcome"] == MISGENERALIZED).mean())
+    assert share["agents"][0] == 2
+    figures = [path.name for path in (tmp_path / "figures").glob("*.png")]
+    assert figures == ["learning-rate-variant-time-limit.png"]
+
+
+def test_a_sweep_goes_on_and_takes_more_values(trained, tmp_path, monkeypatch):
+    small = {"learning_rate": [1e-4, 5e-4]}
+    run_sweep(Sweep(BASE, small, levels=5), tmp_path)
+    first = pl.read_parquet(tmp_path / "outcomes.parquet")
+    played = []
+    play_all = sweeping.play_all
+    monkeypatch.setattr(sweeping, "play_all", lambda *a: played.append(a[-1]) or play_all(*a))
+    run_sweep(Sweep(BASE, small, levels=5), tmp_path)
+    assert len(trained) == 2 and not played
+    assert pl.read_parquet(tmp_path / "outcomes.parquet").equals(first)
+    run_sweep(Sweep(BASE, {"learning_rate": [1e-4, 5e-4, 1e-3]}, levels=5), tmp_path)
+    assert len(trained) == 3 and len(played) == 2
+    assert (tmp_path / "figures" / "learning-rate.png").exists()
+
+
+def test_three_settings_have_a_figure_for_each_pair(trained, tmp_path):
+    run_sweep(Sweep(BASE, TWO | {"gamma": [0.9, 0.8], "clip": [0.3]}, levels=3), tmp_path)
+    names = {path.stem for path in (tmp_path / "figures").glob("*.png")}
+    assert names == {"learning-rate-variant-time-limit", "learning-rate-gamma",
+                     "variant-time-limit-gamma"}  # fmt: skip
+
+
+def test_a_knob_that_the_test_cannot_have_changes_the_training_alone():
+    base = replace(BASE, validation=None)
+    swept = Sweep(base, axes(["variant.placement=region", "variant.region=1,3",
+                              "variant.time_limit=30"]))  # fmt: skip
+    for cell, config in swept.cells().items():
+        tested = sweeping.tested_variant(config, "anywhere-small")
+        assert config.training_variant().region == cell[1] and tested.time_limit == 30
+        assert tested.with_knobs({"time_limit": 100}) == config.find_game().variant(
+            "anywhere-small")  # fmt: skip
+
+
+def test_the_verb_trains_in_processes(astray, tmp_path):
+    words = [
+        "sweep", "maze", "corner-small", "--steps", "512", "--num-envs", "16", "--num-steps",
+        "16", "--minibatches", "4", "--width", "16", "--set", "lr=1e-4,5e-4", "--set",
+        "variant.time_limit=20,30", "--test-levels", "5", "--folder", tmp_path / "sweep",
+    ]  # fmt: skip
+    assert astray(*words).strip() == str(tmp_path / "sweep" / "report.html")
+    assert len(list((tmp_path / "sweep" / "agents").glob("*/seed-0/config.json"))) == 4
+    assert "unknown setting 'colour'" in astray(*words, "--set", "colour=1", fails=True)
+
+
+def test_trainings_are_those_of_the_workers():
+    assert sweeping.train_all is train_all

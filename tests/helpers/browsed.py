@@ -1,0 +1,108 @@
+"""A browser that the system has, and servers of the lab for it."""
+
+import functools
+import http.server
+import shutil
+import socket
+import threading
+import time
+from contextlib import contextmanager
+
+import pytest
+
+NAMES = ("chromium", "chromium-browser", "google-chrome", "chrome")
+PATIENCE = 60  # seconds until a page shows what is waited for; machines may be busy
+TOKEN = "a-token-that-nobody-guesses"
+
+
+def chromium():
+    """The path of the system's Chromium, or a skip with the reason."""
+    pytest.importorskip("playwright", reason="playwright is not installed")
+    found = [path for path in map(shutil.which, NAMES) if path]
+    if not found:
+        pytest.skip(f"there is no browser: none of {', '.join(NAMES)}")
+    return found[0]
+
+
+@contextmanager
+def browser():
+    from playwright.sync_api import sync_playwright
+
+    path = chromium()
+    with sync_playwright() as playwright:
+        shown = playwright.chromium.launch(executable_path=path, args=["--no-sandbox"])
+        yield shown
+        shown.close()
+
+
+def wait(page, expression):
+    """Wait until an expression is true; the page's policy bars `wait_for_function`."""
+    end = time.monotonic() + PATIENCE
+    while not page.evaluate(f"Boolean({expression})"):
+        assert time.monotonic() < end, f"still not so: {expression}"
+        page.wait_for_timeout(30)
+
+
+@contextmanager
+def opened(browser, address, **options):
+    """A page of the lab, ready; what it writes to the console is in its `told`."""
+    context = browser.new_context(**options)
+    page, told = context.new_page(), []
+    page.on("console", lambda message: told.append(message.text))
+    page.on("pageerror", lambda error: told.append(str(error)))
+    page.goto(address)
+    wait(page, "globalThis.lab?.ready && lab.fields.size > 0")
+    yield page, told
+    context.close()
+
+
+@contextmanager
+def folder_served(folder):
+    """The address of a folder's files."""
+    handler = functools.partial(Quiet, directory=str(folder))
+    server = http.server.ThreadingHTTPServer(("127.0.0.1", 0), handler)
+    thread = threading.Thread(target=server.serve_forever)
+    thread.start()
+    try:
+        yield f"http://127.0.0.1:{server.server_address[1]}/"
+    finally:
+        server.shutdown()
+        thread.join()
+        server.server_close()
+
+
+class Quiet(http.server.SimpleHTTPRequestHandler):
+    def log_message(self, *_):
+        pass
+
+
+def free_port():
+    with socket.socket() as found:
+        found.bind(("127.0.0.1", 0))
+        return found.getsockname()[1]
+
+
+@contextmanager
+def lab_served(lab, port=None):
+    """The address of a lab that runs in a thread of this process."""
+    import uvicorn
+
+    from astray.lab.server import make_app
+
+    port = port or free_port()
+    config = uvicorn.Config(
+        make_app(lab, TOKEN, port), host="127.0.0.1", port=port, log_level="error",
+        lifespan="off", ws="websockets-sansio", timeout_graceful_shutdown=1,
+    )  # fmt: skip
+    server = uvicorn.Server(config)
+    thread = threading.Thread(target=server.run)
+    thread.start()
+    end = time.monotonic() + PATIENCE
+    while not server.started:
+        assert thread.is_alive() and time.monotonic() < end
+        time.sleep(0.02)
+    try:
+        yield f"http://127.0.0.1:{port}/{TOKEN}/"
+    finally:
+        server.should_exit = True
+        thread.join()

@@ -1,0 +1,66 @@
+"""Predictions of outcomes beside outcomes whose cause is known."""
+
+import numpy as np
+import polars as pl
+import pytest
+
+from astray import games
+from astray.insight.behaviour import level_features, predict, variance_inflation
+
+
+@pytest.fixture(scope="module")
+def caused():
+    """Outcomes that one feature causes, a second shares much with, and a third has no part in."""
+    random = np.random.default_rng(0)
+    cause = random.normal(size=1500)
+    alike = cause + 0.3 * random.normal(size=1500)
+    other = random.normal(size=1500)
+    outcome = random.random(1500) < 1 / (1 + np.exp(2 * cause))
+    return pl.DataFrame({"cause": cause, "alike": alike, "other": other, "outcome": outcome})
+
+
+def test_the_cause_is_found_and_the_rest_is_not(caused):
+    found = predict(caused, "outcome", ["cause", "alike", "other"])
+    of = {row["feature"]: row for row in found.features.to_dicts()}
+    assert of["cause"]["high"] < -1 and of["other"]["low"] < 0 < of["other"]["high"]
+    assert of["cause"]["sign"] == 1
+    assert found.auc.low > 0.8 and found.accuracy.low > found.always
+    assert of["other"]["alone"] < 0.56 < 0.75 < of["alike"]["alone"]
+    assert found.levels == 1500 and found.accuracy.levels == 1500
+
+
+def test_variance_inflation_is_one_over_what_others_leave(caused):
+    x = caused.select("cause", "alike", "other").to_numpy()
+    found = variance_inflation(x)
+    for k in range(3):
+        others = np.column_stack([np.delete(x, k, 1), np.ones(len(x))])
+        left = x[:, k] - others @ np.linalg.lstsq(others, x[:, k], rcond=None)[0]
+        assert found[k] == pytest.approx(x[:, k].var() / left.var())
+    twice = np.column_stack([x, x[:, 0] + x[:, 2]])
+    assert np.isinf(variance_inflation(twice)[[0, 2, 3]]).all()
+    assert variance_inflation(twice)[1] == pytest.approx(found[1], rel=1e-3)
+
+
+def test_what_cannot_be_predicted_is_told(caused):
+    with pytest.raises(ValueError, match="no column nothing; there are"):
+        predict(caused, "outcome", ["nothing"])
+    with pytest.raises(ValueError, match="it is true in 0 of 1500"):
+        predict(caused.with_columns(outcome=pl.lit(False)), "outcome", ["cause"])
+    with pytest.raises(ValueError, match="features must vary; flat is the same in all levels"):
+        predict(caused.with_columns(flat=pl.lit(1.0)), "outcome", ["cause", "flat"])
+
+
+def test_features_of_levels_are_a_row_each_and_null_where_ways_do_not_part():
+    table = level_features("maze", "anywhere-small", range(200_000, 200_300))
+    assert table["level"].to_list() == list(range(200_000, 200_300))
+    steps, straight = (table[f"cheese to decision square, {how}"] for how in ("steps", "straight"))
+    assert 100 < steps.null_count() < 250 and steps.null_count() == straight.null_count()
+    both = table.drop_nulls()
+    assert (both["cheese to corner, steps"] >= both["cheese to corner, straight"] - 1e-9).all()
+    parted = both["cheese to decision square, steps"] + both["corner to decision square, steps"]
+    assert (parted == both["cheese to corner, steps"]).all(), "mazes have no loops"
+
+
+def test_a_game_without_features_says_so():
+    with pytest.raises(ValueError, match="'coinrun' has no features of levels"):
+        level_features(games.find("coinrun"), "coin-end", range(3))

@@ -1,0 +1,91 @@
+"""The page about an agent in a level, and an episode from within."""
+
+import re
+
+import numpy as np
+import polars as pl
+import pytest
+
+from astray import games, load_agent
+from astray.analysis import kept
+from astray.analysis.critic import judge, observe
+from astray.analysis.evaluate import evaluate
+from astray.insight.episode import along, figure
+
+
+def test_a_course_is_the_episode_that_is_played():
+    runner = load_agent(kept.find("coin-end"))
+    course = along(runner, "coin-anywhere", 200_003, gamma=0.9, lam=0.8)
+    played = evaluate(runner, "coinrun", "coin-anywhere", [200_003]).row(0, named=True)
+    table = course.table
+    assert len(table) == played["length"] and table["reward"].sum() == played["return"]
+    assert course.events == {name: played[name] for name in course.events}
+    policy, value = judge(runner, observe(runner, "coin-anywhere", course.states))
+    assert table["value"].to_numpy() == pytest.approx(value)
+    assert table.select(course.actions).to_numpy() == pytest.approx(policy)
+    assert course.marks == ("coin in view", "end wall in view", "hazard ahead")
+    assert table["end wall in view"].any() and not table["end wall in view"].all()
+
+
+def test_advantages_are_the_discounted_sum_of_surprises():
+    runner = load_agent(kept.find("coin-end"))
+    table = along(runner, "coin-end", 200_001, gamma=0.9, lam=0.8).table
+    value, reward = table["value"].to_numpy(), table["reward"].to_numpy()
+    assert reward[-1] > 0, "the coin ends the episode"
+    surprise = reward + 0.9 * np.append(value[1:], 0.0) - value
+    expected = [sum(0.72**k * d for k, d in enumerate(surprise[t:])) for t in range(len(value))]
+    assert table["advantage"].to_numpy() == pytest.approx(expected, abs=1e-4)
+
+
+def test_the_figure_of_an_episode_has_its_marks():
+    runner = load_agent(kept.find("coin-end"))
+    course = along(runner, "coin-end", 200_001)
+    shown = figure(course)
+    assert [tick.get_text() for tick in shown.axes[3].get_yticklabels()] == list(course.marks)
+    with pytest.raises(ValueError, match="marks must be true or false; level are not"):
+        along(runner, "coin-end", 200_001, marks={"level": lambda s: s["level"]})
+
+
+def test_explain_writes_one_page_that_needs_nothing_else(astray, tmp_path):
+    path = astray("explain", "maze-corner", "--level", 200_003, "--others", 60, "--out", tmp_path)
+    page = (tmp_path / "explain.html").read_text()
+    assert path.strip() == str(tmp_path / "explain.html")
+    headings = re.findall("<h2>(.*?)</h2>", page)
+    for heading in ("Where it would go", "With the goal anywhere else", "What its layers tell",
+                    "What the value depends on", "What it is after", "Its episode"):  # fmt: skip
+        assert heading in headings
+    assert "Not told here" not in page
+    assert page.count("data:image/png;base64,") == 6 and 'src="http' not in page
+    field = pl.read_parquet(tmp_path / "field.parquet")
+    assert field.select(games.find("maze").actions).sum_horizontal().to_numpy() == pytest.approx(1)
+    probes = pl.read_parquet(tmp_path / "probes.parquet")
+    assert probes["label"].unique().len() == 8 and (probes["score"] <= 1).all()
+    goals = pl.read_parquet(tmp_path / "goals.parquet")
+    assert goals["posterior"].sum() == pytest.approx(1)
+    assert (tmp_path / "field.svg").exists()
+
+
+def test_what_a_game_does_not_have_is_told_in_its_place(astray, tmp_path):
+    astray("explain", "coin-end", "--others", 20, "--out", tmp_path)
+    page = (tmp_path / "explain.html").read_text()
+    assert "has no cells, which this needs" in page and "<h2>Its episode</h2>" in page
+    course = pl.read_parquet(tmp_path / "episode.parquet")
+    assert course["step"].to_list() == list(range(len(course)))
+
+
+def test_mistakes_are_told_before_anything_is_written(astray, tmp_path):
+    out = tmp_path / "out"
+    said = astray("explain", "maze-corner", "--layers", "nowhere", "--out", out, fails=True)
+    assert "unknown layer 'nowhere'; there are: spread" in said
+    assert "others must be an integer" in astray(
+        "explain", "maze-corner", "--others", 1, fails=True
+    )
+    assert not (out / "explain.html").exists()
+
+
+def test_a_drawn_level_is_explained(astray, tmp_path):
+    drawing = astray("level", "maze", "anywhere-small", "--numbers", 200_005, "--text")
+    (tmp_path / "level.txt").write_text(drawing)
+    astray("explain", "maze-corner", "--level-file", tmp_path / "level.txt", "--others", 20,
+           "--out", tmp_path)  # fmt: skip
+    assert drawing.strip() in (tmp_path / "explain.html").read_text()

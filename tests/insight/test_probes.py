@@ -1,0 +1,180 @@
+"""Probes beside what is known to be there, and known not to be."""
+
+import sys
+
+import numpy as np
+import polars as pl
+import pytest
+
+from astray import games, load_agent
+from astray.analysis import kept
+from astray.analysis.episodes import initial_states
+from astray.games.coinrun import measures as coin_measures
+from astray.games.keys import rules
+from astray.games.maze import measures
+from astray.insight import probes
+from astray.insight.fields import splay
+from astray.level import Level
+
+MAZE, COINRUN = games.find("maze"), games.find("coinrun")
+SMALL = MAZE.variant("anywhere-small")
+
+
+@pytest.fixture(scope="module")
+def mouse():
+    return load_agent(kept.find("maze-corner"))
+
+
+@pytest.fixture(scope="module")
+def states():
+    return initial_states("maze", SMALL, range(200_000, 200_400))
+
+
+def test_a_linear_truth_is_read_and_noise_is_not():
+    random = np.random.default_rng(0)
+    x = random.normal(size=(600, 40)).astype(np.float32)
+    learn = np.arange(600) % 3 > 0
+    assert probes.fit(x, (x[:, 0] > 0).astype(int), learn, 0) > 0.9
+    assert 0.35 < probes.fit(x, random.integers(0, 2, 600), learn, 0) < 0.65
+    assert probes.fit(x, 3 * x[:, 1] - x[:, 2], learn, 0) > 0.99
+    assert probes.fit(x, random.normal(size=600), learn, 0) < 0.1
+
+
+def test_a_layer_in_which_nothing_varies_tells_what_is_known_without_looking():
+    flat, learn = np.ones((90, 5), np.float32), np.arange(90) % 2 > 0
+    assert probes.fit(flat, np.arange(90) % 3, learn, 0) == pytest.approx(1 / 3)
+    assert probes.fit(flat, np.arange(90.0), learn, 0) == 0
+
+
+def test_no_level_is_in_both_parts_of_a_split():
+    levels = np.repeat(np.arange(50), 4)
+    learn = probes.split(levels, 3)
+    assert not set(levels[learn]) & set(levels[~learn])
+    assert len(set(levels[~learn])) == 15
+    assert (learn != probes.split(levels, 4)).any()
+    with pytest.raises(ValueError, match="at least two levels"):
+        probes.split(np.zeros(5, int), 0)
+
+
+def test_probes_find_the_cheese_in_the_observation_and_not_in_shuffled_labels(mouse, states):
+    labels = {"cheese right": MAZE.labels["cheese right"],
+              "corner direction": MAZE.labels["corner direction"]}  # fmt: skip
+    found = probes.probe(mouse, SMALL, states, ["features.relu1"], labels, seeds=2)
+    assert found.height == 2 * 2 * 2
+    seen = found.filter(label="cheese right", layer=probes.SEEN)
+    assert (seen["score"] > 0.3).all() and (seen["shuffled"] < 0.15).all()
+    assert seen["untrained"].null_count() == 2
+    inner = found.filter(label="corner direction", layer="features.relu1")
+    assert (inner["score"] > inner["chance"] + 0.2).all()
+    assert (inner["score"] - inner["shuffled"] == inner["selectivity"]).all()
+    table = probes.summary(found)
+    row = table.filter(label="cheese right", layer="features.relu1").row(0, named=True)
+    scores = found.filter(label="cheese right", layer="features.relu1")["score"]
+    assert row["score"] == pytest.approx(scores.mean())
+    assert row["score low"] <= row["score"] <= row["score high"]
+
+
+def test_an_untrained_network_is_another_of_the_same_shape(mouse):
+    one, other, again = (probes.untrained(mouse, seed) for seed in (0, 1, 0))
+    first, second, third = (a.network.features.linear1.weight for a in (one, other, again))
+    assert first.shape == mouse.network.features.linear1.weight.shape
+    assert (first == third).all() and (first != second).any()
+    assert (mouse.network.features.linear1.weight != first).any()
+
+
+def test_what_has_no_label_does_not_count(mouse, states):
+    def sometimes(s):
+        return np.where(s["level"] % 2 == 0, s["goal_x"].astype(float), np.nan)
+
+    def classes(s):
+        return np.where(s["level"] % 4 == 0, -1, s["level"] % 2)
+
+    found = probes.probe(mouse, SMALL, states, ["features.relu2"],
+                         {"sometimes": sometimes, "classes": classes}, seeds=1)  # fmt: skip
+    told = found.filter(layer="features.relu2")
+    assert dict(zip(told["label"], told["states"], strict=True)) == {
+        "sometimes": 200, "classes": 300,
+    }  # fmt: skip
+    with pytest.raises(ValueError, match="no label of never has two classes"):
+        probes.probe(mouse, SMALL, states, ["features.relu2"], {"never": lambda s: s["level"] < 0})
+
+
+def test_a_reading_stands_beside_the_truth(mouse, states):
+    table = probes.read(mouse, SMALL, states, states[:1], ["features.relu1"], MAZE.labels)
+    row = table.filter(label="cheese steps").row(0, named=True)
+    assert row["true"] == measures.steps(states[:1], "cheese")[0]
+    assert set(table.columns) == {"label", "layer", "read", "true", "score"}
+
+
+def test_without_scikit_learn_it_is_told_what_to_install(mouse, states, monkeypatch):
+    monkeypatch.setitem(sys.modules, "sklearn", None)
+    with pytest.raises(ImportError, match=r"pip install 'astray\[insight\]'"):
+        probes.probe(mouse, SMALL, states, ["features.relu1"], MAZE.labels)
+
+
+ROOM = """
+    .....#G
+    .###.#.
+    .#...#.
+    .#.###.
+    .#.....
+    .####.#
+    @......
+"""
+
+
+def test_labels_of_mazes_are_where_things_are():
+    level = Level.from_text(MAZE, SMALL, ROOM.replace("#G", "#.").replace(".#...#.", ".#G..#."))
+    at = {tuple(np.floor([s["x"], s["y"]]).astype(int)): s for s in splay(level)}
+    s = np.array([at[6, 6]])
+    assert measures.offset(s, "cheese", 0)[0] == -4 and measures.offset(s, "cheese", 1)[0] == -2
+    assert measures.steps(s, "corner")[0] == 0
+    assert measures.direction(s, "corner")[0] == measures.NONE
+    assert measures.direction(s, "cheese")[0] == 2, "down"
+    gone = np.array([level.removed("goal").state(solvable=False)], MAZE.state)
+    assert np.isnan(measures.steps(gone, "cheese")[0]) and measures.direction(gone, "cheese") == -1
+
+
+def test_ways_part_in_the_decision_square():
+    level = Level.from_text(MAZE, SMALL, ROOM.replace("#G", "#.").replace(".#.....", ".#....G"))
+    s = level.state()
+    assert measures.way(s, "cheese")[-1] == (6, 2) and measures.decision(s) is None
+    apart = Level.from_text(MAZE, SMALL, ROOM.replace("#G", "#.").replace("@......", "@.....G"))
+    s = np.array([apart.state()], MAZE.state)
+    assert measures.decision(apart.state()) == (5, 0)
+    found = {name: value[0] for name, value in measures.features(s).items()}
+    assert found["cheese to decision square, steps"] == 1
+    assert found["start to decision square, steps"] == 5
+    assert found["cheese to corner, straight"] == 6
+    assert found["corner to decision square, straight"] == pytest.approx(np.hypot(1, 6))
+    assert found["cheese to 5 x 5 corner, straight"] == 2
+
+
+def test_labels_of_coinrun_are_what_is_in_view():
+    states = initial_states("coinrun", "coin-anywhere", range(200))
+    seen = coin_measures.coin_in_view(states)
+    right, up = (coin_measures.coin_offset(states, axis) for axis in "xy")
+    assert (np.isfinite(right) == seen).all() and (np.isfinite(up) == seen).all()
+    k = int(np.flatnonzero(seen)[0])
+    s = states[k]
+    assert right[k] == pytest.approx(s["coin_x"] + 0.5 - s["x"])
+    wall = coin_measures.wall_in_view(states)
+    assert (coin_measures.to_wall(states)[wall] < 7).all()
+    calm = initial_states("coinrun", "coin-end-calm", range(20))
+    states["x"], calm["x"] = 12.5, 12.5
+    assert not coin_measures.hazard_ahead(calm).any()
+    assert 0 < coin_measures.hazard_ahead(states).mean() < 1
+    assert set(COINRUN.labels) >= {"coin in view", "end wall in view"}
+
+
+def test_the_nearest_key_is_told():
+    states = initial_states("keys", "many-keys", range(30))
+    near = games.find("keys").labels["nearest key"](states)
+    right = games.find("keys").labels["nearest key right"](states)
+    for s, quarter, dx in zip(states, near, right, strict=True):
+        keys = s["what"][: s["objects"]] == rules.KEY
+        away = np.stack([s["object_x"][: s["objects"]] - s["x"],
+                         s["object_y"][: s["objects"]] - s["y"]])[:, keys]  # fmt: skip
+        best = away[:, np.hypot(*away).argmin()]
+        assert dx == pytest.approx(best[0]) and quarter == (best[0] > 0) + 2 * (best[1] > 0)
+    assert isinstance(near, np.ndarray) and pl.Series(near).n_unique() > 1

@@ -1,0 +1,151 @@
+"""Vectors between sets of states, and what steering by them does, beside the same by hand."""
+
+import numpy as np
+import pytest
+
+from astray import games, load_agent
+from astray.analysis import kept
+from astray.analysis.critic import judge, observe
+from astray.analysis.episodes import initial_states
+from astray.insight.activations import activations, layers
+from astray.insight.fields import cell_of, fields
+from astray.insight.interventions import steer
+from astray.insight.vectors import (
+    Condition,
+    Vectors,
+    corner_vectors,
+    effects,
+    object_vectors,
+    pair_vectors,
+    set_vector,
+)
+from astray.level import Level
+
+MAZE = games.find("maze")
+SMALL = MAZE.variant("anywhere-small")
+NUMBERS = range(200_000, 200_012)
+LAYER = "features.relu1"
+
+
+@pytest.fixture(scope="module")
+def mouse():
+    return load_agent(kept.find("maze-corner"))
+
+
+@pytest.fixture(scope="module")
+def cheese(mouse):
+    return object_vectors(mouse, SMALL, NUMBERS, LAYER)
+
+
+def given(mouse, states):
+    return activations(mouse, observe(mouse, SMALL, states), [LAYER])[LAYER]
+
+
+def test_a_cheese_vector_is_with_less_without(mouse, cheese):
+    states = initial_states("maze", SMALL, NUMBERS)
+    without = [Level.of(MAZE, SMALL, s).removed("goal").state(solvable=False) for s in states]
+    expected = given(mouse, states) - given(mouse, np.array(without, MAZE.state))
+    assert (cheese.each == expected).all() and abs(expected).max() > 0.01
+    assert cheese.mean == pytest.approx(expected.mean(0))
+
+
+def test_a_corner_vector_is_with_the_corner_open_less_walled_up(mouse):
+    s = initial_states("maze", SMALL, [200_003])[0]
+    level = Level.of(MAZE, SMALL, s)
+    x, y = cell_of(level, "corner")
+    cells = {char: level.cells.copy() for char in ".#"}
+    for char, made in cells.items():
+        made[y, x] = MAZE.editing.LEGEND[char]
+    states = [Level(MAZE, SMALL, c, level.agent, level.looks).state(solvable=False)
+              for c in cells.values()]  # fmt: skip
+    one, other = given(mouse, np.array(states, MAZE.state))
+    assert (corner_vectors(mouse, SMALL, [200_003], LAYER).each[0] == one - other).all()
+
+
+def test_the_vector_between_two_sets_is_that_of_their_means(mouse):
+    states = initial_states("maze", SMALL, NUMBERS)
+    found = set_vector(mouse, SMALL, LAYER, states[:5], states[5:])
+    expected = given(mouse, states[:5]).mean(0) - given(mouse, states[5:]).mean(0)
+    assert found.each.shape == (1, 256) and found.mean == pytest.approx(expected, abs=1e-6)
+    with pytest.raises(ValueError, match="states must be pairs; got 5 and 7"):
+        pair_vectors(mouse, SMALL, LAYER, states[:5], states[5:])
+
+
+def test_norms_cosines_and_random_controls():
+    each = np.array([[3.0, 4.0], [0.0, 2.0], [-6.0, -8.0]], np.float32)
+    vectors = Vectors("layer", each)
+    assert vectors.norms.tolist() == [5, 2, 10]
+    assert vectors.cosines == pytest.approx(
+        np.array([[1, 0.8, -1], [0.8, 1, -0.8], [-1, -0.8, 1]]), abs=1e-6
+    )
+    assert vectors.alike() == pytest.approx((0.8 - 1 - 0.8) / 3)
+    random = vectors.random(3)
+    assert random.norms == pytest.approx(vectors.norms)
+    assert (random.each == vectors.random(3).each).all()
+    assert (random.each != vectors.random(4).each).any()
+
+
+def test_random_directions_are_equally_likely():
+    many = Vectors("layer", np.ones((4000, 3), np.float32)).random(0)
+    assert abs(many.each.mean(0)).max() < 0.06
+    assert many.each.var(0) == pytest.approx(1, abs=0.08)
+
+
+def test_effects_are_what_fields_say(mouse, cheese):
+    conditions = {
+        "plain": Condition(),
+        "own": Condition([cheese], -2.0),
+        "mean": Condition([cheese], -2.0, own=False),
+        "without": Condition(edit=lambda level: level.removed("goal")),
+    }
+    rows = effects(mouse, SMALL, NUMBERS, "cheese", conditions, places=100)
+    states = initial_states("maze", SMALL, NUMBERS)
+    level = Level.of(MAZE, SMALL, states[4])
+    to = cell_of(level, "cheese")
+
+    def expected(changed, vector=None):
+        if vector is None:
+            (field,) = fields(mouse, SMALL, {"one": changed})
+        else:
+            with steer(mouse, {LAYER: vector}, -2.0):
+                (field,) = fields(mouse, SMALL, {"one": changed})
+        return np.nanmean(field.towards(to)), field.towards(to)[field.places.number[level.agent]]
+
+    gone = level.removed("goal")
+    for name, (mean, start) in {
+        "plain": expected(level),
+        "own": expected(level, cheese.each[4]),
+        "mean": expected(level, cheese.mean),
+        "without": expected(gone),
+    }.items():
+        row = rows.filter(condition=name, level=4).row(0, named=True)
+        assert row["towards"] == pytest.approx(mean), name
+        assert row["start"] == pytest.approx(start), name
+    assert rows["towards"].n_unique() > len(NUMBERS)
+
+
+def test_fewer_places_are_drawn_from_all_and_the_beginning_is_first(mouse):
+    few = effects(mouse, SMALL, NUMBERS, "cheese", {"plain": Condition()}, places=1)
+    assert (few["towards"] == few["start"]).all() and (few["places"] == 1).all()
+    some = effects(mouse, SMALL, NUMBERS, "cheese", {"plain": Condition()}, places=5)
+    assert some["start"].to_list() == few["start"].to_list()
+    again = effects(mouse, SMALL, NUMBERS, "cheese", {"plain": Condition()}, places=5, seed=1)
+    assert (some["towards"] != again["towards"]).any()
+
+
+def test_the_level_of_no_goal_is_left_out_and_none_is_told(mouse):
+    level = Level.of(MAZE, SMALL, initial_states("maze", SMALL, [200_003])[0])
+    both = {"with": level, "without": level.removed("goal")}
+    rows = effects(mouse, SMALL, both, "cheese", {"plain": Condition()})
+    assert rows["level"].to_list() == [0]
+    with pytest.raises(ValueError, match="no level has a cell of the goal 'cheese'"):
+        effects(mouse, SMALL, {"none": both["without"]}, "cheese", {"plain": Condition()})
+
+
+def test_steering_by_its_vector_changes_value_and_policy(mouse, cheese):
+    states = initial_states("maze", SMALL, NUMBERS)
+    shown = observe(mouse, SMALL, states)
+    before = judge(mouse, shown)
+    with steer(mouse, {LAYER: cheese.mean}, 5.0):
+        after = judge(mouse, shown)
+    assert abs(after[0] - before[0]).max() > 0.01 and layers(mouse)[LAYER] == (256,)

@@ -1,0 +1,269 @@
+"""The lab in a real browser: what a person does there, and what is seen then."""
+
+import json
+
+import numpy as np
+import pytest
+
+pytest.importorskip("starlette", reason="starlette is not installed")
+
+from astray import games
+from astray.analysis.replay import replay
+from astray.analysis.runs import load_agent
+from astray.insight.fields import fields
+from astray.lab.notebook import LOADER, modules
+from astray.lab.serving import make_lab
+from astray.lab.session import Session
+from astray.level import Level
+from helpers.browsed import free_port, lab_served, opened, wait
+
+ROOM = "#######\n#....G#\n#.###.#\n#.#...#\n#.#.#.#\n#@....#\n#######"
+WIDTHS = {"laptop": (1280, 800), "tablet": (820, 1100), "phone": (390, 780)}
+
+
+@pytest.fixture(scope="module")
+def served():
+    with lab_served(make_lab("maze-corner", {})) as address:
+        yield address
+
+
+@pytest.fixture
+def page(chrome, served):
+    with opened(chrome, served) as (page, told):
+        yield page
+        assert not told  # on the console
+
+
+def show(page, level):
+    """Open a level, and wait for its arrows."""
+    assert page.evaluate("(level) => lab.open(level)", level)
+
+
+def drag(page, start, to):
+    """Drag what is in a cell to another one."""
+    where = """([x, y]) => {
+      const { left, low, rows } = lab.stage.frame;
+      const box = lab.part("world").getBoundingClientRect();
+      const cell = lab.stage.cell;
+      return [box.left + (x - left + 0.5) * cell, box.top + (rows + low - y - 0.5) * cell];
+    }"""
+    page.mouse.move(*page.evaluate(where, start))
+    page.mouse.down()
+    page.mouse.move(*page.evaluate(where, to), steps=4)
+    page.mouse.up()
+
+
+def arrows(page):
+    """What the page shows of each place: policy and value."""
+    return {
+        tuple(one["cell"]): (one["policy"], one["value"])
+        for one in page.evaluate("[...lab.fields.values()]")
+    }
+
+
+def expected(grid, agent):
+    game = games.find("maze")
+    data = {"grid": grid, "agent": [agent[0] + 0.5, agent[1] + 0.5]}
+    level = Level.from_json(game, game.variant("anywhere-small"), data)
+    (field,) = fields(load_agent("maze-corner"), "anywhere-small", {"": level})
+    return field
+
+
+@pytest.mark.parametrize("way", ["served", "static"])
+def test_the_cheese_is_dragged_and_the_arrows_are_python_s(chrome, request, way):
+    address = request.getfixturevalue(way)
+    with opened(chrome, address) as (page, told):
+        show(page, ROOM)
+        before = arrows(page)
+        page.context.set_offline(way == "static")  # from here on, without any network
+        drag(page, (5, 5), (5, 1))
+        wait(page, "lab.level.grid[1][5] === 2 && !lab.fields.has('5,1') && lab.fields.has('5,5')")
+        page.wait_for_timeout(200)
+        after, grid = arrows(page), page.evaluate("lab.level.grid")
+        assert grid[5][5] == 0 and not told
+    field = expected(grid, [1, 1])
+    assert set(after) == {tuple(cell) for cell in field.cells.tolist()}
+    for cell, policy, value in zip(field.cells.tolist(), field.policy, field.value, strict=True):
+        assert np.allclose(after[tuple(cell)][0], policy, atol=1e-5)
+        assert abs(after[tuple(cell)][1] - value) < 1e-5
+    assert any(
+        not np.allclose(before[c][0], after[c][0], atol=0.01) for c in set(before) & set(after)
+    )
+
+
+def test_a_wall_that_makes_the_cheese_unreachable_is_told_in_the_sentence_of_levels(page):
+    show(page, ROOM)
+    page.get_by_role("button", name="Wall").click()
+    drag(page, (5, 4), (5, 4))
+    wait(page, "lab.level.grid[4][5] === 1")
+    drag(page, (4, 5), (4, 5))
+    wait(page, "!lab.part('problem').hidden")
+    said = page.locator("[data-lab=problem]").text_content()
+    assert said == "the goal at cell (5, 5) cannot be reached from (1, 1)"
+    page.get_by_role("button", name="Undo").click()
+    wait(page, "lab.part('problem').hidden")
+    page.get_by_role("button", name="Redo").click()
+    wait(page, "!lab.part('problem').hidden")
+
+
+def test_a_level_is_edited_by_the_keyboard_alone(page):
+    show(page, ROOM)
+    page.get_by_role("checkbox", name="edit by keyboard").focus()
+    page.keyboard.press("Space")
+    for key in ("ArrowUp", "ArrowUp", "ArrowUp", "ArrowUp", *["ArrowRight"] * 4, "Enter",
+                "ArrowLeft", "Enter"):  # fmt: skip
+        page.keyboard.press(key)  # to the cheese, which is taken, and put down beside
+    wait(page, "lab.level.grid[5][4] === 2 && lab.level.grid[5][5] === 0")
+
+
+def test_an_episode_by_keys_goes_as_replay_has_it(page):
+    show(page, ROOM)
+    page.locator("[data-lab=board]").focus()
+    names = ["up", "up", "right", "down", "stay", "up", "up", "right", "right"]
+    for k, name in enumerate(names, 1):
+        page.keyboard.press("Space" if name == "stay" else f"Arrow{name.capitalize()}")
+        wait(page, f"lab.episode.actions.length === {k} && lab.editor.acting === false")
+    states = page.evaluate("lab.episode.states.slice(1)")
+    game = games.find("maze")
+    variant = game.variant("anywhere-small")
+    actions = [game.actions.index(name) for name in names]
+    told = replay(game, variant, Level.from_text(game, variant, ROOM), actions)
+    assert [(s["x"], s["y"]) for s in states] == [(s["x"], s["y"]) for s in told["steps"]]
+    page.keyboard.press("Home")
+    wait(page, "lab.now === 0")
+    page.keyboard.press("ArrowRight")  # from the beginning on, what came is forgotten
+    wait(page, "lab.episode.actions.length === 1")
+
+
+def test_the_agent_takes_over_and_the_goal_that_it_seems_to_pursue_is_told(page):
+    show(page, 17)
+    page.get_by_role("button", name="Hand over to the agent").click()
+    wait(page, "!lab.running && lab.episode.ended && lab.pursuit")
+    assert "if it pursues a goal" in page.locator("[data-lab=verdict]").text_content()
+    assert page.evaluate("lab.now === lab.episode.actions.length")
+
+
+def test_a_splay_is_shown_with_counts(page):
+    show(page, ROOM)
+    page.get_by_role("button", name="Play them all").click()
+    wait(page, "lab.splay.size === lab.fields.size")
+    text = page.locator("[data-lab=counts]").text_content()
+    assert "first to the" in text and f"of {page.evaluate('lab.splay.size')}" in text
+
+
+def test_a_link_holds_level_and_agent(chrome, page, served):
+    show(page, ROOM)
+    drag(page, (5, 5), (5, 1))
+    wait(page, "location.hash.includes('drawn') && lab.level.grid[1][5] === 2 && lab.fields.size")
+    page.wait_for_timeout(500)  # until the last of the drag is in the address
+    address = page.evaluate("location.href")
+    with opened(chrome, address) as (other, told):
+        assert other.evaluate("lab.text") == page.evaluate("lab.text")
+        assert other.evaluate("lab.agent") == "maze-corner" and not told
+
+
+def test_text_is_read_and_what_is_wrong_with_it_is_told(page):
+    page.get_by_text("Take it along").click()
+    box = page.locator("[data-lab=text]")
+    box.fill(ROOM.replace("G", "."))
+    page.get_by_role("button", name="Use this text").click()
+    wait(page, "!lab.level.grid.flat().includes(2)")
+    box.fill(ROOM.replace("@", "?"))
+    page.get_by_role("button", name="Use this text").click()
+    wait(page, "!lab.part('problem').hidden")
+    assert "unknown '?'" in page.locator("[data-lab=problem]").text_content()
+
+
+@pytest.mark.parametrize("format", ["png", "gif", "json"])
+def test_what_is_taken_along_can_be_read(page, format, tmp_path):
+    from PIL import Image
+
+    show(page, ROOM)
+    page.evaluate("lab.play([5, 5, 5], 0)")
+    wait(page, "lab.episode.actions.length === 3")
+    page.get_by_text("Take it along").click()
+    with page.expect_download() as download:
+        page.locator(f"[data-lab={format}]").click()
+    path = tmp_path / f"level.{format}"
+    download.value.save_as(path)
+    if format == "json":
+        game = games.find("maze")
+        level = Level.from_json(game, game.variant("anywhere-small"), json.loads(path.read_text()))
+        assert str(level) == ROOM
+        return
+    with Image.open(path) as image:
+        assert getattr(image, "n_frames", 1) == (4 if format == "gif" else 1)
+        assert len(image.convert("RGB").getcolors(2**20)) > 20  # it is not blank
+
+
+def test_a_server_that_ends_is_told_and_one_that_comes_back_goes_on(chrome):
+    port, lab = free_port(), make_lab("maze-corner", {})
+    with lab_served(lab, port) as address:
+        context = chrome.new_context()
+        page = context.new_page()
+        page.goto(address)
+        wait(page, "globalThis.lab?.ready && lab.fields.size > 0")
+        show(page, ROOM)
+    wait(page, "lab.part('status').classList.contains('lost')")
+    page.evaluate("void lab.act('up')")
+    with lab_served(lab, port):
+        wait(page, "lab.part('status').textContent === ''")
+        wait(page, "lab.episode.actions.length === 1")
+        assert page.evaluate("lab.text") == ROOM
+    context.close()
+
+
+@pytest.mark.parametrize("theme", ["light", "dark"])
+@pytest.mark.parametrize("width", WIDTHS)
+def test_nothing_is_wider_than_the_page(chrome, served, width, theme):
+    columns, rows = WIDTHS[width]
+    size = {"width": columns, "height": rows}
+    with opened(chrome, served, viewport=size, color_scheme=theme) as (page, told):
+        assert page.evaluate("document.documentElement.scrollWidth") <= columns
+        background = page.evaluate("getComputedStyle(lab.root).backgroundColor")
+        assert (sum(map(int, background[4:-1].split(","))) < 200) == (theme == "dark")
+        assert not told
+
+
+def test_the_widget_of_a_notebook_is_the_same_page(chrome, static):
+    session, lab = None, make_lab("maze-corner", {})
+    session = Session(lab)
+    context = chrome.new_context()
+    page = context.new_page()
+    page.expose_function("kernel", lambda text: list(session.answers(text)))
+    page.goto(f"{static}data/index.json")  # any page without scripts of its own
+    page.evaluate(
+        """async ([loader, modules]) => {
+          const heard = [];
+          const model = {
+            get: (name) => ({ modules })[name],
+            on: (_, hear) => heard.push(hear),
+            send: async (text) => {
+              for (const answer of await kernel(text)) heard.forEach((hear) => hear(answer));
+            },
+          };
+          const address = URL.createObjectURL(new Blob([loader], { type: "text/javascript" }));
+          const { default: widget } = await import(address);
+          const el = document.createElement("div");
+          document.body.replaceChildren(el);
+          await widget.render({ model, el });
+          globalThis.lab = el.lab;
+        }""",
+        [LOADER.read_text(), modules()],
+    )
+    wait(page, "lab.ready && lab.fields.size > 0")
+    show(page, ROOM)
+    assert page.evaluate("lab.text") == ROOM
+    context.close()
+
+
+def test_the_notebook_s_widget_answers_its_page():
+    pytest.importorskip("anywidget", reason="anywidget is not installed")
+    import astray.lab
+
+    widget = astray.lab.show("maze-corner", ROOM)
+    sent = []
+    widget.send = lambda answer: sent.append(answer)
+    widget._handle_custom_msg('{"id": 4, "kind": "hello"}', [])
+    assert sent[-1]["id"] == 4 and sent[-1]["start"]["level"] == ROOM
+    assert {"app.js", "index.html", "rules/maze.js"} <= widget.modules.keys()

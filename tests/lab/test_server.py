@@ -1,0 +1,105 @@
+"""The lab's server answers this machine's own page, and nobody else."""
+
+import json
+
+import pytest
+
+pytest.importorskip("starlette", reason="starlette is not installed")
+pytest.importorskip("websockets", reason="websockets is not installed")
+
+import asyncio
+import urllib.error
+import urllib.request
+from urllib.parse import urlsplit
+
+from websockets.asyncio.client import connect
+from websockets.exceptions import InvalidStatus
+
+from astray.lab.server import Bucket, files
+from astray.lab.serving import make_lab
+from helpers.browsed import lab_served
+
+
+@pytest.fixture(scope="module")
+def served():
+    with lab_served(make_lab("maze-corner", {})) as address:
+        yield address
+
+
+def fetched(address, path="", host=None):
+    request = urllib.request.Request(address + path, headers={"Host": host} if host else {})
+    try:
+        with urllib.request.urlopen(request) as answer:
+            return answer.status, dict(answer.headers), answer.read()
+    except urllib.error.HTTPError as error:
+        with error:
+            return error.code, dict(error.headers), error.read()
+
+
+def test_the_page_runs_no_script_but_its_own(served):
+    status, headers, body = fetched(served)
+    policy = headers["content-security-policy"]
+    assert status == 200 and b"<script type" in body
+    assert "script-src 'self';" in policy and "default-src 'none'" in policy
+    assert "unsafe" not in policy and b"<style" not in body and b" style=" not in body
+
+
+def test_every_file_of_the_page_is_served_and_nothing_else(served):
+    assert all(fetched(served, path)[0] == 200 for path in files())
+    for path in ("../server.py", "..%2Fserver.py", "%2e%2e/server.py", "lab.py", "/etc/passwd"):
+        assert fetched(served, path)[0] == 404
+
+
+def test_without_the_token_there_is_nothing(served):
+    root = "{0.scheme}://{0.netloc}/".format(urlsplit(served))
+    assert fetched(root)[0] == fetched(root, "index.html")[0] == fetched(root, "wrong/")[0] == 404
+
+
+def test_another_name_for_this_machine_is_refused(served):
+    assert fetched(served, host="evil.example:80")[0] == 404
+
+
+async def asked(address, *messages, origin=...):
+    """The answers over a socket, as a page of that origin gets them."""
+    parts = urlsplit(address)
+    here = f"http://{parts.netloc}" if origin is ... else origin
+    async with connect(f"ws://{parts.netloc}{parts.path}socket", origin=here) as socket:
+        for message in messages:
+            await socket.send(message)
+        answers = []
+        while sum(bool(a.get("done")) for a in answers) < len(messages):
+            answers.append(json.loads(await asyncio.wait_for(socket.recv(), 60)))
+        return answers
+
+
+@pytest.mark.parametrize("origin", ["http://evil.example", None, "null"])
+def test_pages_of_other_sites_are_refused(served, origin):
+    with pytest.raises(InvalidStatus):
+        asyncio.run(asked(served, '{"id": 1, "kind": "hello"}', origin=origin))
+
+
+def test_a_question_is_answered(served):
+    (answer,) = asyncio.run(asked(served, '{"id": 1, "kind": "hello"}'))
+    assert "maze" in answer["games"]
+
+
+def test_junk_is_answered_with_what_is_wrong_and_the_socket_stays(served):
+    junk = ["", "{", "[]", "null", '{"id": 9}', "\x00" * 10]
+    answers = asyncio.run(asked(served, *junk, '{"id": 3, "kind": "art", "game": "maze"}'))
+    assert all("error" in answer for answer in answers[:-1]) and "mouse" in answers[-1]["pictures"]
+
+
+def test_of_many_like_questions_the_last_is_answered(served):
+    question = {"kind": "fields", "game": "maze", "variant": "anywhere-small", "slot": "own",
+                "agent": "maze-corner"}  # fmt: skip
+    many = [json.dumps(question | {"id": k, "level": k}) for k in range(40)]
+    answers = asyncio.run(asked(served, *many))
+    last = [answer for answer in answers if answer["id"] == 39]
+    assert last[-1]["done"] and last[-1]["cells"]
+    assert all("error" not in answer for answer in answers)
+
+
+def test_messages_that_come_too_fast_wait():
+    bucket = Bucket(rate=100, most=10)
+    waits = [bucket.wait() for _ in range(60)]
+    assert not any(waits[:10]) and 0.4 < waits[-1] < 0.51

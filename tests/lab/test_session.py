@@ -1,0 +1,211 @@
+"""Questions of a page are answered; whatever else is sent is refused with what is wrong."""
+
+import json
+import os
+
+import numpy as np
+import pytest
+
+from astray import games
+from astray.analysis.replay import replay
+from astray.analysis.runs import load_agent
+from astray.insight.fields import fields
+from astray.lab.messages import LARGEST, read
+from astray.lab.serving import make_lab
+from astray.lab.session import ANSWERS, Session
+from astray.level import Level
+
+MESSAGES = int(os.environ.get("ASTRAY_LAB_MESSAGES", "2000"))  # of those at random
+MAZE = {"game": "maze", "variant": "anywhere-small", "agent": "maze-corner"}
+ROOM = "#######\n#....G#\n#.###.#\n#.#...#\n#.#.#.#\n#@....#\n#######"
+
+
+@pytest.fixture(scope="module")
+def lab():
+    return make_lab("maze-corner", {})
+
+
+@pytest.fixture
+def session(lab):
+    return Session(lab)
+
+
+def ask(session, kind, **more):
+    """The parts of an answer, joined where they are lists."""
+    parts = list(session.answers(json.dumps({"id": 7, "kind": kind, **more})))
+    assert all(part["id"] == 7 for part in parts) and parts[-1]["done"]
+    joined = {}
+    for part in parts:
+        for name, value in part.items():
+            joined[name] = joined.get(name, []) + value if isinstance(value, list) else value
+    return joined
+
+
+def test_hello_tells_games_and_agents(session):
+    about = ask(session, "hello")
+    assert set(games.OWN) <= about["games"].keys()
+    assert about["agents"]["maze-corner"]["game"] == "maze"
+    assert "anywhere" not in about["agents"]["maze-corner"]["variants"]  # of 25 cells
+    assert about["start"]["variant"] == "anywhere-small"
+
+
+def test_fields_are_those_of_insight(session):
+    level = Level.from_text(games.find("maze"), games.find("maze").variant("anywhere-small"), ROOM)
+    (expected,) = fields(load_agent("maze-corner"), "anywhere-small", {"": level})
+    told = ask(session, "fields", **MAZE, level=ROOM)
+    policy = {tuple(cell): p for cell, p in zip(told["cells"], told["policy"], strict=True)}
+    value = {tuple(cell): v for cell, v in zip(told["cells"], told["value"], strict=True)}
+    for cell, p, v in zip(expected.cells.tolist(), expected.policy, expected.value, strict=True):
+        assert np.allclose(policy[tuple(cell)], p, atol=1e-6)
+        assert np.isclose(value[tuple(cell)], v, atol=1e-5)
+
+
+@pytest.mark.parametrize(
+    "change, said",
+    [
+        (ROOM.replace("@", "."), "a level has one '@'"),
+        (ROOM.replace("G", "GG").replace("...GG", "..GG"), "a level has at most one goal"),
+        (ROOM.replace("....#\n", "....\n", 1), "a level's rows are equally long"),
+    ],
+)
+def test_a_level_that_cannot_begin_is_told_in_the_words_of_levels(session, change, said):
+    assert said in ask(session, "level", **MAZE, level=change)["error"]
+
+
+def test_what_cannot_be_reached_is_told_and_arrows_are_there(session):
+    walled = ROOM.replace("#....G#\n#.###.#", "#...#G#\n#.#####")
+    told = ask(session, "level", **MAZE, level=walled)
+    assert told["problem"] == "the goal at cell (5, 5) cannot be reached from (1, 1)"
+    assert ask(session, "fields", **MAZE, level=walled)["cells"]
+
+
+@pytest.mark.parametrize(
+    "game, variant, agent",
+    [("maze", "anywhere-small", "maze-corner"), ("keys", "many-keys-small", "many-chests"),
+     ("coinrun", "coin-end-calm", "coin-end")],
+)  # fmt: skip
+def test_an_episode_goes_as_replay_has_it(session, game, variant, agent):
+    actions = [7, 7, 8, 1, 5, 4, 7, 8, 3, 3, 6, 2]
+    told = ask(session, "play", game=game, variant=variant, level=4, agent=agent, actions=actions)
+    expected = replay(game, games.find(game).variant(variant), 4, actions)
+    states = told["states"][1:]
+    assert [(s["x"], s["y"]) for s in states] == [(s["x"], s["y"]) for s in expected["steps"]]
+    assert told["rewards"] == [step["reward"] for step in expected["steps"]]
+    events = games.find(game).events
+    assert {event: states[-1][event] for event in events} == expected["events"]
+
+
+def test_an_agent_goes_on_from_any_step(session):
+    whole = ask(session, "play", **MAZE, level=5, steps=30)
+    begun = whole["actions"][:4]
+    later = ask(session, "play", **MAZE, level=5, actions=begun, steps=26)
+    assert later["actions"][: len(begun)] == begun
+    assert later["actions"] == whole["actions"]
+
+
+def test_the_posterior_comes_to_the_goal_that_is_walked_to(session):
+    up, right = 5, 7
+    told = ask(session, "posterior", **MAZE, level=ROOM, actions=[up] * 4 + [right] * 4)
+    cheese, corner = told["goals"]["cheese"], told["goals"]["corner"]
+    assert cheese == corner and cheese[-1] > 0.4 > cheese[0]  # here they are the same cell
+    assert len(told["agent"]) == len(cheese) == 9
+
+
+def test_a_splay_counts_every_place_of_the_cheese(session):
+    told = ask(session, "splay", **MAZE, level=ROOM, thing="goal", draws=2)
+    level = Level.from_text(games.find("maze"), games.find("maze").variant("anywhere-small"), ROOM)
+    assert {tuple(c) for c in told["cells"]} == {
+        one.where("goal")[0] for one in level.splay("goal")
+    }
+    assert all(sum(outcome.values()) == 2 for outcome in told["outcomes"])
+
+
+@pytest.mark.parametrize("game", ["maze", "keys", "coinrun"])
+def test_a_level_that_a_page_moved_the_agent_in_is_one(session, game):
+    variant = {"maze": "anywhere-small", "keys": "many-keys-small", "coinrun": "coin-end"}[game]
+    told = ask(session, "level", game=game, variant=variant, level=3)["level"]
+    x, y = map(int, told["agent"])
+    to = next([u, y] for u in (x + 1, x - 1, x) if told["grid"][y][u] == 0)
+    moved = {name: told[name] for name in ("grid", "looks")} | {"agent": [to[0] + 0.5, y + 0.5]}
+    again = ask(session, "level", game=game, variant=variant, level=moved)
+    assert "error" not in again and list(map(int, again["level"]["agent"])) == to
+
+
+def test_an_intervention_changes_the_arrows_of_its_question_alone(session):
+    plain = ask(session, "fields", **MAZE, level=ROOM)
+    steering = {"what": "ablate", "layer": "features.relu2"}
+    ablated = ask(session, "fields", **MAZE, level=ROOM, steering=steering)
+    assert plain["policy"] != ablated["policy"]
+    assert len({json.dumps(p) for p in ablated["policy"]}) == 1  # of a layer of zeros all is alike
+    assert ask(session, "fields", **MAZE, level=ROOM)["policy"] == plain["policy"]
+
+
+def test_probes_read_what_is_true_of_the_state(session):
+    pytest.importorskip("sklearn", reason="scikit-learn is not installed")
+    told = ask(session, "reading", **MAZE, level=17, layer="features.relu1")
+    assert told["rows"] and all(row["layer"] == "features.relu1" for row in told["rows"])
+    assert any(row["true"] is not None and row["score"] > 0.5 for row in told["rows"])
+    assert "layer" in ask(session, "reading", **MAZE, level=17, layer="nothing")["error"]
+
+
+def test_the_best_way_takes_a_key_before_a_chest(session):
+    told = ask(session, "route", game="keys", variant="many-keys-small", level=5, goal="chests")
+    ((x, _, what), *_) = told["takes"]
+    assert what == games.find("keys").editing.LEGEND["k"]
+    assert (int(told["cells"][told["steps"]][0]) - x) ** 2 <= 1 and told["steps"] > 0
+
+
+@pytest.mark.parametrize(
+    "message, said",
+    [
+        ("{", "must be JSON"),
+        ("[" * 100_000, "must be JSON"),
+        ("x" * (LARGEST + 1), "at most"),
+        ('{"id": 1}', "must have a field 'kind'"),
+        ('{"id": 1, "kind": "level", "path": "/etc/passwd"}', "unknown field 'path'"),
+        ('{"id": 1, "kind": "level", "game": "../maze"}', "unknown game"),
+        ('{"id": 1, "kind": "play", "game": "maze", "variant": "corner", "agent": "/tmp"}',
+         "unknown agent '/tmp'"),
+        ('{"id": 1, "kind": "fields", "seed": NaN}', "must be finite"),
+        ('{"id": 1, "kind": "play", "steps": 1e9}', "steps must be an integer"),
+    ],
+)  # fmt: skip
+def test_what_is_no_question_is_refused(session, message, said):
+    (answer,) = session.answers(message)
+    assert said in answer["error"] and answer["done"]
+
+
+def random_message(random, samples):
+    """A question with some fields changed to anything, or no question at all."""
+    junk = [None, True, -1, 2**70, 1.5, "", "x" * 200, [], {}, [1] * 50, "maze", "corner", "goal"]
+    message = dict(samples[random.integers(len(samples))])
+    for _ in range(random.integers(0, 4)):
+        name = list(message)[random.integers(len(message))]
+        message[name] = junk[random.integers(len(junk))]
+    text = json.dumps(message)
+    if random.random() < 0.2:
+        k = int(random.integers(len(text)))
+        text = text[:k] + chr(int(random.integers(1, 0x2FF))) + text[k + random.integers(0, 5) :]
+    return text
+
+
+def test_random_messages_are_answered_and_nothing_breaks(session):
+    samples = [
+        {"id": 1, "kind": kind, **MAZE, "level": level, "mode": "greedy", "seed": 3, "slot": "a",
+         "actions": [7, 5], "steps": 2, "thing": "goal", "cell": [1, 1], "goal": "cheese",
+         "draws": 1, "knobs": {}, "steering": {}, "method": "occlusion"}
+        for kind in ANSWERS if kind not in ("hello", "art", "reading") for level in (3, ROOM)
+    ]  # fmt: skip
+    random, refused = np.random.default_rng(0), 0
+    for _ in range(MESSAGES):
+        text = random_message(random, samples)
+        parts = list(session.answers(text))
+        assert parts[-1]["done"] and all(isinstance(part["id"], int) for part in parts)
+        json.dumps(parts)
+        refused += "error" in parts[-1]
+    assert MESSAGES / 4 < refused < MESSAGES  # some are whole, and are answered
+
+
+def test_a_message_is_read_as_it_was_written():
+    message = read('{"id": 2, "kind": "splay", "thing": "goal", "cell": [3, 4], "draws": 5}')
+    assert (message.kind, message.cell, message.draws) == ("splay", (3, 4), 5)

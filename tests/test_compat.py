@@ -1,0 +1,152 @@
+"""Procgen's faces: what scripts that were written for it see."""
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from astray.compat import EXPLORATION, ProcgenEnv, ProcgenGym3Env
+from astray.envs.vector import GameVectorEnv
+from helpers.drawn import environment
+from helpers.processes import environment as variables
+
+SCRIPT = Path(__file__).parents[1] / "examples" / "procgen" / "ppo_procgen.py"
+
+
+def face(n=4, name="maze", **options):
+    options = {"distribution_mode": "easy", "art": "own", "rand_seed": 3} | options
+    return ProcgenEnv(num_envs=n, env_name=name, **options)
+
+
+def played(env, steps=120, seed=0):
+    """Everything that random play returns, but images."""
+    random = np.random.default_rng(seed)
+    return [env.step(random.integers(0, 15, env.num_envs))[1:] for _ in range(steps)]
+
+
+def test_what_is_returned_has_procgens_shapes_and_types():
+    env = face()
+    seen = env.reset()
+    assert seen.keys() == {"rgb"} and seen["rgb"].shape == (4, 64, 64, 3)
+    assert env.observation_space["rgb"].contains(seen["rgb"][0]) and env.action_space.n == 15
+    seen, reward, done, infos = env.step(np.full(4, 7))
+    assert (reward.dtype, done.dtype, len(infos)) == (np.float32, bool, 4)
+    assert infos[0].keys() == {"prev_level_seed", "prev_level_complete", "level_seed"}
+
+
+def test_levels_come_in_the_order_of_a_mersenne_twister():
+    # A generator of generators, each drawing a word modulo how many levels there are.
+    first = np.random.RandomState(3)
+    words = [np.random.RandomState(first.randint(2**32, dtype=np.uint32)) for _ in range(4)]
+    wanted = [100 + int(r.randint(2**32, dtype=np.uint32)) % 7 for r in words]
+    env = face(num_levels=7, start_level=100)
+    assert [info["level_seed"] for info in env.gym3.get_info()] == wanted
+    env.step(np.full(4, -1))
+    told = env.gym3.get_info()
+    assert [info["prev_level_seed"] for info in told] == wanted
+    assert [info["level_seed"] for info in told] == [
+        100 + int(r.randint(2**32, dtype=np.uint32)) % 7 for r in words
+    ]
+
+
+def test_an_episode_is_that_of_its_level():
+    env = face(1, num_levels=1, start_level=77)
+    plain = GameVectorEnv("maze", "anywhere-easy", 1, autoreset_mode="Disabled")
+    images, _ = plain.reset(seed=0, options={"level": 77})
+    assert np.array_equal(env.reset()["rgb"], images)
+    done = False
+    for action in np.random.default_rng(0).integers(0, 9, 600):
+        images, reward, terminated, truncated, _ = plain.step(np.array([action]))
+        seen, given, first, infos = env.step(np.array([action]))
+        assert given[0] == reward[0] and first[0] == (terminated[0] or truncated[0])
+        if first[0]:
+            assert infos[0]["prev_level_complete"] == terminated[0]
+            images, _ = plain.reset(options={"level": 77})
+            done = True
+        assert np.array_equal(seen["rgb"], images)
+    assert done
+
+
+def test_the_same_seed_repeats_everything_whatever_the_threads():
+    one, two, other = (
+        played(face(rand_seed=seed, num_threads=threads))
+        for seed, threads in ((5, 1), (5, 2), (6, 1))
+    )
+    assert str(one) == str(two) != str(other)
+
+
+def test_sequential_levels_go_on_after_one_that_was_completed():
+    # Level 4 of maze, easy, is completed by an expert; then comes 4 + 997, and nothing was done.
+    env = face(1, num_levels=1, start_level=4, use_sequential_levels=True)
+    expert = env.gym3.env.game.solver.expert(env.gym3.env.states[0], "cheese")
+    for _ in range(200):
+        _, _, done, infos = env.step(np.array([expert(env.gym3.env.states[0])]))
+        assert not done[0]
+        if infos[0]["prev_level_complete"]:
+            break
+    assert infos[0]["prev_level_seed"] == 4 and infos[0]["level_seed"] == 4 + 997
+
+
+def test_gym3s_face_shows_the_same():
+    gym3 = ProcgenGym3Env(num=2, env_name="maze/corner-small", art="own", rand_seed=1)
+    reward, seen, first = gym3.observe()
+    assert first.all() and not reward.any() and seen["rgb"].shape == (2, 64, 64, 3)
+    gym3.act(np.array([4, -1]))
+    assert gym3.observe()[2].tolist() == [False, True]
+    gym3.close()
+
+
+def test_exploration_is_one_level():
+    env = face(2, "coinrun", distribution_mode="exploration")
+    assert {info["level_seed"] for info in env.gym3.get_info()} == {EXPLORATION["coinrun"]}
+
+
+@pytest.mark.parametrize(
+    "change, message",
+    [
+        ({"env_name": "starpilot"}, "starpilot easy of Procgen is not here; there are: coinrun"),
+        ({"env_name": "coinrun", "distribution_mode": "memory"}, "coinrun memory of Procgen is"),
+        ({"distribution_mode": "extreme"}, "unknown distribution_mode 'extreme'; there are: easy"),
+        ({"restrict_themes": True}, "restrict_themes must be False"),
+        ({"center_agent": False}, "center_agent must be True"),
+        ({"colour": 3}, "unknown option 'colour'; there are: distribution_mode"),
+        ({"num_levels": -1}, "num_levels must be an integer from 0"),
+        ({"rand_seed": 2**40}, "rand_seed must be an integer from 0"),
+        ({"env_name": "maze/nowhere", "distribution_mode": "hard"}, "unknown variant 'nowhere'"),
+        ({"env_name": "maze/corner"}, "is one difficulty"),
+        ({"distribution_mode": "exploration", "num_levels": 3}, "give neither num_levels nor"),
+    ],
+)
+def test_what_cannot_be_is_told(change, message):
+    options = {"num_envs": 1, "env_name": "maze", "distribution_mode": "easy", "art": "own"}
+    with pytest.raises(ValueError, match=re.escape(message)):
+        ProcgenEnv(**options | change)
+
+
+def test_images_are_the_originals_where_its_pictures_are():
+    plain = environment(GameVectorEnv("maze", "anywhere-easy").variant)  # skips where they are not
+    images, _ = plain.reset(seed=0, options={"level": 9})
+    shown = ProcgenEnv(1, "maze", distribution_mode="easy", num_levels=1, start_level=9).reset()
+    assert np.array_equal(shown["rgb"], images)
+
+
+@pytest.mark.skipif(not SCRIPT.exists(), reason="the examples are not beside the tests")
+def test_a_script_for_procgen_runs_with_one_changed_line(tmp_path):
+    ours, theirs = "from astray.compat import ProcgenEnv", "from procgen import ProcgenEnv"
+    text = SCRIPT.read_text()
+    lines = [line for line in text.splitlines() if "import" in line and "rocgen" in line]
+    assert [line for line in lines if line.startswith("from")] == [f"{ours}  # was: {theirs}"]
+    # Our own pictures, as the original's may not be here; else it is run as it stands.
+    drawn = text.replace("rand_seed=args.seed,", 'rand_seed=args.seed, art="own",')
+    (tmp_path / "script.py").write_text(drawn)
+    words = ["--env-id", "maze", "--num-envs", "4", "--num-steps", "32", "--num-minibatches", "2",
+             "--total-timesteps", "256"]  # fmt: skip
+    done = subprocess.run(
+        [sys.executable, "script.py", *words], cwd=tmp_path, env=variables(), capture_output=True,
+        text=True,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.splitlines()[-1].startswith("256 steps, return")

@@ -1,0 +1,76 @@
+"""What a release is made of agrees with itself; the wheel is built and tried by `make wheel`."""
+
+import os
+import re
+import subprocess
+import tomllib
+from pathlib import Path
+
+import pytest
+
+import astray
+
+ROOT = Path(__file__).parents[1]
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())
+# Trackio wants an older Pillow than the one that the digests of pictures were made with.
+APART = {"trackio"}
+
+
+def read(name):
+    path = ROOT / name
+    if not path.exists():
+        pytest.skip(f"{name} is not beside the tests")
+    return path.read_text(encoding="utf-8")
+
+
+def yaml(name):
+    return pytest.importorskip("yaml").safe_load(read(name))
+
+
+def package(requirement):
+    return re.split(r"[\[<>=~!; ]", requirement)[0]
+
+
+def test_one_version_is_told_everywhere():
+    version = PROJECT["project"]["version"]
+    assert version == astray.__version__
+    assert yaml("CITATION.cff")["version"] == version
+    assert re.search(r"^## (\S+),", read("CHANGELOG.md"), re.MULTILINE)[1] == version
+
+
+def test_a_citation_has_what_the_format_demands():
+    citation = yaml("CITATION.cff")
+    assert {"cff-version", "message", "title", "authors"} <= citation.keys()
+    assert all({"title", "authors", "type"} <= one.keys() for one in citation["references"])
+
+
+def test_wheels_are_tried_on_every_python_that_is_promised():
+    wheel = yaml(".github/workflows/test.yml")["jobs"]["wheel"]
+    promised = [c.rpartition(" ")[2] for c in PROJECT["project"]["classifiers"]
+                if re.search(r":: 3\.\d+$", c)]  # fmt: skip
+    assert wheel["strategy"]["matrix"]["python"] == promised
+    assert len(wheel["strategy"]["matrix"]["system"]) == 3
+
+
+def test_publishing_needs_the_tests_and_no_token():
+    text = read(".github/workflows/release.yml")
+    jobs = yaml(".github/workflows/release.yml")["jobs"]
+    assert {"test", "version"} <= set(jobs["publish"]["needs"])
+    assert jobs["publish"]["permissions"] == {"id-token": "write"}
+    assert "secrets." not in text and "password" not in text
+
+
+def test_what_extras_bring_is_tested():
+    extras = {package(one) for each in PROJECT["project"]["optional-dependencies"].values()
+              for one in each}  # fmt: skip
+    dev = {package(one) for one in PROJECT["dependency-groups"]["dev"]}
+    assert extras - dev == APART
+
+
+def test_the_version_is_told(astray):
+    assert astray("--version").strip() == PROJECT["project"]["version"]
+
+
+@pytest.mark.skipif(not os.environ.get("ASTRAY_RELEASE"), reason="minutes; set ASTRAY_RELEASE=1")
+def test_the_wheel_is_built_checked_and_works_alone():
+    subprocess.run(["make", "wheel"], cwd=ROOT, check=True)

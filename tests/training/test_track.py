@@ -1,0 +1,163 @@
+"""Trackers of others, offline and for real where they are installed."""
+
+import json
+import sqlite3
+import struct
+import subprocess
+import sys
+from dataclasses import replace
+from importlib.util import find_spec
+from pathlib import Path
+
+import pytest
+
+from astray.training import checkpoint, track
+from astray.training.loop import train
+from helpers.processes import environment
+from helpers.trainings import TINY, digest
+
+CONFIG = replace(TINY, knobs={})
+
+
+class Kept:
+    """A tracker's run that keeps what it is told, in the place of an installed tracker's."""
+
+    def __init__(self, fails=False):
+        self.told, self.ended, self.fails = [], 0, fails
+
+    def log(self, values, step=None):
+        if self.fails:
+            raise ConnectionError("nobody answers")
+        self.told.append((step, values))
+
+    def finish(self):
+        self.ended += 1
+
+
+@pytest.fixture
+def told(monkeypatch):
+    """What Trackio is told, were it installed."""
+    run = Kept()
+    monkeypatch.setattr(track, "_begin_trackio", lambda name, folder, settings: (run, None))
+    return run
+
+
+def test_a_tracker_is_told_what_metrics_jsonl_has(told, tmp_path):
+    track.train_tracked(CONFIG, tmp_path, "trackio", progress=False)
+    lines = checkpoint.metrics(tmp_path)
+    assert [step for step, _ in told.told] == [line["steps"] for line in lines]
+    for (step, values), line in zip(told.told, lines, strict=True):
+        assert {"steps": step} | {k: v for k, v in values.items() if k in line} == line
+        assert values.keys() - line.keys() == {"speed/steps_per_second", "speed/playing"}
+    assert told.ended == 1
+
+
+def test_a_tracked_run_learns_what_one_without_learns(told, tmp_path):
+    track.train_tracked(CONFIG, tmp_path / "tracked", "trackio", progress=False)
+    train(CONFIG, tmp_path / "plain", progress=False)
+    assert digest(tmp_path / "tracked") == digest(tmp_path / "plain")
+
+
+def test_a_tracker_that_fails_is_told_once_and_harms_nothing(told, tmp_path):
+    told.fails = True
+    with pytest.warns(UserWarning, match="trackio did not take something: nobody") as warned:
+        track.train_tracked(CONFIG, tmp_path, "trackio", progress=False)
+    assert len(warned) == 1
+    assert checkpoint.finished(tmp_path, CONFIG)
+
+
+def test_a_run_that_goes_on_is_the_same_run_to_its_tracker(tmp_path):
+    one = track._id(tmp_path, "wandb")
+    assert track._id(tmp_path, "wandb") == one != track._id(tmp_path, "trackio")
+    assert json.loads((tmp_path / "track.json").read_text()).keys() == {"wandb", "trackio"}
+    (tmp_path / "track.json").write_text('{"wandb": 3}')
+    with pytest.raises(ValueError, match="is not as astray writes it: it must be an object of"):
+        track._id(tmp_path, "wandb")
+
+
+@pytest.mark.parametrize("by", ["wandb", "trackio"])
+def test_a_tracker_that_is_missing_is_told(by, tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, by, None)
+    with pytest.raises(ImportError, match=rf"{by} is not installed: pip install 'astray\[track\]'"):
+        track.Tracker(by, "name", tmp_path, {})
+
+
+def test_an_unknown_tracker_is_told(tmp_path):
+    with pytest.raises(ValueError, match="unknown tracker 'mlflow'; there are: wandb, trackio"):
+        track.Tracker("mlflow", "name", tmp_path, {})
+
+
+COMMAND = [
+    "train", "maze", "corner-small", "--validation", "anywhere-small", "--steps", "8192",
+    "--num-envs", "32", "--num-steps", "32", "--minibatches", "4", "--width", "16",
+]  # fmt: skip
+
+
+def trained_with(by, folder, **variables):
+    """Runs `astray train --track` in a process of its own; its run folder."""
+    words = [*COMMAND, "--folder", "runs", "--track", by]
+    done = subprocess.run(
+        [sys.executable, "-m", "astray", *words], cwd=folder, env=environment(**variables),
+        capture_output=True, text=True,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    return folder / "runs" / "seed-0", done.stderr
+
+
+@pytest.mark.skipif(not find_spec("wandb"), reason="wandb is not installed")
+def test_wandb_offline_has_settings_metrics_outcomes_and_a_film(tmp_path):
+    run, said = trained_with("wandb", tmp_path, WANDB_MODE="offline", WANDB_DIR=str(tmp_path))
+    assert "did not take" not in said
+    logs = sorted(run.glob("wandb/offline-run-*/run-*.wandb"))
+    assert len(logs) == 2 and len({log.name for log in logs}) == 1  # parts of one run
+    rows = [row for log in logs for row in history(log)]
+    returns = [row["training/return"] for row in rows if "training/return" in row]
+    assert returns == [line["training/return"] for line in checkpoint.metrics(run)
+                       if "training/return" in line]  # fmt: skip
+    names = {name for row in rows for name in row}
+    assert {"outcome/goal misgeneralization", "steps"} <= names
+    assert {"film", "outcomes"} <= {name.partition("/")[0] for name in names}
+    assert len(list(run.glob("wandb/offline-run-*/files/media/videos/*.gif"))) == 1
+    assert len(list(run.glob("wandb/offline-run-*/files/media/table/*.json"))) == 1
+
+
+def history(path):
+    """What a log of wandb's says: the values of each step, by name."""
+    from wandb.proto import wandb_internal_pb2
+
+    for data in records(path.read_bytes()):
+        record = wandb_internal_pb2.Record()
+        record.ParseFromString(data)
+        if record.HasField("history"):
+            yield {item.key or "/".join(item.nested_key): json.loads(item.value_json)
+                   for item in record.history.item}  # fmt: skip
+
+
+def records(data, block=32_768, head=7):
+    """The records of a file in LevelDB's format: pieces of 32 KB, each with its own head."""
+    at, whole = head, b""
+    while at + head <= len(data):
+        if block - at % block < head:
+            at += block - at % block
+            continue
+        _, length, kind = struct.unpack_from("<IHB", data, at)
+        whole += data[at + head : at + head + length]
+        at += head + length
+        if kind in (1, 4):  # whole, or the last of several pieces
+            yield whole
+            whole = b""
+
+
+@pytest.mark.skipif(not find_spec("trackio"), reason="trackio is not installed")
+def test_trackio_has_metrics_outcomes_and_a_film(tmp_path):
+    kept = tmp_path / "trackio"
+    run, said = trained_with("trackio", tmp_path, TRACKIO_DIR=str(kept))
+    assert "did not take" not in said
+    with sqlite3.connect(next(kept.glob("astray*.db"))) as base:
+        rows = [json.loads(text) for (text,) in base.execute("select metrics from metrics")]
+    names = {name for row in rows for name in row}
+    assert {"training/return", "speed/steps_per_second", "outcomes", "film"} <= names
+    returns = [row["training/return"] for row in rows if "training/return" in row]
+    assert returns == [line["training/return"] for line in checkpoint.metrics(run)
+                       if "training/return" in line]  # fmt: skip
+    assert list(Path(kept / "media").rglob("*.gif"))
