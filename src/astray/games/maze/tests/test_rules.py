@@ -108,9 +108,9 @@ def test_bad_drawings_are_explained(room, message):
     "knobs, message",
     [
         ({"world": 33}, "from 3 to 31"),
-        ({"world": 26}, "it is odd"),
-        ({"largest": 27}, "not above largest"),
-        ({"smallest": 4}, "they are odd"),
+        ({"world": 26}, "world must be odd"),
+        ({"largest": 27}, "must be odd, in order"),
+        ({"smallest": 4}, "must be odd, in order"),
         ({"region": 0, "placement": "region"}, "at least 1"),
         ({"region": 5}, "need placement 'region'; it is 'anywhere'"),
         ({"shifted": VARIANTS["anywhere-easy"]}, "another world or window"),
