@@ -160,9 +160,9 @@ class ProcgenGym3Env:
 
     def _begin(self, which: np.ndarray, complete: np.ndarray) -> None:
         """Begin another level in the environments `which`, [num] bool."""
-        for i in np.flatnonzero(which):
+        for i in np.flatnonzero(which).tolist():
             onward = self.options.use_sequential_levels and complete[i]
-            self._level[i] = self._level[i] + ONWARD if onward else self._drawn(int(i))
+            self._level[i] = self._level[i] + ONWARD if onward else self._drawn(i)
         begun = {"level": self._level.astype(np.int64), "reset_mask": which}
         seen, _ = self.env.reset(options=begun)
         self._seen = np.where(which[:, None, None, None], seen, self._seen)

@@ -217,7 +217,8 @@ def _summed(played: pl.DataFrame, trial: Trial, granularity: Granularity) -> dic
     estimate = bootstrap(played["return"].to_numpy())
     outcome = label(played, games.find(trial.game), trial.shift)["outcome"]
     asked = played.filter(pl.col("queries") > 0)
-    by_level, by_step = len(asked) / len(played), played["queries"].sum() / played["length"].sum()
+    queries, steps = (int(played[name].sum()) for name in ("queries", "length"))
+    by_level, by_step = len(asked) / len(played), queries / steps
     moments = {
         moment: float((asked["moment"] == moment).mean()) if trial.watch and len(asked) else None  # pyright: ignore
         for moment in MOMENTS

@@ -60,7 +60,7 @@ def measure(rounds: int = 9) -> list[Row]:
         run = untrained(Path(folder) / "run")
         lab = make_lab(run, {})
         return [
-            _measured(Session(lab), what, str(run) if agent == IMPALA else agent, *rest, rounds)
+            _measured(Session(lab), what, str(run) if agent == IMPALA else agent, *rest, rounds)  # pyright: ignore
             for what, (agent, *rest) in EDITS.items()
         ]
 

@@ -38,7 +38,7 @@ def on_ray() -> Iterator[Submit]:
             name=str(run), num_cpus=config.threads, num_gpus=float(config.device == "cuda"),
             max_retries=RETRIES, retry_exceptions=[OSError],
         )  # fmt: skip
-        return task.remote(config, run.resolve(), track).future()
+        return task.remote(config, run.resolve(), track).future()  # pyright: ignore
 
     try:
         yield submit

@@ -120,10 +120,11 @@ def activations(
     modules = dict(agent.network.named_modules())
     with contextlib.ExitStack() as stack:
         for name in shapes:
-            hook = modules[name].register_forward_hook(
-                lambda _, __, output, name=name: parts[name].append(output.detach())
-            )
-            stack.callback(hook.remove)
+
+            def keep(_: Any, __: Any, output: Tensor, into: list[Tensor] = parts[name]) -> None:
+                into.append(output.detach())
+
+            stack.callback(modules[name].register_forward_hook(keep).remove)
         agent.outputs(observations)  # in chunks of one size, the last one padded
     n = len(observations)
     return {

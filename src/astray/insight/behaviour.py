@@ -45,7 +45,7 @@ def level_features(game: str | Game, variant: str | Variant, levels: Levels) -> 
     parts, names = [], list(levels)
     for first in range(0, len(names), CHUNK):
         some: Any = (
-            {n: levels[n] for n in names[first : first + CHUNK]}
+            {n: levels[n] for n in names[first : first + CHUNK]}  # pyright: ignore
             if isinstance(levels, dict)
             else names[first : first + CHUNK]
         )

@@ -110,19 +110,21 @@ def _features(s: Any, parts: tuple[int, int] | None, corners: Sequence[int]) -> 
         ("cheese to corner", cheese, "corner", corner),
         ("start to decision square", parts, None, (int(s.x), int(s.y))),
     ):
-        known = parts is not None and one is not None and to is not None
-        found[f"{name}, straight"] = np.hypot(one[0] - to[0], one[1] - to[1]) if known else np.nan
-        if goal is None:
-            count = way(s, "cheese").index(parts) if known else np.nan
-        else:
-            count = float(steps_to(s, goal)[one[1], one[0]]) if known else np.nan
-        found[f"{name}, steps"] = float(count)
+        straight = count = np.nan
+        if parts is not None and one is not None and to is not None:
+            straight = np.hypot(one[0] - to[0], one[1] - to[1])
+            if goal is None:
+                count = way(s, "cheese").index(parts)
+            else:
+                count = steps_to(s, goal)[one[1], one[0]]
+        found |= {f"{name}, straight": float(straight), f"{name}, steps": float(count)}
     for side in corners:
         low = (corner[0] - side + 1, corner[1] - side + 1) if corner else None
         for name, one in (("decision square", parts), ("cheese", cheese)):
-            known = parts is not None and one is not None and low is not None
-            gap = [max(low[k] - one[k], 0) for k in (0, 1)] if known else [np.nan, np.nan]
-            found[f"{name} to {side} x {side} corner, straight"] = float(np.hypot(*gap))
+            gap = np.nan
+            if parts is not None and one is not None and low is not None:
+                gap = np.hypot(max(low[0] - one[0], 0), max(low[1] - one[1], 0))
+            found[f"{name} to {side} x {side} corner, straight"] = float(gap)
     return found
 
 

@@ -11,7 +11,7 @@ from astray.analysis.evaluate import evaluate
 from astray.analysis.outcomes import FAILED, INTENDED, label, load_shift
 from astray.analysis.policies import Agent
 from astray.estimate import Estimate
-from astray.experiments.claims import Claim, holds_within
+from astray.experiments.claims import Claim, holds_within, rounded
 from astray.experiments.report import Findings, Plot, Table
 from astray.experiments.spec import Experiment, Test, Work
 from astray.experiments.studies.insight import _figures, _plans
@@ -41,7 +41,7 @@ def find(work: Work) -> Findings:
     four = predict(told, CHEESE, [name for name in PUBLISHED if name in names])
     return Findings(
         answer=f"Of {len(rows):,} episodes the ways to cheese and corner part in {every.levels:,}; "
-        f"the cheese is reached first in {100 * told[CHEESE].mean():.1f}\u00a0% of these. All "
+        f"the cheese is reached first in {rounded(np.mean(told[CHEESE].to_numpy()))} of these. All "
         f"{len(names)} distances tell which with an area under the curve of {every.auc.mean:.2f}, "
         f"the published four with {four.auc.mean:.2f}.",
         claims=[
