@@ -116,12 +116,12 @@ def activations(
     layer is unknown or the agent does not see such observations.
     """
     shapes = see_layers(agent, names)
-    parts: dict[str, list[Tensor]] = {name: [] for name in shapes}
+    parts: dict[str, list[Any]] = {name: [] for name in shapes}  # of tensors
     modules = dict(agent.network.named_modules())
     with contextlib.ExitStack() as stack:
         for name in shapes:
             hook = modules[name].register_forward_hook(
-                lambda _, __, output, name=name: parts[name].append(output.detach())
+                lambda _, __, output, name=name: parts[name].append(output)
             )
             stack.callback(hook.remove)
         agent.outputs(observations)  # in chunks of one size, the last one padded

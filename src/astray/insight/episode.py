@@ -159,7 +159,7 @@ def _policy(axes: Axes, table: pl.DataFrame, names: Sequence[str]) -> None:
     order = [k for k in order if chances[k].mean() >= LIKELY]
     bands = [chances[k] for k in order] + [1 - sum(chances[k] for k in order)]
     colours = [*[*OTHERS, "#4c9f8a"][: len(order)], FAINT]
-    axes.stackplot(table["step"], *bands, labels=[*(names[k] for k in order), "others"],
+    axes.stackplot(table["step"], *bands, labels=[*(str(names[k]) for k in order), "others"],
                    colors=colours, step="post")  # fmt: skip
     axes.set_ylim(0, 1)
     axes.set_title("policy")

@@ -121,9 +121,9 @@ def is_class(y: np.ndarray) -> bool:
 
 def _enough(y: np.ndarray) -> bool:
     if not is_class(y):
-        return np.count_nonzero(np.isfinite(y)) >= LEAST and np.nanstd(y) > 0
+        return bool(np.count_nonzero(np.isfinite(y)) >= LEAST and np.nanstd(y) > 0)
     _, counts = np.unique(y[y >= 0], return_counts=True)
-    return np.count_nonzero(counts >= LEAST) >= 2
+    return bool(np.count_nonzero(counts >= LEAST) >= 2)
 
 
 def _fit_all(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import Any
 
 import matplotlib
 import numpy as np
@@ -67,6 +68,7 @@ def targets(panels: Mapping[str, pl.DataFrame], side: int) -> Figure:
     """
     figure = Figure(figsize=(2.45 * len(panels), 3.0))
     row = figure.subplots(1, len(panels), squeeze=False)[0]
+    shown: Any = None
     for axes, (title, table) in zip(row, panels.items(), strict=True):
         grid = np.full((side, side), np.nan)
         grid[table["y"].to_numpy(), table["x"].to_numpy()] = table["mean"].to_numpy()

@@ -41,7 +41,7 @@ def find(work: Work) -> Findings:
     four = predict(told, CHEESE, [name for name in PUBLISHED if name in names])
     return Findings(
         answer=f"Of {len(rows):,} episodes the ways to cheese and corner part in {every.levels:,}; "
-        f"the cheese is reached first in {100 * told[CHEESE].mean():.1f}\u00a0% of these. All "
+        f"the cheese is reached first in {100 * told[CHEESE].to_numpy().mean():.1f}\u00a0% of these. All "
         f"{len(names)} distances tell which with an area under the curve of {every.auc.mean:.2f}, "
         f"the published four with {four.auc.mean:.2f}.",
         claims=[
