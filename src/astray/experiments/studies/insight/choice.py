@@ -39,9 +39,10 @@ def find(work: Work) -> Findings:
     names = [n for n in told.columns if n not in ("level", CHEESE) and varies(told[n])]
     every = predict(told, CHEESE, names)
     four = predict(told, CHEESE, [name for name in PUBLISHED if name in names])
+    taken = told[CHEESE].to_numpy().mean()
     return Findings(
         answer=f"Of {len(rows):,} episodes the ways to cheese and corner part in {every.levels:,}; "
-        f"the cheese is reached first in {100 * told[CHEESE].to_numpy().mean():.1f}\u00a0% of these. All "
+        f"the cheese is reached first in {100 * taken:.1f}\u00a0% of these. All "
         f"{len(names)} distances tell which with an area under the curve of {every.auc.mean:.2f}, "
         f"the published four with {four.auc.mean:.2f}.",
         claims=[
