@@ -135,7 +135,8 @@ def _below(one: tuple[int, int] | None, corner: tuple[int, int] | None, side: in
     """Cells from a cell to the square of `side` in the upper right, 0 within it."""
     if one is None or corner is None:
         return np.nan
-    return float(np.hypot(*(max(c - side + 1 - x, 0) for x, c in zip(one, corner, strict=True))))
+    across, up = (max(c - side + 1 - x, 0) for x, c in zip(one, corner, strict=True))
+    return float(np.hypot(across, up))
 
 
 def _records(states: np.ndarray) -> np.recarray:
