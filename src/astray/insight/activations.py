@@ -116,15 +116,14 @@ def activations(
     layer is unknown or the agent does not see such observations.
     """
     shapes = see_layers(agent, names)
-    parts: dict[str, list[Tensor]] = {name: [] for name in shapes}
+    parts: dict[str, list[Any]] = {name: [] for name in shapes}  # of tensors
     modules = dict(agent.network.named_modules())
     with contextlib.ExitStack() as stack:
         for name in shapes:
-
-            def keep(_: Any, __: Any, output: Tensor, into: list[Tensor] = parts[name]) -> None:
-                into.append(output.detach())
-
-            stack.callback(modules[name].register_forward_hook(keep).remove)
+            hook = modules[name].register_forward_hook(
+                lambda _, __, output, name=name: parts[name].append(output)
+            )
+            stack.callback(hook.remove)
         agent.outputs(observations)  # in chunks of one size, the last one padded
     n = len(observations)
     return {

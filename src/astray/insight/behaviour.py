@@ -43,9 +43,10 @@ def level_features(game: str | Game, variant: str | Variant, levels: Levels) -> 
         raise ValueError(f"the game {found.name!r} has no features of levels; maze has")
     of_kind("levels", levels, Sequence | range | np.ndarray | dict)
     parts, names = [], list(levels)
+    by_name: Any = levels
     for first in range(0, len(names), CHUNK):
         some: Any = (
-            {n: levels[n] for n in names[first : first + CHUNK]}  # pyright: ignore
+            {n: by_name[n] for n in names[first : first + CHUNK]}
             if isinstance(levels, dict)
             else names[first : first + CHUNK]
         )

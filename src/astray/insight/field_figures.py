@@ -118,8 +118,13 @@ def _shade(axes: Axes, level: Level, cells: np.ndarray, values: np.ndarray, scal
     height, width = level.cells.shape
     grid = np.full((height, width), np.nan)
     grid[cells[:, 1], cells[:, 0]] = values
-    return axes.imshow(grid, extent=(0, width, 0, height), origin="lower", norm=scale, cmap=colours,
-                       alpha=SHADE)  # fmt: skip
+    extent = (0, width, 0, height)
+    shaded = axes.imshow(grid, extent=extent, origin="lower", norm=scale, cmap=colours, alpha=SHADE)
+    if not sees_world(level.variant):  # most of such a world is nothing
+        (left, low), (right, high) = cells.min(0) - 1, cells.max(0) + 2
+        axes.set_xlim(max(left, 0), min(right, width))
+        axes.set_ylim(max(low, 0), min(high, height))
+    return shaded
 
 
 def _arrows(axes: Axes, cells: np.ndarray, arrows: np.ndarray) -> None:

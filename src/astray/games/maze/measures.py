@@ -103,29 +103,40 @@ def features(states: np.ndarray, corners: Sequence[int] = (5,)) -> dict[str, np.
 
 def _features(s: Any, parts: tuple[int, int] | None, corners: Sequence[int]) -> dict[str, float]:
     cheese, corner = target(s, "cheese"), target(s, "corner")
-    found = {}
-    for name, one, goal, to in (
-        ("cheese to decision square", parts, "cheese", cheese),
-        ("corner to decision square", parts, "corner", corner),
-        ("cheese to corner", cheese, "corner", corner),
-        ("start to decision square", parts, None, (int(s.x), int(s.y))),
+    begin = (int(s.x), int(s.y))
+    from_start = way(s, "cheese").index(parts) if parts is not None else np.nan
+    found: dict[str, float] = {}
+    for name, one, to, count in (
+        ("cheese to decision square", parts, cheese, _steps(s, "cheese", parts)),
+        ("corner to decision square", parts, corner, _steps(s, "corner", parts)),
+        ("cheese to corner", cheese, corner, _steps(s, "corner", cheese)),
+        ("start to decision square", parts, begin, float(from_start)),
     ):
-        straight = count = np.nan
-        if parts is not None and one is not None and to is not None:
-            straight = np.hypot(one[0] - to[0], one[1] - to[1])
-            if goal is None:
-                count = way(s, "cheese").index(parts)
-            else:
-                count = steps_to(s, goal)[one[1], one[0]]
-        found |= {f"{name}, straight": float(straight), f"{name}, steps": float(count)}
+        known = None not in (parts, one, to)
+        found[f"{name}, straight"] = _straight(one, to) if known else np.nan
+        found[f"{name}, steps"] = count if known else np.nan
     for side in corners:
-        low = (corner[0] - side + 1, corner[1] - side + 1) if corner else None
         for name, one in (("decision square", parts), ("cheese", cheese)):
-            gap = np.nan
-            if parts is not None and one is not None and low is not None:
-                gap = np.hypot(max(low[0] - one[0], 0), max(low[1] - one[1], 0))
-            found[f"{name} to {side} x {side} corner, straight"] = float(gap)
+            gap = _below(one, corner, side) if parts is not None else np.nan
+            found[f"{name} to {side} x {side} corner, straight"] = gap
     return found
+
+
+def _straight(one: Any, to: Any) -> float:
+    return float(np.hypot(one[0] - to[0], one[1] - to[1]))
+
+
+def _steps(s: Any, goal: str, cell: tuple[int, int] | None) -> float:
+    """Steps from a cell to `goal`."""
+    return np.nan if cell is None else float(steps_to(s, goal)[cell[1], cell[0]])
+
+
+def _below(one: tuple[int, int] | None, corner: tuple[int, int] | None, side: int) -> float:
+    """Cells from a cell to the square of `side` in the upper right, 0 within it."""
+    if one is None or corner is None:
+        return np.nan
+    across, up = (max(c - side + 1 - x, 0) for x, c in zip(one, corner, strict=True))
+    return float(np.hypot(across, up))
 
 
 def _records(states: np.ndarray) -> np.recarray:

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import Any
 
 import matplotlib
 import numpy as np
 import polars as pl
 from matplotlib.axes import Axes
-from matplotlib.cm import ScalarMappable
-from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 
 from astray.experiments import figures
@@ -69,23 +68,17 @@ def targets(panels: Mapping[str, pl.DataFrame], side: int) -> Figure:
     """
     figure = Figure(figsize=(2.45 * len(panels), 3.0))
     row = figure.subplots(1, len(panels), squeeze=False)[0]
-    scale = Normalize(0, 1)
+    shown: Any = None
     for axes, (title, table) in zip(row, panels.items(), strict=True):
         grid = np.full((side, side), np.nan)
         grid[table["y"].to_numpy(), table["x"].to_numpy()] = table["mean"].to_numpy()
         axes.set_facecolor("#eeeeec")  # where there is no target
-        axes.imshow(grid, origin="lower", norm=scale, cmap="magma")
+        shown = axes.imshow(grid, origin="lower", vmin=0, vmax=1, cmap="magma")
         axes.set_title(title, fontsize=9.5)
         axes.set_xticks([])
         axes.set_yticks([])
         axes.spines[["left", "bottom"]].set_visible(False)
-    figure.colorbar(
-        ScalarMappable(scale, "magma"),
-        ax=list(row),
-        shrink=0.75,
-        label="path probability",
-        pad=0.01,
-    )
+    figure.colorbar(shown, ax=list(row), shrink=0.75, label="path probability", pad=0.01)
     return figure
 
 
