@@ -27,7 +27,7 @@ def change(agent: Agent, world: World, wanted: Mapping[str, Any]) -> AbstractCon
     """
     if unknown := sorted(wanted.keys() - FIELDS):
         raise ValueError(f"unknown field {shown(unknown[0])} of steering")
-    layer = wanted.get("layer")
+    layer: Any = wanted.get("layer")
     of_kind("a layer", layer, str)
     channels = wanted.get("channels")
     if channels is not None:
