@@ -60,8 +60,14 @@ def measure(rounds: int = 9) -> list[Row]:
         run = untrained(Path(folder) / "run")
         lab = make_lab(run, {})
         return [
-            _measured(Session(lab), what, str(run) if agent == IMPALA else agent, *rest, rounds)  # pyright: ignore
-            for what, (agent, *rest) in EDITS.items()
+            _measured(
+                Session(lab),
+                what,
+                (str(run) if agent == IMPALA else agent, game, variant),
+                limit,
+                rounds,
+            )
+            for what, (agent, game, variant, limit) in EDITS.items()
         ]
 
 
@@ -79,8 +85,9 @@ def untrained(folder: Path) -> Path:
 
 
 def _measured(
-    session: Session, what: str, agent: str, game: str, variant: str, limit: float, rounds: int
+    session: Session, what: str, where: tuple[str, str, str], limit: float, rounds: int
 ) -> Row:
+    agent, game, variant = where
     first, last, places = [], [], []
     for number in range(-1, rounds):  # of which the first is compiled, and not counted
         common = {"id": 1, "game": game, "variant": variant}

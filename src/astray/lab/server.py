@@ -175,7 +175,7 @@ class Conversation:
             self.came.clear()
 
     async def _answer_one(self, text: str) -> None:
-        answers = self.session.answers(text)
+        answers: Any = self.session.answers(text)
         while (part := await asyncio.to_thread(self._next, answers)) is not None:
             await self._send(part)
             if not part.get("done") and self._is_stale(text):

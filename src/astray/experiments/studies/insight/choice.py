@@ -11,11 +11,11 @@ from astray.analysis.evaluate import evaluate
 from astray.analysis.outcomes import FAILED, INTENDED, label, load_shift
 from astray.analysis.policies import Agent
 from astray.estimate import Estimate
-from astray.experiments.claims import Claim
+from astray.experiments.claims import Claim, holds_within
 from astray.experiments.report import Findings, Plot, Table
 from astray.experiments.spec import Experiment, Test, Work
 from astray.experiments.studies.insight import _figures, _plans
-from astray.experiments.studies.insight._plans import inwords, opened, within
+from astray.experiments.studies.insight._plans import opened
 from astray.game import Variant
 from astray.insight.behaviour import Prediction, level_features, predict
 
@@ -46,11 +46,13 @@ def find(work: Work) -> Findings:
         f"{len(names)} distances tell which with an area under the curve of {every.auc.mean:.2f}, "
         f"the published four with {four.auc.mean:.2f}.",
         claims=[
-            within("Distances in the maze tell whether the cheese is taken.",
-                   "accuracy .904 to .848 without looking", "area under the curve, all distances",
+            holds_within(
+                "Distances in the maze tell whether the cheese is taken.",
+                "accuracy .904 to .848 without looking", "area under the curve, all distances",
                    every.auc, (0.6, inf)),
-            within("The published four tell it as well as all.", ".913 and .904",
-                   "area under the curve, the four", four.auc, (every.auc.mean - 0.02, inf)),
+            holds_within(
+                "The published four tell it as well as all.", ".913 and .904",
+                "area under the curve, the four", four.auc, (every.auc.mean - 0.02, inf)),
             *(signed(four, name, value) for name, value in PUBLISHED.items() if name in names),
         ],
         plots=[
@@ -68,7 +70,7 @@ def find(work: Work) -> Findings:
             "episodes": f"{len(levels):,}, of levels that the agent never met; those that ended "
             "with neither do not count",
             "regression": "logistic, L1 penalty by five-fold cross-validation",
-            "accuracy": f"all: {inwords(every.accuracy)}, four: {inwords(four.accuracy)}; saying "
+            "accuracy": f"all: {every.accuracy.amount()}, four: {four.accuracy.amount()}; saying "
             f"the commoner always: {every.always:.3f}",
         },
     )  # fmt: skip
@@ -87,8 +89,9 @@ def signed(found: Prediction, name: str, published: float) -> Claim:
     sign = (
         f"; sign the same in {100 * (row['sign'] or 0):.0f}\u00a0% of subsets, vif {row['vif']:.1f}"
     )
-    return within(f"{'Less' if less else 'More'} likely with more of: {name}.",
-                  f"{published:+.2f} a standard deviation", f"coefficient{sign}", ours,
+    return holds_within(
+        f"{'Less' if less else 'More'} likely with more of: {name}.",
+        f"{published:+.2f} a standard deviation", f"coefficient{sign}", ours,
                   (-inf, 0.0) if less else (0.0, inf))  # fmt: skip
 
 
