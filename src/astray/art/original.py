@@ -246,7 +246,7 @@ def _open_atlas(file: Path, count: int) -> np.ndarray | None:
     """
     try:
         written = np.memmap(file, np.uint8, "r")
-        if hashlib.sha256(memoryview(written[:-SUM])).digest() != written[-SUM:].tobytes():
+        if hashlib.sha256(written[:-SUM].data).digest() != written[-SUM:].tobytes():
             return None
         # Copied where written to, which nobody does: compiled code takes no read-only arrays.
         kept = np.asarray(np.load(file, mmap_mode="c"))
