@@ -148,7 +148,7 @@ def test_numbers_of_levels_are_integers_that_are_levels(take, levels):
     [
         ({"levels": [1, 2]}, "unknown option 'levels'; there are: level, state, reset_mask"),
         ({"level": 1.0}, "levels must be integers; got 1.0"),
-        ({"level": [1, True]}, "levels are integers"),
+        ({"level": [1, True]}, "levels must be integers"),
         ({"level": True}, "levels must be integers; got True"),
         ({"level": "1"}, "levels must be integers; got '1'"),
         ({"level": 1, "state": small().get_state()}, "by a level or by a state, not both"),

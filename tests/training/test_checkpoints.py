@@ -151,7 +151,7 @@ def test_a_corrupt_state_in_a_checkpoint_never_reaches_compiled_code(run):
             r"recent is .* \[101, ",
         ),
         ("training.recent", lambda x: x[0], "recent is"),
-        ("training.running_return", lambda x: x[:-1], r"it is torch.float64 \[16\]"),
+        ("training.running_return", lambda x: x[:-1], r"must be torch.float64 \[16\]"),
         ("training.running_return", lambda x: x.astype(np.float32), "running_return is torch.flo"),
         ("training.running_return", lambda x: x * np.nan, "has numbers that are not finite"),
         ("training.moments", lambda x: x.astype(int), "moments is torch.int64"),
@@ -159,7 +159,7 @@ def test_a_corrupt_state_in_a_checkpoint_never_reaches_compiled_code(run):
         ("training.generator", lambda x: x[:-1], "generator is torch.uint8"),
         ("training.states", lambda x: x[: len(x) // 2], "states is torch.uint8"),
         ("adam.0.exp_avg", lambda x: x.T.copy(), "adam.0.exp_avg is"),
-        ("adam.0.exp_avg", lambda x: x.astype(np.float64), "it is torch.float32"),
+        ("adam.0.exp_avg", lambda x: x.astype(np.float64), "must be torch.float32"),
         (
             "adam.0.step",
             lambda x: np.zeros(2, np.float32),

@@ -118,7 +118,7 @@ def pull(
     _see_name(repository)
     name = name or _slug(repository)
     if not re.fullmatch(r"[a-z0-9]+(-[a-z0-9]+)*", name):
-        raise ValueError(f"an agent's name is of a-z, 0-9 and -, as maze-corner; given {name!r}")
+        raise ValueError(f"an agent's name must be of a-z, 0-9 and -, as maze-corner; got {name!r}")
     home = kept.folder()
     if name in (*kept.names(), *kept.imported()):
         raise ValueError(f"there is an agent {name!r} already, in {kept.find(name)}; see --as")

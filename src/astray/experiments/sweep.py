@@ -98,7 +98,7 @@ def axes(texts: Sequence[str]) -> dict[str, list[Any]]:
         name = SHORT.get(name, name)
         if not is_set or not values or name in found:
             raise ValueError(
-                f"a sweep sets NAME=VALUE,VALUE,... once for each name; given {text!r}"
+                f"a sweep must set NAME=VALUE,VALUE,... once for each name; got {text!r}"
             )
         found[name] = [value(part) for part in values.split(",")]
     return found

@@ -59,7 +59,8 @@ class Maze(Variant):
             raise ValueError(f"window must be from 0 to {2 * self.world}; got {self.window} cells")
         if self.placement != "region" and (self.region != 1 or self.strict):
             raise ValueError(f"region and strict need placement 'region'; it is {self.placement!r}")
-        if isinstance(self.shifted, Maze) and self._view() != self.shifted._view():
+        other = self.shifted if self.shift_probability else None
+        if isinstance(other, Maze) and self._view() != other._view():
             raise ValueError(
                 "the shifted variant has another world or window, or a dish: it looks different"
             )

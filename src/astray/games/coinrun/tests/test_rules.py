@@ -214,7 +214,7 @@ def test_measures_follow_the_runner():
         ({"random_coin": 1.5}, "random_coin must be from 0 to 1; got 1.5"),
         ({"random_coin": 0.5, "coins": "two"}, "given 0.5 with coins 'two'"),
         ({"permeable": 65}, "permeable must be an integer from 0 to 64; got 65"),
-        ({"permeable": -1}, "permeable is -1"),
+        ({"permeable": -1}, "permeable must be an integer from 0 to 64; got -1"),
         ({"difficulty": 4}, "difficulty must be an integer from 0 to 3; got 4"),
         ({"sections": 6}, "sections must be an integer from 0 to 5; got 6"),
         ({"sections": 2.5}, "sections must be an integer .*; got 2.5"),
@@ -223,7 +223,7 @@ def test_measures_follow_the_runner():
         ({"numbering": "stock"}, "unknown numbering"),
         ({"numbering": "procgen", "random_coin": 0.5}, "have no ledge for a random coin"),
         ({"numbering": "procgen", "coins": "two"}, "have no ledge for a random coin"),
-        ({"time_limit": 0}, "time_limit is 0"),
+        ({"time_limit": 0}, "time_limit must be at least 1 step; got 0"),
     ],
 )
 def test_bad_knobs_are_explained(knobs, message):
