@@ -246,7 +246,7 @@ def test_a_name_that_is_taken_is_told_before_anything_is_asked(pushed):
     pushed.requests.clear()
     with pytest.raises(ValueError, match=r"there is an agent 'mouse' already, .* see --as"):
         ours.pull("ada/mouse")
-    with pytest.raises(ValueError, match="an agent's name is of a-z"):
+    with pytest.raises(ValueError, match="an agent's name must be of a-z"):
         ours.pull("ada/mouse", name="../x")
     with pytest.raises(ValueError, match="a repository must be USER/NAME"):
         ours.pull("mouse")

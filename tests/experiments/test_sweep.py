@@ -42,8 +42,8 @@ def test_texts_are_settings_and_their_values():
 @pytest.mark.parametrize(
     "given, message",
     [
-        (["lr"], "a sweep sets NAME=VALUE"),
-        (["lr="], "a sweep sets NAME=VALUE"),
+        (["lr"], "a sweep must set NAME=VALUE"),
+        (["lr="], "a sweep must set NAME=VALUE"),
         (["lr=1", "learning_rate=2"], "once for each name"),
         (["seed=1,2"], "unknown setting 'seed'; there are: game, variant"),
         (["colour=red"], "unknown setting 'colour'"),
