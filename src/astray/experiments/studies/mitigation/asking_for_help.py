@@ -76,7 +76,7 @@ def novices(work: Work, name: str) -> list[Novice]:
     game, count = config.find_game(), work.plan.levels
     shift = load_shift(game, SHIFTS[name])
     trial = Trial(
-        game, shift, config.variant_for(shift.train), range(config.first_level + count),
+        game, shift, config.variant_for(shift.train), config.training_levels[:count],
         config.variant_for(shift.test), config.unseen_levels[:count], WATCHES[name],
     )  # fmt: skip
     agents = [open_run(run)[0] for run in runs]
