@@ -216,7 +216,8 @@ def test_time_goes_on_without_keys_where_things_move(game, variant, steps, monke
 @pytest.mark.parametrize("words", ["--preset paper", "--preset=paper"])
 def test_a_presets_settings_are_the_defaults(astray, monkeypatch, words):
     given = []
-    monkeypatch.setattr("astray.training.loop.train", lambda config, folder: given.append(config))
+    train = "astray.training.track.train_tracked"
+    monkeypatch.setattr(train, lambda config, *_, **__: given.append(config))
     astray("train", "maze", "corner", *words.split(), "--steps", "1000")
     assert given[0].network == "impala" and given[0].steps == 1000
 
