@@ -201,14 +201,16 @@ def test_settings_without_measure_are_refused(name, value, tmp_path):
 
 
 def test_a_number_that_python_does_not_write_out_is_refused_all_the_same():
-    with pytest.raises(ValueError, match="steps is a number of 66439 bits"):
+    with pytest.raises(ValueError, match=r"steps must be .*; got a number of 66439 bits"):
         replace(TINY, steps=10**20_000)
 
 
 WORDS = {  # of each verb, so that nothing but the number is wrong
     "train": ["maze", "corner-small"], "evaluate": ["--agent", "maze-corner"],
     "record": ["--agent", "maze-corner"], "reproduce": ["maze-corner"],
-    "explain": ["maze-corner"],
+    "explain": ["maze-corner"], "export": ["--agent", "maze-corner"],
+    "lab": ["--agent", "maze-corner", "--no-browse"],
+    "sweep": ["maze", "corner-small", "--set", "gamma=0.9,0.99"],
     "play": ["maze", "corner-small"], "replay": ["maze", "corner-small", "--actions", __file__],
 }  # fmt: skip
 NUMBERS = [

@@ -108,7 +108,12 @@ class Variant:
         kinds = {name: type(getattr(self, name)) for name in knobs(type(self))}
         values = {name: _as_knob(name, value, kinds) for name, value in changes.items()}
         if self.shifted is not None:
-            values["shifted"] = replace(self.shifted, **self.alike(values, self.shifted))
+            try:
+                values["shifted"] = replace(self.shifted, **self.alike(values, self.shifted))
+            except ValueError:  # which matters only where levels come from it
+                if values.get("shift_probability", self.shift_probability):
+                    raise
+                values["shifted"] = None
         return replace(self, **values)
 
     def alike(self, changes: Mapping[str, Any], other: Variant) -> dict[str, Any]:

@@ -140,10 +140,9 @@ def test_a_name_is_one_and_new(run, mouse, name, message):
         keep.keep(run, name, folder=mouse.parent)
 
 
-def test_what_is_too_large_is_not_kept(run, tmp_path, monkeypatch):
-    monkeypatch.setattr(keep, "LARGEST", 10_000)
+def test_what_is_too_large_is_not_kept(run, tmp_path):
     with pytest.raises(ValueError, match=r"one that is kept is at most 0\.01 MB"):
-        keep.keep(run, "mouse", folder=tmp_path)
+        keep.keep(run, "mouse", folder=tmp_path, largest=10_000)
     assert not list(tmp_path.iterdir())
 
 

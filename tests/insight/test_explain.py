@@ -15,8 +15,9 @@ from astray.insight.episode import along, figure
 
 def test_a_course_is_the_episode_that_is_played():
     runner = load_agent(kept.find("coin-end"))
-    course = along(runner, "coin-anywhere", 200_003, gamma=0.9, lam=0.8)
-    played = evaluate(runner, "coinrun", "coin-anywhere", [200_003]).row(0, named=True)
+    played = evaluate(runner, "coinrun", "coin-anywhere", range(200_000, 200_040))
+    played = played.filter(pl.col("reached_end").is_not_null()).row(0, named=True)
+    course = along(runner, "coin-anywhere", played["level"], gamma=0.9, lam=0.8)
     table = course.table
     assert len(table) == played["length"] and table["reward"].sum() == played["return"]
     assert course.events == {name: played[name] for name in course.events}
@@ -29,7 +30,9 @@ def test_a_course_is_the_episode_that_is_played():
 
 def test_advantages_are_the_discounted_sum_of_surprises():
     runner = load_agent(kept.find("coin-end"))
-    table = along(runner, "coin-end", 200_001, gamma=0.9, lam=0.8).table
+    played = evaluate(runner, "coinrun", "coin-end", range(200_000, 200_010))
+    level = played.filter(pl.col("return") > 0)["level"][0]
+    table = along(runner, "coin-end", level, gamma=0.9, lam=0.8).table
     value, reward = table["value"].to_numpy(), table["reward"].to_numpy()
     assert reward[-1] > 0, "the coin ends the episode"
     surprise = reward + 0.9 * np.append(value[1:], 0.0) - value

@@ -37,6 +37,7 @@ def page(chrome, served):
 def show(page, level):
     """Open a level, and wait for its arrows."""
     assert page.evaluate("(level) => lab.open(level)", level)
+    wait(page, "lab.fields.size > 0")
 
 
 def drag(page, start, to):

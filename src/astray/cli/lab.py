@@ -10,8 +10,10 @@ from tyro.conf import Positional
 from astray.analysis import kept
 from astray.bounds import bounded
 from astray.files import read
+from astray.game import LEVELS
 
 LARGEST_PORT = 2**16 - 1
+MOST = 10_000  # levels of a variant that are exported
 
 
 def lab(
@@ -42,11 +44,14 @@ def lab(
     """
     from astray.lab.serving import make_lab
 
+    bounded("port", port, 0, LARGEST_PORT)
+    bounded("levels", levels, 1, MOST)
+    if level is not None:
+        bounded("level", level, 0, LEVELS.stop - 1)
     if run is not None and agent is not None:
         raise ValueError("an agent is given by a run folder or by --agent NAME, not both")
     if level is not None and level_file is not None:
         raise ValueError("a level is given by its number or in a file, not both")
-    bounded("port", port, 0, LARGEST_PORT)
     start: dict[str, Any] = {"game": game, "variant": variant, "level": level}
     if level_file is not None:
         start["level"] = read(level_file, 2**20).decode()

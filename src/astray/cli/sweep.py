@@ -16,6 +16,8 @@ MOST_WORKERS = 1024  # processes
 Preset = Literal["paper", "small"]
 Sets = UseAppendAction[Annotated[tuple[str, ...], arg(name="set", metavar="NAME=VALUE,...")]]
 
+MOST_LEVELS = 10**6  # that each agent is evaluated on
+
 
 def sweep(
     config: Annotated[Config, arg(name="")],
@@ -49,6 +51,7 @@ def sweep(
     from astray.experiments.sweep import Sweep, run_sweep
     from astray.experiments.sweep import axes as read_axes
 
+    bounded("test_levels", test_levels, 1, MOST_LEVELS)
     if workers is not None:
         bounded("workers", workers, 1, MOST_WORKERS)
     there = folder or Path("sweeps") / f"{config.game}-{config.variant}"
