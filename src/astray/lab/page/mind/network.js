@@ -88,7 +88,7 @@ export function readNetwork(buffer) {
   const length = Number(new DataView(buffer).getBigUint64(0, true));
   const header = JSON.parse(new TextDecoder().decode(new Uint8Array(buffer, 8, length)));
   const { architecture } = JSON.parse(header.__metadata__.astray);
-  if (architecture.name !== "small") {
+  if (!["mlp", "small"].includes(architecture.name)) { // older files say small
     throw new Error(`network '${architecture.name}' is not computed without Python`);
   }
   const tensors = {};
