@@ -30,7 +30,7 @@ from astray.lab.worlds import PAGE, World, is_drawn
 from astray.level import Level
 
 TABLE = 2**20  # bytes of an agent's table, at most
-SMALL = "small"  # networks that the page computes
+COMPUTED = "mlp"  # the network that the page computes
 SHARE = 255  # a byte that is a probability of 1
 NOTE = (
     "This page has no Python behind it. Levels, rules, arrows, episodes, splays and the posterior "
@@ -67,7 +67,7 @@ def _chosen(lab: Lab) -> list[str]:
     small = [
         name
         for name in lab.minds.paths
-        if lab.minds.open(name)[0].architecture.name == SMALL and _playable(lab.minds, name)
+        if lab.minds.open(name)[0].architecture.name == COMPUTED and _playable(lab.minds, name)
     ]
     return list(dict.fromkeys([*([first] if first else []), *small]))
 
@@ -134,7 +134,7 @@ def _levels(game: Game, variant: Variant, count: int) -> list[dict[str, Any]]:
 def _write_agent(minds: Minds, name: str, told: dict[str, Any], folder: Path, levels: int) -> None:
     agent, config = minds.open(name)
     told.pop("layers", None)
-    if agent.architecture.name == SMALL:
+    if agent.architecture.name == COMPUTED:
         path = folder / "agents" / f"{name}.safetensors"
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_bytes(agent.path.read_bytes())
