@@ -234,7 +234,8 @@ def test_a_table_is_no_larger_than_is_asked_for():
     agent, config = make_lab("maze-corner", {}).minds.open("maze-corner")
     game = config.find_game()
     index, data = table(agent, game, game.variant("anywhere-small"), 2, most=2000)
-    assert len(data) <= 2000 and all(len(level["goals"]) == 1 for level in index["levels"].values())
+    assert len(data) <= 2000  # a level too large for its half has one place of the goal alone
+    assert 1 in {len(level["goals"]) for level in index["levels"].values()}
 
 
 def test_replay_and_the_page_agree_on_an_episode(page):
