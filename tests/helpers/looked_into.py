@@ -7,6 +7,17 @@ from torch import nn
 from astray.agents.policy import Architecture, weights
 from astray.analysis.policies import Agent
 
+# A way up, and one to the right: they part where the mouse begins.
+ROOM = """
+    .....#G
+    .###.#.
+    .#...#.
+    .#.###.
+    .#.....
+    .####.#
+    @......
+"""
+
 
 class Guest(nn.Module):
     """A network of somebody's own: one module is used twice."""

@@ -1,11 +1,13 @@
-"""Settings of trainings that take a moment, and what such a one came to."""
+"""Settings of trainings that take a moment, such a one stopped, and what it came to."""
 
 from dataclasses import replace
 
+import pytest
 from safetensors.numpy import load_file
 
 from astray.training import checkpoint
 from astray.training.config import PRESETS
+from astray.training.loop import train
 
 TINY = replace(
     PRESETS["small"], variant="corner-small", knobs={"world": 5, "largest": 5, "time_limit": 20},
@@ -26,3 +28,16 @@ def digest(folder):
     last = checkpoint.latest(folder)
     weights, rest = load_file(last / "agent.safetensors"), load_file(last / "trainer.safetensors")
     return {name: array.tobytes() for name, array in (weights | rest).items()}
+
+
+def train_to_first_checkpoint(config, folder, monkeypatch):
+    """Train until the first checkpoint is written, as if somebody pressed Ctrl-C then."""
+    saved = checkpoint.save
+
+    def stop(folder, trainer):
+        saved(folder, trainer)
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
+        patch.setattr(checkpoint, "save", stop)
+        train(config, folder, progress=False)

@@ -14,18 +14,10 @@ from astray.insight.activations import layers
 from astray.insight.fields import cell_of, difference, fields, outcomes, splay
 from astray.insight.interventions import steer
 from astray.level import Level
+from helpers.looked_into import ROOM
 
 MAZE = games.find("maze")
 SMALL = MAZE.variant("anywhere-small")
-ROOM = """
-    .....#G
-    .###.#.
-    .#...#.
-    .#.###.
-    .#.....
-    .####.#
-    @......
-"""
 
 
 @pytest.fixture(scope="module")

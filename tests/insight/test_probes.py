@@ -15,6 +15,7 @@ from astray.games.maze import measures
 from astray.insight import probes
 from astray.insight.fields import splay
 from astray.level import Level
+from helpers.looked_into import ROOM
 
 MAZE, COINRUN = games.find("maze"), games.find("coinrun")
 SMALL = MAZE.variant("anywhere-small")
@@ -110,17 +111,6 @@ def test_without_scikit_learn_it_is_told_what_to_install(mouse, states, monkeypa
     monkeypatch.setitem(sys.modules, "sklearn", None)
     with pytest.raises(ImportError, match=r"pip install 'astray\[insight\]'"):
         probes.probe(mouse, SMALL, states, ["features.relu1"], MAZE.labels)
-
-
-ROOM = """
-    .....#G
-    .###.#.
-    .#...#.
-    .#.###.
-    .#.....
-    .####.#
-    @......
-"""
 
 
 def test_labels_of_mazes_are_where_things_are():

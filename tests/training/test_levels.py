@@ -23,7 +23,7 @@ from astray.training.levels import (
 from astray.training.loop import collect, play, train
 from astray.training.replay import Replay, draw_distinct, probabilities
 from astray.training.trainer import Trainer
-from helpers.trainings import PLAIN, TINY, digest
+from helpers.trainings import PLAIN, TINY, digest, train_to_first_checkpoint
 
 SHIFTED = {**TINY.knobs, "shift_probability": 0.2}
 MIXED = replace(TINY, sampler="mixed", knobs=SHIFTED)
@@ -183,16 +183,7 @@ def test_levels_that_are_only_scored_leave_no_trace_in_learning():
 @pytest.mark.parametrize("config", [MIXED, PLR, ACCEL], ids=["mixed", "plr", "accel"])
 def test_a_resumed_run_is_the_one_that_was_not_stopped(config, tmp_path, monkeypatch):
     train(config, tmp_path / "whole", progress=False)
-    saved = checkpoint.save
-
-    def stop(folder, trainer):
-        saved(folder, trainer)
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr(checkpoint, "save", stop)
-    with pytest.raises(KeyboardInterrupt):
-        train(config, tmp_path / "parts", progress=False)
-    monkeypatch.setattr(checkpoint, "save", saved)
+    train_to_first_checkpoint(config, tmp_path / "parts", monkeypatch)
     train(config, tmp_path / "parts", progress=False)
     assert digest(tmp_path / "parts") == digest(tmp_path / "whole")
     assert checkpoint.metrics(tmp_path / "parts") == checkpoint.metrics(tmp_path / "whole")

@@ -12,13 +12,12 @@ import pytest
 import torch
 
 from astray.agents.policy import usable
-from astray.training import checkpoint
 from astray.training.config import PRESETS
 from astray.training.fast.acceleration import agreement, resolve
 from astray.training.fast.graphs import restore
 from astray.training.loop import collect, train, update
 from astray.training.trainer import Trainer
-from helpers.trainings import OFF, PICTURES, PLAIN, TINY, digest
+from helpers.trainings import OFF, PICTURES, PLAIN, TINY, digest, train_to_first_checkpoint
 
 ON_GPU = pytest.mark.skipif(not usable("cuda"), reason="there is no CUDA device")
 
@@ -125,16 +124,7 @@ def test_the_compiled_loss_is_the_plain_one(monkeypatch):
 def test_a_resumed_run_is_the_one_that_was_not_stopped(config, tmp_path, monkeypatch):
     config = replace(config, checkpoint_every=2)
     train(config, tmp_path / "whole", progress=False)
-    saved = checkpoint.save
-
-    def stop(folder, trainer):
-        saved(folder, trainer)
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr(checkpoint, "save", stop)
-    with pytest.raises(KeyboardInterrupt):
-        train(config, tmp_path / "parts", progress=False)
-    monkeypatch.setattr(checkpoint, "save", saved)
+    train_to_first_checkpoint(config, tmp_path / "parts", monkeypatch)
     train(config, tmp_path / "parts", progress=False)
     assert digest(tmp_path / "parts") == digest(tmp_path / "whole")
 

@@ -14,7 +14,7 @@ from astray.agents.policy import usable
 from astray.training import checkpoint
 from astray.training.config import PRESETS
 from astray.training.loop import train
-from helpers.trainings import TINY, digest
+from helpers.trainings import TINY, digest, train_to_first_checkpoint
 
 
 def test_a_run_holds_what_it_should(tmp_path):
@@ -57,16 +57,7 @@ def test_the_same_seed_gives_the_same_run_and_another_another(tmp_path):
 
 def test_a_resumed_run_is_the_one_that_was_not_stopped(tmp_path, monkeypatch):
     train(TINY, tmp_path / "whole", progress=False)
-    saved = checkpoint.save
-
-    def stop(folder, trainer):
-        saved(folder, trainer)
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr(checkpoint, "save", stop)
-    with pytest.raises(KeyboardInterrupt):
-        train(TINY, tmp_path / "parts", progress=False)
-    monkeypatch.setattr(checkpoint, "save", saved)
+    train_to_first_checkpoint(TINY, tmp_path / "parts", monkeypatch)
     metrics = tmp_path / "parts" / "metrics.jsonl"
     metrics.write_text(metrics.read_text() + '{"steps": 768, "lost": 1}\n{"steps": 10')
     train(TINY, tmp_path / "parts", progress=False)
