@@ -28,13 +28,14 @@ def depth(table: pl.DataFrame, plain: float, without: float) -> Figure:
     y = np.arange(len(table))
     axes.errorbar(table["mean"], y, xerr=_whiskers(table), fmt="o", color=figures.OTHERS[0],
                   capsize=3)  # fmt: skip
-    axes.axvline(plain, color=figures.INK, linestyle="--", linewidth=1)
-    axes.axvline(without, color=figures.INK, linestyle=":", linewidth=1.4)
+    axes.axvline(plain, color=figures.INK, linestyle="--", linewidth=1, label="nothing changed")
+    axes.axvline(without, color=figures.INK, linestyle=":", linewidth=1.4, label="no cheese")
     axes.set_yticks(y, table["layer"].to_list())
     axes.set_ylim(len(table) - 0.5, -0.5)
     axes.set_xlim(0, 1)
     axes.grid(axis="x")
     axes.set_xlabel("probability of the next step to the cheese")
+    figure.legend(loc="outside upper left", ncols=2)
     return figure
 
 
