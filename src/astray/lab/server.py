@@ -180,7 +180,7 @@ class Conversation:
             await self._send(part)
             if not part.get("done") and self._is_stale(text):
                 await self._send({"id": number_of(text), "done": True, "stale": True})
-                answers.close()  # pyright: ignore
+                answers.close()
                 return
 
     def _next(self, answers: Iterator[dict[str, Any]]) -> dict[str, Any] | None:
