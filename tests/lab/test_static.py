@@ -14,7 +14,7 @@ from astray.analysis.critic import judge, observe
 from astray.analysis.policies import Agent
 from astray.analysis.replay import replay
 from astray.envs.vector import GameVectorEnv
-from astray.lab.export import export, table
+from astray.lab.export import export, file_names, table
 from astray.lab.serving import make_lab
 from astray.lab.session import Session
 from astray.lab.worlds import snapshot
@@ -236,6 +236,17 @@ def test_a_table_is_no_larger_than_is_asked_for():
     index, data = table(agent, game, game.variant("anywhere-small"), 2, most=2000)
     assert len(data) <= 2000  # a level too large for its half has one place of the goal alone
     assert 1 in {len(level["goals"]) for level in index["levels"].values()}
+
+
+def test_nothing_is_written_over_and_nothing_outside(tmp_path):
+    lab, mine = make_lab("maze-corner", {}), tmp_path / "mine"
+    (mine / "data").mkdir(parents=True)
+    (mine / "data" / "index.json").write_text("mine")
+    with pytest.raises(FileExistsError, match="must be new, or an empty folder"):
+        export(lab, mine, levels=1)
+    assert (mine / "data" / "index.json").read_text() == "mine"
+    names = file_names(["maze-corner", "/home/me/runs/mice/seed-0", "../mice/seed-0", "../.."])
+    assert list(names.values()) == ["maze-corner", "mice-seed-0", "mice-seed-0-2", "agent"]
 
 
 def test_replay_and_the_page_agree_on_an_episode(page):

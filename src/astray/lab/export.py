@@ -9,8 +9,9 @@ value, a byte for each.
 from __future__ import annotations
 
 import json
-import shutil
-from collections.abc import Mapping
+import os
+import re
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -28,6 +29,7 @@ from astray.lab.server import TYPES
 from astray.lab.session import FORMAT, Lab, about_game, drawings
 from astray.lab.worlds import PAGE, World, is_drawn
 from astray.level import Level
+from astray.training.config import Config
 
 TABLE = 2**20  # bytes of an agent's table, at most
 COMPUTED = "mlp"  # the network that the page computes
@@ -41,23 +43,23 @@ NOTE = (
 
 
 def export(lab: Lab, folder: Path, levels: int = 50, agents: list[str] | None = None) -> None:
-    """Write the lab to `folder`, in the place of one that was there.
+    """Write the lab to `folder`, which is new or empty.
 
     levels  how many of each variant that the agents see, from number 0 on
     agents  by name; None: the one that the lab begins with, and all kept ones
 
-    Raises FileExistsError where the folder holds something else.
+    Raises FileExistsError where the folder holds anything: nothing of the user's is removed.
     """
     bounded("levels", levels, 1, 10_000)
-    is_old = (folder / "data" / "index.json").is_file()
-    if folder.exists() and not is_old and (not folder.is_dir() or any(folder.iterdir())):
-        raise FileExistsError(f"{folder} must be a lab that was exported, or nothing")
+    is_there = os.path.lexists(folder)
+    if is_there and (folder.is_symlink() or not folder.is_dir() or any(folder.iterdir())):
+        raise FileExistsError(f"{folder} must be new, or an empty folder; there is something in it")
     chosen = agents if agents is not None else _chosen(lab)
     with folder_aside(folder) as aside:
         _write_page(aside)
         _write_data(lab, aside / "data", levels, chosen)
-        if folder.exists():
-            shutil.rmtree(folder)
+        if is_there:
+            folder.rmdir()
         aside.rename(folder)
 
 
@@ -89,7 +91,8 @@ def _write_page(folder: Path) -> None:
 
 
 def _write_data(lab: Lab, folder: Path, levels: int, agents: list[str]) -> None:
-    about = {name: lab.minds.about(name) for name in agents}
+    called = file_names(agents)
+    about = {called[name]: lab.minds.about(name) for name in agents}
     played = {told["game"] for told in about.values()} | {lab.start["game"]}
     found: dict[str, Any] = {}
     for game in sorted(map(games.find, played), key=lambda game: game.name):
@@ -103,14 +106,28 @@ def _write_data(lab: Lab, folder: Path, levels: int, agents: list[str]) -> None:
         for name in variants:
             data = {"levels": _levels(game, game.variant(name), levels)}
             _write(folder / "levels" / f"{game.name}-{name}.json", data)
-    for name, told in about.items():
+    for name in agents:
+        told = about[called[name]]
         told["variants"] = [v for v in told["variants"] if v in found[told["game"]]["variants"]]
-        _write_agent(lab.minds, name, told, folder, levels)
+        _write_agent(*lab.minds.open(name), called[name], told, folder, levels)
     index = {
         "format": FORMAT, "engine": "static", "note": NOTE, "games": found, "agents": about,
-        "broken": {}, "start": dict(lab.start),
+        "broken": {},
+        "start": dict(lab.start) | {"agent": called.get(lab.start.get("agent", ""), "")},
     }  # fmt: skip
     _write(folder / "index.json", index)
+
+
+def file_names(agents: Sequence[str]) -> dict[str, str]:
+    """What agents are called in files: their names, and of run folders the ends of their paths.
+
+    A path would lead out of the folder that is written.
+    """
+    called: dict[str, str] = {}
+    for name in agents:
+        short = re.sub(r"[^A-Za-z0-9]+", "-", "-".join(Path(name).parts[-2:])).strip("-") or "agent"
+        called[name] = short if short not in called.values() else f"{short}-{len(called)}"
+    return called
 
 
 def _variants(lab: Lab, game: Game, about: Mapping[str, Any]) -> list[str]:
@@ -131,8 +148,9 @@ def _levels(game: Game, variant: Variant, count: int) -> list[dict[str, Any]]:
     return found
 
 
-def _write_agent(minds: Minds, name: str, told: dict[str, Any], folder: Path, levels: int) -> None:
-    agent, config = minds.open(name)
+def _write_agent(
+    agent: Agent, config: Config, name: str, told: dict[str, Any], folder: Path, levels: int
+) -> None:
     told.pop("layers", None)
     if agent.architecture.name == COMPUTED:
         path = folder / "agents" / f"{name}.safetensors"

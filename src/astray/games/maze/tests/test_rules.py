@@ -113,7 +113,10 @@ def test_bad_drawings_are_explained(room, message):
         ({"smallest": 4}, "must be odd, in order"),
         ({"region": 0, "placement": "region"}, "at least 1"),
         ({"region": 5}, "need placement 'region'; it is 'anywhere'"),
-        ({"shifted": VARIANTS["anywhere-easy"]}, "another world or window"),
+        (
+            {"shifted": VARIANTS["anywhere-easy"], "shift_probability": 0.1},
+            "another world or window",
+        ),
         ({"background": 9}, "from 0 to 8"),
         ({"goal_shape": "squid"}, "unknown goal_shape 'squid'; there are: none, cheese"),
         ({"other_shape": "gem"}, "other_colour is 'none'"),
