@@ -36,25 +36,28 @@ def test_every_experiment_plans(name, size, tmp_path):
     assert not (size == "paper" and plan.differences)
 
 
+SMALLEST = {name: next(iter(catalogue.load(name).sizes)) for name in catalogue.NAMES}
 TRAINED = [
-    name for name, size in ALL
-    if size == "smoke" and not catalogue.load(name).sizes["smoke"].published
+    (name, size) for name, size in SMALLEST.items()
+    if size in ("smoke", "pixels") and not catalogue.load(name).sizes[size].published
 ]  # fmt: skip
+# A network of patches, and one that is distilled from the symbols of another.
+TRAINED.append(("inherited-goals", "pixels"))
 
 
-@pytest.mark.parametrize("name", TRAINED)
-def test_every_experiment_runs_in_miniature(name, tmp_path, monkeypatch):
+@pytest.mark.parametrize("name, size", TRAINED)
+def test_every_experiment_runs_in_miniature(name, size, tmp_path, monkeypatch):
     whole = catalogue.load(name)
     # Who learned nothing needs long to come to an end, which this one compares beginnings with.
-    plan = miniature(whole.sizes["smoke"], 400 if name == "critic-value" else 100)
+    plan = miniature(whole.sizes[size], 400 if name == "critic-value" else 100)
     if name == "asking-for-help":  # which plays its levels with every score and threshold
         monkeypatch.setattr(asking_for_help, "PERCENTILES", (90.0,))
         plan = replace(plan, levels=2)
-    small = replace(whole, sizes={"smoke": plan})
+    small = replace(whole, sizes={size: plan})
     monkeypatch.setattr(catalogue, "load", lambda _: small)
     train_here(plan, tmp_path)
-    page = run.reproduce(name, "smoke", tmp_path)
-    folder = tmp_path / f"{name}-smoke"
+    page = run.reproduce(name, size, tmp_path)
+    folder = tmp_path / f"{name}-{size}"
     assert page == folder / "report.html"
     found = json.loads((folder / "findings.json").read_text())
     assert found["claims"] and all(claim["ours"] for claim in found["claims"])
@@ -70,7 +73,7 @@ def test_every_experiment_runs_in_miniature(name, tmp_path, monkeypatch):
 
     agents = {path: path.stat().st_mtime_ns for path in tmp_path.rglob("*.safetensors")}
     page.unlink()
-    run.reproduce(name, "smoke", tmp_path)  # nothing is trained again
+    run.reproduce(name, size, tmp_path)  # nothing is trained again
     assert page.exists()
     assert agents == {path: path.stat().st_mtime_ns for path in agents}
 

@@ -22,6 +22,13 @@ def miniature(plan: Plan, time_limit: int = 100) -> Plan:
 
 def train_here(plan: Plan, root: Path) -> None:
     """Train the plan's agents where `reproduce` finds them, without the start of processes."""
-    for configs in plan.trainings().values():
-        for config in configs:
-            train(config, run.run_folder(root, config), progress=False)
+    trainings = plan.trainings()
+    runs = {
+        name: [run.run_folder(root, config) for config in configs]
+        for name, configs in trainings.items()
+    }
+    for name in sorted(trainings, key=lambda name: name in plan.teachers):  # students last
+        if name in plan.teachers:
+            run.give_teachers(plan, runs)
+        for config, folder in zip(trainings[name], runs[name], strict=True):
+            train(config, folder, progress=False)

@@ -15,9 +15,7 @@ from typing import Any, Literal, Protocol
 import numpy as np
 import torch
 
-from astray.agents.clear import Clear
-from astray.agents.impala import Impala
-from astray.agents.mlp import MLP
+from astray.agents.actor_critic import ActorCritic
 from astray.analysis import agency
 from astray.analysis.episodes import Levels, steps
 from astray.analysis.policies import AT_ONCE, Agent, Policy, episode_noise
@@ -141,7 +139,7 @@ def features(agent: Agent, observations: np.ndarray) -> np.ndarray:
     Raises ValueError where the network is none of astray's own.
     """
     network = agent.network
-    if not isinstance(network, Clear | Impala | MLP):
+    if not isinstance(network, ActorCritic):
         raise ValueError(f"features need a network of astray's; got {type(network).__name__}")
     shown = torch.from_numpy(observations).to(agent.device)
     parts = [network.hidden(part) for part in shown.split(AT_ONCE[agent.observation])]

@@ -14,7 +14,16 @@ from astray.analysis import kept
 from astray.analysis.runs import open_run, play_all
 from astray.experiments import catalogue, report
 from astray.experiments.levels import levels_of
-from astray.experiments.spec import COMPUTED, PUBLISHED, Experiment, Plan, Runs, Size, Work
+from astray.experiments.spec import (
+    COMPUTED,
+    PUBLISHED,
+    Experiment,
+    Plan,
+    Runs,
+    Size,
+    Work,
+    name_of_run,
+)
 from astray.experiments.spec import kept as kept_table
 from astray.experiments.track import track_report
 from astray.experiments.workers import Place, train_all
@@ -23,6 +32,7 @@ from astray.game import OWN
 from astray.kernel.jit import source_digest
 from astray.training import checkpoint
 from astray.training.config import Config
+from astray.training.teacher import give
 from astray.training.track import Tracking
 
 # The sources of what agents do, and of what is computed of it.
@@ -91,15 +101,29 @@ def train_agents(
     """
     there = {name: [published_run(agent)] for name, agent in plan.published.items()}
     trainings = plan.trainings()
-    train_all(
-        {run_folder(root, config): config for configs in trainings.values() for config in configs},
-        workers, on, track,
-    )  # fmt: skip
-    trained = {
+    runs = there | {
         name: [run_folder(root, config) for config in configs]
         for name, configs in trainings.items()
     }
-    return there | trained
+    for students in (False, True):
+        if students:
+            give_teachers(plan, runs)
+        todo = {
+            run: config
+            for name, configs in trainings.items()
+            if (name in plan.teachers) == students
+            for run, config in zip(runs[name], configs, strict=True)
+        }
+        train_all(todo, workers, on, track)
+    return runs
+
+
+def give_teachers(plan: Plan, runs: Runs) -> None:
+    """Write to the run folder of each student the weights of its teacher, which is trained."""
+    for student, teacher in plan.teachers.items():
+        for number, run in enumerate(runs[student]):
+            its = runs[teacher][number % len(runs[teacher])]  # a published one teaches all
+            give(checkpoint.latest(its) / checkpoint.AGENT, run)
 
 
 def published_run(agent: str) -> Path:
@@ -134,10 +158,7 @@ def reproduce_all(
 
 def run_folder(root: Path, config: Config) -> Path:
     """Where the agent of these settings is: all experiments that want it find it there."""
-    usual = asdict(Config())  # left out, so that a new setting changes no folder
-    settings = {k: v for k, v in asdict(config).items() if k != "seed" and v != usual[k]}
-    digest = hashlib.sha256(json.dumps(settings, sort_keys=True).encode()).hexdigest()[:8]
-    return root / "agents" / f"{config.game}-{config.variant}-{digest}" / f"seed-{config.seed}"
+    return root / "agents" / name_of_run(config)
 
 
 def forget_stale(plan: Plan, runs: Runs, folder: Path) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from pathlib import Path
 
 import torch
 from torch import Tensor, nn
@@ -21,6 +22,8 @@ from astray.training.fast.graphs import Captured
 from astray.training.levels import MakeSampler, Mixed, Sampler
 from astray.training.player import RECENT, Player
 from astray.training.replay import Replay
+from astray.training.teacher import Teacher
+from astray.training.teacher import loss as distilled
 
 PER_WEIGHT = 16  # bytes: float32 of itself, its gradient, and Adam's two moments
 PER_SAMPLE = 28  # bytes beside the observation: an int64 and five float32
@@ -31,6 +34,7 @@ class Trainer:
     """The network, its optimizer, and the players of the training and validation variants.
 
     network, loss, sampler  what `config` has the names of, where nobody can import it
+    teacher  the weights of the agent that `config` names so
     """
 
     def __init__(
@@ -39,6 +43,7 @@ class Trainer:
         network: Callable[[Architecture], nn.Module] | None = None,
         loss: Loss | None = None,
         sampler: MakeSampler | None = None,
+        teacher: Path | None = None,
     ):
         if config.batch // parallel.size() % config.minibatches:
             raise ValueError(
@@ -73,10 +78,16 @@ class Trainer:
             if not own:
                 _see_outputs(self.network, self.architecture, self.player.images.to(config.device))
         self.weights = list(self.network.parameters())
-        what = loss or (imports.find(config.loss) if config.loss else ppo.loss)
+        self.teacher: Teacher | None = None
+        if config.teacher is not None:
+            if teacher is None:
+                raise ValueError(f"a student of {config.teacher} must have a run folder")
+            self.teacher = Teacher(teacher, config, self.player)
+        usual = ppo.loss if self.teacher is None else distilled
+        what = loss or (imports.find(config.loss) if config.loss else usual)
         self.fast = acceleration.accelerate(self.network, what, config, self.architecture)
         self.actor = self.validator = None  # where `loop` plays itself
-        if self.fast.using.of_playing:
+        if self.fast.using.of_playing and self.teacher is None:
             self.actor = Actor(self.fast, self.player, config, config.num_steps)
             if self.validation:
                 self.validator = Actor(self.fast, self.validation, config, 1)

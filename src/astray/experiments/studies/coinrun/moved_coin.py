@@ -221,6 +221,7 @@ EXPERIMENT = Experiment(
     question="Is a coin taken because it is seen, or because it lies where the runner comes by?",
     sizes={
         "smoke": _agents.plan("smoke", 2, 1000, visited=TESTS),
+        "pixels": _agents.plan("pixels", 3, 1000, visited=TESTS),
         "hour": _agents.plan("hour", 1, 1000, visited=TESTS),
         "paper": _agents.plan("paper", 3, 1000, visited=TESTS),
         "published": _agents.plan("published", 1, 1000, visited=TESTS),

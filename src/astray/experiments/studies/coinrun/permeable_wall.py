@@ -242,6 +242,7 @@ EXPERIMENT = Experiment(
     "moving to the wall.",
     sizes={
         "smoke": _agents.plan("smoke", 2, 200, **PLAYED),
+        "pixels": _agents.plan("pixels", 3, 200, **PLAYED),
         "hour": _agents.plan("hour", 1, 300, **PLAYED),
         "paper": _agents.plan("paper", 3, 1000, **PLAYED),
         "published": _agents.plan("published", 1, 150, **PLAYED | {"tests": BRIEF}),
