@@ -181,6 +181,16 @@ def test_what_agents_trained_here_do_stands_beside_the_published(tmp_path):
     assert report.of_claims(tmp_path / "nothing") == {}
 
 
+@pytest.mark.parametrize("held", [True, False])
+def test_a_report_says_why_a_claim_did_not_hold(tmp_path, held):
+    heading = report.Heading("n", "smoke", "t", "r", "q", "", "c")
+    mine = report.Findings(
+        answer="", claims=[Claim("It runs.", "p", "7 %", held, "it is tired")], settings={}
+    )
+    page = report.write(heading, mine, tmp_path).read_text()
+    assert ("<dt>why</dt><dd>it is tired</dd>" in page) != held
+
+
 def test_plans_name_the_same_agents_as_the_catalogue():
     from astray.analysis import published
 
