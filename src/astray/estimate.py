@@ -49,7 +49,8 @@ class Estimate:
         """What the mean is of."""
         agents = "1 agent" if self.agents == 1 else f"{self.agents} agents"
         several = self.rows > self.agents * self.levels
-        return f"{agents}, {self.levels:,} {self.unit}" + (f", n = {self.rows:,}" if several else "")
+        told = f"{agents}, {self.levels:,} {self.unit}"
+        return told + (f", n = {self.rows:,}" if several else "")
 
     def _interval(self, low: str, high: str) -> str:
         return f"95\u00a0% interval {low} to {high}; {self.counted()}"
