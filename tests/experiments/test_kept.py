@@ -150,7 +150,7 @@ def test_a_name_is_one_and_new(run, mouse, name, message):
 
 def test_what_is_too_large_is_not_kept(run, tmp_path):
     with pytest.raises(ValueError, match=r"one that is kept is at most 0\.01 MB"):
-        keep.keep(run, "mouse", folder=tmp_path, largest=10_000)
+        keep.keep(run, "mouse", folder=tmp_path, levels=10, largest=10_000)
     assert not list(tmp_path.iterdir())
 
 

@@ -47,6 +47,7 @@ def wait(page, expression):
 def opened(browser, address, **options):
     """A page of the lab, ready; what it writes to the console is in its `told`."""
     context = browser.new_context(**options)
+    context.set_default_timeout(1000 * PATIENCE)
     page, told = context.new_page(), []
     page.on("console", lambda message: told.append(message.text))
     page.on("pageerror", lambda error: told.append(str(error)))
