@@ -2,6 +2,7 @@
 
 import json
 from importlib.util import find_spec
+from pathlib import Path
 
 import numpy as np
 import polars as pl
@@ -75,11 +76,11 @@ def test_images_are_written_to_the_byte(tmp_path):
 
 @pytest.mark.skipif(not find_spec("minari"), reason="minari is not installed")
 @pytest.mark.filterwarnings("ignore::DeprecationWarning")
-def test_minari_reads_its_layout(mouse, tmp_path):
+def test_minari_reads_its_layout(mouse, tmp_path, monkeypatch):
     from minari import MinariDataset
 
-    folder = dataset.export(mouse, "maze", "anywhere-small", LEVELS, tmp_path / "set",
-                            form="minari")  # fmt: skip
+    monkeypatch.chdir(tmp_path)  # Minari takes a path that is not absolute for another
+    folder = dataset.export(mouse, "maze", "anywhere-small", LEVELS, Path("set"), form="minari")
     theirs = MinariDataset(folder / "data")
     assert theirs.total_episodes == len(LEVELS)
     played = {t.level: t for t in dataset.trajectories(mouse, "maze", "anywhere-small", LEVELS)}

@@ -228,7 +228,7 @@ def write_minari(
     env.close()
     assert isinstance(taken, spaces.Discrete)
     storage = MinariStorage.new(
-        folder / "data", observation_space=seen, action_space=taken, data_format="hdf5",
+        folder.absolute() / "data", observation_space=seen, action_space=taken, data_format="hdf5",
         env_spec=_spec(game, variant), jpeg_encoding=False,
     )  # fmt: skip
     storage.update_metadata({
