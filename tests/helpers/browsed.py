@@ -11,7 +11,7 @@ from contextlib import contextmanager
 import pytest
 
 NAMES = ("chromium", "chromium-browser", "google-chrome", "chrome")
-PATIENCE = 60  # seconds until a page shows what is waited for; machines may be busy
+PATIENCE = 120  # seconds until a page shows what is waited for; machines may be busy
 TOKEN = "a-token-that-nobody-guesses"
 
 
@@ -47,6 +47,7 @@ def wait(page, expression):
 def opened(browser, address, **options):
     """A page of the lab, ready; what it writes to the console is in its `told`."""
     context = browser.new_context(**options)
+    context.set_default_timeout(1000 * PATIENCE)
     page, told = context.new_page(), []
     page.on("console", lambda message: told.append(message.text))
     page.on("pageerror", lambda error: told.append(str(error)))
