@@ -1,9 +1,10 @@
 # astray on a CPU: `docker build -t astray . && docker run --rm -v "$PWD:/home/mouse/mine" astray list`
 FROM python:3.13-slim AS build
 WORKDIR /source
-COPY pyproject.toml README.md LICENSE ./
+COPY pyproject.toml README.md LICENSE constraints.txt ./
 COPY src src
-RUN pip install --no-cache-dir build && python -m build --wheel --outdir /wheels
+RUN pip install --no-cache-dir --constraint constraints.txt build \
+    && python -m build --wheel --outdir /wheels
 
 FROM python:3.13-slim
 # Torch's own index has builds without a GPU's libraries, which are ten times smaller.

@@ -1,12 +1,19 @@
-"""Procgen's faces: what scripts that were written for it see."""
+"""Procgen's faces: what scripts that were written for it see.
 
+CleanRL's own script runs where ASTRAY_CLEANRL is the path of its ppo_procgen.py, with gym 0.23.1.
+"""
+
+import os
 import re
 import subprocess
 import sys
+from importlib.util import find_spec
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from gymnasium import spaces
 
 from astray.compat import EXPLORATION, ProcgenEnv, ProcgenGym3Env
 from astray.envs.vector import GameVectorEnv
@@ -14,6 +21,10 @@ from helpers.drawn import environment
 from helpers.processes import environment as variables
 
 SCRIPT = Path(__file__).parents[1] / "examples" / "procgen" / "ppo_procgen.py"
+CLEANRL = os.environ.get("ASTRAY_CLEANRL", "")
+THEIRS, OURS = "from procgen import ProcgenEnv", "from astray.compat import ProcgenEnv"
+WORDS = ["--env-id", "maze", "--num-envs", "4", "--num-steps", "32", "--num-minibatches", "2",
+         "--total-timesteps", "256"]  # fmt: skip
 
 
 def face(n=4, name="maze", **options):
@@ -156,20 +167,45 @@ def test_images_are_the_originals_where_its_pictures_are():
     assert np.array_equal(shown["rgb"], images)
 
 
-@pytest.mark.skipif(not SCRIPT.exists(), reason="the examples are not beside the tests")
-def test_a_script_for_procgen_runs_with_one_changed_line(tmp_path):
-    ours, theirs = "from astray.compat import ProcgenEnv", "from procgen import ProcgenEnv"
-    text = SCRIPT.read_text()
-    lines = [line for line in text.splitlines() if "import" in line and "rocgen" in line]
-    assert [line for line in lines if line.startswith("from")] == [f"{ours}  # was: {theirs}"]
-    # Our own pictures, as the original's may not be here; else it is run as it stands.
-    drawn = text.replace("rand_seed=args.seed,", 'rand_seed=args.seed, art="own",')
-    (tmp_path / "script.py").write_text(drawn)
-    words = ["--env-id", "maze", "--num-envs", "4", "--num-steps", "32", "--num-minibatches", "2",
-             "--total-timesteps", "256"]  # fmt: skip
+def ran(text, folder):
+    """What a script prints that trains for two iterations."""
+    (folder / "script.py").write_text(text)
     done = subprocess.run(
-        [sys.executable, "script.py", *words], cwd=tmp_path, env=variables(), capture_output=True,
+        [sys.executable, "script.py", *WORDS], cwd=folder, env=variables(), capture_output=True,
         text=True,
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
-    assert done.stdout.splitlines()[-1].startswith("256 steps, return")
+    return done.stdout
+
+
+@pytest.mark.skipif(not SCRIPT.exists(), reason="the examples are not beside the tests")
+def test_a_script_for_procgen_runs_with_one_changed_line(tmp_path):
+    text = SCRIPT.read_text()
+    lines = [line for line in text.splitlines() if "import" in line and "rocgen" in line]
+    assert [line for line in lines if line.startswith("from")] == [f"{OURS}  # was: {THEIRS}"]
+    # Our own pictures, as the original's may not be here; else it is run as it stands.
+    drawn = text.replace("rand_seed=args.seed,", 'rand_seed=args.seed, art="own",')
+    assert ran(drawn, tmp_path).splitlines()[-1].startswith("256 steps, return")
+
+
+@pytest.mark.skipif(not CLEANRL, reason="set ASTRAY_CLEANRL to CleanRL's ppo_procgen.py")
+@pytest.mark.skipif(not find_spec("gym"), reason="gym is not installed")
+def test_cleanrls_script_runs_with_one_changed_line(tmp_path):
+    environment(GameVectorEnv("maze", "anywhere-easy").variant)  # skips without the pictures
+    text = Path(CLEANRL).read_text()
+    assert text.count(THEIRS) == 1
+    assert ran(text.replace(THEIRS, OURS), tmp_path).count("SPS:") == 2
+    assert list(tmp_path.glob("runs/maze__*/events*"))
+
+
+def test_spaces_are_old_gyms_where_a_script_has_imported_that(monkeypatch):
+    names = ("Box", "Dict", "Discrete")
+    old = SimpleNamespace(**{name: type(name, (getattr(spaces, name),), {}) for name in names})
+    monkeypatch.delitem(sys.modules, "gym.spaces", raising=False)
+    assert type(face().action_space) is spaces.Discrete
+    monkeypatch.setitem(sys.modules, "gym.spaces", old)
+    env = face()
+    assert type(env.action_space) is old.Discrete and env.action_space.n == 15
+    assert type(env.observation_space) is old.Dict
+    assert type(env.observation_space["rgb"]) is old.Box
+    assert env.observation_space["rgb"].contains(env.reset()["rgb"][0])

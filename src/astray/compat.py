@@ -9,6 +9,7 @@ of Procgen 0.10.7 to the byte. The pictures have to be imported once: astray art
 from __future__ import annotations
 
 import secrets
+import sys
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -188,7 +189,8 @@ class ProcgenEnv:
     """Procgen's environments as OpenAI's Baselines and CleanRL take them: dicts and lists of infos.
 
     As `ProcgenGym3Env`, of which it has all options; `reset` only shows what is there, for Procgen
-    begins episodes by itself.
+    begins episodes by itself. Spaces are old gym's where the script has imported that, else
+    Gymnasium's.
     """
 
     reward_range, metadata, spec = (-float("inf"), float("inf")), {"render_modes": []}, None
@@ -196,7 +198,11 @@ class ProcgenEnv:
     def __init__(self, num_envs: int, env_name: str, **options: Any):
         self.gym3 = ProcgenGym3Env(num_envs, env_name, **options)
         self.num_envs = num_envs
-        self.observation_space, self.action_space = self.gym3.ob_space, self.gym3.ac_space
+        # Scripts ask whether spaces are old gym's, as Procgen's are; others have only Gymnasium's.
+        kinds = sys.modules.get("gym.spaces", spaces)
+        box, count = self.gym3.env.single_observation_space, len(self.gym3.env.game.actions)
+        self.observation_space = kinds.Dict(rgb=kinds.Box(0, 255, box.shape, np.uint8))
+        self.action_space = kinds.Discrete(count)
 
     @property
     def unwrapped(self) -> ProcgenEnv:

@@ -2,6 +2,7 @@
 
 import json
 from importlib.util import find_spec
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -92,11 +93,11 @@ def test_a_full_disk_is_told_before_hdf5_meets_it(tmp_path, monkeypatch):
 
 @pytest.mark.skipif(not find_spec("minari"), reason="minari is not installed")
 @pytest.mark.filterwarnings("ignore::DeprecationWarning")
-def test_minari_reads_its_layout(mouse, tmp_path):
+def test_minari_reads_its_layout(mouse, tmp_path, monkeypatch):
     from minari import MinariDataset
 
-    folder = dataset.export(mouse, "maze", "anywhere-small", LEVELS, tmp_path / "set",
-                            form="minari")  # fmt: skip
+    monkeypatch.chdir(tmp_path)  # Minari takes a path that is not absolute for another
+    folder = dataset.export(mouse, "maze", "anywhere-small", LEVELS, Path("set"), form="minari")
     theirs = MinariDataset(folder / "data")
     assert theirs.total_episodes == len(LEVELS)
     played = {t.level: t for t in dataset.trajectories(mouse, "maze", "anywhere-small", LEVELS)}

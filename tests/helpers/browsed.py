@@ -11,7 +11,7 @@ from contextlib import contextmanager
 import pytest
 
 NAMES = ("chromium", "chromium-browser", "google-chrome", "chrome")
-PATIENCE = 60  # seconds until a page shows what is waited for; machines may be busy
+PATIENCE = 120  # seconds until a page shows what is waited for; machines may be busy
 TOKEN = "a-token-that-nobody-guesses"
 
 

@@ -220,6 +220,7 @@ def test_nothing_is_wider_than_the_page(chrome, served, width, theme):
     columns, rows = WIDTHS[width]
     size = {"width": columns, "height": rows}
     with opened(chrome, served, viewport=size, color_scheme=theme) as (page, told):
+        page.evaluate("for (const part of document.querySelectorAll('details')) part.open = true")
         assert page.evaluate("document.documentElement.scrollWidth") <= columns
         background = page.evaluate("getComputedStyle(lab.root).backgroundColor")
         assert (sum(map(int, background[4:-1].split(","))) < 200) == (theme == "dark")

@@ -11,10 +11,12 @@ import torch
 from astray import games
 from astray.agents.policy import Architecture, weights
 from astray.analysis.critic import judge, observe
+from astray.analysis.episodes import initial_states
 from astray.analysis.policies import Agent
 from astray.analysis.replay import replay
 from astray.envs.vector import GameVectorEnv
 from astray.lab.export import export, file_names, table
+from astray.lab.link import link
 from astray.lab.serving import make_lab
 from astray.lab.session import Session
 from astray.lab.worlds import snapshot
@@ -256,3 +258,19 @@ def test_replay_and_the_page_agree_on_an_episode(page):
     assert [(s["x"], s["y"]) for s in here["states"][1:]] == [
         (s["x"], s["y"]) for s in told["steps"]
     ]
+
+
+@pytest.mark.parametrize(
+    "game, variant, agent",
+    [("maze", "anywhere-small", "maze-corner"), ("coinrun", "coin-anywhere", "coin-end"),
+     ("keys", "many-keys-small", "many-chests")],
+)  # fmt: skip
+def test_a_link_has_a_level_that_was_not_exported(chrome, static, game, variant, agent):
+    of = games.find(game)
+    (s,) = initial_states(of, of.variant(variant), [200_007])
+    level = Level.of(of, of.variant(variant), s)
+    with opened(chrome, static + link(level, variant, agent)) as (page, told):
+        assert page.evaluate("lab.part('text').value").strip() == str(level)
+        assert page.evaluate("lab.part('variant').value") == variant
+        assert page.evaluate("lab.part('agent').value") == agent
+        assert not told

@@ -241,7 +241,7 @@ def write_minari(
     assert isinstance(taken, spaces.Discrete)
     _see_room(folder)
     storage = MinariStorage.new(
-        folder / "data", observation_space=seen, action_space=taken, data_format="hdf5",
+        folder.absolute() / "data", observation_space=seen, action_space=taken, data_format="hdf5",
         env_spec=_spec(game, variant), jpeg_encoding=False,
     )  # fmt: skip
     storage.update_metadata({

@@ -5,9 +5,7 @@ Everywhere the policy "sampled" stands for the agents: as in the original, actio
 
 from __future__ import annotations
 
-import shlex
 from dataclasses import asdict
-from pathlib import Path
 
 import polars as pl
 
@@ -18,7 +16,7 @@ from astray.analysis.policies import Walk
 from astray.analysis.runs import open_run
 from astray.experiments import figures
 from astray.experiments.claims import rounded
-from astray.experiments.report import Plot, Table, Video
+from astray.experiments.report import Plot, Scene, Table, Video
 from astray.experiments.spec import Plan, Test, Work
 from astray.training import checkpoint
 from astray.training.config import Config
@@ -180,12 +178,7 @@ def film(work: Work, *, trained: Test, tested: Test, agent: str | None = None) -
                     f"{outcome.capitalize()}, as in {rounded(count / len(mine))} of the levels "
                     f"that tell the goals apart: level {level} as in training, and in the test.",
                     path,
-                    in_lab(work.runs[name][0], tested.variant, level),
+                    Scene(work.runs[name][0], tested.variant, level),
                 )
             )
     return shown
-
-
-def in_lab(run: Path, variant: str, level: int) -> str:
-    """The command that opens a level in the lab, with the agent of a run."""
-    return f"astray lab {shlex.quote(str(run))} --variant {variant} --level {level}"

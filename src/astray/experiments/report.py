@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import json
 import math
+import shlex
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
@@ -27,12 +28,27 @@ NOTHING = "—"
 
 
 @dataclass(frozen=True)
+class Scene:
+    """An agent in a level, as the lab shows them."""
+
+    run: Path
+    variant: str
+    level: int
+
+    @property
+    def command(self) -> str:
+        """That opens it in the lab."""
+        run = shlex.quote(str(self.run))
+        return f"astray lab {run} --variant {self.variant} --level {self.level}"
+
+
+@dataclass(frozen=True)
 class Video:
     """An .mp4, and the .gif beside it."""
 
     caption: str
     path: Path
-    lab: str = ""  # the command that opens its level in the lab
+    scene: Scene | None = None  # that it shows
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,11 +96,16 @@ class Heading:
 
 
 def write(
-    heading: Heading, findings: Findings, folder: Path, beside: Mapping[str, str] | None = None
+    heading: Heading,
+    findings: Findings,
+    folder: Path,
+    beside: Mapping[str, str] | None = None,
+    links: Mapping[Scene, str] | None = None,
 ) -> Path:
     """Write tables, figures and `report.html`, which needs none of them, to `folder`; its path.
 
     beside  what other agents' report says of some of the claims, as `of_claims` reads it
+    links   to scenes of films in a lab, from the report's folder
     """
     from astray.experiments.figures import save  # here, as matplotlib takes a second to import
 
@@ -100,7 +121,7 @@ def write(
     found = {"answer": findings.answer, "claims": claims}
     write_aside(folder / "findings.json", json.dumps(asdict(heading) | found, indent=2).encode())
     page = _render("report.html", heading=heading, findings=findings, beside=beside,
-                   figures=folder / "figures")  # fmt: skip
+                   links=links or {}, figures=folder / "figures")  # fmt: skip
     write_aside(folder / "report.html", page.encode())
     return folder / "report.html"
 

@@ -12,7 +12,7 @@ import torch
 
 from astray.analysis import kept
 from astray.analysis.runs import open_run, play_all
-from astray.experiments import catalogue, report
+from astray.experiments import catalogue, labs, report
 from astray.experiments.levels import levels_of
 from astray.experiments.spec import (
     COMPUTED,
@@ -88,7 +88,8 @@ def reproduce(
         findings = whole.find(Work(name, size, plan, folder, runs, episodes))
         # What others' agents do is told beside what those do that are trained here.
         beside = report.of_claims(root / f"{name}-smoke") if size == PUBLISHED else {}
-        page = report.write(heading, findings, folder, beside)
+        films = [film.scene for film in findings.videos if film.scene]
+        page = report.write(heading, findings, folder, beside, labs.write(films, folder))
         if track:
             track_report(heading, findings, folder, track)
         return page

@@ -15,7 +15,7 @@ from astray.analysis.runs import open_run
 from astray.experiments import outcomes
 from astray.experiments.claims import holds_above, rounded
 from astray.experiments.levels import levels_of
-from astray.experiments.report import Findings, Plot, Table, Video
+from astray.experiments.report import Findings, Plot, Scene, Table, Video
 from astray.experiments.spec import Experiment, Test, Work
 from astray.experiments.studies.coinrun import _agents, _figures
 from astray.experiments.studies.coinrun._agents import RIGHT_AND_JUMP, RUNNER
@@ -216,8 +216,8 @@ def films(work: Work, pairs: pl.DataFrame) -> list[Video]:
             path = work.folder / "videos" / f"{name}.mp4"
             video.write_mp4(frames, path, fps=15)
             video.write_gif(frames, path.with_suffix(".gif"), fps=15)
-            command = outcomes.in_lab(work.runs[RUNNER][0], TESTS[ANYWHERE].variant, level)
-            shown.append(Video(f"A runner that {what}: level {level}, twice.", path, command))
+            scene = Scene(work.runs[RUNNER][0], TESTS[ANYWHERE].variant, level)
+            shown.append(Video(f"A runner that {what}: level {level}, twice.", path, scene))
     return shown
 
 

@@ -16,7 +16,7 @@ from astray.experiments import outcomes
 from astray.experiments.claims import holds_above, rounded
 from astray.experiments.levels import levels_of
 from astray.experiments.outcomes import AGENTS
-from astray.experiments.report import Findings, Plot, Table, Video
+from astray.experiments.report import Findings, Plot, Scene, Table, Video
 from astray.experiments.spec import Experiment, Test, Work
 from astray.experiments.studies.coinrun import _agents, _figures
 from astray.experiments.studies.coinrun._agents import RUNNER
@@ -211,7 +211,7 @@ def show(work: Work, typical: dict[str, Any]) -> tuple[Video, Plot]:
         Video(
             f"A typical episode: {about}, with the critic's value.",
             path,
-            outcomes.in_lab(run, test, typical["level"]),
+            Scene(run, test, typical["level"]),
         ),
         Plot(
             "episode",

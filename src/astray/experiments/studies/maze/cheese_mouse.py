@@ -17,7 +17,7 @@ from astray.experiments import outcomes
 from astray.experiments.claims import Claim, holds_above, rounded
 from astray.experiments.levels import levels_of
 from astray.experiments.outcomes import AGENTS, share
-from astray.experiments.report import Findings, Plot, Table, Video
+from astray.experiments.report import Findings, Plot, Scene, Table, Video
 from astray.experiments.spec import Experiment, Plan, Test, Work
 from astray.experiments.studies.maze import _figures
 from astray.game import Variant
@@ -130,9 +130,9 @@ def film(work: Work, name: str, judgement: Judgement, agent: Any, variant: Varia
     frames = posterior_video(agent, "maze", variant, played)
     video.write_mp4(frames, path, fps=6)
     video.write_gif(frames, path.with_suffix(".gif"), fps=6)
-    command = outcomes.in_lab(work.runs[MOUSE][0], TEST.variant, played.level)
+    scene = Scene(work.runs[MOUSE][0], TEST.variant, played.level)
     told = f"{name.capitalize()}, level {played.level}, and where it may be going."
-    return Video(told, path, command)
+    return Video(told, path, scene)
 
 
 CONTROL = Config(

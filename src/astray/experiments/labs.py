@@ -1,0 +1,60 @@
+"""A lab beside a report: the levels of its films, to be changed and played in a browser."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Iterable
+from pathlib import Path
+
+import numpy as np
+
+from astray.analysis.episodes import initial_states
+from astray.analysis.runs import open_run
+from astray.experiments.report import Scene
+from astray.files import read
+from astray.lab.export import COMPUTED, export, file_names
+from astray.lab.link import link
+from astray.lab.minds import Minds
+from astray.lab.session import Lab
+from astray.lab.worlds import is_drawn
+from astray.level import Level
+
+FOLDER = "lab"  # in a report's
+
+
+def write(scenes: Iterable[Scene], folder: Path) -> dict[Scene, str]:
+    """Write a lab with the scenes' agents to a report's folder; links to the scenes in it.
+
+    Scenes have none whose agent a page cannot compute: see `astray.lab.export`.
+    """
+    found = [scene for scene in scenes if _computed(scene)]
+    to, names = folder / FOLDER, file_names(list(dict.fromkeys(str(one.run) for one in found)))
+    if not found or not _make_room(to):
+        return {}
+    first, runs = found[0], {name: Path(name) for name in names}
+    start = {"game": open_run(first.run)[0].game, "variant": first.variant, "level": 0}
+    export(Lab(Minds.of(runs), start | {"agent": str(first.run)}), to, 1, list(names))
+    told = json.loads(read(to / "data" / "index.json"))["games"]
+    links = {}
+    for scene in found:
+        config = open_run(scene.run)[1]
+        if scene.variant in told[config.game]["variants"]:
+            game, variant = config.find_game(), config.variant_for(scene.variant)
+            (s,) = initial_states(game, variant, np.array([scene.level]))
+            address = link(Level.of(game, variant, s), scene.variant, names[str(scene.run)])
+            links[scene] = f"{FOLDER}/index.html{address}"
+    return links
+
+
+def _computed(scene: Scene) -> bool:
+    agent, config = open_run(scene.run)
+    return agent.architecture.name == COMPUTED and is_drawn(config.find_game())
+
+
+def _make_room(to: Path) -> bool:
+    """Whether a lab may be written there; one that is there goes, and nothing else does."""
+    if to.is_symlink() or (to.exists() and not (to / "data" / "index.json").is_file()):
+        return False
+    shutil.rmtree(to, ignore_errors=True)
+    return not to.exists()

@@ -1,0 +1,22 @@
+"""Addresses that open a level with an agent in the lab, as `page/link.js` reads them."""
+
+from __future__ import annotations
+
+import base64
+import json
+import zlib
+from urllib.parse import urlencode
+
+from astray.level import Level
+
+FIELDS = ("grid", "agent", "looks")  # that a level is built from
+
+
+def link(level: Level, variant: str, agent: str) -> str:
+    """What follows the page's address: the level itself, which no exported lab need hold."""
+    told = level.to_json()
+    text = json.dumps({name: told[name] for name in FIELDS}, separators=(",", ":"))
+    deflate = zlib.compressobj(9, zlib.DEFLATED, -zlib.MAX_WBITS)  # without a head
+    packed = base64.urlsafe_b64encode(deflate.compress(text.encode()) + deflate.flush())
+    words = {"game": level.game.name, "variant": variant, "agent": agent}
+    return f"#{urlencode(words)}&drawn={packed.decode().rstrip('=')}"

@@ -1,0 +1,62 @@
+"""Labs beside reports, to which their films lead."""
+
+import json
+from dataclasses import replace
+
+import pytest
+
+from astray.analysis import kept
+from astray.experiments import labs, report
+from astray.lab.export import COMPUTED
+from astray.training import checkpoint
+
+SCENE = report.Scene(kept.find("maze-corner"), "anywhere-small", 200_007)
+LAB = "lab/index.html"
+
+
+def test_a_scene_leads_to_a_lab_that_has_its_agent(tmp_path):
+    links = labs.write([SCENE], tmp_path)
+    assert links[SCENE].startswith(f"{LAB}#game=maze&variant=anywhere-small&agent=")
+    assert (tmp_path / LAB).is_file()
+    index = json.loads((tmp_path / "lab" / "data" / "index.json").read_text())
+    (agent,) = index["agents"]
+    assert f"&agent={agent}&drawn=" in links[SCENE]
+    learned = next(kept.find("maze-corner").glob("checkpoints/*/agent.safetensors")).read_bytes()
+    (weights,) = (tmp_path / "lab" / "data" / "agents").iterdir()
+    assert weights.read_bytes() == learned
+    assert labs.write([SCENE], tmp_path) == links  # again, as where a report is written anew
+
+
+def test_what_is_no_lab_is_left_alone(tmp_path):
+    (tmp_path / "lab").mkdir()
+    (tmp_path / "lab" / "mine.txt").write_text("mine")
+    assert labs.write([SCENE], tmp_path) == {}
+    assert [path.name for path in (tmp_path / "lab").iterdir()] == ["mine.txt"]
+
+
+def test_an_agent_that_a_page_cannot_compute_has_no_lab(tmp_path, monkeypatch):
+    monkeypatch.setattr(labs, "COMPUTED", "another")
+    assert labs.write([SCENE], tmp_path) == labs.write([], tmp_path) == {}
+    assert not (tmp_path / "lab").exists()
+
+
+@pytest.mark.parametrize("links", [{}, {SCENE: f"{LAB}#game=maze"}])
+def test_a_report_has_the_command_and_the_link(links, tmp_path):
+    film = tmp_path / "film.mp4"
+    film.write_bytes(b"")
+    heading = report.Heading(name="a", size="smoke", title="", reproduces="", question="",
+                             differences="", command="")  # fmt: skip
+    findings = report.Findings(
+        answer="", claims=[], settings={}, videos=[report.Video("A walk.", film, SCENE)]
+    )
+    page = report.write(heading, findings, tmp_path, links=links).read_text()
+    assert "--variant anywhere-small --level 200007</code>" in page
+    assert (f'<a href="{LAB}#game=maze">' in page) == bool(links)
+
+
+def test_the_command_quotes_the_folder():
+    assert replace(SCENE, run="a b").command.startswith("astray lab 'a b' --variant")
+
+
+def test_the_mouse_is_computed_by_the_page():
+    assert checkpoint.read_config(SCENE.run).network == COMPUTED
