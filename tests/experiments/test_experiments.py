@@ -56,7 +56,7 @@ def in_miniature(name, plan, monkeypatch):
         return replace(plan, levels=2)
     monkeypatch.setattr(reward_ensembles, "ENSEMBLES", 2)
     # All but the levels is as in minimax-regret, which has two agents of each name.
-    return replace(plan, seeds=1) if name == "minimax-regret-dish" else plan
+    return replace(plan, seeds=1) if name in ("minimax-regret-dish", "pixel-networks") else plan
 
 
 def open_for_short(folder):

@@ -1,0 +1,137 @@
+"""Which network learns most from images in the same time of one processor?"""
+
+from dataclasses import replace
+
+import matplotlib
+import numpy as np
+import polars as pl
+from matplotlib.figure import Figure
+
+from astray.analysis.estimates import over_agents
+from astray.experiments import outcomes
+from astray.experiments.claims import Claim
+from astray.experiments.figures import INK, OTHERS, STYLE, WIDTH
+from astray.experiments.report import Findings, Plot, Table
+from astray.experiments.spec import Experiment, Plan, Work
+from astray.training.config import PRESETS, Config
+
+# Steps per second of one thread, to three digits, as `astray bench networks` measured them: they
+# decide how many steps a network gets, so that all get the same time.
+SPEEDS = {"impala": 187, "nature": 1690, "patch-impala": 1000, "overlap": 3900, "patch": 3900}
+PAPER, OURS = "impala", "patch"
+SECONDS = 300
+GAMES = {
+    "maze": replace(PRESETS["pixels"], variant="corner-small"),
+    "coinrun": replace(
+        PRESETS["pixels"], game="coinrun", variant="coin-end-calm", gamma=0.99, entropy_weight=0.01
+    ),
+}
+LINES = dict(zip(SPEEDS, (INK, *OTHERS[:4]), strict=True))
+LAST = 10  # the end of a training: its last tenth
+
+
+def name_of(game: str, network: str) -> str:
+    """What the agents of a network are called in a game."""
+    return f"{game}, {network}"
+
+
+def find(work: Work) -> Findings:
+    """Returns in training by game, network and seconds."""
+    measured = outcomes.curves(work).select(
+        "agent", "seed", "steps", pl.col("training/return").cast(pl.Float64).alias("return")
+    )
+    ends = {
+        (game, network): ending(measured, name_of(game, network))
+        for game in GAMES for network in SPEEDS
+    }  # fmt: skip
+    rows = []
+    for (game, network), values in ends.items():
+        mean, low, high = over_agents(values[:, None])[:, 0].tolist()
+        steps = work.plan.agents[name_of(game, network)].steps
+        told = {"game": game, "network": network, "steps": steps}
+        rows.append(told | {"mean": mean, "low": low, "high": high})
+    table = pl.DataFrame(rows)
+    best = {
+        game: table.filter(game=game).sort("mean", descending=True).row(0, named=True)
+        for game in GAMES
+    }
+    told = "; ".join(f"{g}: {row['network']} with {row['mean']:.1f}" for g, row in best.items())
+    return Findings(
+        answer=f"After {SECONDS} seconds of one processor, as the benchmark times them, these "
+        f"return most in training: {told}, of 10.",
+        claims=[sooner(game, ends[game, OURS] - ends[game, PAPER]) for game in GAMES],
+        plots=[
+            Plot("returns", "Return of recent training episodes by seconds of one processor, a "
+                 "line an agent; seconds are steps divided by the steps per second of the "
+                 "network.", curve_panels(measured), measured),
+        ],
+        tables=[Table("ends", "Return in the last tenth of training", table)],
+        settings=outcomes.settings(work.plan) | {
+            "steps per second": ", ".join(f"{n}: {v:,}" for n, v in SPEEDS.items()),
+        },
+    )  # fmt: skip
+
+
+def ending(measured: pl.DataFrame, agent: str) -> np.ndarray:
+    """The mean return in the last tenth of training, [seeds]; 0 where no episode had ended."""
+    mine = measured.filter(agent=agent)
+    last = mine.filter(pl.col("steps") > pl.col("steps").max() * (1 - 1 / LAST))
+    means = last.group_by("seed").agg(pl.col("return").mean()).sort("seed")
+    return means["return"].fill_null(0.0).to_numpy()
+
+
+def sooner(game: str, difference: np.ndarray) -> Claim:
+    """Whether our network returns more than the paper's after the same time."""
+    mean, low, high = over_agents(difference[:, None])[:, 0]
+    return Claim(
+        f"{game}: in the same time the network of patches learns more than the paper's.",
+        "not measured",
+        f"{OURS} less {PAPER}: {mean:+.2f} (95\u00a0% interval {low:+.2f} to {high:+.2f}; "
+        f"{len(difference)} agents); holds above 0",
+        bool(low > 0),
+    )
+
+
+@matplotlib.rc_context(STYLE)
+def curve_panels(measured: pl.DataFrame) -> Figure:
+    """A panel for each game."""
+    figure = Figure(figsize=(WIDTH, 2.8))
+    for axes, game in zip(figure.subplots(1, len(GAMES), sharey=True), GAMES, strict=True):
+        for network, speed in SPEEDS.items():
+            mine = measured.filter(agent=name_of(game, network)).drop_nulls("return")
+            for k, (_, one) in enumerate(mine.group_by("seed", maintain_order=True)):
+                axes.plot(one["steps"] / speed, one["return"], color=LINES[network], linewidth=1,
+                          label=network if k == 0 else None)  # fmt: skip
+        axes.set_title(game)
+        axes.set_xlabel("seconds of one processor")
+        axes.grid(axis="y")
+    figure.axes[0].set_ylabel("return in training")
+    handles, labels = figure.axes[0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside upper left", ncols=len(SPEEDS))
+    return figure
+
+
+def budgeted(config: Config, network: str) -> Config:
+    """A training that takes the time that all have."""
+    return replace(config, network=network, steps=SECONDS * SPEEDS[network])
+
+
+EXPERIMENT = Experiment(
+    title="Networks for images",
+    reproduces="a question of our own",
+    question="Which network learns most from the paper's images in five minutes of one processor?",
+    sizes={
+        "pixels": Plan(
+            agents={
+                name_of(game, network): budgeted(config, network)
+                for game, config in GAMES.items()
+                for network in SPEEDS
+            },
+            seeds=3,
+            levels=1,  # there are no tests
+            differences="worlds of 7 cells, and levels of one or two sections without hazards; "
+            "five minutes of one processor instead of 200 million steps",
+        ),
+    },
+    find=find,
+)
