@@ -25,9 +25,9 @@ WORDS = st.sampled_from([
     "paper", "small", "greedy", "/nowhere", "", "-", "--", "\x00", "é", "--help", "--no-json",
     "--pixels", "--out", "x.gif", "--unsolvable", "--num-envs", "--num-steps", "--steps",
 ])  # fmt: skip
-# Those of which some words would open a window, ask the network, measure for minutes, or add to
-# the package.
-LEFT_OUT = {"play", "art", "import", "agents", "bench", "keep"}
+# Those of which some words would open a window, serve a page, ask the network, measure for minutes,
+# or add to the package.
+LEFT_OUT = {"play", "lab", "art", "import", "agents", "bench", "keep", "push", "pull"}
 VERBS = (*sorted(verbs.VERBS.keys() - LEFT_OUT), "levels", "")
 
 
@@ -36,7 +36,8 @@ VERBS = (*sorted(verbs.VERBS.keys() - LEFT_OUT), "levels", "")
 def test_a_command_does_something_or_says_what_is_wrong(verb, words):
     with pytest.MonkeyPatch.context() as patch:
         # What they would do takes long, and is tested elsewhere.
-        patch.setattr("astray.training.loop.train", lambda *a, **k: Path("trained"))
+        patch.setattr("astray.training.track.train_tracked", lambda *a, **k: Path("trained"))
+        patch.setattr("astray.experiments.sweep.run_sweep", lambda *a, **k: Path("swept"))
         patch.setattr("astray.experiments.run.reproduce", lambda *a, **k: Path("reported"))
         patch.setattr(sys, "argv", ["astray", *([verb] if verb else []), *words])
         patch.setattr(sys, "stdin", io.StringIO("left right"))

@@ -46,8 +46,7 @@ TIES = 1_000_000  # the original's draw each step, of which parity alone matters
 STATE = state_dtype(
     ("cell", np.uint8, (WORLD, WORLD)),  # at [y, x]
     ("thing", np.uint8, (WORLD, WORLD)),  # crates and saws
-    # the look of the walker that begins there, or of the crate, and 4 (1 + the look of another
-    # crate beneath it)
+    # the look of the walker that begins there, or of the crate, and 4 (1 + that of one beneath it)
     ("detail", np.uint8, (WORLD, WORLD)),
     ("x", np.float32), ("y", np.float32),  # the runner's centre, in cells
     ("vx", np.float32), ("vy", np.float32),  # cells per step
@@ -142,8 +141,7 @@ def turned_by(s, x, y):
 def stroll(s, crates_stop):
     """Every walker goes on to a wall or a barrier, and turns there.
 
-    WALL turns a walker and also stops it for that part of the step, which costs a quarter of its
-    speed; a wall's top and a barrier cost nothing.
+    WALL also stops it for that part of the step, which costs a quarter of its speed; others do not.
 
     crates_stop  the runner falls and would land on crates: one that it is above also stops a
                  walker inside of it that WALL stops, and the rest of its step is lost
@@ -287,8 +285,7 @@ def lands(s, x, y, last_y):
 def slide(s, dx, dy):
     """Move the runner by (dx, dy) but not into walls; return whether one was in the way.
 
-    Four corners are looked up and nothing between them: what is thinner than the runner is
-    tall slips in.
+    Four corners are looked up, nothing between: what is thinner than the runner is tall slips in.
     """
     x, y = s.x + dx, s.y + dy
     across, along = HALF * CORNER, TALL * CORNER
