@@ -3,7 +3,7 @@ PYTHON ?= python3
 BIN := .venv/bin
 INSTALLED := .venv/installed
 
-.PHONY: demo test quick fuzz golden check lint docs bench wheel sbom notebooks clean
+.PHONY: demo test quick compiled fuzz golden check lint docs bench wheel sbom notebooks clean
 
 # Train mice on cheese in the corner, test them on cheese anywhere, report what they pursue.
 demo: $(INSTALLED)
@@ -12,9 +12,19 @@ demo: $(INSTALLED)
 # All checks, the documentation, then all tests; those that compare images with the original's need
 # its pictures, which are fetched where the package index answers, and are skipped where not.
 test: export ASTRAY_ART ?= $(CURDIR)/.art
-test: check docs
+test: $(INSTALLED)
 	-$(BIN)/astray art import
-	$(BIN)/python -m pytest -n 2
+	$(MAKE) --no-print-directory --jobs 2 check docs compiled
+	$(PYTEST)
+
+# Two workers on two cores: a second thread in each would wait for a core, and keep it busy.
+# A worker begins with half of all tests in a row, so that most of what they share is made once.
+test quick fuzz: export OMP_NUM_THREADS ?= 1
+PYTEST := $(BIN)/python -m pytest -n 2 --dist worksteal
+
+# What tests run compiled: here beside the linters, for compiling is one process's work.
+compiled: $(INSTALLED)
+	cd tests && ../$(BIN)/python -m helpers.compiled
 
 # An answer within a minute or two: linters, and tests of rules, levels, pictures, kernels, formulas
 # and the agency measure, in folders that start no process and train nothing. It says nothing of
@@ -22,12 +32,13 @@ test: check docs
 QUICK := src tests/agency tests/kernel tests/art/test_art.py tests/games/test_reference.py \
 	tests/training/test_ppo.py tests/test_house.py
 quick: lint
-	$(BIN)/python -m pytest -n 2 $(QUICK)
+	$(PYTEST) $(QUICK)
 
 # A million inputs, and a training that is killed a hundred times; half an hour.
 fuzz: $(INSTALLED)
 	rm -f fuzz.jsonl
-	ASTRAY_FUZZ=150 ASTRAY_FUZZ_LOG=fuzz.jsonl $(BIN)/python -m pytest -n 2 tests/fuzz
+	ASTRAY_FUZZ=150 ASTRAY_FUZZ_LOG=fuzz.jsonl $(PYTEST) tests/fuzz
+	ASTRAY_FUZZ=2 ASTRAY_LAB_MESSAGES=20000 $(PYTEST) tests/games tests/envs tests/lab/test_session.py
 	ASTRAY_KILLS=100 $(BIN)/python -m pytest tests/training/test_checkpoints.py -k killed
 	cd tests && ../$(BIN)/python -m helpers.golden --batch 256 --threads 2
 	cd tests && NUMBA_DISABLE_JIT=1 ../$(BIN)/python -m helpers.golden --steps 100

@@ -31,7 +31,7 @@ from astray.training.config import PRESETS
 from astray.training.fast import fused, sparse
 from astray.training.loop import train
 from astray.training.ppo import Samples
-from helpers.cases import FEW
+from helpers.cases import SHAPES
 
 TINY = replace(
     PRESETS["small"], variant="corner-small", num_envs=8, num_steps=4, minibatches=1, width=4,
@@ -101,7 +101,7 @@ def test_compiled_noise_is_of_as_many_environments_as_there_are_levels():
         fill_noise(0, np.zeros(2, np.int64), np.zeros(2, np.int64), np.zeros((99, 4), np.float32))
 
 
-@pytest.mark.parametrize("game, variant", FEW)
+@pytest.mark.parametrize("game, variant", SHAPES)
 def test_live_states_can_be_set_to_nothing_by_hand(game, variant):
     env = GameVectorEnv(game, variant, 2)
     env.reset(seed=0)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any, Self
+from typing import Any, ClassVar, Self
 
 
 @dataclass(frozen=True)
@@ -17,6 +17,7 @@ class Estimate:
     agents: int  # that were averaged
     levels: int  # that each was played on; of a measure without levels, its episodes
     rows: int  # values in all; more than agents x levels where a level gives several states
+    unit: ClassVar[str] = "levels"
 
     @classmethod
     def of(cls, row: dict[str, Any]) -> Self:
@@ -48,7 +49,8 @@ class Estimate:
         """What the mean is of."""
         agents = "1 agent" if self.agents == 1 else f"{self.agents} agents"
         several = self.rows > self.agents * self.levels
-        return f"{agents}, {self.levels:,} levels" + (f", n = {self.rows:,}" if several else "")
+        told = f"{agents}, {self.levels:,} {self.unit}"
+        return told + (f", n = {self.rows:,}" if several else "")
 
     def _interval(self, low: str, high: str) -> str:
         return f"95\u00a0% interval {low} to {high}; {self.counted()}"

@@ -82,6 +82,7 @@ def write_aside(path: Path, data: bytes) -> None:
     OSError where there is something else than a file: it would be replaced by one, which root can
     do to /dev/null, and anyone to a link.
     """
+    path = Path(path)
     _see_replaceable(path)
     aside = aside_of(path)
     try:
@@ -90,8 +91,10 @@ def write_aside(path: Path, data: bytes) -> None:
             file.flush()
             os.fsync(file.fileno())
         os.replace(aside, path)
-    except OSError as error:
+    except BaseException as error:  # also an interrupt
         aside.unlink(missing_ok=True)
+        if not isinstance(error, OSError):
+            raise
         what = "what was there is still there" if path.exists() else "nothing was written"
         raise OSError(error.errno, f"{error.strerror}; {what}", str(path)) from error
 
@@ -138,6 +141,21 @@ def see_own(path: Path) -> None:
     """OSError where what is at `path` leads elsewhere, or is no file: nothing is to be written."""
     if os.path.lexists(path) and not stat.S_ISREG(path.lstat().st_mode):
         raise OSError(f"{path} must be a file; it is a link, a folder, a pipe or a device")
+
+
+def see_free(folder: Path, mark: str, names: Collection[str]) -> None:
+    """OSError where files of these `names` are in `folder`, which astray has not written to yet.
+
+    mark  the file that it writes there first
+    """
+    if os.path.lexists(folder / mark):
+        return
+    for name in names:
+        if os.path.lexists(folder / name):
+            raise OSError(
+                f"{folder / name} is none of astray's, which would have {mark} beside it; what is "
+                "written there would replace it"
+            )
 
 
 def remove_left(folder: Path, names: Collection[str]) -> None:

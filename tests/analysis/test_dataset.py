@@ -3,6 +3,7 @@
 import json
 from importlib.util import find_spec
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import polars as pl
@@ -44,6 +45,14 @@ def test_what_is_read_is_what_was_written(mouse, tmp_path, monkeypatch):
             assert np.array_equal(getattr(again[level], name), value), name
 
 
+def test_a_folders_name_is_no_pattern_and_a_part_that_is_none_is_refused(mouse, tmp_path):
+    folder = dataset.export(mouse, "maze", "anywhere-small", LEVELS[:2], tmp_path / "a[bc]")
+    assert len(list(dataset.read_trajectories(folder))) == 2
+    (folder / "steps" / "00000.parquet").write_bytes(b"PAR1 and no more")
+    with pytest.raises(ValueError, match=r"00000\.parquet is not as astray writes it"):
+        list(dataset.read_trajectories(folder))
+
+
 def test_episodes_are_those_of_an_evaluation(mouse, tmp_path):
     folder = dataset.export(mouse, "maze", "anywhere-small", LEVELS, tmp_path / "set")
     episodes = pl.read_parquet(folder / "episodes.parquet")
@@ -72,6 +81,14 @@ def test_images_are_written_to_the_byte(tmp_path):
     one = next(dataset.read_trajectories(folder))
     env = GameVectorEnv("coinrun", "coin-end-calm", autoreset_mode="Disabled")
     assert np.array_equal(env.reset(seed=0, options={"level": 3})[0], one.observations[:1])
+
+
+@pytest.mark.skipif(not find_spec("minari"), reason="minari is not installed")
+def test_a_full_disk_is_told_before_hdf5_meets_it(tmp_path, monkeypatch):
+    monkeypatch.setattr(dataset.shutil, "disk_usage", lambda _: SimpleNamespace(free=10**6))
+    with pytest.raises(OSError, match="No space left on device"):
+        dataset.export(SYMBOLS, "maze", "corner-small", LEVELS, tmp_path / "set", form="minari")
+    assert not list(tmp_path.iterdir())
 
 
 @pytest.mark.skipif(not find_spec("minari"), reason="minari is not installed")

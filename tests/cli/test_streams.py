@@ -4,6 +4,7 @@ import os
 import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import pytest
@@ -98,7 +99,7 @@ def test_an_interrupted_command_says_so_in_a_line(tmp_path):
     words = ("train", "maze", "corner-small", "--folder", str(tmp_path), "--checkpoint-every", "1")
     process = begin(*words, cwd=tmp_path)
     while not (tmp_path / "seed-0" / "metrics.jsonl").exists() and process.poll() is None:
-        pass
+        time.sleep(0.05)
     process.send_signal(signal.SIGINT)
     code, _, err = ended(process)
     assert code == 130 and err.endswith("astray: interrupted\n") and "Traceback" not in err

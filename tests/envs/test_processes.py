@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 
 from astray.envs.vector import GameVectorEnv
+from helpers.anything import MORE
 from helpers.processes import environment
 from helpers.walks import made, walk, walk_and_send
 
@@ -139,7 +140,7 @@ def wait_for(true, seconds=5.0):
     return true()
 
 
-def test_ten_thousand_environments_leave_nothing_behind():
+def test_thousands_of_environments_leave_nothing_behind():
     resource = pytest.importorskip("resource")
 
     def some(count):
@@ -155,7 +156,7 @@ def test_ten_thousand_environments_leave_nothing_behind():
     some(1000)
     gc.collect()
     used = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    some(9000)
+    some(9000 if MORE > 1 else 2000)
     gc.collect()
     assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - used < 5_000  # kB
     assert wait_for(lambda: threading.active_count() == before)

@@ -33,16 +33,26 @@ def test_its_own_tests_pass(beside, tmp_path):
     run(beside, tmp_path, "-m", "pytest", "-q", "-p", "no:cacheprovider", str(EXAMPLE / "tests"))
 
 
+VERBS = """
+import sys
+from astray.cli import main
+for words in sys.argv[1:]:
+    sys.argv = ["astray", *words.split()]
+    main()
+    print("done")
+"""
+
+
 def test_verbs_know_it(beside, tmp_path):
-    assert "open-room" in run(beside, tmp_path, "-m", "astray", "list")
-    train = ("train", "open-room", "corner", "--network", "open_room.learning:Tanh", "--steps",
-             "512", "--num-envs", "8", "--num-steps", "16", "--minibatches", "2")  # fmt: skip
-    run(beside, tmp_path, "-W", "ignore", "-m", "astray", *train)
-    judged = run(
-        beside, tmp_path, "-m", "astray", "evaluate", "runs/open-room-corner/seed-0", "--levels",
-        "0:50", "--json",
-    )  # fmt: skip
-    assert '"sampled"' in judged and '"random"' in judged
+    words = (
+        "list",
+        "train open-room corner --network open_room.learning:Tanh --steps 512 --num-envs 8 "
+        "--num-steps 16 --minibatches 2",
+        "evaluate runs/open-room-corner/seed-0 --levels 0:50 --json",
+    )
+    said = run(beside, tmp_path, "-W", "ignore", "-c", VERBS, *words)
+    listed, _, judged, _ = said.split("done\n")
+    assert "open-room" in listed and '"sampled"' in judged and '"random"' in judged
 
 
 EDITED = """

@@ -15,10 +15,11 @@ import polars as pl
 import pytest
 
 from astray.analysis.outcomes import FAILED, INTENDED, MISGENERALIZED
-from astray.experiments import catalogue, run
+from astray.analysis.runs import open_run
+from astray.experiments import catalogue, report, run
 from astray.experiments.claims import holds_above
 from astray.experiments.outcomes import share
-from astray.experiments.studies.mitigation import asking_for_help
+from astray.experiments.studies.mitigation import asking_for_help, reward_ensembles
 from astray.training import checkpoint
 from helpers.killed import CONFIG
 from helpers.miniature import miniature, train_here
@@ -36,25 +37,43 @@ def test_every_experiment_plans(name, size, tmp_path):
     assert not (size == "paper" and plan.differences)
 
 
+SMALLEST = {name: next(iter(catalogue.load(name).sizes)) for name in catalogue.NAMES}
 TRAINED = [
-    name for name, size in ALL
-    if size == "smoke" and not catalogue.load(name).sizes["smoke"].published
+    (name, size) for name, size in SMALLEST.items()
+    if size in ("smoke", "pixels") and not catalogue.load(name).sizes[size].published
 ]  # fmt: skip
+# A network of patches, and one that is distilled from the symbols of another.
+TRAINED.append(("inherited-goals", "pixels"))
 
 
-@pytest.mark.parametrize("name", TRAINED)
-def test_every_experiment_runs_in_miniature(name, tmp_path, monkeypatch):
-    whole = catalogue.load(name)
+def in_miniature(name, plan, monkeypatch):
+    """The plan in miniature, and a study's own numbers, on which its time depends, smaller."""
     # Who learned nothing needs long to come to an end, which this one compares beginnings with.
-    plan = miniature(whole.sizes["smoke"], 400 if name == "critic-value" else 100)
+    plan = miniature(plan, 400 if name == "critic-value" else 25)
     if name == "asking-for-help":  # which plays its levels with every score and threshold
         monkeypatch.setattr(asking_for_help, "PERCENTILES", (90.0,))
-        plan = replace(plan, levels=2)
-    small = replace(whole, sizes={"smoke": plan})
+        monkeypatch.setattr(asking_for_help, "open_run", open_for_short)
+        return replace(plan, levels=2)
+    monkeypatch.setattr(reward_ensembles, "ENSEMBLES", 2)
+    # All but the levels is as in minimax-regret, which has two agents of each name.
+    return replace(plan, seeds=1) if name == "minimax-regret-dish" else plan
+
+
+def open_for_short(folder):
+    """A kept agent, and its settings with episodes of a few steps."""
+    agent, config = open_run(folder)
+    return agent, replace(config, knobs={**config.knobs, "time_limit": 40})
+
+
+@pytest.mark.parametrize("name, size", TRAINED)
+def test_every_experiment_runs_in_miniature(name, size, tmp_path, monkeypatch):
+    whole = catalogue.load(name)
+    plan = in_miniature(name, whole.sizes[size], monkeypatch)
+    small = replace(whole, sizes={size: plan})
     monkeypatch.setattr(catalogue, "load", lambda _: small)
     train_here(plan, tmp_path)
-    page = run.reproduce(name, "smoke", tmp_path)
-    folder = tmp_path / f"{name}-smoke"
+    page = run.reproduce(name, size, tmp_path)
+    folder = tmp_path / f"{name}-{size}"
     assert page == folder / "report.html"
     found = json.loads((folder / "findings.json").read_text())
     assert found["claims"] and all(claim["ours"] for claim in found["claims"])
@@ -63,23 +82,25 @@ def test_every_experiment_runs_in_miniature(name, tmp_path, monkeypatch):
     assert figures == {f"{n}.{kind}" for n in names for kind in ("png", "svg", "parquet")} != set()
     if plan.tests:
         shares = pl.read_parquet(folder / "tables" / "outcomes.parquet").filter(policy="sampled")
-        assert shares["agents"].unique().to_list() == [2]
+        assert shares["agents"].unique().to_list() == [plan.seeds]
         sums = shares.group_by("agent", "test").agg(pl.col("mean").sum())
         assert len(sums) == len(plan.agents) * len(plan.tests)
         assert sums["mean"].to_list() == [pytest.approx(1)] * len(sums)
 
-    agents = {path: path.stat().st_mtime_ns for path in tmp_path.rglob("*.safetensors")}
+    kept = [*tmp_path.rglob("*.safetensors"), *folder.rglob("computed/*.parquet")]
+    written = {path: path.stat().st_mtime_ns for path in kept}
     page.unlink()
-    run.reproduce(name, "smoke", tmp_path)  # nothing is trained again
+    monkeypatch.setattr(report, "write", lambda *_: page.touch() or page)  # again, it takes long
+    run.reproduce(name, size, tmp_path)  # nothing is trained or played again
     assert page.exists()
-    assert agents == {path: path.stat().st_mtime_ns for path in agents}
+    assert written == {path: path.stat().st_mtime_ns for path in kept}
 
 
 @pytest.fixture(scope="module")
 def trained(tmp_path_factory):
-    """A folder with the agents of maze-corner in miniature, that processes of their own trained."""
+    """A folder with the agents of maze-corner in miniature."""
     root = tmp_path_factory.mktemp("reports")
-    run.train_agents(miniature(catalogue.load("maze-corner").sizes["smoke"]), root, 2, "here")
+    train_here(miniature(catalogue.load("maze-corner").sizes["smoke"]), root)
     return root
 
 

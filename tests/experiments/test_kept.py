@@ -1,6 +1,7 @@
 """Kept agents: small, whole without their training, and what their cards say is so."""
 
 import json
+import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -32,6 +33,13 @@ def run(tmp_path_factory):
 @pytest.fixture(scope="module")
 def written(run, tmp_path_factory):
     return keep.keep(run, "mouse", folder=tmp_path_factory.mktemp("kept"), levels=40)
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="elsewhere names are text")
+def test_a_folder_whose_name_is_no_text_is_told_and_left_empty(run, tmp_path):
+    with pytest.raises(ValueError, match="not valid UTF-8"):  # which safetensors asks for
+        keep.keep(run, "mouse", folder=tmp_path / "\udcff", levels=4)
+    assert not list((tmp_path / "\udcff").iterdir())
 
 
 @pytest.fixture
@@ -142,7 +150,7 @@ def test_a_name_is_one_and_new(run, mouse, name, message):
 
 def test_what_is_too_large_is_not_kept(run, tmp_path):
     with pytest.raises(ValueError, match=r"one that is kept is at most 0\.01 MB"):
-        keep.keep(run, "mouse", folder=tmp_path, largest=10_000)
+        keep.keep(run, "mouse", folder=tmp_path, levels=10, largest=10_000)
     assert not list(tmp_path.iterdir())
 
 

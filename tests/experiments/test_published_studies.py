@@ -159,26 +159,31 @@ def test_what_foretells_is_a_difference_of_shares():
     assert published_results.difference(taken, by_script).mean == pytest.approx(1 / 3)
 
 
+HEADING = report.Heading(
+    name="n", size="published", title="t", reproduces="r", question="q", differences="", command="c"
+)
+
+
 def test_what_agents_trained_here_do_stands_beside_the_published(tmp_path):
-    heading = report.Heading(
-        name="n",
-        size="published",
-        title="t",
-        reproduces="r",
-        question="q",
-        differences="",
-        command="c",
-    )
     mine = report.Findings(answer="", claims=[Claim("It runs.", "p", "7 %", False)],
                            settings={})  # fmt: skip
     for name in ("n-smoke", "n-published"):
         (tmp_path / name).mkdir()
-    report.write(heading, mine, tmp_path / "n-smoke")
+    report.write(HEADING, mine, tmp_path / "n-smoke")
     beside = report.of_claims(tmp_path / "n-smoke")
     assert beside == {"It runs.": "7 % (did not hold)"}
-    page = report.write(heading, mine, tmp_path / "n-published", beside).read_text()
+    page = report.write(HEADING, mine, tmp_path / "n-published", beside).read_text()
     assert "<dt>trained here</dt><dd>7 % (did not hold)</dd>" in page
     assert report.of_claims(tmp_path / "nothing") == {}
+
+
+@pytest.mark.parametrize("held", [True, False])
+def test_a_report_says_why_a_claim_did_not_hold(tmp_path, held):
+    mine = report.Findings(
+        answer="", claims=[Claim("It runs.", "p", "7 %", held, "it is tired")], settings={}
+    )
+    page = report.write(HEADING, mine, tmp_path).read_text()
+    assert ("<dt>why</dt><dd>it is tired</dd>" in page) != held
 
 
 def test_plans_name_the_same_agents_as_the_catalogue():

@@ -37,6 +37,7 @@ def test_texts_are_settings_and_their_values():
         "learning_rate": [1e-4, 5e-4], "variant.region": [1, 3], "anneal": [True, False],
         "variant": ["a", "b-1"],
     }  # fmt: skip
+    assert sweeping.value("[" * 10**5) == "[" * 10**5
 
 
 @pytest.mark.parametrize(
@@ -107,6 +108,14 @@ def test_a_sweep_goes_on_and_takes_more_values(trained, tmp_path, monkeypatch):
     run_sweep(Sweep(BASE, {"learning_rate": [1e-4, 5e-4, 1e-3]}, levels=5), tmp_path)
     assert len(trained) == 3 and len(played) == 2
     assert (tmp_path / "figures" / "learning-rate.png").exists()
+
+
+@pytest.mark.parametrize("name", ["report.html", "outcomes.parquet", "tables"])
+def test_a_sweep_does_not_write_over_what_was_there(trained, tmp_path, name):
+    (tmp_path / name).write_text("mine")
+    with pytest.raises(OSError, match=f"{name} is none of astray's, which would have sweep.json"):
+        run_sweep(Sweep(BASE, {"learning_rate": [1e-4]}, levels=3), tmp_path)
+    assert (tmp_path / name).read_text() == "mine" and not trained
 
 
 def test_three_settings_have_a_figure_for_each_pair(trained, tmp_path):

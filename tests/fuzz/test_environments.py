@@ -110,4 +110,4 @@ class Environments(RuleBasedStateMachine):
 
 
 TestEnvironments = Environments.TestCase
-TestEnvironments.settings = settings(max_examples=8 * MORE, stateful_step_count=25, **QUIET)
+TestEnvironments.settings = settings(max_examples=6 * MORE, stateful_step_count=15, **QUIET)

@@ -12,16 +12,16 @@ from gymnasium.wrappers.vector import RecordEpisodeStatistics
 from astray import games, testing
 from astray.envs.single import GameEnv
 from astray.envs.vector import GameVectorEnv
-from helpers.cases import ALL, FEW
+from helpers.cases import ALL, FEW, SHAPES
 
 MODES = list(AutoresetMode)
-SLOW = (testing.check_batches, testing.check_gymnasium)
+SLOW = (testing.check_batches, testing.check_gymnasium, testing.check_compiled_once)
 
 
 @pytest.mark.parametrize("check", testing.CHECKS)
-@pytest.mark.parametrize("game, variant", ALL)
+@pytest.mark.parametrize("game, variant", FEW)
 def test_a_game_is_what_it_is_taken_for(game, variant, check):
-    if check in SLOW and (game, variant) not in FEW:
+    if check in SLOW and (game, variant) not in SHAPES:
         pytest.skip("slow, and the same for variants of this shape")
     check(games.find(game), games.find(game).variant(variant))
 
@@ -31,7 +31,7 @@ def test_its_parts_lead_to_what_there_is(game):
     testing.check_parts(games.find(game))
 
 
-@pytest.mark.parametrize("game, variant", FEW)
+@pytest.mark.parametrize("game, variant", SHAPES)
 def test_registered_ids_make_environments(game, variant):
     env = gymnasium.make(f"astray/{game}-{variant}-v0", render_mode="rgb_array")
     assert isinstance(env.unwrapped, GameEnv)

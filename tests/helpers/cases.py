@@ -1,10 +1,39 @@
 """Variants that tests are made for, and where recordings of the original are."""
 
+import os
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 from astray import games
+from astray.game import Variant
 
 REFERENCE = Path(__file__).parents[1] / "reference"
 ALL = [(game, variant) for game in games.OWN for variant in games.find(game).variants]
-# A variant for each shape of world and each kind of placement: for tests that are slow.
-FEW = [(g, v) for g, v in ALL if "region" not in v or v in ("region-3", "region-1-strict")]
+
+
+def telling(variants: Mapping[str, Variant]) -> Iterator[str]:
+    """The variants in which a knob has a value that none before has; sides of regions are alike."""
+    known: set[tuple[str, object]] = set()
+    for name, variant in variants.items():
+        values = {(knob, value) for knob, value in vars(variant).items()
+                  if knob not in ("about", "region", "shifted")}  # fmt: skip
+        if not values <= known:
+            yield name
+        known |= values
+
+
+# Every value of every knob, for tests that do the same in each variant; `make fuzz` takes all.
+FEW = ALL if os.environ.get("ASTRAY_FUZZ") else [
+    (game, variant) for game in games.OWN for variant in telling(games.find(game).variants)
+]  # fmt: skip
+
+
+def shape(game: str, variant: str) -> tuple[object, ...]:
+    """What arrays depend on: the shape of symbols, and the side of the world."""
+    found = games.find(game)
+    made = found.variant(variant)
+    return game, found.symbols.planes(made).shape, getattr(made, "world", None)
+
+
+# Every shape, for tests that are slow and do not depend on what is in a level.
+SHAPES = list({shape(*case): case for case in reversed(FEW)}.values())[::-1]

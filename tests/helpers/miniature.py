@@ -8,11 +8,11 @@ from astray.experiments.spec import Plan
 from astray.training.loop import train
 
 
-def miniature(plan: Plan, time_limit: int = 100) -> Plan:
-    """The plan with two agents of each name, trained for 2,048 steps in few short levels."""
+def miniature(plan: Plan, time_limit: int = 25) -> Plan:
+    """The plan with two agents of each name, trained for 512 steps in few short levels."""
     agents = {
         name: replace(
-            config, levels=1000, steps=2048, num_envs=16, num_steps=32, minibatches=4, width=16,
+            config, levels=100, steps=512, num_envs=16, num_steps=8, minibatches=4, width=16,
             checkpoint_every=1, buffer=64, knobs={**config.knobs, "time_limit": time_limit},
         )
         for name, config in plan.agents.items()
@@ -22,6 +22,13 @@ def miniature(plan: Plan, time_limit: int = 100) -> Plan:
 
 def train_here(plan: Plan, root: Path) -> None:
     """Train the plan's agents where `reproduce` finds them, without the start of processes."""
-    for configs in plan.trainings().values():
-        for config in configs:
-            train(config, run.run_folder(root, config), progress=False)
+    trainings = plan.trainings()
+    runs = {
+        name: [run.run_folder(root, config) for config in configs]
+        for name, configs in trainings.items()
+    }
+    for name in sorted(trainings, key=lambda name: name in plan.teachers):  # students last
+        if name in plan.teachers:
+            run.give_teachers(plan, runs)
+        for config, folder in zip(trainings[name], runs[name], strict=True):
+            train(config, folder, progress=False)

@@ -18,7 +18,7 @@ OFF = {"fused_cpu": False, "bfloat16": False, "channels_last": False, "compiled"
        "graphs": False, "groups": 1}  # fmt: skip
 PLAIN = replace(TINY, validation=None, **OFF)
 PICTURES = replace(
-    PRESETS["paper"], game="coinrun", variant="coin-end", num_envs=8, num_steps=8,
+    PRESETS["paper"], game="coinrun", variant="coin-end", num_envs=4, num_steps=8,
     minibatches=2, steps=10**6, normalise_advantage=False, **OFF,
 )  # fmt: skip
 

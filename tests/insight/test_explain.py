@@ -12,6 +12,14 @@ from astray.analysis.critic import judge, observe
 from astray.analysis.evaluate import evaluate
 from astray.insight.episode import along, figure
 
+# So short that arrows in all of its places are drawn in a moment.
+RUN = """\
+#......####
+#......####
+#@...o.####
+===========
+"""
+
 
 def test_a_course_is_the_episode_that_is_played():
     runner = load_agent(kept.find("coin-end"))
@@ -69,7 +77,9 @@ def test_explain_writes_one_page_that_needs_nothing_else(astray, tmp_path):
 
 
 def test_what_a_game_does_not_have_is_told_in_its_place(astray, tmp_path):
-    astray("explain", "coin-end", "--others", 20, "--out", tmp_path)
+    (tmp_path / "level.txt").write_text(RUN)
+    astray("explain", "coin-end", "--level-file", tmp_path / "level.txt", "--others", 20,
+           "--out", tmp_path)  # fmt: skip
     page = (tmp_path / "explain.html").read_text()
     assert "has no cells, which this needs" in page and "<h2>Its episode</h2>" in page
     course = pl.read_parquet(tmp_path / "episode.parquet")

@@ -15,7 +15,7 @@ from astray.lab.serving import make_lab
 from astray.lab.session import ANSWERS, Session
 from astray.level import Level
 
-MESSAGES = int(os.environ.get("ASTRAY_LAB_MESSAGES", "2000"))  # of those at random
+MESSAGES = int(os.environ.get("ASTRAY_LAB_MESSAGES", "400"))  # of those at random
 MAZE = {"game": "maze", "variant": "anywhere-small", "agent": "maze-corner"}
 ROOM = "#######\n#....G#\n#.###.#\n#.#...#\n#.#.#.#\n#@....#\n#######"
 

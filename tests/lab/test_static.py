@@ -211,7 +211,7 @@ def test_a_large_agent_is_looked_up_in_a_table(chrome, tmp_path):
     path.write_bytes(weights(architecture.build(), architecture, "maze"))
     (folder / "config.json").write_text(json.dumps({"config": config.to_json()}))
     lab = make_lab(folder, {})
-    export(lab, tmp_path / "site", levels=2, agents=[str(folder)])
+    export(lab, tmp_path / "site", levels=1, agents=[str(folder)])
     agent, game = Agent(path, "maze"), games.find("maze")
     with folder_served(tmp_path / "site") as address, opened(chrome, address) as (page, told):
         found = page.evaluate("[...lab.fields.values()]")

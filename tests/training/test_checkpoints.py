@@ -4,27 +4,23 @@ import ast
 import json
 import os
 import shutil
-import signal
 import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-import polars as pl
 import pytest
 from safetensors.numpy import load_file, save_file
 
 from astray.agents import policy
 from astray.analysis.runs import evaluate_runs
-from astray.analysis.tables import write_table
 from astray.experiments.workers import Progress
-from astray.files import write_aside
 from astray.training import checkpoint
 from astray.training.config import Config
 from astray.training.log import METRICS
 from astray.training.loop import train
-from helpers.killed import CONFIG, contents
+from helpers.killed import CONFIG
 from helpers.processes import environment
 
 SHORT = replace(CONFIG, steps=4 * 1024)
@@ -291,101 +287,6 @@ def test_settings_that_are_none_are_refused(run, text):
 def test_bad_settings_are_explained(change, message):
     with pytest.raises(ValueError, match=message):
         replace(SHORT, **change)
-
-
-def test_two_processes_cannot_train_in_one_folder(tmp_path):
-    words = [
-        sys.executable,
-        "-c",
-        "from helpers.killed import CONFIG\nimport pathlib\nfrom astray.training.loop "
-        f"import train\ntrain(CONFIG, pathlib.Path({str(tmp_path)!r}), progress=False)",
-    ]
-    env = environment()
-    both = [subprocess.Popen(words, env=env, stderr=subprocess.PIPE, text=True) for _ in range(2)]
-    said = [process.communicate()[1] for process in both]
-    assert sorted(process.returncode for process in both) == [0, 1]
-    assert "another process is training in" in "".join(said)
-    assert checkpoint.finished(tmp_path, CONFIG)
-
-
-@pytest.fixture
-def full_disk():
-    """No file can grow beyond some bytes, as on a full disk."""
-    resource = pytest.importorskip("resource")
-    before = resource.getrlimit(resource.RLIMIT_FSIZE)
-    handler = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
-
-    def fill(size=resource.RLIM_INFINITY):
-        resource.setrlimit(resource.RLIMIT_FSIZE, (size, before[1]))
-
-    yield fill
-    resource.setrlimit(resource.RLIMIT_FSIZE, before)
-    signal.signal(signal.SIGXFSZ, handler)
-
-
-def test_a_full_disk_leaves_the_run_as_it_was_and_it_goes_on_when_there_is_room(
-    tmp_path, full_disk, monkeypatch
-):
-    saved = checkpoint.save
-
-    def save(folder, trainer):
-        if trainer.steps == 4 * 1024:
-            full_disk(80_000)  # room for the agent, not for the trainer
-        saved(folder, trainer)
-
-    monkeypatch.setattr(checkpoint, "save", save)
-    config = replace(CONFIG, steps=8 * 1024)
-    with pytest.raises(OSError, match=r"nothing was written: '.*trainer\.safetensors'"):
-        train(config, tmp_path, progress=False)
-    full_disk()
-    assert checkpoint.steps_saved(tmp_path) == [2048]
-    assert not [p for p in tmp_path.rglob(".*") if p.name != ".lock"]
-    monkeypatch.setattr(checkpoint, "save", saved)
-    train(config, tmp_path, progress=False)
-    train(config, tmp_path.parent / "whole", progress=False)
-    assert contents(tmp_path) == contents(tmp_path.parent / "whole")
-
-
-def test_a_file_that_cannot_be_replaced_is_still_there(tmp_path, full_disk):
-    path = tmp_path / "file"
-    write_aside(path, b"old")
-    full_disk(10)
-    with pytest.raises(OSError, match="what was there is still there"):
-        write_aside(path, b"new" * 100)
-    assert path.read_bytes() == b"old" and list(tmp_path.iterdir()) == [path]
-
-
-@pytest.mark.parametrize("name", ["episodes.parquet", "episodes.csv"])
-def test_a_table_for_which_there_is_no_room_leaves_nothing(name, tmp_path, full_disk):
-    table = pl.DataFrame({"level": np.random.default_rng(0).integers(10**9, size=5000)})
-    full_disk(8192)
-    with pytest.raises(OSError, match="nothing was written"):
-        write_table(table, tmp_path / name)
-    assert not list(tmp_path.iterdir())
-
-
-def test_a_folder_that_cannot_be_written_is_explained(tmp_path):
-    (tmp_path / "file").write_text("")
-    with pytest.raises(OSError, match="no run can be kept in"):
-        train(SHORT, tmp_path / "file", progress=False)
-    if os.name != "nt":
-        locked = tmp_path / "locked"
-        locked.mkdir(mode=0o555)
-        with as_nobody(), pytest.raises(OSError, match="no run can be kept in"):
-            train(SHORT, locked / "run", progress=False)
-
-
-class as_nobody:
-    """Without root's right to write everywhere."""
-
-    def __enter__(self):
-        self.root = os.geteuid() == 0
-        if self.root:
-            os.seteuid(65534)
-
-    def __exit__(self, *error):
-        if self.root:
-            os.seteuid(0)
 
 
 FORBIDDEN = {"pickle", "joblib", "dill", "marshal", "shelve", "cloudpickle"}  # modules

@@ -16,7 +16,7 @@ from collections import OrderedDict
 import torch
 from torch import Tensor, nn
 
-from astray.agents.impala import initialise
+from astray.agents.actor_critic import Pixels
 
 BLOCKS = ((16,), (32, 32), (32,), (32,))  # channels of the convolutions before each pool
 FIRST, LATER = 7, 5  # pixels a side of the kernels: of the first convolution, of all others
@@ -44,7 +44,7 @@ def block(before: int, kernel: int, widths: tuple[int, ...]) -> nn.Sequential:
     return nn.Sequential(layers)
 
 
-class Clear(nn.Module):
+class Clear(Pixels):
     """Images [B, H, W, C] uint8 -> logits [B, actions], values [B]."""
 
     def __init__(self, shape: tuple[int, int, int], actions: int):
@@ -64,17 +64,7 @@ class Clear(nn.Module):
                 relu2=nn.ReLU(),
             )
         )
-        self.policy = nn.Linear(HIDDEN[1], actions)
-        self.value = nn.Linear(HIDDEN[1], 1)
-        initialise(self)
+        self.add_heads(HIDDEN[1], actions)
 
-    def forward(self, images: Tensor) -> tuple[Tensor, Tensor]:
-        return self.heads(self.hidden(images))
-
-    def hidden(self, images: Tensor) -> Tensor:
-        """All but the heads: what policy and value are linear functions of, [B, 512]."""
-        x = images.permute(0, 3, 1, 2).to(self.policy.weight.dtype) / 255
-        return self.features(self.block4(self.block3(self.block2(self.block1(x)))))
-
-    def heads(self, features: Tensor) -> tuple[Tensor, Tensor]:
-        return self.policy(features), self.value(features).squeeze(-1)
+    def see(self, planes: Tensor) -> Tensor:
+        return self.block4(self.block3(self.block2(self.block1(planes))))

@@ -8,8 +8,9 @@ from __future__ import annotations
 
 from collections import OrderedDict
 
-import torch
 from torch import Tensor, nn
+
+from astray.agents.actor_critic import Pixels
 
 WIDTHS = (16, 32, 32)  # channels of the three blocks, at scale 1
 FEATURES = 256
@@ -41,7 +42,7 @@ def block(before: int, after: int) -> nn.Sequential:
     )
 
 
-class Impala(nn.Module):
+class Impala(Pixels):
     """Images [B, H, W, C] uint8 -> logits [B, actions], values [B].
 
     scale   multiplies the channels: 1 in the published code, 4 in the paper's sweeps
@@ -71,32 +72,7 @@ class Impala(nn.Module):
                 relu=nn.ReLU(),
             )
         )
-        self.policy = nn.Linear(FEATURES, actions)
-        self.value = nn.Linear(FEATURES, 1)
-        initialise(self)
+        self.add_heads(FEATURES, actions)
 
-    def forward(self, images: Tensor) -> tuple[Tensor, Tensor]:
-        return self.heads(self.hidden(images))
-
-    def hidden(self, images: Tensor) -> Tensor:
-        """All but the heads: what policy and value are linear functions of, [B, FEATURES]."""
-        x = images.permute(0, 3, 1, 2).to(self.policy.weight.dtype) / 255
-        return self.features(self.block3(self.block2(self.block1(x))))
-
-    def heads(self, features: Tensor) -> tuple[Tensor, Tensor]:
-        return self.policy(features), self.value(features).squeeze(-1)
-
-
-@torch.no_grad()
-def initialise(network: nn.Module) -> None:
-    """The original's: Xavier-uniform, biases 0, a near-uniform policy, an orthogonal value."""
-    for name, module in network.named_modules():
-        if isinstance(module, nn.Conv2d | nn.Linear):
-            if name == "policy":
-                nn.init.orthogonal_(module.weight, gain=0.01)
-            elif name == "value":
-                nn.init.orthogonal_(module.weight, gain=1.0)
-            else:
-                nn.init.xavier_uniform_(module.weight)
-            assert module.bias is not None
-            nn.init.zeros_(module.bias)
+    def see(self, planes: Tensor) -> Tensor:
+        return self.block3(self.block2(self.block1(planes)))

@@ -7,7 +7,7 @@ from collections import OrderedDict
 import torch
 from torch import Tensor, nn
 
-from astray.agents.impala import initialise
+from astray.agents.actor_critic import ActorCritic
 
 
 class CircleEmbedding(nn.Module):
@@ -45,7 +45,7 @@ class CircleEmbedding(nn.Module):
         return planes
 
 
-class MLP(nn.Module):
+class MLP(ActorCritic):
     """Symbolic planes [B, C, H, W] uint8 -> logits [B, actions], values [B]."""
 
     def __init__(
@@ -64,16 +64,7 @@ class MLP(nn.Module):
                 relu2=nn.ReLU(),
             )
         )
-        self.policy = nn.Linear(width, actions)
-        self.value = nn.Linear(width, 1)
-        initialise(self)
+        self.add_heads(width, actions)
 
-    def forward(self, planes: Tensor) -> tuple[Tensor, Tensor]:
-        return self.heads(self.hidden(planes))
-
-    def hidden(self, planes: Tensor) -> Tensor:
-        """All but the heads: what policy and value are linear functions of, [B, width]."""
-        return self.features(self.spread(planes))
-
-    def heads(self, features: Tensor) -> tuple[Tensor, Tensor]:
-        return self.policy(features), self.value(features).squeeze(-1)
+    def hidden(self, observations: Tensor) -> Tensor:
+        return self.features(self.spread(observations))

@@ -17,10 +17,10 @@ from astray import imports
 from astray.agents.clear import Clear
 from astray.agents.impala import WIDTHS, Impala
 from astray.agents.mlp import MLP
+from astray.agents.patch import nature, overlap, patch, patch_impala
 from astray.bounds import brief
 from astray.files import see_readable
 
-NETWORKS = ("impala", "mlp", "clear")  # astray's own
 RENAMED = {"small": "mlp"}  # as older files have them, and what they are called now
 GROUP = "astray.networks"  # of entry points, by which installed packages offer theirs
 FORMAT = 1  # of the files; goes up when an older version could not read them
@@ -64,11 +64,20 @@ class Architecture:
         if (self.name != "mlp") != (not self.largest):
             seen = "symbolic planes" if self.largest else "images"
             raise ValueError(f"network {self.name!r} does not see {seen}")
-        if self.name == "impala":
-            return Impala(self.shape, self.actions, self.scale, self.widths)
-        if self.name == "clear":
-            return Clear(self.shape, self.actions)
-        return MLP(self.shape, list(self.largest), self.actions, self.width)
+        return BUILDERS[self.name](self)
+
+
+BUILDERS: dict[str, Callable[[Architecture], nn.Module]] = {
+    "impala": lambda given: Impala(given.shape, given.actions, given.scale, given.widths),
+    "mlp": lambda given: MLP(given.shape, list(given.largest), given.actions, given.width),
+    "clear": lambda given: Clear(given.shape, given.actions),
+    "nature": lambda given: nature(given.shape, given.actions),
+    "overlap": lambda given: overlap(given.shape, given.actions, given.scale),
+    "patch": lambda given: patch(given.shape, given.actions, given.scale),
+    "patch-pooled": lambda given: patch(given.shape, given.actions, given.scale, pooled=True),
+    "patch-impala": lambda given: patch_impala(given.shape, given.actions, given.scale),
+}
+NETWORKS = tuple(BUILDERS)  # astray's own
 
 
 def renamed_network(name: Any) -> Any:

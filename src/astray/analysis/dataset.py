@@ -10,8 +10,11 @@ Or in Minari's layout, data/main_data.hdf5, which its readers take.
 
 from __future__ import annotations
 
+import errno
+import io
 import json
 import os
+import shutil
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import asdict, dataclass
 from importlib.metadata import version
@@ -25,9 +28,10 @@ from gymnasium import spaces
 
 from astray import games
 from astray.analysis.episodes import Levels, steps
+from astray.analysis.given import see_policy
 from astray.analysis.policies import Policy
 from astray.analysis.tables import write_table
-from astray.bounds import shown
+from astray.bounds import brief, shown
 from astray.envs import VERSION
 from astray.envs.vector import GameVectorEnv
 from astray.files import folder_aside, read, write_aside
@@ -39,6 +43,7 @@ FORMAT = 1  # of dataset.json
 PART = 64_000_000  # bytes of observations and states in a file of steps, or a little more
 BATCH = 32  # episodes at once: of 500 steps and images they are 200 MB
 LARGEST = 2**20  # bytes of dataset.json
+SPARED = 2**22  # bytes that HDF5 needs of a disk beside what is written
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,6 +111,7 @@ def export(
 
     Raises ValueError where there is something at `folder`, or what is played cannot be.
     """
+    see_policy(policy)
     check_word("format", form, Format)
     if os.path.lexists(folder):
         raise ValueError(f"a data set is written to a new folder; there is something at {folder}")
@@ -178,6 +184,7 @@ def read_trajectories(folder: Path) -> Iterator[Trajectory]:
 
     Raises ValueError where the files are not as it writes them, or of another version's states.
     """
+    folder = Path(folder)
     path = folder / "dataset.json"
     try:
         about = json.loads(read(path, LARGEST))
@@ -192,7 +199,12 @@ def read_trajectories(folder: Path) -> Iterator[Trajectory]:
     except (ValueError, KeyError, TypeError, RecursionError) as error:
         raise ValueError(f"{path} is no data set that can be read: {error}") from error
     for part in sorted((folder / "steps").glob("[0-9]*.parquet")):
-        for rows in pl.read_parquet(part).partition_by("level", maintain_order=True):
+        try:  # not by its path, in which polars takes [ and * for patterns
+            table = pl.read_parquet(io.BytesIO(read(part)))
+            episodes = table.partition_by("level", maintain_order=True)
+        except pl.exceptions.PolarsError as error:
+            raise ValueError(f"{part} is not as astray writes it: {brief(error)}") from error
+        for rows in episodes:
             yield _trajectory(rows, game, shape, part)
 
 
@@ -227,6 +239,7 @@ def write_minari(
     seen, taken = env.single_observation_space, env.single_action_space
     env.close()
     assert isinstance(taken, spaces.Discrete)
+    _see_room(folder)
     storage = MinariStorage.new(
         folder.absolute() / "data", observation_space=seen, action_space=taken, data_format="hdf5",
         env_spec=_spec(game, variant), jpeg_encoding=False,
@@ -244,8 +257,21 @@ def write_minari(
             truncations=_last(len(one), not one.terminated),
             infos={"state": one.states.view(np.uint8).reshape(len(one) + 1, -1)},
         )
-        for k, one in enumerate(played)
+        for k, one in enumerate(_with_room(played, folder))
     )  # fmt: skip
+
+
+def _with_room(played: Iterable[Trajectory], folder: Path) -> Iterator[Trajectory]:
+    """The trajectories, as long as there is room for the next."""
+    for one in played:
+        _see_room(folder, one.observations.nbytes + one.states.nbytes)
+        yield one
+
+
+def _see_room(folder: Path, size: int = 0) -> None:
+    """OSError where there is no room for so many bytes, and some: HDF5 would end the process."""
+    if shutil.disk_usage(folder).free < SPARED + 2 * size:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(folder))
 
 
 def folder_name(about: Mapping[str, Any]) -> str:

@@ -15,12 +15,11 @@ from typing import Any, Literal, Protocol
 import numpy as np
 import torch
 
-from astray.agents.clear import Clear
-from astray.agents.impala import Impala
-from astray.agents.mlp import MLP
+from astray.agents.actor_critic import ActorCritic
 from astray.analysis import agency
 from astray.analysis.episodes import Levels, steps
 from astray.analysis.policies import AT_ONCE, Agent, Policy, episode_noise
+from astray.bounds import of_kind, shown
 from astray.envs.vector import GameVectorEnv
 from astray.game import Shift, Variant
 from astray.level import Level
@@ -95,6 +94,7 @@ class OfLogits:
     name: str
 
     def __post_init__(self) -> None:
+        of_kind("agent", self.agent, Agent)
         if self.name not in OF_LOGITS:
             raise ValueError(f"unknown score {self.name!r}; there are: {', '.join(OF_LOGITS)}")
 
@@ -125,6 +125,10 @@ class Disagreement:
     name: str = "ensemble disagreement"
 
     def __post_init__(self) -> None:
+        of_kind("agents", self.agents, Sequence)
+        for agent in self.agents:
+            if not callable(getattr(agent, "outputs", None)):
+                raise ValueError(f"an agent of an ensemble must have outputs; got {shown(agent)}")
         if len(self.agents) < 2:
             raise ValueError(f"an ensemble must have two agents at least; got {len(self.agents)}")
 
@@ -141,7 +145,7 @@ def features(agent: Agent, observations: np.ndarray) -> np.ndarray:
     Raises ValueError where the network is none of astray's own.
     """
     network = agent.network
-    if not isinstance(network, Clear | Impala | MLP):
+    if not isinstance(network, ActorCritic):
         raise ValueError(f"features need a network of astray's; got {type(network).__name__}")
     shown = torch.from_numpy(observations).to(agent.device)
     parts = [network.hidden(part) for part in shown.split(AT_ONCE[agent.observation])]

@@ -107,7 +107,7 @@ def _measure(config: Config, turn: float, rounds: int) -> list[Row]:
     speeds = {what: [] for what in contenders}
     for _ in range(rounds):
         for what, train in contenders.items():
-            speeds[what].append(config.batch * _per_second(train, turn, config.device))
+            speeds[what].append(config.batch * per_second(train, turn, config.device))
     for close in closes:
         close()
     ours = speeds.pop(row.what)
@@ -167,7 +167,7 @@ def iterate(trainer: Trainer) -> None:
     trainer.steps += config.batch
 
 
-def _per_second(train: Callable[[], object], turn: float, device: str) -> float:
+def per_second(train: Callable[[], object], turn: float, device: str) -> float:
     done, began = 0, time.perf_counter()
     while (passed := time.perf_counter() - began) < turn or not done:
         train()

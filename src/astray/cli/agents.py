@@ -33,7 +33,7 @@ from astray.training.track import Tracking
 
 EPISODES = "episodes.parquet"
 POSTERIOR = ("posterior.mp4", "posterior.gif", "posterior.png")
-Preset = Literal["paper", "small"]
+Preset = Literal["paper", "small", "pixels"]
 
 
 def train(

@@ -89,8 +89,9 @@ def reproduce(
     Args:
         name: of the experiment, as `astray list` has them, or all; or your own, module:OBJECT or
             a Python file that defines EXPERIMENT
-        size: smoke (minutes on two cores), hour (of a GPU), paper, or published: of agents that
-            others published, see `astray agents`
+        size: smoke (minutes on two cores), pixels (of images, an hour or so an agent on two
+            cores), hour (of a GPU), paper, or published: of agents that others published, see
+            `astray agents`
         folder: of reports; gets this one in <name>-<size>, and the agents, which are shared
         workers: agents trained at once here; by default one for each processor
         on: train on this machine, or on a Ray cluster whose nodes all see the folder
@@ -109,7 +110,7 @@ def reproduce(
 
 def bench(
     what: Positional[
-        Literal["environments", "train", "agency", "insight", "lab", "start"]
+        Literal["environments", "train", "networks", "agency", "insight", "lab", "start"]
     ] = "environments",
     markdown: bool = False,
     device: Literal["cpu", "cuda", "mps"] = "cpu",

@@ -13,7 +13,7 @@ from astray.training.config import Config
 from astray.training.track import Tracking
 
 MOST_WORKERS = 1024  # processes
-Preset = Literal["paper", "small"]
+Preset = Literal["paper", "small", "pixels"]
 Sets = UseAppendAction[Annotated[tuple[str, ...], arg(name="set", metavar="NAME=VALUE,...")]]
 
 MOST_LEVELS = 10**6  # that each agent is evaluated on

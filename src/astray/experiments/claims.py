@@ -16,17 +16,18 @@ class Claim:
     paper: str  # what the paper says of it
     ours: str  # what was measured, its interval, and when the claim holds
     held: bool
+    why: str = ""  # where it did not hold: what else was measured of the reason
 
 
 def holds_above(
-    sentence: str, paper: str, measured: str, estimate: Estimate, bound: float
+    sentence: str, paper: str, measured: str, estimate: Estimate, bound: float, why: str = ""
 ) -> Claim:
     """A claim that holds where the whole interval of a share is above `bound`.
 
     measured  what the share is of, in words
     """
     ours = f"{measured}: {estimate.percent()}; holds above {100 * bound:g}\u00a0%"
-    return Claim(sentence, paper, ours, estimate.low > bound)
+    return Claim(sentence, paper, ours, estimate.low > bound, why)
 
 
 def is_more(sentence: str, paper: str, measured: str, difference: Estimate) -> Claim:

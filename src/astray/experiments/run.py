@@ -14,17 +14,28 @@ from astray.analysis import kept
 from astray.analysis.runs import open_run, play_all
 from astray.experiments import catalogue, labs, report
 from astray.experiments.levels import levels_of
-from astray.experiments.spec import COMPUTED, PUBLISHED, Experiment, Plan, Runs, Size, Work
+from astray.experiments.spec import (
+    COMPUTED,
+    PUBLISHED,
+    Experiment,
+    Plan,
+    Runs,
+    Size,
+    Work,
+    name_of_run,
+)
 from astray.experiments.spec import kept as kept_table
 from astray.experiments.track import track_report
 from astray.experiments.workers import Place, train_all
-from astray.files import hold, read, write_aside
+from astray.files import hold, read, see_free, write_aside
 from astray.game import OWN
 from astray.kernel.jit import source_digest
 from astray.training import checkpoint
 from astray.training.config import Config
+from astray.training.teacher import give
 from astray.training.track import Tracking
 
+PLAN = "plan.json"  # what is first written to a report's folder
 # The sources of what agents do, and of what is computed of it.
 COMPUTING = (
     "*.py", "kernel/*.py", "games/*/*.py", "envs/*.py", "agents/*.py", "agency/*.py",
@@ -66,6 +77,7 @@ def reproduce(
         command=f"astray reproduce {given} --size {size}" + (f" --art {art}" if ending else ""),
     )  # fmt: skip
     with hold(folder, "works on"):
+        see_free(folder, PLAN, report.WRITTEN)
         runs = train_agents(plan, root, workers, on, track)
         forget_stale(plan, runs, folder)
         episodes = (
@@ -92,15 +104,29 @@ def train_agents(
     """
     there = {name: [published_run(agent)] for name, agent in plan.published.items()}
     trainings = plan.trainings()
-    train_all(
-        {run_folder(root, config): config for configs in trainings.values() for config in configs},
-        workers, on, track,
-    )  # fmt: skip
-    trained = {
+    runs = there | {
         name: [run_folder(root, config) for config in configs]
         for name, configs in trainings.items()
     }
-    return there | trained
+    for students in (False, True):
+        if students:
+            give_teachers(plan, runs)
+        todo = {
+            run: config
+            for name, configs in trainings.items()
+            if (name in plan.teachers) == students
+            for run, config in zip(runs[name], configs, strict=True)
+        }
+        train_all(todo, workers, on, track)
+    return runs
+
+
+def give_teachers(plan: Plan, runs: Runs) -> None:
+    """Write to the run folder of each student the weights of its teacher, which is trained."""
+    for student, teacher in plan.teachers.items():
+        for number, run in enumerate(runs[student]):
+            its = runs[teacher][number % len(runs[teacher])]  # a published one teaches all
+            give(checkpoint.latest(its) / checkpoint.AGENT, run)
 
 
 def published_run(agent: str) -> Path:
@@ -135,10 +161,7 @@ def reproduce_all(
 
 def run_folder(root: Path, config: Config) -> Path:
     """Where the agent of these settings is: all experiments that want it find it there."""
-    usual = asdict(Config())  # left out, so that a new setting changes no folder
-    settings = {k: v for k, v in asdict(config).items() if k != "seed" and v != usual[k]}
-    digest = hashlib.sha256(json.dumps(settings, sort_keys=True).encode()).hexdigest()[:8]
-    return root / "agents" / f"{config.game}-{config.variant}-{digest}" / f"seed-{config.seed}"
+    return root / "agents" / name_of_run(config)
 
 
 def forget_stale(plan: Plan, runs: Runs, folder: Path) -> None:
@@ -152,7 +175,7 @@ def forget_stale(plan: Plan, runs: Runs, folder: Path) -> None:
         "measures": list(plan.measures),
         "sources": source_digest(COMPUTING),
     }
-    text, path = json.dumps(data, indent=1).encode(), folder / "plan.json"
+    text, path = json.dumps(data, indent=1).encode(), folder / PLAN
     if not path.exists() or read(path) != text:
         computed = folder / COMPUTED
         if computed.is_symlink():

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import hashlib
 import io
+import json
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from math import inf
 from pathlib import Path
 from typing import Any, Literal, get_args
@@ -20,7 +22,7 @@ from astray.files import read
 from astray.game import Game, Variant
 from astray.training.config import Config
 
-Size = Literal["smoke", "hour", "paper", "published"]
+Size = Literal["smoke", "pixels", "hour", "paper", "published"]
 COMPUTED = "computed"  # the folder of a report's tables, which `forget_stale` deletes
 SIZES: tuple[Size, ...] = get_args(Size)
 PUBLISHED: Size = "published"  # of agents that others trained: nothing is trained
@@ -53,6 +55,8 @@ class Plan:
     agents: Mapping[str, Config] = field(default_factory=dict)  # by name; settings but for the seed
     published: Mapping[str, str] = field(default_factory=dict)  # of those not trained here: the
     # agent that comes with astray, or of the catalogue of published ones, for each name
+    teachers: Mapping[str, str] = field(default_factory=dict)  # of students, by name: which agents
+    # of the plan they are distilled from, each from that of its own seed
     seeds: int = 1  # agents of each name
     tests: Mapping[str, Test] = field(default_factory=dict)  # by name; all agents are played in all
     visited: Mapping[str, Test] = field(default_factory=dict)  # by name; what the experiment itself
@@ -66,6 +70,11 @@ class Plan:
             raise ValueError(f"seeds must be at least 1; got {self.seeds}")
         if not set(self.published) <= set(self.agents):
             raise ValueError("what is published are agents of the plan")
+        students = set(self.teachers)
+        if not students | set(self.teachers.values()) <= set(self.agents):
+            raise ValueError("teachers and students are agents of the plan")
+        if students & {*self.published, *self.teachers.values()}:
+            raise ValueError("a student must be trained here, and teach nobody")
         fewest = min((len(config.unseen_levels) for config in self.agents.values()), default=inf)
         if not 1 <= self.levels <= fewest:
             raise ValueError(f"levels must be from 1 to {fewest}; got {self.levels}")
@@ -97,10 +106,30 @@ class Plan:
     def trainings(self) -> dict[str, list[Config]]:
         """The settings of every agent that is trained here."""
         return {
-            name: [replace(config, seed=seed) for seed in range(self.seeds)]
+            name: [
+                replace(config, seed=seed, teacher=self.teacher_of(name, seed))
+                for seed in range(self.seeds)
+            ]
             for name, config in self.agents.items()
             if name not in self.published
         }
+
+    def teacher_of(self, student: str, seed: int) -> str | None:
+        """What the teacher of a student is called: a published agent's name, or of its training."""
+        if student not in self.teachers:
+            return self.agents[student].teacher
+        teacher = self.teachers[student]
+        if teacher in self.published:
+            return self.published[teacher]
+        return name_of_run(replace(self.agents[teacher], seed=seed))
+
+
+def name_of_run(config: Config) -> str:
+    """What the training of these settings is called, the same in all experiments."""
+    usual = asdict(Config())  # left out, so that a new setting changes no name
+    settings = {k: v for k, v in asdict(config).items() if k != "seed" and v != usual[k]}
+    digest = hashlib.sha256(json.dumps(settings, sort_keys=True).encode()).hexdigest()[:8]
+    return f"{config.game}-{config.variant}-{digest}/seed-{config.seed}"
 
 
 @dataclass(frozen=True)

@@ -24,6 +24,7 @@ import polars as pl
 import torch
 from torch import Tensor
 
+from astray import games
 from astray.analysis.critic import observe
 from astray.analysis.given import Measure, measured, see_measures
 from astray.analysis.policies import Agent
@@ -155,7 +156,9 @@ def capture(
     """
     of_kind("states", states, np.ndarray)
     bounded("batch", batch, 1, MOST)
-    shapes, n = see_layers(agent, layers), len(states)
+    shapes, game = see_layers(agent, layers), games.find(agent.game)
+    game.check(states, game.variant(variant))
+    n = len(states)
     labels = _labels(states, measures)
     if folder is not None:
         return _capture_aside(agent, variant, states, shapes, labels, folder, batch)
@@ -235,8 +238,10 @@ def _load_file(path: Path) -> Activations:
 
 def _load_folder(path: Path) -> Activations:
     index = json.loads(read(path / INDEX, LARGEST_INDEX))
-    if index["format"] != FORMAT:
-        raise ValueError(f"it has format {index['format']}; this version reads {FORMAT}")
+    if not isinstance(index, dict) or not isinstance(index.get("layers"), dict):
+        raise ValueError(f"{INDEX} must be an object with 'layers'; got {shown(index)}")
+    if index.get("format") != FORMAT:
+        raise ValueError(f"it has format {shown(index.get('format'))}; this version reads {FORMAT}")
     values = {}
     for name, file in index["layers"].items():
         if Path(file).name != file:

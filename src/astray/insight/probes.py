@@ -22,7 +22,7 @@ import torch
 
 from astray.analysis.critic import observe
 from astray.analysis.estimates import bootstrap
-from astray.analysis.given import Measure, measured
+from astray.analysis.given import Measure, measured, see_measures
 from astray.analysis.policies import Agent
 from astray.bounds import bounded, of_kind
 from astray.game import MOST, Variant
@@ -67,6 +67,7 @@ def probe(
     """
     of_kind("states", states, np.ndarray)
     bounded("seeds", seeds, 1, MOST)
+    see_measures(labels, ())
     _sklearn()
     shown = observe(agent, variant, states)
     known = {name: measured(name, measure, states).to_numpy() for name, measure in labels.items()}
@@ -155,6 +156,7 @@ def _fit_all(
 
 def split(levels: np.ndarray, seed: int) -> np.ndarray:
     """[N] bool, the states to learn from: of levels [N], a share of TEST is for the test."""
+    bounded("seed", seed, 0, MOST)
     names = np.unique(levels)
     if len(names) < 2:
         raise ValueError("probes need states of at least two levels; these are of one")
@@ -175,6 +177,7 @@ def read(
     Columns: label, layer, read, true (null where the state does not have it), score (of a probe
     that was fitted on most levels, in the others).
     """
+    see_measures(labels, ())
     _sklearn()
     both = [observe(agent, variant, some) for some in (states, here)]
     given, shown = (activations(agent, some, layers) for some in both)

@@ -15,7 +15,7 @@ from tyro.conf import Positional, Suppress
 from astray import games, imports
 from astray.agents.policy import check_network, renamed_network
 from astray.bounds import shown
-from astray.game import LEVELS, MOST, OWN, Game, Mutation, Variant
+from astray.game import LEVELS, MOST, MOST_EDITS, OWN, Game, Mutation, Variant
 
 # Settings as older run folders have them, and what they are called now.
 RENAMED = {"environments": "num_envs", "rollout": "num_steps", "kernels": "fused_cpu"}
@@ -23,7 +23,7 @@ MOST_STEPS = 10**15  # what the fastest machine does in a century
 SEEDS = 2**28  # every seed has streams of its own for training, validation, ...
 COUNTS = (
     "levels", "steps", "num_envs", "num_steps", "epochs", "minibatches", "scale", "width",
-    "validation_every", "checkpoint_every", "threads", "groups", "buffer", "edits",
+    "validation_every", "checkpoint_every", "threads", "microbatch", "groups", "buffer", "edits",
 )  # fmt: skip
 SHARES = ("gamma", "lam", "reward_gamma", "share", "staleness")
 AMOUNTS = ("learning_rate", "clip", "value_weight", "entropy_weight", "gradient_norm")
@@ -31,7 +31,7 @@ RANGES = (
     {name: (1, MOST) for name in COUNTS}
     | {name: (0, 1) for name in SHARES}
     | {name: (0, inf) for name in AMOUNTS}
-    | {"replay": (0.01, 1), "temperature": (0.01, 100)}
+    | {"replay": (0.01, 1), "temperature": (0.01, 100), "edits": (1, MOST_EDITS)}
     | {"first_level": (0, LEVELS.stop), "seed": (0, SEEDS - 1), "steps": (1, MOST_STEPS)}
 )
 
@@ -95,6 +95,7 @@ class Config:
     normalise_advantage: bool = True  # over the whole rollout
     timeouts: Literal["bootstrap", "terminate"] = "bootstrap"
     loss: str | None = None  # your own, module:function, in the place of ppo.loss
+    teacher: str | None = None  # what the agent is called that this one is distilled from
 
     validation_every: int = 1  # iterations
     checkpoint_every: int = 25  # iterations
@@ -107,6 +108,7 @@ class Config:
     channels_last: bool | None = None  # the layout of impala's weights and activations
     compiled: bool | None = None  # by torch.compile, which fuses what is between the products
     graphs: bool | None = None  # acting and learning from a minibatch are each a CUDA graph
+    microbatch: int | None = None  # samples that a network of convolutions sees at once
     groups: int | None = None  # of environments: one steps while the device infers for another
 
     def __post_init__(self) -> None:
@@ -261,6 +263,17 @@ PRESETS = {
         network="mlp",
         width=256,
         steps=5_500_000,
+        num_steps=64,
+        minibatches=16,
+        gamma=0.98,
+        entropy_weight=0.003,
+        validation_every=10,
+        checkpoint_every=50,
+    ),
+    # The paper's images, for a CPU: a network of few products, and likewise many small updates.
+    "pixels": Config(
+        network="patch",
+        steps=10_000_000,
         num_steps=64,
         minibatches=16,
         gamma=0.98,

@@ -31,9 +31,14 @@ from astray.training.levels import MakeSampler
 from astray.training.log import Log
 from astray.training.ppo import Samples
 from astray.training.rollout import estimate
+from astray.training.teacher import TEACHER, Taught
 from astray.training.trainer import Trainer
 
 SPARE = 16  # threads that libraries may start
+SCORED = (
+    2000  # rollouts that are only scored, one after the other; at a chance of 0.01 to learn from
+)
+# each, more are as good as never
 
 
 class Diverged(RuntimeError):
@@ -159,7 +164,8 @@ def checked(config: Config, network: Any, loss: Any, sampler: Any) -> Config:
 def begin(config: Config, folder: Path | None, network: Any, loss: Any, sampler: Any) -> Trainer:
     """All that lives in a training, as the last checkpoint in the run folder left it."""
     with acceleration.torch_settings(config.threads):
-        trainer = Trainer(config, network, loss, sampler)
+        taught = folder / TEACHER if folder and config.teacher is not None else None
+        trainer = Trainer(config, network, loss, sampler, taught)
         if folder:
             with contextlib.ExitStack() as stack:
                 stack.callback(trainer.close)
@@ -196,8 +202,7 @@ def improve(trainer: Trainer) -> tuple[dict[str, float], dict[str, float]]:
     trainer.steps += config.batch
     for name, player in trainer.players().items():
         metrics |= {f"{name}/{what}": x for what, x in player.summary().items()}
-        if player.sampler is not None:
-            metrics |= {f"levels/{what}": x for what, x in player.sampler.summary().items()}
+        metrics |= {f"levels/{what}": x for what, x in player.sampled().items()}
     seconds = time.perf_counter() - began
     speed = {"steps_per_second": config.batch / seconds, "playing": (played - began) / seconds}
     return metrics | {"update/learning_rate": rate}, speed
@@ -229,11 +234,12 @@ def see_converging(trainer: Trainer) -> None:
 
 def play(trainer: Trainer) -> Samples:
     """A rollout to learn from, after those in which a sampler only has levels scored."""
-    while True:
+    for _ in range(SCORED):
         trainer.player.plan(trainer.steps)
-        rollout = collect(trainer)
+        rollout = taught(trainer) if trainer.teacher else collect(trainer)
         if trainer.player.learns:
             return rollout
+    raise ValueError(f"a sampler must plan to learn from one of {SCORED:,} rollouts; it does not")
 
 
 @torch.no_grad()
@@ -266,6 +272,28 @@ def collect(trainer: Trainer) -> Samples:
 
 
 @torch.no_grad()
+def taught(trainer: Trainer) -> Taught:
+    """Play as `collect` does, and ask the teacher about every state."""
+    assert trainer.teacher
+    config, player, network = trainer.config, trainer.player, trainer.fast.network
+    steps, n, device = config.num_steps, len(player.images), config.device
+    observation = torch.empty((steps, *player.images.shape), dtype=torch.uint8, device=device)
+    action = torch.empty((steps, n), dtype=torch.int64, device=device)
+    log_probability, value, target = torch.empty((3, steps, n), device=device)
+    wanted = torch.empty((steps, n, player.actions), device=device)
+    noise = player.noise(steps)
+    for t in range(steps):
+        observation[t] = player.images
+        wanted[t], target[t] = trainer.teacher.says()
+        logits, value[t] = network(observation[t])
+        action[t], log_probability[t] = ppo.sample(logits, noise[t])
+        player.step(t, action[t].numpy(force=True))
+    player.settle()
+    none = torch.zeros_like(value)
+    return Taught(observation, action, log_probability, value, none, target, wanted)
+
+
+@torch.no_grad()
 def validate(trainer: Trainer) -> None:
     """Play as many steps on the validation variant, and learn nothing from them."""
     if trainer.validator:
@@ -295,15 +323,19 @@ def update(trainer: Trainer, rollout: Samples, rate: float) -> dict[str, float]:
             order = order[order < len(samples)]
         for indices in order.split(len(samples) // config.minibatches):
             measured = step(indices)
+            if names and list(measured) != names:
+                raise ValueError(f"a loss must return the same names in every step, {shown(names)}")
             names, values = list(measured), torch.stack(list(measured.values()))
-            first_kl = measured.get("approx_kl", values[0]).clone() if sums is None else first_kl
+            if sums is None and "approx_kl" in measured:
+                first_kl = measured["approx_kl"].clone()
             sums = values if sums is None else sums + values
-    assert sums is not None and first_kl is not None
-    parallel.average([sums, first_kl])
+    assert sums is not None
+    first = {} if first_kl is None else {"first_kl": first_kl}
+    parallel.average([sums, *first.values()])
     count = config.epochs * config.minibatches
     means = {name: x / count for name, x in zip(names, sums.tolist(), strict=True)}
-    # Not 0 where acting and learning round apart.
-    return means | {"first_kl": float(first_kl), "explained_variance": explained}
+    # The first is not 0 where acting and learning round apart.
+    return means | {name: float(x) for name, x in first.items()} | {"explained_variance": explained}
 
 
 def learn(trainer: Trainer, samples: Samples, indices: Tensor) -> dict[str, Tensor]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from pathlib import Path
 
 import torch
 from torch import Tensor, nn
@@ -11,6 +12,7 @@ from torch import Tensor, nn
 from astray import imports
 from astray.agents import policy
 from astray.agents.policy import Architecture
+from astray.bounds import of_kind
 from astray.memory import check_memory
 from astray.training import parallel, ppo
 from astray.training.config import SAMPLERS, Config
@@ -21,6 +23,8 @@ from astray.training.fast.graphs import Captured
 from astray.training.levels import MakeSampler, Mixed, Sampler
 from astray.training.player import RECENT, Player
 from astray.training.replay import Replay
+from astray.training.teacher import Teacher
+from astray.training.teacher import loss as distilled
 
 PER_WEIGHT = 16  # bytes: float32 of itself, its gradient, and Adam's two moments
 PER_SAMPLE = 28  # bytes beside the observation: an int64 and five float32
@@ -31,6 +35,7 @@ class Trainer:
     """The network, its optimizer, and the players of the training and validation variants.
 
     network, loss, sampler  what `config` has the names of, where nobody can import it
+    teacher  the weights of the agent that `config` names so
     """
 
     def __init__(
@@ -39,6 +44,7 @@ class Trainer:
         network: Callable[[Architecture], nn.Module] | None = None,
         loss: Loss | None = None,
         sampler: MakeSampler | None = None,
+        teacher: Path | None = None,
     ):
         if config.batch // parallel.size() % config.minibatches:
             raise ValueError(
@@ -73,10 +79,16 @@ class Trainer:
             if not own:
                 _see_outputs(self.network, self.architecture, self.player.images.to(config.device))
         self.weights = list(self.network.parameters())
-        what = loss or (imports.find(config.loss) if config.loss else ppo.loss)
+        self.teacher: Teacher | None = None
+        if config.teacher is not None:
+            if teacher is None:
+                raise ValueError(f"a student of {config.teacher} must have a run folder")
+            self.teacher = Teacher(teacher, config, self.player)
+        usual = ppo.loss if self.teacher is None else distilled
+        what = loss or (imports.find(config.loss) if config.loss else usual)
         self.fast = acceleration.accelerate(self.network, what, config, self.architecture)
         self.actor = self.validator = None  # where `loop` plays itself
-        if self.fast.using.of_playing:
+        if self.fast.using.of_playing and self.teacher is None:
             self.actor = Actor(self.fast, self.player, config, config.num_steps)
             if self.validation:
                 self.validator = Actor(self.fast, self.validation, config, 1)
@@ -93,7 +105,9 @@ class Trainer:
         config, shown = self.config, math.prod(self.architecture.shape)
         try:
             with torch.device("meta"):  # without memory
-                count = sum(x.numel() for x in build(self.architecture).parameters())
+                made = build(self.architecture)
+                of_kind(f"what {config.network} makes", made, nn.Module)
+                count = sum(x.numel() for x in made.parameters())
         except (RuntimeError, OverflowError) as error:  # more than there are addresses
             raise MemoryError(
                 f"a network of width {config.width} and scale {config.scale} has too many weights "

@@ -24,16 +24,22 @@ from llvmlite.binding import get_host_cpu_features
 from torch import Tensor, nn
 from torch.nn.functional import cosine_similarity
 
+from astray.agents.actor_critic import ActorCritic
 from astray.agents.clear import Clear
 from astray.agents.impala import Impala
 from astray.agents.mlp import MLP
+from astray.agents.patch import Convolutions
 from astray.agents.policy import Architecture
-from astray.training import parallel, ppo
+from astray.training import parallel, ppo, teacher
 from astray.training.config import Config
-from astray.training.fast import fused, sparse
+from astray.training.fast import fused, microbatches, sparse
 from astray.training.ppo import Samples
 
 Loss = Callable[[Any, Samples, Config], dict[str, Tensor]]
+OURS = (Clear, Convolutions, Impala, MLP)
+# Images whose activations each stay below the 32 MB that a process keeps when they are freed.
+MICROBATCH = {"impala": 128, "clear": 128}
+LARGER = 1024  # of networks with fewer places
 NEAR = 1e-3  # that the kernels' loss and gradient may differ by, relative, in float32
 
 
@@ -46,13 +52,15 @@ class Acceleration:
     channels_last: bool = False
     compiled: bool = False
     graphs: bool = False
+    microbatch: int = 0  # 0: all that there is
     groups: int = 1
     together: bool = False  # cut-off episodes are valued at once, which rounds otherwise
 
     @property
     def of_network(self) -> bool:
         """Whether the network is computed otherwise than as it is written."""
-        return self.fused_cpu or self.bfloat16 or self.channels_last or self.compiled
+        by_parts = self.microbatch > 0
+        return self.fused_cpu or self.bfloat16 or self.channels_last or self.compiled or by_parts
 
     @property
     def of_playing(self) -> bool:
@@ -91,10 +99,14 @@ def resolve(config: Config, ours: bool = True) -> Acceleration:
     Raises ValueError where a setting asks for what is not there.
     """
     cpu, cuda = config.device == "cpu", config.device == "cuda"
-    sparse_here = ours and cpu and config.network == "mlp" and sparse.usable()
+    of_ppo = ours and config.teacher is None
+    sparse_here = of_ppo and cpu and config.network == "mlp" and sparse.usable()
     fused_cpu = _settled("fused_cpu", config, sparse_here)
     native = cpu and bool(get_host_cpu_features().get("avx512bf16"))
-    large = fused_cpu or config.network == "impala"  # enough for bfloat16 to be worth it on a CPU
+    large = fused_cpu or config.network not in (
+        "mlp",
+        "clear",
+    )  # enough for bfloat16 to be worth it on a CPU
     # GPUs from before 2020 only imitate it.
     old = cuda and torch.cuda.is_available() and not torch.cuda.is_bf16_supported(False)
     layout, compiler = config.network == "impala", compiles(config.device) and not fused_cpu
@@ -103,16 +115,28 @@ def resolve(config: Config, ours: bool = True) -> Acceleration:
         bfloat16=_settled("bfloat16", config, ours, suits=(cuda and not old) or (native and large)),
         channels_last=_settled("channels_last", config, ours and layout, suits=cuda),
         compiled=_settled("compiled", config, ours and compiler, suits=cuda),
-        graphs=_settled("graphs", config, ours and cuda),
+        graphs=_settled("graphs", config, of_ppo and cuda),
+        microbatch=microbatch(config, ours and cpu and config.network != "mlp"),
         groups=groups(config),
         together=fused_cpu or cuda,
     )
 
 
+def microbatch(config: Config, there: bool) -> int:
+    """How many samples are seen at once, where that can be chosen; 0: all."""
+    if config.microbatch and not there:
+        raise ValueError(
+            f"microbatch needs a CPU, a network of convolutions and loss of astray's own; got "
+            f"device={config.device!r}, network={config.network!r}"
+        )
+    return (config.microbatch or MICROBATCH.get(config.network, LARGER)) if there else 0
+
+
 def groups(config: Config) -> int:
     """How many groups of environments there are: one is inferred for while another steps."""
     here = config.num_envs // parallel.size()
-    return config.groups or (2 if config.device == "cuda" and here % 2 == 0 else 1)
+    one = config.device != "cuda" or here % 2 or config.teacher is not None
+    return config.groups or (1 if one else 2)
 
 
 def compiles(device: str) -> bool:
@@ -143,6 +167,7 @@ class Accelerated:
     network: Callable  # observations, always as many -> logits, values
     any_number: Callable  # likewise of any number of observations
     loss: Callable[[Samples], dict[str, Tensor]]
+    plain: Loss  # as it is written
 
 
 def accelerate(
@@ -152,11 +177,11 @@ def accelerate(
 
     Then it says so: a warning names which of the two is not what `training.fast` computes.
     """
-    known = type(network) in (Clear, Impala, MLP)
-    using = resolve(config, known and loss is ppo.loss)
+    known, own_loss = type(network) in OURS, loss in (ppo.loss, teacher.loss)
+    using = resolve(config, known and own_loss)
     if using.fused_cpu and not agree(network, config, architecture):
         known, using = False, resolve(replace(config, fused_cpu=None), ours=False)
-    if not (known and loss is ppo.loss):
+    if not (known and own_loss):
         other = f"network {type(network).__name__}" if not known else f"loss {loss!r}"
         warnings.warn(
             f"training runs the {other} as it is written, which takes longer: astray.training.fast "
@@ -168,9 +193,9 @@ def accelerate(
             "Python's headers", stacklevel=2,
         )  # fmt: skip
     if using.of_network:
-        model = Model(network, config, using)
-        return Accelerated(using, model.outputs, model, model.loss)
-    return Accelerated(using, network, network, lambda batch: loss(network, batch, config))
+        model = Model(network, loss, config, using)
+        return Accelerated(using, model.outputs, model, model.loss, loss)
+    return Accelerated(using, network, network, lambda batch: loss(network, batch, config), loss)
 
 
 def agree(network: nn.Module, config: Config, architecture: Architecture) -> bool:
@@ -192,7 +217,7 @@ def agree(network: nn.Module, config: Config, architecture: Architecture) -> boo
     )  # fmt: skip
     plain = ppo.loss(network, batch, config)
     try:
-        fast = Model(network, config, Acceleration(fused_cpu=True)).loss(batch)
+        fast = Model(network, ppo.loss, config, Acceleration(fused_cpu=True)).loss(batch)
         parts = [torch.stack([x.detach() for x in each.values()]) for each in (plain, fast)]
         one, two = (_gradient(network, each["loss"]) for each in (plain, fast))
     except (TypeError, ValueError, RuntimeError):  # of weights that the kernels do not know
@@ -205,12 +230,12 @@ def agree(network: nn.Module, config: Config, architecture: Architecture) -> boo
 
 
 def agreement(fast: Accelerated, network: nn.Module, batch: Samples, config: Config) -> dict:
-    """The gradient beside that of `ppo.loss` in float32: cosine, ratio of lengths.
+    """The gradient beside that of the loss as it is written, in float32: cosine, ratio of lengths.
 
     Convolutions in bfloat16 have been wrong on some GPUs (pytorch issue 150700).
     """
     one = _gradient(network, fast.loss(batch)["loss"])
-    two = _gradient(network, ppo.loss(network, batch, config)["loss"])
+    two = _gradient(network, fast.plain(network, batch, config)["loss"])
     return {
         "gradient/cosine": cosine_similarity(one, two, 0).item(),
         "gradient/ratio": (one.norm() / two.norm()).item(),
@@ -224,11 +249,11 @@ def _gradient(network: nn.Module, loss: Tensor) -> Tensor:
 
 
 class Model:
-    """One of astray's own networks, and `ppo.loss` of it, as a device computes them soonest."""
+    """One of astray's own networks, and a loss of it, as a device computes them soonest."""
 
-    def __init__(self, network: nn.Module, config: Config, using: Acceleration):
-        assert isinstance(network, Clear | Impala | MLP)
-        self.own, self.config, self.using = network, config, using
+    def __init__(self, network: nn.Module, loss: Loss, config: Config, using: Acceleration):
+        assert isinstance(network, ActorCritic)
+        self.own, self.plain, self.config, self.using = network, loss, config, using
         self._precision = torch.bfloat16 if using.bfloat16 else torch.float32
         if using.channels_last:
             network.to(memory_format=torch.channels_last)  # pyright: ignore
@@ -247,6 +272,10 @@ class Model:
         if self.using.fused_cpu:
             outputs = self._sparse(observation)
             return outputs[:, :-1], outputs[:, -1]
+        size = self.using.microbatch
+        if size and len(observation) > size:
+            logits, values = zip(*map(self.__call__, observation.split(size)), strict=True)
+            return torch.cat(logits), torch.cat(values)
         with torch.autocast(
             observation.device.type, torch.bfloat16, self.using.bfloat16, cache_enabled=False
         ):
@@ -255,7 +284,14 @@ class Model:
 
     def _loss(self, batch: Samples) -> dict[str, Tensor]:
         if not self.using.fused_cpu:
-            return ppo.loss(self.__call__, batch, self.config)
+
+            def whole(part: Samples) -> dict[str, Tensor]:
+                return self.plain(self.__call__, part, self.config)
+
+            size = self.using.microbatch
+            if size and len(batch) > size:
+                return microbatches.loss(whole, list(self.own.parameters()), batch, size)
+            return whole(batch)
         weights = (self.config.clip, self.config.value_weight, self.config.entropy_weight)
         total, parts = fused.Loss.apply(self._sparse(batch.observation), batch, weights)  # pyright: ignore
         return {"loss": total, **dict(zip(fused.PARTS, parts, strict=True))}

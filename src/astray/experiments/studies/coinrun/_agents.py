@@ -25,6 +25,9 @@ AGENTS: Mapping[Size, Config] = {
     "smoke": replace(
         PRESETS["small"], **ABOUT, width=128, gamma=0.99, entropy_weight=0.01, steps=10_000_000
     ),
+    "pixels": replace(
+        PRESETS["pixels"], **ABOUT, gamma=0.99, entropy_weight=0.01, steps=15_000_000
+    ),
     "hour": replace(LARGE, steps=25_000_000),
     "paper": LARGE,
     # OpenAI's agent, trained on all levels as released; for its tests they are numbered likewise.
@@ -38,6 +41,7 @@ RUNNER = "runner"  # the name of the agents where there are no others
 DIFFERENCES: Mapping[Size, str] = {
     "smoke": "levels seen as symbols instead of a picture, by a network of two hidden layers, and "
     "10 million steps instead of 200 million",
+    "pixels": "a network of patches, and 15 million steps instead of 200 million",
     "hour": "25 million steps instead of 200 million",
     "paper": "",
     "published": "the agent is OpenAI's of CoinRun as released, trained by others with "

@@ -219,6 +219,10 @@ EXPERIMENT = Experiment(
             "smoke", (0, 2, 6, 20), 2, 500,
             f"four of the eight shares; {_agents.DIFFERENCES['smoke']}",
         ),
+        "pixels": plan(
+            "pixels", (0, 2, 20), 3, 500,
+            f"three of the eight shares; {_agents.DIFFERENCES['pixels']}",
+        ),
         "hour": plan("hour", (0, 2, 10), 1, 1000, f"{_agents.DIFFERENCES['hour']}; three shares "
                      "of random coins instead of eight"),
         "paper": plan("paper", SHARES, 3, 10_000, ""),

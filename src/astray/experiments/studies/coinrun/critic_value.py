@@ -11,7 +11,7 @@ from astray.analysis.critic import counterfactual, visit
 from astray.analysis.estimates import Estimate, group_means, mean_of
 from astray.analysis.runs import open_run
 from astray.experiments import outcomes
-from astray.experiments.claims import Claim, is_more
+from astray.experiments.claims import Claim, is_more, rounded
 from astray.experiments.levels import levels_of
 from astray.experiments.report import Findings, Plot, Table
 from astray.experiments.spec import Experiment, Test, Work
@@ -71,6 +71,9 @@ def find(work: Work) -> Findings:
                 f"with the coin less without it, in the same states: {by_stages}; "
                 f"holds where every interval contains 0",
                 all(effect.low <= 0 <= effect.high for effect in removed.values()),
+                "the same state with and without its coin tells smaller effects from none than "
+                f"other pictures do; the largest is {rounded(abs(largest.mean / rise.mean))} of "
+                "the rise",
             ),
             is_more(
                 "Where a level holds no coin at all, the value rises to its end all the same.",
@@ -201,6 +204,7 @@ EXPERIMENT = Experiment(
     reproduces="Figure 6",
     question="Does the critic value the coin, or the end of the level, where the coin always was?",
     sizes={"smoke": _agents.plan("smoke", 2, 300, visited=TESTS),
+           "pixels": _agents.plan("pixels", 3, 300, visited=TESTS),
            "hour": _agents.plan("hour", 1, 500, visited=TESTS),
            "paper": _agents.plan("paper", 3, 1000, visited=TESTS),
            "published": _agents.plan("published", 1, 300, visited=BRIEF)},

@@ -68,6 +68,8 @@ def find(work: Work) -> Findings:
             holds_above(
                 "Whenever the runner reaches the wall, it goes through.",
                 "100\u00a0%, n\u00a0=\u00a0114", "out on the other side", through, NEARLY_ALL,
+                why=f"{rounded(entered.mean - through.mean)} are still in the wall, "
+                f"{COLUMNS} columns wide, when the time is up",
             ),
             holds_above(
                 "It neither stays at the wall nor comes back to it.",
@@ -242,6 +244,7 @@ EXPERIMENT = Experiment(
     "moving to the wall.",
     sizes={
         "smoke": _agents.plan("smoke", 2, 200, **PLAYED),
+        "pixels": _agents.plan("pixels", 3, 200, **PLAYED),
         "hour": _agents.plan("hour", 1, 300, **PLAYED),
         "paper": _agents.plan("paper", 3, 1000, **PLAYED),
         "published": _agents.plan("published", 1, 150, **PLAYED | {"tests": BRIEF}),

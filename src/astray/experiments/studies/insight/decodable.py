@@ -40,6 +40,12 @@ SPLITS = {"smoke": 5, "published": 3}
 REMOVED, ADDED = "the coin in view removed", "a coin added to the view"
 
 
+class OfSplits(Estimate):
+    """An estimate that has splits of levels where others have levels."""
+
+    unit = "splits"
+
+
 def find(work: Work) -> Findings:
     """What can be read off each layer, and how much the policy changes with the coin."""
     agent, variant, levels = opened(work, WHERE)
@@ -51,7 +57,7 @@ def find(work: Work) -> Findings:
     moved = {e: estimate(changes, e, "policy_change") for e in (REMOVED, ADDED)}
     value = {e: estimate(changes, e, "change") for e in (REMOVED, ADDED)}
     last = {label: score(read, label, LAST) for label in READ}
-    gain = bootstrap(
+    gain = over_splits(
         per_split(read, COIN, LAST, "score") - per_split(read, COIN, LAST, "untrained")
     )
     return Findings(
@@ -131,7 +137,12 @@ def per_split(read: pl.DataFrame, label: str, layer: str, column: str) -> np.nda
 
 def score(read: pl.DataFrame, label: str, layer: str) -> Estimate:
     """The mean score of a probe, with its interval over splits."""
-    return bootstrap(per_split(read, label, layer, "score"))
+    return over_splits(per_split(read, label, layer, "score"))
+
+
+def over_splits(values: np.ndarray) -> OfSplits:
+    """The mean of what was measured in each split."""
+    return OfSplits(**vars(bootstrap(values)))
 
 
 EXPERIMENT = Experiment(

@@ -184,6 +184,20 @@ EXPERIMENT = Experiment(
             "instead of 500; a network of two hidden layers, and 11 million steps instead of 200 "
             "million",
         ),
+        "pixels": Plan(
+            agents={
+                "mouse": replace(
+                    PRESETS["pixels"], variant="yellow-line-small",
+                    validation="red-line-yellow-gem-small", steps=5_000_000,
+                )
+            },
+            seeds=8,
+            tests=tests_of("maze", "colour-or-shape-small"),
+            levels=1000,
+            differences="worlds of 7 cells instead of 25; a mouse that starts anywhere and has 100 "
+            "steps instead of 500; a network of patches, and 5 million steps instead of 200 "
+            "million",
+        ),
         "hour": Plan(
             agents={
                 "mouse": replace(

@@ -48,6 +48,9 @@ def find(work: Work) -> Findings:
     )  # fmt: skip
 
 
+PIXELS = replace(
+    PRESETS["pixels"], variant="corner-small", validation="anywhere-small", steps=5_000_000
+)
 EXPERIMENT = Experiment(
     title="The corner mouse",
     reproduces="Figure 3a-b",
@@ -65,6 +68,15 @@ EXPERIMENT = Experiment(
             differences="worlds of 7 cells instead of 25, seen as symbols instead of a picture; a "
             "mouse that starts anywhere and has 100 steps instead of 500; a network of two "
             "hidden layers, and 5.5 million steps instead of 200 million",
+        ),
+        "pixels": Plan(
+            agents={MOUSE: PIXELS},
+            seeds=3,
+            tests=tests_of("maze", "corner-small"),
+            levels=1000,
+            differences="worlds of 7 cells instead of 25; a mouse that starts anywhere and has 100 "
+            "steps instead of 500; a network of patches, and 5 million steps instead of 200 "
+            "million",
         ),
         "hour": Plan(
             agents={

@@ -176,6 +176,15 @@ EXPERIMENT = Experiment(
             "symbols instead of a picture; a mouse that starts anywhere and has 100 steps instead "
             "of 500; a network of two hidden layers, and 5.5 million steps instead of 80 million",
         ),
+        "pixels": Plan(
+            agents=sweep(maze_corner.PIXELS, (3, 5, 7), knobs=dict(SMALL)),
+            seeds=3,
+            tests={"in the test": SMOKE.tests["in the test"]},
+            levels=1000,
+            differences="regions of 1, 3, 5 and 7 cells, in worlds of 7 instead of 25; a mouse "
+            "that starts anywhere and has 100 steps instead of 500; a network of patches, and 5 "
+            "million steps instead of 80 million",
+        ),
         "hour": Plan(
             agents=sweep(HOUR.config, (4, 8, 15), knobs=dict(EASY)),
             tests={"in the test": HOUR.tests["in the test"]},

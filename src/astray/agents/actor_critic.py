@@ -1,0 +1,61 @@
+"""What astray's own networks share: a policy and a value that are linear in one hidden layer."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor, nn
+
+
+class ActorCritic(nn.Module):
+    """Observations [B, ...] uint8 -> logits [B, actions], values [B]."""
+
+    policy: nn.Linear
+    value: nn.Linear
+
+    def forward(self, observations: Tensor) -> tuple[Tensor, Tensor]:
+        return self.heads(self.hidden(observations))
+
+    def hidden(self, observations: Tensor) -> Tensor:
+        """All but the heads: what policy and value are linear functions of, [B, features]."""
+        raise NotImplementedError
+
+    def heads(self, features: Tensor) -> tuple[Tensor, Tensor]:
+        return self.policy(features), self.value(features).squeeze(-1)
+
+    def add_heads(self, features: int, actions: int) -> None:
+        """The last layers, and all weights as they are at the beginning."""
+        self.policy = nn.Linear(features, actions)
+        self.value = nn.Linear(features, 1)
+        initialise(self)
+
+
+class Pixels(ActorCritic):
+    """Of images [B, H, W, C]: `features` of what `see` makes of their planes."""
+
+    features: nn.Module
+
+    def hidden(self, observations: Tensor) -> Tensor:
+        kind, device = self.policy.weight.dtype, observations.device.type
+        if torch.is_autocast_enabled(device):  # what the first convolution would round to anyway
+            kind = torch.get_autocast_dtype(device)
+        planes = observations.permute(0, 3, 1, 2).to(kind).div_(255)
+        return self.features(self.see(planes))
+
+    def see(self, planes: Tensor) -> Tensor:
+        """[B, C, H, W] in 0 to 1 -> [B, D, h, w]"""
+        raise NotImplementedError
+
+
+@torch.no_grad()
+def initialise(network: nn.Module) -> None:
+    """The original's: Xavier-uniform, biases 0, a near-uniform policy, an orthogonal value."""
+    for name, module in network.named_modules():
+        if isinstance(module, nn.Conv2d | nn.Linear):
+            if name == "policy":
+                nn.init.orthogonal_(module.weight, gain=0.01)
+            elif name == "value":
+                nn.init.orthogonal_(module.weight, gain=1.0)
+            else:
+                nn.init.xavier_uniform_(module.weight)
+            assert module.bias is not None
+            nn.init.zeros_(module.bias)

@@ -1,0 +1,73 @@
+"""The verb for distillation: a student of another network, or of other observations."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+from tyro.conf import Positional
+
+from astray.analysis import kept
+from astray.analysis.policies import Observation
+from astray.bounds import bounded
+from astray.training.config import PRESETS, SEEDS
+from astray.training.track import Tracking
+
+
+def distil(
+    teacher: Positional[Path],
+    observation: Observation = "image",
+    network: str | None = None,
+    variant: str | None = None,
+    validation: str | None = None,
+    steps: int = 2_000_000,
+    epochs: int = 1,
+    art: str | None = None,
+    seed: int = 0,
+    seeds: int = 1,
+    threads: int = 1,
+    folder: Path | None = None,
+    track: Tracking | None = None,
+) -> None:
+    """Train students that do what an agent would do in the episodes that they themselves play.
+
+    They learn its probabilities of all actions and its values, in training levels alone; rewards
+    teach them nothing. What is interrupted goes on with the same command.
+
+    Args:
+        teacher: a run folder, or the name of a kept or imported agent
+        observation: what the students see
+        network: of the students; by default patch for images, mlp for symbols
+        variant: whose training levels they play; by default what the teacher was trained on
+        validation: a variant played during training, never learned from; by default the teacher's
+        steps: of all environments
+        epochs: passes over what was played
+        art: that images are drawn with; by default the teacher's
+        seed: of the first student
+        seeds: students to train, with this seed, the next, ...
+        threads: that step environments and that torch uses
+        folder: of the runs; by default runs/<game>-<variant>-of-<teacher>
+        track: tell wandb or trackio, too, of the training
+    """
+    from astray.analysis.runs import open_run
+    from astray.training.teacher import give
+    from astray.training.track import train_tracked
+
+    bounded("seeds", seeds, 1, SEEDS - seed)
+    run = kept.run_of(teacher)
+    agent, its = open_run(run)
+    name = str(teacher) if run != teacher else run.resolve().name
+    images = observation == "image"
+    config = replace(
+        PRESETS["pixels" if images else "small"],
+        game=its.game, variant=variant or its.variant, validation=validation or its.validation,
+        knobs=its.knobs if variant in (None, its.variant) else {},
+        first_level=its.first_level, levels=its.levels, observation=observation,
+        network=network or ("patch" if images else "mlp"), art=art or its.art, gamma=its.gamma,
+        steps=steps, epochs=epochs, seed=seed, threads=threads, teacher=name,
+    )  # fmt: skip
+    there = folder or Path("runs") / f"{config.game}-{config.variant}-of-{name}"
+    for number in range(seed, seed + seeds):
+        student = there / f"seed-{number}"
+        give(agent.path, student)
+        print(train_tracked(replace(config, seed=number), student, track))

@@ -1,0 +1,71 @@
+"""Does a network that averages over places, and cannot tell them, still go to the corner?"""
+
+from dataclasses import replace
+
+import polars as pl
+
+from astray.analysis.estimates import bootstrap
+from astray.analysis.outcomes import INTENDED, MISGENERALIZED, matrix
+from astray.experiments import outcomes
+from astray.experiments.claims import holds_above, rounded
+from astray.experiments.outcomes import AGENTS, share
+from astray.experiments.report import Findings
+from astray.experiments.spec import Experiment, Plan, Work, tests_of
+from astray.experiments.studies.maze.maze_corner import PIXELS
+
+FLAT, POOLED = "places apart", "places pooled"
+CAPABLE, LESS = 0.9, 0.1  # bounds of the claims
+
+
+def find(work: Work) -> Findings:
+    """What mice of both networks go to."""
+    train, test = work.plan.tests
+    tables = outcomes.outcome_tables(work)
+    apart = work.episodes.filter("tells_apart", policy=AGENTS, test=test)
+    corner = {
+        name: matrix(apart.filter(agent=name), pl.col("outcome") == MISGENERALIZED)
+        for name in work.plan.agents
+    }
+    pooled = share(work.episodes.filter(agent=POOLED), train, INTENDED)
+    return Findings(
+        answer="In levels that tell the goals apart, mice whose last layer sees each place for "
+        f"itself go to the corner first in {rounded(bootstrap(corner[FLAT]).mean)}, mice whose "
+        "last layer is given means over all places in "
+        f"{rounded(bootstrap(corner[POOLED]).mean)}.",
+        claims=[
+            holds_above(
+                "A network that pools over places learns to reach the cheese of its training.",
+                "none", INTENDED, pooled, CAPABLE,
+            ),
+            holds_above(
+                "Pooling over places removes the corner as a goal, at least in part.", "none",
+                f"{FLAT} less {POOLED}", bootstrap(corner[FLAT] - corner[POOLED]), LESS,
+            ),
+        ],
+        videos=outcomes.film(
+            work, trained=work.plan.tests[train], tested=work.plan.tests[test], agent=POOLED
+        ),
+        plots=[*outcomes.outcome_plots(work, tables), outcomes.curve_plot(work)],
+        tables=tables,
+        settings=outcomes.settings(work.plan) | {
+            "places": "convolutions pad with zeros, so that channels can tell the border of the "
+            "picture, which pooling does not take away",
+        },
+    )  # fmt: skip
+
+
+EXPERIMENT = Experiment(
+    title="Pooled places",
+    reproduces="a question of our own",
+    question="The corner is a place. Does a network that averages over places still look for it?",
+    sizes={
+        "pixels": Plan(
+            agents={FLAT: PIXELS, POOLED: replace(PIXELS, network="patch-pooled")},
+            seeds=3,
+            tests=tests_of("maze", "corner-small"),
+            levels=1000,
+            differences="worlds of 7 cells, networks of patches, and 5 million steps",
+        ),
+    },
+    find=find,
+)

@@ -1,0 +1,51 @@
+"""Learning from a minibatch by parts, whose activations need no new memory and stay in a cache.
+
+On a CPU, blocks of more than 32 MB are given back to the system when they are freed: for the
+paper's network and 1,024 images, fetching them anew took as long as half of all products.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from astray.training.ppo import Samples
+
+
+class Known(torch.autograd.Function):
+    """A loss whose gradient by all weights was computed with it."""
+
+    @staticmethod
+    def forward(ctx: Any, loss: Tensor, gradients: list[Tensor], *_: Tensor) -> Tensor:
+        ctx.gradients = gradients
+        return loss
+
+    @staticmethod
+    def backward(ctx: Any, *outer: Tensor) -> tuple[Tensor | None, ...]:
+        return None, None, *(outer[0] * gradient for gradient in ctx.gradients)
+
+
+def loss(
+    of_samples: Callable[[Samples], dict[str, Tensor]],
+    weights: list[Tensor],
+    batch: Samples,
+    size: int,
+) -> dict[str, Tensor]:
+    """`of_samples(batch)`, a loss and what is logged beside it, `size` samples at once.
+
+    All of them have to be means over samples.
+    """
+    sums: dict[str, Tensor] = {}
+    gradients = [torch.zeros_like(weight) for weight in weights]
+    for part in batch.split(size):
+        share = len(part) / len(batch)
+        found = {name: share * x for name, x in of_samples(part).items()}
+        more = torch.autograd.grad(found["loss"], weights)
+        found = {name: x.detach() for name, x in found.items()}
+        sums = {name: sums[name] + x for name, x in found.items()} if sums else found
+        for gradient, x in zip(gradients, more, strict=True):
+            gradient += x
+    return sums | {"loss": Known.apply(sums["loss"], gradients, *weights)}  # pyright: ignore

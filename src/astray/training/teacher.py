@@ -1,0 +1,102 @@
+"""Distillation: a student learns what its teacher would do in the episodes that the student plays.
+
+The student acts, in the training levels alone, so that what these leave open stays open; of every
+state that it comes to, the teacher says how likely it would take each action, and what it values.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from astray.agents import policy
+from astray.envs.vector import GameVectorEnv
+from astray.files import read, see_own, write_aside
+from astray.training import ppo
+from astray.training.config import Config
+from astray.training.player import Player
+from astray.training.ppo import Samples
+
+TEACHER = "teacher.safetensors"  # in the run folder of a student
+
+
+@dataclass(frozen=True)
+class Taught(Samples):
+    """Samples whose `target` is the teacher's value; advantages are not used, and 0."""
+
+    wanted: Tensor  # [..., actions] float32, logarithms of the teacher's probabilities
+
+
+def give(weights: Path, run: Path) -> None:
+    """Write the teacher's weights to a student's run folder; ValueError where it has another's."""
+    path, data = run / TEACHER, read(weights)
+    if path.exists():
+        if read(path) != data:
+            raise ValueError(f"{path} must be the teacher at {weights}; it is another")
+        return
+    run.mkdir(parents=True, exist_ok=True)
+    see_own(path)
+    write_aside(path, data)
+
+
+class Teacher:
+    """An agent that is asked about the states that a player's environments are in.
+
+    Raises ValueError where it does not know the variant's observations.
+    """
+
+    def __init__(self, path: Path, config: Config, player: Player):
+        try:
+            self.network, known = policy.load(path, config.game, config.device)
+        except FileNotFoundError:
+            raise FileNotFoundError(
+                f"the teacher {config.teacher} must be at {path}; see `astray distil`"
+            ) from None
+        symbolic = bool(known.largest)
+        self.config, self.player = config, player
+        self.env = GameVectorEnv(
+            config.game, config.training_variant(), len(player.images),
+            observation="symbolic" if symbolic else "image", art=config.art,
+            threads=config.threads,
+        )  # fmt: skip
+        sees = self.env.single_observation_space.shape
+        if (sees, len(self.env.game.actions)) != (known.shape, known.actions):
+            raise ValueError(
+                f"the teacher {config.teacher} must know observations of {sees}, those of "
+                f"{config.variant}; it knows {known.shape}"
+            )
+
+    def says(self) -> tuple[Tensor, Tensor]:
+        """Logarithms of its probabilities [N, actions], and its values [N], of what is now."""
+        states = np.concatenate([env.get_state() for env in self.player.envs])
+        observations = torch.from_numpy(self.env.set_state(states)).to(self.config.device)
+        logits, values = self.network(observations)
+        return ppo.log_probabilities(logits), values
+
+
+def loss(network: Callable, minibatch: Samples, config: Config) -> dict[str, Tensor]:
+    """How far a student is from its teacher on a minibatch; the arguments of `ppo.loss`.
+
+    kl     KL(teacher || student) of their policies
+    agree  share of samples in which the likeliest action is the same
+    """
+    assert isinstance(minibatch, Taught)
+    logits, value = network(minibatch.observation)
+    of_all = ppo.log_probabilities(logits)
+    wanted = minibatch.wanted
+    kl = (wanted.exp() * (wanted - of_all)).sum(-1).mean()
+    critic = 0.5 * (value - minibatch.target).square().mean()
+    with torch.no_grad():
+        agree = (of_all.argmax(-1) == wanted.argmax(-1)).float().mean()
+    return {
+        "loss": kl + config.value_weight * critic,
+        "kl": kl,
+        "value_loss": critic,
+        "entropy": ppo.entropy(of_all),
+        "agree": agree,
+    }

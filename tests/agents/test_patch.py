@@ -1,0 +1,69 @@
+"""Networks for images on a processor: what they see, and what they are called inside."""
+
+import pytest
+import torch
+
+from astray.agents.impala import Impala
+from astray.agents.patch import Convolutions
+from astray.agents.policy import BUILDERS, Architecture
+
+SHAPE = (64, 64, 3)
+NAMES = [name for name in BUILDERS if name not in ("mlp", "impala", "clear")]
+
+
+def built(name, shape=SHAPE):
+    torch.manual_seed(0)
+    return Architecture(name, shape, (), 9).build()
+
+
+def products(network, image):
+    """Multiplications of weights for one image, counted by hooks on what has weights."""
+    count = 0
+
+    def note(module, _, result):
+        nonlocal count
+        places = result[0, 0].numel() if result.ndim == 4 else 1
+        count += places * module.weight.numel()
+
+    for module in network.modules():
+        if isinstance(module, torch.nn.Conv2d | torch.nn.Linear):
+            module.register_forward_hook(note)
+    network(image)
+    return count
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_images_give_logits_and_values_that_hooks_can_change(name):
+    network, images = built(name), torch.randint(0, 256, (3, *SHAPE), dtype=torch.uint8)
+    assert isinstance(network, Convolutions)
+    logits, values = network(images)
+    assert logits.shape == (3, 9) and values.shape == (3,)
+    handle = network.features.relu.register_forward_hook(lambda *a: torch.zeros_like(a[2]))
+    assert network(images)[0].eq(network.policy.bias).all()
+    handle.remove()
+    assert torch.equal(network(images)[0], logits)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_they_need_a_fifth_of_the_papers_products_at_most(name):
+    image = torch.zeros((1, *SHAPE), dtype=torch.uint8)
+    times = 25 if name == "patch" else 5
+    assert times * products(built(name), image) < products(Impala(SHAPE, 9), image) == 30_607_872
+
+
+def test_pooled_places_are_all_alike():
+    """Whatever order the places are in before the mean, the last layer is given the same."""
+    network = built("patch-pooled")
+    planes = torch.randn(2, 16, 8, 8)
+    order = torch.randperm(64)
+    shuffled = planes.flatten(2)[..., order].view_as(planes)
+    apart = built("patch").features
+    one, two = (network.features(network.body.mean(x)) for x in (planes, shuffled))
+    assert torch.allclose(one, two, atol=1e-6)
+    assert not torch.allclose(apart(planes), apart(shuffled), atol=1e-3)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_other_sizes_of_images_are_seen_too(name):
+    network = built(name, (72, 80, 3))
+    assert network(torch.zeros(2, 72, 80, 3, dtype=torch.uint8))[0].shape == (2, 9)

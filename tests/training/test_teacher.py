@@ -1,0 +1,118 @@
+"""A student learns what its teacher would do, in its own episodes, and nothing of rewards."""
+
+import contextlib
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+import torch
+
+import astray
+from astray.agents.policy import Architecture
+from astray.cli.distil import distil
+from astray.training import checkpoint, teacher
+from astray.training.fast import acceleration
+from astray.training.loop import taught, train
+from astray.training.teacher import TEACHER, Taught
+from astray.training.trainer import Trainer
+from helpers.trainings import TINY, digest, train_to_first_checkpoint
+
+STUDENT = replace(TINY, teacher="tiny", steps=4096, epochs=3, learning_rate=3e-3)
+
+
+@pytest.fixture(scope="module")
+def weights(tmp_path_factory):
+    """Of an agent that was trained for a moment."""
+    folder = tmp_path_factory.mktemp("teacher")
+    train(TINY, folder, progress=False)
+    return checkpoint.latest(folder) / checkpoint.AGENT
+
+
+@pytest.fixture
+def student(tmp_path, weights):
+    teacher.give(weights, tmp_path / "student")
+    return tmp_path / "student"
+
+
+def made_up(n, actions):
+    random = torch.Generator().manual_seed(0)
+    wanted = torch.randn(n, actions, generator=random).log_softmax(-1)
+    zeros = torch.zeros(n)
+    target = torch.randn(n, generator=random)
+    return Taught(zeros, zeros.long(), zeros, zeros, zeros, target, wanted)
+
+
+def test_the_loss_is_the_divergence_and_the_error_of_values():
+    batch = made_up(64, 9)
+    logits, value = torch.randn(64, 9), torch.randn(64)
+    losses = teacher.loss(lambda _: (logits, value), batch, STUDENT)
+    kl = torch.nn.functional.kl_div(
+        logits.log_softmax(-1), batch.wanted, reduction="batchmean", log_target=True
+    )
+    critic = torch.nn.functional.mse_loss(value, batch.target) / 2
+    assert torch.allclose(losses["kl"], kl)
+    assert torch.allclose(losses["loss"], kl + STUDENT.value_weight * critic)
+    own = teacher.loss(lambda _: (batch.wanted, batch.target), batch, STUDENT)
+    assert abs(float(own["loss"])) < 1e-6 and own["agree"] == 1
+
+
+def test_the_teacher_is_asked_about_what_the_student_sees(student, weights):
+    with contextlib.closing(Trainer(STUDENT, teacher=student / TEACHER)) as trainer:
+        samples = taught(trainer).flat()
+    known = astray.load_agent(weights.parent)
+    logits, values = known.outputs(samples.observation.numpy())
+    assert torch.allclose(samples.wanted, logits.log_softmax(-1), atol=1e-5)
+    assert torch.allclose(samples.target, values, atol=1e-5)
+
+
+@pytest.mark.parametrize(
+    "more", [{}, {"observation": "image", "network": "patch", "steps": 1024}], ids=["mlp", "patch"]
+)
+def test_a_student_comes_nearer_to_its_teacher(student, more):
+    train(replace(STUDENT, **more), student, progress=False)
+    first, *_, last = checkpoint.metrics(student)
+    assert last["update/kl"] < 0.7 * first["update/kl"]
+    assert "update/first_kl" not in last
+    agent = astray.load_agent(student)
+    assert agent.observation == more.get("observation", "symbolic")
+
+
+def test_a_student_that_was_stopped_goes_on(tmp_path, student, weights, monkeypatch):
+    train_to_first_checkpoint(STUDENT, student, monkeypatch)
+    train(STUDENT, student, progress=False)
+    teacher.give(weights, tmp_path / "plain")
+    train(STUDENT, tmp_path / "plain", progress=False)
+    assert digest(student) == digest(tmp_path / "plain")
+
+
+def test_the_kernels_of_ppo_do_not_run_for_students():
+    architecture = Architecture("mlp", (4, 5, 5), (1, 1, 1, 1), 9, width=16)
+    fast = acceleration.accelerate(architecture.build(), teacher.loss, STUDENT, architecture)
+    assert fast.plain is teacher.loss and not fast.using.fused_cpu
+
+
+def test_a_student_without_its_teacher_or_with_another_is_refused(tmp_path, student, weights):
+    with pytest.raises(FileNotFoundError, match=r"the teacher tiny must be at .*astray distil"):
+        train(STUDENT, tmp_path / "alone", progress=False)
+    with pytest.raises(ValueError, match="a student of tiny must have a run folder"):
+        next(astray.iterate(STUDENT))
+    with pytest.raises(ValueError, match="must know observations of"):
+        train(replace(STUDENT, knobs={"world": 7, "largest": 7}), student, progress=False)
+    other = tmp_path / "other.safetensors"
+    other.write_bytes(weights.read_bytes() + b" ")
+    with pytest.raises(ValueError, match=r"must be the teacher at .*; it is another"):
+        teacher.give(other, student)
+    assert (student / TEACHER).read_bytes() == weights.read_bytes()
+
+
+def test_the_verb_distils_from_an_agent_by_name(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    distil(Path("maze-corner"), observation="symbolic", steps=16_384)
+    run = tmp_path / "runs" / "maze-corner-small-of-maze-corner" / "seed-0"
+    config = checkpoint.read_config(run)
+    assert (config.teacher, config.network, config.variant) == (
+        "maze-corner",
+        "mlp",
+        "corner-small",
+    )
+    assert checkpoint.finished(run, config)
