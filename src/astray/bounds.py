@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Collection
 from typing import Any
 
 import numpy as np
@@ -14,11 +16,25 @@ def bounded(name: str, given: Any, least: float, most: float) -> None:
         raise ValueError(f"{name} must be an integer from {least} to {most}; got {shown(given)}")
 
 
+def finite(name: str, given: Any, least: float = -math.inf, most: float = math.inf) -> None:
+    """ValueError unless what is called `name` is a finite number from `least` to `most`."""
+    is_number = isinstance(given, int | float | np.number) and not isinstance(given, bool)
+    if not is_number or not math.isfinite(given) or not least <= given <= most:
+        said = f" from {least:g} to {most:g}" if math.isfinite(most - least) else ""
+        raise ValueError(f"{name} must be a finite number{said}; got {shown(given)}")
+
+
 def of_kind(name: str, given: Any, kind: Any) -> None:
     """ValueError unless what is called `name` is of `kind`, a class or several: `A | B`."""
     if not isinstance(given, kind):
         words = " or ".join(k.__name__ for k in getattr(kind, "__args__", (kind,)))
         raise ValueError(f"{name} must be a {words}; got {shown(given)}")
+
+
+def one_of(kind: str, given: Any, there: Collection[str]) -> None:
+    """ValueError where what is `given` as the name of a `kind` is none of those that are there."""
+    if not isinstance(given, str) or given not in there:
+        raise ValueError(f"unknown {kind} {shown(given)}; there are: {', '.join(there)}")
 
 
 def shown(given: Any) -> str:

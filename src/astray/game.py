@@ -23,6 +23,7 @@ OWN = "own"  # the art that is drawn here
 MOST = 2**31 - 1  # of a knob, and of what is counted
 Mutation = Literal["constant", "identity", "binomial"]  # what is edited of a level, and how often
 MUTATIONS: tuple[Mutation, ...] = typing.get_args(Mutation)
+MOST_EDITS = 10_000  # of a level; some 50 ms
 KINDS = {int: np.int64, float: np.float64, bool: np.bool_}
 
 
@@ -147,7 +148,7 @@ def _as_knob(name: str, value: Any, kinds: Mapping[str, type]) -> Any:
     if isinstance(value, str) and kinds[name] is not str:
         try:
             value = json.loads(value.lower())
-        except json.JSONDecodeError:
+        except (json.JSONDecodeError, RecursionError):
             raise _unlike(name, value, kinds[name]) from None
     if isinstance(value, int) and kinds[name] is float:
         value = float(value)
@@ -157,7 +158,7 @@ def _as_knob(name: str, value: Any, kinds: Mapping[str, type]) -> Any:
 
 
 def _unlike(name: str, value: Any, kind: type) -> ValueError:
-    return ValueError(f"{name} must be of type {kind.__name__}; got {value!r}")
+    return ValueError(f"{name} must be of type {kind.__name__}; got {shown(value)}")
 
 
 def _number(value: Any, kind: Any) -> Any:
@@ -299,14 +300,24 @@ class Game:
 
     def check(self, states: np.ndarray, variant: Variant) -> None:
         """Raise ValueError if one of states [N] is none of `variant`: compiled code trusts them."""
-        if not isinstance(states, np.ndarray) or states.dtype != self.state or states.ndim != 1:
-            kind, shape = getattr(states, "dtype", type(states)), np.shape(states)
-            raise ValueError(f"states must be [N] records of {self.name}; got {kind} of {shape}")
-        s = states.view(np.ndarray)  # a recarray's fields are slow
-        for name, holds in (_always(s, self.events) | self.invariants(s, variant)).items():
-            if not holds.all():
-                i = int(np.argmin(holds))
-                raise ValueError(f"state {i} is none of this variant: its {name} cannot be")
+        check_states(states, self.name, self.rules, lambda s: self.invariants(s, variant))
+
+
+def check_states(
+    states: Any, game: str, rules: Rules, truths: Callable[[np.ndarray], dict]
+) -> None:
+    """Raise ValueError if one of states [N] is none that `rules` play, or of which not all is true.
+
+    truths  of states [N], as `Game.invariants` tells them
+    """
+    if not isinstance(states, np.ndarray) or states.dtype != rules.STATE or states.ndim != 1:
+        kind, shape = getattr(states, "dtype", type(states)), np.shape(states)
+        raise ValueError(f"states must be [N] records of {game}; got {kind} of {shape}")
+    s = states.view(np.ndarray)  # a recarray's fields are slow
+    for name, holds in (_always(s, rules.EVENTS) | truths(s)).items():
+        if not holds.all():
+            i = int(np.argmin(holds))
+            raise ValueError(f"state {i} is none of this variant: its {name} cannot be")
 
 
 def check_record(s: Any, rules: Rules, truths: Callable[[np.ndarray], dict]) -> None:

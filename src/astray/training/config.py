@@ -15,7 +15,7 @@ from tyro.conf import Positional, Suppress
 from astray import games, imports
 from astray.agents.policy import check_network, renamed_network
 from astray.bounds import shown
-from astray.game import LEVELS, MOST, OWN, Game, Mutation, Variant
+from astray.game import LEVELS, MOST, MOST_EDITS, OWN, Game, Mutation, Variant
 
 # Settings as older run folders have them, and what they are called now.
 RENAMED = {"environments": "num_envs", "rollout": "num_steps", "kernels": "fused_cpu"}
@@ -31,7 +31,7 @@ RANGES = (
     {name: (1, MOST) for name in COUNTS}
     | {name: (0, 1) for name in SHARES}
     | {name: (0, inf) for name in AMOUNTS}
-    | {"replay": (0.01, 1), "temperature": (0.01, 100)}
+    | {"replay": (0.01, 1), "temperature": (0.01, 100), "edits": (1, MOST_EDITS)}
     | {"first_level": (0, LEVELS.stop), "seed": (0, SEEDS - 1), "steps": (1, MOST_STEPS)}
 )
 

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from astray.bounds import finite, one_of
 from astray.game import NEVER, check_record
 from astray.games.coinrun import rules
 from astray.games.coinrun.levels import truths
@@ -55,6 +56,7 @@ def optimal_return(s: Any, goal: str, gamma: float = 1.0) -> float:
     A short way, not certainly the shortest. The reward comes with its last step:
     gamma ** (steps - 1) * 10, and 0 where no way was found in the time left.
     """
+    finite("gamma", gamma, 0, 1)
     check(s)
     if s[_event(goal)] != NEVER:
         return REWARD
@@ -83,8 +85,7 @@ def plan(s: Any, goal: str) -> np.ndarray:
 
 
 def _event(goal: str) -> str:
-    if goal not in GOALS:
-        raise ValueError(f"unknown goal {goal!r}; there are: {', '.join(GOALS)}")
+    one_of("goal", goal, GOALS)
     return GOALS[goal]
 
 

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from astray.bounds import finite, one_of
 from astray.game import NEVER, check_record
 from astray.games.keys import rules
 from astray.games.keys.levels import truths
@@ -223,8 +224,7 @@ class Planner:
     """What to walk to next on the way to a goal, and how: the life of one scripted player."""
 
     def __init__(self, s: Any, goal: str, gamma: float):
-        if goal not in GOALS:
-            raise ValueError(f"unknown goal {goal!r}; there are: {', '.join(GOALS)}")
+        one_of("goal", goal, GOALS)
         check(s)
         _compile()
         self.goal, self.gamma = goal, gamma
@@ -311,6 +311,7 @@ def optimal_return(s: Any, goal: str, gamma: float = 1.0) -> float:
     Exact as to the order for up to EXACT objects, with the walking times of the game's own
     motion from rest. A player who cuts corners better can be a few steps faster.
     """
+    finite("gamma", gamma, 0, 1)
     return max(_played(s, goal, gamma, plan) for plan in {gamma, 1.0})
 
 

@@ -171,6 +171,7 @@ def truths(s: np.ndarray) -> dict[str, np.ndarray]:
         "x": (s["x"] > 0) & (s["x"] < s["world"]),
         "y": (s["y"] > 0) & (s["y"] < s["world"]),
         "cell of the mouse": s["cell"][np.arange(len(s)), y, x] != WALL,
+        "maze_size": within(s["maze_size"], 1, s["world"] + 1),
         "walls": within(s["walls"], 0, len(WALLS)),
         "background": within(s["background"], 0, FLOORS),
         "background_offset": (s["background_offset"] >= 0) & (s["background_offset"] <= 1),

@@ -2,15 +2,29 @@
 
 from __future__ import annotations
 
+import functools
+
 import numpy as np
 
-from astray.game import MUTATIONS, NEVER, Mutation, Variant
-from astray.games.maze.levels import ANYWHERE, CORNER, ON_OTHER, furnish
+from astray.bounds import bounded, of_kind
+from astray.game import (
+    MOST_EDITS,
+    MUTATIONS,
+    NEVER,
+    Mutation,
+    Variant,
+    check_states,
+    integers,
+)
+from astray.games.maze import rules
+from astray.games.maze.levels import ANYWHERE, CORNER, ON_OTHER, furnish, invariants
 from astray.games.maze.rules import BOTH, EMPTY, GOAL, OTHER, STATE, note_arrivals
+from astray.games.maze.variants import Maze
 from astray.kernel.grid import UNREACHABLE, distances
 from astray.kernel.jit import entry, kernel, shared
 from astray.kernel.maze import WALL
 from astray.kernel.rng import below, seed_twister, unit
+from astray.words import check_word
 
 CONSTANT, IDENTITY, BINOMIAL = range(len(MUTATIONS))
 WEIGHTS = 12  # of a binomial edit: 1 the goal, 1 the mouse, 10 a wall
@@ -30,9 +44,18 @@ def mutate(
     kind   "constant": all edits but the last two are of walls, then the mouse, then the goal;
            "identity": the same, but the goal is left as it is; "binomial": each edit is drawn,
            the goal and the mouse 1 in 12 each
+
+    Raises ValueError where states are none of the variant, or there is not a seed for each.
     """
+    of_kind("variant", variant, Maze)
+    check_states(states, "maze", rules, functools.partial(invariants, variant=variant))
+    numbers = integers(seeds, "seeds").astype(np.int64)
+    if numbers.shape != states.shape:
+        raise ValueError(f"seeds must be {len(states)}, one for each state; got {numbers.shape}")
+    bounded("edits", edits, 0, MOST_EDITS)
+    check_word("kind", kind, Mutation)
     changed = np.array(states, STATE)
-    edit_all(changed, variant.records(), np.asarray(seeds, np.int64), edits, MUTATIONS.index(kind))
+    edit_all(changed, variant.records(), numbers, int(edits), MUTATIONS.index(kind))
     return changed
 
 

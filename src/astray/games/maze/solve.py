@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from astray.bounds import finite, one_of
 from astray.game import NEVER, check_record
 from astray.games.maze import rules
 from astray.games.maze.levels import truths
@@ -23,8 +24,7 @@ check = functools.partial(check_record, rules=rules, truths=truths)
 
 def target(s: Any, goal: str) -> tuple[int, int] | None:
     """The cell (x, y) of `goal` in state `s`; None where the level has none."""
-    if goal not in GOALS:
-        raise ValueError(f"unknown goal {goal!r}; there are: {', '.join(GOALS)}")
+    one_of("goal", goal, GOALS)
     place = GOALS[goal].removeprefix("reached_")
     x, y = int(s[f"{place}_x"]), int(s[f"{place}_y"])
     return None if x == NEVER else (x, y)
@@ -77,6 +77,7 @@ def optimal_return(s: Any, goal: str, gamma: float = 1.0) -> float:
     The reward comes with the last step: gamma ** (steps - 1) * 10, and 0 where there is no way
     or it is longer than the time left.
     """
+    finite("gamma", gamma, 0, 1)
     check(s)
     steps = steps_to(s, goal)[int(s.y), int(s.x)]
     if steps == UNREACHABLE or s.time + steps > s.time_limit:
