@@ -1,5 +1,6 @@
 """Samplers of levels: formulas beside slow ones, and trainings that are resumed with them."""
 
+import contextlib
 import itertools
 from dataclasses import replace
 
@@ -11,7 +12,7 @@ from astray.envs.loops import SHIFT
 from astray.game import NEVER
 from astray.games.maze import GAME
 from astray.kernel.rng import share as share_of
-from astray.training import checkpoint
+from astray.training import checkpoint, loop
 from astray.training.levels import (
     Mixed,
     Plan,
@@ -231,6 +232,35 @@ def test_a_sampler_of_your_own_comes_in_as_a_class_and_by_its_name(tmp_path):
     assert set(np.frombuffer(states, GAME.state)["level"]) == set(range(16))
 
 
+def numbered(**methods):
+    """A sampler as `Numbered`, but for some methods."""
+    return type("Other", (Numbered,), methods)
+
+
+@pytest.mark.parametrize(
+    "method, message",
+    [
+        ({"next": lambda self, places: [0] * len(places)}, "must return an array of 16 levels"),
+        ({"next": lambda self, places: places[:1]}, "must return an array of 16 levels"),
+        ({"plan": lambda self, steps: None}, "what a sampler plans must be a Plan"),
+        ({"plan": lambda self, steps: Plan(learn="no")}, "a plan's learn must be a bool"),  # pyright: ignore
+        ({"plan": lambda self, steps: Plan(learn=False)}, "must plan to learn from one of 3"),
+        ({"summary": lambda self: {"begun": np.nan}}, "begun of a sampler's summary must be a fin"),
+        ({"summary": lambda self: None}, "a sampler's summary must be a Mapping"),
+        ({"arrays": lambda self: {"a": [1]}}, "a of a sampler must be an array of numbers"),
+        ({"arrays": lambda self: []}, "a sampler's arrays must be a Mapping"),
+    ],
+)
+def test_what_a_sampler_must_not_do_is_told(method, message, tmp_path, monkeypatch):
+    monkeypatch.setattr(loop, "SCORED", 3)
+    sampler = numbered(**method)
+    with pytest.raises(ValueError, match=message):
+        trainer = Trainer(TINY, sampler=sampler)
+        with contextlib.closing(trainer):
+            loop.improve(trainer)
+            trainer.tensors()
+
+
 @pytest.mark.parametrize(
     "change, message",
     [
@@ -309,3 +339,36 @@ def test_edits_follow_from_their_seeds_and_leave_the_levels_they_came_from():
     before, after = edited("binomial", count=20)
     again, same = edited("binomial", count=20)
     assert before.tobytes() == again.tobytes() and after.tobytes() == same.tobytes()
+
+
+def otherwise(name, value):
+    """Levels of `EDITED` with one of their fields as no level has it."""
+    states = initial_states(GAME, EDITED, range(2))
+    states[name] = value
+    return states
+
+
+UNEDITABLE = {
+    "a maze larger than its world": ({"states": otherwise("maze_size", 10**6)}, "its maze_size"),
+    "a maze of no cells": ({"states": otherwise("maze_size", 0)}, "its maze_size"),
+    "a world that is larger": ({"states": otherwise("world", 10**6)}, "its world"),
+    "a goal outside": ({"states": otherwise("goal_x", 10**9)}, "its goal_x"),
+    "a mouse nowhere": ({"states": otherwise("x", np.nan)}, "its x"),
+    "rows of states": ({"states": initial_states(GAME, EDITED, range(2))[None]}, r"\[N\] records"),
+    "no states": ({"states": b"abc"}, r"\[N\] records"),
+    "a variant of another size": ({"variant": GAME.variant("corner")}, "its world"),
+    "the name of a variant": ({"variant": "corner-small"}, "variant must be a Maze"),
+    "too few seeds": ({"seeds": [1]}, "seeds must be 2, one for each state"),
+    "seeds that are no integers": ({"seeds": [0.5, 1.5]}, "seeds must be integers"),
+    "edits without end": ({"edits": 10**18}, "edits must be an integer from 0 to 10000"),
+    "half an edit": ({"edits": 1.5}, "edits must be an integer"),
+    "a kind misspelt": ({"kind": "walls"}, "unknown kind 'walls'"),
+}
+
+
+@pytest.mark.parametrize("change, said", UNEDITABLE.values(), ids=UNEDITABLE)
+def test_what_cannot_be_edited_never_reaches_compiled_code(change, said):
+    given = {"states": initial_states(GAME, EDITED, range(2)), "variant": EDITED,
+             "seeds": [0, 1], "edits": 5, "kind": "constant"} | change  # fmt: skip
+    with pytest.raises(ValueError, match=said):
+        GAME.mutation.mutate(**given)

@@ -12,6 +12,7 @@ from typing import Protocol
 
 import numpy as np
 
+from astray.bounds import of_kind
 from astray.envs.loops import SHIFT
 from astray.kernel.rng import fill_shares
 from astray.memory import check_memory
@@ -33,6 +34,10 @@ class Plan:
     learn: bool = True
     restart: bool = False
     repeat: bool = False
+
+    def __post_init__(self) -> None:
+        for name, value in vars(self).items():
+            of_kind(f"a plan's {name}", value, bool)
 
 
 @dataclass(frozen=True, eq=False)

@@ -34,6 +34,10 @@ from astray.training.rollout import estimate
 from astray.training.trainer import Trainer
 
 SPARE = 16  # threads that libraries may start
+SCORED = (
+    2000  # rollouts that are only scored, one after the other; at a chance of 0.01 to learn from
+)
+# each, more are as good as never
 
 
 class Diverged(RuntimeError):
@@ -196,8 +200,7 @@ def improve(trainer: Trainer) -> tuple[dict[str, float], dict[str, float]]:
     trainer.steps += config.batch
     for name, player in trainer.players().items():
         metrics |= {f"{name}/{what}": x for what, x in player.summary().items()}
-        if player.sampler is not None:
-            metrics |= {f"levels/{what}": x for what, x in player.sampler.summary().items()}
+        metrics |= {f"levels/{what}": x for what, x in player.sampled().items()}
     seconds = time.perf_counter() - began
     speed = {"steps_per_second": config.batch / seconds, "playing": (played - began) / seconds}
     return metrics | {"update/learning_rate": rate}, speed
@@ -229,11 +232,12 @@ def see_converging(trainer: Trainer) -> None:
 
 def play(trainer: Trainer) -> Samples:
     """A rollout to learn from, after those in which a sampler only has levels scored."""
-    while True:
+    for _ in range(SCORED):
         trainer.player.plan(trainer.steps)
         rollout = collect(trainer)
         if trainer.player.learns:
             return rollout
+    raise ValueError(f"a sampler must plan to learn from one of {SCORED:,} rollouts; it does not")
 
 
 @torch.no_grad()
@@ -295,6 +299,8 @@ def update(trainer: Trainer, rollout: Samples, rate: float) -> dict[str, float]:
             order = order[order < len(samples)]
         for indices in order.split(len(samples) // config.minibatches):
             measured = step(indices)
+            if names and list(measured) != names:
+                raise ValueError(f"a loss must return the same names in every step, {shown(names)}")
             names, values = list(measured), torch.stack(list(measured.values()))
             first_kl = measured.get("approx_kl", values[0]).clone() if sums is None else first_kl
             sums = values if sums is None else sums + values

@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
 import torch
 from torch import Tensor
 
+from astray.bounds import finite, of_kind, shown
 from astray.envs.vector import GameVectorEnv
 from astray.game import Variant
 from astray.training import parallel
 from astray.training.config import Config
-from astray.training.levels import Played, Sampler
+from astray.training.levels import Plan, Played, Sampler
 from astray.training.ppo import RewardNormaliser
 
 LEVELS = "levels."  # before the names of a sampler's arrays, in a checkpoint
@@ -107,6 +108,7 @@ class Player:
         if self.sampler is None:
             return
         plan = self.sampler.plan(steps)
+        of_kind("what a sampler plans", plan, Plan)
         self.learns = plan.learn
         self._repeats = plan.repeat
         for env in self.envs:
@@ -123,11 +125,15 @@ class Player:
         """Begin the levels that the sampler says in the environments `which` [n] of a group."""
         env, where = self.envs[group], self.groups[group]
         chosen = sampler.next(where.start + np.flatnonzero(which))
+        if not isinstance(chosen, np.ndarray) or chosen.shape != (which.sum(),):
+            raise ValueError(
+                f"a sampler must return an array of {which.sum()} levels; got {shown(chosen)}"
+            )
         option = "state" if chosen.dtype == self.game.state else "level"
         begin = np.zeros(len(which), chosen.dtype)
         begin[which] = chosen
-        shown, _ = env.reset(options={option: begin, "reset_mask": which})
-        self.images[where] = torch.from_numpy(shown)
+        images, _ = env.reset(options={option: begin, "reset_mask": which})
+        self.images[where] = torch.from_numpy(images)
 
     def scored(self, played: Callable[[], Played]) -> None:
         """After a rollout: tell the sampler, if there is one, how it went."""
@@ -153,12 +159,35 @@ class Player:
         means = np.mean(self.recent, axis=0)
         return dict(zip(("return", "length", *self.events), map(float, means), strict=True))
 
+    def sampled(self) -> dict[str, float]:
+        """What the sampler says of the levels; nothing without one."""
+        if self.sampler is None:
+            return {}
+        told = self.sampler.summary()
+        of_kind("a sampler's summary", told, Mapping)
+        for name, value in told.items():
+            finite(f"{name} of a sampler's summary", value)
+        return {str(name): float(value) for name, value in told.items()}
+
+    def _sampler_arrays(self) -> dict[str, np.ndarray]:
+        """All that the sampler goes on from; nothing without one."""
+        if self.sampler is None:
+            return {}
+        arrays = self.sampler.arrays()
+        of_kind("a sampler's arrays", arrays, Mapping)
+        for name, array in arrays.items():
+            if not isinstance(array, np.ndarray) or array.dtype.kind not in "biuf":
+                raise ValueError(
+                    f"{name} of a sampler must be an array of numbers; got {shown(array)}"
+                )
+        return dict(arrays)
+
     def tensors(self) -> dict[str, Tensor]:
         """All of it, as tensors."""
         normaliser = self.normaliser
         moments = [normaliser.mean, normaliser.variance, normaliser.count]
         width = 2 + len(self.events)
-        arrays = {} if self.sampler is None else self.sampler.arrays()
+        arrays = self._sampler_arrays()
         return {
             "states": torch.from_numpy(
                 parallel.joined(np.concatenate([env.states.view(np.uint8) for env in self.envs]))

@@ -11,6 +11,7 @@ from torch import Tensor, nn
 from astray import imports
 from astray.agents import policy
 from astray.agents.policy import Architecture
+from astray.bounds import of_kind
 from astray.memory import check_memory
 from astray.training import parallel, ppo
 from astray.training.config import SAMPLERS, Config
@@ -93,7 +94,9 @@ class Trainer:
         config, shown = self.config, math.prod(self.architecture.shape)
         try:
             with torch.device("meta"):  # without memory
-                count = sum(x.numel() for x in build(self.architecture).parameters())
+                made = build(self.architecture)
+                of_kind(f"what {config.network} makes", made, nn.Module)
+                count = sum(x.numel() for x in made.parameters())
         except (RuntimeError, OverflowError) as error:  # more than there are addresses
             raise MemoryError(
                 f"a network of width {config.width} and scale {config.scale} has too many weights "
