@@ -126,6 +126,29 @@ def test_what_cannot_be_is_told(change, message):
         ProcgenEnv(**options | change)
 
 
+@pytest.mark.parametrize(
+    "options, said",
+    [
+        ({"num_threads": "4"}, "num_threads must be an integer"),
+        ({"num_threads": None}, "num_threads must be an integer"),
+        (
+            {"start_level": 2**31 - 10, "num_levels": 50},
+            "num_levels must be an integer from 0 to 9",
+        ),
+        ({"name": None}, "env_name must be a str"),
+    ],
+)
+def test_what_cannot_be_is_told_and_not_wrapped_around(options, said):
+    with pytest.raises(ValueError, match=said):
+        face(**options)
+
+
+@pytest.mark.parametrize("actions", [[0.5] * 4, [float("nan")] * 4, None, [10**60] * 4, {0: 1}])
+def test_actions_are_integers(actions):
+    with pytest.raises(ValueError, match="actions must be"):
+        face().step(actions)
+
+
 def test_images_are_the_originals_where_its_pictures_are():
     plain = environment(GameVectorEnv("maze", "anywhere-easy").variant)  # skips where they are not
     images, _ = plain.reset(seed=0, options={"level": 9})

@@ -15,9 +15,9 @@ from typing import Any, Literal
 import numpy as np
 from gymnasium import spaces
 
-from astray.bounds import bounded
+from astray.bounds import bounded, of_kind
 from astray.envs.vector import GameVectorEnv
-from astray.game import LEVELS
+from astray.game import LEVELS, MOST, integers
 from astray.words import check_word
 
 Mode = Literal["easy", "hard", "memory", "exploration"]
@@ -66,8 +66,9 @@ class Options:
 
     def __post_init__(self) -> None:
         check_word("distribution_mode", self.distribution_mode, Mode)
-        bounded("num_levels", self.num_levels, 0, LEVELS.stop)
         bounded("start_level", self.start_level, 0, LEVELS.stop - 1)
+        bounded("num_levels", self.num_levels, 0, LEVELS.stop - self.start_level)
+        bounded("num_threads", self.num_threads, 1, MOST)
         bounded("rand_seed", self.rand_seed or 0, 0, 2**31 - 1)
         for name in ("center_agent", "use_backgrounds"):
             if not getattr(self, name):
@@ -143,7 +144,7 @@ class ProcgenGym3Env:
 
     def act(self, ac: Any) -> None:
         """Take a step; -1 leaves an episode. What has ended begins anew at once."""
-        actions = np.asarray(ac).astype(np.int64)
+        actions = integers(ac, "actions").astype(np.int64)
         forced = actions == FORCE_RESET
         self._seen, reward, terminated, truncated, _ = self.env.step(
             np.where(forced, STAY, actions)
@@ -162,7 +163,8 @@ class ProcgenGym3Env:
         """Begin another level in the environments `which`, [num] bool."""
         for i in np.flatnonzero(which).tolist():
             onward = self.options.use_sequential_levels and complete[i]
-            self._level[i] = self._level[i] + ONWARD if onward else self._drawn(i)
+            after = (int(self._level[i]) + ONWARD) % LEVELS.stop  # there are no others
+            self._level[i] = after if onward else self._drawn(i)
         begun = {"level": self._level.astype(np.int64), "reset_mask": which}
         seen, _ = self.env.reset(options=begun)
         self._seen = np.where(which[:, None, None, None], seen, self._seen)
@@ -238,6 +240,7 @@ def world(env_name: str, mode: Mode) -> tuple[str, str]:
 
     Raises ValueError where they are none.
     """
+    of_kind("env_name", env_name, str)
     if "/" in env_name:
         game, _, variant = env_name.partition("/")
         if mode != "hard":
