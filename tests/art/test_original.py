@@ -342,7 +342,7 @@ def test_what_was_decoded_is_kept_and_made_anew_where_it_is_broken(pack, tmp_pat
         assert np.array_equal(pixels, whole)
     kept.unlink()
     (tmp_path / "art/kenney/a.png").write_bytes(b"other")
-    with pytest.raises(ValueError, match="is not what was imported; again: astray art import"):
+    with pytest.raises(ValueError, match="is not what was imported; remove it, and: astray art"):
         original.atlas(list(pack))
 
 

@@ -117,8 +117,8 @@ def take(source: Path | None = None) -> list[str]:
 
     All are checked before the first is written, and one that is there already stays there.
 
-    Raises ValueError where `source` is no such wheel or checkout, OSError where the pictures
-    cannot be read or written.
+    Raises ValueError where `source` is no such wheel or checkout, or something else is where a
+    picture is kept; OSError where the pictures cannot be read or written.
     """
     if source is None:
         with tempfile.TemporaryDirectory(prefix="astray-") as passing:
@@ -129,12 +129,20 @@ def take(source: Path | None = None) -> list[str]:
         found = _read_wheel(source)
     else:
         raise FileNotFoundError(f"there is no wheel and no checkout of Procgen at {source}")
-    for path, data in found.items():
-        kept = PICTURES[path].kept
-        if not (kept.is_file() and PICTURES[path].is_this(kept.read_bytes())):
-            kept.parent.mkdir(parents=True, exist_ok=True)
-            write_aside(kept, data)
+    lacking = {PICTURES[path].kept: data for path, data in found.items() if not _is_kept(path)}
+    for kept in lacking:
+        if os.path.lexists(kept):  # as a drawing of the user's
+            raise ValueError(f"{kept} is not Procgen's picture; where it is gone, that is imported")
+    for kept, data in lacking.items():
+        kept.parent.mkdir(parents=True, exist_ok=True)
+        write_aside(kept, data)
     return missing()
+
+
+def _is_kept(path: str) -> bool:
+    """Whether the picture is here already, to the last bit."""
+    kept = PICTURES[path].kept
+    return kept.is_file() and PICTURES[path].is_this(kept.read_bytes())
 
 
 def _download(to: Path) -> Path:
@@ -263,9 +271,10 @@ def _decode(paths: Sequence[str], backgrounds: int) -> np.ndarray:
     """Heights and widths of all, then all their pixels."""
     parts, sizes = [], []
     for k, path in enumerate(paths):
-        data = PICTURES[path].kept.read_bytes()
+        kept = PICTURES[path].kept
+        data = kept.read_bytes()
         if not PICTURES[path].is_this(data):
-            raise ValueError(f"{PICTURES[path].kept} is not what was imported; again: {COMMAND}")
+            raise ValueError(f"{kept} is not what was imported; remove it, and: {COMMAND}")
         with Image.open(io.BytesIO(data)) as image:
             rgba = np.array(image.convert("RGBA")).astype(np.uint32)
         sizes += rgba.shape[:2]
