@@ -233,6 +233,9 @@ def test_the_likeliest_shares_are_those_of_a_search():
     assert likeliest_shares(evidence)[0] == pytest.approx(shares[np.argmax(total)], abs=2e-3)
 
 
+SCORES = pl.DataFrame({"level": [0, 1], "score": [0.1, 0.2]})
+
+
 class Torn(Walk):
     """Walks to the cheese in levels of odd numbers, to the corner in the others."""
 
@@ -271,3 +274,20 @@ def test_a_novice_and_an_expert_are_shown_the_same(mouse):
     sighted.architecture = replace(mouse.architecture, largest=())
     with pytest.raises(ValueError, match="must be shown the same; got 'symbolic' and 'image'"):
         Helped(mouse, sighted, Chance(), 0.0)
+
+
+@pytest.mark.parametrize(
+    "make, message",
+    [
+        (lambda: threshold(SCORES, "95", "step"), "percentile must be a finite number from 0 to"),
+        (lambda: threshold(SCORES, np.nan, "step"), "percentile must be a finite number from 0 to"),
+        (lambda: threshold(SCORES, 95, "steps"), "unknown granularity 'steps'"),
+        (lambda: net_returns(SCORES, ["1"]), "a cost must be a finite number"),
+        (lambda: Helped(Walk("cheese"), Walk("corner"), 0.5, 0.5), "a score must be a function"),
+        (lambda: Helped(Walk("cheese"), Walk("corner"), Chance(), "1"), "threshold must be a int"),
+        (lambda: Trial("maze", "corner", *[None] * 4), "shift must be a Shift"),
+    ],
+)
+def test_what_help_cannot_be_tried_with_is_told(make, message):
+    with pytest.raises(ValueError, match=message):
+        make()

@@ -20,7 +20,7 @@ import polars as pl
 from astray.analysis.episodes import Levels, steps
 from astray.analysis.given import Measure, measured, see_measures
 from astray.analysis.policies import Agent, episode_noise
-from astray.bounds import bounded, of_kind
+from astray.bounds import bounded, finite, of_kind
 from astray.envs.vector import GameVectorEnv
 from astray.game import MOST, Variant
 
@@ -56,6 +56,8 @@ def visit(
     if per_episode is not None:
         bounded("per_episode", per_episode, 1, MOST)
     bounded("seed", seed, 0, MOST)
+    if gamma is not None:
+        finite("gamma", gamma, 0, 1)
     heaps: list[list[tuple]] = [[] for _ in levels]  # of (-noise, step, state, action, reward)
     limit = np.full(len(levels), np.inf)  # of the noise: an episode's steps with the least are kept
     rewards: list[list[float]] = [[] for _ in levels]
@@ -143,7 +145,8 @@ def observe(
     agent: Agent, variant: str | Variant, states: np.ndarray, *, batch: int = 64
 ) -> np.ndarray:
     """What the agent sees in `states` [N] of its game: images [N, 64, 64, 3] or [N, C, H, W]."""
-    if not len(states):
+    of_kind("states", states, np.ndarray)
+    if not np.size(states):
         raise ValueError("no states are given")
     bounded("batch", batch, 1, MOST)
     n = min(batch, len(states))

@@ -26,6 +26,7 @@ from astray.analysis.estimates import bootstrap
 from astray.analysis.given import Measure, see_policy
 from astray.analysis.outcomes import INTENDED, MISGENERALIZED, label
 from astray.analysis.policies import Agent, Observation, Policy
+from astray.bounds import finite, of_kind
 from astray.game import Game, Shift, Variant
 from astray.words import check_word
 
@@ -59,6 +60,10 @@ class Trial:
     test_levels: Levels
     watch: Watch | None = None
 
+    def __post_init__(self) -> None:
+        of_kind("shift", self.shift, Shift)
+        of_kind("watch", self.watch, Watch | None)
+
 
 @dataclass(eq=False)
 class Helped:
@@ -82,6 +87,9 @@ class Helped:
         for policy in (self.novice, self.expert):
             see_policy(policy)
         check_word("granularity", self.granularity, Granularity)
+        if not callable(self.score):
+            raise ValueError(f"a score must be a function of environments; got {self.score!r}")
+        of_kind("threshold", self.threshold, int | float)  # also infinite: nobody, or everybody
         if isinstance(self.expert, Agent) and self.expert.observation != self.observation:
             raise ValueError(
                 f"novice and expert must be shown the same; got {self.observation!r} and "
@@ -178,8 +186,9 @@ def threshold(scores: pl.DataFrame, percentile: float, granularity: Granularity)
 
     One noisy step has a whole level handed over, so that levels have thresholds of their own.
     """
-    if not 0 <= percentile <= 100:
-        raise ValueError(f"percentile must be from 0 to 100; got {percentile}")
+    of_kind("scores", scores, pl.DataFrame)
+    finite("percentile", percentile, 0, 100)
+    check_word("granularity", granularity, Granularity)
     if granularity == "level":
         scores = scores.group_by("level").agg(pl.col("score").max())
     return float(np.percentile(scores["score"].to_numpy(), percentile))
@@ -197,6 +206,7 @@ def curve(
     reached the intended goal or a proxy first), seconds, and the share of helped levels of each of
     `MOMENTS`, null without a watch.
     """
+    of_kind("trial", trial, Trial)
     began = time.perf_counter()
     known = training_scores(novice, score, trial.game, trial.training, trial.training_levels)
     rows = []
@@ -239,6 +249,7 @@ def area(curves: pl.DataFrame) -> pl.DataFrame:
     0 to 1, those of equal help as their mean. Help at random comes near to 0.5 where each step, or
     level, is worth the same; NaN where the expert gets no more than the novice.
     """
+    of_kind("curves", curves, pl.DataFrame)
     rows = []
     for (score, granularity), part in curves.group_by(
         ["score", "granularity"], maintain_order=True
@@ -258,10 +269,11 @@ def net_returns(curves: pl.DataFrame, costs: Sequence[float]) -> pl.DataFrame:
     Columns: score, granularity, cost, net (return less the cost of the queries, a level), queries,
     percentile (of the best threshold; null: no help at all, or always).
     """
+    of_kind("curves", curves, pl.DataFrame)
+    of_kind("costs", costs, Sequence)
     rows = []
     for cost in costs:
-        if cost < 0:
-            raise ValueError(f"costs must not be below 0; got {cost}")
+        finite("a cost", cost, 0)
         net = curves.with_columns(
             cost=pl.lit(float(cost)), net=pl.col("return") - cost * pl.col("queries")
         )
@@ -280,6 +292,7 @@ def when_asked(
 
     Columns: those of `play`, and outcome; `moment` is null where it would never have.
     """
+    of_kind("trial", trial, Trial)
     known = training_scores(novice, score, trial.game, trial.training, trial.training_levels)
     policy = Helped(novice, novice, score, threshold(known, percentile, "step"))
     played = play(policy, trial.game, trial.test, trial.test_levels, trial.watch)

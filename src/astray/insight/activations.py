@@ -24,6 +24,7 @@ import polars as pl
 import torch
 from torch import Tensor
 
+from astray import games
 from astray.analysis.critic import observe
 from astray.analysis.given import Measure, measured, see_measures
 from astray.analysis.policies import Agent
@@ -155,7 +156,9 @@ def capture(
     """
     of_kind("states", states, np.ndarray)
     bounded("batch", batch, 1, MOST)
-    shapes, n = see_layers(agent, layers), len(states)
+    shapes, game = see_layers(agent, layers), games.find(agent.game)
+    game.check(states, game.variant(variant))
+    n = len(states)
     labels = _labels(states, measures)
     if folder is not None:
         return _capture_aside(agent, variant, states, shapes, labels, folder, batch)

@@ -84,6 +84,9 @@ def predict(rows: pl.DataFrame, outcome: str, features: Sequence[str], *, seed: 
     """
     LogisticRegression, roc_auc_score = _sklearn()
     bounded("seed", seed, 0, MOST)
+    of_kind("rows", rows, pl.DataFrame)
+    for name in (outcome, *features):
+        of_kind("the name of a column", name, str)
     missing = {outcome, *features} - set(rows.columns)
     if missing or not features:
         raise ValueError(f"no column {', '.join(sorted(missing)) or 'is named'}; there are: "

@@ -23,7 +23,7 @@ from astray.analysis.episodes import steps
 from astray.analysis.given import Measure, measured
 from astray.analysis.policies import Agent
 from astray.analysis.style import FAINT, INK, OTHERS, STYLE, WIDTH
-from astray.bounds import of_kind
+from astray.bounds import finite, of_kind
 from astray.game import Variant
 from astray.level import Level
 from astray.training import ppo
@@ -70,6 +70,8 @@ def along(
     Raises ValueError where a mark is neither.
     """
     of_kind("agent", agent, Agent)
+    finite("gamma", gamma, 0, 1)
+    finite("lam", lam, 0, 1)
     game = games.find(agent.game)
     levels = {"level": level} if isinstance(level, Level) else [level]
     played = list(steps(agent, game, variant, levels, batch=1))

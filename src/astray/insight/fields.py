@@ -138,6 +138,8 @@ class Field:
 
     def step(self, here: Cell, there: Cell) -> float:
         """The probability that the next step leads from one cell to the other."""
+        if here not in self.places.number:
+            raise ValueError(f"here must be a place of the field; got {shown(here)}")
         k = self.places.number[here]
         leads = self.places.leads[k]
         return float(sum(p for p, c in zip(self.policy[k], leads, strict=True) if c == there))
@@ -233,6 +235,7 @@ def splay(level: Level) -> np.ndarray:
 
 def states_at(level: Level, cells: Sequence[Cell]) -> np.ndarray:
     """The states that begin in a level with the agent in each of some cells, [K]."""
+    of_kind("level", level, Level)
     game = level.game
     states = np.zeros(len(cells), game.state)
     for k, cell in enumerate(cells):

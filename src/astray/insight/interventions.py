@@ -21,7 +21,7 @@ import torch
 from torch import Tensor
 
 from astray.analysis.policies import Agent
-from astray.bounds import bounded, of_kind, shown
+from astray.bounds import bounded, finite, of_kind, shown
 from astray.game import MOST, Variant
 from astray.insight.activations import see_layers
 from astray.level import Cell
@@ -61,8 +61,7 @@ def steer(
     Raises ValueError where a layer is unknown, or a vector does not go with it.
     """
     of_kind("vectors", vectors, Mapping)
-    if not np.isfinite(coefficient):
-        raise ValueError(f"coefficient must be a finite number; got {coefficient}")
+    finite("coefficient", coefficient)
     shapes = see_layers(agent, list(vectors))
     added = {}
     for name, vector in vectors.items():
@@ -95,8 +94,7 @@ def patch(
     if cell is not None:
         if len(shape) != 3:
             raise ValueError(f"{layer} has no places; what it gives is of shape {shape}")
-        for name, number, most in zip(("row", "column"), cell, shape[1:], strict=True):
-            bounded(f"the cell's {name}", number, 0, most - 1)
+        _see_cell(cell, ("row", "column"), shape[1:])
     values = torch.from_numpy(_fitting("value", value, (len(which),))).float()
 
     def change(x: Tensor) -> Tensor:
@@ -179,14 +177,15 @@ def place(agent: Agent, variant: Variant, cell: Cell, shape: Sequence[int]) -> t
 
     Raises ValueError where the agent sees only a part of the world, or the layer has no places.
     """
+    of_kind("variant", variant, Variant)
+    of_kind("shape", shape, Sequence)
     if not sees_world(variant):
         raise ValueError("a cell has a fixed place in a layer only where all the world is seen")
     if len(shape) != 3:
         raise ValueError(f"the layer has no places; what it gives is of shape {tuple(shape)}")
     p: Any = variant
     world, (_, rows, columns) = int(p.world), shape
-    for name, number in zip("xy", cell, strict=True):
-        bounded(name, number, 0, world - 1)
+    _see_cell(cell, "xy", (world, world))
     across, up = ((number + 0.5) / world for number in cell)
     down = up if agent.observation == "symbolic" else 1 - up
     return int(down * rows), int(across * columns)
@@ -196,6 +195,14 @@ def sees_world(variant: Variant) -> bool:
     """Whether images of the variant show all the world: a cell has a fixed place in them."""
     names = variant.records().dtype.names or ()
     return "world" in names and not ("window" in names and variant.records()[0]["window"])
+
+
+def _see_cell(cell: Any, names: Sequence[str], sizes: Sequence[int]) -> None:
+    """ValueError unless `cell` is two integers, each of them below its size."""
+    if np.shape(cell) != (2,):
+        raise ValueError(f"a cell must be two integers, {' and '.join(names)}; got {shown(cell)}")
+    for name, number, size in zip(names, cell, sizes, strict=True):
+        bounded(f"the cell's {name}", number, 0, size - 1)
 
 
 def _channels(channels: Sequence[int] | None, count: int) -> np.ndarray:

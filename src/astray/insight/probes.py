@@ -22,7 +22,7 @@ import torch
 
 from astray.analysis.critic import observe
 from astray.analysis.estimates import bootstrap
-from astray.analysis.given import Measure, measured
+from astray.analysis.given import Measure, measured, see_measures
 from astray.analysis.policies import Agent
 from astray.bounds import bounded, of_kind
 from astray.game import MOST, Variant
@@ -67,6 +67,7 @@ def probe(
     """
     of_kind("states", states, np.ndarray)
     bounded("seeds", seeds, 1, MOST)
+    see_measures(labels, ())
     _sklearn()
     shown = observe(agent, variant, states)
     known = {name: measured(name, measure, states).to_numpy() for name, measure in labels.items()}
@@ -175,6 +176,7 @@ def read(
     Columns: label, layer, read, true (null where the state does not have it), score (of a probe
     that was fitted on most levels, in the others).
     """
+    see_measures(labels, ())
     _sklearn()
     both = [observe(agent, variant, some) for some in (states, here)]
     given, shown = (activations(agent, some, layers) for some in both)

@@ -20,7 +20,7 @@ from astray import games
 from astray.analysis.critic import judge, observe
 from astray.analysis.episodes import Levels
 from astray.analysis.policies import Agent
-from astray.bounds import bounded
+from astray.bounds import bounded, of_kind
 from astray.game import MOST, Variant
 from astray.insight.activations import activations, see_layers
 from astray.insight.fields import Places, drawn, places_of, states_at
@@ -40,6 +40,8 @@ class Clamp:
     values: tuple[float, ...]
 
     def __post_init__(self) -> None:
+        for name in ("channels", "values"):
+            of_kind(name, getattr(self, name), Sequence)
         if len(self.channels) != len(self.values) or not self.channels:
             raise ValueError(
                 f"a clamp must have a value for each channel, at least one; got "
@@ -141,6 +143,7 @@ def retarget(
     unknown = [one for one in how if one not in WAYS]
     if unknown or not how:
         raise ValueError(f"how must be some of {', '.join(WAYS)}; got {', '.join(how) or 'none'}")
+    of_kind("clamp", clamp, Clamp)
     shape = see_layers(agent, [clamp.layer])[clamp.layer]
     game = games.find(agent.game)
     variant = game.variant(variant)

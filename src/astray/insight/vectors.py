@@ -21,7 +21,7 @@ from astray import games
 from astray.analysis.critic import judge, observe
 from astray.analysis.episodes import Levels
 from astray.analysis.policies import Agent
-from astray.bounds import bounded, of_kind
+from astray.bounds import bounded, finite, of_kind, shown
 from astray.game import MOST, Variant
 from astray.insight.activations import activations
 from astray.insight.fields import Places, cell_of, drawn, places_of
@@ -134,6 +134,10 @@ def edit_vectors(
     first: Edit | None = None,
 ) -> Vectors:  # fmt: skip
     """Each level as it is (or as `first` makes it) less as `edit` makes it, where it begins."""
+    of_kind("agent", agent, Agent)
+    for function in (edit, first):
+        if function is not None and not callable(function):
+            raise ValueError(f"an edit must be a function of levels; got {shown(function)}")
     game = games.find(agent.game)
     whole = list(drawn(game, game.variant(variant), levels))
     pairs = [
@@ -174,6 +178,15 @@ class Condition:
     own: bool = True  # each level is steered by its own vector; else all by the mean
     edit: Edit = field(default=lambda level: level)
 
+    def __post_init__(self) -> None:
+        of_kind("vectors", self.vectors, Sequence)
+        for one in self.vectors:
+            of_kind("each of the vectors", one, Vectors)
+        finite("coefficient", self.coefficient)
+        of_kind("own", self.own, bool)
+        if not callable(self.edit):
+            raise ValueError(f"an edit must be a function of levels; got {shown(self.edit)}")
+
 
 PLAIN = Condition()
 
@@ -203,7 +216,10 @@ def effects(
     places), places. Levels without the goal, or that begin at it, are left out. For means with
     intervals: `statistics.group_means`.
     """
+    of_kind("agent", agent, Agent)
     of_kind("conditions", conditions, Mapping)
+    for condition in conditions.values():
+        of_kind("a condition", condition, Condition)
     bounded("places", places, 1, MOST)
     game = games.find(agent.game)
     variant = game.variant(variant)

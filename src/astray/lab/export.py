@@ -21,7 +21,7 @@ from astray import games
 from astray.analysis.critic import judge, observe
 from astray.analysis.episodes import initial_states
 from astray.analysis.policies import Agent
-from astray.bounds import bounded
+from astray.bounds import bounded, of_kind
 from astray.files import folder_aside, write_aside
 from astray.game import MOST, Game, Variant
 from astray.lab.minds import Minds, places, put, sees
@@ -50,6 +50,8 @@ def export(lab: Lab, folder: Path, levels: int = 50, agents: list[str] | None = 
 
     Raises FileExistsError where the folder holds anything: nothing of the user's is removed.
     """
+    of_kind("lab", lab, Lab)
+    folder = Path(folder)
     bounded("levels", levels, 1, 10_000)
     is_there = os.path.lexists(folder)
     if is_there and (folder.is_symlink() or not folder.is_dir() or any(folder.iterdir())):

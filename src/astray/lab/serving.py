@@ -8,6 +8,7 @@ from typing import Any
 
 from astray import games
 from astray.analysis import kept
+from astray.bounds import of_kind
 from astray.lab.minds import Minds
 from astray.lab.session import Lab
 
@@ -19,6 +20,7 @@ def make_lab(agent: str | Path | None, start: Mapping[str, Any]) -> Lab:
 
     Raises ValueError or FileNotFoundError where there is none such.
     """
+    of_kind("start", start, Mapping)
     runs: dict[str, Path] = {}
     name = ""
     if agent is not None:
