@@ -1,6 +1,7 @@
 """Agents that others published: downloaded whole or not at all, and then like any other agent."""
 
 import hashlib
+import itertools
 import json
 import os
 import threading
@@ -13,6 +14,7 @@ import pytest
 
 from astray import games
 from astray.analysis import check, imported, kept, published
+from astray.analysis import download as downloads
 from astray.analysis.critic import judge, observe
 from astray.analysis.download import download
 from astray.analysis.episodes import initial_states
@@ -141,6 +143,15 @@ def test_what_is_left_of_another_file_is_found_out(serve, tmp_path, runner):
     assert (tmp_path / "agent.jd").read_bytes() == runner
 
 
+def test_a_server_that_sends_a_byte_now_and_then_is_not_waited_for(serve, tmp_path, monkeypatch):
+    clock = itertools.count(0, 2 * downloads.WAIT)  # so long takes every piece
+    monkeypatch.setattr(downloads.time, "monotonic", lambda: next(clock))
+    server, known = serve(bytes(500)), dict(size=1000, sha256="00" * 32)
+    with pytest.raises(OSError, match=r"fewer than 10,000 bytes came in 30 .*; 500 of"):
+        download(server.address, tmp_path / "a", **known)
+    assert [p.name for p in tmp_path.iterdir()] == ["a.part"]
+
+
 def test_no_more_is_taken_than_was_published(serve, tmp_path):
     server = serve(bytes(3_000_000))
     with pytest.raises(ValueError, match="is not the file that was published"):
@@ -236,6 +247,15 @@ def test_an_agent_of_another_game_of_procgen_is_refused(home, tmp_path):
     (tmp_path / "agent.jd").write_bytes(joblib_bytes(clarity(env_name="bigfish")[0]))
     with pytest.raises(ValueError, match=r"trained in .bigfish hard. of Procgen.*are: coinrun"):
         import_agent(tmp_path / "agent.jd", "fish", Known())
+
+
+def test_a_card_is_written_anew_of_what_an_older_version_imported(serve, home, runner):
+    run = published.fetch(entry(serve(runner), digest(runner)))
+    data = json.loads((run / "origin.json").read_text())
+    told = data | {"settings_told": ["environments", "rollout"]}
+    (run / "origin.json").write_text(json.dumps(told))
+    imported.write_card(run, "runner")
+    assert "| num_envs |" in (run / "README.md").read_text()
 
 
 def test_a_card_tells_origin_licence_and_what_is_not_known(astray, home, tmp_path, runner, mouse):

@@ -3,6 +3,7 @@
 import hashlib
 import json
 import shutil
+from dataclasses import replace
 
 import pytest
 
@@ -141,6 +142,31 @@ def test_an_interrupted_download_goes_on_where_it_was(pushed, monkeypatch):
         ours.pull("ada/mouse")
     pushed.cut.clear()
     assert (ours.pull("ada/mouse") / WEIGHTS).stat().st_size == size
+
+
+def test_a_file_whose_size_nobody_tells_is_not_taken(pushed, tmp_path, monkeypatch):
+    told = huggingface_hub.get_hf_file_metadata
+
+    def silent(*given, **named):
+        return replace(told(*given, **named), size=None)
+
+    monkeypatch.setattr(huggingface_hub, "get_hf_file_metadata", silent)
+    with pytest.raises(
+        ValueError, match=r"must be of at most .*; its size is not told"
+    ):
+        ours.pull("ada/mouse")
+    assert nothing_is_left(tmp_path)
+
+
+def test_an_answer_that_cannot_be_unpacked_is_told(pushed, tmp_path, monkeypatch):
+    class Api(huggingface_hub.HfApi):
+        def hf_hub_download(self, *given, **named):
+            raise ours._http().DecodingError("incorrect header check")
+
+    monkeypatch.setattr(ours, "_api", lambda _: Api(endpoint=pushed.address))
+    with pytest.raises(OSError, match=r"the connection failed .incorrect header check"):
+        ours.pull("ada/mouse")
+    assert nothing_is_left(tmp_path)
 
 
 def one_byte_changed(data):

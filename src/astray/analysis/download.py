@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import http.client
 import os
+import time
 import urllib.request
 from pathlib import Path
 from urllib.parse import urlsplit
@@ -14,6 +15,7 @@ from astray.files import see_own
 
 CHUNK = 1 << 16  # bytes
 WAIT = 30.0  # seconds without a byte, after which it is interrupted
+LEAST = 10_000  # bytes in that time; with fewer it is, too
 LOOPBACK = ("127.0.0.1", "::1", "localhost")
 LARGEST = 512_000_000  # bytes, of a file whose size is not known
 
@@ -60,10 +62,15 @@ def _fetch(address: str, part: Path, most: int) -> None:
             raise OSError(f"it answers with another part, {answer.headers['Content-Range']}")
         begun = begun if goes_on else 0
         left = most - begun
+        since, before = time.monotonic(), left
         with open(part, "ab" if goes_on else "wb") as file:
-            while left and (data := answer.read(min(CHUNK, left))):
+            while left and (data := answer.read1(min(CHUNK, left))):
                 file.write(data)
                 left -= len(data)
+                if left and time.monotonic() - since > WAIT:
+                    if before - left < LEAST:  # a byte now and then would go on for years
+                        raise OSError(f"fewer than {LEAST:,} bytes came in {WAIT:g} seconds")
+                    since, before = time.monotonic(), left
         length = answer.headers["Content-Length"] or "0"
         promised = begun + (int(length) if length.isdecimal() else 0)
         if left and promised > most - left:

@@ -29,7 +29,7 @@ from astray.bounds import shown
 from astray.files import folder_aside, read, write_aside
 from astray.game import LEVELS
 from astray.training import checkpoint
-from astray.training.config import Config
+from astray.training.config import RENAMED, Config
 
 ORIGIN, CHECKS, CARD = "origin.json", "checks.json", "README.md"
 NAME = re.compile(r"[a-z0-9]+(-[a-z0-9]+)*")
@@ -144,11 +144,12 @@ def write_card(run: Path, name: str) -> None:
     )  # fmt: skip
     said = origin(run)
     try:
+        told = [str(RENAMED.get(key, key)) for key in said["settings_told"]]  # of an older version
         text = environment.get_template("imported.md").render(
             name=name, config=config, origin=said, architecture=architecture,
             weights=sum(p.numel() for p in network.parameters()),
             trained_on=config.training_variant().about,
-            settings={key: getattr(config, key) for key in said["settings_told"]},
+            settings={key: getattr(config, key) for key in told},
             checks=_read(checks, list) if os.path.lexists(checks) else [],
         )  # fmt: skip
     except (TemplateError, AttributeError, TypeError) as error:

@@ -241,8 +241,9 @@ def _see_size(api: HfApi, repository: str, commit: str | None, path: str, most: 
         size = get_hf_file_metadata(url, endpoint=api.endpoint).size
     except (OfflineModeIsEnabled, *_unreachable()):
         return  # then the cache has it, or nobody
-    if size is not None and size > most:
-        raise ValueError(f"{repository}: {path} must be of at most {most:,} bytes; it has {size:,}")
+    if size is None or size > most:
+        told = "its size is not told" if size is None else f"it has {size:,}"
+        raise ValueError(f"{repository}: {path} must be of at most {most:,} bytes; {told}")
 
 
 def _promised(file: Path) -> dict[str, tuple[int, str]]:
@@ -304,12 +305,17 @@ def _observed(config: Config) -> tuple[int, ...]:
 
 
 def _unreachable() -> tuple[type[Exception], ...]:
-    """What huggingface_hub's connections raise where nobody answers."""
+    """What huggingface_hub's connections raise where nobody answers, or what is no answer."""
+    return (_http().RequestError, ConnectionError)
+
+
+def _http() -> Any:
+    """The library of connections that huggingface_hub uses."""
     try:
         import httpx2 as http  # pyright: ignore[reportMissingImports]
     except ImportError:
         import httpx as http  # pyright: ignore[reportMissingImports]
-    return (http.TransportError, ConnectionError)
+    return http
 
 
 @contextlib.contextmanager
