@@ -43,6 +43,14 @@ def test_what_is_read_is_what_was_written(mouse, tmp_path, monkeypatch):
             assert np.array_equal(getattr(again[level], name), value), name
 
 
+def test_a_folders_name_is_no_pattern_and_a_part_that_is_none_is_refused(mouse, tmp_path):
+    folder = dataset.export(mouse, "maze", "anywhere-small", LEVELS[:2], tmp_path / "a[bc]")
+    assert len(list(dataset.read_trajectories(folder))) == 2
+    (folder / "steps" / "00000.parquet").write_bytes(b"PAR1 and no more")
+    with pytest.raises(ValueError, match=r"00000\.parquet is not as astray writes it"):
+        list(dataset.read_trajectories(folder))
+
+
 def test_episodes_are_those_of_an_evaluation(mouse, tmp_path):
     folder = dataset.export(mouse, "maze", "anywhere-small", LEVELS, tmp_path / "set")
     episodes = pl.read_parquet(folder / "episodes.parquet")

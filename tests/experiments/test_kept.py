@@ -1,6 +1,7 @@
 """Kept agents: small, whole without their training, and what their cards say is so."""
 
 import json
+import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -32,6 +33,12 @@ def run(tmp_path_factory):
 @pytest.fixture(scope="module")
 def written(run, tmp_path_factory):
     return keep.keep(run, "mouse", folder=tmp_path_factory.mktemp("kept"), levels=40)
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="elsewhere names are text")
+def test_an_agent_is_kept_in_a_folder_whose_name_is_no_text(run, tmp_path):
+    there = keep.keep(run, "mouse", folder=tmp_path / "\udcff", levels=4)
+    assert (there / "curve.csv").read_text().startswith("steps,training/return")
 
 
 @pytest.fixture

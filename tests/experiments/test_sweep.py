@@ -37,6 +37,7 @@ def test_texts_are_settings_and_their_values():
         "learning_rate": [1e-4, 5e-4], "variant.region": [1, 3], "anneal": [True, False],
         "variant": ["a", "b-1"],
     }  # fmt: skip
+    assert sweeping.value("[" * 10**5) == "[" * 10**5
 
 
 @pytest.mark.parametrize(

@@ -10,6 +10,7 @@ Or in Minari's layout, data/main_data.hdf5, which its readers take.
 
 from __future__ import annotations
 
+import io
 import json
 import os
 from collections.abc import Iterable, Iterator, Mapping
@@ -27,7 +28,7 @@ from astray import games
 from astray.analysis.episodes import Levels, steps
 from astray.analysis.policies import Policy
 from astray.analysis.tables import write_table
-from astray.bounds import shown
+from astray.bounds import brief, shown
 from astray.envs import VERSION
 from astray.envs.vector import GameVectorEnv
 from astray.files import folder_aside, read, write_aside
@@ -192,7 +193,12 @@ def read_trajectories(folder: Path) -> Iterator[Trajectory]:
     except (ValueError, KeyError, TypeError, RecursionError) as error:
         raise ValueError(f"{path} is no data set that can be read: {error}") from error
     for part in sorted((folder / "steps").glob("[0-9]*.parquet")):
-        for rows in pl.read_parquet(part).partition_by("level", maintain_order=True):
+        try:  # not by its path, in which polars takes [ and * for patterns
+            table = pl.read_parquet(io.BytesIO(read(part)))
+            episodes = table.partition_by("level", maintain_order=True)
+        except pl.exceptions.PolarsError as error:
+            raise ValueError(f"{part} is not as astray writes it: {brief(error)}") from error
+        for rows in episodes:
             yield _trajectory(rows, game, shape, part)
 
 

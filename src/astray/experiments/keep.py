@@ -17,6 +17,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from astray.analysis.kept import KEPT
 from astray.analysis.outcomes import OUTCOMES, load_shift
 from astray.analysis.runs import evaluate_runs, open_run, shift_of
+from astray.analysis.tables import write_table
 from astray.experiments import catalogue
 from astray.experiments.films import film
 from astray.experiments.outcomes import AGENTS
@@ -77,7 +78,7 @@ def draw_curve(run: Path, config: Config, steps: int, folder: Path) -> None:
     data = metrics.filter(pl.col("steps") <= steps).select("steps", *there)
     every = -(-len(data) // POINTS)
     data = data.gather_every(every, (len(data) - 1) % every)  # with the last
-    data.write_csv(folder / "curve.csv")
+    write_table(data, folder / "curve.csv")
     drawn = figures.learning_curves(data.with_columns(seed=pl.lit(config.seed)), there, "return")
     drawn.savefig(folder / "curve.png")
 

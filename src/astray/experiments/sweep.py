@@ -108,7 +108,7 @@ def value(text: str) -> Any:
     """A number or a truth where the text is one, else the text."""
     try:
         found = json.loads(text.lower())
-    except ValueError:
+    except (ValueError, RecursionError):
         return text
     return text if isinstance(found, str | list | dict) else found
 
