@@ -9,7 +9,7 @@ import pytest
 
 from astray.analysis import agency
 from astray.cli import agents as verbs
-from astray.files import aside_of, folder_aside, remove_left, write_aside
+from astray.files import aside_of, folder_aside, remove_left, see_free, write_aside
 from astray.kernel import cache, jit
 from astray.training import checkpoint
 from astray.training.config import PRESETS
@@ -122,3 +122,12 @@ def test_all_that_a_verb_writes_is_seen_before_anything_is_played(tmp_path, monk
     monkeypatch.setattr(agency, "judge_run", lambda *a, **k: pytest.fail("it was played"))
     with pytest.raises(OSError, match=f"{name} must be a file to write"):
         verbs.agency(agent="maze-corner", out=tmp_path)
+
+
+def test_what_astray_did_not_write_is_not_replaced(tmp_path):
+    (tmp_path / "report.html").write_text("mine")
+    with pytest.raises(OSError, match=r"report\.html is none of astray's, which would have plan"):
+        see_free(tmp_path, "plan.json", ("figures", "report.html"))
+    see_free(tmp_path, "plan.json", ("figures", "tables"))
+    (tmp_path / "plan.json").touch()
+    see_free(tmp_path, "plan.json", ("figures", "report.html"))

@@ -140,6 +140,21 @@ def see_own(path: Path) -> None:
         raise OSError(f"{path} must be a file; it is a link, a folder, a pipe or a device")
 
 
+def see_free(folder: Path, mark: str, names: Collection[str]) -> None:
+    """OSError where files of these `names` are in `folder`, which astray has not written to yet.
+
+    mark  the file that it writes there first
+    """
+    if os.path.lexists(folder / mark):
+        return
+    for name in names:
+        if os.path.lexists(folder / name):
+            raise OSError(
+                f"{folder / name} is none of astray's, which would have {mark} beside it; what is "
+                "written there would replace it"
+            )
+
+
 def remove_left(folder: Path, names: Collection[str]) -> None:
     """Remove what killed processes left of files of these `names`, or of folders of such.
 

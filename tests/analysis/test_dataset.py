@@ -2,6 +2,7 @@
 
 import json
 from importlib.util import find_spec
+from types import SimpleNamespace
 
 import numpy as np
 import polars as pl
@@ -79,6 +80,14 @@ def test_images_are_written_to_the_byte(tmp_path):
     one = next(dataset.read_trajectories(folder))
     env = GameVectorEnv("coinrun", "coin-end-calm", autoreset_mode="Disabled")
     assert np.array_equal(env.reset(seed=0, options={"level": 3})[0], one.observations[:1])
+
+
+@pytest.mark.skipif(not find_spec("minari"), reason="minari is not installed")
+def test_a_full_disk_is_told_before_hdf5_meets_it(tmp_path, monkeypatch):
+    monkeypatch.setattr(dataset.shutil, "disk_usage", lambda _: SimpleNamespace(free=10**6))
+    with pytest.raises(OSError, match="No space left on device"):
+        dataset.export(SYMBOLS, "maze", "corner-small", LEVELS, tmp_path / "set", form="minari")
+    assert not list(tmp_path.iterdir())
 
 
 @pytest.mark.skipif(not find_spec("minari"), reason="minari is not installed")

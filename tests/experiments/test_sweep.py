@@ -110,6 +110,14 @@ def test_a_sweep_goes_on_and_takes_more_values(trained, tmp_path, monkeypatch):
     assert (tmp_path / "figures" / "learning-rate.png").exists()
 
 
+@pytest.mark.parametrize("name", ["report.html", "outcomes.parquet", "tables"])
+def test_a_sweep_does_not_write_over_what_was_there(trained, tmp_path, name):
+    (tmp_path / name).write_text("mine")
+    with pytest.raises(OSError, match=f"{name} is none of astray's, which would have sweep.json"):
+        run_sweep(Sweep(BASE, {"learning_rate": [1e-4]}, levels=3), tmp_path)
+    assert (tmp_path / name).read_text() == "mine" and not trained
+
+
 def test_three_settings_have_a_figure_for_each_pair(trained, tmp_path):
     run_sweep(Sweep(BASE, TWO | {"gamma": [0.9, 0.8], "clip": [0.3]}, levels=3), tmp_path)
     names = {path.stem for path in (tmp_path / "figures").glob("*.png")}

@@ -10,9 +10,11 @@ Or in Minari's layout, data/main_data.hdf5, which its readers take.
 
 from __future__ import annotations
 
+import errno
 import io
 import json
 import os
+import shutil
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import asdict, dataclass
 from importlib.metadata import version
@@ -40,6 +42,7 @@ FORMAT = 1  # of dataset.json
 PART = 64_000_000  # bytes of observations and states in a file of steps, or a little more
 BATCH = 32  # episodes at once: of 500 steps and images they are 200 MB
 LARGEST = 2**20  # bytes of dataset.json
+SPARED = 2**22  # bytes that HDF5 needs of a disk beside what is written
 
 
 @dataclass(frozen=True, eq=False)
@@ -233,6 +236,7 @@ def write_minari(
     seen, taken = env.single_observation_space, env.single_action_space
     env.close()
     assert isinstance(taken, spaces.Discrete)
+    _see_room(folder)
     storage = MinariStorage.new(
         folder / "data", observation_space=seen, action_space=taken, data_format="hdf5",
         env_spec=_spec(game, variant), jpeg_encoding=False,
@@ -250,8 +254,21 @@ def write_minari(
             truncations=_last(len(one), not one.terminated),
             infos={"state": one.states.view(np.uint8).reshape(len(one) + 1, -1)},
         )
-        for k, one in enumerate(played)
+        for k, one in enumerate(_with_room(played, folder))
     )  # fmt: skip
+
+
+def _with_room(played: Iterable[Trajectory], folder: Path) -> Iterator[Trajectory]:
+    """The trajectories, as long as there is room for the next."""
+    for one in played:
+        _see_room(folder, one.observations.nbytes + one.states.nbytes)
+        yield one
+
+
+def _see_room(folder: Path, size: int = 0) -> None:
+    """OSError where there is no room for so many bytes, and some: HDF5 would end the process."""
+    if shutil.disk_usage(folder).free < SPARED + 2 * size:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(folder))
 
 
 def folder_name(about: Mapping[str, Any]) -> str:

@@ -23,7 +23,7 @@ from typing import TYPE_CHECKING, Any
 from astray.agents import policy
 from astray.analysis import kept
 from astray.analysis.imported import ORIGIN
-from astray.bounds import brief, shown
+from astray.bounds import brief, of_kind, shown
 from astray.envs.vector import IMAGE
 from astray.experiments.keep import keep
 from astray.files import folder_aside, holds_only, read, write_aside
@@ -252,6 +252,7 @@ def _promised(file: Path) -> dict[str, tuple[int, str]]:
         data = json.loads(read(file, LARGEST))
         if not isinstance(data, dict) or data.get("format") != FORMAT:
             raise ValueError(f"it must be an object of format {FORMAT}; got {shown(data)}")
+        of_kind("files", data.get("files"), dict)
         promised = {p: (one["bytes"], one["sha256"]) for p, one in data["files"].items()}
     except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
         raise ValueError(f"{DIGESTS} is not as astray writes it: {brief(error)}") from error

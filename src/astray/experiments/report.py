@@ -21,6 +21,7 @@ from astray.files import read, write_aside
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+WRITTEN = ("report.html", "findings.json", "figures", "tables")  # to a report's folder
 MEDIA = {".png": "image/png", ".mp4": "video/mp4"}
 NOTHING = "—"
 

@@ -18,13 +18,14 @@ from astray.experiments.spec import COMPUTED, PUBLISHED, Experiment, Plan, Runs,
 from astray.experiments.spec import kept as kept_table
 from astray.experiments.track import track_report
 from astray.experiments.workers import Place, train_all
-from astray.files import hold, read, write_aside
+from astray.files import hold, read, see_free, write_aside
 from astray.game import OWN
 from astray.kernel.jit import source_digest
 from astray.training import checkpoint
 from astray.training.config import Config
 from astray.training.track import Tracking
 
+PLAN = "plan.json"  # what is first written to a report's folder
 # The sources of what agents do, and of what is computed of it.
 COMPUTING = (
     "*.py", "kernel/*.py", "games/*/*.py", "envs/*.py", "agents/*.py", "agency/*.py",
@@ -66,6 +67,7 @@ def reproduce(
         command=f"astray reproduce {given} --size {size}" + (f" --art {art}" if ending else ""),
     )  # fmt: skip
     with hold(folder, "works on"):
+        see_free(folder, PLAN, report.WRITTEN)
         runs = train_agents(plan, root, workers, on, track)
         forget_stale(plan, runs, folder)
         episodes = (
@@ -151,7 +153,7 @@ def forget_stale(plan: Plan, runs: Runs, folder: Path) -> None:
         "measures": list(plan.measures),
         "sources": source_digest(COMPUTING),
     }
-    text, path = json.dumps(data, indent=1).encode(), folder / "plan.json"
+    text, path = json.dumps(data, indent=1).encode(), folder / PLAN
     if not path.exists() or read(path) != text:
         computed = folder / COMPUTED
         if computed.is_symlink():

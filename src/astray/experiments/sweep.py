@@ -35,7 +35,7 @@ from astray.experiments.report import Findings, Heading, Plot, Table
 from astray.experiments.run import COMPUTING, agent_digest, run_folder
 from astray.experiments.spec import kept
 from astray.experiments.workers import Place, train_all
-from astray.files import hold, write_aside
+from astray.files import hold, see_free, write_aside
 from astray.game import Variant
 from astray.kernel.jit import source_digest
 from astray.training.config import SEEDS, Config
@@ -43,6 +43,7 @@ from astray.training.track import Tracking
 
 KNOB = "variant."  # before the name of a knob of the variant
 SHORT = {"lr": "learning_rate"}
+SWEPT, OUTCOMES, SHARES = "sweep.json", "outcomes.parquet", "shares.csv"
 MOST = 10_000  # agents of a sweep
 TRAINING, TEST = "in training", "in the test"
 Cell = tuple[Any, ...]  # a value of each axis
@@ -164,7 +165,8 @@ def run_sweep(
     """
     folder.mkdir(parents=True, exist_ok=True)
     with hold(folder, "sweeps in"):
-        _see_same(sweep, folder)
+        see_free(folder, SWEPT, (*report.WRITTEN, OUTCOMES, SHARES))
+        _note(sweep, folder)
         agents = {cell: list(_agents(sweep, config)) for cell, config in sweep.cells().items()}
         todo = {run_folder(folder, one): one for configs in agents.values() for one in configs}
         train_all(todo, workers, on, track)
@@ -173,17 +175,17 @@ def run_sweep(
             runs = [run_folder(folder, config) for config in configs]
             parts.append(_episodes(sweep, folder, cell, configs[0], runs))
         episodes = pl.concat(parts, how="diagonal_relaxed")
-        write_table(episodes, folder / "outcomes.parquet")
+        write_table(episodes, folder / OUTCOMES)
         table = _shares(sweep, episodes)
-        write_table(table, folder / "shares.csv")
+        write_table(table, folder / SHARES)
         return report.write(_heading(sweep, folder), _findings(sweep, episodes, table), folder)
 
 
-def _see_same(sweep: Sweep, folder: Path) -> None:
+def _note(sweep: Sweep, folder: Path) -> None:
     """Note what is swept; a folder may be swept in again, with other values or more seeds."""
     data = {"base": sweep.base.to_json(), "axes": {k: list(v) for k, v in sweep.axes.items()},
             "seeds": sweep.seeds, "levels": sweep.levels, "shift": sweep.shift}  # fmt: skip
-    write_aside(folder / "sweep.json", json.dumps(data, indent=1).encode())
+    write_aside(folder / SWEPT, json.dumps(data, indent=1).encode())
 
 
 def _agents(sweep: Sweep, config: Config) -> Iterator[Config]:

@@ -238,8 +238,10 @@ def _load_file(path: Path) -> Activations:
 
 def _load_folder(path: Path) -> Activations:
     index = json.loads(read(path / INDEX, LARGEST_INDEX))
-    if index["format"] != FORMAT:
-        raise ValueError(f"it has format {index['format']}; this version reads {FORMAT}")
+    if not isinstance(index, dict) or not isinstance(index.get("layers"), dict):
+        raise ValueError(f"{INDEX} must be an object with 'layers'; got {shown(index)}")
+    if index.get("format") != FORMAT:
+        raise ValueError(f"it has format {shown(index.get('format'))}; this version reads {FORMAT}")
     values = {}
     for name, file in index["layers"].items():
         if Path(file).name != file:

@@ -25,7 +25,7 @@ from astray.analysis.style import STYLE, save
 from astray.analysis.tables import write_table
 from astray.bounds import bounded
 from astray.envs.vector import picture
-from astray.files import write_aside
+from astray.files import see_free, write_aside
 from astray.game import Variant
 from astray.insight import attribution, episode, field_figures, probes
 from astray.insight.activations import layers
@@ -69,6 +69,8 @@ def explain(asked: Asked, folder: Path, heading: str) -> Path:
     """Write the page, its figures (PNG and SVG) and tables (Parquet) to `folder`; the page's path.
 
     What an agent or a game does not allow, as goals without a cell, is told in its place.
+
+    Raises OSError where files of their names are in the folder, and no such page yet.
     """
     makers: Mapping[str, Callable[[Asked], list[Part]]] = {
         "Where it would go": _fields,
@@ -84,6 +86,9 @@ def explain(asked: Asked, folder: Path, heading: str) -> Path:
             parts += make(asked)
         except (ValueError, ImportError) as error:
             parts.append(Part("", title, f"Not told here: {error}."))
+    figures = [f"{p.name}.{end}" for p in parts if p.figure is not None for end in ("png", "svg")]
+    tables = [f"{p.name}.parquet" for p in parts if p.table is not None]
+    see_free(folder, PAGE, (*figures, *tables))
     for part in parts:
         if part.figure is not None:
             save(part.figure, folder, part.name)
