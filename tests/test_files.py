@@ -131,3 +131,16 @@ def test_what_astray_did_not_write_is_not_replaced(tmp_path):
     see_free(tmp_path, "plan.json", ("figures", "tables"))
     (tmp_path / "plan.json").touch()
     see_free(tmp_path, "plan.json", ("figures", "report.html"))
+
+
+@pytest.mark.parametrize("error", [KeyboardInterrupt, MemoryError, OSError])
+def test_nothing_is_left_beside_a_file_that_was_not_written(tmp_path, monkeypatch, error):
+    (tmp_path / "a").write_bytes(b"old")
+
+    def fails(_):
+        raise error
+
+    monkeypatch.setattr(os, "fsync", fails)
+    with pytest.raises(error):
+        write_aside(tmp_path / "a", b"new")
+    assert [p.name for p in tmp_path.iterdir()] == ["a"] and (tmp_path / "a").read_bytes() == b"old"

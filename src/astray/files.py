@@ -90,8 +90,10 @@ def write_aside(path: Path, data: bytes) -> None:
             file.flush()
             os.fsync(file.fileno())
         os.replace(aside, path)
-    except OSError as error:
+    except BaseException as error:  # also an interrupt
         aside.unlink(missing_ok=True)
+        if not isinstance(error, OSError):
+            raise
         what = "what was there is still there" if path.exists() else "nothing was written"
         raise OSError(error.errno, f"{error.strerror}; {what}", str(path)) from error
 
