@@ -82,6 +82,7 @@ def write_aside(path: Path, data: bytes) -> None:
     OSError where there is something else than a file: it would be replaced by one, which root can
     do to /dev/null, and anyone to a link.
     """
+    path = Path(path)
     _see_replaceable(path)
     aside = aside_of(path)
     try:

@@ -43,7 +43,7 @@ class Level:
         self.game.variant(self.variant)
         of_kind("a level's variant", self.variant, Variant)  # not its name
         of_kind("a level's looks", self.looks, Mapping)
-        object.__setattr__(self, "agent", _whole(self.agent))
+        object.__setattr__(self, "agent", see_cell(self.agent))
         self._check_cells()
         if not self._is_inside(self.agent):
             raise ValueError(f"the agent is at cell {self.agent}, outside of the level")
@@ -220,7 +220,7 @@ class Level:
 
     def _one(self, name: str, at: Cell | None) -> Cell:
         """The cell of the object called `name`: the only one there is, or the one at `at`."""
-        there, at = self.where(name), None if at is None else _whole(at)
+        there, at = self.where(name), None if at is None else see_cell(at)
         if at in there or (at is None and len(there) == 1):
             return at or there[0]
         where = ", ".join(map(str, there)) or "nowhere"
@@ -232,7 +232,7 @@ class Level:
 
     def _check_free(self, cell: Cell) -> None:
         self._check_cells()
-        x, y = cell = _whole(cell)
+        x, y = cell = see_cell(cell)
         if not self._is_inside(cell):
             raise ValueError(f"cell {cell} is outside of the level")
         if self.cells[y, x] != self.game.editing.LEGEND[EMPTY]:
@@ -248,7 +248,7 @@ def _cell(place: Any) -> Cell:
     return int(np.floor(place[0])), int(np.floor(place[1]))
 
 
-def _whole(place: Any) -> Cell:
+def see_cell(place: Any) -> Cell:
     """`place` as a cell; ValueError where it is not two integers."""
     if not np.shape(place) == (2,) or np.asarray(place).dtype.kind not in "iu":
         raise ValueError(f"a cell must be two integers, x and y; got {shown(place)}")

@@ -145,6 +145,7 @@ def observe(
     agent: Agent, variant: str | Variant, states: np.ndarray, *, batch: int = 64
 ) -> np.ndarray:
     """What the agent sees in `states` [N] of its game: images [N, 64, 64, 3] or [N, C, H, W]."""
+    of_kind("agent", agent, Agent)
     of_kind("states", states, np.ndarray)
     if not np.size(states):
         raise ValueError("no states are given")

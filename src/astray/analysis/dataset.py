@@ -28,6 +28,7 @@ from gymnasium import spaces
 
 from astray import games
 from astray.analysis.episodes import Levels, steps
+from astray.analysis.given import see_policy
 from astray.analysis.policies import Policy
 from astray.analysis.tables import write_table
 from astray.bounds import brief, shown
@@ -110,6 +111,7 @@ def export(
 
     Raises ValueError where there is something at `folder`, or what is played cannot be.
     """
+    see_policy(policy)
     check_word("format", form, Format)
     if os.path.lexists(folder):
         raise ValueError(f"a data set is written to a new folder; there is something at {folder}")
@@ -182,6 +184,7 @@ def read_trajectories(folder: Path) -> Iterator[Trajectory]:
 
     Raises ValueError where the files are not as it writes them, or of another version's states.
     """
+    folder = Path(folder)
     path = folder / "dataset.json"
     try:
         about = json.loads(read(path, LARGEST))

@@ -21,6 +21,7 @@ from astray.agents.mlp import MLP
 from astray.analysis import agency
 from astray.analysis.episodes import Levels, steps
 from astray.analysis.policies import AT_ONCE, Agent, Policy, episode_noise
+from astray.bounds import of_kind, shown
 from astray.envs.vector import GameVectorEnv
 from astray.game import Shift, Variant
 from astray.level import Level
@@ -95,6 +96,7 @@ class OfLogits:
     name: str
 
     def __post_init__(self) -> None:
+        of_kind("agent", self.agent, Agent)
         if self.name not in OF_LOGITS:
             raise ValueError(f"unknown score {self.name!r}; there are: {', '.join(OF_LOGITS)}")
 
@@ -125,6 +127,10 @@ class Disagreement:
     name: str = "ensemble disagreement"
 
     def __post_init__(self) -> None:
+        of_kind("agents", self.agents, Sequence)
+        for agent in self.agents:
+            if not callable(getattr(agent, "outputs", None)):
+                raise ValueError(f"an agent of an ensemble must have outputs; got {shown(agent)}")
         if len(self.agents) < 2:
             raise ValueError(f"an ensemble must have two agents at least; got {len(self.agents)}")
 

@@ -12,7 +12,7 @@ the novice plays training levels alone, so that nothing has to be known of the t
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Sequence, Sized
 from dataclasses import dataclass, field
 from typing import Literal
 
@@ -136,6 +136,7 @@ def play(
     of the first query, null for none), highest (of the scores), moment (of `MOMENTS`, of the first
     query; null without a `watch`), and the game's events (their steps, null for never).
     """
+    of_kind("levels", levels, Sized)
     game = games.find(game)
     n = len(levels)
     returns, queries, first = np.zeros(n), np.zeros(n, int), np.full(n, -1)

@@ -18,7 +18,7 @@ from astray.analysis.evaluate import evaluate
 from astray.analysis.given import Measure, see_policy
 from astray.analysis.outcomes import label, load_shift, shares, tell_apart
 from astray.analysis.policies import Agent, Policy, Random, Walk
-from astray.bounds import shown
+from astray.bounds import of_kind, shown
 from astray.game import Game, Variant
 from astray.level import read_levels
 from astray.training import checkpoint
@@ -177,6 +177,7 @@ def play_all(
     Beside `evaluate`'s columns: run, seed, checkpoint (null for scripts), variant (its `name`),
     outcome, tells_apart.
     """
+    of_kind("policies", policies, Sequence)
     for policy in policies:
         see_policy(policy)
     between = load_shift(game, shift)

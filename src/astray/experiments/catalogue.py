@@ -14,7 +14,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from astray import imports
-from astray.bounds import brief
+from astray.bounds import brief, of_kind
 from astray.experiments import studies
 from astray.experiments.spec import Experiment
 from astray.files import see_readable
@@ -51,6 +51,7 @@ def find(experiment: str | Experiment) -> tuple[str, Experiment]:
 
     Raises ValueError where there is none.
     """
+    of_kind("experiment", experiment, str | Experiment)
     if isinstance(experiment, Experiment):
         return _slug(experiment.title), experiment
     if imports.is_name(experiment):

@@ -46,6 +46,7 @@ def keep(
     """
     if not re.fullmatch(r"[a-z0-9]+(-[a-z0-9]+)*", name):
         raise ValueError(f"an agent's name must be of a-z, 0-9 and -, as maze-corner; got {name!r}")
+    run, folder = Path(run), Path(folder)
     if (folder / name).exists():
         raise ValueError(f"there is an agent {name!r} in {folder} already")
     agent, config = open_run(run)

@@ -24,7 +24,9 @@ from torch import Tensor
 from astray.agents.mlp import MLP
 from astray.analysis.critic import Edit, observe
 from astray.analysis.policies import Agent
-from astray.game import Variant
+from astray.bounds import bounded, of_kind
+from astray.envs.vector import IMAGE
+from astray.game import MOST, Variant
 
 CHUNK = 64  # observations at a time
 REST, NOTHING = "rest", "nothing"  # parts that are what no other is
@@ -40,6 +42,7 @@ def gradients(agent: Agent, observations: np.ndarray) -> np.ndarray:
     Of images it is per unit of brightness, from 0 to 1. Of planes of 0 and 1 it is per unit; of
     planes of categories it is towards more of the category that is there, 0 where none is.
     """
+    _check(agent, observations)
     method = _captum().Saliency(_value(agent))
 
     def attribute(x: Tensor) -> Tensor:
@@ -63,6 +66,10 @@ def integrated_gradients(
     baseline  one observation, or one for each, as of the states without a coin; None: black
               images, planes with nothing in them
     """
+    _check(agent, observations)
+    bounded("steps", steps, 1, MOST)
+    if baseline is not None:
+        of_kind("baseline", baseline, np.ndarray)
     method = _captum().IntegratedGradients(_value(agent))
     baseline = np.zeros_like(observations) if baseline is None else baseline
 
@@ -83,6 +90,8 @@ def occlusion(
     colour  of the squares, from 0 (black) to 255
     """
     _check(agent, observations)
+    bounded("window", window, 1, IMAGE)
+    bounded("colour", colour, 0, 255)
     image = agent.observation == "image"
     shape = (window, window, observations.shape[3]) if image else (1, 1, 1)
     method = _captum().Occlusion(lambda x: agent.network(x)[1])
@@ -201,6 +210,8 @@ def _maps(agent: Agent, attribute: Callable[..., Tensor], *observations: np.ndar
 
 
 def _check(agent: Agent, observations: np.ndarray) -> None:
+    of_kind("agent", agent, Agent)
+    of_kind("observations", observations, np.ndarray)
     shape = agent.architecture.shape
     if observations.shape[1:] != shape or not len(observations):
         raise ValueError(

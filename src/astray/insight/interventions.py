@@ -40,6 +40,9 @@ def changed(agent: Agent, changes: Mapping[str, Change]) -> Iterator[Agent]:
     """
     of_kind("changes", changes, Mapping)
     see_layers(agent, list(changes))
+    for name, change in changes.items():
+        if not callable(change):
+            raise ValueError(f"what changes {name} must be a function; got {shown(change)}")
     modules = dict(agent.network.named_modules())
     with contextlib.ExitStack() as stack:
         for name, change in changes.items():

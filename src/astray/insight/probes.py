@@ -156,6 +156,7 @@ def _fit_all(
 
 def split(levels: np.ndarray, seed: int) -> np.ndarray:
     """[N] bool, the states to learn from: of levels [N], a share of TEST is for the test."""
+    bounded("seed", seed, 0, MOST)
     names = np.unique(levels)
     if len(names) < 2:
         raise ValueError("probes need states of at least two levels; these are of one")

@@ -20,7 +20,7 @@ from astray import games
 from astray.analysis.critic import judge, observe
 from astray.analysis.episodes import Levels
 from astray.analysis.policies import Agent
-from astray.bounds import bounded, of_kind
+from astray.bounds import bounded, of_kind, shown
 from astray.game import MOST, Variant
 from astray.insight.activations import activations, see_layers
 from astray.insight.fields import Places, drawn, places_of, states_at
@@ -142,7 +142,7 @@ def retarget(
     bounded("targets", targets, 1, MOST)
     unknown = [one for one in how if one not in WAYS]
     if unknown or not how:
-        raise ValueError(f"how must be some of {', '.join(WAYS)}; got {', '.join(how) or 'none'}")
+        raise ValueError(f"how must be some of {', '.join(WAYS)}; got {shown(how)}")
     of_kind("clamp", clamp, Clamp)
     shape = see_layers(agent, [clamp.layer])[clamp.layer]
     game = games.find(agent.game)

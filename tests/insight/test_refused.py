@@ -1,0 +1,58 @@
+"""What functions of insight cannot take is told, with what it is."""
+
+import numpy as np
+import pytest
+
+from astray.analysis.critic import observe
+from astray.analysis.dataset import export
+from astray.games import find
+from astray.insight import attribution
+from astray.insight.activations import capture
+from astray.insight.episode import along
+from astray.insight.fields import difference, fields
+from astray.insight.retarget import Clamp, retarget
+from astray.insight.vectors import Condition, edit_vectors
+from helpers.looked_into import make_agent
+
+MAZE = find("maze")
+SEEN = np.zeros((1, 4, 7, 7), np.uint8)
+
+
+@pytest.fixture
+def agent(tmp_path):
+    return make_agent("small", tmp_path)
+
+
+@pytest.mark.parametrize(
+    "make, message",
+    [
+        (lambda a: observe(None, "corner-small", np.zeros(1)), "agent must be a Agent"),
+        (lambda a: observe(a, "corner-small", [1]), "states must be a ndarray"),
+        (lambda a: capture(a, "corner-small", np.zeros(3), ["spread"]), "records of maze"),
+        (lambda a: attribution.gradients(a, None), "observations must be a ndarray"),
+        (lambda a: attribution.occlusion(a, SEEN, window=0), "window must be an integer from 1"),
+        (lambda a: attribution.integrated_gradients(a, SEEN, steps=0), "steps must be an integer"),
+        (lambda a: along(a, "corner-small", 3, gamma=2.0), "gamma must be a finite number from 0"),
+        (lambda a: difference(None, None), "a field must be a Field"),
+        (lambda a: retarget(a, "corner-small", [1], 5), "clamp must be a Clamp"),
+        (lambda a: Clamp("spread", 1, 2.0), "channels must be a Sequence"),
+        (lambda a: Condition(vectors="x"), "each of the vectors must be a Vectors"),
+        (lambda a: Condition(coefficient=np.nan), "coefficient must be a finite number"),
+        (lambda a: edit_vectors(a, "corner-small", [1], "spread", 5), "must be a function of lev"),
+        (lambda a: export(b"x", "maze", "corner-small", [1], None), "a policy must have name"),
+    ],
+)
+def test_what_is_of_another_kind_is_told(agent, make, message):
+    with pytest.raises(ValueError, match=message):
+        make(agent)
+
+
+def test_a_place_that_is_none_is_told(agent):
+    (field,) = fields(agent, "corner-small", [3])
+    asked = [
+        lambda: field.towards("ab"), lambda: field.step([], (1, 1)),
+        lambda: field.path_probability((0.5, 1)), lambda: field.places.way({}),
+    ]  # fmt: skip
+    for ask in asked:
+        with pytest.raises(ValueError, match="a cell must be two integers, x and y"):
+            ask()
