@@ -211,6 +211,7 @@ WORDS = {  # of each verb, so that nothing but the number is wrong
     "explain": ["maze-corner"], "export": ["--agent", "maze-corner"],
     "lab": ["--agent", "maze-corner", "--no-browse"],
     "sweep": ["maze", "corner-small", "--set", "gamma=0.9,0.99"],
+    "distil": ["maze-corner"],
     "play": ["maze", "corner-small"], "replay": ["maze", "corner-small", "--actions", __file__],
 }  # fmt: skip
 NUMBERS = [

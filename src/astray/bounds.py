@@ -20,7 +20,8 @@ def finite(name: str, given: Any, least: float = -math.inf, most: float = math.i
     """ValueError unless what is called `name` is a finite number from `least` to `most`."""
     is_number = isinstance(given, int | float | np.number) and not isinstance(given, bool)
     if not is_number or not math.isfinite(given) or not least <= given <= most:
-        said = f" from {least:g} to {most:g}" if math.isfinite(most - least) else ""
+        said = f" from {least:g} on" if math.isfinite(least) else ""
+        said = f" from {least:g} to {most:g}" if math.isfinite(most - least) else said
         raise ValueError(f"{name} must be a finite number{said}; got {shown(given)}")
 
 

@@ -87,7 +87,8 @@ def test_every_experiment_runs_in_miniature(name, size, tmp_path, monkeypatch):
         assert len(sums) == len(plan.agents) * len(plan.tests)
         assert sums["mean"].to_list() == [pytest.approx(1)] * len(sums)
 
-    kept = [*tmp_path.rglob("*.safetensors"), *folder.rglob("computed/*.parquet")]
+    agents = (tmp_path / "agents").rglob("*.safetensors")
+    kept = [*agents, *folder.rglob("computed/*.parquet")]
     written = {path: path.stat().st_mtime_ns for path in kept}
     page.unlink()
     monkeypatch.setattr(report, "write", lambda *_: page.touch() or page)  # again, it takes long

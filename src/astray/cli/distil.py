@@ -10,7 +10,9 @@ from tyro.conf import Positional
 from astray.analysis import kept
 from astray.analysis.policies import Observation
 from astray.bounds import bounded
-from astray.training.config import PRESETS, SEEDS
+from astray.envs.pool import most_threads
+from astray.game import MOST
+from astray.training.config import MOST_STEPS, PRESETS, SEEDS
 from astray.training.track import Tracking
 
 
@@ -53,7 +55,11 @@ def distil(
     from astray.training.teacher import give
     from astray.training.track import train_tracked
 
+    bounded("seed", seed, 0, SEEDS - 1)
     bounded("seeds", seeds, 1, SEEDS - seed)
+    bounded("steps", steps, 1, MOST_STEPS)
+    bounded("epochs", epochs, 1, MOST)
+    bounded("threads", threads, 1, most_threads())
     run = kept.run_of(teacher)
     agent, its = open_run(run)
     name = str(teacher) if run != teacher else run.resolve().name
