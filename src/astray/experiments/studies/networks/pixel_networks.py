@@ -17,7 +17,7 @@ from astray.training.config import PRESETS, Config
 
 # Steps per second of one thread, to three digits, as `astray bench networks` measured them: they
 # decide how many steps a network gets, so that all get the same time.
-SPEEDS = {"impala": 187, "nature": 1690, "patch-impala": 1000, "overlap": 3900, "patch": 3900}
+SPEEDS = {"impala": 216, "nature": 1900, "patch-impala": 1260, "overlap": 4120, "patch": 4270}
 PAPER, OURS = "impala", "patch"
 SECONDS = 300
 GAMES = {
