@@ -106,6 +106,11 @@ def explain(asked: Asked, folder: Path, heading: str) -> Path:
     return folder / PAGE
 
 
+def slug(name: str) -> str:
+    """An object's name as part of a file's."""
+    return name.replace(" ", "-")
+
+
 def _embedded(folder: Path, part: Part) -> str | None:
     if part.figure is None:
         return None
@@ -154,7 +159,7 @@ def _edits(asked: Asked) -> list[Part]:
         (without,) = fields(agent, asked.variant, {"level": level.removed(name, where[0])})
         change = difference(plain, without)
         parts.append(
-            Part(f"without-{name}", f"Without the {name} at {where[0]}",
+            Part(f"without-{slug(name)}", f"Without the {name} at {where[0]}",
                  f"On the mean over places the value changes by {change.value.mean():+.2f}, and "
                  f"{100 * change.policy.mean():.0f} % of the policy moves to other actions.",
                  field_figures.draw({"as it is": plain, f"without the {name}": without,
@@ -188,7 +193,7 @@ def _moved(asked: Asked, name: str) -> Part:
     )
     figure.colorbar(shaded, ax=axes, shrink=0.82, label="intended goal first")
     told = ", ".join(f"{outcome} in {count}" for outcome, count in counts.most_common())
-    return Part(f"moved-{name}", f"With the {name} anywhere else",
+    return Part(f"moved-{slug(name)}", f"With the {name} anywhere else",
                 f"An episode for each of {len(family)} places: {told}. A cell is bright where "
                 f"the agent reaches the intended goal first if the {name} lies there.",
                 figure, played.select("name", "outcome", "return", "length"))  # fmt: skip
