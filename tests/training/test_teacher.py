@@ -105,6 +105,14 @@ def test_a_student_without_its_teacher_or_with_another_is_refused(tmp_path, stud
     assert (student / TEACHER).read_bytes() == weights.read_bytes()
 
 
+def test_a_teacher_that_sees_images_is_shown_those_that_it_knows(tmp_path):
+    pictures = replace(TINY, observation="image", network="patch", steps=256, validation=None)
+    train(pictures, tmp_path / "teacher", progress=False)
+    with pytest.raises(ValueError, match=r"the teacher sees art 'own'; .*; got 'original'"):
+        distil(tmp_path / "teacher", art="original", folder=tmp_path / "students")
+    assert not (tmp_path / "students").exists()
+
+
 def test_the_verb_distils_from_an_agent_by_name(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     distil(Path("maze-corner"), observation="symbolic", steps=16_384)

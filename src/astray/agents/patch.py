@@ -1,8 +1,8 @@
-"""Networks for images that a CPU trains: their first convolution goes 4 pixels a step.
+"""Networks for images that a CPU trains: their first convolution goes 4 or 8 pixels a step.
 
 Nearly all products of the paper's network are in its first two blocks, on 64 x 64 and 32 x 32
 places; here there are 16 x 16 at most. Every activation is a named module, so that hooks can read
-and change it: `relu1`, `block.residual1.relu2`, `features.relu`, ...
+and change it: `body.relu1`, `body.residual1.relu2`, `features.relu`, ...
 """
 
 from __future__ import annotations
@@ -60,10 +60,7 @@ def overlap(shape: tuple[int, int, int], actions: int, scale: int = 1) -> Convol
 
 
 def patch(
-    shape: tuple[int, int, int],
-    actions: int,
-    scale: int = 1,
-    pooled: bool = False,
+    shape: tuple[int, int, int], actions: int, scale: int = 1, pooled: bool = False
 ) -> Convolutions:
     """Patches of 8 x 8 pixels, and two residual units as IMPALA's among 8 x 8 of them.
 

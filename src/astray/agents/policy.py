@@ -34,7 +34,7 @@ class Architecture:
     name     one of `NETWORKS`, or "module:Class"
     shape    of an observation: [H, W, C] for images, [C, H, W] for symbolic planes
     largest  the largest value of each symbolic plane; empty for images
-    scale    multiplies the channels of "impala"
+    scale    multiplies the channels of convolutions, but for those of "clear" and "nature"
     width    hidden units of "mlp"
     widths   channels of "impala"'s three blocks, at scale 1
     """

@@ -62,6 +62,8 @@ def distil(
     bounded("threads", threads, 1, most_threads())
     run = kept.run_of(teacher)
     agent, its = open_run(run)
+    if agent.observation == "image" and art not in (None, its.art):
+        raise ValueError(f"the teacher sees art {its.art!r}; its students must see it; got {art!r}")
     name = str(teacher) if run != teacher else run.resolve().name
     images = observation == "image"
     config = replace(

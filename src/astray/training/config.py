@@ -6,7 +6,7 @@ import json
 import types
 import typing
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import asdict, dataclass, field, fields, replace
 from math import inf, isfinite
 from typing import Annotated, Any, Literal
 
@@ -73,8 +73,8 @@ class Config:
 
     observation: Literal["image", "symbolic"] = "image"
     art: str = OWN  # that images are drawn with; "original" has to be imported: astray art import
-    network: str = "impala"  # or mlp, for symbols; or your own, module:Class
-    scale: int = 1  # of impala's channels; the paper's sweeps have 4
+    network: str = "impala"  # or another for images; mlp, for symbols; your own, module:Class
+    scale: int = 1  # of the channels of convolutions; the paper's sweeps have 4
     width: int = 64  # hidden units of the mlp
 
     steps: int = 200_000_000  # environment steps, over all environments
@@ -253,32 +253,24 @@ def _check(name: str, value: Any, kind: Any) -> None:
         raise ValueError(f"{name} must be of type {kinds[0].__name__}; got {shown(value)}")
 
 
+# For a CPU. One thread a run is steadier than two, and two runs at once do more than one with two
+# threads. Many small updates of a wide network learned more in the same minutes than few large
+# ones or convolutions.
+SMALL = Config(
+    observation="symbolic",
+    network="mlp",
+    width=256,
+    steps=5_500_000,
+    num_steps=64,
+    minibatches=16,
+    gamma=0.98,
+    entropy_weight=0.003,
+    validation_every=10,
+    checkpoint_every=50,
+)
 PRESETS = {
     "paper": Config(),
-    # For a CPU. One thread a run is steadier than two, and two runs at once do more than one
-    # with two threads. Many small updates of a wide network learned more in the same minutes
-    # than few large ones or convolutions.
-    "small": Config(
-        observation="symbolic",
-        network="mlp",
-        width=256,
-        steps=5_500_000,
-        num_steps=64,
-        minibatches=16,
-        gamma=0.98,
-        entropy_weight=0.003,
-        validation_every=10,
-        checkpoint_every=50,
-    ),
-    # The paper's images, for a CPU: a network of few products, and likewise many small updates.
-    "pixels": Config(
-        network="patch",
-        steps=10_000_000,
-        num_steps=64,
-        minibatches=16,
-        gamma=0.98,
-        entropy_weight=0.003,
-        validation_every=10,
-        checkpoint_every=50,
-    ),
+    "small": SMALL,
+    # The paper's images, by a network of few products.
+    "pixels": replace(SMALL, observation="image", network="patch", steps=10_000_000),
 }

@@ -100,19 +100,16 @@ def clear(s):
                 s.cell[y, x] = TOP
             if x == 0 or x == WORLD - 1 or y == WORLD - 1:
                 s.cell[y, x] = WALL
-    s.walkers = 0
     for k in range(WALKERS):
         s.walker_x[k], s.walker_y[k], s.walker_vx[k], s.walker_look[k] = 0, 0, 0, 0
         for age in range(PUFFS):
             s.trail_x[k, age] = 0
     s.x, s.y = F(1) + HALF, F(1) + TALL
-    s.vx, s.vy = 0, 0
-    s.on_crate, s.faces_left, s.pose = False, False, 0
-    s.coin_x, s.coin_y = NEVER, NEVER
+    s.vx, s.vy, s.on_crate, s.faces_left, s.pose = 0, 0, False, False, 0
+    s.walkers, s.coin_x, s.coin_y = 0, NEVER, NEVER
     s.took_coin, s.took_invisible, s.passed_coin = NEVER, NEVER, NEVER
     s.reached_end, s.touched_wall, s.passed_wall = NEVER, NEVER, NEVER
-    s.died, s.met_saw, s.met_walker, s.met_lava = NEVER, NEVER, NEVER, NEVER
-    s.timed_out = NEVER
+    s.died, s.met_saw, s.met_walker, s.met_lava, s.timed_out = NEVER, NEVER, NEVER, NEVER, NEVER
 
 
 @shared
