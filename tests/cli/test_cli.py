@@ -246,3 +246,19 @@ def test_it_tells_agents_from_devices(astray, run_folder, tmp_path):
     assert {path.name for path in (tmp_path / "told").iterdir()} == {
         "episodes.parquet", "posterior.gif", "posterior.mp4", "posterior.png"
     }  # fmt: skip
+
+
+def test_verbs_of_levels_and_files_do_not_wait_for_torch():
+    program = """
+import sys
+from astray.cli import verbs
+for name in sys.argv[1:]:
+    verbs.find(name)
+print("torch" in sys.modules)
+"""
+    # What they do with agents imports it when it is needed.
+    names = ["level", "replay", "overlap", "art", "cache", "keep", "push", "pull", "import", "lab"]
+    told = subprocess.run(
+        [sys.executable, "-c", program, *names], capture_output=True, text=True, check=True
+    )
+    assert told.stdout == "False\n"

@@ -17,11 +17,11 @@ from astray import imports
 from astray.agents.clear import Clear
 from astray.agents.impala import WIDTHS, Impala
 from astray.agents.mlp import MLP
+from astray.agents.names import NETWORKS, check_network, renamed_network
 from astray.agents.patch import nature, overlap, patch, patch_impala
 from astray.bounds import brief
 from astray.files import see_readable
 
-RENAMED = {"small": "mlp"}  # as older files have them, and what they are called now
 GROUP = "astray.networks"  # of entry points, by which installed packages offer theirs
 FORMAT = 1  # of the files; goes up when an older version could not read them
 SEQUENCES = ("shape", "largest", "widths")  # fields of an architecture that JSON has as lists
@@ -31,7 +31,7 @@ SEQUENCES = ("shape", "largest", "widths")  # fields of an architecture that JSO
 class Architecture:
     """What network to build; one of your own is given it, and nothing else.
 
-    name     one of `NETWORKS`, or "module:Class"
+    name     one of `names.NETWORKS`, or "module:Class"
     shape    of an observation: [H, W, C] for images, [C, H, W] for symbolic planes
     largest  the largest value of each symbolic plane; empty for images
     scale    multiplies the channels of convolutions, but for those of "clear" and "nature"
@@ -77,19 +77,6 @@ BUILDERS: dict[str, Callable[[Architecture], nn.Module]] = {
     "patch-pooled": lambda given: patch(given.shape, given.actions, given.scale, pooled=True),
     "patch-impala": lambda given: patch_impala(given.shape, given.actions, given.scale),
 }
-NETWORKS = tuple(BUILDERS)  # astray's own
-
-
-def renamed_network(name: Any) -> Any:
-    """Today's name of a network that an older file names; any other name as it is."""
-    return RENAMED.get(name, name) if isinstance(name, str) else name
-
-
-def check_network(name: str) -> None:
-    """ValueError where no network can have that name."""
-    if name not in NETWORKS and not imports.is_name(name):
-        there = ", ".join(NETWORKS)
-        raise ValueError(f"unknown network {name!r}; there are: {there}, and module:Class")
 
 
 def weights(network: nn.Module, architecture: Architecture, game: str) -> bytes:

@@ -28,8 +28,7 @@ from astray.cli.arguments import (
 from astray.envs.vector import PICTURES
 from astray.files import see_writable, write_aside
 from astray.game import MOST, OWN
-from astray.training.config import SEEDS, Config
-from astray.training.track import Tracking
+from astray.training.config import SEEDS, Config, Tracking
 
 EPISODES = "episodes.parquet"
 POSTERIOR = ("posterior.mp4", "posterior.gif", "posterior.png")

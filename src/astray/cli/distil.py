@@ -12,8 +12,7 @@ from astray.analysis.policies import Observation
 from astray.bounds import bounded
 from astray.envs.pool import most_threads
 from astray.game import MOST
-from astray.training.config import MOST_STEPS, PRESETS, SEEDS
-from astray.training.track import Tracking
+from astray.training.config import MOST_STEPS, PRESETS, SEEDS, Tracking
 
 
 def distil(

@@ -18,8 +18,7 @@ from astray.experiments.spec import Size
 from astray.experiments.workers import Place
 from astray.game import OWN
 from astray.training import checkpoint
-from astray.training.config import PRESETS
-from astray.training.track import Tracking
+from astray.training.config import PRESETS, Tracking
 from astray.words import printable
 
 MOST_WORKERS = 1024  # processes

@@ -9,8 +9,7 @@ from tyro.conf import UseAppendAction, arg
 
 from astray.bounds import bounded
 from astray.experiments.workers import Place
-from astray.training.config import Config
-from astray.training.track import Tracking
+from astray.training.config import Config, Tracking
 
 MOST_WORKERS = 1024  # processes
 Preset = Literal["paper", "small", "pixels"]

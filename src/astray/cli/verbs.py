@@ -5,67 +5,67 @@ from __future__ import annotations
 import argparse
 import functools
 import sys
+from collections.abc import Callable
+from importlib import import_module
 from importlib.metadata import version
+from typing import Any
 
 import tyro
 
-from astray.cli import (
-    agents,
-    art,
-    cache,
-    dataset,
-    distil,
-    experiments,
-    hub,
-    insight,
-    lab,
-    levels,
-    published,
-    sweep,
-)  # fmt: skip
-from astray.training.config import PRESETS
-
+# Where each is, beside this file: imported when it is asked for, as torch alone takes two seconds.
 VERBS = {
-    "list": experiments.list_,
-    "play": levels.play,
-    "lab": lab.lab,
-    "train": agents.train,
-    "distil": distil.distil,
-    "evaluate": agents.evaluate,
-    "reproduce": experiments.reproduce,
-    "sweep": sweep.sweep,
-    "keep": agents.keep,
-    "push": hub.push,
-    "pull": hub.pull,
-    "record": agents.record,
-    "export": dataset.export,
-    "level": levels.level,
-    "replay": levels.replay,
-    "overlap": levels.overlap,
-    "agency": agents.agency,
-    "explain": insight.explain,
-    "art": art.art,
-    "cache": cache.cache,
-    "import": published.import_,
-    "agents": published.agents,
-    "bench": experiments.bench,
+    "list": "experiments:list_",
+    "play": "levels:play",
+    "lab": "lab:lab",
+    "train": "agents:train",
+    "distil": "distil:distil",
+    "evaluate": "agents:evaluate",
+    "reproduce": "experiments:reproduce",
+    "sweep": "sweep:sweep",
+    "keep": "agents:keep",
+    "push": "hub:push",
+    "pull": "hub:pull",
+    "record": "agents:record",
+    "export": "dataset:export",
+    "level": "levels:level",
+    "replay": "levels:replay",
+    "overlap": "levels:overlap",
+    "agency": "agents:agency",
+    "explain": "insight:explain",
+    "art": "art:art",
+    "cache": "cache:cache",
+    "import": "published:import_",
+    "agents": "published:agents",
+    "bench": "experiments:bench",
 }
 
 
 def run() -> None:
     """Do what the command line says."""
-    if sys.argv[1:] == ["--version"]:
+    given = sys.argv[1:]
+    if given == ["--version"]:
         print(version("astray"))
-        return
+    elif given and given[0] in VERBS:
+        tyro.cli(find(given[0]), prog=f"astray {given[0]}", args=given[1:])
+    else:  # help is asked for, or there is no such verb
+        tyro.extras.subcommand_cli_from_dict(
+            {name: find(name) for name in VERBS},
+            prog="astray",
+            description="Find out which goal a trained agent really pursues.",
+        )
+
+
+def find(name: str) -> Callable[..., Any]:
+    """What a verb does; settings of a training have the defaults of the preset asked for."""
+    module, _, function = VERBS[name].partition(":")
+    verb = getattr(import_module(f"astray.cli.{module}"), function)
+    if name not in ("train", "sweep"):
+        return verb
+    from astray.training.config import PRESETS
+
     # The preset gives the other settings their defaults, so it is read before them.
     first = argparse.ArgumentParser(add_help=False, allow_abbrev=False, exit_on_error=False)
     first.add_argument("--preset", nargs="?")
     preset = first.parse_known_args()[0].preset
-    defaults = PRESETS.get(preset, PRESETS["small"])  # tyro refuses an unknown one
-    verbs = VERBS | {
-        "train": functools.partial(agents.train, config=defaults),
-        "sweep": functools.partial(sweep.sweep, config=defaults),
-    }
-    tyro.extras.subcommand_cli_from_dict(
-        verbs, prog="astray", description="Find out which goal a trained agent really pursues."
-    )
+    # tyro refuses an unknown one
+    return functools.partial(verb, config=PRESETS.get(preset, PRESETS["small"]))

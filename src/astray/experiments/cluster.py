@@ -9,8 +9,8 @@ from concurrent.futures import Future
 from pathlib import Path
 
 from astray.training import checkpoint
-from astray.training.config import Config
-from astray.training.track import Tracking, train_tracked
+from astray.training.config import Config, Tracking
+from astray.training.track import train_tracked
 
 RETRIES = 20  # of a training whose node or process died; each goes on from its last checkpoint
 PATIENCE = 300.0  # seconds: a file server may hold a dead node's lock for minutes

@@ -31,9 +31,8 @@ from astray.files import hold, read, see_free, write_aside
 from astray.game import OWN
 from astray.kernel.jit import source_digest
 from astray.training import checkpoint
-from astray.training.config import Config
+from astray.training.config import Config, Tracking
 from astray.training.teacher import give
-from astray.training.track import Tracking
 
 PLAN = "plan.json"  # what is first written to a report's folder
 # The sources of what agents do, and of what is computed of it.

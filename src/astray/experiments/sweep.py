@@ -38,8 +38,7 @@ from astray.experiments.workers import Place, train_all
 from astray.files import hold, see_free, write_aside
 from astray.game import Variant
 from astray.kernel.jit import source_digest
-from astray.training.config import SEEDS, Config
-from astray.training.track import Tracking
+from astray.training.config import SEEDS, Config, Tracking
 
 KNOB = "variant."  # before the name of a knob of the variant
 SHORT = {"lr": "learning_rate"}

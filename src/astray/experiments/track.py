@@ -11,7 +11,8 @@ from astray.analysis.outcomes import load_shift
 from astray.analysis.runs import evaluate_runs, open_run, shift_of
 from astray.experiments.films import film
 from astray.experiments.report import Findings, Heading
-from astray.training.track import Tracker, Tracking, label
+from astray.training.config import Tracking
+from astray.training.track import Tracker, label
 
 LEVELS = 200  # that an agent is evaluated on for its tracker
 FILM = "episode.gif"

@@ -24,9 +24,9 @@ from rich.table import Table
 from astray.envs.pool import usable_processors
 from astray.experiments.cluster import Submit, on_ray
 from astray.training import checkpoint
-from astray.training.config import Config
+from astray.training.config import Config, Tracking
 from astray.training.log import METRICS, measured
-from astray.training.track import Tracking, train_tracked
+from astray.training.track import train_tracked
 
 SECONDS, QUIET = 0.5, 60.0  # from one look at the runs to the next; from line to line
 TAIL = 4096  # bytes of metrics.jsonl in which its last line is

@@ -13,7 +13,7 @@ from typing import Annotated, Any, Literal
 from tyro.conf import Positional, Suppress
 
 from astray import games, imports
-from astray.agents.policy import check_network, renamed_network
+from astray.agents.names import check_network, renamed_network
 from astray.bounds import shown
 from astray.game import LEVELS, MOST, MOST_EDITS, OWN, Game, Mutation, Variant
 
@@ -37,6 +37,7 @@ RANGES = (
 
 
 SAMPLERS = ("uniform", "mixed", "plr", "accel")  # of levels, astray's own
+Tracking = Literal["wandb", "trackio"]  # who else is told of a training
 Schedule = Literal["throughout", "early", "late", "annealed"]
 Score = Literal["regret", "max-monte-carlo", "positive-value-loss"]
 

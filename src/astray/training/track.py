@@ -13,15 +13,14 @@ import uuid
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 from astray.files import read, write_aside
 from astray.training import checkpoint
-from astray.training.config import Config
+from astray.training.config import Config, Tracking
 from astray.training.loop import Iteration, iterate
 from astray.words import check_word
 
-Tracking = Literal["wandb", "trackio"]
 PROJECT = "astray"
 IDS = "track.json"  # of a run's folder: by which each tracker knows it, also after a stop
 LARGEST = 10_000  # bytes of it

@@ -10,7 +10,7 @@ import torch
 from torch import Tensor, nn
 
 from astray import imports
-from astray.agents import policy
+from astray.agents.names import NETWORKS
 from astray.agents.policy import Architecture
 from astray.bounds import of_kind
 from astray.memory import check_memory
@@ -70,7 +70,7 @@ class Trainer:
             config.scale, config.width,
         )  # fmt: skip
         # The user's own words: what they name may be imported.
-        own = config.network in policy.NETWORKS
+        own = config.network in NETWORKS
         build = network or (Architecture.build if own else imports.find(config.network))
         self._check_memory(build)
         with torch.random.fork_rng(devices=[]):
