@@ -7,11 +7,12 @@ from __future__ import annotations
 
 from dataclasses import asdict
 
+import numpy as np
 import polars as pl
 
 from astray.analysis import video
 from astray.analysis.estimates import Estimate, bootstrap
-from astray.analysis.outcomes import load_shift, matrix, shares
+from astray.analysis.outcomes import MISGENERALIZED, load_shift, matrix, shares
 from astray.analysis.policies import Walk
 from astray.analysis.runs import open_run
 from astray.experiments import figures
@@ -32,6 +33,12 @@ def share(episodes: pl.DataFrame, test: str, outcome: str, *, minus: str | None 
     if minus:
         value -= (pl.col("outcome") == minus).cast(pl.Float64)
     return bootstrap(matrix(part, value))
+
+
+def astray(work: Work, test: str, agent: str) -> np.ndarray:
+    """Whether the proxy came first, [agents, levels], in a test's levels that tell goals apart."""
+    played = work.episodes.filter("tells_apart", policy=AGENTS, test=test, agent=agent)
+    return matrix(played, pl.col("outcome") == MISGENERALIZED)
 
 
 def outcome_tables(work: Work) -> tuple[Table, Table]:

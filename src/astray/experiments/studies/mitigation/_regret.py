@@ -108,11 +108,6 @@ def telling(work: Work, agent: str) -> pl.DataFrame:
     return work.episodes.filter("tells_apart", policy=AGENTS, test=TESTED, agent=agent)
 
 
-def astray(work: Work, agent: str) -> np.ndarray:
-    """Which of those go to the proxy first, [agents, levels]."""
-    return matrix(telling(work, agent), pl.col("outcome") == MISGENERALIZED)
-
-
 def by_share(work: Work) -> pl.DataFrame:
     """Columns method, share, what (an outcome, or the return), mean, low, high, agents, levels."""
     values = {
@@ -145,15 +140,15 @@ def in_buffers(work: Work) -> pl.DataFrame:
 
 def claims(work: Work, buffers: pl.DataFrame) -> list[Claim]:
     """The claims of the paper's abstract, with bounds that were set before any run."""
-    dr = {share: astray(work, name_of(DR, share)) for share in SHARES}
+    dr = {share: outcomes.astray(work, TESTED, name_of(DR, share)) for share in SHARES}
 
     def gain(method: str, share: float) -> Estimate:
-        return bootstrap(dr[share] - astray(work, name_of(method, share)))
+        return bootstrap(dr[share] - outcomes.astray(work, TESTED, name_of(method, share)))
 
     seldom = bootstrap(dr[MANY])
     amplified = buffers.filter(pl.col("method") != DR, share=SOME)["amplified"].to_list()
     least = min(amplified)
-    without = [bootstrap(astray(work, name_of(method, 0.0))) for method in METHODS]
+    without = [bootstrap(outcomes.astray(work, TESTED, name_of(method, 0.0))) for method in METHODS]
     lowest = min(without, key=lambda estimate: estimate.low)
     percent = f"{100 * FEW:g}\u00a0%", f"{100 * SOME:g}\u00a0%", f"{100 * MANY:g}\u00a0%"
     return [

@@ -5,10 +5,10 @@ from dataclasses import replace
 import polars as pl
 
 from astray.analysis.estimates import bootstrap
-from astray.analysis.outcomes import INTENDED, MISGENERALIZED, matrix
+from astray.analysis.outcomes import INTENDED
 from astray.experiments import outcomes
 from astray.experiments.claims import Claim, holds_above, rounded
-from astray.experiments.outcomes import AGENTS, share
+from astray.experiments.outcomes import share
 from astray.experiments.report import Findings
 from astray.experiments.spec import Experiment, Plan, Work, tests_of
 from astray.training.config import PRESETS
@@ -23,11 +23,7 @@ def find(work: Work) -> Findings:
     """What agents pursue whose few telling levels came at other times."""
     train, test = work.plan.tests
     tables = outcomes.outcome_tables(work)
-    episodes = work.episodes.filter("tells_apart", policy=AGENTS, test=test)
-    wrong = {
-        name: matrix(episodes.filter(agent=name), pl.col("outcome") == MISGENERALIZED)
-        for name in work.plan.agents
-    }
+    wrong = {name: outcomes.astray(work, test, name) for name in work.plan.agents}
     late, early = bootstrap(wrong[EARLY] - wrong[LATE]), bootstrap(wrong[NEVER] - wrong[EARLY])
     told = ", ".join(f"{name} {rounded(bootstrap(x).mean)}" for name, x in wrong.items())
     poorest = min(

@@ -2,13 +2,11 @@
 
 from dataclasses import replace
 
-import polars as pl
-
 from astray.analysis.estimates import bootstrap
-from astray.analysis.outcomes import INTENDED, MISGENERALIZED, matrix
+from astray.analysis.outcomes import INTENDED
 from astray.experiments import outcomes
 from astray.experiments.claims import holds_above, rounded
-from astray.experiments.outcomes import AGENTS, share
+from astray.experiments.outcomes import share
 from astray.experiments.report import Findings
 from astray.experiments.spec import Experiment, Plan, Work, tests_of
 from astray.experiments.studies.maze.maze_corner import PIXELS
@@ -21,11 +19,7 @@ def find(work: Work) -> Findings:
     """What mice of both networks go to."""
     train, test = work.plan.tests
     tables = outcomes.outcome_tables(work)
-    apart = work.episodes.filter("tells_apart", policy=AGENTS, test=test)
-    corner = {
-        name: matrix(apart.filter(agent=name), pl.col("outcome") == MISGENERALIZED)
-        for name in work.plan.agents
-    }
+    corner = {name: outcomes.astray(work, test, name) for name in work.plan.agents}
     pooled = share(work.episodes.filter(agent=POOLED), train, INTENDED)
     return Findings(
         answer="In levels that tell the goals apart, mice whose last layer sees each place for "
