@@ -19,7 +19,7 @@ import numpy as np
 from gymnasium.utils.env_checker import check_env, data_equivalence
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
 
-from astray.envs.compiled import compiled
+from astray.envs.compiled import compiled_loop
 from astray.envs.single import GameEnv
 from astray.envs.vector import GameVectorEnv
 from astray.game import NEVER, OWN, Game, Variant
@@ -237,7 +237,7 @@ def check_compiled_once(game: Game, variant: Variant) -> None:
         env.reset(seed=0)
         env.step(np.zeros(2, np.int64))
         env.picture(100)
-    loop = compiled(game)
+    loop = compiled_loop(game)
     assert len(getattr(loop, "signatures", [0])) == 1, f"compiled for {loop.signatures}"  # pyright: ignore
 
 

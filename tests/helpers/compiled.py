@@ -7,7 +7,7 @@ import numpy as np
 
 from astray import games
 from astray.art import original
-from astray.envs.compiled import compiled
+from astray.envs.compiled import compiled_loop
 from astray.envs.vector import GameVectorEnv
 from astray.game import OWN
 from astray.training.fast import fused, sparse
@@ -18,7 +18,7 @@ def main() -> None:
     for name in games.OWN:
         game = games.find(name)
         for art in arts:
-            compiled(game, art)
+            compiled_loop(game, art)
         env = GameVectorEnv(game, game.benchmark.variant, observation="symbolic")
         env.reset(seed=0)
         for goal in game.goals:
@@ -26,8 +26,8 @@ def main() -> None:
         if game.mutation:
             seeds = np.zeros(1, np.uint32)
             game.mutation.mutate(env.get_state(), env.variant, seeds, 1, "constant")
-    fused.compiled()
-    sparse.compiled()
+    fused.ensure_compiled()
+    sparse.ensure_compiled()
 
 
 if __name__ == "__main__":

@@ -14,8 +14,8 @@ TINY = replace(
     validation="anywhere-small", num_envs=16, num_steps=16, minibatches=4, steps=1024,
     validation_every=1, checkpoint_every=2, width=16,
 )  # fmt: skip
-OFF = {"fused_cpu": False, "bfloat16": False, "channels_last": False, "compiled": False,
-       "graphs": False, "groups": 1}  # fmt: skip
+OFF = {"fused_cpu": False, "bfloat16": False, "channels_last": False, "compile": False,
+       "cudagraphs": False, "groups": 1}  # fmt: skip
 PLAIN = replace(TINY, validation=None, **OFF)
 PICTURES = replace(
     PRESETS["paper"], game="coinrun", variant="coin-end", num_envs=4, num_steps=8,

@@ -18,8 +18,8 @@ from astray.training.trainer import Trainer
 from helpers.fake_cuda import cuda
 from helpers.trainings import OFF, PICTURES, PLAIN, digest
 
-GRAPHS = replace(PLAIN, device="cuda", graphs=True, steps=1024, checkpoint_every=1)
-ALL = replace(PICTURES, device="cuda", **dict.fromkeys(OFF) | {"compiled": False})
+GRAPHS = replace(PLAIN, device="cuda", cudagraphs=True, steps=1024, checkpoint_every=1)
+ALL = replace(PICTURES, device="cuda", **dict.fromkeys(OFF) | {"compile": False})
 
 
 def learned(config):
@@ -40,7 +40,7 @@ def learned(config):
 def test_graphs_learn_what_plain_calls_learn(config, monkeypatch):
     plain = learned(config)
     with cuda(monkeypatch) as pretended:
-        replayed = learned(replace(config, device="cuda", graphs=True))
+        replayed = learned(replace(config, device="cuda", cudagraphs=True))
     assert len(pretended.graphs) == 2
     assert all(torch.equal(a, b) for a, b in zip(plain, replayed, strict=True))
 
@@ -113,14 +113,14 @@ def test_the_benchmark_runs_on_a_gpu(monkeypatch):
 
 
 def test_a_gpu_learns_without_a_compiler_and_says_so(monkeypatch):
-    config = replace(ALL, compiled=None)
+    config = replace(ALL, compile=None)
     monkeypatch.setattr(acceleration, "find_spec", lambda name: True)
     monkeypatch.setenv("CC", "gcc")
     monkeypatch.setattr(acceleration.Path, "exists", lambda path: path.name == "Python.h")
-    assert resolve(config).compiled
+    assert resolve(config).compile
     monkeypatch.delenv("CC")
     monkeypatch.setattr(shutil, "which", lambda name: None)
-    assert not resolve(config).compiled
+    assert not resolve(config).compile
     with cuda(monkeypatch), pytest.warns(UserWarning, match="slower without torch.compile"):
         Trainer(config)
 
@@ -131,5 +131,5 @@ def test_a_process_compiles_for_more_agents_than_torch_lets_it(monkeypatch):
     monkeypatch.setattr(acceleration, "compiles", lambda name: True)
     monkeypatch.setattr(limits, "recompile_limit", 1)
     for width in (8, 9, 10):
-        trainer = Trainer(replace(PLAIN, compiled=True, width=width))
+        trainer = Trainer(replace(PLAIN, compile=True, width=width))
         collect(trainer)

@@ -33,27 +33,27 @@ def iteration(config):
 
 def test_what_suits_a_cpu():
     suits = resolve(TINY)
-    assert suits.fused_cpu and not (suits.channels_last or suits.compiled or suits.graphs)
+    assert suits.fused_cpu and not (suits.channels_last or suits.compile or suits.cudagraphs)
     assert suits.groups == 1
     assert not any(vars(resolve(replace(PRESETS["paper"], **OFF)))[name] for name in list(OFF)[:5])
 
 
 def test_what_suits_a_gpu():
     suits = resolve(replace(PRESETS["paper"], device="cuda"))
-    assert suits.bfloat16 and suits.channels_last and suits.graphs and suits.groups == 2
+    assert suits.bfloat16 and suits.channels_last and suits.cudagraphs and suits.groups == 2
     assert not suits.fused_cpu
     off = resolve(replace(PRESETS["paper"], **OFF, device="cuda"))
-    assert not (off.bfloat16 or off.channels_last or off.compiled or off.graphs)
+    assert not (off.bfloat16 or off.channels_last or off.compile or off.cudagraphs)
 
 
 @pytest.mark.parametrize(
     "change, message",
     [
-        ({"graphs": True}, "graphs must be off with device='cpu'"),
+        ({"cudagraphs": True}, "cudagraphs must be off with device='cpu'"),
         ({"channels_last": True}, "channels_last must be off with .* network='mlp'"),
         ({"groups": 3}, "16 environments are not divided into 3 groups"),
         ({"groups": 0}, "groups must be from 1 to 2147483647; got 0"),
-        ({"graphs": 1}, "graphs must be of type bool; got 1"),
+        ({"cudagraphs": 1}, "cudagraphs must be of type bool; got 1"),
     ],
 )
 def test_what_is_not_there_is_explained(change, message):
@@ -63,9 +63,9 @@ def test_what_is_not_there_is_explained(change, message):
 
 def test_without_a_compiler_nothing_is_compiled(monkeypatch):
     monkeypatch.setattr(shutil, "which", lambda name: None)
-    assert not resolve(PLAIN).compiled
-    with pytest.raises(ValueError, match="compiled must be off"):
-        resolve(replace(PLAIN, compiled=True))
+    assert not resolve(PLAIN).compile
+    with pytest.raises(ValueError, match="compile must be off"):
+        resolve(replace(PLAIN, compile=True))
 
 
 def test_groups_play_what_all_play_together():
@@ -106,7 +106,7 @@ def test_the_compiled_loss_is_the_plain_one(monkeypatch):
     # All of torch.compile but its last step, machine code, which takes a minute or two.
     monkeypatch.setattr(torch, "compile", functools.partial(torch.compile, backend="aot_eager"))
     monkeypatch.setattr(torch._dynamo.config, "fail_on_recompile_limit_hit", True)
-    plain, compiled = (iteration(replace(PLAIN, compiled=on)) for on in (False, True))
+    plain, compiled = (iteration(replace(PLAIN, compile=on)) for on in (False, True))
     assert torch.equal(plain[1].action, compiled[1].action)
     torch.testing.assert_close(plain[2], compiled[2], atol=1e-4, rtol=1e-3)
     trainer, rollout = compiled[:2]
@@ -143,7 +143,9 @@ def test_what_a_warm_up_learned_is_undone():
 
 
 @ON_GPU
-@pytest.mark.parametrize("change", [{"graphs": True}, {"compiled": True}, {"groups": 2}], ids=str)
+@pytest.mark.parametrize(
+    "change", [{"cudagraphs": True}, {"compile": True}, {"groups": 2}], ids=str
+)
 def test_an_iteration_on_a_gpu_is_the_plain_one(change):
     config = replace(PICTURES, device="cuda", num_envs=32)
     plain, fast = iteration(config), iteration(replace(config, **change))

@@ -41,8 +41,8 @@ CONFIGS: dict[str, tuple[Config, ...]] = {
     "cuda": (replace(IMAGES, device="cuda", threads=8),),
     "mps": (replace(IMAGES, device="mps", num_steps=64),),
 }
-PLAIN = {"fused_cpu": False, "bfloat16": False, "channels_last": False, "compiled": False,
-         "graphs": False, "groups": 1}  # fmt: skip
+PLAIN = {"fused_cpu": False, "bfloat16": False, "channels_last": False, "compile": False,
+         "cudagraphs": False, "groups": 1}  # fmt: skip
 
 
 @dataclass(frozen=True)

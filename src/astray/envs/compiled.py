@@ -16,7 +16,7 @@ from astray.kernel.jit import entry, kernel, one_at_a_time, passing, shared, spe
 from astray.kernel.sources import digest_of
 
 
-def compiled(game: Game, art: str = OWN) -> Callable:
+def compiled_loop(game: Game, art: str = OWN) -> Callable:
     """`loops.run` of a game with that art, compiled or taken from the cache."""
     return _compiled(game, game.drawn(art).name)
 

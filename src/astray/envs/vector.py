@@ -15,7 +15,7 @@ from gymnasium.vector.utils import batch_space
 
 from astray import games
 from astray.bounds import bounded, of_kind, shown
-from astray.envs.compiled import compiled
+from astray.envs.compiled import compiled_loop
 from astray.envs.infos import Columns, Info, merged, objects
 from astray.envs.loops import AS_SET, DISABLED, NEXT_LEVEL, NEXT_STEP, NOTHING, SAME_STEP, STEP
 from astray.envs.pool import Pool, alone, most_threads
@@ -124,7 +124,7 @@ class GameVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         """Make what is no data of its own: pictures, compiled code, threads, views into arrays."""
         # Symbols are not drawn: no pictures are needed, whatever the art.
         art = OWN if self.symbolic else self.art
-        self._loop = compiled(self.game, art)
+        self._loop = compiled_loop(self.game, art)
         self._scene = (
             self.variant.records(),
             self.game.drawn(art).art(self.variant, 1 if self.symbolic else IMAGE),
@@ -347,7 +347,7 @@ def picture(
     game.variant(variant)
     bounded("pixels", pixels, *PICTURES)
     game.check(states, variant)
-    looks, loop = game.drawn(art), compiled(game, art)
+    looks, loop = game.drawn(art), compiled_loop(game, art)
     size = len(states) * 3 * pixels**2 + math.prod(looks.scene_shape(variant, pixels))
     check_memory(size, f"{len(states):,} pictures of {pixels} x {pixels} pixels")
     scene = np.empty((1, *looks.scene_shape(variant, pixels)), np.uint8)

@@ -18,7 +18,13 @@ from astray.bounds import shown
 from astray.game import LEVELS, MOST, MOST_EDITS, OWN, Game, Mutation, Variant
 
 # Settings as older run folders have them, and what they are called now.
-RENAMED = {"environments": "num_envs", "rollout": "num_steps", "kernels": "fused_cpu"}
+RENAMED = {
+    "environments": "num_envs",
+    "rollout": "num_steps",
+    "kernels": "fused_cpu",
+    "compiled": "compile",
+    "graphs": "cudagraphs",
+}
 MOST_STEPS = 10**15  # what the fastest machine does in a century
 SEEDS = 2**28  # every seed has streams of its own for training, validation, ...
 COUNTS = (
@@ -107,8 +113,8 @@ class Config:
     fused_cpu: bool | None = None  # our own kernels for the mlp and the loss, on a CPU
     bfloat16: bool | None = None  # for the large products; weights and losses stay float32
     channels_last: bool | None = None  # the layout of impala's weights and activations
-    compiled: bool | None = None  # by torch.compile, which fuses what is between the products
-    graphs: bool | None = None  # acting and learning from a minibatch are each a CUDA graph
+    compile: bool | None = None  # by torch.compile, which fuses what is between the products
+    cudagraphs: bool | None = None  # acting and learning from a minibatch are each a CUDA graph
     microbatch: int | None = None  # samples that a network of convolutions sees at once
     groups: int | None = None  # of environments: one steps while the device infers for another
 

@@ -93,7 +93,7 @@ class Trainer:
             if self.validation:
                 self.validator = Actor(self.fast, self.validation, config, 1)
         self._captured: Captured | None = None
-        graphs, rate = self.fast.using.graphs, config.learning_rate
+        graphs, rate = self.fast.using.cudagraphs, config.learning_rate
         self.optimizer = torch.optim.Adam(
             self.weights,
             torch.tensor(rate, device=config.device) if graphs else rate,  # graphs read it
@@ -132,7 +132,7 @@ class Trainer:
         self, function: Callable[[Tensor], dict[str, Tensor]], indices: Tensor
     ) -> dict[str, Tensor]:
         """`function(indices)`; with graphs the first call's function, replayed."""
-        if not self.fast.using.graphs:
+        if not self.fast.using.cudagraphs:
             return function(indices)
         if self._captured is None:
             self._captured = Captured(function, indices, state=self.learned)

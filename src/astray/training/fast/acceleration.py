@@ -50,8 +50,8 @@ class Acceleration:
     fused_cpu: bool = False
     bfloat16: bool = False
     channels_last: bool = False
-    compiled: bool = False
-    graphs: bool = False
+    compile: bool = False
+    cudagraphs: bool = False
     microbatch: int = 0  # 0: all that there is
     groups: int = 1
     together: bool = False  # cut-off episodes are valued at once, which rounds otherwise
@@ -60,12 +60,12 @@ class Acceleration:
     def of_network(self) -> bool:
         """Whether the network is computed otherwise than as it is written."""
         by_parts = self.microbatch > 0
-        return self.fused_cpu or self.bfloat16 or self.channels_last or self.compiled or by_parts
+        return self.fused_cpu or self.bfloat16 or self.channels_last or self.compile or by_parts
 
     @property
     def of_playing(self) -> bool:
         """Whether `actor.collect` plays, instead of `loop.collect`."""
-        return self.graphs or self.together or self.groups > 1
+        return self.cudagraphs or self.together or self.groups > 1
 
 
 @contextlib.contextmanager
@@ -114,8 +114,8 @@ def resolve(config: Config, ours: bool = True) -> Acceleration:
         fused_cpu,
         bfloat16=_settled("bfloat16", config, ours, suits=(cuda and not old) or (native and large)),
         channels_last=_settled("channels_last", config, ours and layout, suits=cuda),
-        compiled=_settled("compiled", config, ours and compiler, suits=cuda),
-        graphs=_settled("graphs", config, of_ppo and cuda),
+        compile=_settled("compile", config, ours and compiler, suits=cuda),
+        cudagraphs=_settled("cudagraphs", config, of_ppo and cuda),
         microbatch=microbatch(config, ours and cpu and config.network != "mlp"),
         groups=groups(config),
         together=fused_cpu or cuda,
@@ -187,7 +187,7 @@ def accelerate(
             f"training runs the {other} as it is written, which takes longer: astray.training.fast "
             "computes another", stacklevel=2,
         )  # fmt: skip
-    elif config.device == "cuda" and config.compiled is None and not using.compiled:
+    elif config.device == "cuda" and config.compile is None and not using.compile:
         warnings.warn(
             "learning is slower without torch.compile, which needs Triton, a C compiler and "
             "Python's headers", stacklevel=2,
@@ -259,7 +259,7 @@ class Model:
             network.to(memory_format=torch.channels_last)  # pyright: ignore
         self.outputs: Callable = self.__call__
         self.loss: Callable = self._loss
-        if using.compiled:  # not the whole update: torch breaks graphs at the optimizer
+        if using.compile:  # not the whole update: torch breaks graphs at the optimizer
             # A process may train more agents of different shapes than torch allows a function.
             limits: Any = torch._dynamo.config
             limits.recompile_limit = limits.accumulated_recompile_limit

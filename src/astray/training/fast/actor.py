@@ -59,7 +59,7 @@ class Actor:
         seen.copy_(self.player.images[where], non_blocking=later)
         noise = self.noise[min(t, len(self.noise) - 1), where]
         if self._act is None:
-            graphs = self.fast.using.graphs
+            graphs = self.fast.using.cudagraphs
             self._act = Captured(self._infer, seen, noise) if graphs else self._infer
         action, log_probability, value = self._act(seen, noise)
         self.action[slot, where] = action

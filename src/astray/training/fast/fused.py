@@ -29,7 +29,7 @@ class Loss(torch.autograd.Function):
     ) -> tuple[Tensor, Tensor]:
         """weights: the clip range, the weights of the value's loss and of the entropy."""
         grad, parts = torch.empty_like(outputs), torch.zeros(len(PARTS), dtype=torch.float64)
-        compiled()
+        ensure_compiled()
         shapes = {tuple(x.shape) for name, x in vars(minibatch).items() if name != "observation"}
         if shapes != {(len(outputs),)}:
             raise ValueError(f"samples must be [{len(outputs)}], as outputs are; got {shapes}")
@@ -52,7 +52,7 @@ class Loss(torch.autograd.Function):
 
 
 @functools.cache
-def compiled() -> None:
+def ensure_compiled() -> None:
     """Compile the kernel for the types to come, or take it from the cache."""
     table, column = np.empty((0, 2), np.float32), np.empty(0, np.float32)
     with one_at_a_time():

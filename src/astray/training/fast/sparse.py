@@ -98,13 +98,13 @@ def _found(planes: Tensor, spread: CircleEmbedding) -> tuple[np.ndarray, np.ndar
     most = 2 * np.count_nonzero(given) + TOGETHER * len(given)
     ends = np.empty(len(given) + 1, np.int64)
     rows, values = np.empty(most, np.int64), np.empty(most, np.float32)
-    compiled()
+    ensure_compiled()
     find(given, spread.flags, spread.circle.numpy(), ends, rows, values)
     return ends, rows, values
 
 
 @functools.cache
-def compiled() -> None:
+def ensure_compiled() -> None:
     """Compile the kernels for the types to come, or take them from the cache."""
     with one_at_a_time():
         ends, rows = np.zeros(1, np.int64), np.empty(0, np.int64)
