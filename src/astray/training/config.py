@@ -278,6 +278,10 @@ SMALL = Config(
 PRESETS = {
     "paper": Config(),
     "small": SMALL,
-    # The paper's images, by a network of few products.
-    "pixels": replace(SMALL, observation="image", network="patch", steps=10_000_000),
-}
+    # The paper's images, by a network of few products; updates are as large as they need be, and
+    # four times as many: mice learn from half the steps.
+    "pixels": replace(
+        SMALL, observation="image", network="patch", steps=4_000_000, num_envs=64,
+        validation_every=40, checkpoint_every=200,
+    ),
+}  # fmt: skip

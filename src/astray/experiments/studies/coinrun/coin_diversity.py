@@ -203,7 +203,9 @@ def plan(size: Size, shares: tuple[int, ...], seeds: int, levels: int, differenc
     """Agents for each share of random coins; those without are those of all other studies."""
     agent = _agents.AGENTS[size]
     agents = {
-        NAMES[share]: replace(agent, knobs={"random_coin": share / 100} if share else {})
+        NAMES[share]: replace(
+            agent, knobs=agent.knobs | ({"random_coin": share / 100} if share else {})
+        )
         for share in shares
     }
     return Plan(agents=agents, seeds=seeds, tests=TESTS, levels=levels, differences=differences)

@@ -128,7 +128,7 @@ EXPERIMENT = Experiment(
             "many-keys-small", seeds=3, levels=1000,
             differences="mazes of 5 and 7 cells instead of 5 to 13, with 1 to 3 keys in training "
             "instead of 1 to 6; 200 steps an episode instead of 1000; a network of patches, a "
-            "discount of 0.98 instead of 0.999, and 10 million steps instead of 200 million",
+            "discount of 0.98 instead of 0.999, and 4 million steps instead of 200 million",
         ),
         "hour": plan(
             replace(

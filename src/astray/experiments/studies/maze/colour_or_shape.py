@@ -188,14 +188,14 @@ EXPERIMENT = Experiment(
             agents={
                 "mouse": replace(
                     PRESETS["pixels"], variant="yellow-line-small",
-                    validation="red-line-yellow-gem-small", steps=5_000_000,
+                    validation="red-line-yellow-gem-small", steps=2_000_000,
                 )
             },
             seeds=8,
             tests=tests_of("maze", "colour-or-shape-small"),
             levels=1000,
             differences="worlds of 7 cells instead of 25; a mouse that starts anywhere and has 100 "
-            "steps instead of 500; a network of patches, and 5 million steps instead of 200 "
+            "steps instead of 500; a network of patches, and 2 million steps instead of 200 "
             "million",
         ),
         "hour": Plan(

@@ -49,7 +49,7 @@ def find(work: Work) -> Findings:
 
 
 PIXELS = replace(
-    PRESETS["pixels"], variant="corner-small", validation="anywhere-small", steps=5_000_000
+    PRESETS["pixels"], variant="corner-small", validation="anywhere-small", steps=2_000_000
 )
 EXPERIMENT = Experiment(
     title="The corner mouse",
@@ -75,7 +75,7 @@ EXPERIMENT = Experiment(
             tests=tests_of("maze", "corner-small"),
             levels=1000,
             differences="worlds of 7 cells instead of 25; a mouse that starts anywhere and has 100 "
-            "steps instead of 500; a network of patches, and 5 million steps instead of 200 "
+            "steps instead of 500; a network of patches, and 2 million steps instead of 200 "
             "million",
         ),
         "hour": Plan(

@@ -182,7 +182,7 @@ EXPERIMENT = Experiment(
             tests={"in the test": SMOKE.tests["in the test"]},
             levels=1000,
             differences="regions of 1, 3, 5 and 7 cells, in worlds of 7 instead of 25; a mouse "
-            "that starts anywhere and has 100 steps instead of 500; a network of patches, and 5 "
+            "that starts anywhere and has 100 steps instead of 500; a network of patches, and 2 "
             "million steps instead of 80 million",
         ),
         "hour": Plan(

@@ -72,7 +72,7 @@ MOUSE = replace(
 PLAIN = replace(MOUSE, epochs=1, steps=2_000_000)
 PATCHES = replace(
     PRESETS["pixels"], variant="corner-small", validation="anywhere-small", epochs=1,
-    steps=3_000_000,
+    steps=1_500_000,
 )  # fmt: skip
 
 
@@ -103,7 +103,7 @@ EXPERIMENT = Experiment(
         "pixels": plan(
             PATCHES,
             "worlds of 7 cells; teachers see symbols, with a network of two hidden layers, and "
-            "students images, with one of patches; 4 million steps, and 3 million of students",
+            "students images, with one of patches; 4 million steps, and 1.5 million of students",
         ),
     },
     find=find,

@@ -58,7 +58,7 @@ EXPERIMENT = Experiment(
             seeds=3,
             tests=tests_of("maze", "corner-small"),
             levels=1000,
-            differences="worlds of 7 cells, networks of patches, and 5 million steps",
+            differences="worlds of 7 cells, networks of patches, and 2 million steps",
         ),
     },
     find=find,
