@@ -1,21 +1,18 @@
 """What an attack found, by class: each of these ended in something else than a sentence before."""
 
-import contextlib
 import http.server
 import json
 import os
 import shutil
 import stat
-import subprocess
 import sys
 import threading
 from dataclasses import replace
 
 import numpy as np
 import pytest
-import torch
 
-from astray import cli, games
+from astray import games
 from astray.agency import measure
 from astray.agency.gridworld import World
 from astray.agents import policy
@@ -31,16 +28,12 @@ from astray.analysis.evaluate import evaluate
 from astray.analysis.policies import Random
 from astray.analysis.runs import evaluate_policies, evaluate_runs, load_agent
 from astray.analysis.video import play, write_gif
-from astray.cli import LONGEST, shortened
 from astray.envs.states import save_states
 from astray.envs.vector import GameVectorEnv
 from astray.files import read, see_writable, write_aside
 from astray.level import Level
-from astray.training import checkpoint, ppo
 from astray.training.config import PRESETS
-from astray.training.loop import Diverged, improve, train
-from astray.training.trainer import Trainer
-from astray.words import printable
+from astray.training.loop import train
 from helpers.cases import FEW
 
 MAZE = games.find("maze")
@@ -110,81 +103,6 @@ def test_a_solver_takes_no_memory_for_time_that_nobody_needs():
     assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 1_000_000
 
 
-# Trainings that diverge; networks and losses that are none.
-
-
-def nan(network, batch, config):
-    losses = ppo.loss(network, batch, config)
-    grown = losses["entropy"].detach().isnan() | (batch.observation.sum() >= 0)
-    return losses | {"loss": torch.where(grown, torch.nan, 1.0) * losses["loss"]}
-
-
-def test_a_training_that_diverges_stops_and_keeps_its_checkpoints(tmp_path):
-    config = replace(TINY, steps=32 * 100, learning_rate=1e37, checkpoint_every=1)
-    with pytest.raises(Diverged, match=r"update [0-9]+ of 100.*lower learning_rate .1e\+37"):
-        train(config, tmp_path, progress=False)
-    for steps in checkpoint.steps_saved(tmp_path):
-        load_agent(tmp_path / "checkpoints" / str(steps))
-    assert all(np.isfinite(list(row.values())).all() for row in checkpoint.metrics(tmp_path))
-
-
-@pytest.mark.filterwarnings("ignore:training runs")
-def test_a_loss_that_is_no_number_stops_a_training(tmp_path):
-    with pytest.raises(Diverged, match="in update 1 of 6, at 32 steps"):
-        train(TINY, tmp_path, loss=nan, progress=False)
-    assert not checkpoint.steps_saved(tmp_path)
-
-
-class OneColumn(MLP):
-    def __init__(self, a):
-        super().__init__(a.shape, list(a.largest), a.actions, a.width)
-
-    def forward(self, x):
-        logits, values = super().forward(x)
-        return logits, values[:, None]
-
-
-class Alone(OneColumn):
-    def forward(self, x):
-        return super().forward(x)[0]
-
-
-@pytest.mark.filterwarnings("ignore:training runs")
-@pytest.mark.parametrize("network", [OneColumn, Alone])
-def test_a_network_that_returns_something_else_is_refused(tmp_path, network):
-    with pytest.raises(ValueError, match=r"must return logits \(4, 15\) and values \(4,\); got"):
-        train(TINY, tmp_path, network=network, progress=False)
-
-
-def nothing(network, batch, config):
-    return None
-
-
-def constant(network, batch, config):
-    return {"loss": torch.zeros(())}
-
-
-def unnamed(network, batch, config):
-    return {"policy": ppo.loss(network, batch, config)["loss"]}
-
-
-@pytest.mark.filterwarnings("ignore:training runs")
-@pytest.mark.parametrize("loss", [nothing, constant, unnamed])
-def test_a_loss_that_returns_something_else_is_refused(tmp_path, loss):
-    with pytest.raises(ValueError, match="a loss must return tensors of one number by name"):
-        train(TINY, tmp_path, loss=loss, progress=False)
-
-
-@pytest.mark.parametrize("wrong", [{"RANK": "x"}, {"WORLD_SIZE": "many"}, {"MASTER_PORT": "y"}])
-def test_what_torchrun_did_not_set_is_told(tmp_path, monkeypatch, wrong):
-    good = {"TORCHELASTIC_RUN_ID": "1", "RANK": "0", "WORLD_SIZE": "1",
-            "MASTER_ADDR": "127.0.0.1", "MASTER_PORT": "1"}  # fmt: skip
-    for name, value in (good | wrong).items():
-        monkeypatch.setenv(name, value)
-    with pytest.raises(ValueError, match="must be as torchrun sets them in the environment"):
-        train(TINY, tmp_path, progress=False)
-
-
 # Files: pipes, devices, links, what is the user's beside what is astray's.
 
 
@@ -227,52 +145,6 @@ def test_a_folder_in_place_of_a_file_is_named_and_not_left_open(tmp_path):
         with pytest.raises(OSError, match=f"{tmp_path} must be a file"):
             read(tmp_path)
     assert not before or len(os.listdir("/dev/fd")) == before
-
-
-@pytest.mark.parametrize("target", ["a disk that is not there", "a file"])
-def test_checkpoints_that_lead_nowhere_are_not_begun_anew(run, target):
-    shutil.rmtree(run / "checkpoints")
-    (run.parent / "a file").write_text("mine")
-    (run / "checkpoints").symlink_to(run.parent / target)
-    metrics = (run / "metrics.jsonl").read_bytes()
-    with pytest.raises(NotADirectoryError, match="checkpoints must be a folder"):
-        train(TINY, run, progress=False)
-    assert (run / "metrics.jsonl").read_bytes() == metrics
-
-
-@pytest.fixture
-def begun(tmp_path):
-    """A run that is to go on from its first checkpoint."""
-    folder = tmp_path / "begun"
-    with checkpoint.claim(folder, TINY), contextlib.closing(Trainer(TINY)) as trainer:
-        for _ in range(TINY.checkpoint_every):
-            improve(trainer)
-        checkpoint.save(folder, trainer)
-    return folder
-
-
-def test_what_the_user_keeps_in_a_checkpoint_stays(begun):
-    notes = begun / "checkpoints" / "64" / "notes.txt"
-    notes.write_text("mine")
-    train(TINY, begun, progress=False)
-    assert notes.read_text() == "mine"
-
-
-def test_nothing_is_removed_through_a_link(begun, tmp_path):
-    elsewhere = tmp_path / "elsewhere"
-    shutil.move(begun / "checkpoints" / "64", elsewhere)
-    (begun / "checkpoints" / "64").symlink_to(elsewhere)
-    train(TINY, begun, progress=False)
-    assert sorted(path.name for path in elsewhere.iterdir()) == [
-        checkpoint.AGENT, checkpoint.TRAINER
-    ]  # fmt: skip
-
-
-@pytest.mark.parametrize("name", ["007", "99999999999999999999", "7"])
-def test_what_only_looks_like_a_checkpoint_is_none(begun, name):
-    (begun / "checkpoints" / name).write_text("mine")
-    train(TINY, begun, progress=False)
-    assert (begun / "checkpoints" / name).read_text() == "mine"
 
 
 @pytest.fixture
@@ -335,9 +207,14 @@ def test_a_file_has_nothing_called_that_is_no_network(name):
         architecture.build()
 
 
+class Own(MLP):
+    def __init__(self, a):
+        super().__init__(a.shape, list(a.largest), a.actions, a.width)
+
+
 def test_a_class_of_a_module_that_is_there_is_taken_from_a_file():
-    architecture = Architecture(f"{__name__}:OneColumn", (5, 7, 7), (1,) * 5, 15)
-    assert isinstance(architecture.build(), OneColumn)
+    architecture = Architecture(f"{__name__}:Own", (5, 7, 7), (1,) * 5, 15)
+    assert isinstance(architecture.build(), Own)
     assert policy.GROUP == "astray.networks"
 
 
@@ -423,59 +300,3 @@ def test_measures_are_seen(measures, message):
 def test_what_a_visit_is_given_is_seen(trained, given):
     with pytest.raises(ValueError, match="must be an integer from"):
         visit(load_agent(trained), "corner-small", LEVELS, **given)
-
-
-# What is told.
-
-
-def test_control_characters_are_shown_and_not_obeyed():
-    assert printable("a\x1b[2J\n\udcffé") == "a\\x1b[2J\\n\\udcffé"
-
-
-def test_a_mistake_is_told_in_a_few_lines():
-    told = shortened("x" * 10**6)
-    assert len(told) < LONGEST + 10 and " ... " in told
-    assert shortened("y" * LONGEST) == "y" * LONGEST
-
-
-@pytest.mark.skipif(os.name == "nt", reason="streams are closed otherwise")
-@pytest.mark.parametrize("words, code", [("--help", 0), ("nope", 2)])
-def test_help_that_nobody_can_read_is_no_mistake(words, code):
-    command = f"{sys.executable} -m astray {words} >&-"
-    done = subprocess.run(["bash", "-c", command], capture_output=True, text=True)
-    assert done.returncode == code and "Traceback" not in done.stderr
-
-
-def test_a_full_disk_is_told_in_a_line_by_threads_too(monkeypatch, capsys):
-    monkeypatch.setattr(threading, "excepthook", cli._tell_of_thread)
-    thread = threading.Thread(target=lambda: os.stat("/nowhere/at/all"))
-    thread.start()
-    thread.join()
-    told = capsys.readouterr().err
-    assert told.startswith("astray: [Errno 2]") and told.count("\n") == 1
-
-
-@pytest.mark.parametrize("name, content", [("[red]x", None), ("broken", "{}")])
-def test_the_list_has_the_others_where_one_agent_is_none(trained, tmp_path, name, content):
-    folder = tmp_path / name
-    folder.mkdir()
-    (folder / "config.json").write_text(content or (trained / "config.json").read_text())
-    listed = subprocess.run(
-        [sys.executable, "-m", "astray", "list"], capture_output=True, text=True,
-        env=os.environ | {"ASTRAY_AGENTS": str(tmp_path)},
-    )  # fmt: skip
-    assert listed.returncode == 0, listed.stderr
-    assert folder.name in listed.stdout and "maze-corner: maze" in listed.stdout
-
-
-@pytest.mark.parametrize(
-    "name, value",
-    [("NUM_THREADS", "0"), ("NUM_THREADS", "-1"), ("NUM_THREADS", "x"), ("COLOR_SCHEME", "pink")],
-)
-def test_a_variable_that_numba_does_not_take_is_left_out(name, value):
-    code = f"import os, astray; print(os.environ.get('NUMBA_{name}'))"
-    done = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True,
-        env=os.environ | {f"NUMBA_{name}": value},
-    )  # fmt: skip
-    assert done.stdout == "None\n" and f"NUMBA_{name} is '{value}', which numba" in done.stderr

@@ -1,0 +1,67 @@
+"""What the command tells, and how: in a line or a few, without control characters."""
+
+import json
+import os
+import subprocess
+import sys
+import threading
+
+import pytest
+
+from astray import cli
+from astray.cli import LONGEST, shortened
+from astray.training.config import Config
+from astray.words import printable
+
+
+def test_control_characters_are_shown_and_not_obeyed():
+    assert printable("a\x1b[2J\n\udcffé") == "a\\x1b[2J\\n\\udcffé"
+
+
+def test_a_mistake_is_told_in_a_few_lines():
+    told = shortened("x" * 10**6)
+    assert len(told) < LONGEST + 10 and " ... " in told
+    assert shortened("y" * LONGEST) == "y" * LONGEST
+
+
+@pytest.mark.skipif(os.name == "nt", reason="streams are closed otherwise")
+@pytest.mark.parametrize("words, code", [("--help", 0), ("nope", 2)])
+def test_help_that_nobody_can_read_is_no_mistake(words, code):
+    command = f"{sys.executable} -m astray {words} >&-"
+    done = subprocess.run(["bash", "-c", command], capture_output=True, text=True)
+    assert done.returncode == code and "Traceback" not in done.stderr
+
+
+def test_a_full_disk_is_told_in_a_line_by_threads_too(monkeypatch, capsys):
+    monkeypatch.setattr(threading, "excepthook", cli._tell_of_thread)
+    thread = threading.Thread(target=lambda: os.stat("/nowhere/at/all"))
+    thread.start()
+    thread.join()
+    told = capsys.readouterr().err
+    assert told.startswith("astray: [Errno 2]") and told.count("\n") == 1
+
+
+@pytest.mark.parametrize("name, content", [("[red]x", None), ("broken", "{}")])
+def test_the_list_has_the_others_where_one_agent_is_none(tmp_path, name, content):
+    folder = tmp_path / name
+    folder.mkdir()
+    (folder / "config.json").write_text(content or json.dumps(Config().to_json()))
+    listed = subprocess.run(
+        [sys.executable, "-m", "astray", "list"], capture_output=True, text=True,
+        env=os.environ | {"ASTRAY_AGENTS": str(tmp_path)},
+    )  # fmt: skip
+    assert listed.returncode == 0, listed.stderr
+    assert folder.name in listed.stdout and "maze-corner: maze" in listed.stdout
+
+
+@pytest.mark.parametrize(
+    "name, value",
+    [("NUM_THREADS", "0"), ("NUM_THREADS", "-1"), ("NUM_THREADS", "x"), ("COLOR_SCHEME", "pink")],
+)
+def test_a_variable_that_numba_does_not_take_is_left_out(name, value):
+    code = f"import os, astray; print(os.environ.get('NUMBA_{name}'))"
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True,
+        env=os.environ | {f"NUMBA_{name}": value},
+    )  # fmt: skip
+    assert done.stdout == "None\n" and f"NUMBA_{name} is '{value}', which numba" in done.stderr

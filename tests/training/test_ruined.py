@@ -1,0 +1,140 @@
+"""Trainings whose numbers, networks, losses, environment or folders are not as they must be."""
+
+import contextlib
+import shutil
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from astray.agents.mlp import MLP
+from astray.analysis.runs import load_agent
+from astray.training import checkpoint, ppo
+from astray.training.config import PRESETS
+from astray.training.loop import Diverged, improve, train
+from astray.training.trainer import Trainer
+
+TINY = replace(
+    PRESETS["small"], variant="corner-small", num_envs=4, num_steps=8, minibatches=2, epochs=1,
+    width=8, steps=192, levels=50, checkpoint_every=2,
+)  # fmt: skip
+
+
+def nan(network, batch, config):
+    losses = ppo.loss(network, batch, config)
+    grown = losses["entropy"].detach().isnan() | (batch.observation.sum() >= 0)
+    return losses | {"loss": torch.where(grown, torch.nan, 1.0) * losses["loss"]}
+
+
+def test_a_training_that_diverges_stops_and_keeps_its_checkpoints(tmp_path):
+    config = replace(TINY, steps=32 * 100, learning_rate=1e37, checkpoint_every=1)
+    with pytest.raises(Diverged, match=r"update [0-9]+ of 100.*lower learning_rate .1e\+37"):
+        train(config, tmp_path, progress=False)
+    for steps in checkpoint.steps_saved(tmp_path):
+        load_agent(tmp_path / "checkpoints" / str(steps))
+    assert all(np.isfinite(list(row.values())).all() for row in checkpoint.metrics(tmp_path))
+
+
+@pytest.mark.filterwarnings("ignore:training runs")
+def test_a_loss_that_is_no_number_stops_a_training(tmp_path):
+    with pytest.raises(Diverged, match="in update 1 of 6, at 32 steps"):
+        train(TINY, tmp_path, loss=nan, progress=False)
+    assert not checkpoint.steps_saved(tmp_path)
+
+
+class OneColumn(MLP):
+    def __init__(self, a):
+        super().__init__(a.shape, list(a.largest), a.actions, a.width)
+
+    def forward(self, x):
+        logits, values = super().forward(x)
+        return logits, values[:, None]
+
+
+class Alone(OneColumn):
+    def forward(self, x):
+        return super().forward(x)[0]
+
+
+@pytest.mark.filterwarnings("ignore:training runs")
+@pytest.mark.parametrize("network", [OneColumn, Alone])
+def test_a_network_that_returns_something_else_is_refused(tmp_path, network):
+    with pytest.raises(ValueError, match=r"must return logits \(4, 15\) and values \(4,\); got"):
+        train(TINY, tmp_path, network=network, progress=False)
+
+
+def nothing(network, batch, config):
+    return None
+
+
+def constant(network, batch, config):
+    return {"loss": torch.zeros(())}
+
+
+def unnamed(network, batch, config):
+    return {"policy": ppo.loss(network, batch, config)["loss"]}
+
+
+@pytest.mark.filterwarnings("ignore:training runs")
+@pytest.mark.parametrize("loss", [nothing, constant, unnamed])
+def test_a_loss_that_returns_something_else_is_refused(tmp_path, loss):
+    with pytest.raises(ValueError, match="a loss must return tensors of one number by name"):
+        train(TINY, tmp_path, loss=loss, progress=False)
+
+
+@pytest.mark.parametrize("wrong", [{"RANK": "x"}, {"WORLD_SIZE": "many"}, {"MASTER_PORT": "y"}])
+def test_what_torchrun_did_not_set_is_told(tmp_path, monkeypatch, wrong):
+    good = {"TORCHELASTIC_RUN_ID": "1", "RANK": "0", "WORLD_SIZE": "1",
+            "MASTER_ADDR": "127.0.0.1", "MASTER_PORT": "1"}  # fmt: skip
+    for name, value in (good | wrong).items():
+        monkeypatch.setenv(name, value)
+    with pytest.raises(ValueError, match="must be as torchrun sets them in the environment"):
+        train(TINY, tmp_path, progress=False)
+
+
+@pytest.fixture
+def begun(tmp_path):
+    """A run that is to go on from its first checkpoint."""
+    folder = tmp_path / "begun"
+    with checkpoint.claim(folder, TINY), contextlib.closing(Trainer(TINY)) as trainer:
+        for _ in range(TINY.checkpoint_every):
+            improve(trainer)
+        checkpoint.save(folder, trainer)
+    return folder
+
+
+def test_what_the_user_keeps_in_a_checkpoint_stays(begun):
+    notes = begun / "checkpoints" / "64" / "notes.txt"
+    notes.write_text("mine")
+    train(TINY, begun, progress=False)
+    assert notes.read_text() == "mine"
+
+
+def test_nothing_is_removed_through_a_link(begun, tmp_path):
+    elsewhere = tmp_path / "elsewhere"
+    shutil.move(begun / "checkpoints" / "64", elsewhere)
+    (begun / "checkpoints" / "64").symlink_to(elsewhere)
+    train(TINY, begun, progress=False)
+    assert sorted(path.name for path in elsewhere.iterdir()) == [
+        checkpoint.AGENT, checkpoint.TRAINER
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize("name", ["007", "99999999999999999999", "7"])
+def test_what_only_looks_like_a_checkpoint_is_none(begun, name):
+    (begun / "checkpoints" / name).write_text("mine")
+    train(TINY, begun, progress=False)
+    assert (begun / "checkpoints" / name).read_text() == "mine"
+
+
+@pytest.mark.parametrize("target", ["a disk that is not there", "a file"])
+def test_checkpoints_that_lead_nowhere_are_not_begun_anew(begun, target):
+    shutil.rmtree(begun / "checkpoints")
+    (begun.parent / "a file").write_text("mine")
+    (begun / "checkpoints").symlink_to(begun.parent / target)
+    metrics = begun / "metrics.jsonl"
+    metrics.write_text('{"steps": 64}\n')
+    with pytest.raises(NotADirectoryError, match="checkpoints must be a folder"):
+        train(TINY, begun, progress=False)
+    assert metrics.read_text() == '{"steps": 64}\n'
