@@ -38,7 +38,10 @@ class Pixels(ActorCritic):
         kind, device = self.policy.weight.dtype, observations.device.type
         if torch.is_autocast_enabled(device):  # what the first convolution would round to anyway
             kind = torch.get_autocast_dtype(device)
-        planes = observations.permute(0, 3, 1, 2).to(kind) / 255
+        planes = observations.permute(0, 3, 1, 2)
+        # In place where they are a copy: another one of a minibatch leaves the processor's caches.
+        whole = planes.dtype == torch.uint8
+        planes = planes.to(kind).div_(255) if whole else planes.to(kind) / 255
         return self.features(self.see(planes))
 
     def see(self, planes: Tensor) -> Tensor:
