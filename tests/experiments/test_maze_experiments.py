@@ -101,6 +101,16 @@ def test_shares_are_of_those_that_go_to_either():
     assert none["keeps_colour"].null_count() == 36
 
 
+def test_a_preference_flips_where_agents_surely_differ():
+    pairs = offered(lambda colour, shape: MISGENERALIZED)
+    told = colour_or_shape.flips(colour_or_shape.by_agent(pairs))
+    assert not told.held and "2 of 2 agents go to the gem, 0 to the line" in told.ours
+    seldom = pl.when(seed=1, outcome=MISGENERALIZED).then(pl.lit(INTENDED))
+    pairs = pairs.with_columns(outcome=seldom.otherwise("outcome"))
+    told = colour_or_shape.flips(colour_or_shape.by_agent(pairs))
+    assert told.held and "1 of 2 agents go to the gem, 1 to the line" in told.ours
+
+
 @pytest.mark.parametrize("sign, share", [(1, "100.0"), (-1, "0.0")])
 def test_near_codes_are_told_from_far_ones(sign, share):
     def outcome(colour, shape):
