@@ -3,6 +3,7 @@
 import pytest
 import torch
 
+from astray.agents import policy
 from astray.agents.impala import Impala
 from astray.agents.patch import Convolutions
 from astray.agents.policy import BUILDERS, Architecture
@@ -49,6 +50,7 @@ def test_they_need_a_fifth_of_the_papers_products_at_most(name):
     image = torch.zeros((1, *SHAPE), dtype=torch.uint8)
     times = 25 if name == "patch" else 5
     assert times * products(built(name), image) < products(Impala(SHAPE, 9), image) == 30_607_872
+    assert policy.products(built(name), SHAPE) == products(built(name), image)
 
 
 def test_pooled_places_are_all_alike():

@@ -12,6 +12,7 @@ import torch
 from safetensors import SafetensorError, safe_open
 from safetensors.torch import save
 from torch import Tensor, nn
+from torch.utils.flop_counter import FlopCounterMode
 
 from astray import imports
 from astray.agents.clear import Clear
@@ -141,6 +142,14 @@ def usable(device: str) -> bool:
     if device == "cuda":
         return torch.cuda.is_available()
     return device == "cpu" or torch.backends.mps.is_available()
+
+
+@torch.no_grad()
+def products(network: nn.Module, shape: tuple[int, ...], device: str = "cpu") -> int:
+    """How often weights are multiplied for one observation of that shape."""
+    with FlopCounterMode(display=False) as counter:
+        network(torch.zeros((1, *shape), dtype=torch.uint8, device=device))
+    return counter.get_total_flops() // 2  # which counts additions, too
 
 
 @torch.no_grad()

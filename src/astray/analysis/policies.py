@@ -11,6 +11,7 @@ import numpy as np
 import torch
 
 from astray.agents import policy as trained
+from astray.agents.names import NETWORKS
 from astray.bounds import of_kind
 from astray.envs.vector import GameVectorEnv
 from astray.game import OWN
@@ -22,6 +23,9 @@ Observation = Literal["image", "symbolic"]
 # Observations that a network is shown together: for a large one more are no sooner, and those that
 # a batch lacks to a multiple of it take their time, too.
 AT_ONCE = {"symbolic": 64, "image": 16}
+# Products of weights, of that many observations, for which a second thread costs more than it
+# saves: five times as much where other programs keep the processors busy.
+FEW = 200_000_000
 RANDOM_SALT = 2**32  # no agent has this seed, or a larger one
 
 
@@ -69,10 +73,16 @@ class Agent:
     art: str = OWN  # that it is shown
     network: torch.nn.Module = field(init=False, repr=False)
     architecture: trained.Architecture = field(init=False)
+    threads: int = field(init=False, repr=False)  # that `outputs` takes on a CPU
 
     def __post_init__(self) -> None:
         check_words(self)
         self.network, self.architecture = trained.load(self.path, self.game, self.device)
+        self.threads = torch.get_num_threads()
+        if self.architecture.name in NETWORKS:  # others may not bear to be tried
+            each = trained.products(self.network, self.architecture.shape, self.device)
+            if each * AT_ONCE[self.observation] < FEW:
+                self.threads = 1
 
     @property
     def name(self) -> str:
@@ -90,7 +100,12 @@ class Agent:
             raise ValueError(f"the agent sees observations of shape {known}, not {shown}")
         chunk = AT_ONCE[self.observation]
         shown_here = torch.from_numpy(observations).to(self.device)
-        return trained.outputs(self.network, shown_here, chunk)
+        before = torch.get_num_threads()
+        torch.set_num_threads(self.threads)
+        try:
+            return trained.outputs(self.network, shown_here, chunk)
+        finally:
+            torch.set_num_threads(before)
 
     def actions(self, env: GameVectorEnv, observations: np.ndarray) -> np.ndarray:
         if self.observation == "image" and env.art != self.art:
