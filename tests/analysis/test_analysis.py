@@ -56,6 +56,19 @@ def test_an_agent_for_other_observations_is_refused(agent_file):
         evaluate(Agent(agent_file, "maze"), "maze", "corner", [1])
 
 
+@pytest.mark.parametrize("network, alone", [("patch", True), ("impala", False)])
+def test_small_networks_are_asked_on_one_thread(tmp_path, network, alone):
+    architecture = Architecture(network, (64, 64, 3), (), 15)
+    path = tmp_path / "agent.safetensors"
+    path.write_bytes(weights(architecture.build(), architecture, "maze"))
+    before, agent = torch.get_num_threads(), Agent(path, "maze")
+    assert agent.threads == (1 if alone else before)
+    during = []
+    agent.network.register_forward_hook(lambda *_: during.append(torch.get_num_threads()))
+    agent.outputs(np.zeros((2, 64, 64, 3), np.uint8))
+    assert during == [agent.threads] and torch.get_num_threads() == before
+
+
 @pytest.mark.parametrize("goal", ["cheese", "corner"])
 def test_a_walk_takes_the_solvers_steps(goal):
     table = evaluate(Walk(goal), "maze", "anywhere", LEVELS)
