@@ -26,8 +26,8 @@ AGENTS: Mapping[Size, Config] = {
         PRESETS["small"], **ABOUT, width=128, gamma=0.99, entropy_weight=0.01, steps=10_000_000
     ),
     "pixels": replace(
-        PRESETS["pixels"], **ABOUT, knobs={"hazards": False}, gamma=0.99, entropy_weight=0.01,
-        steps=1_000_000,
+        PRESETS["pixels"], **ABOUT, knobs={"hazards": False, "time_limit": 300}, gamma=0.99,
+        entropy_weight=0.01, steps=1_000_000,
     ),
     "hour": replace(LARGE, steps=25_000_000),
     "paper": LARGE,
@@ -42,7 +42,7 @@ RUNNER = "runner"  # the name of the agents where there are no others
 DIFFERENCES: Mapping[Size, str] = {
     "smoke": "levels seen as symbols instead of a picture, by a network of two hidden layers, and "
     "10 million steps instead of 200 million",
-    "pixels": "levels without hazards; a network of patches, and 1 million steps instead of 200 "
+    "pixels": "levels without hazards, 300 steps an episode; a network of patches, and 1 million steps instead of 200 "
     "million",
     "hour": "25 million steps instead of 200 million",
     "paper": "",
