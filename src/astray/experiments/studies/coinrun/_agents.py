@@ -42,8 +42,8 @@ RUNNER = "runner"  # the name of the agents where there are no others
 DIFFERENCES: Mapping[Size, str] = {
     "smoke": "levels seen as symbols instead of a picture, by a network of two hidden layers, and "
     "10 million steps instead of 200 million",
-    "pixels": "levels without hazards, 300 steps an episode; a network of patches, and 1 million steps instead of 200 "
-    "million",
+    "pixels": "levels without hazards, 300 steps an episode; a network of patches, and 1 "
+    "million steps instead of 200 million",
     "hour": "25 million steps instead of 200 million",
     "paper": "",
     "published": "the agent is OpenAI's of CoinRun as released, trained by others with "
