@@ -1,0 +1,66 @@
+"""The words of each verb with which nothing is wrong but what an attempt changes."""
+
+from __future__ import annotations
+
+import inspect
+from pathlib import Path
+from typing import Any
+
+from attack.core import Place
+from attack.material import TINY, sweep_words
+
+PLAY = ("--levels", "0:2")
+
+
+def words_of(verb: str, place: Place) -> list[Any]:
+    """A command that works, and soon; what it needs is copied to the working folder."""
+    for name in ("run", "maze.txt", "actions.txt", "experiment.py", "agent.pth"):
+        if not (place.work / name).exists():
+            place.copy(name)
+    maze, agent = ["maze", "corner-small"], ["--agent", "maze-corner"]
+    return {
+        "list": [], "play": [*maze, "--level", "0"],
+        "lab": ["--agent", "maze-corner", "--no-browse", "--export", "page", "--levels", "1"],
+        "train": [*TINY, "--folder", "trained"],
+        "distil": ["run", "--observation", "symbolic", "--steps", "16384", "--folder", "students"],
+        "evaluate": ["run", *PLAY], "reproduce": ["experiment.py", "--workers", "1"],
+        "sweep": [*sweep_words(Path("swept"))[1:]],
+        "keep": ["run", "--as", "mine", "--folder", "to"],
+        "push": ["run", "ada/mouse"], "pull": ["ada/mouse"],
+        "record": [*agent, "--level", "0", "--pixels", "32"],
+        "export": ["run", *PLAY], "level": maze,
+        "replay": [*maze, "--level", "0", "--actions", "actions.txt"],
+        "overlap": [*maze, "anywhere-small", "--training-levels", "0:9", "--test-levels", "9:12"],
+        "agency": ["run", *PLAY], "explain": ["run", "--level", "0", "--others", "2"],
+        "art": ["list"], "cache": [], "import": ["agent.pth", "--as", "mine", "--game", "maze",
+                                                 "--variant", "anywhere", "--art", "own"],
+        "agents": ["list"], "bench": ["start"],
+    }[verb]  # fmt: skip
+
+
+def options_of(verb: str) -> list[tuple[str, str, bool]]:
+    """The options of a verb: name on the command line, its type in words, whether positional."""
+    from astray.cli.verbs import VERBS, find
+
+    function = find(verb)
+    function = getattr(function, "func", function)
+    assert verb in VERBS
+    found = []
+    for parameter in inspect.signature(function).parameters.values():
+        kind = str(parameter.annotation)
+        name = {"knobs": "set", "axes": "set", "name": "as"}.get(parameter.name, parameter.name)
+        if parameter.name == "name" and "arg(" not in kind:
+            name = "name"
+        found.append((name.replace("_", "-"), kind, kind.startswith("Positional")))
+    return found
+
+
+def with_option(words: list[Any], option: str, value: Any) -> list[Any]:
+    """The words with an option changed; it stands once."""
+    flag, kept = f"--{option}", list(words)
+    if flag in kept:
+        at = kept.index(flag)
+        after = next((k for k in range(at + 1, len(kept)) if str(kept[k]).startswith("--")),
+                     len(kept))  # fmt: skip
+        del kept[at:after]
+    return [*kept, f"{flag}={value}"]
