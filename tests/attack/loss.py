@@ -194,7 +194,7 @@ def _caches() -> dict[str, Callable[[Place], Told]]:
         code = old / "maze_1" / "rules.step-9.py311.nbi"
         code.parent.mkdir()
         code.write_text("compiled")
-        place.ours += [code, old / "used", old / "compile.lock"]
+        place.ours += [code.parent, old / "used", old / "compile.lock"]
         lay(place, old)
         place.watch()
         os.environ["NUMBA_CACHE_DIR"] = str(place.work / "code")
