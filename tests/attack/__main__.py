@@ -46,7 +46,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--only", default="", help="attempts that have this in their names")
     parser.add_argument("--patience", type=float, default=1.0, help="times all limits of time")
     parser.add_argument("--kept", type=Path, help="of code and files that are made once")
-    parser.add_argument("--jobs", type=int, default=1, help="attempts at once")
+    parser.add_argument("--jobs", type=int, default=2, help="attempts at once")
     parser.add_argument("--count", action="store_true", help="count the attempts, and make none")
     parser.add_argument("--check", action="store_true", help="see that each failure is noticed")
     return parser

@@ -22,7 +22,8 @@ ENDLESS = ("a pipe", "a device without end", "a full device", "a link to itself"
 
 def attempts() -> Iterator[Attempt]:
     for name, act in {**_numbers(), **_settings(), **_counts(), **_files()}.items():
-        yield Attempt(3, name, act)
+        wants = "any" if "listed" in name else "refusal"  # a list says which it cannot read
+        yield Attempt(3, name, act, wants)
     for name, (act, wants) in {**_served(), **_levels(), **_texts()}.items():
         yield Attempt(3, name, act, wants, seconds=45)
 

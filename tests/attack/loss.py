@@ -194,8 +194,9 @@ def _caches() -> dict[str, Callable[[Place], Told]]:
         code = old / "maze_1" / "rules.step-9.py311.nbi"
         code.parent.mkdir()
         code.write_text("compiled")
-        place.ours += [code.parent, old / "used", old / "compile.lock"]
+        place.ours.append(old)
         lay(place, old)
+        place.users += [path for path in old.iterdir() if path.is_symlink()]
         place.watch()
         os.environ["NUMBA_CACHE_DIR"] = str(place.work / "code")
         return place.astray("cache", "--prune")

@@ -193,7 +193,7 @@ def _downloads() -> dict[str, Callable[[Place], Any]]:
     found: dict[str, Callable[[Place], Any]] = {
         f"a download, where there is {name}, digest known: {known}":
             functools.partial(act, lay, known)
-        for name, lay in laid.items() for known in (True, False) if name != "half a file"
+        for name, lay in laid.items() for known in (True, False) if "file" not in name
     }  # fmt: skip
     return found | {
         f"an agent is fetched, where there is {name}": functools.partial(fetched, lay)
