@@ -27,7 +27,7 @@ def main() -> int:
     name = "checks.jsonl" if given.check else "log.jsonl"
     try:
         (given.out / name).unlink(missing_ok=True)
-        with open(given.out / name, "a", encoding="utf-8") as log:
+        with open(given.out / name, "a+", encoding="utf-8") as log:
             sys.stdout.flush()
             child = os.fork()  # which gives up its rights, and its mounts at its end
             if not child:
@@ -88,8 +88,8 @@ def _make_all(
     ends = [os.waitstatus_to_exitcode(os.wait()[1]) for _ in disks]
     if any(ends):
         raise RuntimeError(f"the attack itself ended with {ends}")
-    lines = Path(log.name).read_text(encoding="utf-8").splitlines()
-    rows = [json.loads(line) for line in lines]
+    log.seek(0)  # it may lie where the user of the attack cannot open it
+    rows = [json.loads(line) for line in log.read().splitlines()]
     if given.check:
         return checks.report(rows)
     return _summary(rows, time.monotonic() - began)

@@ -38,8 +38,7 @@ def confine(base: Path, needed: list[Path], jobs: int) -> list[Path | None]:
         small.mkdir()
         _mount("none", small, "tmpfs", 0, f"size={SMALL},nr_inodes=64,{owner}")
         disks.append(small)
-    for number, folder in enumerate(needed):
-        _open(folder.resolve(), base / f"held-{number}")
+    _open({folder.resolve(): base / f"held-{k}" for k, folder in enumerate(needed)})
     os.setgroups([])
     os.setgid(user.pw_gid)
     os.setuid(user.pw_uid)
@@ -53,16 +52,22 @@ def lend(folder: Path) -> None:
     os.chown(folder, user.pw_uid, user.pw_gid)
 
 
-def _open(folder: Path, held: Path) -> None:
-    """Make `folder` reachable for all, in this namespace, where one above it is closed."""
-    closed = next((p for p in reversed(folder.parents) if not p.stat().st_mode & 0o001), None)
-    if closed is None:
-        return
-    held.mkdir()
-    _mount(folder, held, None, BIND, "")
-    _mount("none", closed, "tmpfs", 0, "mode=755,size=1m")
-    folder.mkdir(parents=True)
-    _mount(held, folder, None, BIND, "")
+def _open(needed: dict[Path, Path]) -> None:
+    """Make folders reachable for all, in this namespace, where one above them is closed.
+
+    needed  each, and where it is held meanwhile
+    """
+    closed = {folder: next((p for p in reversed(folder.parents) if not p.stat().st_mode & 1), None)
+              for folder in needed}  # fmt: skip
+    behind = {folder: above for folder, above in closed.items() if above is not None}
+    for folder in behind:
+        needed[folder].mkdir()
+        _mount(folder, needed[folder], None, BIND, "")
+    for above in set(behind.values()):
+        _mount("none", above, "tmpfs", 0, "mode=755,size=1m")
+    for folder in behind:
+        folder.mkdir(parents=True, exist_ok=True)
+        _mount(needed[folder], folder, None, BIND, "")
 
 
 def _mount(source: object, target: object, kind: str | None, flags: int, options: str) -> None:
@@ -85,4 +90,4 @@ def folders_of_python() -> list[Path]:
     """What must be read to run Python and the package."""
     import attack
 
-    return [Path(sys.base_prefix), Path(attack.__file__).parents[2]]
+    return [Path(sys.base_prefix), Path(sys.prefix), Path(attack.__file__).parents[2]]
