@@ -16,6 +16,7 @@ from filelock import FileLock, Timeout
 
 ASIDE = re.compile(r"\..+\.[0-9a-f]{32}")  # names that `aside_of` makes, and nobody else
 
+LOCK = ".lock"  # the file by which a process holds a folder
 LARGEST = 2**32  # bytes of a file that is read; none of astray's comes near
 
 
@@ -117,7 +118,7 @@ def hold(folder: Path, doing: str, wait: bool = True) -> FileLock:
     Where another process holds it, say so and wait, or filelock's Timeout; what it is `doing` there
     goes before the folder in that sentence.
     """
-    lock = FileLock(folder / ".lock")
+    lock = FileLock(folder / LOCK)
     try:
         lock.acquire(timeout=0)
     except Timeout:
@@ -126,6 +127,14 @@ def hold(folder: Path, doing: str, wait: bool = True) -> FileLock:
         print(f"another process {doing} {folder}; waiting for it", file=sys.stderr, flush=True)
         lock.acquire(timeout=-1)
     return lock
+
+
+def remove_empty(folder: Path) -> None:
+    """Remove a folder in which `hold` has left its file and nothing else is."""
+    if [path.name for path in folder.iterdir()] == [LOCK]:
+        with contextlib.suppress(OSError):  # another process may have come
+            (folder / LOCK).unlink()
+            folder.rmdir()
 
 
 def holds_only(folder: Path, names: Collection[str]) -> bool:

@@ -133,6 +133,16 @@ def test_an_interrupted_download_goes_on_where_it_stopped(serve, tmp_path, runne
     assert server.asked == [None, "bytes=1000-"]
 
 
+@pytest.mark.parametrize("link", [False, True])
+def test_a_download_replaces_nothing(serve, tmp_path, runner, link):
+    to, mine = tmp_path / "agent.jd", tmp_path / "mine"
+    mine.write_text("mine")
+    to.symlink_to(mine) if link else to.write_text("mine")
+    with pytest.raises(OSError, match="is there already, and stays"):
+        download(serve(runner).address, to, size=None, sha256=None)
+    assert to.read_text() == mine.read_text() == "mine" and to.is_symlink() == link
+
+
 def test_what_is_left_of_another_file_is_found_out(serve, tmp_path, runner):
     part = tmp_path / "agent.jd.part"
     part.write_bytes(bytes(1000))

@@ -262,3 +262,11 @@ print("torch" in sys.modules)
         [sys.executable, "-c", program, *names], capture_output=True, text=True, check=True
     )
     assert told.stdout == "False\n"
+
+
+@pytest.mark.parametrize("words", [("--game", "keys"), ("--observation", "symbolic")])
+@pytest.mark.parametrize("verb", ["evaluate", "export"])
+def test_what_a_policy_is_told_is_nothing_for_a_run(astray, verb, words):
+    assert f"{words[0]} {words[1]} needs --policy" in astray(
+        verb, "maze-corner", *words, fails=True
+    )

@@ -34,6 +34,16 @@ def test_what_is_no_lab_is_left_alone(tmp_path):
     assert [path.name for path in (tmp_path / "lab").iterdir()] == ["mine.txt"]
 
 
+@pytest.mark.parametrize("name", ["notes.txt", ".git/config", "data/mine.json", "index.html"])
+def test_a_lab_in_which_something_is_the_users_stays(tmp_path, name):
+    labs.write([SCENE], tmp_path)
+    mine = tmp_path / "lab" / name
+    mine.parent.mkdir(exist_ok=True)
+    mine.write_text("mine")
+    assert labs.write([SCENE], tmp_path) == {}
+    assert mine.read_text() == "mine"
+
+
 def test_an_agent_that_a_page_cannot_compute_has_no_lab(tmp_path, monkeypatch):
     monkeypatch.setattr(labs, "COMPUTED", "another")
     assert labs.write([SCENE], tmp_path) == labs.write([], tmp_path) == {}

@@ -138,3 +138,16 @@ def test_checkpoints_that_lead_nowhere_are_not_begun_anew(begun, target):
     with pytest.raises(NotADirectoryError, match="checkpoints must be a folder"):
         train(TINY, begun, progress=False)
     assert metrics.read_text() == '{"steps": 64}\n'
+
+
+def test_a_training_that_is_refused_leaves_nothing(tmp_path):
+    huge = replace(TINY, width=10**7)
+    with pytest.raises(MemoryError, match="need"):
+        train(huge, tmp_path / "run", progress=False)
+    assert not list(tmp_path.iterdir())
+    (tmp_path / "run").mkdir()
+    (tmp_path / "run" / "notes.txt").write_text("mine")
+    with pytest.raises(MemoryError, match="need"):
+        train(huge, tmp_path / "run", progress=False)
+    train(TINY, tmp_path / "run", progress=False)  # which it is not held to
+    assert (tmp_path / "run" / "notes.txt").read_text() == "mine"

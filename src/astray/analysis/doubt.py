@@ -68,7 +68,7 @@ def energy(logits: np.ndarray) -> np.ndarray:
 
 def max_logit(logits: np.ndarray) -> np.ndarray:
     """The negative of the largest logit, [N, A] -> [N]."""
-    return -logits.max(-1)
+    return -np.asarray(logits).max(-1)
 
 
 def entropy_of(probabilities: np.ndarray) -> np.ndarray:

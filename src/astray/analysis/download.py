@@ -26,9 +26,12 @@ def download(address: str, to: Path, *, size: int | None, sha256: str | None) ->
     What arrives is kept in `to`.part, and a later call goes on from there. Without a digest it
     begins anew, since nobody could tell whether the parts belong together.
 
-    Raises OSError where it is interrupted, ValueError where it is another file; that is removed.
+    Raises OSError where it is interrupted, or where something is at `to`, which stays; ValueError
+    where what comes is another file; that is removed.
     """
     _check_address(address)
+    if os.path.lexists(to):
+        raise OSError(f"{to} is there already, and stays as it is; to download it, remove that")
     to.parent.mkdir(parents=True, exist_ok=True)
     part = to.with_name(to.name + ".part")
     see_own(part)

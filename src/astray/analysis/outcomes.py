@@ -10,6 +10,7 @@ import polars as pl
 from astray import games
 from astray.analysis.estimates import bootstrap
 from astray.analysis.policies import Walk
+from astray.bounds import of_kind
 from astray.game import Game, Shift
 
 INTENDED = "intended goal"
@@ -82,6 +83,7 @@ def shares(
     episodes  with columns seed (of the agent, null for a script), level, outcome and those of `by`
     returns   those of `by`, outcome, mean, low, high (shares, 0 to 1), agents, levels
     """
+    of_kind("episodes", episodes, pl.DataFrame)
     rows = []
     for key, part in episodes.group_by(by, maintain_order=True):
         for outcome in outcomes:

@@ -23,6 +23,7 @@ from astray.cli.arguments import (
     one_level,
     pairs,
     print_json,
+    see_of_policy,
     show,
 )
 from astray.envs.vector import PICTURES
@@ -73,7 +74,7 @@ def evaluate(
     agent: str | None = None,
     policy: str | None = None,
     game: str | None = None,
-    observation: Literal["image", "symbolic"] = "image",
+    observation: Literal["image", "symbolic"] | None = None,
     variant: str | None = None,
     shift: str | None = None,
     levels: str | None = None,
@@ -94,7 +95,7 @@ def evaluate(
         policy: instead, a function of your own, module:function, of observations [N, ...] that
             returns actions [N]; needs --game and --shift
         game: that the policy plays
-        observation: that the policy is shown
+        observation: that the policy is shown; by default images
         variant: of the levels; by default the shift's test variant
         shift: which goals are intended and proxies; by default the one that the run trained for
         levels: numbers and ranges, as 5,17,100:200, or a file or folder of levels as
@@ -119,6 +120,7 @@ def evaluate(
     if out:
         see_writable(out)
     if policy is None:
+        see_of_policy(game, observation)
         shares, episodes = evaluate_runs(
             chosen(runs, agent), played, variant=variant, shift=shift, mode=mode,
             art=art, knobs=pairs(knobs), batch=batch, solvable=not unsolvable,
@@ -126,7 +128,7 @@ def evaluate(
     elif runs or agent or game is None or shift is None:
         raise ValueError("--policy needs --game and --shift, and neither runs nor --agent")
     else:
-        own = Function(imports.find(policy), policy, observation, art or OWN)
+        own = Function(imports.find(policy), policy, observation or "image", art or OWN)
         shares, episodes = evaluate_policies(
             [own], game, shift, played, variant=variant, knobs=pairs(knobs), batch=batch,
             solvable=not unsolvable,
@@ -222,10 +224,6 @@ def agency(
     Args:
         run: a run folder or a checkpoint in it, or a name as `astray list` has them
         agent: instead, the name of a kept or imported one
-        policy: instead, a function of your own, module:function, of observations [N, ...] that
-            returns actions [N]; needs --game and --shift
-        game: that the policy plays
-        observation: that the policy is shown
         variant: of the levels; by default the shift's test variant
         shift: which goals are intended and proxies; by default the one that the run trained for
         levels: numbers and ranges, as 5,17,100:200; by default the first 300 that the training

@@ -10,7 +10,7 @@ from tyro.conf import Positional
 from astray import games, imports
 from astray.analysis.dataset import Format
 from astray.bounds import bounded
-from astray.cli.arguments import Knobs, Mode, chosen, level_numbers, pairs
+from astray.cli.arguments import Knobs, Mode, chosen, level_numbers, pairs, see_of_policy
 from astray.game import MOST, OWN
 
 LEVELS = "0:1000"
@@ -22,7 +22,7 @@ def export(
     agent: str | None = None,
     policy: str | None = None,
     game: str | None = None,
-    observation: Literal["image", "symbolic"] = "image",
+    observation: Literal["image", "symbolic"] | None = None,
     variant: str | None = None,
     levels: str | None = None,
     mode: Mode = "sampled",
@@ -40,7 +40,7 @@ def export(
         policy: instead, random, walk:GOAL, or a function of your own, module:function, of
             observations [N, ...] that returns actions [N]; needs --game and --variant
         game: that the policy plays
-        observation: that the policy is shown, and that is written
+        observation: that the policy is shown, and that is written; by default images
         variant: of the levels; by default that of the training
         levels: numbers and ranges, as 5,17,100:200; by default the first 1,000 that the training
             does not draw from
@@ -58,6 +58,7 @@ def export(
 
     bounded("batch", batch, 1, MOST)
     if policy is None:
+        see_of_policy(game, observation)
         player, config = open_run(chosen((run,) if run else (), agent)[0], mode, art)
         played, of = config.find_game(), config.variant_for(variant or config.variant, pairs(knobs))
         first = config.unseen_levels.start
@@ -68,11 +69,11 @@ def export(
         played = games.find(game)
         of = played.variant(variant).with_knobs(pairs(knobs))
         numbers = level_numbers(levels or LEVELS)
-        shown = art or OWN
+        seen, shown = observation or "image", art or OWN
         if policy == "random":
-            player = Random(observation=observation, art=shown)
+            player = Random(observation=seen, art=shown)
         elif policy.startswith(WALK):
-            player = Walk(policy.removeprefix(WALK), observation, shown)
+            player = Walk(policy.removeprefix(WALK), seen, shown)
         else:
-            player = Function(imports.find(policy), policy, observation, shown)
+            player = Function(imports.find(policy), policy, seen, shown)
     print(write(player, played, of, numbers, out, form=form, batch=batch))

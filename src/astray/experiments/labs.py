@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
+import os
 import shutil
 from collections.abc import Iterable
 from pathlib import Path
@@ -12,7 +14,7 @@ import numpy as np
 from astray.analysis.episodes import initial_states
 from astray.analysis.runs import open_run
 from astray.experiments.report import Scene
-from astray.files import read
+from astray.files import read, write_aside
 from astray.lab.export import COMPUTED, export, file_names
 from astray.lab.link import link
 from astray.lab.minds import Minds
@@ -21,6 +23,7 @@ from astray.lab.worlds import is_drawn
 from astray.level import Level
 
 FOLDER = "lab"  # in a report's
+WRITTEN = "written.json"  # in it: the digests of its files, by which it is known as astray's
 
 
 def write(scenes: Iterable[Scene], folder: Path) -> dict[Scene, str]:
@@ -35,6 +38,7 @@ def write(scenes: Iterable[Scene], folder: Path) -> dict[Scene, str]:
     first, runs = found[0], {name: Path(name) for name in names}
     start = {"game": open_run(first.run)[0].game, "variant": first.variant, "level": 0}
     export(Lab(Minds.of(runs), start | {"agent": str(first.run)}), to, 1, list(names))
+    write_aside(to / WRITTEN, json.dumps(_digests(to)).encode())
     told = json.loads(read(to / "data" / "index.json"))["games"]
     links = {}
     for scene in found:
@@ -53,8 +57,22 @@ def _computed(scene: Scene) -> bool:
 
 
 def _make_room(to: Path) -> bool:
-    """Whether a lab may be written there; one that is there goes, and nothing else does."""
-    if to.is_symlink() or (to.exists() and not (to / "data" / "index.json").is_file()):
+    """Whether a lab may be written there; one that is there goes, where all in it is as it was."""
+    if not os.path.lexists(to):
+        return True
+    if to.is_symlink() or not (to / WRITTEN).is_file():
+        return False
+    if json.loads(read(to / WRITTEN)) != _digests(to):  # something of the user's is in it
         return False
     shutil.rmtree(to, ignore_errors=True)
     return not to.exists()
+
+
+def _digests(to: Path) -> dict[str, str]:
+    """Of all in a lab but the file that holds them, by path; nothing of what is no file."""
+    return {
+        path.relative_to(to).as_posix(): "" if path.is_symlink() or not path.is_file()
+        else hashlib.sha256(read(path)).hexdigest()
+        for path in sorted(to.rglob("*"))
+        if path != to / WRITTEN and (path.is_symlink() or not path.is_dir())
+    }  # fmt: skip

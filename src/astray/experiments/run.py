@@ -68,6 +68,7 @@ def reproduce(
     torch.set_num_threads(1)  # several cost small networks more than they save
     plan, ending = whole.sizes[size].drawn_with(art), "" if art == OWN else f"-{art}"
     folder = root / f"{name}-{size}{ending}"
+    see_free(folder, PLAN, report.WRITTEN)
     folder.mkdir(parents=True, exist_ok=True)
     given = experiment if isinstance(experiment, str) else name
     heading = report.Heading(
@@ -76,7 +77,6 @@ def reproduce(
         command=f"astray reproduce {given} --size {size}" + (f" --art {art}" if ending else ""),
     )  # fmt: skip
     with hold(folder, "works on"):
-        see_free(folder, PLAN, report.WRITTEN)
         runs = train_agents(plan, root, workers, on, track)
         forget_stale(plan, runs, folder)
         episodes = (

@@ -162,9 +162,9 @@ def run_sweep(
     on       where agents are trained; they are evaluated here
     track    who else is told how trainings go
     """
+    see_free(folder, SWEPT, (*report.WRITTEN, OUTCOMES, SHARES))
     folder.mkdir(parents=True, exist_ok=True)
     with hold(folder, "sweeps in"):
-        see_free(folder, SWEPT, (*report.WRITTEN, OUTCOMES, SHARES))
         _note(sweep, folder)
         agents = {cell: list(_agents(sweep, config)) for cell, config in sweep.cells().items()}
         todo = {run_folder(folder, one): one for configs in agents.values() for one in configs}

@@ -34,6 +34,7 @@ from astray.files import (
     hold,
     holds_only,
     read,
+    remove_empty,
     remove_left,
     see_own,
     write_aside,
@@ -66,6 +67,8 @@ def claim(folder: Path, config: Config, wait: bool = False) -> Iterator[None]:
         parallel.wait()
         yield
         return
+    path, there = folder / "config.json", folder / "checkpoints"
+    begun, made = False, not folder.exists()
     try:
         folder.mkdir(parents=True, exist_ok=True)
         lock = hold(folder, "is training in", wait)
@@ -76,7 +79,6 @@ def claim(folder: Path, config: Config, wait: bool = False) -> Iterator[None]:
             error.errno, f"{error.strerror}; no run can be kept in", str(folder)
         ) from error
     try:
-        path, there = folder / "config.json", folder / "checkpoints"
         if os.path.lexists(there) and not there.is_dir():  # as a link to a disk that is not there
             raise NotADirectoryError(f"{there} must be a folder, or not be there")
         for name in (path.name, METRICS):  # a link would be replaced, or what it leads to
@@ -91,12 +93,20 @@ def claim(folder: Path, config: Config, wait: bool = False) -> Iterator[None]:
             }  # fmt: skip
             data = {"config": config.to_json(), "versions": versions}
             write_aside(path, json.dumps(data, indent=2).encode())
+            begun = True
         remove_left(folder, (path.name, METRICS))
         remove_left(there, (AGENT, TRAINER))
         parallel.wait()
         yield
+    except BaseException:
+        # One that was refused, as for its memory, leaves nothing that another would be held to.
+        if begun and not there.exists() and not (folder / METRICS).exists():
+            path.unlink(missing_ok=True)
+        raise
     finally:
         lock.release()
+        if made:
+            remove_empty(folder)
 
 
 def check(folder: Path, config: Config) -> None:
