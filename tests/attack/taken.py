@@ -200,7 +200,7 @@ def _commands() -> dict[str, tuple[Callable[[Place], Any], Any]]:
             ("sweep", "maze", "corner-small", "--set", "lr=1e-4", "--set", "learning_rate=1e-3"),
             ("sweep", "maze", "corner-small", "--set", "seed=1,2"),
             ("sweep", "maze", "corner-small", "--set", "anneal=1,0"),
-            ("sweep", "maze", "corner-small", "--set", "widht=8"),
+            ("sweep", "maze", "corner-small", "--set", "widthh=8"),
             ("sweep", "maze", "corner-small", "--set", "width="),
             ("export", "run", "--policy", "random", "--game", "maze", "--variant", "corner"),
             ("export", "run", "--form", "Parquet", *level),
