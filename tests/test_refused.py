@@ -216,8 +216,8 @@ WORDS = {  # of each verb, so that nothing but the number is wrong
 }  # fmt: skip
 NUMBERS = [
     (verb, parameter.name)
-    for verb, function in verbs.VERBS.items()
-    for parameter in inspect.signature(function).parameters.values()
+    for verb in verbs.VERBS
+    for parameter in inspect.signature(verbs.find(verb)).parameters.values()
     if "int" in str(parameter.annotation).replace("|", " ").split()
 ]
 

@@ -68,8 +68,9 @@ def claim(folder: Path, config: Config, wait: bool = False) -> Iterator[None]:
         yield
         return
     path, there = folder / "config.json", folder / "checkpoints"
-    begun, made = False, not folder.exists()
+    begun = False
     try:
+        made = not folder.exists()
         folder.mkdir(parents=True, exist_ok=True)
         lock = hold(folder, "is training in", wait)
     except Timeout:
