@@ -336,6 +336,6 @@ def test_trying_where_results_go_leaves_what_is_there(tmp_path):
     see_writable(tmp_path / "told")
     see_writable(tmp_path / "new" / "told")
     assert (tmp_path / "told").read_text() == "old"
-    assert sorted(p.name for p in tmp_path.rglob("*")) == ["new", "told"]
+    assert [p.name for p in tmp_path.rglob("*")] == ["told"]
     with pytest.raises(IsADirectoryError, match="must be a file to write; it is a folder"):
         see_writable(tmp_path)

@@ -9,7 +9,7 @@ import shutil
 import stat
 import sys
 import uuid
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterable, Iterator
 from pathlib import Path
 
 from filelock import FileLock, Timeout
@@ -26,6 +26,8 @@ def read(path: Path, most: int = LARGEST) -> bytes:
     OSError where that is none: nobody may ever write to a pipe, and a device has no end.
     ValueError where it is larger than `most` bytes.
     """
+    if not isinstance(path, str | os.PathLike):
+        raise ValueError(f"the path of a file must be a str or Path; got {path!r}")
     # Not blocking: else to open a pipe is to wait for its writer. Windows has no such pipes.
     flags = os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
     number = os.open(path, flags)
@@ -50,16 +52,34 @@ def _see_regular(path: Path, found: os.stat_result, most: int) -> None:
 
 
 def see_writable(path: Path) -> None:
-    """Make the folder of `path`, and see that the file can be written there, before it is worth it.
+    """See that the file can be written there, with its folder, before it is worth it.
 
-    OSError where it cannot; what is there is not touched.
+    OSError where it cannot; what is there is not touched, and nothing is left there.
     """
     _see_replaceable(path)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    aside = aside_of(path)
-    with open(aside, "xb"):
-        pass
-    aside.unlink()
+    made = make_folder(path.parent)
+    try:
+        aside = aside_of(path)
+        with open(aside, "xb"):
+            pass
+        aside.unlink()
+    finally:
+        remove_made(made)
+
+
+def make_folder(folder: Path) -> list[Path]:
+    """Make `folder`, and what it lies in; those that were not there, the deepest first."""
+    missing = [path for path in (folder, *folder.parents) if not os.path.lexists(path)]
+    folder.mkdir(parents=True, exist_ok=True)
+    return missing
+
+
+def remove_made(folders: Iterable[Path]) -> None:
+    """Remove what `make_folder` made, as far as nothing is in it."""
+    with contextlib.suppress(OSError):
+        for folder in folders:
+            if folder.exists():
+                folder.rmdir()
 
 
 def _see_replaceable(path: Path) -> None:
@@ -103,13 +123,15 @@ def write_aside(path: Path, data: bytes) -> None:
 @contextlib.contextmanager
 def folder_aside(path: Path) -> Iterator[Path]:
     """A new folder beside `path`, to be renamed to it when it is whole; removed if it was not."""
+    made = make_folder(path.parent)
     aside = aside_of(path)
-    aside.mkdir(parents=True)
     try:
+        aside.mkdir()
         yield aside
     finally:
         if aside.exists():
             shutil.rmtree(aside, ignore_errors=True)
+        remove_made(made)
 
 
 def hold(folder: Path, doing: str, wait: bool = True) -> FileLock:
@@ -131,8 +153,8 @@ def hold(folder: Path, doing: str, wait: bool = True) -> FileLock:
 
 def remove_empty(folder: Path) -> None:
     """Remove a folder in which `hold` has left its file and nothing else is."""
-    if [path.name for path in folder.iterdir()] == [LOCK]:
-        with contextlib.suppress(OSError):  # another process may have come
+    with contextlib.suppress(OSError):  # another process may have come
+        if [path.name for path in folder.iterdir()] == [LOCK]:
             (folder / LOCK).unlink()
             folder.rmdir()
 
@@ -152,12 +174,16 @@ def see_own(path: Path) -> None:
         raise OSError(f"{path} must be a file; it is a link, a folder, a pipe or a device")
 
 
-def see_free(folder: Path, mark: str, names: Collection[str]) -> None:
+def see_free(folder: Path, mark: str, sign: bytes, names: Collection[str]) -> None:
     """OSError where files of these `names` are in `folder`, which astray has not written to yet.
 
-    mark  the file that it writes there first
+    mark  the file by which a folder of astray's is known
+    sign  what is in it, and in no file of that name that somebody else writes
     """
     if os.path.lexists(folder / mark):
+        see_own(folder / mark)
+        if sign not in read(folder / mark):
+            raise OSError(f"{folder / mark} is none of astray's; it would be replaced")
         return
     for name in names:
         if os.path.lexists(folder / name):

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import functools
 import json
-import math
 import reprlib
 import typing
 from collections.abc import Callable, Mapping, Sequence
@@ -13,7 +12,7 @@ from typing import Any, Literal, Self
 
 import numpy as np
 
-from astray.bounds import bounded, of_kind, shown
+from astray.bounds import bounded, finite, of_kind, shown
 from astray.kernel.rng import RNG_FIELDS, WORDS
 from astray.protocols import Cells, Editing, Levels, Mutating, Rules, Solver, Symbols
 
@@ -74,8 +73,7 @@ class Variant:
 
     def __post_init__(self) -> None:
         self._check_kinds()
-        if not 0 <= self.shift_probability <= 1:
-            raise ValueError(f"shift_probability must be from 0 to 1; got {self.shift_probability}")
+        finite("shift_probability", self.shift_probability, 0, 1)
         if self.shift_probability and self.shifted is None:
             raise ValueError("shift_probability needs a `shifted` variant to shift to")
         if self.shifted is not None and type(self.shifted) is not type(self):
@@ -95,8 +93,8 @@ class Variant:
                     raise ValueError(f"{name} must be a bool; got {given!r}")
             elif kind is int:
                 bounded(name, given, -MOST, MOST)
-            elif not isinstance(given, int | float | np.number) or not math.isfinite(given):
-                raise ValueError(f"{name} must be a finite number; got {given!r}")
+            else:
+                finite(name, given)
 
     def with_knobs(self, changes: Mapping[str, Any]) -> Self:
         """The variant with some knobs changed; text is read as the knob's type.
@@ -331,7 +329,16 @@ def check_record(s: Any, rules: Rules, truths: Callable[[np.ndarray], dict]) -> 
         raise ValueError(f"a state must be a record of this game; got {reprlib.repr(s)}")
     if not s.flags.writeable:
         return
-    states = np.array([s], rules.STATE).view(np.ndarray)
+    check_records(np.array([s], rules.STATE), rules, truths)
+
+
+def check_records(states: np.ndarray, rules: Rules, truths: Callable[[np.ndarray], dict]) -> None:
+    """As `check_record`, of states [N]."""
+    if not isinstance(states, np.ndarray) or states.dtype != rules.STATE:
+        raise ValueError(f"states must be an array of this game's; got {reprlib.repr(states)}")
+    if not states.flags.writeable:
+        return
+    states = states.view(np.ndarray)
     for name, holds in (_always(states, rules.EVENTS) | truths(states)).items():
         if not holds.all():
             raise ValueError(f"the state is none of this game: its {name} cannot be")

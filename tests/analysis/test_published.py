@@ -1,5 +1,6 @@
 """Agents that others published: downloaded whole or not at all, and then like any other agent."""
 
+import contextlib
 import hashlib
 import itertools
 import json
@@ -160,6 +161,33 @@ def test_a_server_that_sends_a_byte_now_and_then_is_not_waited_for(serve, tmp_pa
     with pytest.raises(OSError, match=r"fewer than 10,000 bytes came in 30 .*; 500 of"):
         download(server.address, tmp_path / "a", **known)
     assert [p.name for p in tmp_path.iterdir()] == ["a.part"]
+
+
+def test_what_is_said_of_an_agent_stays_in_its_cell(tmp_path, monkeypatch):
+    monkeypatch.setenv("ASTRAY_AGENTS", str(tmp_path / "agents"))
+    (tmp_path / "agent.pth").write_bytes(saved({"state_dict": reference((2, 2, 2))[0]}))
+    said = "a | b |\n| --- | --- |\n| evil"
+    known = Known(game="maze", variant="anywhere", source=said)
+    card = (import_agent(tmp_path / "agent.pth", "mine", known) / "README.md").read_text()
+    assert "| source | a \\| b \\| \\| --- \\| --- \\| \\| evil |\n" in card
+
+
+def test_a_server_that_never_comes_to_its_answer_is_not_waited_for(tmp_path, monkeypatch):
+    monkeypatch.setattr(downloads, "WAIT", 0.5)
+
+    class Undecided(BaseHTTPRequestHandler):
+        def do_GET(self):
+            with contextlib.suppress(OSError):
+                while True:
+                    self.wfile.write(b"HTTP/1.1 100 Continue\r\n\r\n")
+
+    with ThreadingHTTPServer(("127.0.0.1", 0), Undecided) as server:
+        threading.Thread(target=server.serve_forever, daemon=True).start()
+        address = f"http://127.0.0.1:{server.server_port}/a"
+        with pytest.raises(OSError, match=r"no answer came in 0\.5 seconds"):
+            download(address, tmp_path / "a", size=1000, sha256="00" * 32)
+        server.shutdown()
+    assert not list(tmp_path.iterdir())
 
 
 def test_no_more_is_taken_than_was_published(serve, tmp_path):

@@ -44,17 +44,22 @@ def attempts() -> Iterator[Attempt]:
                 wants = "any" if _may_work(option, title) else "refusal"
                 name = f"{verb} {'' if positional else '--'}{option}: {title}"
                 yield Attempt(4, name, act, wants, seconds=40)
-        for title, given in EXTRA.items():
+        for title, given in _extra(verb).items():
             act = functools.partial(_add, verb, given)
             yield Attempt(4, f"{verb}: {title}", act, "refusal", seconds=40)
 
 
-# Words after those of a verb that works.
-EXTRA = {
-    "an option that is none": ("--nothing-such",), "a word more": ("one", "two", "three", "four"),
-    "an option without its value": ("--",), "bytes that are no text": (f"--{BAD}",),
-    "an option of 5,000 characters": (f"--{LONG}",),
-}  # fmt: skip
+def _extra(verb: str) -> dict[str, tuple[str, ...]]:
+    """Words after those of a verb that works."""
+    given = {
+        "an option that is none": ("--nothing-such",),
+        "a word more": ("one", "two", "three", "four"),
+        "bytes that are no text": (f"--{BAD}",), "an option of 5,000 characters": (f"--{LONG}",),
+    }  # fmt: skip
+    for option, kind, positional in words.options_of(verb):
+        if not positional and kind.replace("|", " ").split()[0] in ("str", "int", "Path"):
+            given["an option without its value"] = (f"--{option}",)
+    return given
 
 
 def _values(option: str, kind: str) -> dict[str, Any]:

@@ -22,12 +22,13 @@ CLASSES = {
 }  # fmt: skip
 Wanted = Literal["refusal", "success", "any"]
 LONGEST = 1400  # characters of a mistake
-MISTAKE, INTERRUPTED, UNREAD = 2, 130, 141  # exit codes
+MISTAKE, INTERRUPTED, UNREAD, TERMINATED = 2, 130, 141, 143  # exit codes
 # What an error in a library or an operator says, who does not know what a user gave.
 DEEP = re.compile(
     r"unsupported operand|not subscriptable|has no len|not iterable|not callable|NoneType"
     r"|unhashable|must be real number, not|cannot unpack|ufunc|No conversion path|numba"
 )
+PROGRESS = re.compile(r" steps +[\d,]+/s ")  # in the line in which a training tells how it goes
 TOLD = (ValueError, TypeError, OSError, RuntimeError, KeyError, ImportError, MemoryError)
 
 
@@ -254,7 +255,7 @@ def _of_command(attempt: Attempt, told: Told) -> str:
         return f"signal {-told.code}"
     if "Traceback (most recent call last)" in told.err + told.out:
         return "a traceback"
-    lines = told.err.strip().splitlines()
+    lines = [one for one in told.err.strip().splitlines() if not PROGRESS.search(one)]
     if told.code in attempt.codes:
         return "" if len(lines) <= 1 else f"{len(lines)} lines on standard error"
     if told.code == 0:

@@ -22,7 +22,9 @@ ENDLESS = ("a pipe", "a device without end", "a full device", "a link to itself"
 
 def attempts() -> Iterator[Attempt]:
     for name, act in {**_numbers(), **_settings(), **_counts(), **_files()}.items():
-        wants = "any" if "listed" in name else "refusal"  # a list says which it cannot read
+        # A list says which it cannot read; a report whose findings lead nowhere is none.
+        lenient = "listed" in name or name.startswith("the findings of a report is a link")
+        wants = "any" if lenient else "refusal"
         yield Attempt(3, name, act, wants)
     for name, (act, wants) in {**_served(), **_levels(), **_texts()}.items():
         yield Attempt(3, name, act, wants, seconds=45)
@@ -236,6 +238,7 @@ def _served() -> dict[str, tuple[Callable[[Place], Any], Any]]:
             (functools.partial(act, how, hub), "refusal")
         for how in WAYS
         for hub in (False, True)
+        if not (hub and how == "continue")  # a Hub that one has named is waited for
     }  # fmt: skip
 
 

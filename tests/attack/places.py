@@ -144,9 +144,11 @@ def _streams() -> dict[str, tuple[Callable[[Place], Any], tuple[int, ...]]]:
     def shell(script: str, place: Place) -> Told:
         import sys
 
-        place.watch()
         for name in ("actions.txt", "run"):
             place.copy(name)
+        # numba imports coverage where it is installed, which needs a working folder.
+        place.mine("without/coverage.py", "raise ImportError")
+        place.watch()
         text = script.replace("ASTRAY", f"'{sys.executable}' -m astray").replace(
             "LEVEL", " ".join(LEVEL)
         )
@@ -154,6 +156,7 @@ def _streams() -> dict[str, tuple[Callable[[Place], Any], tuple[int, ...]]]:
         return Told(done.returncode, done.stdout.decode(), done.stderr.decode())
 
     replay = "ASTRAY replay maze corner-small --level 0 --actions -"
+    removed = "export PYTHONPATH=$PWD/without:$PYTHONPATH; mkdir gone; cd gone; rmdir ../gone"
     scripts = {
         "head": ("ASTRAY LEVEL | head -1", (UNREAD,)),
         "head of JSON": ("ASTRAY list --json | head -c 10", (UNREAD,)),
@@ -165,7 +168,6 @@ def _streams() -> dict[str, tuple[Callable[[Place], Any], tuple[int, ...]]]:
         "errors closed": ("ASTRAY level maze Corner 2>&-", ()),
         "all closed": ("ASTRAY level maze corner <&- >&- 2>&-", ()),
         "input closed": (f"{replay} <&-", ()),
-        "input a folder": (f"{replay} < .", ()),
         "input of bytes": (f"printf '\\377\\376' | {replay}", ()),
         "input of nothing": (f"{replay} < /dev/null", ()),
         "input without end": (f"{replay} < /dev/zero", ()),
@@ -176,9 +178,8 @@ def _streams() -> dict[str, tuple[Callable[[Place], Any], tuple[int, ...]]]:
         "help closed": ("ASTRAY --help >&-", ()),
         "version full": ("ASTRAY --version > /dev/full", ()),
         "training without output": ("ASTRAY evaluate run --levels 0:2 >&- 2>&-", ()),
-        "a removed folder": ("mkdir gone && cd gone && rmdir ../gone && ASTRAY list", ()),
-        "a removed folder and a level": ("mkdir gone && cd gone && rmdir ../gone && ASTRAY LEVEL",
-                                         ()),
+        "a removed folder": (f"{removed} && ASTRAY list", ()),
+        "a removed folder and a level": (f"{removed} && ASTRAY LEVEL", ()),
     }  # fmt: skip
     return {f"streams: {name}": (functools.partial(shell, script), (*codes, 1) if "errors" in name
             else codes) for name, (script, codes) in scripts.items()}  # fmt: skip
@@ -232,8 +233,8 @@ def _folders() -> dict[str, tuple[Callable[[Place], Any], tuple[int, ...]]]:
         return place.process("list", "--json", env={"NUMBA_CACHE_DIR": None})
 
     def closed_work(place: Place) -> Any:
-        place.watch()
         place.work.chmod(0o555)
+        place.watch()
         return place.astray("record", "--agent", "maze-corner", "--level", "0", "--pixels", "32")
 
     def memory(size: int, place: Place) -> Any:
@@ -244,10 +245,10 @@ def _folders() -> dict[str, tuple[Callable[[Place], Any], tuple[int, ...]]]:
         return place.astray("evaluate", "run", "--levels", "0:100000", "--batch", "100000")
 
     def processes(place: Place) -> Any:
-        place.copy("run")
+        given = _words("sweep", place.work / "there", place)
         place.watch()
         resource.setrlimit(resource.RLIMIT_NPROC, (1, 1))
-        return place.astray(*_words("sweep", place.work / "there", place))
+        return place.astray(*given)
 
     return {
         "a closed home": (closed_home, ()), "a closed working folder": (closed_work, ()),

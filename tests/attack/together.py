@@ -14,13 +14,15 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from attack.core import INTERRUPTED, MISTAKE, Attempt, Place, Wrong
+from astray.files import ASIDE
+from attack.core import INTERRUPTED, MISTAKE, TERMINATED, Attempt, Place, Wrong
 from attack.material import TINY, sweep_words
 from attack.trees import contents
 
 WITHIN = 90  # seconds that a command has
 # Parts of a command's time after which it is disturbed; the first is while it begins.
 MOMENTS = (0.02, 0.1, 0.25, 0.5, 0.75, 0.95)
+CODES = {"interrupted": INTERRUPTED, "terminated": TERMINATED}
 SIGNALS = {"interrupted": signal.SIGINT, "terminated": signal.SIGTERM, "killed": signal.SIGKILL}
 
 
@@ -37,6 +39,7 @@ class Work:
     needs: tuple[str, ...] = ()
     again: tuple[int, ...] = (0, MISTAKE)
     parts: tuple[str, ...] = ()  # names of files that are the same whoever made them; all, if empty
+    leaves: bool = False  # a hidden folder when it is killed, which nobody knows to be given up
 
 
 WORKS = {
@@ -49,11 +52,13 @@ WORKS = {
     "sweep": Work(sweep_words(Path("sweep")), "sweep", ("sweep",), (0,),
                   ("shares.csv", "sweep.json")),
     "keep": Work(("keep", "run", "--as", "mine", "--folder", "to"), "to", ("run",),
-                 parts=("agent.safetensors", "config.json", "curve.csv", "README.md")),
+                 parts=("agent.safetensors", "config.json", "curve.csv", "README.md"),
+                 leaves=True),
     "import": Work(("import", "agent.pth", "--as", "mine", "--game", "maze", "--variant",
-                    "anywhere", "--art", "own"), "agents", ("agent.pth",)),
-    "export": Work(("export", "run", "--levels", "0:20", "--out", "dataset"), "dataset", ("run",)),
-    "lab": Work(("lab", "run", "--export", "page", "--levels", "2"), "page", ("run",)),
+                    "anywhere", "--art", "own"), "agents", ("agent.pth",), leaves=True),
+    "export": Work(("export", "run", "--levels", "0:20", "--out", "dataset"), "dataset", ("run",),
+                   leaves=True),
+    "lab": Work(("lab", "run", "--export", "page", "--levels", "2"), "page", ("run",), leaves=True),
     "evaluate": Work(("evaluate", "run", "--levels", "0:200", "--out", "told/e.parquet"), "told",
                      ("run",), (0,)),
     "record": Work(("record", "run", "--level", "0", "--pixels", "64", "--out", "film/f.gif"),
@@ -148,12 +153,13 @@ def _said(place: Place, number: int) -> str:
     return path.read_text(errors="replace").strip() if path.exists() else ""
 
 
-def _outcome(name: str, place: Place) -> dict[str, str]:
-    """What has come of a work, as digests."""
+def _outcome(name: str, place: Place, killed: bool = False) -> dict[str, str]:
+    """What has come of a work, as digests; without what a kill left aside."""
     work = WORKS[name]
     found = contents(place.work / work.out)
     return {path: digest for path, digest in found.items()
-            if not work.parts or Path(path).name in work.parts}  # fmt: skip
+            if not (killed and work.leaves and ASIDE.fullmatch(Path(path).parts[0]))
+            and (not work.parts or Path(path).name in work.parts)}  # fmt: skip
 
 
 def _stray(name: str, place: Place) -> list[str]:
@@ -189,14 +195,16 @@ def _undisturbed(names: Sequence[str], place: Place) -> dict[str, dict[str, str]
     return {name: noted[name]["outcome"] for name in names if name in noted}
 
 
-def _see(names: Sequence[str], place: Place, wanted: dict[str, dict[str, str]]) -> None:
+def _see(
+    names: Sequence[str], place: Place, wanted: dict[str, dict[str, str]], killed: bool = False
+) -> None:
     for name in wanted:
-        found = _outcome(name, place)
+        found = _outcome(name, place, killed)
         differ = [p for p in wanted[name].keys() | found.keys()
                   if wanted[name].get(p) != found.get(p)]  # fmt: skip
         if differ:
             raise Wrong(f"{name} is not as it is undisturbed: {', '.join(sorted(differ)[:3])}")
-        if left := _stray(name, place):
+        if (left := _stray(name, place)) and not (killed and WORKS[name].leaves):
             raise Wrong(f"{name} left {left[0]}")
 
 
@@ -206,8 +214,7 @@ def _at_once(names: Sequence[str], place: Place) -> None:
     children = [_begin(name, place, number) for number, name in enumerate(names)]
     for number, (name, child) in enumerate(zip(names, children, strict=True)):
         code, said = _end(child), _said(place, number)
-        allowed = WORKS[name].again if name in WORKS else (0,)
-        if code not in allowed or "Traceback" in said:
+        if code not in (0, MISTAKE) or "Traceback" in said:
             raise Wrong(f"{name} ended with {code}: {said[-300:]}")
         if code == MISTAKE and len(said.splitlines()) != 1:
             raise Wrong(f"{name} says {len(said.splitlines())} lines: {said[-300:]}")
@@ -221,11 +228,11 @@ def _disturb(name: str, title: str, moment: float, place: Place, number: int) ->
     with contextlib.suppress(ProcessLookupError):
         os.kill(child, SIGNALS[title])
     code, said = _end(child), _said(place, number)
-    if title != "interrupted" or code == 0:
+    if title == "killed" or code == 0:
         return
     lines = [line for line in said.splitlines() if line.startswith("astray: ")]
-    if code != INTERRUPTED or lines != ["astray: interrupted"] or "Traceback" in said:
-        raise Wrong(f"interrupted, {name} ended with {code}: {said[-300:]}")
+    if code != CODES[title] or lines != [f"astray: {title}"] or "Traceback" in said:
+        raise Wrong(f"{title}, {name} ended with {code}: {said[-300:]}")
 
 
 def _disturbed(name: str, title: str, moment: float, place: Place) -> None:
@@ -235,7 +242,7 @@ def _disturbed(name: str, title: str, moment: float, place: Place) -> None:
     code = _end(_begin(name, place, 1))
     if code not in WORKS[name].again:
         raise Wrong(f"after it was {title}, {name} ended with {code}: {_said(place, 1)[-300:]}")
-    _see((name,), place, wanted)
+    _see((name,), place, wanted, killed=title == "killed")
 
 
 def _beside(name: str, place: Place) -> None:
@@ -247,8 +254,8 @@ def _beside(name: str, place: Place) -> None:
     os.kill(first, signal.SIGKILL)
     _end(first)
     code = _end(second)
-    if code not in WORKS[name].again or "Traceback" in _said(place, 1):
+    if code not in (0, MISTAKE) or "Traceback" in _said(place, 1):
         raise Wrong(f"the other {name} ended with {code}: {_said(place, 1)[-300:]}")
     if _end(_begin(name, place, 2)) not in WORKS[name].again:
         raise Wrong(f"begun again, {name} says: {_said(place, 2)[-300:]}")
-    _see((name,), place, wanted)
+    _see((name,), place, wanted, killed=True)

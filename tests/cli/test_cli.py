@@ -244,8 +244,12 @@ def test_it_tells_agents_from_devices(astray, run_folder, tmp_path):
                    "--out", tmp_path / "told")  # fmt: skip
     assert "another cell" in shown and "12 episodes" in shown
     assert {path.name for path in (tmp_path / "told").iterdir()} == {
-        "episodes.parquet", "posterior.gif", "posterior.mp4", "posterior.png"
+        "agency.json", "episodes.parquet", "posterior.gif", "posterior.mp4", "posterior.png"
     }  # fmt: skip
+    assert json.loads((tmp_path / "told" / "agency.json").read_text())["episodes"] == 12
+    (tmp_path / "episodes.parquet").write_text("mine")
+    told = astray("agency", run_folder, "--levels", "0:12", "--out", tmp_path, fails=True)
+    assert "episodes.parquet is none of astray's, which would have agency.json beside it" in told
 
 
 def test_verbs_of_levels_and_files_do_not_wait_for_torch():

@@ -118,7 +118,7 @@ def test_films_are_of_outcomes_that_came_about(reports, monkeypatch):
     told = re.findall(
         r"([A-Z][a-z ]+), as in [^:]*: level\s+(\d+) as in training", page.read_text()
     )
-    played = pl.read_parquet(page.parent / "computed" / "episodes.parquet")
+    played = pl.read_parquet(*page.parent.glob("computed/episodes-*.parquet"))
     mine = played.filter(policy="sampled", seed=0, variant="anywhere-small")
     films = {path.stem for path in reports.rglob("videos/*.mp4")}
     assert films == {outcome.lower().replace(" ", "-") for outcome, _ in told} != set()
@@ -134,7 +134,7 @@ def test_another_plan_computes_anew_and_shares_the_agents(reports, monkeypatch):
         small = replace(whole, sizes={"smoke": replace(plan, levels=levels)})
         monkeypatch.setattr(catalogue, "load", lambda _, small=small: small)
         run.reproduce("maze-corner", "smoke", reports)
-        played = pl.read_parquet(reports / "maze-corner-smoke" / "computed" / "episodes.parquet")
+        played = pl.read_parquet(*reports.glob("maze-corner-smoke/computed/episodes-*.parquet"))
         assert played.filter(policy="sampled", test="in training").height == levels
         agents.add(tuple(path.stat().st_mtime_ns for path in reports.rglob("agent.safetensors")))
     assert len(agents) == 1
@@ -147,7 +147,7 @@ def test_other_agents_and_other_code_compute_anew(reports, monkeypatch):
 
     def computed():
         run.reproduce("maze-corner", "smoke", reports)
-        episodes = reports / "maze-corner-smoke" / "computed" / "episodes.parquet"
+        (episodes,) = reports.glob("maze-corner-smoke/computed/episodes-*.parquet")
         return episodes.stat().st_mtime_ns
 
     first = computed()
@@ -267,16 +267,40 @@ def test_what_is_no_python_is_no_experiment(tmp_path, text):
         catalogue.find(str(tmp_path / "study.py"))
 
 
-@pytest.mark.parametrize("is_link", [True, False])
-def test_a_table_that_is_none_of_a_reports_stays(tmp_path, is_link):
-    table = tmp_path / "computed" / "mine.parquet"
-    table.parent.mkdir()
-    if is_link:
-        (tmp_path / "plan.json").write_text("another")
-        table.symlink_to(tmp_path / "nowhere")
-    else:
-        table.write_text("mine")
+def test_tables_of_other_plans_are_deleted_and_nothing_of_the_users(tmp_path):
+    first, second = (replace(one, seeds=1) for one in [
+        *catalogue.load("maze-corner").sizes.values()][:2])  # fmt: skip
+    computed = tmp_path / "computed"
+    computed.mkdir()
+    digest = run.note(first, {}, tmp_path)
+    ours = computed / f"episodes-{digest}.parquet"
+    mine = [computed / name for name in ("mine.parquet", f"a-{digest}.txt", f"b-{digest}.parquet",
+                                         f"c-{digest}.parquet")]  # fmt: skip
+    for path in (ours, *mine[:2]):
+        path.write_text("table")
+    mine[2].mkdir()
+    mine[3].symlink_to(mine[0])
+    assert run.note(first, {}, tmp_path) == digest and ours.exists()
+    assert run.note(second, {}, tmp_path) != digest and not ours.exists()
+    assert all(map(os.path.lexists, mine))
+
+
+def test_tables_are_not_looked_for_where_a_link_leads(tmp_path):
+    (tmp_path / "computed").symlink_to(tmp_path.parent)
     plan = next(iter(catalogue.load("maze-corner").sizes.values()))
-    with pytest.raises(OSError, match=r"mine\.parquet is none of astray's"):
-        run.forget_stale(plan, {}, tmp_path)
-    assert os.path.lexists(table)
+    with pytest.raises(OSError, match="computed must be a folder of its own; it is a link"):
+        run.note(plan, {}, tmp_path)
+
+
+def test_what_fails_in_a_study_of_ones_own_is_told_with_its_line(tmp_path):
+    (tmp_path / "study.py").write_text("import json\n\njson.loads('{')\n")
+    with pytest.raises(ValueError, match=r"study\.py, line 3: JSONDecodeError: Expecting"):
+        catalogue.find(str(tmp_path / "study.py"))
+
+
+def test_art_that_is_none_is_told_before_anything_is_done(tmp_path):
+    with pytest.raises(ValueError, match="unknown art 'red' of maze; there are: own, original"):
+        run.reproduce("maze-corner", "smoke", tmp_path, art="red")
+    with pytest.raises(ValueError, match="published agents see the art that they know; got 'own2'"):
+        run.reproduce("moved-coin", "published", tmp_path, art="own2")
+    assert not list(tmp_path.iterdir())

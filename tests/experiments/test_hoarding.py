@@ -39,7 +39,7 @@ def episodes(tmp_path_factory):
         for name, test in PLAN.tests.items()
     ]  # fmt: skip
     folder = tmp_path_factory.mktemp("work")
-    return hoarding.told(Work("keys", "smoke", PLAN, folder, {}, pl.concat(played)))
+    return hoarding.told(Work("keys", "smoke", PLAN, folder, "", {}, pl.concat(played)))
 
 
 def mean(episodes, test, policy, measure):

@@ -249,7 +249,7 @@ def test_a_full_disk_leaves_nothing(pushed, tmp_path, monkeypatch):
     assert nothing_is_left(tmp_path)
 
 
-def test_without_a_network_the_cache_is_enough(pushed, monkeypatch, tmp_path):
+def test_without_a_network_the_cache_is_enough(pushed, monkeypatch, tmp_path, caplog):
     ours.pull("ada/mouse", name="first")
     commit = pushed.repositories["ada/mouse"].branches["main"]
     pushed.requests.clear()
@@ -261,6 +261,7 @@ def test_without_a_network_the_cache_is_enough(pushed, monkeypatch, tmp_path):
     assert ours.pull("ada/mouse", name="fourth").is_dir()
     with pytest.raises(OSError, match="cannot be reached, and the cache does not have all of it"):
         ours.pull("ada/other")
+    assert "Retrying" not in caplog.text  # in six lines, before the one that is owed
     with pytest.raises(OSError, match="cannot be reached, and the cache does not have all of it"):
         ours.pull("ada/other", offline=True)
 

@@ -51,6 +51,7 @@ def test_texts_are_settings_and_their_values():
         (["variant.colour=1"], "unknown knob 'colour'; there are"),
         (["variant=nowhere"], "unknown variant 'nowhere'"),
         (["width=8,8"], "width must take each value once"),
+        (["teacher=ada"], "a sweep has no teachers; got teacher 'ada'"),
         (["width=wide"], "width must be of type int; got 'wide'"),
         ([], "must set something"),
     ],

@@ -5,6 +5,7 @@ import polars as pl
 import pytest
 
 from astray import games
+from astray.analysis.episodes import initial_states
 from astray.insight.behaviour import level_features, predict, variance_inflation
 
 
@@ -59,6 +60,16 @@ def test_features_of_levels_are_a_row_each_and_null_where_ways_do_not_part():
     assert (both["cheese to corner, steps"] >= both["cheese to corner, straight"] - 1e-9).all()
     parted = both["cheese to decision square, steps"] + both["corner to decision square, steps"]
     assert (parted == both["cheese to corner, steps"]).all(), "mazes have no loops"
+
+
+@pytest.mark.parametrize("field", ["world", "x", "corner_x"])
+def test_features_and_labels_of_ruined_states_are_refused(field):
+    game = games.find("maze")
+    states = initial_states(game, "corner-small", range(3)).copy()
+    states[field][1] = 10**6
+    for ask in (game.features, *game.labels.values()):
+        with pytest.raises(ValueError, match="the state is none of this game"):
+            ask(states)
 
 
 def test_a_game_without_features_says_so():

@@ -93,7 +93,11 @@ def test_mistakes_are_told_before_anything_is_written(astray, tmp_path):
     assert "others must be an integer" in astray(
         "explain", "maze-corner", "--others", 1, fails=True
     )
-    assert not (out / "explain.html").exists()
+    assert not out.exists()
+    (tmp_path / "explain.html").write_text("mine")
+    said = astray("explain", "maze-corner", "--others", 2, "--out", tmp_path, fails=True)
+    assert "explain.html is none of astray's; it would be replaced" in said
+    assert (tmp_path / "explain.html").read_text() == "mine"
 
 
 def test_a_drawn_level_is_explained(astray, tmp_path):

@@ -1,20 +1,27 @@
 """What functions of insight cannot take is told, with what it is."""
 
 import numpy as np
+import polars as pl
 import pytest
 
-from astray.analysis.critic import observe
+from astray.analysis.critic import counterfactual, observe
 from astray.analysis.dataset import export
+from astray.analysis.doubt import margin, max_logit
+from astray.analysis.episodes import initial_states
+from astray.analysis.outcomes import shares
+from astray.analysis.runs import open_run
+from astray.envs.states import load_states
 from astray.games import find
 from astray.insight import attribution
-from astray.insight.activations import capture
+from astray.insight.activations import capture, layers
 from astray.insight.episode import along
 from astray.insight.fields import difference, fields
 from astray.insight.retarget import Clamp, retarget
-from astray.insight.vectors import Condition, edit_vectors
+from astray.insight.vectors import Condition, edit_vectors, pair_vectors
 from helpers.looked_into import make_agent
 
 MAZE = find("maze")
+LEVEL = initial_states(MAZE, "corner-small", [1])
 SEEN = np.zeros((1, 4, 7, 7), np.uint8)
 
 
@@ -29,6 +36,15 @@ def agent(tmp_path):
         (lambda a: observe(None, "corner-small", np.zeros(1)), "agent must be a Agent"),
         (lambda a: observe(a, "corner-small", [1]), "states must be a ndarray"),
         (lambda a: capture(a, "corner-small", np.zeros(3), ["spread"]), "records of maze"),
+        (lambda a: counterfactual(a, "corner-small", LEVEL, "x"), "edit must be a Callable"),
+        (lambda a: capture(a, "corner-small", LEVEL, [["spread"]]), "unknown layer .*spread"),
+        (lambda a: layers(None), "agent must be a Agent"),
+        (lambda a: pair_vectors(a, "corner-small", "spread", None, None), "states must be a nda"),
+        (lambda a: shares(pl.DataFrame({"seed": [0]})), "episodes must have the columns policy"),
+        (lambda a: open_run(None), "run must be a str or Path; got None"),
+        (lambda a: load_states(None, "maze"), "the path of a file must be a str or Path"),
+        (lambda a: max_logit(None), "logits must be a ndarray"),
+        (lambda a: margin(np.zeros(())), "logits must be .N, A. numbers"),
         (lambda a: attribution.gradients(a, None), "observations must be a ndarray"),
         (lambda a: attribution.occlusion(a, SEEN, window=0), "window must be an integer from 1"),
         (lambda a: attribution.integrated_gradients(a, SEEN, steps=0), "steps must be an integer"),

@@ -164,6 +164,8 @@ def observe(
 
 
 def _edited(states: np.ndarray, edit: Edit) -> np.ndarray:
+    of_kind("states", states, np.ndarray)
+    of_kind("edit", edit, Callable)
     edited = edit(states.copy())
     of_kind("what an edit returns", edited, np.ndarray)
     if edited.shape != states.shape or edited.dtype != states.dtype:

@@ -31,7 +31,7 @@ from astray.analysis.episodes import Levels, steps
 from astray.analysis.given import see_policy
 from astray.analysis.policies import Policy
 from astray.analysis.tables import write_table
-from astray.bounds import brief, shown
+from astray.bounds import brief, of_kind, shown
 from astray.envs import VERSION
 from astray.envs.vector import GameVectorEnv
 from astray.files import folder_aside, read, write_aside
@@ -113,6 +113,7 @@ def export(
     """
     see_policy(policy)
     check_word("format", form, Format)
+    of_kind("folder", folder, str | Path)
     if os.path.lexists(folder):
         raise ValueError(f"a data set is written to a new folder; there is something at {folder}")
     game = games.find(game)

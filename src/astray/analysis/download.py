@@ -5,8 +5,10 @@ from __future__ import annotations
 import hashlib
 import http.client
 import os
+import threading
 import time
 import urllib.request
+from concurrent.futures import Future
 from pathlib import Path
 from urllib.parse import urlsplit
 
@@ -58,7 +60,7 @@ def _fetch(address: str, part: Path, most: int) -> None:
     request = urllib.request.Request(address, headers={"Accept-Encoding": "identity"})
     if begun:
         request.add_header("Range", f"bytes={begun}-")
-    with urllib.request.urlopen(request, timeout=WAIT) as answer:
+    with _answer(request) as answer:
         _check_address(answer.geturl())  # where it was sent on to
         goes_on = answer.status == http.client.PARTIAL_CONTENT
         if goes_on and not (answer.headers["Content-Range"] or "").startswith(f"bytes {begun}-"):
@@ -78,6 +80,26 @@ def _fetch(address: str, part: Path, most: int) -> None:
         promised = begun + (int(length) if length.isdecimal() else 0)
         if left and promised > most - left:
             raise OSError(f"the connection ended {promised - most + left:,} bytes early")
+
+
+def _answer(request: urllib.request.Request) -> http.client.HTTPResponse:
+    """The head of what the server answers, which has so long to come whole, and not only to begin.
+
+    Asked in a thread of its own: a server can say `100 Continue` for ever, and http.client listens.
+    """
+    came: Future[http.client.HTTPResponse] = Future()
+
+    def ask() -> None:
+        try:
+            came.set_result(urllib.request.urlopen(request, timeout=WAIT))
+        except BaseException as error:
+            came.set_exception(error)
+
+    threading.Thread(target=ask, daemon=True).start()
+    try:
+        return came.result(WAIT)
+    except TimeoutError:
+        raise OSError(f"no answer came in {WAIT:g} seconds") from None
 
 
 def _check_file(address: str, part: Path, size: int | None, sha256: str | None) -> None:

@@ -142,6 +142,7 @@ def write_card(run: Path, name: str) -> None:
         loader=PackageLoader("astray.analysis", ""),
         lstrip_blocks=True, trim_blocks=True, keep_trailing_newline=True, undefined=StrictUndefined,
     )  # fmt: skip
+    environment.filters["cell"] = _cell
     said = origin(run)
     try:
         told = [str(RENAMED.get(key, key)) for key in said["settings_told"]]  # of an older version
@@ -155,6 +156,11 @@ def write_card(run: Path, name: str) -> None:
     except (TemplateError, AttributeError, TypeError) as error:
         raise ValueError(f"{run} has {ORIGIN} or {CHECKS} as astray does not: {error}") from error
     write_aside(run / CARD, text.encode())
+
+
+def _cell(value: Any) -> str:
+    """A value as one cell of a table, whatever lines and bars are in it."""
+    return " ".join(str(value).split()).replace("|", "\\|")
 
 
 def _config(file: Path, found: Imported, known: Known) -> tuple[Config, list[str]]:

@@ -84,6 +84,8 @@ def shares(
     returns   those of `by`, outcome, mean, low, high (shares, 0 to 1), agents, levels
     """
     of_kind("episodes", episodes, pl.DataFrame)
+    if missing := [name for name in (*by, "level", "outcome") if name not in episodes.columns]:
+        raise ValueError(f"episodes must have the columns {', '.join(missing)}")
     rows = []
     for key, part in episodes.group_by(by, maintain_order=True):
         for outcome in outcomes:

@@ -35,6 +35,7 @@ def open_run(
 
     art  that it is shown; None: what it was trained on
     """
+    of_kind("run", run, str | Path)
     run = Path(run)
     folder = run if (run / "config.json").exists() else run.parent.parent
     if not (folder / "config.json").exists():

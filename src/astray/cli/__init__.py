@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import io
 import os
+import signal
 import sys
 import threading
 
@@ -14,6 +15,11 @@ MISTAKE = 2  # exit code, after the mistake was explained
 INTERRUPTED = 130  # as shells say it: 128 and the number of the signal, SIGINT
 LONGEST = 1200  # characters of a mistake; the longest list of what there is has 800
 UNREAD = 141  # likewise SIGPIPE: nobody reads what is written, as in `astray list | head -1`
+TERMINATED = 143  # likewise SIGTERM
+
+
+class Terminated(KeyboardInterrupt):
+    """The process was asked to end, as by a cluster: what is half written is cleared away."""
 
 
 def main() -> None:
@@ -21,6 +27,8 @@ def main() -> None:
     code = 0
     try:
         _open_streams()
+        if signal.getsignal(signal.SIGTERM) is signal.SIG_DFL:
+            signal.signal(signal.SIGTERM, _terminate)
         threading.excepthook = _tell_of_thread
         _see_folder()
         # Imported here: libraries read the environment, and may not like what they find.
@@ -31,6 +39,9 @@ def main() -> None:
             sys.stdout.flush()
     except BrokenPipeError:
         code = UNREAD
+    except Terminated:
+        _tell("terminated")
+        code = TERMINATED
     except KeyboardInterrupt:
         _tell("interrupted")
         code = INTERRUPTED
@@ -43,6 +54,10 @@ def main() -> None:
     if code:
         _give_up_output()
         sys.exit(code)
+
+
+def _terminate(*_: object) -> None:
+    raise Terminated
 
 
 def _open_streams() -> None:

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import io
+import json
 import os
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import polars as pl
 from rich.table import Table
@@ -27,11 +28,16 @@ from astray.cli.arguments import (
     show,
 )
 from astray.envs.vector import PICTURES
-from astray.files import see_writable, write_aside
+from astray.files import see_free, see_writable, write_aside
 from astray.game import MOST, OWN
 from astray.training.config import SEEDS, Config, Tracking
 
-EPISODES = "episodes.parquet"
+if TYPE_CHECKING:
+    import numpy as np
+
+    from astray.analysis.agency import Judgement
+
+SUMMARY, EPISODES = "agency.json", "episodes.parquet"
 POSTERIOR = ("posterior.mp4", "posterior.gif", "posterior.png")
 Preset = Literal["paper", "small", "pixels"]
 
@@ -232,14 +238,15 @@ def agency(
         mode: draw from the agent's policy, or take the likeliest action
         art: that images are drawn with, own or original; by default what it was trained on
         knobs: of the variant, changed
-        out: a folder for episodes.parquet, and for posterior.mp4, .gif and .png of the episode in
-            which most steps tell the goals apart
+        out: a folder for agency.json and episodes.parquet, and for posterior.mp4, .gif and .png of
+            the episode in which most steps tell the goals apart
         json: print JSON
     """
     from astray.analysis.agency import judge_run
 
     if out:
-        for name in (EPISODES, *POSTERIOR):
+        see_free(out, SUMMARY, b'"explanations"', (EPISODES, *POSTERIOR))
+        for name in (SUMMARY, EPISODES, *POSTERIOR):
             see_writable(out / name)
     judged, filmed = judge_run(
         chosen((run,) if run else (), agent)[0],
@@ -252,18 +259,7 @@ def agency(
         knobs=pairs(knobs),
     )
     if out:
-        from PIL import Image
-
-        from astray.analysis import video
-
-        frames = filmed()
-        film, loop, last = (out / name for name in POSTERIOR)
-        video.write_mp4(frames, film, fps=4)
-        video.write_gif(frames, loop, fps=4)
-        picture = io.BytesIO()
-        Image.fromarray(frames[-1]).save(picture, "PNG")
-        write_aside(last, picture.getvalue())
-        write_table(judged.episodes, out / EPISODES)
+        _write_judgement(judged, filmed(), out)
     if json:
         print_json(judged.summary())
         return
@@ -272,6 +268,22 @@ def agency(
         table.add_row(name, f"{share.mean:.1%} [{share.low:.1%}, {share.high:.1%}]")
     show(table)
     print(judged.sentence())
+
+
+def _write_judgement(judged: Judgement, frames: np.ndarray, folder: Path) -> None:
+    from PIL import Image
+
+    from astray.analysis import video
+
+    folder.mkdir(parents=True, exist_ok=True)
+    write_aside(folder / SUMMARY, json.dumps(judged.summary()).encode())
+    film, loop, last = (folder / name for name in POSTERIOR)
+    video.write_mp4(frames, film, fps=4)
+    video.write_gif(frames, loop, fps=4)
+    picture = io.BytesIO()
+    Image.fromarray(frames[-1]).save(picture, "PNG")
+    write_aside(last, picture.getvalue())
+    write_table(judged.episodes, folder / EPISODES)
 
 
 def show_shares(shares: pl.DataFrame) -> None:

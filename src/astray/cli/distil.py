@@ -51,7 +51,7 @@ def distil(
         track: tell wandb or trackio, too, of the training
     """
     from astray.analysis.runs import open_run
-    from astray.training.teacher import give
+    from astray.training.teacher import teaching
     from astray.training.track import train_tracked
 
     bounded("seed", seed, 0, SEEDS - 1)
@@ -67,7 +67,8 @@ def distil(
     images = observation == "image"
     config = replace(
         PRESETS["pixels" if images else "small"],
-        game=its.game, variant=variant or its.variant, validation=validation or its.validation,
+        game=its.game, variant=its.variant if variant is None else variant,
+        validation=its.validation if validation is None else validation,
         knobs=its.knobs if variant in (None, its.variant) else {},
         first_level=its.first_level, levels=its.levels, observation=observation,
         network=network or ("patch" if images else "mlp"), art=art or its.art, gamma=its.gamma,
@@ -76,5 +77,5 @@ def distil(
     there = folder or Path("runs") / f"{config.game}-{config.variant}-of-{name}"
     for number in range(seed, seed + seeds):
         student = there / f"seed-{number}"
-        give(agent.path, student)
-        print(train_tracked(replace(config, seed=number), student, track))
+        with teaching(agent.path, student):
+            print(train_tracked(replace(config, seed=number), student, track))

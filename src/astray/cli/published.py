@@ -11,6 +11,7 @@ from rich.table import Table
 from tyro.conf import Positional, arg
 
 from astray.analysis import kept
+from astray.bounds import shown
 from astray.cli.arguments import Mode, level_numbers, print_json
 from astray.words import printable
 
@@ -71,6 +72,10 @@ def agents(
         unchecked: fetch it also where no digest is known
         json: print JSON
     """
+    if (levels and what != "check") or (unchecked and what != "fetch"):
+        raise ValueError("--levels goes with check, and --unchecked with fetch")
+    if what == "list" and name is not None:
+        raise ValueError(f"list takes no name; got {shown(name)}")
     if what == "list":
         _list(json)
     elif name is None:

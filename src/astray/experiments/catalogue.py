@@ -10,6 +10,7 @@ import importlib
 import importlib.util
 import pkgutil
 import re
+import traceback
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -76,6 +77,11 @@ def _run(path: Path) -> object:
         spec.loader.exec_module(module)
     except SyntaxError as error:
         raise ValueError(f"{path} must be a file of Python; {brief(error)}") from error
+    except Exception as error:
+        lines = [f.lineno for f in traceback.extract_tb(error.__traceback__)
+                 if f.filename == str(path)]  # fmt: skip
+        where = f"{path}, line {lines[-1]}" if lines else f"{path}"
+        raise ValueError(f"{where}: {type(error).__name__}: {brief(error)}") from error
     if not hasattr(module, "EXPERIMENT"):
         raise ValueError(f"{path} must define EXPERIMENT")
     return module.EXPERIMENT

@@ -11,6 +11,7 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import json
+import logging
 import os
 import re
 import shutil
@@ -325,6 +326,9 @@ def _told(repository: str, revision: str | None, what: str) -> Iterator[None]:
     from huggingface_hub import errors
 
     of = f"{repository} at {revision}" if revision else repository
+    library = logging.getLogger("huggingface_hub")  # tells of every attempt to reach the Hub
+    before = library.level
+    library.setLevel(logging.ERROR)
     try:
         with _uncovered():
             yield
@@ -351,6 +355,8 @@ def _told(repository: str, revision: str | None, what: str) -> Iterator[None]:
             f"{of} cannot be {what}: the connection failed ({brief(error)}); the same command "
             "goes on with what has arrived"
         ) from error
+    finally:
+        library.setLevel(before)
 
 
 @contextlib.contextmanager

@@ -113,7 +113,6 @@ def write(
         save(plot.figure, folder / "figures", plot.name)
         write_table(plot.data, folder / "figures" / f"{plot.name}.parquet")
     for table in findings.tables:
-        (folder / "tables").mkdir(parents=True, exist_ok=True)
         for ending in ("csv", "parquet"):
             write_table(table.frame, folder / "tables" / f"{table.name}.{ending}")
     beside = beside or {}

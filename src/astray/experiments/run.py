@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import hashlib
 import json
-from dataclasses import asdict
+import re
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import polars as pl
@@ -24,7 +25,6 @@ from astray.experiments.spec import (
     Work,
     name_of_run,
 )
-from astray.experiments.spec import kept as kept_table
 from astray.experiments.track import track_report
 from astray.experiments.workers import Place, train_all
 from astray.files import hold, read, see_free, write_aside
@@ -35,6 +35,7 @@ from astray.training.config import Config, Tracking
 from astray.training.teacher import give
 
 PLAN = "plan.json"  # what is first written to a report's folder
+TABLE = re.compile(r".+-([0-9a-f]{16})\.parquet")  # the names of tables, which nobody else gives
 # The sources of what agents do, and of what is computed of it.
 COMPUTING = (
     "*.py", "kernel/*.py", "games/*/*.py", "envs/*.py", "agents/*.py", "agency/*.py",
@@ -68,7 +69,7 @@ def reproduce(
     torch.set_num_threads(1)  # several cost small networks more than they save
     plan, ending = whole.sizes[size].drawn_with(art), "" if art == OWN else f"-{art}"
     folder = root / f"{name}-{size}{ending}"
-    see_free(folder, PLAN, report.WRITTEN)
+    see_free(folder, PLAN, b'"sources"', report.WRITTEN)
     folder.mkdir(parents=True, exist_ok=True)
     given = experiment if isinstance(experiment, str) else name
     heading = report.Heading(
@@ -78,13 +79,10 @@ def reproduce(
     )  # fmt: skip
     with hold(folder, "works on"):
         runs = train_agents(plan, root, workers, on, track)
-        forget_stale(plan, runs, folder)
-        episodes = (
-            kept_table(folder, "episodes", lambda: play(plan, runs))
-            if plan.tests
-            else pl.DataFrame()
-        )
-        findings = whole.find(Work(name, size, plan, folder, runs, episodes))
+        work = Work(name, size, plan, folder, note(plan, runs, folder), runs, pl.DataFrame())
+        if plan.tests:
+            work = replace(work, episodes=work.keep("episodes", lambda: play(plan, runs)))
+        findings = whole.find(work)
         # What others' agents do is told beside what those do that are trained here.
         beside = report.of_claims(root / f"{name}-smoke") if size == PUBLISHED else {}
         films = [film.scene for film in findings.videos if film.scene]
@@ -163,8 +161,12 @@ def run_folder(root: Path, config: Config) -> Path:
     return root / "agents" / name_of_run(config)
 
 
-def forget_stale(plan: Plan, runs: Runs, folder: Path) -> None:
-    """Delete what was computed in `folder` by another plan, of other agents, or by other code."""
+def note(plan: Plan, runs: Runs, folder: Path) -> str:
+    """Note in `folder` what is computed there: the plan, the agents, the code; their digest.
+
+    It is in the names of tables, so that none is taken that was computed of something else. Tables
+    of other digests are deleted, and nothing else.
+    """
     data = {
         "configs": {n: [c.to_json() for c in made] for n, made in plan.trainings().items()},
         "agents": {n: [agent_digest(run) for run in made] for n, made in runs.items()},
@@ -174,18 +176,17 @@ def forget_stale(plan: Plan, runs: Runs, folder: Path) -> None:
         "measures": list(plan.measures),
         "sources": source_digest(COMPUTING),
     }
-    text, path = json.dumps(data, indent=1).encode(), folder / PLAN
-    if not path.exists() or read(path) != text:
-        computed = folder / COMPUTED
-        if computed.is_symlink():
-            raise OSError(f"{computed} must be a folder of its own; it is a link, to what may not "
-                          "be astray's")  # fmt: skip
-        for table in computed.glob("*.parquet"):
-            if not path.exists() or table.is_symlink() or not table.is_file():
-                raise OSError(f"{table} is none of astray's; it must not be there")
-        for table in computed.glob("*.parquet"):
+    text, computed = json.dumps(data, indent=1).encode(), folder / COMPUTED
+    if computed.is_symlink():
+        raise OSError(f"{computed} must be a folder of its own; it is a link, to what may not be "
+                      "astray's")  # fmt: skip
+    digest = hashlib.sha256(text).hexdigest()[:16]
+    for table in computed.glob("*.parquet"):
+        found = TABLE.fullmatch(table.name)
+        if found and found[1] != digest and table.is_file() and not table.is_symlink():
             table.unlink()
-        write_aside(path, text)
+    write_aside(folder / PLAN, text)
+    return digest
 
 
 def agent_digest(run: Path) -> str:

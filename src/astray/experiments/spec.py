@@ -17,13 +17,14 @@ from astray import games
 from astray.analysis.given import Measure
 from astray.analysis.outcomes import load_shift
 from astray.analysis.tables import write_table
+from astray.bounds import shown
 from astray.experiments.report import Findings
 from astray.files import read
-from astray.game import Game, Variant
+from astray.game import OWN, Game, Variant
 from astray.training.config import Config
 
 Size = Literal["smoke", "pixels", "hour", "paper", "published"]
-COMPUTED = "computed"  # the folder of a report's tables, which `forget_stale` deletes
+COMPUTED = "computed"  # the folder of a report's tables, which are made once
 SIZES: tuple[Size, ...] = get_args(Size)
 PUBLISHED: Size = "published"  # of agents that others trained: nothing is trained
 Runs = Mapping[str, Sequence[Path]]  # the run folders of the agents of each name
@@ -99,7 +100,11 @@ class Plan:
     def drawn_with(self, art: str) -> Plan:
         """The same with other images, but for published agents: they know those they saw."""
         if self.published:
+            if art != OWN:
+                raise ValueError(f"published agents see the art that they know; got {shown(art)}")
             return self
+        for config in self.agents.values():
+            config.find_game().drawn(art)
         agents = {name: replace(config, art=art) for name, config in self.agents.items()}
         return replace(self, agents=agents)
 
@@ -140,12 +145,13 @@ class Work:
     size: Size
     plan: Plan
     folder: Path  # of the report
+    digest: str  # of all that its tables are computed of: see `run.note`
     runs: Runs
     episodes: pl.DataFrame  # of all agents and scripted policies in all tests; see `run.play`
 
     def keep(self, name: str, compute: Callable[[], pl.DataFrame]) -> pl.DataFrame:
         """The table that `compute` makes, from a file once it was made."""
-        return kept(self.folder, name, compute)
+        return kept(self.folder, f"{name}-{self.digest}", compute)
 
 
 def kept(folder: Path, name: str, compute: Callable[[], pl.DataFrame]) -> pl.DataFrame:
@@ -159,7 +165,6 @@ def kept(folder: Path, name: str, compute: Callable[[], pl.DataFrame]) -> pl.Dat
                 f"{path} is no table of astray's: {error}; without it, it is made anew"
             ) from error
     table = compute()
-    path.parent.mkdir(parents=True, exist_ok=True)
     write_table(table, path)
     return table
 

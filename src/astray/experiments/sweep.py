@@ -76,6 +76,8 @@ class Sweep:
             if len({str(value) for value in values}) < len(values):
                 raise ValueError(f"{name} must take each value once; got {shown(list(values))}")
         for config in self.cells().values():
+            if config.teacher is not None:
+                raise ValueError(f"a sweep has no teachers; got teacher {shown(config.teacher)}")
             load_shift(config.find_game(), self.shift or shift_of(config))
 
     def cells(self) -> dict[Cell, Config]:
@@ -162,7 +164,7 @@ def run_sweep(
     on       where agents are trained; they are evaluated here
     track    who else is told how trainings go
     """
-    see_free(folder, SWEPT, (*report.WRITTEN, OUTCOMES, SHARES))
+    see_free(folder, SWEPT, b'"axes"', (*report.WRITTEN, OUTCOMES, SHARES))
     folder.mkdir(parents=True, exist_ok=True)
     with hold(folder, "sweeps in"):
         _note(sweep, folder)

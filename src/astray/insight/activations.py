@@ -29,7 +29,7 @@ from astray.analysis.critic import observe
 from astray.analysis.given import Measure, measured, see_measures
 from astray.analysis.policies import Agent
 from astray.analysis.tables import write_table
-from astray.bounds import bounded, of_kind, shown
+from astray.bounds import bounded, of_kind, one_of, shown
 from astray.envs.states import BROKEN
 from astray.files import folder_aside, read, see_readable, write_aside
 from astray.game import MOST, Variant
@@ -73,6 +73,7 @@ def layers(agent: Agent) -> dict[str, tuple[int, ...]]:
     Those are the modules that are used once in a pass and return a tensor of reals, an
     observation a row.
     """
+    of_kind("agent", agent, Agent)
     calls: dict[str, list[Any]] = {}
     with contextlib.ExitStack() as stack:
         for name, module in agent.network.named_modules():
@@ -98,13 +99,11 @@ def _is_layer(output: Any) -> bool:
 
 def see_layers(agent: Agent, names: Sequence[str]) -> dict[str, tuple[int, ...]]:
     """The shapes of the layers called so; ValueError where one of them is none."""
-    of_kind("agent", agent, Agent)
     if isinstance(names, str) or not isinstance(names, Sequence | Mapping) or not names:
         raise ValueError(f"layers must be a list of names, at least one; got {shown(names)}")
     shapes = layers(agent)
     for name in names:
-        if name not in shapes:
-            raise ValueError(f"unknown layer {shown(name)}; there are: {', '.join(shapes)}")
+        one_of("layer", name, shapes)
     return {name: shapes[name] for name in names}
 
 

@@ -34,6 +34,7 @@ from astray.insight.interventions import sees_world
 from astray.level import Level
 
 PAGE = "explain.html"
+SIGN = b'<meta name="generator" content="astray explain">'  # in it
 PIXELS = 384  # a side of a picture
 LIKELIEST = 4  # actions that are named
 PLACES, FEWER = 128, 32  # of an object, at most; fewer where levels are large and episodes long
@@ -88,7 +89,7 @@ def explain(asked: Asked, folder: Path, heading: str) -> Path:
             parts.append(Part("", title, f"Not told here: {error}."))
     figures = [f"{p.name}.{end}" for p in parts if p.figure is not None for end in ("png", "svg")]
     tables = [f"{p.name}.parquet" for p in parts if p.table is not None]
-    see_free(folder, PAGE, (*figures, *tables))
+    see_free(folder, PAGE, SIGN, (*figures, *tables))
     for part in parts:
         if part.figure is not None:
             save(part.figure, folder, part.name)

@@ -81,6 +81,8 @@ def pair_vectors(
     agent: Agent, variant: str | Variant, layer: str, states: np.ndarray, others: np.ndarray
 ) -> Vectors:
     """What `layer` gives in each of `states` [N] less what it gives in each of `others` [N]."""
+    of_kind("states", states, np.ndarray)
+    of_kind("others", others, np.ndarray)
     if len(states) != len(others):
         raise ValueError(f"states must be pairs; got {len(states)} and {len(others)}")
     one, other = (

@@ -33,9 +33,11 @@ from astray.files import (
     folder_aside,
     hold,
     holds_only,
+    make_folder,
     read,
     remove_empty,
     remove_left,
+    remove_made,
     see_own,
     write_aside,
 )
@@ -70,8 +72,7 @@ def claim(folder: Path, config: Config, wait: bool = False) -> Iterator[None]:
     path, there = folder / "config.json", folder / "checkpoints"
     begun = False
     try:
-        made = not folder.exists()
-        folder.mkdir(parents=True, exist_ok=True)
+        made = make_folder(folder)
         lock = hold(folder, "is training in", wait)
     except Timeout:
         raise Claimed(f"another process is training in {folder}") from None
@@ -108,6 +109,7 @@ def claim(folder: Path, config: Config, wait: bool = False) -> Iterator[None]:
         lock.release()
         if made:
             remove_empty(folder)
+            remove_made(made)
 
 
 def check(folder: Path, config: Config) -> None:

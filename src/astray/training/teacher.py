@@ -6,7 +6,8 @@ state that it comes to, the teacher says how likely it would take each action, a
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import contextlib
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -16,7 +17,7 @@ from torch import Tensor
 
 from astray.agents import policy
 from astray.envs.vector import GameVectorEnv
-from astray.files import read, see_own, write_aside
+from astray.files import make_folder, read, remove_empty, remove_made, see_own, write_aside
 from astray.training import ppo
 from astray.training.config import Config
 from astray.training.player import Player
@@ -30,6 +31,22 @@ class Taught(Samples):
     """Samples whose `target` is the teacher's value; advantages are not used, and 0."""
 
     wanted: Tensor  # [..., actions] float32, logarithms of the teacher's probabilities
+
+
+@contextlib.contextmanager
+def teaching(weights: Path, run: Path) -> Iterator[None]:
+    """As `give`, and take them back where no training begins with them."""
+    missing = make_folder(run)
+    give(weights, run)
+    try:
+        yield
+    except BaseException:
+        if not (run / "config.json").exists():
+            (run / TEACHER).unlink(missing_ok=True)
+            if missing:
+                remove_empty(run)
+                remove_made(missing)
+        raise
 
 
 def give(weights: Path, run: Path) -> None:

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from astray.games.maze.rules import ACTIONS
-from astray.games.maze.solve import STAY, routes, steps_to, target
+from astray.games.maze.solve import STAY, check_all, routes, steps_to, target
 from astray.kernel.grid import UNREACHABLE
 
 NONE = -1  # of a label that a state does not have
@@ -140,5 +140,9 @@ def _below(one: tuple[int, int] | None, corner: tuple[int, int] | None, side: in
 
 
 def _records(states: np.ndarray) -> np.recarray:
-    """States whose fields are attributes, as those of live ones are."""
+    """States whose fields are attributes, as those of live ones are.
+
+    ValueError where they are none that the game plays.
+    """
+    check_all(states)
     return states.view(np.recarray)
