@@ -3,7 +3,7 @@ PYTHON ?= python3
 BIN := .venv/bin
 INSTALLED := .venv/installed
 
-.PHONY: demo test quick compiled fuzz golden check lint docs bench wheel sbom notebooks clean
+.PHONY: demo test quick compiled fuzz attack golden check lint docs bench wheel sbom notebooks clean
 
 # Train mice on cheese in the corner, test them on cheese anywhere, report what they pursue.
 demo: $(INSTALLED)
@@ -43,6 +43,10 @@ fuzz: $(INSTALLED)
 	cd tests && ../$(BIN)/python -m helpers.golden --batch 256 --threads 2
 	cd tests && NUMBA_DISABLE_JIT=1 ../$(BIN)/python -m helpers.golden --steps 100
 	cat fuzz.jsonl
+
+# 5,438 attempts to lose a user's data, to crash, to hang, to be silent; half an hour or more.
+attack: $(INSTALLED)
+	cd tests && ../$(BIN)/python -m attack ../attacked --kept ../attacked/kept
 
 lint: $(INSTALLED)
 	$(BIN)/ruff format --check .
@@ -98,4 +102,4 @@ $(INSTALLED): pyproject.toml constraints.txt
 	touch $@
 
 clean:
-	rm -rf .venv .bare .sbom dist reports runs site sweeps
+	rm -rf .venv .bare .sbom attacked dist reports runs site sweeps

@@ -1,8 +1,10 @@
 """What users import from `astray` itself."""
 
 import ast
+import inspect
 import subprocess
 import sys
+import textwrap
 from dataclasses import replace
 from pathlib import Path
 
@@ -26,6 +28,34 @@ def test_every_name_of_the_face_is_there_and_typed():
     assert typed == set(astray.FACE)
     for name in astray.FACE:
         assert callable(getattr(astray, name)) and getattr(astray, name).__doc__, name
+
+
+CHECKS = {"of_kind", "bounded", "finite", "one_of", "check_word", "check_words"}
+
+
+def raises(function):
+    """Whether it raises by itself, or lets a check of what it is given raise."""
+    nodes = list(ast.walk(ast.parse(textwrap.dedent(inspect.getsource(function)))))
+    called = {n.func.id for n in nodes if isinstance(n, ast.Call) and isinstance(n.func, ast.Name)}
+    return bool(called & CHECKS) or any(isinstance(n, ast.Raise) and n.exc for n in nodes)
+
+
+@pytest.mark.parametrize("name", astray.FACE)
+def test_the_face_says_in_a_sentence_what_it_does_and_what_it_raises(name):
+    given = getattr(astray, name)
+    told = {given: inspect.getdoc(given)}
+    for made, function in vars(given).items() if inspect.isclass(given) else ():
+        function = getattr(function, "__func__", function)
+        if not inspect.isfunction(function) or function.__code__.co_filename == "<string>":
+            continue  # none, or a dataclass has made it
+        if not made.startswith("_") and function.__name__ == made:
+            told[function] = inspect.getdoc(function)
+        elif made in ("__init__", "__post_init__"):
+            told[function] = told[given]  # a class says what it raises
+    for function, text in told.items():
+        assert text and text.splitlines()[0].endswith("."), function
+        if inspect.isfunction(function) and raises(function):
+            assert "Error" in text, f"{function.__qualname__} does not say what it raises"
 
 
 def test_what_is_not_there_is_explained():

@@ -64,6 +64,8 @@ class Variant:
     """A distribution of levels. Each game adds its own knobs: numbers with units, and choices.
 
     shifted  another distribution of the same game, from which some levels come
+
+    Raises ValueError where a knob is not of its kind, or out of its bounds.
     """
 
     about: str
@@ -279,7 +281,10 @@ class Game:
         return self.rules.EVENTS
 
     def variant(self, name: str | Variant) -> Variant:
-        """The variant called `name`; one of your own is itself, if it is of this game."""
+        """The variant called `name`; one of your own is itself, if it is of this game.
+
+        Raises ValueError where there is none.
+        """
         if isinstance(name, Variant):
             if not isinstance(name, tuple({type(v) for v in self.variants.values()})):
                 raise ValueError(f"the variant is a {type(name).__name__}, none of {self.name}")
@@ -290,7 +295,7 @@ class Game:
         return self.variants[name]
 
     def drawn(self, art: str) -> Looks:
-        """How the game looks with the art of that name."""
+        """How the game looks with the art of that name; ValueError where it has none."""
         if not isinstance(art, str) or art not in self.looks:
             there = ", ".join(self.looks)
             raise ValueError(f"unknown art {shown(art)} of {self.name}; there are: {there}")
@@ -329,16 +334,7 @@ def check_record(s: Any, rules: Rules, truths: Callable[[np.ndarray], dict]) -> 
         raise ValueError(f"a state must be a record of this game; got {reprlib.repr(s)}")
     if not s.flags.writeable:
         return
-    check_records(np.array([s], rules.STATE), rules, truths)
-
-
-def check_records(states: np.ndarray, rules: Rules, truths: Callable[[np.ndarray], dict]) -> None:
-    """As `check_record`, of states [N]."""
-    if not isinstance(states, np.ndarray) or states.dtype != rules.STATE:
-        raise ValueError(f"states must be an array of this game's; got {reprlib.repr(states)}")
-    if not states.flags.writeable:
-        return
-    states = states.view(np.ndarray)
+    states = np.array([s], rules.STATE).view(np.ndarray)
     for name, holds in (_always(states, rules.EVENTS) | truths(states)).items():
         if not holds.all():
             raise ValueError(f"the state is none of this game: its {name} cannot be")

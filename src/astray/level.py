@@ -30,6 +30,8 @@ class Level:
     cells  [H, W] uint8, indexed [y, x], codes of the game's legend
     agent  where the agent begins
     looks  what else the game builds it from, as its background; what is missing is its choice
+
+    Raises ValueError where the cells or the agent are none; edits, where they cannot be made.
     """
 
     game: Game
@@ -72,7 +74,10 @@ class Level:
 
     @staticmethod
     def from_text(game: Game, variant: Variant, drawing: str) -> Level:
-        """The level that is drawn, a character of the game's legend a cell, the top row first."""
+        """The level that is drawn, a character of the game's legend a cell, the top row first.
+
+        Raises ValueError, naming the row, where the drawing is none of a level.
+        """
         of_kind("a level's drawing", drawing, str)
         drawing = drawing.removeprefix(BYTE_ORDER_MARK)
         rows = textwrap.dedent(drawing).strip("\n").rstrip().splitlines()[::-1]
@@ -96,7 +101,10 @@ class Level:
 
     @staticmethod
     def from_json(game: Game, variant: Variant, data: Any) -> Level:
-        """The level of `to_json`. Beside "grid" and "agent" anything may be missing."""
+        """The level of `to_json`. Beside "grid" and "agent" anything may be missing.
+
+        Raises ValueError where something in it is not as `to_json` writes it.
+        """
         if not isinstance(data, Mapping) or not {"grid", "agent"} <= data.keys():
             raise ValueError('a level is an object with at least "grid" and "agent"')
         if data.get("game", game.name) != game.name:
@@ -173,7 +181,7 @@ class Level:
         return "\n".join("".join(row) for row in reversed(rows))
 
     def where(self, name: str) -> list[Cell]:
-        """The cells that hold the object called `name`."""
+        """The cells that hold the object called `name`; ValueError where there is no such one."""
         if not isinstance(name, str) or name not in self.game.editing.OBJECTS:
             there = ", ".join(["agent", *self.game.editing.OBJECTS])
             raise ValueError(f"unknown object {name!r}; there are: {there}")

@@ -11,6 +11,8 @@ from scipy.special import logsumexp, softmax
 from scipy.stats import entropy
 
 from astray import games
+from astray.agents import policy as trained
+from astray.analysis import oversight
 from astray.analysis.doubt import (
     OF_LOGITS,
     Chance,
@@ -39,6 +41,7 @@ from astray.analysis.oversight import (
     play,
     threshold,
     training_scores,
+    when_asked,
 )
 from astray.analysis.policies import Random, Walk
 from astray.analysis.runs import load_agent
@@ -213,6 +216,50 @@ def test_a_curve_goes_from_the_novice_to_the_expert(mouse):
     assert table["help"][1] > table["help"][2] > table["help"][3] > 0
     assert table["astray"][0] > 0.4 and table["intended"][1] > table["intended"][0] + 0.3
     assert (table["seconds"] > 0).all() and len(PERCENTILES) == 8
+
+
+def test_what_curves_share_is_as_if_each_point_were_played_by_itself(mouse):
+    watch = Watch(lambda s: s["time"] >= 2, lambda s: s["time"] >= 6)
+    trial = Trial("maze", SHIFT, CORNER, range(40), ANYWHERE, LEVELS, watch)
+    scores = [OfLogits(mouse, "entropy"), OfLogits(mouse, "energy"), Chance()]
+    table = oversight.curves(mouse, Walk("cheese"), scores, trial, ("step", "level"), (75.0,))
+    assert len(table) == 3 * 2 * 3
+    for score in scores:
+        known = training_scores(mouse, score, MAZE, CORNER, range(40))
+        for granularity in ("step", "level"):
+            mine = table.filter(score=score.name, granularity=granularity)
+            limits = [np.inf, -np.inf, threshold(known, 75, granularity)]
+            assert mine["threshold"].to_list() == limits
+            for row, limit in zip(mine.to_dicts(), limits, strict=True):
+                policy = Helped(mouse, Walk("cheese"), score, limit, granularity)
+                played = play(policy, MAZE, ANYWHERE, LEVELS, watch)
+                asked = played.filter(pl.col("queries") > 0)
+                assert row["return"] == played["return"].mean()
+                assert row["queries"] == played["queries"].mean()
+                for moment in (BEFORE, SEEN, AFTER):
+                    share = (asked["moment"] == moment).mean() if len(asked) else None
+                    assert row[moment] == share
+    asked = when_asked(mouse, scores, trial, 75.0)
+    for score in scores:
+        limit = threshold(training_scores(mouse, score, MAZE, CORNER, range(40)), 75, "step")
+        alone = play(Helped(mouse, mouse, score, limit), MAZE, ANYWHERE, LEVELS, watch)
+        found = asked.filter(score=score.name).select(alone.columns)
+        assert found.drop("highest").equals(alone.drop("highest"))
+        assert found["highest"].to_list() == pytest.approx(alone["highest"].to_list())
+
+
+def test_a_network_is_asked_once_a_step_by_all_who_ask_the_agent(mouse, monkeypatch):
+    agent, calls = copy.copy(mouse), []
+    forward = trained.outputs
+    monkeypatch.setattr(trained, "outputs", lambda *a: calls.append(1) or forward(*a))
+    helped = Helped(agent, Walk("cheese"), OfLogits(agent, "entropy"), 0.5)
+    env = GameVectorEnv("maze", ANYWHERE, 5, observation="symbolic")
+    shown, _ = env.reset(seed=0)
+    helped.actions(env, shown)
+    assert len(calls) == 1
+    shown[:] = 0  # as an environment does that steps
+    first = agent.outputs(shown)[0]
+    assert len(calls) == 2 and not first.equal(mouse.outputs(env.reset(seed=1)[0])[0])
 
 
 def test_a_mouse_of_the_corner_is_astray_where_one_of_the_cheese_is_not(mouse):

@@ -5,7 +5,7 @@ import polars as pl
 import pytest
 
 from astray.analysis.critic import counterfactual, observe
-from astray.analysis.dataset import export
+from astray.analysis.dataset import export, read_trajectories
 from astray.analysis.doubt import margin, max_logit
 from astray.analysis.episodes import initial_states
 from astray.analysis.outcomes import shares
@@ -42,6 +42,7 @@ def agent(tmp_path):
         (lambda a: pair_vectors(a, "corner-small", "spread", None, None), "states must be a nda"),
         (lambda a: shares(pl.DataFrame({"seed": [0]})), "episodes must have the columns policy"),
         (lambda a: open_run(None), "run must be a str or Path; got None"),
+        (lambda a: read_trajectories(None), "folder must be a str or Path"),
         (lambda a: load_states(None, "maze"), "the path of a file must be a str or Path"),
         (lambda a: max_logit(None), "logits must be a ndarray"),
         (lambda a: margin(np.zeros(())), "logits must be .N, A. numbers"),

@@ -1,6 +1,7 @@
 """The compiled building blocks against independent ones."""
 
 import gc
+import threading
 import time
 import types
 import weakref
@@ -161,6 +162,30 @@ def test_a_pool_whose_share_failed_does_not_live_on():
     del pool
     gc.collect()
     assert gone() is None
+
+
+def test_a_pool_that_another_thread_closes_does_not_wait_for_those_that_ended(monkeypatch):
+    pool, told = Pool(2, Shared()), []
+    (worker,) = pool._workers
+    give = worker.give
+
+    def close_and_give(*given):
+        pool.close()
+        while not worker.ended:
+            time.sleep(0.001)
+        give(*given)
+
+    def run():
+        try:
+            pool.run(lambda *_: None, ())
+        except RuntimeError as error:
+            told.append(str(error))
+
+    monkeypatch.setattr(worker, "give", close_and_give)
+    runner = threading.Thread(target=run, daemon=True)
+    runner.start()
+    runner.join(20)
+    assert told == ["the environments were closed while they were stepped"]
 
 
 def test_a_pool_that_was_interrupted_loses_no_share(monkeypatch):

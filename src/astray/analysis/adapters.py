@@ -37,6 +37,8 @@ class Function:
 
     observation  that it is shown: images [N, 64, 64, 3] or symbolic planes [N, C, H, W]
     art          that images are drawn with
+
+    Raises ValueError where it cannot be called, or returns something else than an action for each.
     """
 
     choose: Callable[[np.ndarray], np.ndarray]
@@ -49,6 +51,7 @@ class Function:
             raise ValueError(f"choose must be a function of observations; got {shown(self.choose)}")
 
     def actions(self, env: GameVectorEnv, observations: np.ndarray) -> np.ndarray:
+        """An action for each of `observations` [N, ...]; ValueError where there is none."""
         chosen, count = np.asarray(self.choose(observations)), len(env.game.actions)
         if chosen.shape != (len(observations),) or not np.issubdtype(chosen.dtype, np.integer):
             raise ValueError(

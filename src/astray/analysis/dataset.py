@@ -185,6 +185,7 @@ def read_trajectories(folder: Path) -> Iterator[Trajectory]:
 
     Raises ValueError where the files are not as it writes them, or of another version's states.
     """
+    of_kind("folder", folder, str | Path)
     folder = Path(folder)
     path = folder / "dataset.json"
     try:

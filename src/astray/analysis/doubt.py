@@ -125,6 +125,16 @@ class Chance:
 
 
 @dataclass(frozen=True)
+class Always:
+    """Asks in every step."""
+
+    name: str = "always"
+
+    def __call__(self, env: GameVectorEnv, observations: np.ndarray) -> np.ndarray:
+        return np.ones(len(env.states))
+
+
+@dataclass(frozen=True)
 class Disagreement:
     """How far agents of the same training but other seeds are apart, nats.
 

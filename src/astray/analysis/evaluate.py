@@ -37,6 +37,8 @@ def evaluate(
     Columns: policy, level, name (null for a numbered level), shifted, return, length (steps),
     terminated, and every event of the game (the step it first happened, null for never).
     The rows do not depend on `batch`.
+
+    Raises ValueError where there are no levels, or an argument is not of its kind.
     """
     game = games.find(game)
     see_measures(measures, (*COLUMNS, *game.events))

@@ -2,7 +2,7 @@
 
     scores = [OfLogits(agent, "entropy"), Chance()]
     trial = Trial("maze", shift, training, range(500), test, range(100_000, 100_500))
-    table = pl.concat([curve(agent, Walk("cheese"), score, trial) for score in scores])
+    table = curves(agent, Walk("cheese"), scores, trial)
     areas = area(table)
 
 As in Trinh et al. (2024) and Danesh et al. (2025), thresholds are percentiles of the score where
@@ -11,8 +11,10 @@ the novice plays training levels alone, so that nothing has to be known of the t
 
 from __future__ import annotations
 
+import contextlib
+import itertools
 import time
-from collections.abc import Sequence, Sized
+from collections.abc import Callable, Iterator, Sequence, Sized
 from dataclasses import dataclass, field
 from typing import Literal
 
@@ -20,8 +22,8 @@ import numpy as np
 import polars as pl
 
 from astray import games
-from astray.analysis.doubt import Score
-from astray.analysis.episodes import Levels, steps
+from astray.analysis.doubt import Always, Score
+from astray.analysis.episodes import Levels, Step, steps
 from astray.analysis.estimates import bootstrap
 from astray.analysis.given import Measure, see_policy
 from astray.analysis.outcomes import INTENDED, MISGENERALIZED, label
@@ -87,8 +89,7 @@ class Helped:
         for policy in (self.novice, self.expert):
             see_policy(policy)
         check_word("granularity", self.granularity, Granularity)
-        if not callable(self.score):
-            raise ValueError(f"a score must be a function of environments; got {self.score!r}")
+        _see_score(self.score)
         of_kind("threshold", self.threshold, int | float)  # also infinite: nobody, or everybody
         if isinstance(self.expert, Agent) and self.expert.observation != self.observation:
             raise ValueError(
@@ -105,10 +106,11 @@ class Helped:
         return self.novice.art
 
     def actions(self, env, observations: np.ndarray) -> np.ndarray:
-        own = self.novice.actions(env, observations)
-        # Asked for in every step, as scripted experts learn a level with its first.
-        shown = self.expert.actions(env, observations)
-        scores = np.asarray(self.score(env, observations), float)
+        with _asked_once(self.novice, self.expert):
+            own = self.novice.actions(env, observations)
+            # Asked for in every step, as scripted experts learn a level with its first.
+            shown = self.expert.actions(env, observations)
+            scores = np.asarray(self.score(env, observations), float)
         numbers, begins = env.states["level"].tolist(), (env.states["time"] == 0).tolist()
         helped = scores > self.threshold
         if self.granularity == "level":
@@ -126,6 +128,56 @@ class Helped:
         return np.array(scores), np.array(helped)
 
 
+@dataclass(eq=False)
+class Alone:
+    """The novice without help, and what scores say of each of its steps."""
+
+    novice: Policy
+    scores: Sequence[Score]
+    name: str = "alone"
+    _now: dict[int, np.ndarray] = field(default_factory=dict, repr=False)  # by level: [scores]
+
+    def __post_init__(self) -> None:
+        see_policy(self.novice)
+        of_kind("scores", self.scores, Sequence)
+        for score in self.scores:
+            _see_score(score)
+
+    @property
+    def observation(self) -> Observation:
+        return self.novice.observation
+
+    @property
+    def art(self) -> str:
+        return self.novice.art
+
+    def actions(self, env, observations: np.ndarray) -> np.ndarray:
+        with _asked_once(self.novice):
+            own = self.novice.actions(env, observations)
+            said = [np.asarray(score(env, observations), float) for score in self.scores]
+        self._now = dict(zip(env.states["level"].tolist(), np.stack(said, 1), strict=True))
+        return own
+
+    def last(self, numbers: np.ndarray) -> np.ndarray:
+        """Of the last step in the levels of those numbers [n]: the scores, [n, scores]."""
+        return np.array([self._now[number] for number in numbers.tolist()])
+
+
+def _see_score(score: Score) -> None:
+    if not callable(score):
+        raise ValueError(f"a score must be a function of environments; got {score!r}")
+
+
+@contextlib.contextmanager
+def _asked_once(*policies: Policy) -> Iterator[None]:
+    """What agents give in a step is computed once for their actions and for scores of it."""
+    with contextlib.ExitStack() as stack:
+        for policy in policies:
+            if isinstance(policy, Agent):
+                stack.enter_context(policy.asked_once())
+        yield
+
+
 def play(
     policy: Helped, game: str | Game, variant: str | Variant, levels: Levels,
     watch: Watch | None = None,
@@ -137,12 +189,11 @@ def play(
     query; null without a `watch`), and the game's events (their steps, null for never).
     """
     of_kind("levels", levels, Sized)
-    game = games.find(game)
     n = len(levels)
-    returns, queries, first = np.zeros(n), np.zeros(n, int), np.full(n, -1)
-    highest, seen, moment = np.full(n, -np.inf), np.zeros(n, bool), np.full(n, -1)
-    rows: list[dict] = [{}] * n
-    for step in steps(policy, game, variant, levels):
+    queries, first, moment = np.zeros(n, int), np.full(n, -1), np.full(n, -1)
+    highest, seen = np.full(n, -np.inf), np.zeros(n, bool)
+
+    def note(step: Step) -> None:
         where = step.level
         scores, helped = policy.last(step.before["level"])
         if watch:
@@ -151,33 +202,92 @@ def play(
             new = helped & (first[where] < 0)
             moment[where[new]] = now[new]
         first[where] = np.where(helped & (first[where] < 0), step.before["time"], first[where])
-        returns[where] += step.rewards
         queries[where] += helped
         highest[where] = np.maximum(highest[where], scores)
+
+    played = _episodes(policy, games.find(game), variant, levels, note)
+    return _with_help(played, queries, first, highest, moment)
+
+
+def play_alone(
+    policy: Alone, game: str | Game, variant: str | Variant, levels: Levels,
+    watch: Watch | None = None,
+) -> tuple[pl.DataFrame, pl.DataFrame]:  # fmt: skip
+    """How the novice's episodes went, and what the scores said of every step.
+
+    Returns a row per level (level, return, length and the game's events), and a row per step:
+    level (which of `levels`), time, moment (index in `MOMENTS`, -1 without a `watch`), and a column
+    for each of the scores, called by its place among them.
+    """
+    of_kind("levels", levels, Sized)
+    seen, parts = np.zeros(len(levels), bool), []
+
+    def note(step: Step) -> None:
+        where, said = step.level, policy.last(step.before["level"])
+        moment = np.full(len(where), -1)
+        if watch:
+            seen[where] |= watch.seen(step.before)
+            moment = np.where(watch.passed(step.before), 2, seen[where])
+        columns = {f"{k}": said[:, k] for k in range(said.shape[1])}
+        told = {"level": where, "time": step.before["time"].copy(), "moment": moment}
+        parts.append(pl.DataFrame(told | columns))
+
+    played = _episodes(policy, games.find(game), variant, levels, note)
+    return played, pl.concat(parts)
+
+
+def _episodes(
+    policy: Policy, game: Game, variant: str | Variant, levels: Levels,
+    note: Callable[[Step], None],
+) -> pl.DataFrame:  # fmt: skip
+    """A row per level: level, length, return and the game's events; each step is noted."""
+    returns, rows = np.zeros(len(levels)), [{}] * len(levels)
+    for step in steps(policy, game, variant, levels):
+        note(step)
+        returns[step.level] += step.rewards
         for i in np.flatnonzero(step.ended):
-            s, k = step.after[i], where[i]
+            s = step.after[i]
             events = {e: int(s[e]) if s[e] >= 0 else None for e in game.events}
-            rows[k] = {"level": int(s["level"]), "length": int(s["time"])} | events
+            rows[step.level[i]] = {"level": int(s["level"]), "length": int(s["time"])} | events
     kinds: dict = {event: pl.Int64 for event in game.events}
-    return pl.DataFrame(rows, schema_overrides=kinds).with_columns(
-        pl.Series("return", returns), pl.Series("queries", queries),
+    played = pl.DataFrame(rows, schema_overrides=kinds)
+    return played.with_columns(pl.Series("return", returns))
+
+
+def _with_help(
+    played: pl.DataFrame, queries: np.ndarray, first: np.ndarray, highest: np.ndarray,
+    moment: np.ndarray,
+) -> pl.DataFrame:  # fmt: skip
+    """Episodes with columns of the help in them; -1 of `first` and `moment` is null."""
+    return played.with_columns(
+        pl.Series("queries", queries),
         pl.Series("first", [int(t) if t >= 0 else None for t in first], pl.Int64),
         pl.Series("highest", highest),
         pl.Series("moment", [MOMENTS[k] if k >= 0 else None for k in moment], pl.String),
+    )
+
+
+def _unheeded(played: pl.DataFrame, said: pl.DataFrame, score: str, limit: float) -> pl.DataFrame:
+    """Episodes of `play_alone` as `play` tells them, where nobody helped who was asked to.
+
+    score  the column of `said`, which is above `limit` where it asks
+    """
+    by_level = said.sort("level", "time").group_by("level", maintain_order=True)
+    asks = pl.col(score) > limit
+    told = by_level.agg(
+        queries=asks.sum(), highest=pl.col(score).max(),
+        first=pl.col("time").filter(asks).first(), moment=pl.col("moment").filter(asks).first(),
     )  # fmt: skip
+    first, moment = (told[name].fill_null(-1).to_numpy() for name in ("first", "moment"))
+    return _with_help(played, told["queries"].to_numpy(), first, told["highest"].to_numpy(), moment)
 
 
 def training_scores(
     novice: Policy, score: Score, game: str | Game, variant: Variant, levels: Levels
 ) -> pl.DataFrame:
     """The score at every step of the novice alone in training levels: columns level, score."""
-    alone = Helped(novice, novice, score, np.inf)
-    parts = []
-    for step in steps(alone, game, variant, levels):
-        parts.append(
-            pl.DataFrame({"level": step.level, "score": alone.last(step.before["level"])[0]})
-        )
-    return pl.concat(parts)
+    _, said = play_alone(Alone(novice, [score]), game, variant, levels)
+    return said.select("level", score="0")
 
 
 def threshold(scores: pl.DataFrame, percentile: float, granularity: Granularity) -> float:
@@ -199,28 +309,53 @@ def curve(
     novice: Policy, expert: Policy, score: Score, trial: Trial,
     granularity: Granularity = "step", percentiles: Sequence[float] = PERCENTILES,
 ) -> pl.DataFrame:  # fmt: skip
+    """As `curves`, for one score and one granularity."""
+    return curves(novice, expert, [score], trial, [granularity], percentiles)
+
+
+def curves(
+    novice: Policy, expert: Policy, scores: Sequence[Score], trial: Trial,
+    granularities: Sequence[Granularity] = ("step",),
+    percentiles: Sequence[float] = PERCENTILES,
+) -> pl.DataFrame:  # fmt: skip
     """What help of every amount brings: a row per percentile, and for no help and all of it.
+
+    For each score and granularity; what they share is played once, the novice alone and the expert.
 
     Columns: score, granularity, percentile (null for no help and for all), threshold, help (the
     share of what the granularity names, steps or levels, that got help), queries (expert's steps a
     level), return, low, high (95 % over levels), intended and astray (shares of episodes that
-    reached the intended goal or a proxy first), seconds, and the share of helped levels of each of
-    `MOMENTS`, null without a watch.
+    reached the intended goal or a proxy first), seconds (that the curve took, with its part of what
+    is shared), and the share of helped levels of each of `MOMENTS`, null without a watch.
     """
     of_kind("trial", trial, Trial)
     began = time.perf_counter()
-    known = training_scores(novice, score, trial.game, trial.training, trial.training_levels)
-    rows = []
-    limits: list[tuple[float | None, float]] = [(None, np.inf), (None, -np.inf)]
-    limits += [(p, threshold(known, p, granularity)) for p in percentiles]
-    for percentile, limit in limits:
-        policy = Helped(novice, expert, score, limit, granularity)
-        played = play(policy, trial.game, trial.test, trial.test_levels, trial.watch)
-        row = {"score": score.name, "granularity": granularity, "percentile": percentile}
-        rows.append(row | {"threshold": limit} | _summed(played, trial, granularity))
-    seconds = time.perf_counter() - began
+    alone, test = Alone(novice, scores), (trial.game, trial.test, trial.test_levels, trial.watch)
+    _, known = play_alone(alone, trial.game, trial.training, trial.training_levels)
+    of_novice, said = play_alone(alone, *test)
+    of_expert = _unheeded(*play_alone(Alone(expert, [Always()]), *test), "0", 0.5)
+    pairs = list(itertools.product(enumerate(scores), granularities))
+    shared, tables = (time.perf_counter() - began) / max(len(pairs), 1), []
     kinds: dict = {"percentile": pl.Float64} | {moment: pl.Float64 for moment in MOMENTS}
-    return pl.DataFrame(rows, schema_overrides=kinds).with_columns(seconds=pl.lit(seconds))
+    for (k, score), granularity in pairs:
+        began = time.perf_counter()
+        mine = known.select("level", score=f"{k}")
+        limits = [(p, threshold(mine, p, granularity)) for p in percentiles]
+        found = [
+            (None, np.inf, _unheeded(of_novice, said, f"{k}", np.inf)),
+            (None, -np.inf, of_expert),
+            *((p, limit, play(Helped(novice, expert, score, limit, granularity), *test))
+              for p, limit in limits),
+        ]  # fmt: skip
+        rows = [
+            {"score": score.name, "granularity": granularity, "percentile": percentile,
+             "threshold": limit} | _summed(played, trial, granularity)
+            for percentile, limit, played in found
+        ]  # fmt: skip
+        seconds = shared + time.perf_counter() - began
+        table = pl.DataFrame(rows, schema_overrides=kinds)
+        tables.append(table.with_columns(seconds=pl.lit(seconds)))
+    return pl.concat(tables)
 
 
 def _summed(played: pl.DataFrame, trial: Trial, granularity: Granularity) -> dict:
@@ -287,14 +422,19 @@ def net_returns(curves: pl.DataFrame, costs: Sequence[float]) -> pl.DataFrame:
 
 
 def when_asked(
-    novice: Policy, score: Score, trial: Trial, percentile: float = 95.0
+    novice: Policy, scores: Sequence[Score], trial: Trial, percentile: float = 95.0
 ) -> pl.DataFrame:
-    """When a novice that nobody helps would first have asked: a row per level of the test.
+    """When a novice that nobody helps would first have asked: a row per score and test level.
 
-    Columns: those of `play`, and outcome; `moment` is null where it would never have.
+    Columns: score, those of `play`, and outcome; `moment` is null where it would never have.
     """
     of_kind("trial", trial, Trial)
-    known = training_scores(novice, score, trial.game, trial.training, trial.training_levels)
-    policy = Helped(novice, novice, score, threshold(known, percentile, "step"))
-    played = play(policy, trial.game, trial.test, trial.test_levels, trial.watch)
-    return label(played, games.find(trial.game), trial.shift)
+    alone = Alone(novice, scores)
+    _, known = play_alone(alone, trial.game, trial.training, trial.training_levels)
+    played, said = play_alone(alone, trial.game, trial.test, trial.test_levels, trial.watch)
+    played, parts = label(played, games.find(trial.game), trial.shift), []
+    for k, score in enumerate(scores):
+        limit = threshold(known.select("level", score=f"{k}"), percentile, "step")
+        asked = _unheeded(played, said, f"{k}", limit)
+        parts.append(asked.select(pl.lit(score.name).alias("score"), pl.all()))
+    return pl.concat(parts)

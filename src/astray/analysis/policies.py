@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import contextlib
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal, Protocol
@@ -74,6 +75,8 @@ class Agent:
     network: torch.nn.Module = field(init=False, repr=False)
     architecture: trained.Architecture = field(init=False)
     threads: int = field(init=False, repr=False)  # that `outputs` takes on a CPU
+    _kept: tuple[np.ndarray, Any] | None = field(init=False, repr=False, default=None)
+    _keeps: bool = field(init=False, repr=False, default=False)
 
     def __post_init__(self) -> None:
         check_words(self)
@@ -95,6 +98,8 @@ class Agent:
     def outputs(self, observations: np.ndarray) -> tuple[torch.Tensor, torch.Tensor]:
         """Logits [N, A] and values [N] on `observations` [N, ...]."""
         of_kind("observations", observations, np.ndarray)
+        if self._kept and self._kept[0] is observations:
+            return self._kept[1]
         shown, known = observations.shape[1:], self.architecture.shape
         if shown != known:
             raise ValueError(f"the agent sees observations of shape {known}, not {shown}")
@@ -103,9 +108,24 @@ class Agent:
         before = torch.get_num_threads()
         torch.set_num_threads(self.threads)
         try:
-            return trained.outputs(self.network, shown_here, chunk)
+            found = trained.outputs(self.network, shown_here, chunk)
         finally:
             torch.set_num_threads(before)
+        if self._keeps:
+            self._kept = observations, found
+        return found
+
+    @contextlib.contextmanager
+    def asked_once(self) -> Iterator[None]:
+        """What the network gives for an array is computed once, however often it is asked for.
+
+        Within it nobody may change the array, or the network.
+        """
+        self._keeps = True
+        try:
+            yield
+        finally:
+            self._keeps, self._kept = False, None
 
     def actions(self, env: GameVectorEnv, observations: np.ndarray) -> np.ndarray:
         if self.observation == "image" and env.art != self.art:

@@ -97,6 +97,9 @@ def evaluate_runs(
 
     Returns `outcomes.shares` of all levels and of those that tell the goals apart (column
     "levels_played"), and the episodes.
+
+    Raises ValueError where runs are not alike, the same one is given twice, or there are no levels;
+    FileNotFoundError where there is no run.
     """
     if isinstance(runs, str) or not isinstance(runs, Sequence):
         raise ValueError(f"runs must be a list of run folders; got {shown(runs)}")

@@ -95,6 +95,8 @@ class Pool:
     def _join(self) -> None:
         for worker in self._workers:
             while load(self._laps, worker.number) < worker.given:
+                if worker.ended and load(self._laps, worker.number) < worker.given:
+                    raise RuntimeError("the environments were closed while they were stepped")
                 time.sleep(PAUSE)
 
 
@@ -137,7 +139,7 @@ class _Worker:
         self.given = 0  # the lap of the last job
         self.job: tuple[Callable, tuple[Any, ...]] | None = None
         self.error: BaseException | None = None
-        self.asleep, self.stopped = False, False
+        self.asleep, self.stopped, self.ended = False, False, False
         self.wakes: queue.SimpleQueue[None] = queue.SimpleQueue()
         threading.Thread(target=self._live, daemon=True, name=f"astray-{number}").start()
 
@@ -169,6 +171,7 @@ class _Worker:
             self.asleep = False
             while self.job is not None:
                 self._work(*self.job)
+        self.ended = True
 
     def _work(self, function: Callable, arguments: tuple[Any, ...]) -> None:
         self.job, lap = None, arguments[-1]

@@ -55,6 +55,9 @@ class GameVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
     episode, and every event (the step it first happened, -1 for never) at its end. `states`
     is the record of each environment, live and read-only; `get_state` copies them to be changed,
     and `set_state` checks what compiled code will trust.
+
+    Raises ValueError where there is no such game, variant or art, or an argument is out of its
+    bounds; MemoryError where so many do not fit.
     """
 
     def __init__(
@@ -167,6 +170,8 @@ class GameVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         options["state"]       a state, or one for each environment, to begin in instead; levels
                                that come after it are those that would have come without it
         options["reset_mask"]  [N] bool, the environments to reset; the others go on
+
+        Raises ValueError where an option is none of these, or is not of its kind.
         """
         if seed is not None:
             bounded("seed", seed, 0, MOST_SEED)
@@ -214,6 +219,8 @@ class GameVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         """Advance every environment by one step; actions [N], integers.
 
         out  where to write the observations, of their shape and contiguous; else a fresh array
+
+        Raises ValueError where `actions` are none, or before the first reset.
         """
         if not self._seeded:
             raise RuntimeError("the environment must be reset before it is stepped")
@@ -264,6 +271,8 @@ class GameVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         """Go on from what `get_state` returned, or all from one state; their observations.
 
         In mode SameStep no episode is over between two steps, so none may be in `states`.
+
+        Raises ValueError where they are no states of the variant.
         """
         self._take(states, np.ones(self.num_envs, bool))
         self._seeded = True
@@ -273,6 +282,8 @@ class GameVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         """Begin every episode from now on in its own of `states` [N], again and again.
 
         None: levels come as they did before. What is under way goes on.
+
+        Raises ValueError where they are no states [N] of the variant.
         """
         if states is None:
             self._begins = np.empty(0, self.game.state)

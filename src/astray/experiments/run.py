@@ -62,6 +62,9 @@ def reproduce(
     on       where agents are trained; they are evaluated here
     art      of all images; the report of another than our own is in <name>-<size>-<art>
     track    who else is told how trainings go, and what the report says: wandb or trackio
+
+    Raises ValueError where there is no such experiment, size or art, OSError where the report's
+    folder holds what astray did not write.
     """
     name, whole = catalogue.find(experiment)
     if not isinstance(size, str) or size not in whole.sizes:

@@ -56,6 +56,8 @@ class Config:
     8,192 (the text has 2,048, for each of 4 workers), a learning rate annealed linearly to 0,
     rewards normalised with a discount of their own. One departure: an episode cut by the time
     limit is bootstrapped; `timeouts="terminate"` is the original's treatment.
+
+    Raises ValueError where a setting is of another type, out of its bounds or at odds with others.
     """
 
     game: Positional[str] = "maze"
@@ -220,6 +222,7 @@ class Config:
 
     @staticmethod
     def from_json(data: Any) -> Config:
+        """The settings that `to_json` wrote, also those of older versions; ValueError else."""
         if not isinstance(data, dict):
             raise ValueError(f"settings must be an object; got {shown(data)}")
         known = [f.name for f in fields(Config)]

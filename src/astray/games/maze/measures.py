@@ -11,8 +11,11 @@ from typing import Any
 
 import numpy as np
 
+from astray.game import check_states
+from astray.games.maze import rules
+from astray.games.maze.levels import truths
 from astray.games.maze.rules import ACTIONS
-from astray.games.maze.solve import STAY, check_all, routes, steps_to, target
+from astray.games.maze.solve import STAY, routes, steps_to, target
 from astray.kernel.grid import UNREACHABLE
 
 NONE = -1  # of a label that a state does not have
@@ -144,5 +147,5 @@ def _records(states: np.ndarray) -> np.recarray:
 
     ValueError where they are none that the game plays.
     """
-    check_all(states)
+    check_states(states, "maze", rules, truths)
     return states.view(np.recarray)

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from astray.bounds import finite, one_of
-from astray.game import NEVER, check_record, check_records
+from astray.game import NEVER, check_record
 from astray.games.maze import rules
 from astray.games.maze.levels import truths
 from astray.games.maze.rules import ACTIONS, REWARD
@@ -20,7 +20,6 @@ from astray.kernel.maze import WALL
 STAY = ACTIONS.index("stay")
 
 check = functools.partial(check_record, rules=rules, truths=truths)
-check_all = functools.partial(check_records, rules=rules, truths=truths)
 
 
 def target(s: Any, goal: str) -> tuple[int, int] | None:

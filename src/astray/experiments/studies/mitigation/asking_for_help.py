@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -9,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import polars as pl
 
-from astray.analysis import kept
+from astray.analysis import kept, oversight
 from astray.analysis.doubt import (
     OF_LOGITS,
     Chance,
@@ -23,15 +24,13 @@ from astray.analysis.outcomes import MISGENERALIZED, load_shift
 from astray.analysis.oversight import (
     AFTER,
     MOMENTS,
-    Granularity,
     Trial,
     Watch,
     area,
-    curve,
     net_returns,
     when_asked,
 )
-from astray.analysis.policies import Walk
+from astray.analysis.policies import Agent, Walk
 from astray.analysis.runs import open_run
 from astray.experiments.claims import Claim, rounded
 from astray.experiments.report import Findings, Plot, Table
@@ -49,6 +48,7 @@ WATCHES = {
     RUNNER: Watch(measures.coin_in_view, measures.coin_passed),
 }
 PERCENTILES = (25.0, 50.0, 75.0, 90.0, 95.0, 99.0)
+FEWER = (50.0, 90.0, 99.0)  # of a large network, which takes minutes for each
 COSTS = (0.0, 0.1, 0.5, 1.0)  # of the return, a query
 ASTRAY = "goal astray"
 LATE, AHEAD, HARM = 0.5, 0.1, 0.25  # bounds of the claims
@@ -60,6 +60,7 @@ class Novice:
 
     name: str
     run: Path
+    agent: Agent
     scores: Sequence[Score]
     trial: Trial
 
@@ -89,34 +90,28 @@ def novices(work: Work, name: str) -> list[Novice]:
         if name == MOUSE:
             kinds = ("entropy", "astray")
             scores += [GoalPosterior(agent, shift, kind) for kind in kinds]
-        found.append(Novice(name, run, scores, trial))
+        found.append(Novice(name, run, agent, scores, trial))
     return found
 
 
-def curves(work: Work) -> pl.DataFrame:
-    """`oversight.curve` of every novice and score, with columns agent and run beside it."""
+def curves(found: Sequence[Novice], percentiles: Sequence[float]) -> pl.DataFrame:
+    """`oversight.curves` of every novice and score, with columns agent and run beside it."""
     parts = []
-    for name in novice_runs(work):
-        for novice in novices(work, name):
-            agent = open_run(novice.run)[0]
-            expert = Walk(novice.trial.shift.intended, remembers=True)
-            granularities: tuple[Granularity, ...] = ("step", "level")
-            for score in novice.scores:
-                for granularity in granularities:
-                    rows = curve(agent, expert, score, novice.trial, granularity, PERCENTILES)
-                    parts.append(_of(rows, novice))
+    for novice in found:
+        expert = Walk(novice.trial.shift.intended, remembers=True)
+        rows = oversight.curves(
+            novice.agent, expert, novice.scores, novice.trial, ("step", "level"), percentiles
+        )
+        parts.append(_of(rows, novice))
     return pl.concat(parts)
 
 
-def timing(work: Work) -> pl.DataFrame:
-    """`oversight.when_asked` of every novice and score, with agent, run and score beside it."""
+def timing(found: Sequence[Novice]) -> pl.DataFrame:
+    """`oversight.when_asked` of every novice and score, with columns agent and run beside it."""
     parts = []
-    for name in novice_runs(work):
-        for novice in novices(work, name):
-            agent = open_run(novice.run)[0]
-            for score in novice.scores:
-                rows = when_asked(agent, score, novice.trial).select("level", "outcome", "moment")
-                parts.append(_of(rows.with_columns(score=pl.lit(score.name)), novice))
+    for novice in found:
+        rows = when_asked(novice.agent, novice.scores, novice.trial)
+        parts.append(_of(rows.select("score", "level", "outcome", "moment"), novice))
     return pl.concat(parts)
 
 
@@ -126,10 +121,14 @@ def _of(rows: pl.DataFrame, novice: Novice) -> pl.DataFrame:
 
 def find(work: Work) -> Findings:
     """Curves of help, the areas under them, and when the scores ask."""
-    table, asked = (
-        work.keep("curves", lambda: curves(work)),
-        work.keep("timing", lambda: timing(work)),
-    )
+    percentiles = FEWER if work.size == PUBLISHED else PERCENTILES
+
+    @functools.cache
+    def found() -> list[Novice]:  # once: what goals they would pursue is long in the telling
+        return [one for name in novice_runs(work) for one in novices(work, name)]
+
+    table = work.keep("curves", lambda: curves(found(), percentiles))
+    asked = work.keep("timing", lambda: timing(found()))
     areas = by_run(table, lambda part: area(part))
     costs = by_run(table, lambda part: net_returns(part, COSTS))
     late = too_late(asked)
@@ -171,7 +170,7 @@ def find(work: Work) -> Findings:
         ],
         settings={
             "novices": ", ".join(f"{n}: {runs[0].name}" for n, runs in novice_runs(work).items()),
-            "percentiles": ", ".join(f"{p:g}" for p in PERCENTILES),
+            "percentiles": ", ".join(f"{p:g}" for p in percentiles),
             "levels": f"{work.plan.levels} of the training to find thresholds in, "
             f"{work.plan.levels} of the test that no training draws from",
             "seconds a curve": f"{table['seconds'].mean():.1f} on average, "
