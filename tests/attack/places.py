@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from attack import words
-from attack.core import INTERRUPTED, UNREAD, Attempt, Place, Told, Wrong
+from attack.core import INTERRUPTED, MISTAKE, UNREAD, Attempt, Place, Told, Wrong
 
 # What writes, and where to: the verb, and its option.
 WRITERS = {
@@ -165,7 +165,7 @@ def _streams() -> dict[str, tuple[Callable[[Place], Any], tuple[int, ...]]]:
         "nobody reads": ("ASTRAY LEVEL | true", (UNREAD,)),
         "nobody reads errors": ("ASTRAY level maze Corner 2>&1 >/dev/null | true; true", ()),
         "output closed": ("ASTRAY LEVEL >&-", ()),
-        "errors closed": ("ASTRAY level maze Corner 2>&-", ()),
+        "errors closed": ("ASTRAY level maze Corner 2>&-", (MISTAKE,)),
         "all closed": ("ASTRAY level maze corner <&- >&- 2>&-", ()),
         "input closed": (f"{replay} <&-", ()),
         "input of bytes": (f"printf '\\377\\376' | {replay}", ()),

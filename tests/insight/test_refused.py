@@ -42,7 +42,7 @@ def agent(tmp_path):
         (lambda a: pair_vectors(a, "corner-small", "spread", None, None), "states must be a nda"),
         (lambda a: shares(pl.DataFrame({"seed": [0]})), "episodes must have the columns policy"),
         (lambda a: open_run(None), "run must be a str or Path; got None"),
-        (lambda a: read_trajectories(None), "folder must be a str or Path"),
+        (lambda a: list(read_trajectories(None)), "folder must be a str or Path"),
         (lambda a: load_states(None, "maze"), "the path of a file must be a str or Path"),
         (lambda a: max_logit(None), "logits must be a ndarray"),
         (lambda a: margin(np.zeros(())), "logits must be .N, A. numbers"),

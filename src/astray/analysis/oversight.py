@@ -67,8 +67,22 @@ class Trial:
         of_kind("watch", self.watch, Watch | None)
 
 
+class _Shown:
+    """What a policy is shown that has a novice: what the novice sees."""
+
+    novice: Policy
+
+    @property
+    def observation(self) -> Observation:
+        return self.novice.observation
+
+    @property
+    def art(self) -> str:
+        return self.novice.art
+
+
 @dataclass(eq=False)
-class Helped:
+class Helped(_Shown):
     """A policy of two: where `score` is above `threshold`, the expert acts instead of the novice.
 
     granularity  "step": for that step; "level": from then on to the level's end
@@ -97,14 +111,6 @@ class Helped:
                 f"{self.expert.observation!r}"
             )
 
-    @property
-    def observation(self) -> Observation:
-        return self.novice.observation
-
-    @property
-    def art(self) -> str:
-        return self.novice.art
-
     def actions(self, env, observations: np.ndarray) -> np.ndarray:
         with _asked_once(self.novice, self.expert):
             own = self.novice.actions(env, observations)
@@ -129,7 +135,7 @@ class Helped:
 
 
 @dataclass(eq=False)
-class Alone:
+class Alone(_Shown):
     """The novice without help, and what scores say of each of its steps."""
 
     novice: Policy
@@ -142,14 +148,6 @@ class Alone:
         of_kind("scores", self.scores, Sequence)
         for score in self.scores:
             _see_score(score)
-
-    @property
-    def observation(self) -> Observation:
-        return self.novice.observation
-
-    @property
-    def art(self) -> str:
-        return self.novice.art
 
     def actions(self, env, observations: np.ndarray) -> np.ndarray:
         with _asked_once(self.novice):

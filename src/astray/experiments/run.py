@@ -69,7 +69,8 @@ def reproduce(
     name, whole = catalogue.find(experiment)
     if not isinstance(size, str) or size not in whole.sizes:
         raise ValueError(f"unknown size {size!r} of {name}; there are: {', '.join(whole.sizes)}")
-    torch.set_num_threads(1)  # several cost small networks more than they save
+    if size != PUBLISHED:
+        torch.set_num_threads(1)  # several cost small networks more than they save
     plan, ending = whole.sizes[size].drawn_with(art), "" if art == OWN else f"-{art}"
     folder = root / f"{name}-{size}{ending}"
     see_free(folder, PLAN, b'"sources"', report.WRITTEN)
