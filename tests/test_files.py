@@ -64,6 +64,8 @@ def test_no_folder_is_left_of_what_was_not_written(tmp_path):
         with pytest.raises(RuntimeError), folder_aside(folder / "mouse") as aside:
             assert aside.is_dir()
             raise RuntimeError
+    with pytest.raises(OSError), folder_aside(tmp_path / "new" / ("a" * 5000)):
+        pass
     assert [path.name for path in tmp_path.rglob("*")] == ["there"]
 
 

@@ -150,8 +150,11 @@ def test_knobs_are_numbers_that_compiled_code_can_hold(game):
     for wrong in (HUGE, 2.5, "5", None, True, -HUGE):
         with pytest.raises(ValueError, match="time_limit must be an integer from"):
             replace(variant, time_limit=wrong)
-    with pytest.raises(ValueError, match="shift_probability must be a finite number"):
-        replace(variant, shift_probability=float("nan"))
+    for wrong in (float("nan"), True, 1.5):
+        with pytest.raises(ValueError, match="shift_probability must be a finite number"):
+            replace(variant, shift_probability=wrong)
+    with pytest.raises(ValueError, match="shift_probability must be of type float; got True"):
+        variant.with_knobs({"shift_probability": True})
 
 
 def test_an_agent_of_another_size_is_told_so_wherever_it_plays():

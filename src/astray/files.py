@@ -129,7 +129,7 @@ def folder_aside(path: Path) -> Iterator[Path]:
         aside.mkdir()
         yield aside
     finally:
-        if aside.exists():
+        if os.path.exists(aside):  # pathlib would raise where the name is too long
             shutil.rmtree(aside, ignore_errors=True)
         remove_made(made)
 

@@ -150,7 +150,7 @@ def _as_knob(name: str, value: Any, kinds: Mapping[str, type]) -> Any:
             value = json.loads(value.lower())
         except (json.JSONDecodeError, RecursionError):
             raise _unlike(name, value, kinds[name]) from None
-    if isinstance(value, int) and kinds[name] is float:
+    if type(value) is int and kinds[name] is float:
         value = float(value)
     if type(value) is not kinds[name]:
         raise _unlike(name, value, kinds[name])
