@@ -33,7 +33,8 @@ def attempts() -> Iterator[Attempt]:
             done = functools.partial(act, verb)
             yield Attempt(4, f"{verb}: {name}", done, "any", seconds=60, leaves=True)
     for name, (act, codes) in {**_streams(), **_variables(), **_folders()}.items():
-        yield Attempt(4, name, act, "any", seconds=60, codes=codes)
+        begun = name == "no more processes"  # the sweep is, and can go on where there are some
+        yield Attempt(4, name, act, "any", seconds=60, codes=codes, leaves=begun)
 
 
 def _words(verb: str, to: Path, place: Place) -> list[Any]:
