@@ -44,7 +44,7 @@ fuzz: $(INSTALLED)
 	cd tests && NUMBA_DISABLE_JIT=1 ../$(BIN)/python -m helpers.golden --steps 100
 	cat fuzz.jsonl
 
-# 5,438 attempts to lose a user's data, to crash, to hang, to be silent; half an hour or more.
+# Some 5,400 attempts to lose a user's data, to crash, to hang, to be silent; half an hour or more.
 attack: $(INSTALLED)
 	cd tests && ../$(BIN)/python -m attack ../attacked --kept ../attacked/kept
 

@@ -26,19 +26,14 @@ from astray.analysis.doubt import (
 )
 from astray.analysis.episodes import steps
 from astray.analysis.evaluate import evaluate
+from astray.analysis.helped import AFTER, BEFORE, SEEN, Helped, Watch, play
 from astray.analysis.outcomes import load_shift
 from astray.analysis.oversight import (
-    AFTER,
-    BEFORE,
     PERCENTILES,
-    SEEN,
-    Helped,
     Trial,
-    Watch,
     area,
     curve,
     net_returns,
-    play,
     threshold,
     training_scores,
     when_asked,

@@ -4,8 +4,8 @@ import numpy as np
 import polars as pl
 import pytest
 
+from astray.analysis.helped import AFTER, BEFORE
 from astray.analysis.outcomes import INTENDED, MISGENERALIZED
-from astray.analysis.oversight import AFTER, BEFORE
 from astray.experiments.studies.mitigation import (
     _regret as regret,
 )

@@ -20,16 +20,9 @@ from astray.analysis.doubt import (
     Score,
     distances,
 )
+from astray.analysis.helped import AFTER, MOMENTS, Watch
 from astray.analysis.outcomes import MISGENERALIZED, load_shift
-from astray.analysis.oversight import (
-    AFTER,
-    MOMENTS,
-    Trial,
-    Watch,
-    area,
-    net_returns,
-    when_asked,
-)
+from astray.analysis.oversight import Trial, area, net_returns, when_asked
 from astray.analysis.policies import Agent, Walk
 from astray.analysis.runs import open_run
 from astray.experiments.claims import Claim, rounded

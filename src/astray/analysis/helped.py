@@ -1,0 +1,249 @@
+"""A policy of two, novice and expert, and how its episodes go; and the novice alone, watched."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Callable, Iterator, Sequence, Sized
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+import polars as pl
+
+from astray import games
+from astray.analysis.doubt import Score
+from astray.analysis.episodes import Levels, Step, steps
+from astray.analysis.given import Measure, see_policy
+from astray.analysis.policies import Agent, Observation, Policy
+from astray.bounds import of_kind
+from astray.game import Game, Variant
+from astray.words import check_word
+
+Granularity = Literal["step", "level"]
+BEFORE, SEEN, AFTER = "before it was seen", "seen, not passed", "after it was passed"
+MOMENTS = (BEFORE, SEEN, AFTER)  # at which help is first asked for
+
+
+@dataclass(frozen=True)
+class Watch:
+    """Where an object is for the agent: measures of states [N], booleans.
+
+    seen    it is in view
+    passed  the agent has gone by it
+    """
+
+    seen: Measure
+    passed: Measure
+
+
+class _Shown:
+    """What a policy is shown that has a novice: what the novice sees."""
+
+    novice: Policy
+
+    @property
+    def observation(self) -> Observation:
+        return self.novice.observation
+
+    @property
+    def art(self) -> str:
+        return self.novice.art
+
+
+@dataclass(eq=False)
+class Helped(_Shown):
+    """A policy of two: where `score` is above `threshold`, the expert acts instead of the novice.
+
+    granularity  "step": for that step; "level": from then on to the level's end
+
+    The expert sees what the novice is shown, and the states.
+    """
+
+    novice: Policy
+    expert: Policy
+    score: Score
+    threshold: float
+    granularity: Granularity = "step"
+    name: str = "helped"
+    _asked: dict[int, bool] = field(default_factory=dict, repr=False)  # by level, so far
+    _now: dict[int, tuple[float, bool]] = field(default_factory=dict, repr=False)  # score, helped
+
+    def __post_init__(self) -> None:
+        for policy in (self.novice, self.expert):
+            see_policy(policy)
+        check_word("granularity", self.granularity, Granularity)
+        _see_score(self.score)
+        of_kind("threshold", self.threshold, int | float)  # also infinite: nobody, or everybody
+        if isinstance(self.expert, Agent) and self.expert.observation != self.observation:
+            raise ValueError(
+                f"novice and expert must be shown the same; got {self.observation!r} and "
+                f"{self.expert.observation!r}"
+            )
+
+    def actions(self, env, observations: np.ndarray) -> np.ndarray:
+        with _asked_once(self.novice, self.expert):
+            own = self.novice.actions(env, observations)
+            # Asked for in every step, as scripted experts learn a level with its first.
+            shown = self.expert.actions(env, observations)
+            scores = np.asarray(self.score(env, observations), float)
+        numbers, begins = env.states["level"].tolist(), (env.states["time"] == 0).tolist()
+        helped = scores > self.threshold
+        if self.granularity == "level":
+            for i, (number, first) in enumerate(zip(numbers, begins, strict=True)):
+                helped[i] |= not first and self._asked[number]
+                self._asked[number] = bool(helped[i])
+        self._now = dict(zip(numbers, zip(scores.tolist(), helped.tolist(), strict=True),
+                             strict=True))  # fmt: skip
+        return np.where(helped, shown, own)
+
+    def last(self, numbers: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Of the last step in the levels of those numbers [n]: the scores, and who was helped."""
+        rows = [self._now[number] for number in numbers.tolist()]
+        scores, helped = zip(*rows, strict=True)
+        return np.array(scores), np.array(helped)
+
+
+@dataclass(eq=False)
+class Alone(_Shown):
+    """The novice without help, and what scores say of each of its steps."""
+
+    novice: Policy
+    scores: Sequence[Score]
+    name: str = "alone"
+    _now: dict[int, np.ndarray] = field(default_factory=dict, repr=False)  # by level: [scores]
+
+    def __post_init__(self) -> None:
+        see_policy(self.novice)
+        of_kind("scores", self.scores, Sequence)
+        for score in self.scores:
+            _see_score(score)
+
+    def actions(self, env, observations: np.ndarray) -> np.ndarray:
+        with _asked_once(self.novice):
+            own = self.novice.actions(env, observations)
+            said = [np.asarray(score(env, observations), float) for score in self.scores]
+        self._now = dict(zip(env.states["level"].tolist(), np.stack(said, 1), strict=True))
+        return own
+
+    def last(self, numbers: np.ndarray) -> np.ndarray:
+        """Of the last step in the levels of those numbers [n]: the scores, [n, scores]."""
+        return np.array([self._now[number] for number in numbers.tolist()])
+
+
+def _see_score(score: Score) -> None:
+    if not callable(score):
+        raise ValueError(f"a score must be a function of environments; got {score!r}")
+
+
+@contextlib.contextmanager
+def _asked_once(*policies: Policy) -> Iterator[None]:
+    """What agents give in a step is computed once for their actions and for scores of it."""
+    with contextlib.ExitStack() as stack:
+        for policy in policies:
+            if isinstance(policy, Agent):
+                stack.enter_context(policy.asked_once())
+        yield
+
+
+def play(
+    policy: Helped, game: str | Game, variant: str | Variant, levels: Levels,
+    watch: Watch | None = None,
+) -> pl.DataFrame:  # fmt: skip
+    """A row per level: how its episode went, and when help was asked for.
+
+    Columns: level, return, length (steps), queries (steps that the expert took), first (the step
+    of the first query, null for none), highest (of the scores), moment (of `MOMENTS`, of the first
+    query; null without a `watch`), and the game's events (their steps, null for never).
+    """
+    of_kind("levels", levels, Sized)
+    n = len(levels)
+    queries, first, moment = np.zeros(n, int), np.full(n, -1), np.full(n, -1)
+    highest, seen = np.full(n, -np.inf), np.zeros(n, bool)
+
+    def note(step: Step) -> None:
+        where = step.level
+        scores, helped = policy.last(step.before["level"])
+        if watch:
+            seen[where] |= watch.seen(step.before)
+            now = np.where(watch.passed(step.before), 2, seen[where])
+            new = helped & (first[where] < 0)
+            moment[where[new]] = now[new]
+        first[where] = np.where(helped & (first[where] < 0), step.before["time"], first[where])
+        queries[where] += helped
+        highest[where] = np.maximum(highest[where], scores)
+
+    played = _episodes(policy, games.find(game), variant, levels, note)
+    return _with_help(played, queries, first, highest, moment)
+
+
+def play_alone(
+    policy: Alone, game: str | Game, variant: str | Variant, levels: Levels,
+    watch: Watch | None = None,
+) -> tuple[pl.DataFrame, pl.DataFrame]:  # fmt: skip
+    """How the novice's episodes went, and what the scores said of every step.
+
+    Returns a row per level (level, return, length and the game's events), and a row per step:
+    level (which of `levels`), time, moment (index in `MOMENTS`, -1 without a `watch`), and a column
+    for each of the scores, called by its place among them.
+    """
+    of_kind("levels", levels, Sized)
+    seen, parts = np.zeros(len(levels), bool), []
+
+    def note(step: Step) -> None:
+        where, said = step.level, policy.last(step.before["level"])
+        moment = np.full(len(where), -1)
+        if watch:
+            seen[where] |= watch.seen(step.before)
+            moment = np.where(watch.passed(step.before), 2, seen[where])
+        columns = {f"{k}": said[:, k] for k in range(said.shape[1])}
+        told = {"level": where, "time": step.before["time"].copy(), "moment": moment}
+        parts.append(pl.DataFrame(told | columns))
+
+    played = _episodes(policy, games.find(game), variant, levels, note)
+    return played, pl.concat(parts)
+
+
+def _episodes(
+    policy: Policy, game: Game, variant: str | Variant, levels: Levels,
+    note: Callable[[Step], None],
+) -> pl.DataFrame:  # fmt: skip
+    """A row per level: level, length, return and the game's events; each step is noted."""
+    returns, rows = np.zeros(len(levels)), [{}] * len(levels)
+    for step in steps(policy, game, variant, levels):
+        note(step)
+        returns[step.level] += step.rewards
+        for i in np.flatnonzero(step.ended):
+            s = step.after[i]
+            events = {e: int(s[e]) if s[e] >= 0 else None for e in game.events}
+            rows[step.level[i]] = {"level": int(s["level"]), "length": int(s["time"])} | events
+    kinds: dict = {event: pl.Int64 for event in game.events}
+    played = pl.DataFrame(rows, schema_overrides=kinds)
+    return played.with_columns(pl.Series("return", returns))
+
+
+def _with_help(
+    played: pl.DataFrame, queries: np.ndarray, first: np.ndarray, highest: np.ndarray,
+    moment: np.ndarray,
+) -> pl.DataFrame:  # fmt: skip
+    """Episodes with columns of the help in them; -1 of `first` and `moment` is null."""
+    return played.with_columns(
+        pl.Series("queries", queries),
+        pl.Series("first", [int(t) if t >= 0 else None for t in first], pl.Int64),
+        pl.Series("highest", highest),
+        pl.Series("moment", [MOMENTS[k] if k >= 0 else None for k in moment], pl.String),
+    )
+
+
+def unheeded(played: pl.DataFrame, said: pl.DataFrame, score: str, limit: float) -> pl.DataFrame:
+    """Episodes of `play_alone` as `play` tells them, where nobody helped who was asked to.
+
+    score  the column of `said`, which is above `limit` where it asks
+    """
+    by_level = said.sort("level", "time").group_by("level", maintain_order=True)
+    asks = pl.col(score) > limit
+    told = by_level.agg(
+        queries=asks.sum(), highest=pl.col(score).max(),
+        first=pl.col("time").filter(asks).first(), moment=pl.col("moment").filter(asks).first(),
+    )  # fmt: skip
+    first, moment = (told[name].fill_null(-1).to_numpy() for name in ("first", "moment"))
+    return _with_help(played, told["queries"].to_numpy(), first, told["highest"].to_numpy(), moment)
