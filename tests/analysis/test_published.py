@@ -235,6 +235,10 @@ def test_every_entry_of_the_catalogue_can_be_acted_on(one):
 def test_the_list_says_what_is_here_and_what_was_not_tried(astray, home, tmp_path, runner):
     (tmp_path / "agent.jd").write_bytes(runner)
     astray("import", tmp_path / "agent.jd", "--as", "mine")
+    for words in (("list", "openai-coinrun"), ("fetch", "x", "--levels", "0"), ("--unchecked",)):
+        assert "list takes no name" in (said := astray("agents", *words, fails=True)) or (
+            "--levels goes with check" in said
+        )
     found = json.loads(astray("agents", "--json"))
     assert found["folder"] == str(home) and found["others"] == ["mine"]
     assert found["published"]["openai-coinrun"]["state"] == "can be fetched"

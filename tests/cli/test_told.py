@@ -18,6 +18,30 @@ def test_control_characters_are_shown_and_not_obeyed():
     assert printable("a\x1b[2J\n\udcffé") == "a\\x1b[2J\\n\\udcffé"
 
 
+TERMINATED = """
+import os, signal, sys, time
+from pathlib import Path
+from astray import cli
+from astray.cli import verbs
+from astray.files import folder_aside
+def run():
+    with folder_aside(Path(sys.argv[1]) / "new" / "mouse") as aside:
+        (aside / "half").touch()
+        os.kill(os.getpid(), signal.SIGTERM)
+        time.sleep(30)
+verbs.run = run
+cli.main()
+"""
+
+
+@pytest.mark.skipif(os.name == "nt", reason="there SIGTERM ends a process at once")
+def test_who_is_asked_to_end_clears_away_what_is_half_written(tmp_path):
+    command = [sys.executable, "-c", TERMINATED, tmp_path]
+    told = subprocess.run(command, capture_output=True, text=True)
+    assert (told.returncode, told.stderr) == (cli.TERMINATED, "astray: terminated\n")
+    assert not list(tmp_path.iterdir())
+
+
 def test_a_mistake_is_told_in_a_few_lines():
     told = shortened("x" * 10**6)
     assert len(told) < LONGEST + 10 and " ... " in told

@@ -113,6 +113,14 @@ def test_a_teacher_that_sees_images_is_shown_those_that_it_knows(tmp_path):
     assert not (tmp_path / "students").exists()
 
 
+def test_students_that_are_refused_leave_no_folder(tmp_path):
+    out = tmp_path / "students"
+    for variant, message in (("corner", "must be a variant whose obs"), ("", "unknown variant")):
+        with pytest.raises(ValueError, match=message):
+            distil(Path("maze-corner"), observation="symbolic", variant=variant, folder=out)
+        assert not list(tmp_path.iterdir())
+
+
 def test_the_verb_distils_from_an_agent_by_name(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     distil(Path("maze-corner"), observation="symbolic", steps=16_384)
