@@ -15,6 +15,7 @@ from astray.analysis.outcomes import FAILED, INTENDED, MISGENERALIZED
 from astray.analysis.policies import Walk
 from astray.experiments import figures, report, spec
 from astray.experiments.claims import Claim
+from astray.files import aside_of
 from astray.games.maze.solve import steps_to
 
 T, H, W = 7, 31, 45  # odd sizes, which yuv420p cannot have
@@ -203,6 +204,17 @@ def test_all_that_is_shown_is_in_files_too(told, tmp_path):
         assert pl.read_parquet(tmp_path / file).equals(SHARES)
     assert (tmp_path / "figures" / "bars.svg").exists()
     assert (tmp_path / "tables" / "shares.csv").read_text().startswith("who,where,")
+
+
+def test_what_a_killed_report_left_goes_with_the_next(told, tmp_path):
+    ours = [aside_of(tmp_path / name) for name in ("report.html", "tables/shares.csv")]
+    mine = [tmp_path / ".report.html", aside_of(tmp_path / "notes.txt")]
+    (tmp_path / "tables").mkdir()
+    for path in (*ours, *mine):
+        path.write_text("half")
+    report.write(*told, tmp_path)
+    left = {path.name for path in tmp_path.rglob(".*")}
+    assert left == {path.name for path in mine}
 
 
 def test_the_index_leads_to_every_report_and_counts_its_claims(told, tmp_path):

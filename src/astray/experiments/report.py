@@ -17,7 +17,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from astray.analysis.tables import write_table
 from astray.bounds import shown
 from astray.experiments.claims import Claim
-from astray.files import read, write_aside
+from astray.files import read, remove_left, write_aside
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -122,6 +122,8 @@ def write(
     page = _render("report.html", heading=heading, findings=findings, beside=beside,
                    links=links or {}, figures=folder / "figures")  # fmt: skip
     write_aside(folder / "report.html", page.encode())
+    for place in (folder, *(path for path in folder.iterdir() if path.is_dir())):
+        remove_left(place, [path.name for path in place.iterdir()])  # of one that was killed
     return folder / "report.html"
 
 
