@@ -174,18 +174,21 @@ def test_what_is_said_of_an_agent_stays_in_its_cell(tmp_path, monkeypatch):
 
 def test_a_server_that_never_comes_to_its_answer_is_not_waited_for(tmp_path, monkeypatch):
     monkeypatch.setattr(downloads, "WAIT", 0.5)
+    ended = threading.Event()
 
     class Undecided(BaseHTTPRequestHandler):
         def do_GET(self):
             with contextlib.suppress(OSError):
-                while True:
+                for _ in range(10**7):
                     self.wfile.write(b"HTTP/1.1 100 Continue\r\n\r\n")
+            ended.set()
 
     with ThreadingHTTPServer(("127.0.0.1", 0), Undecided) as server:
         threading.Thread(target=server.serve_forever, daemon=True).start()
         address = f"http://127.0.0.1:{server.server_port}/a"
         with pytest.raises(OSError, match=r"no answer came in 0\.5 seconds"):
             download(address, tmp_path / "a", size=1000, sha256="00" * 32)
+        assert ended.wait(10)  # nobody listens any more
         server.shutdown()
     assert not list(tmp_path.iterdir())
 

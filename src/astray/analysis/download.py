@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import http.client
 import os
+import socket
 import threading
 import time
 import urllib.request
+from collections.abc import Callable
 from concurrent.futures import Future
 from pathlib import Path
 from urllib.parse import urlsplit
@@ -88,10 +91,22 @@ def _answer(request: urllib.request.Request) -> http.client.HTTPResponse:
     Asked in a thread of its own: a server can say `100 Continue` for ever, and http.client listens.
     """
     came: Future[http.client.HTTPResponse] = Future()
+    opened: list[http.client.HTTPConnection] = []
+
+    def keep(kind: type[http.client.HTTPConnection]) -> Callable[..., http.client.HTTPConnection]:
+        return lambda *given, **more: opened.append(kind(*given, **more)) or opened[-1]
+
+    class Plain(urllib.request.HTTPHandler):
+        def http_open(self, req: urllib.request.Request) -> http.client.HTTPResponse:
+            return self.do_open(keep(http.client.HTTPConnection), req)
+
+    class Secure(urllib.request.HTTPSHandler):
+        def https_open(self, req: urllib.request.Request) -> http.client.HTTPResponse:
+            return self.do_open(keep(http.client.HTTPSConnection), req)
 
     def ask() -> None:
         try:
-            came.set_result(urllib.request.urlopen(request, timeout=WAIT))
+            came.set_result(urllib.request.build_opener(Plain, Secure).open(request, timeout=WAIT))
         except BaseException as error:
             came.set_exception(error)
 
@@ -99,6 +114,10 @@ def _answer(request: urllib.request.Request) -> http.client.HTTPResponse:
     try:
         return came.result(WAIT)
     except TimeoutError:
+        for connection in opened:  # else the thread would listen on
+            if connection.sock:
+                with contextlib.suppress(OSError):
+                    connection.sock.shutdown(socket.SHUT_RDWR)
         raise OSError(f"no answer came in {WAIT:g} seconds") from None
 
 
