@@ -1,13 +1,9 @@
 """Agents that others published: downloaded whole or not at all, and then like any other agent."""
 
-import contextlib
 import hashlib
-import itertools
 import json
 import os
-import threading
 from dataclasses import replace
-from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 
 import numpy as np
@@ -15,66 +11,23 @@ import pytest
 
 from astray import games
 from astray.analysis import check, imported, kept, published
-from astray.analysis import download as downloads
 from astray.analysis.critic import judge, observe
-from astray.analysis.download import download
 from astray.analysis.episodes import initial_states
 from astray.analysis.evaluate import evaluate
 from astray.analysis.imported import Known, import_agent
 from astray.analysis.published import Check, Published
 from astray.analysis.runs import open_run, shift_of
 from astray.training.config import Config
+from helpers.file_server import serving
 from helpers.foreign import clarity, joblib_bytes, reference, saved
 
 MAZE = ("--game", "maze", "--variant", "anywhere-easy")
 
 
-class Server(ThreadingHTTPServer):
-    """Serves one file on the loopback, whole or from a place on.
-
-    stops   bytes after which a connection ends, though more was promised; 0: it does not
-    ranges  it can begin elsewhere than at the beginning
-    asked   the ranges that were asked for
-    """
-
-    def __init__(self, data, stops=0, ranges=True):
-        super().__init__(("127.0.0.1", 0), Handler)
-        self.data, self.stops, self.ranges, self.asked = data, stops, ranges, []
-        self.address = f"http://127.0.0.1:{self.server_port}/agent.jd"
-
-
-class Handler(BaseHTTPRequestHandler):
-    server: Server
-
-    def do_GET(self):
-        data, asked = self.server.data, self.headers["Range"]
-        self.server.asked.append(asked)
-        begin = int(asked[len("bytes=") : -1]) if asked and self.server.ranges else 0
-        self.send_response(206 if begin else 200)
-        if begin:
-            self.send_header("Content-Range", f"bytes {begin}-{len(data) - 1}/{len(data)}")
-        self.send_header("Content-Length", str(len(data) - begin))
-        self.end_headers()
-        self.wfile.write(data[begin : begin + (self.server.stops or len(data))])
-
-    def log_message(self, *args):
-        pass
-
-
 @pytest.fixture
 def serve():
-    """Starts servers, and stops them in the end."""
-    servers = []
-
-    def start(*args, **options):
-        servers.append(Server(*args, **options))
-        threading.Thread(target=servers[-1].serve_forever, args=(0.01,), daemon=True).start()
-        return servers[-1]
-
-    yield start
-    for server in servers:
-        server.shutdown()
-        server.server_close()
+    with serving() as start:
+        yield start
 
 
 @pytest.fixture
@@ -105,7 +58,7 @@ def entry(server, sha256):
                      size=len(server.data), sha256=sha256)  # fmt: skip
 
 
-# Downloads
+# What is fetched
 
 
 def test_what_is_published_is_downloaded_checked_and_imported(serve, home, runner):
@@ -119,98 +72,6 @@ def test_a_wrong_digest_imports_nothing_and_leaves_nothing(serve, home, runner):
     with pytest.raises(ValueError, match=f"its SHA-256 is {digest(runner)}, not 00"):
         published.fetch(entry(serve(runner), "00" * 32))
     assert kept.imported() == [] and not list((home / "downloads").iterdir())
-
-
-@pytest.mark.parametrize("ranges", [True, False], ids=["with ranges", "without"])
-def test_an_interrupted_download_goes_on_where_it_stopped(serve, tmp_path, runner, ranges):
-    server, to = serve(runner, stops=1000, ranges=ranges), tmp_path / "agent.jd"
-    known = dict(size=len(runner), sha256=digest(runner))
-    with pytest.raises(OSError, match=r"1,000 of [\d,]+ bytes are there, and the same command"):
-        download(server.address, to, **known)
-    assert not to.exists() and (tmp_path / "agent.jd.part").stat().st_size == 1000
-    server.stops = 0
-    download(server.address, to, **known)
-    assert to.read_bytes() == runner and not (tmp_path / "agent.jd.part").exists()
-    assert server.asked == [None, "bytes=1000-"]
-
-
-@pytest.mark.parametrize("link", [False, True])
-def test_a_download_replaces_nothing(serve, tmp_path, runner, link):
-    to, mine = tmp_path / "agent.jd", tmp_path / "mine"
-    mine.write_text("mine")
-    to.symlink_to(mine) if link else to.write_text("mine")
-    with pytest.raises(OSError, match="is there already, and stays"):
-        download(serve(runner).address, to, size=None, sha256=None)
-    assert to.read_text() == mine.read_text() == "mine" and to.is_symlink() == link
-
-
-def test_what_is_left_of_another_file_is_found_out(serve, tmp_path, runner):
-    part = tmp_path / "agent.jd.part"
-    part.write_bytes(bytes(1000))
-    server, known = serve(runner), dict(size=len(runner), sha256=digest(runner))
-    with pytest.raises(ValueError, match="it was removed"):
-        download(server.address, tmp_path / "agent.jd", **known)
-    download(server.address, tmp_path / "agent.jd", **known)
-    assert (tmp_path / "agent.jd").read_bytes() == runner
-
-
-def test_a_server_that_sends_a_byte_now_and_then_is_not_waited_for(serve, tmp_path, monkeypatch):
-    clock = itertools.count(0, 2 * downloads.WAIT)  # so long takes every piece
-    monkeypatch.setattr(downloads.time, "monotonic", lambda: next(clock))
-    server, known = serve(bytes(500)), dict(size=1000, sha256="00" * 32)
-    with pytest.raises(OSError, match=r"fewer than 10,000 bytes came in 30 .*; 500 of"):
-        download(server.address, tmp_path / "a", **known)
-    assert [p.name for p in tmp_path.iterdir()] == ["a.part"]
-
-
-def test_what_is_said_of_an_agent_stays_in_its_cell(tmp_path, monkeypatch):
-    monkeypatch.setenv("ASTRAY_AGENTS", str(tmp_path / "agents"))
-    (tmp_path / "agent.pth").write_bytes(saved({"state_dict": reference((2, 2, 2))[0]}))
-    said = "a | b |\n| --- | --- |\n| evil"
-    known = Known(game="maze", variant="anywhere", source=said)
-    card = (import_agent(tmp_path / "agent.pth", "mine", known) / "README.md").read_text()
-    assert "| source | a \\| b \\| \\| --- \\| --- \\| \\| evil |\n" in card
-
-
-def test_a_server_that_never_comes_to_its_answer_is_not_waited_for(tmp_path, monkeypatch):
-    monkeypatch.setattr(downloads, "WAIT", 0.5)
-    ended = threading.Event()
-
-    class Undecided(BaseHTTPRequestHandler):
-        def do_GET(self):
-            with contextlib.suppress(OSError):
-                for _ in range(10**7):
-                    self.wfile.write(b"HTTP/1.1 100 Continue\r\n\r\n")
-            ended.set()
-
-    with ThreadingHTTPServer(("127.0.0.1", 0), Undecided) as server:
-        threading.Thread(target=server.serve_forever, daemon=True).start()
-        address = f"http://127.0.0.1:{server.server_port}/a"
-        with pytest.raises(OSError, match=r"no answer came in 0\.5 seconds"):
-            download(address, tmp_path / "a", size=1000, sha256="00" * 32)
-        assert ended.wait(10)  # nobody listens any more
-        server.shutdown()
-    assert not list(tmp_path.iterdir())
-
-
-def test_no_more_is_taken_than_was_published(serve, tmp_path):
-    server = serve(bytes(3_000_000))
-    with pytest.raises(ValueError, match="is not the file that was published"):
-        download(server.address, tmp_path / "a", size=1000, sha256="00" * 32)
-    assert not list(tmp_path.iterdir())
-
-
-@pytest.mark.parametrize(
-    "address", ["http://example.org/a.jd", "ftp://example.org/a.jd", "file:///etc/passwd"]
-)
-def test_addresses_that_others_can_tamper_with_are_refused(tmp_path, address):
-    with pytest.raises(ValueError, match=f"must be https; got {address}"):
-        download(address, tmp_path / "a", size=None, sha256=None)
-
-
-def test_a_server_that_is_not_there_is_named(tmp_path):
-    with pytest.raises(OSError, match=r"127.0.0.1:9/a.jd could not be downloaded .*; 0 bytes"):
-        download("http://127.0.0.1:9/a.jd", tmp_path / "a", size=None, sha256="00")
 
 
 def test_without_a_digest_nothing_is_fetched_unless_asked_for(serve, home, runner):
@@ -238,10 +99,9 @@ def test_every_entry_of_the_catalogue_can_be_acted_on(one):
 def test_the_list_says_what_is_here_and_what_was_not_tried(astray, home, tmp_path, runner):
     (tmp_path / "agent.jd").write_bytes(runner)
     astray("import", tmp_path / "agent.jd", "--as", "mine")
-    for words in (("list", "openai-coinrun"), ("fetch", "x", "--levels", "0"), ("--unchecked",)):
-        assert "list takes no name" in (said := astray("agents", *words, fails=True)) or (
-            "--levels goes with check" in said
-        )
+    assert "list takes no name; got 'x'" in astray("agents", "list", "x", fails=True)
+    for words in (("fetch", "x", "--levels", "0"), ("list", "--unchecked")):
+        assert "--levels goes with check" in astray("agents", *words, fails=True)
     found = json.loads(astray("agents", "--json"))
     assert found["folder"] == str(home) and found["others"] == ["mine"]
     assert found["published"]["openai-coinrun"]["state"] == "can be fetched"
@@ -292,6 +152,14 @@ def test_an_agent_of_another_game_of_procgen_is_refused(home, tmp_path):
     (tmp_path / "agent.jd").write_bytes(joblib_bytes(clarity(env_name="bigfish")[0]))
     with pytest.raises(ValueError, match=r"trained in .bigfish hard. of Procgen.*are: coinrun"):
         import_agent(tmp_path / "agent.jd", "fish", Known())
+
+
+def test_what_is_said_of_an_agent_stays_in_its_cell(home, tmp_path, mouse):
+    (tmp_path / "agent.pth").write_bytes(mouse)
+    said = "a | b |\n| --- | --- |\n| evil"
+    known = Known(game="maze", variant="anywhere", source=said)
+    card = (import_agent(tmp_path / "agent.pth", "mine", known) / "README.md").read_text()
+    assert "| source | a \\| b \\| \\| --- \\| --- \\| \\| evil |\n" in card
 
 
 def test_a_card_is_written_anew_of_what_an_older_version_imported(serve, home, runner):

@@ -40,7 +40,7 @@ class Score(Protocol):
 
 
 def _probabilities(logits: np.ndarray) -> np.ndarray:
-    logits = _seen(logits)
+    _see_logits(logits)
     exponential = np.exp(logits - logits.max(-1, keepdims=True))
     return exponential / exponential.sum(-1, keepdims=True)
 
@@ -63,22 +63,22 @@ def entropy(logits: np.ndarray) -> np.ndarray:
 
 def energy(logits: np.ndarray) -> np.ndarray:
     """The free energy, -log sum exp of the logits, [N, A] -> [N] (Liu et al. 2020)."""
-    logits = _seen(logits)
+    _see_logits(logits)
     largest = logits.max(-1)
     return -(largest + np.log(np.exp(logits - largest[..., None]).sum(-1)))
 
 
 def max_logit(logits: np.ndarray) -> np.ndarray:
     """The negative of the largest logit, [N, A] -> [N]."""
-    return -_seen(logits).max(-1)
+    _see_logits(logits)
+    return -logits.max(-1)
 
 
-def _seen(logits: Any) -> np.ndarray:
-    """`logits`; ValueError where they are no array [..., A] of numbers."""
+def _see_logits(logits: Any) -> None:
+    """ValueError where `logits` are no array [..., A] of numbers."""
     of_kind("logits", logits, np.ndarray)
     if not logits.size or not logits.ndim or logits.dtype.kind not in "fiu":
         raise ValueError(f"logits must be [N, A] numbers; got {logits.shape} {logits.dtype}")
-    return logits
 
 
 def entropy_of(probabilities: np.ndarray) -> np.ndarray:

@@ -13,6 +13,7 @@ import urllib.request
 from collections.abc import Callable
 from concurrent.futures import Future
 from pathlib import Path
+from typing import Any
 from urllib.parse import urlsplit
 
 from astray.bounds import shown
@@ -94,7 +95,11 @@ def _answer(request: urllib.request.Request) -> http.client.HTTPResponse:
     opened: list[http.client.HTTPConnection] = []
 
     def keep(kind: type[http.client.HTTPConnection]) -> Callable[..., http.client.HTTPConnection]:
-        return lambda *given, **more: opened.append(kind(*given, **more)) or opened[-1]
+        def connect(*given: Any, **more: Any) -> http.client.HTTPConnection:
+            opened.append(kind(*given, **more))
+            return opened[-1]
+
+        return connect
 
     class Plain(urllib.request.HTTPHandler):
         def http_open(self, req: urllib.request.Request) -> http.client.HTTPResponse:

@@ -75,8 +75,9 @@ class Agent:
     network: torch.nn.Module = field(init=False, repr=False)
     architecture: trained.Architecture = field(init=False)
     threads: int = field(init=False, repr=False)  # that `outputs` takes on a CPU
-    _kept: tuple[np.ndarray, Any] | None = field(init=False, repr=False, default=None)
-    _keeps: bool = field(init=False, repr=False, default=False)
+    # Within `asked_once`: the last observations, and what the network gave for them.
+    _keeps: bool = field(init=False, repr=False, compare=False, default=False)
+    _kept: Any = field(init=False, repr=False, compare=False, default=None)
 
     def __post_init__(self) -> None:
         check_words(self)

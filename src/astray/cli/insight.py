@@ -10,7 +10,7 @@ from tyro.conf import Positional
 from astray.analysis import kept
 from astray.bounds import bounded
 from astray.cli.arguments import Knobs, Mode, one_level, pairs
-from astray.files import see_writable
+from astray.files import see_free, see_writable
 from astray.game import LEVELS
 
 MOST_LEVELS = 10_000
@@ -51,7 +51,7 @@ def explain(
     from astray.analysis.outcomes import load_shift
     from astray.analysis.runs import open_run, shift_of
     from astray.insight.activations import see_layers
-    from astray.insight.explain import PAGE, Asked, default_layers
+    from astray.insight.explain import PAGE, SIGN, Asked, default_layers
     from astray.insight.explain import explain as write
     from astray.level import Level
 
@@ -72,6 +72,7 @@ def explain(
         drawn, where = chosen, f"{name} {level_file}"
     reads = tuple(layers.split(",")) if layers else default_layers(player)
     see_layers(player, reads)
+    see_free(out, PAGE, SIGN, ())
     see_writable(out / PAGE)
     after = np.array(config.unseen_levels[1 : others + 1])
     asked = Asked(player, levels, drawn, named, reads, after)

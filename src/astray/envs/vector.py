@@ -220,7 +220,8 @@ class GameVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
 
         out  where to write the observations, of their shape and contiguous; else a fresh array
 
-        Raises ValueError where `actions` are none, or before the first reset.
+        Raises ValueError where `actions` are none, RuntimeError before the first reset and after
+        the end.
         """
         if not self._seeded:
             raise RuntimeError("the environment must be reset before it is stepped")

@@ -23,6 +23,8 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 WRITTEN = ("report.html", "findings.json", "figures", "tables")  # to a report's folder
+COMPUTED = "computed"  # the folder of a report's tables, which are made once
+FOLDERS = ("figures", "tables", COMPUTED)
 MEDIA = {".png": "image/png", ".mp4": "video/mp4"}
 NOTHING = "—"
 
@@ -122,7 +124,7 @@ def write(
     page = _render("report.html", heading=heading, findings=findings, beside=beside,
                    links=links or {}, figures=folder / "figures")  # fmt: skip
     write_aside(folder / "report.html", page.encode())
-    for place in (folder, *(path for path in folder.iterdir() if path.is_dir())):
+    for place in filter(Path.is_dir, (folder, *(folder / name for name in FOLDERS))):
         remove_left(place, [path.name for path in place.iterdir()])  # of one that was killed
     return folder / "report.html"
 

@@ -15,8 +15,8 @@ from astray.analysis import kept
 from astray.analysis.runs import open_run, play_all
 from astray.experiments import catalogue, labs, report
 from astray.experiments.levels import levels_of
+from astray.experiments.report import COMPUTED
 from astray.experiments.spec import (
-    COMPUTED,
     PUBLISHED,
     Experiment,
     Plan,

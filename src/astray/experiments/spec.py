@@ -18,13 +18,12 @@ from astray.analysis.given import Measure
 from astray.analysis.outcomes import load_shift
 from astray.analysis.tables import write_table
 from astray.bounds import shown
-from astray.experiments.report import Findings
+from astray.experiments.report import COMPUTED, Findings
 from astray.files import read
 from astray.game import OWN, Game, Variant
 from astray.training.config import Config
 
 Size = Literal["smoke", "pixels", "hour", "paper", "published"]
-COMPUTED = "computed"  # the folder of a report's tables, which are made once
 SIZES: tuple[Size, ...] = get_args(Size)
 PUBLISHED: Size = "published"  # of agents that others trained: nothing is trained
 Runs = Mapping[str, Sequence[Path]]  # the run folders of the agents of each name

@@ -1,0 +1,109 @@
+"""Downloads are whole and the right file, or not there; an interrupted one goes on."""
+
+import contextlib
+import hashlib
+import itertools
+import threading
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+
+import numpy as np
+import pytest
+
+from astray.analysis import download as downloads
+from astray.analysis.download import download
+from helpers.file_server import serving
+
+DATA = np.random.default_rng(0).bytes(50_000)
+
+
+@pytest.fixture
+def serve():
+    with serving() as start:
+        yield start
+
+
+def digest(data):
+    return hashlib.sha256(data).hexdigest()
+
+
+@pytest.mark.parametrize("ranges", [True, False], ids=["with ranges", "without"])
+def test_an_interrupted_download_goes_on_where_it_stopped(serve, tmp_path, ranges):
+    server, to = serve(DATA, stops=1000, ranges=ranges), tmp_path / "agent.jd"
+    known = dict(size=len(DATA), sha256=digest(DATA))
+    with pytest.raises(OSError, match=r"1,000 of [\d,]+ bytes are there, and the same command"):
+        download(server.address, to, **known)
+    assert not to.exists() and (tmp_path / "agent.jd.part").stat().st_size == 1000
+    server.stops = 0
+    download(server.address, to, **known)
+    assert to.read_bytes() == DATA and not (tmp_path / "agent.jd.part").exists()
+    assert server.asked == [None, "bytes=1000-"]
+
+
+@pytest.mark.parametrize("link", [False, True])
+def test_a_download_replaces_nothing(serve, tmp_path, link):
+    to, mine = tmp_path / "agent.jd", tmp_path / "mine"
+    mine.write_text("mine")
+    to.symlink_to(mine) if link else to.write_text("mine")
+    with pytest.raises(OSError, match="is there already, and stays"):
+        download(serve(DATA).address, to, size=None, sha256=None)
+    assert to.read_text() == mine.read_text() == "mine" and to.is_symlink() == link
+
+
+def test_what_is_left_of_another_file_is_found_out(serve, tmp_path):
+    part = tmp_path / "agent.jd.part"
+    part.write_bytes(bytes(1000))
+    server, known = serve(DATA), dict(size=len(DATA), sha256=digest(DATA))
+    with pytest.raises(ValueError, match="it was removed"):
+        download(server.address, tmp_path / "agent.jd", **known)
+    download(server.address, tmp_path / "agent.jd", **known)
+    assert (tmp_path / "agent.jd").read_bytes() == DATA
+
+
+def test_a_server_that_sends_a_byte_now_and_then_is_not_waited_for(serve, tmp_path, monkeypatch):
+    clock = itertools.count(0, 2 * downloads.WAIT)  # so long takes every piece
+    monkeypatch.setattr(downloads.time, "monotonic", lambda: next(clock))
+    server, known = serve(bytes(500)), dict(size=1000, sha256="00" * 32)
+    with pytest.raises(OSError, match=r"fewer than 10,000 bytes came in 30 .*; 500 of"):
+        download(server.address, tmp_path / "a", **known)
+    assert [p.name for p in tmp_path.iterdir()] == ["a.part"]
+
+
+def test_a_server_that_never_comes_to_its_answer_is_not_waited_for(tmp_path, monkeypatch):
+    monkeypatch.setattr(downloads, "WAIT", 0.5)
+    ended = threading.Event()
+
+    class Undecided(BaseHTTPRequestHandler):
+        def do_GET(self):
+            with contextlib.suppress(OSError):
+                for _ in range(10**7):
+                    self.wfile.write(b"HTTP/1.1 100 Continue\r\n\r\n")
+            ended.set()
+
+    with ThreadingHTTPServer(("127.0.0.1", 0), Undecided) as server:
+        threading.Thread(target=server.serve_forever, daemon=True).start()
+        address = f"http://127.0.0.1:{server.server_port}/a"
+        with pytest.raises(OSError, match=r"no answer came in 0\.5 seconds"):
+            download(address, tmp_path / "a", size=1000, sha256="00" * 32)
+        assert ended.wait(10)  # nobody listens any more
+        server.shutdown()
+    assert not list(tmp_path.iterdir())
+
+
+def test_no_more_is_taken_than_was_published(serve, tmp_path):
+    server = serve(bytes(3_000_000))
+    with pytest.raises(ValueError, match="is not the file that was published"):
+        download(server.address, tmp_path / "a", size=1000, sha256="00" * 32)
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    "address", ["http://example.org/a.jd", "ftp://example.org/a.jd", "file:///etc/passwd"]
+)
+def test_addresses_that_others_can_tamper_with_are_refused(tmp_path, address):
+    with pytest.raises(ValueError, match=f"must be https; got {address}"):
+        download(address, tmp_path / "a", size=None, sha256=None)
+
+
+def test_a_server_that_is_not_there_is_named(tmp_path):
+    with pytest.raises(OSError, match=r"127.0.0.1:9/a.jd could not be downloaded .*; 0 bytes"):
+        download("http://127.0.0.1:9/a.jd", tmp_path / "a", size=None, sha256="00")
