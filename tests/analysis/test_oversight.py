@@ -157,6 +157,40 @@ def test_help_is_for_a_step_or_for_all_that_is_left_of_a_level():
     assert (played["return"] == 10).all()
 
 
+def test_in_coinrun_the_expert_goes_on_from_where_the_novice_has_come():
+    """A way by the clock from where the level began would lead nowhere."""
+    levels, coinrun = range(200_000, 200_030), games.find("coinrun")
+    variant = coinrun.variant("coin-anywhere-calm")
+    for asks, granularity in (((7,), "level"), (tuple(range(5, 1000, 2)), "step")):
+        helped = Helped(Right(), Walk("coin"), ByTime(asks), 0.5, granularity)
+        played = play(helped, coinrun, variant, levels)
+        assert (played["return"] == 10).all(), granularity
+    alone = evaluate(Right(), coinrun, variant, levels)
+    assert alone["return"].mean() < 5
+
+
+class Right:
+    """Runs to the right, whatever is there."""
+
+    name, observation, art = "right", "symbolic", "own"
+
+    def actions(self, env, observations):
+        return np.full(len(observations), 7)
+
+
+def test_a_walker_is_asked_where_a_level_begins_and_where_it_helps():
+    asked = []
+
+    class Counted(Walk):
+        def ways(self, game, states):
+            asked.extend(states["time"].tolist())
+            return super().ways(game, states)
+
+    helped = Helped(Random(), Counted("cheese"), ByTime((2, 5)), 0.5)
+    assert (play(helped, "maze", ANYWHERE, LEVELS)["length"] > 5).any()
+    assert set(asked) == {0, 2, 5}
+
+
 def test_the_moment_of_the_first_query_is_told_from_the_state():
     watch = Watch(lambda s: s["time"] == 2, lambda s: s["time"] >= 4)
     for asks, moment in (((1, 3), BEFORE), ((3, 5), SEEN), ((5,), AFTER)):

@@ -14,7 +14,7 @@ from astray import games
 from astray.analysis.doubt import Score
 from astray.analysis.episodes import Levels, Step, steps
 from astray.analysis.given import Measure, see_policy
-from astray.analysis.policies import Agent, Observation, Policy
+from astray.analysis.policies import Agent, Observation, Policy, Walk
 from astray.bounds import of_kind
 from astray.game import Game, Variant
 from astray.words import check_word
@@ -56,7 +56,8 @@ class Helped(_Shown):
 
     granularity  "step": for that step; "level": from then on to the level's end
 
-    The expert sees what the novice is shown, and the states.
+    The expert sees what the novice is shown, and the states. One that walks is asked only where it
+    helps: it may have to look for a way anew wherever it takes over.
     """
 
     novice: Policy
@@ -83,18 +84,25 @@ class Helped(_Shown):
     def actions(self, env, observations: np.ndarray) -> np.ndarray:
         with _asked_once(self.novice, self.expert):
             own = self.novice.actions(env, observations)
-            # Asked for in every step, as scripted experts learn a level with its first.
-            shown = self.expert.actions(env, observations)
-            scores = np.asarray(self.score(env, observations), float)
+            helped = self._who(env, np.asarray(self.score(env, observations), float))
+            if not isinstance(self.expert, Walk):
+                return np.where(helped, self.expert.actions(env, observations), own)
+        asked = helped | (env.states["time"] == 0)  # a level is learned in its first step
+        shown = own.copy()
+        shown[asked] = self.expert.ways(env.game, env.states[asked])
+        return np.where(helped, shown, own)
+
+    def _who(self, env, scores: np.ndarray) -> np.ndarray:
+        """Who is helped in this step, [N] bool, which is noted with the scores."""
         numbers, begins = env.states["level"].tolist(), (env.states["time"] == 0).tolist()
         helped = scores > self.threshold
         if self.granularity == "level":
             for i, (number, first) in enumerate(zip(numbers, begins, strict=True)):
                 helped[i] |= not first and self._asked[number]
                 self._asked[number] = bool(helped[i])
-        self._now = dict(zip(numbers, zip(scores.tolist(), helped.tolist(), strict=True),
-                             strict=True))  # fmt: skip
-        return np.where(helped, shown, own)
+        said = zip(scores.tolist(), helped.tolist(), strict=True)
+        self._now = dict(zip(numbers, said, strict=True))
+        return helped
 
     def last(self, numbers: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Of the last step in the levels of those numbers [n]: the scores, and who was helped."""

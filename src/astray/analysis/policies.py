@@ -15,7 +15,7 @@ from astray.agents import policy as trained
 from astray.agents.names import NETWORKS
 from astray.bounds import of_kind
 from astray.envs.vector import GameVectorEnv
-from astray.game import OWN
+from astray.game import OWN, Game
 from astray.kernel.rng import fill_noise
 from astray.training import ppo
 from astray.words import check_words
@@ -170,10 +170,17 @@ class Walk:
         return f"walk to {self.goal}"
 
     def actions(self, env: GameVectorEnv, observations: np.ndarray) -> np.ndarray:
-        return np.array([self._action(env, state) for state in env.states], np.int64)
+        return self.ways(env.game, env.states)
 
-    def _action(self, env: GameVectorEnv, s: Any) -> int:
+    def ways(self, game: Game, states: Any) -> np.ndarray:
+        """The actions [n] that lead on from some states [n], of those that it is asked for.
+
+        An episode has to be asked for in its first step, and may be left out from then on.
+        """
+        return np.array([self._action(game, s) for s in states], np.int64)
+
+    def _action(self, game: Game, s: Any) -> int:
         level = int(s.level)
         if s.time == 0 and not (self.remembers and level in self._experts):
-            self._experts[level] = env.game.solver.expert(s, self.goal)
+            self._experts[level] = game.solver.expert(s, self.goal)
         return self._experts[level](s)

@@ -25,6 +25,7 @@ from astray.games.coinrun.rules import (
     WORLD,
     F,
     act,
+    step,
 )
 from astray.games.coinrun.variants import GOALS
 from astray.kernel.jit import entry, kernel
@@ -44,10 +45,47 @@ check = functools.partial(check_record, rules=rules, truths=truths)
 
 
 def expert(s: Any, goal: str) -> Callable[[Any], int]:
-    """What leads to `goal` from `s` on: a way that was found, action by action."""
+    """What leads to `goal` from wherever the runner of this episode is.
+
+    A way is kept for as long as the runner is on it, and another one found where somebody else
+    has led it away. The first, from `s`, is never forgotten: so many episodes of a level may begin.
+    """
     check(s)
-    begin, actions = int(s.time), plan(s, goal)
-    return lambda now: int(actions[now.time - begin]) if now.time - begin < len(actions) else STAY
+    ways = [_Way(s, goal)]
+
+    def action(now: Any) -> int:
+        for way in ways:
+            if way.leads_on(now):
+                return way.action(now)
+        check(now)
+        ways[1:] = [_Way(now, goal)]
+        return ways[1].action(now)
+
+    return action
+
+
+class _Way:
+    """The actions of a plan, those of waiting after it, and what moves how along it."""
+
+    def __init__(self, s: Any, goal: str) -> None:
+        planned = plan(s, goal)
+        self.begin = int(s.time)
+        left = min(int(s.time_limit) - self.begin, LONGEST)
+        self.actions = np.full(max(left, 1), STAY)
+        self.actions[: len(planned)] = planned
+        self.motions = follow(_where(s, goal), self.actions)
+
+    def leads_on(self, now: Any) -> bool:
+        """Whether all that moves is where it is at this time along the way."""
+        t = int(now.time) - self.begin
+        if not 0 <= t < len(self.actions):
+            return False
+        motion = empty_motions(now, 1)[0]
+        note_motion(now, motion)
+        return np.array_equal(motion, self.motions[t])
+
+    def action(self, now: Any) -> int:
+        return int(self.actions[int(now.time) - self.begin])
 
 
 def optimal_return(s: Any, goal: str, gamma: float = 1.0) -> float:
@@ -75,13 +113,18 @@ def plan(s: Any, goal: str) -> np.ndarray:
     beyond = goal == "beyond" and s.permeable == 0
     if s[event] != NEVER or s.ended or coin or beyond:
         return np.empty(0, np.int64)
+    left = min(int(s.time_limit - s.time), LONGEST)
+    return search(_where(s, goal), tuple(GOALS).index(goal), left)
+
+
+def _where(s: Any, goal: str) -> Any:
+    """A copy [1] of `s` to look for ways in: without coins, but for those to the coin."""
     copy: Any = np.zeros(1, s.dtype)
     copy[0] = s
     states = copy.view(np.recarray)
     if goal != "coin":
         states.cell[states.cell == COIN] = EMPTY
-    left = min(int(s.time_limit - s.time), LONGEST)
-    return search(states, tuple(GOALS).index(goal), left)
+    return states
 
 
 def _event(goal: str) -> str:
@@ -113,6 +156,18 @@ def all_touched(states):
 
 
 @entry
+def follow(states, actions):
+    """The motion before each of `actions` [N], taken from `states[0]`, which is written over."""
+    s = states[0]
+    motions = empty_motions(s, len(actions))
+    for t in range(len(actions)):
+        note_motion(s, motions[t])
+        s.time += 1
+        step(s, actions[t])
+    return motions
+
+
+@entry
 def search(states, goal, left):
     """The actions of a way from `states[0]`, which is written over, to `goal` in `left` steps."""
     s = states[0]
@@ -121,9 +176,7 @@ def search(states, goal, left):
         ties[t] = below(s, TIES) % 2 == 0
     targets = columns(s, goal)
     begin, seen = s.time, np.zeros(SLOTS, np.int64)
-    body = np.empty((NODES, 5), np.float32)  # x, y, vx, vy, on a crate
-    # Of all walkers x and vx: how they go on depends, if rarely, on what the runner does.
-    walkers = np.empty((NODES, 2, s.walkers), np.float32)
+    motions = empty_motions(s, NODES)
     when, parent, how = (
         np.zeros(NODES, np.int64),
         np.zeros(NODES, np.int64),
@@ -131,7 +184,7 @@ def search(states, goal, left):
     )
     # Nodes wait in lists, one for each cost in steps: the first of a list, and the one after.
     first, after = np.full(left + 8 * WORLD, -1), np.full(NODES, -1)
-    keep(s, body, walkers, 0)
+    note_motion(s, motions[0])
     first[0], count, cost = 0, 1, 0
     while cost < len(first) and count + len(TRIED) <= NODES:
         node = first[cost]
@@ -140,7 +193,7 @@ def search(states, goal, left):
             continue
         first[cost] = after[node]
         for action in TRIED:
-            go_back(s, body, walkers, node)
+            give_motion(s, motions[node])
             s.took_coin, s.reached_end, s.touched_wall, s.passed_wall = NEVER, NEVER, NEVER, NEVER
             time, ended = when[node], False
             for _ in range(min(HELD, left - time)):
@@ -153,7 +206,7 @@ def search(states, goal, left):
                     break
             if not ended and time < left and is_new(s, time, seen):
                 price = min(time + int(GREED * steps_left(s, goal, targets)), len(first) - 1)
-                keep(s, body, walkers, count)
+                note_motion(s, motions[count])
                 when[count], parent[count], how[count] = time, node, action
                 after[count], first[price] = first[price], count
                 cost = min(cost, price)
@@ -162,21 +215,30 @@ def search(states, goal, left):
 
 
 @kernel
-def keep(s, body, walkers, k):
-    """Write down the motion of the runner and of walkers as node `k`."""
-    body[k, 0], body[k, 1], body[k, 2], body[k, 3] = s.x, s.y, s.vx, s.vy
-    body[k, 4] = 1 if s.on_crate else 0
-    for i in range(s.walkers):
-        walkers[k, 0, i], walkers[k, 1, i] = s.walker_x[i], s.walker_vx[i]
+def empty_motions(s, count):
+    """Room for `count` motions: x, y, vx, vy, on a crate; of all walkers x, then vx.
+
+    Those, too, as how walkers go on depends, if rarely, on what the runner does.
+    """
+    return np.empty((count, 5 + 2 * s.walkers), np.float32)
 
 
 @kernel
-def go_back(s, body, walkers, k):
-    """Give the runner and the walkers the motion of node `k`."""
-    s.x, s.y, s.vx, s.vy = body[k, 0], body[k, 1], body[k, 2], body[k, 3]
-    s.on_crate = body[k, 4] > 0
+def note_motion(s, motion):
+    """Write down how the runner and the walkers move."""
+    motion[0], motion[1], motion[2], motion[3] = s.x, s.y, s.vx, s.vy
+    motion[4] = 1 if s.on_crate else 0
     for i in range(s.walkers):
-        s.walker_x[i], s.walker_vx[i] = walkers[k, 0, i], walkers[k, 1, i]
+        motion[5 + i], motion[5 + s.walkers + i] = s.walker_x[i], s.walker_vx[i]
+
+
+@kernel
+def give_motion(s, motion):
+    """Have the runner and the walkers move as was written down."""
+    s.x, s.y, s.vx, s.vy = motion[0], motion[1], motion[2], motion[3]
+    s.on_crate = motion[4] > 0
+    for i in range(s.walkers):
+        s.walker_x[i], s.walker_vx[i] = motion[5 + i], motion[5 + s.walkers + i]
 
 
 @kernel
