@@ -19,10 +19,8 @@ from astray.agents import policy
 from astray.agents.importers import files as importers
 from astray.agents.mlp import MLP
 from astray.agents.policy import Architecture
-from astray.analysis import imported
 from astray.analysis.adapters import Function
 from astray.analysis.critic import visit
-from astray.analysis.download import download
 from astray.analysis.estimates import bootstrap, over_agents
 from astray.analysis.evaluate import evaluate
 from astray.analysis.policies import Random
@@ -32,6 +30,8 @@ from astray.envs.states import save_states
 from astray.envs.vector import GameVectorEnv
 from astray.files import read, see_writable, write_aside
 from astray.level import Level
+from astray.published import imported
+from astray.published.download import download
 from astray.training.config import PRESETS
 from astray.training.loop import train
 from helpers.cases import FEW

@@ -229,7 +229,7 @@ def _served() -> dict[str, tuple[Callable[[Place], Any], Any]]:
             from astray.experiments.hub import pull
 
             return pull("ada/mouse", name="mouse", endpoint=address)
-        from astray.analysis.download import download
+        from astray.published.download import download
 
         return download(address, place.work / "file", size=1000, sha256="0" * 64)
 

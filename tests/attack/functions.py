@@ -194,7 +194,7 @@ CALLS: dict[str, tuple[dict[str, str], Callable[..., Any]]] = {
                    _of("analysis.episodes", "initial_states", "game", "variant", "levels")),
     "a film": (_kinds("agent", "game", "variant", level="levels", pixels="number"),
                _of("analysis.video", "play", "agent", "game", "variant", level=0, pixels=32)),
-    **{f"doubt: {name}": ({"logits": "logits"}, _plain("analysis.doubt", name))
+    **{f"doubt: {name}": ({"logits": "logits"}, _plain("mitigation.doubt", name))
        for name in ("max_probability", "margin", "entropy", "energy", "max_logit")},
     **{f"level.{name}": ({"name": "text", "cell": "levels"}, _level(name))
        for name in ("moved", "removed", "added", "splay")},
@@ -208,7 +208,7 @@ CALLS: dict[str, tuple[dict[str, str], Callable[..., Any]]] = {
                 _plain("analysis.outcomes", "load_shift", game="maze", shift="corner")),
     "a run": (_kinds(run="path"), _plain("analysis.runs", "open_run")),
     "a data set": (_kinds("folder"), _plain("analysis.dataset", "read_trajectories")),
-    "results": (_kinds("path"), _plain("analysis.results", "read_results")),
+    "results": (_kinds("path"), _plain("published.results", "read_results")),
     "states of a file": (_kinds("path", "game"),
                          _plain("envs.states", "load_states", path=Path("none"), game="maze")),
 }  # fmt: skip

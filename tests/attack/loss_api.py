@@ -165,7 +165,7 @@ def _downloads() -> dict[str, Callable[[Place], Any]]:
     def act(lay: Callable[[Place, Path], Any], known: bool, place: Place) -> Any:
         import hashlib
 
-        from astray.analysis.download import download
+        from astray.published.download import download
 
         path = place.work / "file.pth"
         lay(place, path)
@@ -174,14 +174,14 @@ def _downloads() -> dict[str, Callable[[Place], Any]]:
         return download(served(), path, size=3, sha256=digest)
 
     def fetched(lay: Callable[[Place, Path], Any], place: Place) -> Any:
-        from astray.analysis import published
-        from astray.analysis.imported import Known
+        from astray.published import catalogue
+        from astray.published.imported import Known
 
         os.environ["ASTRAY_AGENTS"] = str(place.work / "agents")
-        lay(place, place.work / "agents" / published.DOWNLOADS / "file.pth")
+        lay(place, place.work / "agents" / catalogue.DOWNLOADS / "file.pth")
         place.watch()
-        one = published.Published("one", Known("maze", "anywhere"), "file.pth", served())
-        return published.fetch(one, unchecked=True)
+        one = catalogue.Published("one", Known("maze", "anywhere"), "file.pth", served())
+        return catalogue.fetch(one, unchecked=True)
 
     laid: dict[str, Callable[[Place, Path], Any]] = {
         "a file": lambda place, path: place.mine(path),

@@ -85,7 +85,7 @@ def _states(path: Path) -> Any:
 
 
 def _results(path: Path) -> Any:
-    from astray.analysis.results import read_results
+    from astray.published.results import read_results
 
     return read_results(path)
 
@@ -104,7 +104,7 @@ def _index(folder: Path) -> Any:
 
 
 def _card(folder: Path) -> Any:
-    from astray.analysis.imported import write_card
+    from astray.published.imported import write_card
 
     write_card(folder / "other", "other")
 

@@ -4,13 +4,13 @@ import numpy as np
 import polars as pl
 import pytest
 
-from astray.analysis.helped import AFTER, BEFORE
 from astray.analysis.outcomes import INTENDED, MISGENERALIZED
 from astray.experiments.studies.mitigation import (
     _regret as regret,
 )
 from astray.experiments.studies.mitigation import asking_for_help, early_or_late, reward_ensembles
 from astray.experiments.studies.mitigation._help_figures import NEVER
+from astray.mitigation.helped import AFTER, BEFORE
 
 
 def test_agents_of_a_method_differ_in_the_share_and_in_nothing_else():

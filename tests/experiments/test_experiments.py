@@ -162,6 +162,16 @@ def test_other_agents_and_other_code_compute_anew(reports, monkeypatch):
 
 
 @pytest.mark.skipif(not hasattr(os, "kill") or os.name == "nt", reason="needs signals")
+def test_tables_are_computed_anew_after_a_change_of_any_code_that_plays_or_measures():
+    """All folders of the package count, but for those that have no part in what comes out."""
+    apart = {"bench", "cli", "lab", "training"}  # agents count by their digests
+    package = Path(run.__file__).parents[1]
+    there = {path for path in package.rglob("*.py") if "tests" not in path.parts}
+    counted = {path for pattern in run.COMPUTING for path in package.glob(pattern)}
+    left_out = {path.relative_to(package).parts[0] for path in there - counted}
+    assert left_out == apart
+
+
 def test_trainings_end_with_the_experiment_that_began_them(tmp_path):
     words = [sys.executable, "-m", "astray", "reproduce", "maze-corner", "--folder", str(tmp_path)]
     process = subprocess.Popen(words, stderr=subprocess.DEVNULL)

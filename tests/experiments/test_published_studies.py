@@ -13,13 +13,13 @@ from astray.analysis.adapters import Function
 from astray.analysis.critic import visit
 from astray.analysis.estimates import mean_of
 from astray.analysis.evaluate import evaluate
-from astray.analysis.results import read_results
 from astray.analysis.runs import open_run
 from astray.experiments import catalogue, report, run
 from astray.experiments.claims import Claim
 from astray.experiments.levels import levels_of
 from astray.experiments.studies.coinrun import _agents, critic_value, moved_coin, published_results
 from astray.experiments.studies.maze import cheese_mouse
+from astray.published.results import read_results
 from astray.training.config import PRESETS
 from helpers.miniature import miniature, train_here
 
@@ -187,10 +187,10 @@ def test_a_report_says_why_a_claim_did_not_hold(tmp_path, held):
 
 
 def test_plans_name_the_same_agents_as_the_catalogue():
-    from astray.analysis import published
+    from astray.published import catalogue
 
-    assert set(_agents.AGENT.values()) <= set(published.catalogue())
-    assert published.find(published_results.SOURCE).kind == "results"
+    assert set(_agents.AGENT.values()) <= set(catalogue.catalogue())
+    assert catalogue.find(published_results.SOURCE).kind == "results"
 
 
 def test_the_control_runs_in_miniature(tmp_path, monkeypatch):

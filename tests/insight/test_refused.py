@@ -6,7 +6,6 @@ import pytest
 
 from astray.analysis.critic import counterfactual, observe
 from astray.analysis.dataset import export, read_trajectories
-from astray.analysis.doubt import margin, max_logit
 from astray.analysis.episodes import initial_states
 from astray.analysis.outcomes import shares
 from astray.analysis.runs import open_run
@@ -18,6 +17,7 @@ from astray.insight.episode import along
 from astray.insight.fields import difference, fields
 from astray.insight.retarget import Clamp, retarget
 from astray.insight.vectors import Condition, edit_vectors, pair_vectors
+from astray.mitigation.doubt import margin, max_logit
 from helpers.looked_into import make_agent
 
 MAZE = find("maze")

@@ -41,8 +41,8 @@ def import_(
         licence: of the file
     """
     from astray.agents.importers import files
-    from astray.analysis.imported import Known, import_agent
-    from astray.analysis.published import by_digest
+    from astray.published.catalogue import by_digest
+    from astray.published.imported import Known, import_agent
 
     entry = by_digest(files.digest(file))
     given = {"game": game, "variant": variant, "art": art, "actions": actions,
@@ -87,7 +87,7 @@ def agents(
 
 
 def _list(json: bool) -> None:
-    from astray.analysis.published import catalogue
+    from astray.published.catalogue import catalogue
 
     here = kept.imported()
     rows = {
@@ -121,7 +121,7 @@ def _state(imported: bool, tried: bool, address: str, sha256: str | None) -> str
 
 
 def _fetch(name: str, unchecked: bool) -> None:
-    from astray.analysis.published import fetch, find
+    from astray.published.catalogue import fetch, find
 
     one = find(name)
     run = fetch(one, unchecked=unchecked)
@@ -133,9 +133,9 @@ def _fetch(name: str, unchecked: bool) -> None:
 
 
 def _check(name: str, levels: str | None, json: bool) -> None:
-    from astray.analysis.check import check
-    from astray.analysis.imported import origin, write_checks
-    from astray.analysis.published import by_digest
+    from astray.published.catalogue import by_digest
+    from astray.published.check import check
+    from astray.published.imported import origin, write_checks
 
     run = kept.find(name)
     if name not in kept.imported():

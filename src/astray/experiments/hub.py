@@ -23,11 +23,11 @@ from typing import TYPE_CHECKING, Any
 
 from astray.agents import policy
 from astray.analysis import kept
-from astray.analysis.imported import ORIGIN
 from astray.bounds import brief, of_kind, shown
 from astray.envs.vector import IMAGE
 from astray.experiments.keep import keep
 from astray.files import folder_aside, holds_only, read, write_aside
+from astray.published.imported import ORIGIN
 from astray.training import checkpoint
 from astray.training.config import Config
 

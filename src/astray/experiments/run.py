@@ -38,8 +38,9 @@ PLAN = "plan.json"  # what is first written to a report's folder
 TABLE = re.compile(r".+-([0-9a-f]{16})\.parquet")  # the names of tables, which nobody else gives
 # The sources of what agents do, and of what is computed of it.
 COMPUTING = (
-    "*.py", "kernel/*.py", "games/*/*.py", "envs/*.py", "agents/*.py", "agency/*.py",
-    "analysis/*.py", "insight/*.py", "experiments/**/*.py",
+    "*.py", "kernel/*.py", "art/*.py", "games/*.py", "games/*/*.py", "envs/*.py",
+    "agents/**/*.py", "agency/*.py", "analysis/*.py", "insight/*.py", "mitigation/*.py",
+    "published/*.py", "experiments/**/*.py",
 )  # fmt: skip
 
 

@@ -12,11 +12,11 @@ import polars as pl
 
 from astray.analysis.adapters import Function
 from astray.analysis.evaluate import evaluate
-from astray.analysis.imported import SPARED
 from astray.analysis.runs import open_run
 from astray.experiments.spec import PUBLISHED, Plan, Size
 from astray.game import LEVELS, Variant
 from astray.games.coinrun.rules import ACTIONS
+from astray.published.imported import SPARED
 from astray.training.config import PRESETS, Config
 
 ABOUT = {"game": "coinrun", "variant": "coin-end", "validation": "coin-anywhere"}

@@ -5,17 +5,17 @@ from __future__ import annotations
 import numpy as np
 import polars as pl
 
-from astray.analysis import published
 from astray.analysis.estimates import Estimate, bootstrap
 from astray.analysis.evaluate import evaluate
 from astray.analysis.policies import Random
-from astray.analysis.results import read_results
 from astray.experiments.claims import Claim, holds_above, rounded
 from astray.experiments.report import Findings, Plot, Table
 from astray.experiments.spec import Experiment, Plan, Work
 from astray.experiments.studies.coinrun import _figures
 from astray.experiments.studies.coinrun._agents import RIGHT_AND_JUMP
 from astray.games.coinrun.levels import BEGIN
+from astray.published import catalogue
+from astray.published.results import read_results
 
 SOURCE = "paper-coinrun-results"  # of the catalogue of published agents
 VARIANT = "coin-ledge"  # its levels: the paper's game, the coin at the random place in all
@@ -26,7 +26,7 @@ CLOSE, APART = 0.05, 0.1  # differences of shares that claims are held to
 
 def find(work: Work) -> Findings:
     """Its outcomes, the script's, and how well the one foretells the other, level by level."""
-    theirs = read_results(published.results_file(SOURCE)).sort("level").head(work.plan.levels)
+    theirs = read_results(catalogue.results_file(SOURCE)).sort("level").head(work.plan.levels)
     ours = work.keep("scripts", lambda: scripts(theirs["level"].to_numpy()))
     script = ours.filter(policy=SCRIPT).sort("level")
     taken = theirs["coin"].to_numpy().astype(float)
@@ -70,7 +70,7 @@ def find(work: Work) -> Findings:
                  for k, one in died.items()])),
         ],
         settings={
-            "the file": f"{published.find(SOURCE).known.source}; one agent, trained by others with "
+            "the file": f"{catalogue.find(SOURCE).known.source}; one agent, trained by others with "
             "the paper's program and settings",
             "levels": f"{len(theirs):,}, those of the file; they are numbered as here",
             "variant": VARIANT,

@@ -10,19 +10,8 @@ from pathlib import Path
 import numpy as np
 import polars as pl
 
-from astray.analysis import kept, oversight
-from astray.analysis.doubt import (
-    OF_LOGITS,
-    Chance,
-    Disagreement,
-    GoalPosterior,
-    OfLogits,
-    Score,
-    distances,
-)
-from astray.analysis.helped import AFTER, MOMENTS, Watch
+from astray.analysis import kept
 from astray.analysis.outcomes import MISGENERALIZED, load_shift
-from astray.analysis.oversight import Trial, area, net_returns, when_asked
 from astray.analysis.policies import Agent, Walk
 from astray.analysis.runs import open_run
 from astray.experiments.claims import Claim, rounded
@@ -32,6 +21,18 @@ from astray.experiments.studies.coinrun import _agents as coin
 from astray.experiments.studies.mitigation import _help_figures as help_figures
 from astray.experiments.studies.mitigation._help_figures import NEVER
 from astray.games.coinrun import measures
+from astray.mitigation import oversight
+from astray.mitigation.doubt import (
+    OF_LOGITS,
+    Chance,
+    Disagreement,
+    GoalPosterior,
+    OfLogits,
+    Score,
+    distances,
+)
+from astray.mitigation.helped import AFTER, MOMENTS, Watch
+from astray.mitigation.oversight import Trial, area, net_returns, when_asked
 
 MOUSE, RUNNER = "mouse", coin.RUNNER
 KEPT = {MOUSE: "maze-corner", RUNNER: "coin-end"}  # the agents that come with astray

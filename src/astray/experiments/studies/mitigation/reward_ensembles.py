@@ -11,12 +11,12 @@ from matplotlib.ticker import PercentFormatter
 from astray import games
 from astray.analysis.episodes import initial_states
 from astray.analysis.estimates import Estimate, bootstrap
-from astray.analysis.hypotheses import Frames, agreement, chosen_rightly, train_heads
 from astray.envs.vector import GameVectorEnv
 from astray.experiments import figures
 from astray.experiments.claims import Claim, rounded
 from astray.experiments.report import Findings, Plot, Table
 from astray.experiments.spec import Experiment, Plan, Work
+from astray.mitigation.hypotheses import Frames, agreement, chosen_rightly, train_heads
 
 CHEESE, CORNER = "cheese", "corner"
 NAMES = [CHEESE, CORNER]

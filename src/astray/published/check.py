@@ -14,8 +14,8 @@ import polars as pl
 from astray.analysis.critic import judge, observe
 from astray.analysis.episodes import initial_states
 from astray.analysis.evaluate import evaluate
-from astray.analysis.published import Check
 from astray.analysis.runs import open_run
+from astray.published.catalogue import Check
 
 
 @dataclass(frozen=True)

@@ -11,12 +11,12 @@ import numpy as np
 import polars as pl
 
 from astray import games
-from astray.analysis.doubt import Score
 from astray.analysis.episodes import Levels, Step, steps
 from astray.analysis.given import Measure, see_policy
 from astray.analysis.policies import Agent, Observation, Policy, Walk
 from astray.bounds import of_kind
 from astray.game import Game, Variant
+from astray.mitigation.doubt import Score
 from astray.words import check_word
 
 Granularity = Literal["step", "level"]

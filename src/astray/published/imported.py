@@ -3,7 +3,7 @@
 config.json                          its training's settings; those that nobody told are the paper's
 origin.json                          where it came from, its digest and licence, and which settings
                                      were told
-checks.json                          how it did when it was checked; see `analysis.check`
+checks.json                          how it did when it was checked; see `published.check`
 README.md                            its card, of all these
 checkpoints/<steps>/agent.safetensors  the network; 0 steps: not known how many
 """
@@ -139,14 +139,14 @@ def write_card(run: Path, name: str) -> None:
     network, architecture = policy.load(checkpoint.latest(run) / checkpoint.AGENT, config.game)
     checks = run / CHECKS
     environment = Environment(
-        loader=PackageLoader("astray.analysis", ""),
+        loader=PackageLoader("astray.published", ""),
         lstrip_blocks=True, trim_blocks=True, keep_trailing_newline=True, undefined=StrictUndefined,
     )  # fmt: skip
     environment.filters["cell"] = _cell
     said = origin(run)
     try:
         told = [str(RENAMED.get(key, key)) for key in said["settings_told"]]  # of an older version
-        text = environment.get_template("imported.md").render(
+        text = environment.get_template("card.md").render(
             name=name, config=config, origin=said, architecture=architecture,
             weights=sum(p.numel() for p in network.parameters()),
             trained_on=config.training_variant().about,

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from astray.analysis.hypotheses import (
+from astray.mitigation.hypotheses import (
     Frames,
     agreement,
     chosen_rightly,

@@ -10,13 +10,14 @@ import numpy as np
 import pytest
 
 from astray import games
-from astray.analysis import check, imported, kept, published
+from astray.analysis import kept
 from astray.analysis.critic import judge, observe
 from astray.analysis.episodes import initial_states
 from astray.analysis.evaluate import evaluate
-from astray.analysis.imported import Known, import_agent
-from astray.analysis.published import Check, Published
 from astray.analysis.runs import open_run, shift_of
+from astray.published import catalogue, check, imported
+from astray.published.catalogue import Check, Published
+from astray.published.imported import Known, import_agent
 from astray.training.config import Config
 from helpers.file_server import serving
 from helpers.foreign import clarity, joblib_bytes, reference, saved
@@ -62,7 +63,7 @@ def entry(server, sha256):
 
 
 def test_what_is_published_is_downloaded_checked_and_imported(serve, home, runner):
-    run = published.fetch(entry(serve(runner), digest(runner)))
+    run = catalogue.fetch(entry(serve(runner), digest(runner)))
     assert run == home / "runner" and (run / "README.md").exists()
     assert open_run(run)[1].variant == "procgen"
     assert not list((home / "downloads").iterdir())
@@ -70,21 +71,21 @@ def test_what_is_published_is_downloaded_checked_and_imported(serve, home, runne
 
 def test_a_wrong_digest_imports_nothing_and_leaves_nothing(serve, home, runner):
     with pytest.raises(ValueError, match=f"its SHA-256 is {digest(runner)}, not 00"):
-        published.fetch(entry(serve(runner), "00" * 32))
+        catalogue.fetch(entry(serve(runner), "00" * 32))
     assert kept.imported() == [] and not list((home / "downloads").iterdir())
 
 
 def test_without_a_digest_nothing_is_fetched_unless_asked_for(serve, home, runner):
     one = replace(entry(serve(runner), None), size=None)
     with pytest.raises(ValueError, match=r"no digest of runner is known.*--unchecked"):
-        published.fetch(one)
-    assert digest(runner) in (published.fetch(one, unchecked=True) / "README.md").read_text()
+        catalogue.fetch(one)
+    assert digest(runner) in (catalogue.fetch(one, unchecked=True) / "README.md").read_text()
 
 
 # The catalogue
 
 
-@pytest.mark.parametrize("one", published.catalogue().values(), ids=lambda one: one.name)
+@pytest.mark.parametrize("one", catalogue.catalogue().values(), ids=lambda one: one.name)
 def test_every_entry_of_the_catalogue_can_be_acted_on(one):
     assert imported.NAME.fullmatch(one.name) and one.name not in kept.names()
     assert one.known.about and one.known.source
@@ -163,7 +164,7 @@ def test_what_is_said_of_an_agent_stays_in_its_cell(home, tmp_path, mouse):
 
 
 def test_a_card_is_written_anew_of_what_an_older_version_imported(serve, home, runner):
-    run = published.fetch(entry(serve(runner), digest(runner)))
+    run = catalogue.fetch(entry(serve(runner), digest(runner)))
     data = json.loads((run / "origin.json").read_text())
     told = data | {"settings_told": ["environments", "rollout"]}
     (run / "origin.json").write_text(json.dumps(told))
@@ -262,7 +263,7 @@ def test_a_check_is_written_to_the_card(astray, home, tmp_path, monkeypatch, mou
     astray("import", file, "--as", "m", *MAZE, "--art", "own")
     asked = Check("anywhere-small", 4, 4, 2, 7.5, "maze_size", ((3, 1.0),))
     one = Published("m", Known(), sha256=digest(mouse), checks=(asked,))
-    monkeypatch.setattr(published, "catalogue", lambda: {"m": one})
+    monkeypatch.setattr(catalogue, "catalogue", lambda: {"m": one})
     rows = json.loads(astray("agents", "check", "m", "--json"))
     assert rows[0]["levels"] == 6 and rows[0]["published"] == "100.0 % (51.0 to 100.0, n = 4)"
     assert rows[0]["alike"].endswith("n = 4)") and rows[0]["published_value"] == 7.5
@@ -276,7 +277,7 @@ HERE = Path(os.environ.get("ASTRAY_PUBLISHED", "")) if os.environ.get("ASTRAY_PU
 @pytest.fixture
 def real(home, request):
     """An agent of the catalogue, imported from its own file."""
-    one = published.find(request.param)
+    one = catalogue.find(request.param)
     files = [HERE / one.file] if HERE else []
     if not any(file.is_file() for file in files):
         pytest.skip(f"ASTRAY_PUBLISHED names no folder with {one.file}, nothing of astray")

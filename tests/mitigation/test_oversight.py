@@ -12,8 +12,15 @@ from scipy.stats import entropy
 
 from astray import games
 from astray.agents import policy as trained
-from astray.analysis import oversight
-from astray.analysis.doubt import (
+from astray.analysis.episodes import steps
+from astray.analysis.evaluate import evaluate
+from astray.analysis.outcomes import load_shift
+from astray.analysis.policies import Random, Walk
+from astray.analysis.runs import load_agent
+from astray.envs.vector import GameVectorEnv
+from astray.level import Level
+from astray.mitigation import oversight
+from astray.mitigation.doubt import (
     OF_LOGITS,
     Chance,
     Disagreement,
@@ -24,11 +31,8 @@ from astray.analysis.doubt import (
     goal_splay,
     likeliest_shares,
 )
-from astray.analysis.episodes import steps
-from astray.analysis.evaluate import evaluate
-from astray.analysis.helped import AFTER, BEFORE, SEEN, Helped, Watch, play
-from astray.analysis.outcomes import load_shift
-from astray.analysis.oversight import (
+from astray.mitigation.helped import AFTER, BEFORE, SEEN, Helped, Watch, play
+from astray.mitigation.oversight import (
     PERCENTILES,
     Trial,
     area,
@@ -38,10 +42,6 @@ from astray.analysis.oversight import (
     training_scores,
     when_asked,
 )
-from astray.analysis.policies import Random, Walk
-from astray.analysis.runs import load_agent
-from astray.envs.vector import GameVectorEnv
-from astray.level import Level
 
 MAZE = games.find("maze")
 SHIFT = load_shift(MAZE, "corner-small")

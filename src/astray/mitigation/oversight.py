@@ -20,10 +20,14 @@ import numpy as np
 import polars as pl
 
 from astray import games
-from astray.analysis.doubt import Always, Score
 from astray.analysis.episodes import Levels
 from astray.analysis.estimates import bootstrap
-from astray.analysis.helped import (
+from astray.analysis.outcomes import INTENDED, MISGENERALIZED, label
+from astray.analysis.policies import Policy
+from astray.bounds import finite, of_kind
+from astray.game import Game, Shift, Variant
+from astray.mitigation.doubt import Always, Score
+from astray.mitigation.helped import (
     MOMENTS,
     Alone,
     Granularity,
@@ -33,10 +37,6 @@ from astray.analysis.helped import (
     play_alone,
     unheeded,
 )
-from astray.analysis.outcomes import INTENDED, MISGENERALIZED, label
-from astray.analysis.policies import Policy
-from astray.bounds import finite, of_kind
-from astray.game import Game, Shift, Variant
 from astray.words import check_word
 
 PERCENTILES = (5.0, 10.0, 25.0, 50.0, 75.0, 90.0, 95.0, 99.0)

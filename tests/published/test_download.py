@@ -9,8 +9,8 @@ from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 import numpy as np
 import pytest
 
-from astray.analysis import download as downloads
-from astray.analysis.download import download
+from astray.published import download as downloads
+from astray.published.download import download
 from helpers.file_server import serving
 
 DATA = np.random.default_rng(0).bytes(50_000)

@@ -1,6 +1,6 @@
 """The catalogue of agents that others published: where they are, and what is known of them.
 
-It is data, in `published.toml`; nothing of others is part of astray. `fetch` downloads an agent
+It is data, in `catalogue.toml`; nothing of others is part of astray. `fetch` downloads an agent
 at the user's word, checks its digest and imports it.
 """
 
@@ -13,8 +13,8 @@ from pathlib import Path
 from typing import Any, Literal
 
 from astray.analysis import kept
-from astray.analysis.download import download
-from astray.analysis.imported import Known, import_agent, known_as
+from astray.published.download import download
+from astray.published.imported import Known, import_agent, known_as
 
 DOWNLOADS, RESULTS = "downloads", "results"  # in the folder of imported agents
 
@@ -48,7 +48,7 @@ class Published:
     file     its name, whose ending tells the format; empty where there is no address
     address  of the file; empty: `by_hand` says how to get it
     size     bytes; None: not known, as the digest
-    kind     results: no agent, but a table of what one did; see `analysis.results`
+    kind     results: no agent, but a table of what one did; see `published.results`
     tried    it has been imported and checked by the makers of the catalogue
     """
 
@@ -67,7 +67,7 @@ class Published:
 @functools.cache
 def catalogue() -> dict[str, Published]:
     """All agents of the catalogue, by name."""
-    text = Path(__file__).with_name("published.toml").read_text(encoding="utf-8")
+    text = Path(__file__).with_name("catalogue.toml").read_text(encoding="utf-8")
     return {name: read_entry(name, data) for name, data in tomllib.loads(text).items()}
 
 

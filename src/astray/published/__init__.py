@@ -1,0 +1,1 @@
+"""Agents that others published: where they are, and how they are read, checked and kept."""
