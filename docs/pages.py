@@ -53,8 +53,10 @@ FETCHED = re.compile(
 
 def on_config(config: MkDocsConfig) -> MkDocsConfig:
     """Let the navigation lead to the pages that are made."""
-    parts = {part: [page for page in pages() if page.startswith(part + "/")]
-             for part in ("games", "experiments", "agents", "api")}  # fmt: skip
+    parts = {
+        part: [page for page in pages() if page.startswith(part + "/")]
+        for part in ("games", "experiments", "agents", "api")
+    }
     named = [{name.capitalize(): made} for name, made in parts.items() if name != "api"]
     config.nav = [*config.nav[:1], *named, *config.nav[1:], "cli.md", {"API": parts["api"]}]
     return config
@@ -96,7 +98,7 @@ def pages() -> dict[str, str]:
         **{f"agents/{name}/card.md": card(name) for name in kept.names()},
         "cli.md": verbs_page(),
         **dict(api_pages()),
-    }  # fmt: skip
+    }
 
 
 def with_lab(text: str) -> str:
@@ -262,13 +264,15 @@ def experiment_page(name: str) -> str:
     experiment = catalogue.load(name)
     module = sys.modules[catalogue.MODULES[name]]
     parts = [
-        f"# {experiment.title}", inspect.getdoc(module),
+        f"# {experiment.title}",
+        inspect.getdoc(module),
         f"*{experiment.question}* Reproduces: {experiment.reproduces}.",
-        "\n".join(["```bash", *(f"astray reproduce {name} --size {s}" for s in experiment.sizes),
-                   "```"]),
+        "\n".join(
+            ["```bash", *(f"astray reproduce {name} --size {s}" for s in experiment.sizes), "```"]
+        ),
         "Run again, it goes on where it stopped; agents are shared with the experiments that want "
         "the same. The report is one HTML file with claims, figures, tables and videos.",
-    ]  # fmt: skip
+    ]
     links = filter(None, map(in_lab, experiment.sizes.values()))
     parts += [*dict.fromkeys(links)]
     for size, plan in experiment.sizes.items():
@@ -293,17 +297,27 @@ def size_parts(plan: Plan) -> Iterator[str]:
             f"{plan.levels:,}."
         )
         names = list(settings(plan.config))
-        yield table(("agent", *names), [
-            (name, *settings(config).values()) for name, config in
-            itertools.islice(plan.agents.items(), MOST)
-        ])  # fmt: skip
+        yield table(
+            ("agent", *names),
+            [
+                (name, *settings(config).values())
+                for name, config in itertools.islice(plan.agents.items(), MOST)
+            ],
+        )
     tests = {**plan.tests, **plan.visited}
     if tests:
-        yield table(("test", "variant", "shift", "knobs changed"), [
-            (name, link(plan.game, test.variant), code(test.shift),
-             " ".join(code(f"{k}={v}") for k, v in test.knobs.items()))
-            for name, test in tests.items()
-        ])  # fmt: skip
+        yield table(
+            ("test", "variant", "shift", "knobs changed"),
+            [
+                (
+                    name,
+                    link(plan.game, test.variant),
+                    code(test.shift),
+                    " ".join(code(f"{k}={v}") for k, v in test.knobs.items()),
+                )
+                for name, test in tests.items()
+            ],
+        )
 
 
 def settings(config: Config) -> dict[str, str]:
@@ -313,9 +327,10 @@ def settings(config: Config) -> dict[str, str]:
         "knobs changed": " ".join(code(f"{k}={v}") for k, v in config.knobs.items()),
         "steps": f"{config.steps / 1e6:g} million",
         "sees": config.observation,
-        "network": f"{config.network}, {config.scale} x" if config.network == "impala"
+        "network": f"{config.network}, {config.scale} x"
+        if config.network == "impala"
         else f"{config.network}, {config.width} units",
-    }  # fmt: skip
+    }
 
 
 def link(game: str, variant: str) -> str:
@@ -331,9 +346,11 @@ def kept_page() -> str:
         for name in kept.names()
         for text in [(kept.find(name) / "README.md").read_text()]
     ]
-    return (kept.KEPT / "README.md").read_text() + "\n\n" + (
-        table(("agent", "what it is"), rows) if rows else "None is kept yet."
-    )  # fmt: skip
+    return (
+        (kept.KEPT / "README.md").read_text()
+        + "\n\n"
+        + (table(("agent", "what it is"), rows) if rows else "None is kept yet.")
+    )
 
 
 def verbs_page() -> str:

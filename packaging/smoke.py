@@ -30,8 +30,13 @@ def main() -> None:
     home = Path(package.__file__).parent
     assert importlib.metadata.version("astray") == package.__version__
     assert not (Path(__file__).parents[1] / "src").is_relative_to(home.parent), "it is a checkout"
-    for part in ("games/maze/art/cheese.png", "experiments/report.html", "experiments/card.md",
-                 "agents/kept/maze-corner/config.json", "published/catalogue.toml"):  # fmt: skip
+    for part in (
+        "games/maze/art/cheese.png",
+        "experiments/report.html",
+        "experiments/card.md",
+        "agents/kept/maze-corner/config.json",
+        "published/catalogue.toml",
+    ):
         assert (home / part).is_file(), f"the wheel lacks {part}"
     env = gymnasium.make_vec("astray/maze-anywhere-v0", num_envs=4, levels=range(100))
     images, _ = env.reset(seed=0)

@@ -171,9 +171,12 @@ def ran(text, folder):
     """What a script prints that trains for two iterations."""
     (folder / "script.py").write_text(text)
     done = subprocess.run(
-        [sys.executable, "script.py", *WORDS], cwd=folder, env=variables(), capture_output=True,
+        [sys.executable, "script.py", *WORDS],
+        cwd=folder,
+        env=variables(),
+        capture_output=True,
         text=True,
-    )  # fmt: skip
+    )
     assert done.returncode == 0, done.stderr
     return done.stdout
 

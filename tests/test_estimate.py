@@ -28,7 +28,8 @@ def test_the_mean_of_a_column_is_that_of_the_same_matrix():
     values = np.random.default_rng(1).random((3, 20))
     rows = pl.DataFrame([{"agent": a, "level": k, "x": v} for (a, k), v in np.ndenumerate(values)])
     whole, column = bootstrap(values), mean_of(rows, 2 * pl.col("x"))
-    assert np.allclose([column.mean, column.low, column.high],
-                       [2 * whole.mean, 2 * whole.low, 2 * whole.high])  # fmt: skip
+    assert np.allclose(
+        [column.mean, column.low, column.high], [2 * whole.mean, 2 * whole.low, 2 * whole.high]
+    )
     assert (column.agents, column.levels, column.rows) == (3, 20, 60)
     assert mean_of(rows.clear(), "x").rows == 0

@@ -9,14 +9,7 @@ import pytest
 
 from astray.analysis import agency
 from astray.cli import agents as verbs
-from astray.files import (
-    aside_of,
-    folder_aside,
-    remove_left,
-    see_free,
-    see_writable,
-    write_aside,
-)
+from astray.files import aside_of, folder_aside, remove_left, see_free, see_writable, write_aside
 from astray.kernel import cache, jit
 from astray.training import checkpoint
 from astray.training.config import PRESETS
@@ -24,9 +17,15 @@ from astray.training.loop import train
 
 NAMES = (checkpoint.AGENT, checkpoint.TRAINER)
 TINY = replace(
-    PRESETS["small"], variant="corner-small", num_envs=8, num_steps=4, minibatches=1, width=4,
-    steps=32, validation_every=1,
-)  # fmt: skip
+    PRESETS["small"],
+    variant="corner-small",
+    num_envs=8,
+    num_steps=4,
+    minibatches=1,
+    width=4,
+    steps=32,
+    validation_every=1,
+)
 
 
 def home(folder):

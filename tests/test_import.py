@@ -62,13 +62,17 @@ def fresh(tmp_path_factory):
     folders = {"HOME": home, "TMPDIR": home / "tmp", "MPLCONFIGDIR": elsewhere}
     (home / "tmp").mkdir()
     kept = {
-        k: v for k, v in os.environ.items()
+        k: v
+        for k, v in os.environ.items()
         if not k.startswith(("XDG_", "NUMBA_", "ASTRAY_", "TMPDIR", "COV"))
-    }  # fmt: skip
+    }
     done = subprocess.run(
-        [sys.executable, "-B", "-c", PROGRAM, *MODULES], cwd=home, capture_output=True, text=True,
+        [sys.executable, "-B", "-c", PROGRAM, *MODULES],
+        cwd=home,
+        capture_output=True,
+        text=True,
         env=kept | {name: str(path) for name, path in folders.items()},
-    )  # fmt: skip
+    )
     assert done.returncode == 0, done.stderr
     return json.loads(done.stdout), home
 
@@ -106,9 +110,13 @@ def test_functions_of_the_users_own_are_kept_where_numba_keeps_them(tmp_path):
     (tmp_path / "users.py").write_text(FUNCTIONS)
     kept = {k: v for k, v in os.environ.items() if not k.startswith(("XDG_", "NUMBA_"))}
     said = subprocess.run(
-        [sys.executable, "-c", USERS], cwd=tmp_path, capture_output=True, text=True, check=True,
+        [sys.executable, "-c", USERS],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        check=True,
         env=kept | {"HOME": str(tmp_path)},
-    ).stdout  # fmt: skip
+    ).stdout
     assert said.strip() == str(tmp_path / "__pycache__")
     assert len(list((tmp_path / "__pycache__").glob("users.*.nbc"))) == 1
     assert not (tmp_path / ".cache").exists()

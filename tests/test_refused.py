@@ -34,9 +34,15 @@ from astray.training.ppo import Samples
 from helpers.cases import SHAPES
 
 TINY = replace(
-    PRESETS["small"], variant="corner-small", num_envs=8, num_steps=4, minibatches=1, width=4,
-    steps=32, validation_every=1,
-)  # fmt: skip
+    PRESETS["small"],
+    variant="corner-small",
+    num_envs=8,
+    num_steps=4,
+    minibatches=1,
+    width=4,
+    steps=32,
+    validation_every=1,
+)
 SMALL = games.find("maze").variants["corner-small"]
 HUGE = 10**60
 SECONDS = 60  # after which a test hangs
@@ -64,16 +70,21 @@ def test_a_validation_of_another_size_is_refused_with_both(one, other, fused_cpu
 
 def test_a_validation_of_another_size_is_played_where_images_are_as_large(tmp_path):
     config = replace(
-        TINY, variant="corner-small", validation="corner", observation="image", network="impala",
-    )  # fmt: skip
+        TINY, variant="corner-small", validation="corner", observation="image", network="impala"
+    )
     assert train(config, tmp_path).name == "32"
 
 
-@pytest.mark.parametrize("planes", [
-    torch.zeros((2, 4, 25, 25), dtype=torch.uint8), torch.zeros((2, 3, 7, 7), dtype=torch.uint8),
-    torch.zeros((2, 4, 7, 7)), torch.zeros((4, 7, 7), dtype=torch.uint8),
-    torch.zeros((2, 0, 7, 7), dtype=torch.uint8),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "planes",
+    [
+        torch.zeros((2, 4, 25, 25), dtype=torch.uint8),
+        torch.zeros((2, 3, 7, 7), dtype=torch.uint8),
+        torch.zeros((2, 4, 7, 7)),
+        torch.zeros((4, 7, 7), dtype=torch.uint8),
+        torch.zeros((2, 0, 7, 7), dtype=torch.uint8),
+    ],
+)
 def test_compiled_networks_refuse_planes_that_they_were_not_built_for(planes):
     network = Architecture("mlp", (4, 7, 7), (1, 1, 6, 6), 15, width=4).build()
     with pytest.raises(ValueError, match=r"planes must be \[B, 4, H, W\] uint8"):

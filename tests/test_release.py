@@ -46,8 +46,11 @@ def test_a_citation_has_what_the_format_demands():
 
 def test_wheels_are_tried_on_every_python_that_is_promised():
     wheel = yaml(".github/workflows/test.yml")["jobs"]["wheel"]
-    promised = [c.rpartition(" ")[2] for c in PROJECT["project"]["classifiers"]
-                if re.search(r":: 3\.\d+$", c)]  # fmt: skip
+    promised = [
+        c.rpartition(" ")[2]
+        for c in PROJECT["project"]["classifiers"]
+        if re.search(r":: 3\.\d+$", c)
+    ]
     assert wheel["strategy"]["matrix"]["python"] == promised
     assert len(wheel["strategy"]["matrix"]["system"]) == 3
 
@@ -61,8 +64,11 @@ def test_publishing_needs_the_tests_and_no_token():
 
 
 def test_what_extras_bring_is_tested():
-    extras = {package(one) for each in PROJECT["project"]["optional-dependencies"].values()
-              for one in each}  # fmt: skip
+    extras = {
+        package(one)
+        for each in PROJECT["project"]["optional-dependencies"].values()
+        for one in each
+    }
     dev = {package(one) for one in PROJECT["dependency-groups"]["dev"]}
     assert extras - dev == APART
 

@@ -43,11 +43,16 @@ class Agent(nn.Module):
     def __init__(self, actions: int):
         super().__init__()
         self.features = nn.Sequential(
-            nn.Conv2d(3, 16, 8, stride=4), nn.ReLU(),
-            nn.Conv2d(16, 32, 4, stride=2), nn.ReLU(),
-            nn.Conv2d(32, 32, 3), nn.ReLU(),
-            nn.Flatten(), nn.Linear(32 * 4 * 4, 256), nn.ReLU(),
-        )  # fmt: skip
+            nn.Conv2d(3, 16, 8, stride=4),
+            nn.ReLU(),
+            nn.Conv2d(16, 32, 4, stride=2),
+            nn.ReLU(),
+            nn.Conv2d(32, 32, 3),
+            nn.ReLU(),
+            nn.Flatten(),
+            nn.Linear(32 * 4 * 4, 256),
+            nn.ReLU(),
+        )
         self.policy, self.critic = nn.Linear(256, actions), nn.Linear(256, 1)
         nn.init.orthogonal_(self.policy.weight, 0.01)
 
@@ -112,9 +117,13 @@ def main() -> None:
     args = arguments()
     torch.manual_seed(args.seed)
     envs = ProcgenEnv(
-        num_envs=args.num_envs, env_name=args.env_id, num_levels=args.num_levels, start_level=0,
-        distribution_mode=args.distribution_mode, rand_seed=args.seed,
-    )  # fmt: skip
+        num_envs=args.num_envs,
+        env_name=args.env_id,
+        num_levels=args.num_levels,
+        start_level=0,
+        distribution_mode=args.distribution_mode,
+        rand_seed=args.seed,
+    )
     agent = Agent(envs.action_space.n)
     optimizer = torch.optim.Adam(agent.parameters(), lr=args.learning_rate, eps=1e-5)
     shape = (args.num_steps, args.num_envs)
@@ -131,15 +140,20 @@ def main() -> None:
             last_value = agent(torch.from_numpy(seen["rgb"]))[1]
         advantage = advantages(buffers, last_value, torch.from_numpy(first).float(), args)
         flat = {name: x.flatten(0, 1) for name, x in buffers.items()}
-        flat |= {"advantage": advantage.flatten(),
-                 "target": (advantage + buffers["value"]).flatten()}  # fmt: skip
+        flat |= {
+            "advantage": advantage.flatten(),
+            "target": (advantage + buffers["value"]).flatten(),
+        }
         learn(agent, optimizer, flat, args)
         steps = update * shape[0] * shape[1]
         recent = [score for _, score in finished[-100:]]
         mean = np.mean(recent) if recent else float("nan")
-        print(f"{steps} steps, return {mean:.3f}, {len(finished)} episodes, "
-              f"weights {sum(float(x.double().sum()) for x in agent.parameters()):.10f}, "
-              f"{steps / (time.time() - began):.0f} steps/s", flush=True)  # fmt: skip
+        print(
+            f"{steps} steps, return {mean:.3f}, {len(finished)} episodes, "
+            f"weights {sum(float(x.double().sum()) for x in agent.parameters()):.10f}, "
+            f"{steps / (time.time() - began):.0f} steps/s",
+            flush=True,
+        )
     envs.close()
 
 

@@ -75,8 +75,11 @@ class Options:
             if not getattr(self, name):
                 raise ValueError(f"{name} must be True: the other pictures are not drawn here")
         for name in (
-            "use_monochrome_assets", "restrict_themes", "use_generated_assets", "paint_vel_info",
-        ):  # fmt: skip
+            "use_monochrome_assets",
+            "restrict_themes",
+            "use_generated_assets",
+            "paint_vel_info",
+        ):
             if getattr(self, name):
                 raise ValueError(f"{name} must be False: the other pictures are not drawn here")
 
@@ -112,9 +115,14 @@ class ProcgenGym3Env:
         game, variant = world(env_name, chosen.distribution_mode)
         self.num, self.env_name, self.options = num, env_name, chosen
         self.env = GameVectorEnv(
-            game, variant, num, art=chosen.art, autoreset_mode="Disabled",
-            threads=min(chosen.num_threads, num), render_mode=chosen.render_mode,
-        )  # fmt: skip
+            game,
+            variant,
+            num,
+            art=chosen.art,
+            autoreset_mode="Disabled",
+            threads=min(chosen.num_threads, num),
+            render_mode=chosen.render_mode,
+        )
         self.combos = COMBOS
         self.levels = chosen.levels(env_name)
         seed = secrets.randbelow(2**31) if chosen.rand_seed is None else chosen.rand_seed

@@ -11,8 +11,13 @@ from astray.level import Level
 VIEW = 256  # pixels a side of the agent's view, enlarged
 GAP, TEXT = 16, 18  # pixels
 STEPS_PER_SECOND = 15
-HELP = ("arrows or WASD: move", "space: wait", "R: this level again", "N: the next level",
-        "Esc: leave")  # fmt: skip
+HELP = (
+    "arrows or WASD: move",
+    "space: wait",
+    "R: this level again",
+    "N: the next level",
+    "Esc: leave",
+)
 
 
 def play(game: Game, variant: Variant, level: int | Level | None = None, art: str = OWN) -> None:

@@ -10,11 +10,7 @@ from scipy.special import betainc, betaln
 
 from astray.agency import devices, maxent
 from astray.agency.agents import of_every_cell
-from astray.agency.generators import (
-    Setting,
-    uniform_random,
-    wander,
-)  # fmt: skip
+from astray.agency.generators import Setting, uniform_random, wander
 from astray.agency.gridworld import World
 from astray.agency.maps import MAPS
 from astray.agency.measure import (
@@ -26,7 +22,7 @@ from astray.agency.measure import (
     decisions,
     measure,
     measure_named,
-)  # fmt: skip
+)
 from astray.agency.online import measure_online
 from astray.agency.population import shares
 from astray.agency.steps import EXACT, log_product, log_table, rule
@@ -158,10 +154,13 @@ def test_e_values_are_at_most_one_on_average_under_every_device():
     world, goal, steps = World.parse("..\n.."), (1, 1), 3
     trajectories = [world.walk((0, 0), a) for a in itertools.product(range(4), repeat=steps)]
     seen = [devices.see(world, t, world.number(goal)) for t in trajectories]
-    e = np.array([
-        measure(Episode(world, t, goal)).log_agent - max(devices.log_best(s), -steps * np.log(4))
-        for t, s in zip(trajectories, seen, strict=True)
-    ])  # fmt: skip
+    e = np.array(
+        [
+            measure(Episode(world, t, goal)).log_agent
+            - max(devices.log_best(s), -steps * np.log(4))
+            for t, s in zip(trajectories, seen, strict=True)
+        ]
+    )
     names = sorted({int(code) for one in seen for code in one.observation})
     for table in itertools.product(range(4), repeat=len(names)):
         says = [[table[names.index(c)] for c in one.observation] for one in seen]

@@ -17,7 +17,7 @@ from astray.agency.measure import (
     Options,
     measure,
     measure_named,
-)  # fmt: skip
+)
 from astray.agency.online import measure_online
 from helpers.cases import REFERENCE
 
@@ -51,9 +51,12 @@ def test_mixtures_and_posteriors_are_the_golden_ones(case):
     for result in case["results"]:
         o = result["options"]
         options = Options(
-            goals=GOALS[o["goal_set"]], noise=NOISE[o["eps_model"]], at_goal=o["at_goal"],
-            observations=(o["obs"],), first=o["t0"],
-        )  # fmt: skip
+            goals=GOALS[o["goal_set"]],
+            noise=NOISE[o["eps_model"]],
+            at_goal=o["at_goal"],
+            observations=(o["obs"],),
+            first=o["t0"],
+        )
         evidence = measure(episode, options)
         assert len(evidence.goals) == result["n_goals"]
         assert -evidence.log_agent == pytest.approx(result["neg_log_p_agt"], **CLOSE)

@@ -12,14 +12,9 @@ from astray.agency.generators import (
     uniform_random,
     wall_follower,
     wander,
-)  # fmt: skip
+)
 from astray.agency.maps import MAPS
-from astray.agency.measure import (
-    CALIBRATED,
-    PAPER,
-    Episode,
-    measure,
-)  # fmt: skip
+from astray.agency.measure import CALIBRATED, PAPER, Episode, measure
 from astray.agency.population import pooled, shares
 
 

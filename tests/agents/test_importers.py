@@ -202,9 +202,15 @@ def test_plain_data_comes_out_as_it_went_in(data, protocol):
 @pytest.mark.parametrize("alignment", [None, 16])
 @pytest.mark.parametrize(
     "array",
-    [np.arange(6, dtype="<f4").reshape(2, 3), np.asfortranarray(np.arange(6.0).reshape(2, 3)),
-     np.arange(4, dtype=">i2"), np.zeros((0, 3)), np.array(3.0), np.array([True])],
-)  # fmt: skip
+    [
+        np.arange(6, dtype="<f4").reshape(2, 3),
+        np.asfortranarray(np.arange(6.0).reshape(2, 3)),
+        np.arange(4, dtype=">i2"),
+        np.zeros((0, 3)),
+        np.array(3.0),
+        np.array([True]),
+    ],
+)
 def test_arrays_come_out_as_they_went_in(array, alignment):
     found = plain.read(joblib_bytes({"before": 1, "x": array, "after": array}, alignment))
     assert found["before"] == 1

@@ -159,9 +159,13 @@ def test_the_middle_of_agents_is_the_interquartile_mean_with_its_percentiles():
     assert middle == pytest.approx(np.sort(values, 0)[2:7].mean(0))  # the middle 5 of 9
     for point in range(3):
         naive = scipy.stats.bootstrap(
-            [values[:, point]], lambda x: np.sort(x)[2:7].mean(), vectorized=False,
-            method="percentile", n_resamples=4000, rng=1,
-        ).confidence_interval  # fmt: skip
+            [values[:, point]],
+            lambda x: np.sort(x)[2:7].mean(),
+            vectorized=False,
+            method="percentile",
+            n_resamples=4000,
+            rng=1,
+        ).confidence_interval
         assert (low[point], high[point]) == pytest.approx(naive, rel=0.15, abs=0.15)
 
 

@@ -39,9 +39,17 @@ from helpers.cases import FEW
 MAZE = games.find("maze")
 SMALL = MAZE.variant("corner-small")
 TINY = replace(
-    PRESETS["small"], variant="corner-small", num_envs=4, num_steps=8, minibatches=2, epochs=1,
-    width=8, steps=192, levels=50, checkpoint_every=2,
-)  # fmt: skip
+    PRESETS["small"],
+    variant="corner-small",
+    num_envs=4,
+    num_steps=8,
+    minibatches=2,
+    epochs=1,
+    width=8,
+    steps=192,
+    levels=50,
+    checkpoint_every=2,
+)
 ROOM = World.parse("..\n..")
 LEVELS = range(2)
 

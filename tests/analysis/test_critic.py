@@ -142,8 +142,7 @@ def test_a_state_without_its_coin_is_a_level_built_without_it(either):
 
 
 @pytest.mark.parametrize(
-    "edit, name",
-    [(edits.without_saws, "saw"), (edits.without_walkers, "walker to the left")],
+    "edit, name", [(edits.without_saws, "saw"), (edits.without_walkers, "walker to the left")]
 )
 def test_what_an_edit_removes_an_agent_sees_no_more(either, edit, name):
     level = Level.from_text(GAME, SHORT, ROOM)

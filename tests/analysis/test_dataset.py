@@ -63,19 +63,20 @@ def test_episodes_are_those_of_an_evaluation(mouse, tmp_path):
 def test_a_state_of_a_data_set_goes_on(mouse, tmp_path):
     folder = dataset.export(mouse, "maze", "anywhere-small", LEVELS[:1], tmp_path / "set")
     one = next(dataset.read_trajectories(folder))
-    env = GameVectorEnv("maze", "anywhere-small", observation="symbolic",
-                        autoreset_mode="Disabled")  # fmt: skip
+    env = GameVectorEnv("maze", "anywhere-small", observation="symbolic", autoreset_mode="Disabled")
     middle = len(one) // 2
-    assert np.array_equal(env.set_state(one.states[middle : middle + 1])[0],
-                          one.observations[middle])  # fmt: skip
+    assert np.array_equal(
+        env.set_state(one.states[middle : middle + 1])[0], one.observations[middle]
+    )
     seen, reward, *_ = env.step(one.actions[middle : middle + 1])
     assert np.array_equal(seen[0], one.observations[middle + 1])
     assert reward[0] == one.rewards[middle]
 
 
 def test_images_are_written_to_the_byte(tmp_path):
-    folder = dataset.export(Random(observation="image"), "coinrun", "coin-end-calm", [3],
-                            tmp_path / "set")  # fmt: skip
+    folder = dataset.export(
+        Random(observation="image"), "coinrun", "coin-end-calm", [3], tmp_path / "set"
+    )
     about = json.loads((folder / "dataset.json").read_text())
     assert about["shape"] == [64, 64, 3] and about["actions"][4] == "stay"
     one = next(dataset.read_trajectories(folder))
@@ -109,10 +110,14 @@ def test_minari_reads_its_layout(mouse, tmp_path, monkeypatch):
         assert np.array_equal(episode.actions, one.actions)
         assert np.array_equal(episode.rewards, one.rewards)
         assert (episode.terminations[-1], episode.truncations[-1]) == (
-            one.terminated, not one.terminated)  # fmt: skip
+            one.terminated,
+            not one.terminated,
+        )
         assert episode.infos["state"].tobytes() == one.states.tobytes()
-    assert theirs.recover_environment().unwrapped.vector.variant == GameVectorEnv(
-        "maze", "anywhere-small").variant  # fmt: skip
+    assert (
+        theirs.recover_environment().unwrapped.vector.variant
+        == GameVectorEnv("maze", "anywhere-small").variant
+    )
 
 
 def test_a_folder_that_is_there_is_left_alone(tmp_path):

@@ -61,8 +61,10 @@ def test_who_goes_on_when_most_have_ended_is_alone():
     assert len(policy.shown) == longest
     assert policy.shown[0] == len(LEVELS)
     live = [int((episodes["length"] > k).sum()) for k in range(longest)]
-    assert all(n <= shown < 2 * max(n, 1) or shown == n for n, shown in
-               zip(live, policy.shown, strict=True))  # fmt: skip
+    assert all(
+        n <= shown < 2 * max(n, 1) or shown == n
+        for n, shown in zip(live, policy.shown, strict=True)
+    )
     assert policy.shown[-1] < len(LEVELS) / 2
 
 

@@ -39,8 +39,9 @@ def test_frames_are_the_originals(name):
 
 def test_every_configuration_was_recorded():
     assert set(FRAMES) >= {name for name in RECORDED if "region" not in name} - {
-        "coinrun_random50", "keys_many_chests_penalties",
-    }  # fmt: skip
+        "coinrun_random50",
+        "keys_many_chests_penalties",
+    }
     assert all(sum(len(e["frames"]) for e in episodes) >= 72 for episodes in FRAMES.values())
 
 
@@ -62,10 +63,12 @@ def test_interpreted_code_draws_the_same():
     said = [
         subprocess.run(
             [sys.executable, "-c", INTERPRETED],
-            env=processes.environment(NUMBA_DISABLE_JIT=disabled), capture_output=True, check=True,
+            env=processes.environment(NUMBA_DISABLE_JIT=disabled),
+            capture_output=True,
+            check=True,
         ).stdout
         for disabled in ("0", "1")
-    ]  # fmt: skip
+    ]
     assert said[0] == said[1] and len(said[0].split()) == 6
 
 
@@ -77,8 +80,10 @@ def test_pictures_for_people_have_the_same_things_at_any_scale(pixels):
         shown = env.picture(pixels)
         assert shown.shape == (2, pixels, pixels, 3)
         assert pixels != 64 or np.array_equal(shown, images)
-        small = [np.array(Image.fromarray(one).resize((8, 8), Image.Resampling.BOX), int)
-                 for one in (*shown, *images)]  # fmt: skip
+        small = [
+            np.array(Image.fromarray(one).resize((8, 8), Image.Resampling.BOX), int)
+            for one in (*shown, *images)
+        ]
         # Nearest pixels of fine pictures are speckled at 64 pixels; their means are alike.
         assert np.abs(small[0] - small[2]).mean() < 16 and np.abs(small[1] - small[3]).mean() < 16
 
@@ -118,7 +123,7 @@ def test_symbols_need_no_pictures(tmp_path, monkeypatch):
         ({"goal_shape": "ring", "goal_colour": "blue"}, "the original has no blue ring; it"),
         ({"walls": "hedge"}, "the original has walls of sand alone; these are of hedge"),
     ],
-)  # fmt: skip
+)
 def test_what_the_original_never_drew_is_refused(changes, said):
     with pytest.raises(ValueError, match=said):
         games.find("maze").drawn("original").art(replace(Maze(about=""), **changes), 64)

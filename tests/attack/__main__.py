@@ -105,9 +105,13 @@ def _make(kept: Path) -> None:
 
 
 def _loop(
-    given: argparse.Namespace, wanted: Sequence[Attempt], root: Path, kept: Path,
-    small: Path | None, log: TextIO,
-) -> int:  # fmt: skip
+    given: argparse.Namespace,
+    wanted: Sequence[Attempt],
+    root: Path,
+    kept: Path,
+    small: Path | None,
+    log: TextIO,
+) -> int:
     """Make attempts one after the other, each a line of the log."""
     for number, attempt in enumerate(wanted):
         place = Place(root / f"{number}", kept / "made", small)
@@ -124,11 +128,14 @@ def _prepare(code: Path, base: Path) -> None:
     home = base / "home"
     home.mkdir(parents=True)
     os.environ |= {
-        "HOME": str(home), "NUMBA_CACHE_DIR": str(code), "OMP_NUM_THREADS": "1",
-        "POLARS_MAX_THREADS": "1", "PYTHONDONTWRITEBYTECODE": "1",
+        "HOME": str(home),
+        "NUMBA_CACHE_DIR": str(code),
+        "OMP_NUM_THREADS": "1",
+        "POLARS_MAX_THREADS": "1",
+        "PYTHONDONTWRITEBYTECODE": "1",
         "MPLCONFIGDIR": str(code.parent / "mpl"),
         "PYTHONPATH": os.pathsep.join(filter(None, map(os.path.abspath, sys.path))),
-    }  # fmt: skip
+    }
     os.chdir(base)
     import matplotlib.pyplot  # noqa: F401
     import torch
@@ -163,10 +170,15 @@ def _one(attempt: Attempt, place: Place, patience: float) -> dict[str, object]:
     reason = verdict(attempt, outcome, place)
     forks.clear(place)
     return {
-        "class": attempt.kind, "name": attempt.name, "verdict": "FLAGGED" if reason else "held",
-        "reason": reason, "end": outcome.end, "seconds": round(outcome.seconds, 2),
-        "code": outcome.told and outcome.told.code, "tail": outcome.tail,
-    }  # fmt: skip
+        "class": attempt.kind,
+        "name": attempt.name,
+        "verdict": "FLAGGED" if reason else "held",
+        "reason": reason,
+        "end": outcome.end,
+        "seconds": round(outcome.seconds, 2),
+        "code": outcome.told and outcome.told.code,
+        "tail": outcome.tail,
+    }
 
 
 def _summary(rows: Sequence[dict[str, object]], seconds: float) -> int:

@@ -14,9 +14,7 @@ from attack.core import Attempt, Place
 LONG = "x" * 5000
 BAD = "\udcff\udcfe"  # bytes that are no text, as the system hands them over
 # By the type of an option: what is given, and whether it may be taken.
-NUMBERS = {
-    "a word": "many", "a real": "1.5", "nothing": "", "a list": "1,2", "bytes": BAD,
-}  # fmt: skip
+NUMBERS = {"a word": "many", "a real": "1.5", "nothing": "", "a list": "1,2", "bytes": BAD}
 WORDS = {
     "a word": "Nothing-Such",
     "nothing": "",
@@ -54,8 +52,9 @@ def _extra(verb: str) -> dict[str, tuple[str, ...]]:
     given = {
         "an option that is none": ("--nothing-such",),
         "a word more": ("one", "two", "three", "four"),
-        "bytes that are no text": (f"--{BAD}",), "an option of 5,000 characters": (f"--{LONG}",),
-    }  # fmt: skip
+        "bytes that are no text": (f"--{BAD}",),
+        "an option of 5,000 characters": (f"--{LONG}",),
+    }
     for option, kind, positional in words.options_of(verb):
         if not positional and kind.replace("|", " ").split()[0] in ("str", "int", "Path"):
             given["an option without its value"] = (f"--{option}",)

@@ -124,10 +124,10 @@ ATTEMPTS = [
 
 def report(rows: Sequence[dict[str, object]]) -> int:
     """Tell which failures were not noticed, and what was noticed that is none."""
-    wrong = [row for row in rows
-             if (row["verdict"] != "held") != CASES[str(row["name"])][3]]  # fmt: skip
+    wrong = [row for row in rows if (row["verdict"] != "held") != CASES[str(row["name"])][3]]
     for row in wrong:
-        print(f"NOT AS IT SHOULD BE: {row['name']}: {row['verdict']} {row['reason']}",
-              file=sys.stderr)  # fmt: skip
+        print(
+            f"NOT AS IT SHOULD BE: {row['name']}: {row['verdict']} {row['reason']}", file=sys.stderr
+        )
     print(f"{len(rows)} checks, {len(wrong)} of them not as they should be")
     return 1 if wrong else 0

@@ -83,7 +83,7 @@ def _outs() -> dict[str, Callable[[tuple[int, ...]], Any]]:
         "a list": lambda shape: [0] * shape[0],
         "bytes": lambda shape: bytes(int(np.prod(shape))),
         "a subclass without memory": lambda shape: np.memmap,
-    }  # fmt: skip
+    }
 
 
 def _step_into(game: str, make: Callable[[tuple[int, ...]], Any], _: Place) -> None:
@@ -146,12 +146,23 @@ def _of_others(game: str, other: str) -> dict[str, Callable[[Place], Any]]:
         )
 
     def told(place: Place) -> Any:
-        return place.astray("replay", game, SMALLEST[game], "--level-file",
-                            place.made / f"{other}.json", "--actions",
-                            place.made / "actions.txt")  # fmt: skip
+        return place.astray(
+            "replay",
+            game,
+            SMALLEST[game],
+            "--level-file",
+            place.made / f"{other}.json",
+            "--actions",
+            place.made / "actions.txt",
+        )
 
-    return {"a variant": variant, "a file of states": states, "states": live, "a level": level,
-            "a level in a file": told}  # fmt: skip
+    return {
+        "a variant": variant,
+        "a file of states": states,
+        "states": live,
+        "a level": level,
+        "a level in a file": told,
+    }
 
 
 def _functions() -> dict[str, tuple[Callable[[Place], Any], Any]]:
@@ -185,8 +196,15 @@ def _functions() -> dict[str, tuple[Callable[[Place], Any], Any]]:
 
     two = np.zeros(2, np.uint32)
     found: dict[str, tuple[Callable[[Place], Any], Any]] = {}
-    for x, y, shape in ((3, 0, (3, 3)), (0, -1, (3, 3)), (HUGE, 0, (3, 3)), (0, 0, (0, 3)),
-                        (1.5, 0, (3, 3)), (0, 0, (3,)), (None, 0, (3, 3))):  # fmt: skip
+    for x, y, shape in (
+        (3, 0, (3, 3)),
+        (0, -1, (3, 3)),
+        (HUGE, 0, (3, 3)),
+        (0, 0, (0, 3)),
+        (1.5, 0, (3, 3)),
+        (0, 0, (3,)),
+        (None, 0, (3, 3)),
+    ):
         name = f"distances from {str(x)[:6]}, {y} in {shape}"
         found[name] = (functools.partial(distances, x, y, shape), "any")
     for sizes in ((2, 2, 99), (2, 99, 2), (99, 2, 2), (0, 2, 2)):
@@ -202,14 +220,19 @@ def _functions() -> dict[str, tuple[Callable[[Place], Any], Any]]:
         found[f"planes {shape} of {kind}"] = (functools.partial(planes, shape, kind), "any")
     for pixels in (0, -1, 4097, HUGE, 1.5, True, None, "64", float("nan")):
         found[f"pictures of {str(pixels)[:6]} pixels"] = (
-            functools.partial(pictures, pixels), "refusal",
-        )  # fmt: skip
+            functools.partial(pictures, pixels),
+            "refusal",
+        )
     for name, given in {
-        "edits below 0": (-1, two, "constant"), "10^18 edits": (10**18, two, "constant"),
-        "a word of no kind": (1, two, "Constant"), "a seed too few": (1, two[:1], "constant"),
-        "seeds of reals": (1, two / 2, "constant"), "no seeds": (1, None, "constant"),
-        "true edits": (True, two, "constant"), "no kind": (1, two, None),
-    }.items():  # fmt: skip
+        "edits below 0": (-1, two, "constant"),
+        "10^18 edits": (10**18, two, "constant"),
+        "a word of no kind": (1, two, "Constant"),
+        "a seed too few": (1, two[:1], "constant"),
+        "seeds of reals": (1, two / 2, "constant"),
+        "no seeds": (1, None, "constant"),
+        "true edits": (True, two, "constant"),
+        "no kind": (1, two, None),
+    }.items():
         found[f"mutate: {name}"] = (functools.partial(mutate, *given), "refusal")
     return found
 
@@ -251,8 +274,15 @@ def _trainings() -> dict[str, tuple[Callable[[Place], Any], Any]]:
             def restore(self, arrays: Any) -> None:
                 pass
 
-        config = replace(PRESETS["small"], variant="corner-small", num_envs=4, num_steps=4,
-                         minibatches=1, steps=32, width=4)  # fmt: skip
+        config = replace(
+            PRESETS["small"],
+            variant="corner-small",
+            num_envs=4,
+            num_steps=4,
+            minibatches=1,
+            steps=32,
+            width=4,
+        )
         train(config, place.work / "there", sampler=Odd, progress=False)
 
     found: dict[str, tuple[Callable[[Place], Any], Any]] = {}
@@ -261,10 +291,15 @@ def _trainings() -> dict[str, tuple[Callable[[Place], Any], Any]]:
             act = functools.partial(validated, one, other, fused)
             found[f"{one} validated on {other}, fused {fused}"] = (act, "refusal")
     for name, levels in {
-        "reals": lambda p: p + 0.5, "a level too few": lambda p: p[:-1], "none": lambda p: None,
-        "below 0": lambda p: p - 10, "of 2^40": lambda p: p + 2**40, "a word": lambda p: "0",
-        "a row of rows": lambda p: p[None], "of 60 digits": lambda p: [HUGE] * len(p),
-    }.items():  # fmt: skip
+        "reals": lambda p: p + 0.5,
+        "a level too few": lambda p: p[:-1],
+        "none": lambda p: None,
+        "below 0": lambda p: p - 10,
+        "of 2^40": lambda p: p + 2**40,
+        "a word": lambda p: "0",
+        "a row of rows": lambda p: p[None],
+        "of 60 digits": lambda p: [HUGE] * len(p),
+    }.items():
         found[f"a sampler's levels: {name}"] = (functools.partial(sampled, levels), "refusal")
     return found
 

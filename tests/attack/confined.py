@@ -57,8 +57,10 @@ def _open(needed: dict[Path, Path]) -> None:
 
     needed  each, and where it is held meanwhile
     """
-    closed = {folder: next((p for p in reversed(folder.parents) if not p.stat().st_mode & 1), None)
-              for folder in needed}  # fmt: skip
+    closed = {
+        folder: next((p for p in reversed(folder.parents) if not p.stat().st_mode & 1), None)
+        for folder in needed
+    }
     behind = {folder: above for folder, above in closed.items() if above is not None}
     for folder in behind:
         needed[folder].mkdir()

@@ -121,9 +121,10 @@ class Place:
         self._watched = True
         found = tree_of(self.work, self.home, *more)
         users = [
-            path for path in found
+            path
+            for path in found
             if Path(path) in self.users or not any(map(Path(path).is_relative_to, self.ours))
-        ]  # fmt: skip
+        ]
         roots = [str(one) for one in (self.work, self.home, *more)]
         (self.root / "before.json").write_text(
             json.dumps({"tree": found, "users": users, "roots": roots}), encoding="utf-8"
@@ -147,13 +148,19 @@ class Place:
             code = 1
         sys.stdout.flush()
         sys.stderr.flush()
-        return Told(code, *(_since(self.root / name, at) for name, at in
-                            zip(("out", "err"), begun, strict=True)))  # fmt: skip
+        return Told(
+            code,
+            *(_since(self.root / name, at) for name, at in zip(("out", "err"), begun, strict=True)),
+        )
 
     def process(
-        self, *words: Any, program: tuple[str, ...] = ("-m", "astray"), text: bytes | None = None,
-        env: dict[str, str | None] | None = None, **options: Any,
-    ) -> Told:  # fmt: skip
+        self,
+        *words: Any,
+        program: tuple[str, ...] = ("-m", "astray"),
+        text: bytes | None = None,
+        env: dict[str, str | None] | None = None,
+        **options: Any,
+    ) -> Told:
         """The command in a process of its own, with these variables; None: without."""
         if not self._watched:
             self.watch()

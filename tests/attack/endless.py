@@ -56,8 +56,15 @@ def _settings() -> dict[str, Callable[[Place], Any]]:
     def act(name: str, value: int, place: Place) -> Any:
         from astray.training.loop import train
 
-        tiny = replace(PRESETS["small"], variant="corner-small", steps=32, num_envs=4, num_steps=4,
-                       minibatches=1, width=4)  # fmt: skip
+        tiny = replace(
+            PRESETS["small"],
+            variant="corner-small",
+            steps=32,
+            num_envs=4,
+            num_steps=4,
+            minibatches=1,
+            width=4,
+        )
         return train(replace(tiny, **{name: value}), place.work / "there", progress=False)
 
     return {
@@ -85,9 +92,14 @@ def _counts() -> dict[str, Callable[[Place], Any]]:
     tiny = ("train", "maze", "corner-small", "--folder", "there")
     found: dict[str, Callable[[Place], Any]] = {
         f"environments: {options}": functools.partial(made, options)
-        for options in ({"num_envs": 10**9}, {"num_envs": 2**31}, {"threads": 10**6},
-                        {"num_envs": 10**8, "observation": "symbolic"}, {"num_envs": 2**63})
-    }  # fmt: skip
+        for options in (
+            {"num_envs": 10**9},
+            {"num_envs": 2**31},
+            {"threads": 10**6},
+            {"num_envs": 10**8, "observation": "symbolic"},
+            {"num_envs": 2**63},
+        )
+    }
     return found | {
         f"counts: {' '.join(map(str, given))[:70]}": functools.partial(said, given)
         for given in (
@@ -213,8 +225,9 @@ class _Endless(http.server.BaseHTTPRequestHandler):
         self.end_headers()
 
 
-WAYS = tuple(name[1:] for name in vars(_Endless) if name[0] == "_" and name[1] != "_"
-             and name != "_begin")  # fmt: skip
+WAYS = tuple(
+    name[1:] for name in vars(_Endless) if name[0] == "_" and name[1] != "_" and name != "_begin"
+)
 
 
 def _served() -> dict[str, tuple[Callable[[Place], Any], Any]]:
@@ -234,12 +247,14 @@ def _served() -> dict[str, tuple[Callable[[Place], Any], Any]]:
         return download(address, place.work / "file", size=1000, sha256="0" * 64)
 
     return {
-        f"{'the Hub' if hub else 'a download'} from a server: {how}":
-            (functools.partial(act, how, hub), "refusal")
+        f"{'the Hub' if hub else 'a download'} from a server: {how}": (
+            functools.partial(act, how, hub),
+            "refusal",
+        )
         for how in WAYS
         for hub in (False, True)
         if not (hub and how == "continue")  # a Hub that one has named is waited for
-    }  # fmt: skip
+    }
 
 
 def _levels() -> dict[str, tuple[Callable[[Place], Any], Any]]:
@@ -251,13 +266,23 @@ def _levels() -> dict[str, tuple[Callable[[Place], Any], Any]]:
         text = path.read_text()
         wall, open_ = {"maze": ("#", "."), "keys": ("#", "."), "coinrun": ("#", ".")}[game]
         changed = {
-            "walled in": text.replace(open_, wall), "all open": text.replace(wall, open_),
+            "walled in": text.replace(open_, wall),
+            "all open": text.replace(wall, open_),
             "a row twice": text.split("\n", 1)[0] + "\n" + text,
-            "a hundred times": text * 100, "of 100,000 rows": text.split("\n", 1)[0] * 100_000,
-        }[how]  # fmt: skip
+            "a hundred times": text * 100,
+            "of 100,000 rows": text.split("\n", 1)[0] * 100_000,
+        }[how]
         path.write_text(changed)
-        return place.astray("replay", game, SMALLEST[game], "--level-file", path, "--unsolvable",
-                            "--actions", place.made / "actions.txt")  # fmt: skip
+        return place.astray(
+            "replay",
+            game,
+            SMALLEST[game],
+            "--level-file",
+            path,
+            "--unsolvable",
+            "--actions",
+            place.made / "actions.txt",
+        )
 
     return {
         f"a level of {game} that is {how}": (functools.partial(act, game, how), "any")
@@ -271,8 +296,9 @@ def _texts() -> dict[str, tuple[Callable[[Place], Any], Any]]:
 
     def actions(text: str, place: Place) -> Any:
         place.mine("long.txt", text)
-        return place.astray("replay", "maze", "corner-small", "--level", "0", "--actions",
-                            "long.txt")  # fmt: skip
+        return place.astray(
+            "replay", "maze", "corner-small", "--level", "0", "--actions", "long.txt"
+        )
 
     def asked(text: str, _: Place) -> Any:
         from astray.lab.messages import read
@@ -285,9 +311,13 @@ def _texts() -> dict[str, tuple[Callable[[Place], Any], Any]]:
         "a number of a megabyte": (functools.partial(actions, "9" * 2**20), "refusal"),
         "actions that are brackets": (functools.partial(actions, "[" * 2**20), "any"),
     }
-    for name, text in {"of brackets": "[" * 2**17, "of objects": '{"a":' * 2**15,
-                       "of one number": '{"id": ' + "9" * 2**17 + "}", "too long": "x" * 2**19,
-                       "of a text": '"' + "\\u0000" * 2**14 + '"'}.items():  # fmt: skip
+    for name, text in {
+        "of brackets": "[" * 2**17,
+        "of objects": '{"a":' * 2**15,
+        "of one number": '{"id": ' + "9" * 2**17 + "}",
+        "too long": "x" * 2**19,
+        "of a text": '"' + "\\u0000" * 2**14 + '"',
+    }.items():
         found[f"a message {name}"] = (functools.partial(asked, text), "refusal")
     return found
 

@@ -7,8 +7,8 @@ from importlib import import_module
 from attack.core import Attempt
 
 MODULES = (
-    "loss", "loss_api", "compiled", "records", "endless", "arguments", "settings", "readers",
-    "places", "functions", "taken", "trust", "names", "together",
+    "loss", "loss_api", "loss_anew", "compiled", "records", "endless", "arguments", "settings",
+    "readers", "places", "functions", "taken", "trust", "names", "together",
 )  # fmt: skip
 
 

@@ -135,6 +135,9 @@ def _set_up(place: Place) -> None:
         "PIP_INDEX_URL": GONE, "HF_ENDPOINT": GONE, "SDL_VIDEODRIVER": "dummy",
     }  # fmt: skip
     mapped = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
-    for what, most in ((resource.RLIMIT_AS, mapped + MEMORY), (resource.RLIMIT_FSIZE, LARGEST),
-                       (resource.RLIMIT_CORE, 0)):  # fmt: skip
+    for what, most in (
+        (resource.RLIMIT_AS, mapped + MEMORY),
+        (resource.RLIMIT_FSIZE, LARGEST),
+        (resource.RLIMIT_CORE, 0),
+    ):
         resource.setrlimit(what, (most, most))

@@ -38,8 +38,15 @@ def attempts() -> Iterator[Attempt]:
 def _beside(place: Place, path: Path) -> None:
     """Names beside it that look as ours do."""
     name = path.name
-    for one in (f".{name}", f".{name}.tmp", f".{name}.{HEX}", f"{name}.part", f".{name}.{HEX}.bak",
-                ".lock.mine", f"{name}~"):  # fmt: skip
+    for one in (
+        f".{name}",
+        f".{name}.tmp",
+        f".{name}.{HEX}",
+        f"{name}.part",
+        f".{name}.{HEX}.bak",
+        ".lock.mine",
+        f"{name}~",
+    ):
         place.mine(path.with_name(one))
     place.mine(path.with_name(f".other.{HEX}") / "notes.txt")
     place.mine(path.with_name(f".{HEX}.{HEX}") / "agent.safetensors")
@@ -49,26 +56,38 @@ def _beside(place: Place, path: Path) -> None:
 LAID: dict[str, Lay] = {
     "a file": lambda place, path: place.mine(path),
     "a folder with files": lambda place, path: (
-        place.mine(path / "notes.txt"), place.mine(path / "deep" / "more.txt"),
-        place.mine(path / "report.html"), place.mine(path / "index.html"),
-        place.mine(path / "episodes.parquet"), place.mine(path / "figures" / "one.png"),
-        place.mine(path / "tables" / "episodes.csv"), place.mine(path / "data" / "index.json"),
+        place.mine(path / "notes.txt"),
+        place.mine(path / "deep" / "more.txt"),
+        place.mine(path / "report.html"),
+        place.mine(path / "index.html"),
+        place.mine(path / "episodes.parquet"),
+        place.mine(path / "figures" / "one.png"),
+        place.mine(path / "tables" / "episodes.csv"),
+        place.mine(path / "data" / "index.json"),
     ),
     "a link to a file": lambda place, path: (
-        place.mine("kept.txt"), path.symlink_to(place.work / "kept.txt")),
+        place.mine("kept.txt"),
+        path.symlink_to(place.work / "kept.txt"),
+    ),
     "a link to a folder with files": lambda place, path: (
-        place.mine("elsewhere/notes.txt"), place.mine("elsewhere/explain.html"),
-        path.symlink_to(place.work / "elsewhere")),
+        place.mine("elsewhere/notes.txt"),
+        place.mine("elsewhere/explain.html"),
+        path.symlink_to(place.work / "elsewhere"),
+    ),
     "a link to nothing": lambda place, path: path.symlink_to(place.work / "gone"),
     "a pipe": lambda place, path: os.mkfifo(path),
     "a folder that may only be read": lambda place, path: (
-        place.mine(path / "notes.txt"), path.chmod(0o555)),
+        place.mine(path / "notes.txt"),
+        path.chmod(0o555),
+    ),
     "much beside it that looks like ours": _beside,
     "a folder of hidden files": lambda place, path: (
-        place.mine(path / ".ssh" / "id"), place.mine(path / ".git" / "config"),
+        place.mine(path / ".ssh" / "id"),
+        place.mine(path / ".git" / "config"),
         place.mine(path / f".config.json.{HEX}"),
-        place.mine(path / f".agent.safetensors.{HEX}" / "notes.txt")),
-}  # fmt: skip
+        place.mine(path / f".agent.safetensors.{HEX}" / "notes.txt"),
+    ),
+}
 
 
 def _write(verb: str, to: str, lay: Lay, place: Place) -> Told:
@@ -104,8 +123,10 @@ def _inside() -> dict[str, Callable[[Place], Told]]:
 
     def stale(place: Place) -> Any:
         place.copy("reports")
-        path = place.mine("experiment.py", (place.made / "experiment.py").read_text()
-                          .replace("levels=4", "levels=5"))  # fmt: skip
+        path = place.mine(
+            "experiment.py",
+            (place.made / "experiment.py").read_text().replace("levels=4", "levels=5"),
+        )
         return ("reproduce", path, "--workers", "1")
 
     def sweep(place: Place) -> Any:
@@ -139,10 +160,11 @@ def _inside() -> dict[str, Callable[[Place], Told]]:
         (dataset, "dataset/notes.txt"), (dataset, "dataset/steps/mine.parquet"),
     ]  # fmt: skip
     return {
-        f"{make.__name__}, the user's {where.replace(HEX, '...')}":
-            functools.partial(gone_on, make, where)
+        f"{make.__name__}, the user's {where.replace(HEX, '...')}": functools.partial(
+            gone_on, make, where
+        )
         for make, where in cases
-    }  # fmt: skip
+    }
 
 
 def _refused() -> dict[str, Callable[[Place], Told]]:
@@ -210,20 +232,27 @@ def _caches() -> dict[str, Callable[[Place], Told]]:
         "notes in it": lambda place, old: place.mine(old / "notes.txt"),
         "notes deep in it": lambda place, old: place.mine(old / "maze_1" / "notes.txt"),
         "a hidden file in it": lambda place, old: place.mine(old / ".hidden"),
-        "a folder like a version's, without its mark":
-            lambda place, old: place.mine(old.parent / "aaaaaaaaaaaaaaaa" / "one.nbi"),
+        "a folder like a version's, without its mark": lambda place, old: place.mine(
+            old.parent / "aaaaaaaaaaaaaaaa" / "one.nbi"
+        ),
         "a file like a version's": lambda place, old: place.mine(old.parent / "bbbbbbbbbbbbbbbb"),
         "a link to a folder like a version's": linked,
         "a link in it": lambda place, old: (
-            place.mine("mine/one.nbi"), (old / "maze_2").symlink_to(place.work / "mine")),
+            place.mine("mine/one.nbi"),
+            (old / "maze_2").symlink_to(place.work / "mine"),
+        ),
         "a link by the name of code": lambda place, old: (
-            place.mine("mine/one.nbi"), (old / "two.nbi").symlink_to(place.work / "mine/one.nbi")),
-        "code of another program beside it":
-            lambda place, old: place.mine(old.parent.parent / "other" / "one.nbi"),
+            place.mine("mine/one.nbi"),
+            (old / "two.nbi").symlink_to(place.work / "mine/one.nbi"),
+        ),
+        "code of another program beside it": lambda place, old: place.mine(
+            old.parent.parent / "other" / "one.nbi"
+        ),
         "code of the user's in it": lambda place, old: place.mine(old / "thesis.nbc.txt"),
         "a folder of the user's in it": lambda place, old: place.mine(old / "mine" / "one.txt"),
         "a table in it": lambda place, old: place.mine(old / "used.csv"),
         "a name like a passing one": lambda place, old: place.mine(old / "one.nbi.tmp.x"),
-    }  # fmt: skip
-    return {f"cache --prune, with {name}": functools.partial(act, lay)
-            for name, lay in cases.items()}  # fmt: skip
+    }
+    return {
+        f"cache --prune, with {name}": functools.partial(act, lay) for name, lay in cases.items()
+    }

@@ -16,15 +16,7 @@ from attack.loss import HEX
 
 
 def attempts() -> Iterator[Attempt]:
-    for name, act in {
-        **_written(),
-        **_killed(),
-        **_downloads(),
-        **_homes(),
-        **_removed(),
-        **_labs(),
-        **_pictures(),
-    }.items():
+    for name, act in (_written() | _killed() | _downloads() | _homes() | _removed()).items():
         yield Attempt(1, name, act, "any", seconds=60)
 
 
@@ -96,14 +88,19 @@ def _written() -> dict[str, Callable[[Place], Any]]:
 
     laid: dict[str, Callable[[Place, Path], Any]] = {
         "a link to a file": lambda place, path: (
-            place.mine("kept"), path.symlink_to(place.work / "kept")),
+            place.mine("kept"),
+            path.symlink_to(place.work / "kept"),
+        ),
         "a link to nothing": lambda place, path: path.symlink_to(place.work / "gone"),
         "a folder": lambda place, path: place.mine(path / "notes.txt"),
         "a pipe": lambda place, path: os.mkfifo(path),
         "temporaries beside it": lambda place, path: (
-            place.mine(path.with_name(f".{path.name}.{HEX}")), place.mine(f".{path.name}"),
-            place.mine(f"{path.name}.tmp"), place.mine(f"{path.name}.part")),
-    }  # fmt: skip
+            place.mine(path.with_name(f".{path.name}.{HEX}")),
+            place.mine(f".{path.name}"),
+            place.mine(f"{path.name}.tmp"),
+            place.mine(f"{path.name}.part"),
+        ),
+    }
     return {
         f"{name}, where there is {title}": functools.partial(act, name, lay)
         for name in FUNCTIONS
@@ -186,22 +183,31 @@ def _downloads() -> dict[str, Callable[[Place], Any]]:
     laid: dict[str, Callable[[Place, Path], Any]] = {
         "a file": lambda place, path: place.mine(path),
         "half a file": lambda place, path: place.mine(path.with_name(f"{path.name}.part")),
-        "a link": lambda place, path: (path.parent.mkdir(parents=True, exist_ok=True),
-                                       place.mine("kept"), path.symlink_to(place.work / "kept")),
+        "a link": lambda place, path: (
+            path.parent.mkdir(parents=True, exist_ok=True),
+            place.mine("kept"),
+            path.symlink_to(place.work / "kept"),
+        ),
         "a link as half a file": lambda place, path: (
-            path.parent.mkdir(parents=True, exist_ok=True), place.mine("kept"),
-            path.with_name(f"{path.name}.part").symlink_to(place.work / "kept")),
+            path.parent.mkdir(parents=True, exist_ok=True),
+            place.mine("kept"),
+            path.with_name(f"{path.name}.part").symlink_to(place.work / "kept"),
+        ),
         "a folder": lambda place, path: place.mine(path / "notes.txt"),
-    }  # fmt: skip
+    }
     found: dict[str, Callable[[Place], Any]] = {
-        f"a download, where there is {name}, digest known: {known}":
-            functools.partial(act, lay, known)
-        for name, lay in laid.items() for known in (True, False) if "file" not in name
-    }  # fmt: skip
+        f"a download, where there is {name}, digest known: {known}": functools.partial(
+            act, lay, known
+        )
+        for name, lay in laid.items()
+        for known in (True, False)
+        if "file" not in name
+    }
     return found | {
         f"an agent is fetched, where there is {name}": functools.partial(fetched, lay)
-        for name, lay in laid.items() if name != "half a file"
-    }  # fmt: skip
+        for name, lay in laid.items()
+        if name != "half a file"
+    }
 
 
 def _homes() -> dict[str, Callable[[Place], Any]]:
@@ -253,8 +259,14 @@ def _homes() -> dict[str, Callable[[Place], Any]]:
     for name in ("ssh", "config", "git", "cache"):
         found[f"an agent kept as {name} in the home"] = functools.partial(kept, name)
         found[f"an agent imported as {name} to the home"] = functools.partial(imported, name)
-    for what in ("checkpoints", "tensorboard", "metrics.jsonl", "config.json", "checkpoints/512",
-                 ".lock"):  # fmt: skip
+    for what in (
+        "checkpoints",
+        "tensorboard",
+        "metrics.jsonl",
+        "config.json",
+        "checkpoints/512",
+        ".lock",
+    ):
         found[f"a training whose {what} is a link to a home"] = functools.partial(linked, what)
     for name in ("mine", f".mine.{HEX}", "downloads", "results"):
         title = name.replace(HEX, "...")
@@ -281,98 +293,31 @@ def _removed() -> dict[str, Callable[[Place], Any]]:
         "no dot": lambda p: p.mine(f"{there}/config.json.{HEX}"),
         "a folder with notes": lambda p: p.mine(f"{there}/.512.{HEX}/notes.txt"),
         "a folder with ours and notes": lambda p: (
-            p.mine(f"{there}/.512.{HEX}/agent.safetensors"), p.mine(f"{there}/.512.{HEX}/a")),
+            p.mine(f"{there}/.512.{HEX}/agent.safetensors"),
+            p.mine(f"{there}/.512.{HEX}/a"),
+        ),
         "a folder in a folder": lambda p: p.mine(f"{there}/.512.{HEX}/agent.safetensors/a"),
         "a link by our name": lambda p: (
-            p.mine("kept"), p.mine(f"{there}/a"),
-            (p.work / there / f".config.json.{HEX}").symlink_to(p.work / "kept")),
+            p.mine("kept"),
+            p.mine(f"{there}/a"),
+            (p.work / there / f".config.json.{HEX}").symlink_to(p.work / "kept"),
+        ),
         "a link to a folder": lambda p: (
-            p.mine("kept/agent.safetensors"), p.mine(f"{there}/a"),
-            (p.work / there / f".512.{HEX}").symlink_to(p.work / "kept")),
+            p.mine("kept/agent.safetensors"),
+            p.mine(f"{there}/a"),
+            (p.work / there / f".512.{HEX}").symlink_to(p.work / "kept"),
+        ),
         "a link in a folder": lambda p: (
-            p.mine("kept"), p.mine(f"{there}/.512.{HEX}/a").unlink(),
-            (p.work / there / f".512.{HEX}" / "agent.safetensors").symlink_to(p.work / "kept")),
+            p.mine("kept"),
+            p.mine(f"{there}/.512.{HEX}/a").unlink(),
+            (p.work / there / f".512.{HEX}" / "agent.safetensors").symlink_to(p.work / "kept"),
+        ),
         "itself a link": lambda p: (
-            p.mine(f"home/.config.json.{HEX}"), (p.work / there).symlink_to(p.work / "home")),
-    }  # fmt: skip
-    return {f"removal of what was left, with {name}": functools.partial(act, lay)
-            for name, lay in cases.items()}  # fmt: skip
-
-
-def _labs() -> dict[str, Callable[[Place], Any]]:
-    """The lab beside a report, which is made anew, with what the user keeps in it."""
-
-    def act(lay: Callable[[Place, Path], Any], made: bool, place: Place) -> Any:
-        from astray.experiments import labs
-        from astray.experiments.report import Scene
-
-        folder = place.work / "reports" / "one"
-        folder.mkdir(parents=True)
-        scenes = [Scene(place.copy("run"), "corner-small", 0)]
-        if made:
-            labs.write(scenes, folder)
-            place.ours.append(folder / labs.FOLDER)
-        lay(place, folder / labs.FOLDER)
-        place.watch()
-        return labs.write(scenes, folder)
-
-    cases: dict[str, Callable[[Place, Path], Any]] = {
-        "notes": lambda place, lab: place.mine(lab / "notes.txt"),
-        "levels of the user's": lambda place, lab: place.mine(lab / "data" / "mine.json"),
-        "a hidden folder": lambda place, lab: place.mine(lab / ".git" / "config"),
+            p.mine(f"home/.config.json.{HEX}"),
+            (p.work / there).symlink_to(p.work / "home"),
+        ),
     }
-    found: dict[str, Callable[[Place], Any]] = {
-        f"a report's lab with {name}, made again: {made}": functools.partial(act, lay, made)
-        for name, lay in cases.items() for made in (True, False)
-    }  # fmt: skip
-
-    def linked(place: Place, lab: Path) -> None:
-        place.mine("mine/data/index.json")
-        place.mine("mine/notes.txt")
-        lab.symlink_to(place.work / "mine")
-
-    def own(place: Place, lab: Path) -> None:
-        place.mine(lab / "data" / "index.json", "{}")
-        place.mine(lab / "thesis.txt")
-
-    found["a report's lab that is a link"] = functools.partial(act, linked, False)
-    found["a report's lab that is a project of the user's"] = functools.partial(act, own, False)
-    return found
-
-
-def _pictures() -> dict[str, Callable[[Place], Any]]:
-    """Pictures imported to where something of the user's lies; two that are made here."""
-
-    def act(lay: Callable[[Place, Path], Any], place: Place) -> Any:
-        import hashlib
-
-        from astray.art import original
-
-        data = b"a picture"
-        told = (len(data), hashlib.sha256(data).hexdigest())
-        names = ("kenney/one.png", "kenney/deep/two.png")
-        original.PICTURES = {name: original.Picture(name, *told) for name in names}
-        for name in names:
-            place.mine(f"checkout/{original.INSIDE}{name}", data)
-        os.environ["ASTRAY_ART"] = str(place.work / "art")
-        lay(place, place.work / "art" / names[0])
-        place.watch()
-        return original.take(place.work / "checkout")
-
-    cases: dict[str, Callable[[Place, Path], Any]] = {
-        "a drawing": lambda place, path: place.mine(path),
-        "a folder": lambda place, path: place.mine(path / "notes.txt"),
-        "a link": lambda place, path: (
-            path.parent.mkdir(parents=True), place.mine("kept"), path.symlink_to("kept")),
-        "a link to nothing": lambda place, path: (
-            path.parent.mkdir(parents=True), path.symlink_to("gone")),
-        "a folder that is a link": lambda place, path: (
-            path.parent.parent.mkdir(), place.mine("mine/notes.txt"), place.mine("mine/one.png"),
-            path.parent.symlink_to(place.work / "mine")),
-        "temporaries of another": lambda place, path: (
-            place.mine(path.with_name(f".one.png.{HEX}")), place.mine(path.with_name(".one.png"))),
-        "decoded pictures": lambda place, path: place.mine(
-            path.parents[1] / "decoded-0123456789abcdef.npy"),
-    }  # fmt: skip
-    return {f"pictures are imported, where there is {name}": functools.partial(act, lay)
-            for name, lay in cases.items()}  # fmt: skip
+    return {
+        f"removal of what was left, with {name}": functools.partial(act, lay)
+        for name, lay in cases.items()
+    }

@@ -149,8 +149,18 @@ def _others(made: Path) -> None:
 
 def _imported(made: Path) -> None:
     os.environ["ASTRAY_AGENTS"] = str(made / "agents")
-    _command("import", made / "agent.pth", "--as", "other", "--game", "maze",
-             "--variant", "anywhere", "--art", "own")  # fmt: skip
+    _command(
+        "import",
+        made / "agent.pth",
+        "--as",
+        "other",
+        "--game",
+        "maze",
+        "--variant",
+        "anywhere",
+        "--art",
+        "own",
+    )
 
 
 def _dataset(made: Path) -> None:

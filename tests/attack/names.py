@@ -84,10 +84,12 @@ def _page(text: str, place: Place) -> None:
     words = (text,) * 7
     folder = place.work / "reports" / "one"
     findings = Findings(
-        answer=text, claims=[Claim(text, text, text, False, text)],
+        answer=text,
+        claims=[Claim(text, text, text, False, text)],
         plots=[Plot("plot", text, Figure(), pl.DataFrame({"a": [text]}))],
-        tables=[Table("table", text, pl.DataFrame({text: [text]}))], settings={text: text},
-    )  # fmt: skip
+        tables=[Table("table", text, pl.DataFrame({text: [text]}))],
+        settings={text: text},
+    )
     page = report.write(Heading(**dict(zip(
         ("name", "size", "title", "reproduces", "question", "differences", "command"), words,
         strict=True))), findings, folder, {text: text})  # fmt: skip
@@ -154,8 +156,13 @@ def _listed(text: str, place: Place) -> Told:
 def _refused(text: str, place: Place) -> Told:
     """The words in the errors of several commands."""
     place.watch()
-    for given in (("level", text, "corner"), ("level", "maze", text), ("evaluate", text),
-                  ("evaluate", "--agent", text), ("agents", "fetch", text)):  # fmt: skip
+    for given in (
+        ("level", text, "corner"),
+        ("level", "maze", text),
+        ("evaluate", text),
+        ("evaluate", "--agent", text),
+        ("agents", "fetch", text),
+    ):
         told = place.astray(*given)
         if "\x1b" in told.err or "\x07" in told.err or "\u202e" in told.err:
             raise Wrong(f"a terminal is told what to do, by {given[0]}")
@@ -184,8 +191,9 @@ def _level(text: str, place: Place) -> Told:
     place.mine("level.json", json.dumps({"grid": [[text]], "agent": text, "looks": {text: text}}))
     place.mine("level.txt", text.encode(errors="surrogatepass"))
     for name in ("level.json", "level.txt"):
-        told = place.astray("replay", "maze", "corner-small", "--level-file", name, "--actions",
-                            "actions.txt")  # fmt: skip
+        told = place.astray(
+            "replay", "maze", "corner-small", "--level-file", name, "--actions", "actions.txt"
+        )
         if told.code != 2 or "\x1b" in told.err:
             return told
     return told

@@ -26,10 +26,13 @@ LEVEL = ("level", "maze", "corner-small", "--numbers", "0:500")
 def attempts() -> Iterator[Attempt]:
     for verb in WRITERS:
         for name, act in {
-            "a full disk": _full, "files of 2 kB at most": functools.partial(_limited, 2048),
-            "files of nothing": functools.partial(_limited, 0), "a closed folder": _closed,
-            "no more files": _no_files, "no inodes": _no_inodes,
-        }.items():  # fmt: skip
+            "a full disk": _full,
+            "files of 2 kB at most": functools.partial(_limited, 2048),
+            "files of nothing": functools.partial(_limited, 0),
+            "a closed folder": _closed,
+            "no more files": _no_files,
+            "no inodes": _no_inodes,
+        }.items():
             done = functools.partial(act, verb)
             yield Attempt(4, f"{verb}: {name}", done, "any", seconds=60, leaves=True)
     for name, (act, codes) in {**_streams(), **_variables(), **_folders()}.items():
@@ -50,8 +53,11 @@ def _full(verb: str, place: Place) -> Any:
     given = _words(verb, place.small / OUT.get(verb, "there"), place)
     place.watch(place.small)
     told = place.astray(*given)
-    left = [p for p in place.small.rglob("*") if p.is_file() and p.name.startswith(".")
-            and len(p.name) > 33]  # fmt: skip
+    left = [
+        p
+        for p in place.small.rglob("*")
+        if p.is_file() and p.name.startswith(".") and len(p.name) > 33
+    ]
     if left:
         raise Wrong(f"{left[0].name} was left")
     return told
@@ -182,8 +188,13 @@ def _streams() -> dict[str, tuple[Callable[[Place], Any], tuple[int, ...]]]:
         "a removed folder": (f"{removed} && ASTRAY list", ()),
         "a removed folder and a level": (f"{removed} && ASTRAY LEVEL", ()),
     }  # fmt: skip
-    return {f"streams: {name}": (functools.partial(shell, script), (*codes, 1) if "errors" in name
-            else codes) for name, (script, codes) in scripts.items()}  # fmt: skip
+    return {
+        f"streams: {name}": (
+            functools.partial(shell, script),
+            (*codes, 1) if "errors" in name else codes,
+        )
+        for name, (script, codes) in scripts.items()
+    }
 
 
 def _variables() -> dict[str, tuple[Callable[[Place], Any], tuple[int, ...]]]:
@@ -220,10 +231,12 @@ def _variables() -> dict[str, tuple[Callable[[Place], Any], tuple[int, ...]]]:
         ({"CUDA_VISIBLE_DEVICES": "x"}, film), ({"FORCE_COLOR": "1", "NO_COLOR": "1"}, ("list",)),
     ]  # fmt: skip
     return {
-        f"variables: {', '.join(f'{k}={str(v)[:12]}' for k, v in env.items())} {given[0]}":
-            (functools.partial(act, env, given), ())
+        f"variables: {', '.join(f'{k}={str(v)[:12]}' for k, v in env.items())} {given[0]}": (
+            functools.partial(act, env, given),
+            (),
+        )
         for env, given in cases
-    }  # fmt: skip
+    }
 
 
 def _folders() -> dict[str, tuple[Callable[[Place], Any], tuple[int, ...]]]:

@@ -53,8 +53,15 @@ def _level(name: str) -> Callable[[Place], tuple[Path, Use]]:
     game = name.partition(".")[0]
 
     def use(place: Place) -> Any:
-        return place.astray("replay", game, SMALLEST[game], "--level-file", name, "--actions",
-                            place.made / "actions.txt")  # fmt: skip
+        return place.astray(
+            "replay",
+            game,
+            SMALLEST[game],
+            "--level-file",
+            name,
+            "--actions",
+            place.made / "actions.txt",
+        )
 
     return lambda place: (place.copy(name), use)
 
@@ -195,17 +202,21 @@ WEIGHTS = "checkpoints/1024/agent.safetensors"
 READERS: dict[str, Callable[[Place], tuple[Path, Use]]] = {
     "the settings of a run": _run("config.json", "evaluate", "run", *PLAY),
     "the network of a run": _run(WEIGHTS, "evaluate", "run", *PLAY),
-    "the metrics of a run that is kept":
-        _run("metrics.jsonl", "keep", "run", "--as", "kept", "--folder", "to"),
+    "the metrics of a run that is kept": _run(
+        "metrics.jsonl", "keep", "run", "--as", "kept", "--folder", "to"
+    ),
     "the settings of a training": _resumed("config.json"),
     "the metrics of a training": _resumed("metrics.jsonl"),
     "the network of a training": _resumed("checkpoints/512/agent.safetensors"),
     "the rest of a training": _resumed("checkpoints/512/trainer.safetensors"),
-    "a drawing of maze": _level("maze.txt"), "a level of maze": _level("maze.json"),
-    "a drawing of coinrun": _level("coinrun.txt"), "a level of keys": _level("keys.json"),
+    "a drawing of maze": _level("maze.txt"),
+    "a level of maze": _level("maze.json"),
+    "a drawing of coinrun": _level("coinrun.txt"),
+    "a level of keys": _level("keys.json"),
     "a drawing in the lab": _in_lab,
-    "actions": _command("actions.txt", "replay", "maze", "corner-small", "--level", "0",
-                        "--actions", "actions.txt"),
+    "actions": _command(
+        "actions.txt", "replay", "maze", "corner-small", "--level", "0", "--actions", "actions.txt"
+    ),
     "an agent of torch": _command("agent.pth", "import", "agent.pth", *IMPORT),
     "an agent of joblib": _command("agent.jd", "import", "agent.jd", *IMPORT),
     "a wheel": _command("pictures.whl", "art", "import", "pictures.whl"),
@@ -224,4 +235,4 @@ READERS: dict[str, Callable[[Place], tuple[Path, Use]]] = {
     "the settings of an imported agent": _imported("config.json"),
     "the network of an imported agent": _imported("checkpoints/0/agent.safetensors"),
     "the settings of a listed agent": _listed,
-}  # fmt: skip
+}

@@ -77,7 +77,7 @@ RUINS: dict[str, Callable[[np.ndarray], None]] = {
     "places before the beginning": lambda s: _places(s, -5),
     "counts beyond their arrays": lambda s: _counts(s, 120),
     "codes that are none": lambda s: _codes(s, 200),
-}  # fmt: skip
+}
 
 
 def _noise(states: np.ndarray, share: float) -> None:

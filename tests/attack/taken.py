@@ -108,11 +108,23 @@ def _environments() -> dict[str, Callable[[Place], Any]]:
         for value in values
     }
     for options in (
-        {"Level": 3}, {"levels": 3}, {"level": True}, {"level": 1.0}, {"level": "1"},
-        {"level": [1, 2, 3]}, {"level": -1}, {"reset_mask": [1, 0]}, {"reset_mask": True},
-        {"reset_mask": [True]}, {"state": 3}, {"state": None, "seed": 1}, {1: 2},
-        {"level": [True, False]}, {"level": [None, 1]}, {"level": np.array([1.0, 2.0])},
-    ):  # fmt: skip
+        {"Level": 3},
+        {"levels": 3},
+        {"level": True},
+        {"level": 1.0},
+        {"level": "1"},
+        {"level": [1, 2, 3]},
+        {"level": -1},
+        {"reset_mask": [1, 0]},
+        {"reset_mask": True},
+        {"reset_mask": [True]},
+        {"state": 3},
+        {"state": None, "seed": 1},
+        {1: 2},
+        {"level": [True, False]},
+        {"level": [None, 1]},
+        {"level": np.array([1.0, 2.0])},
+    ):
         found[f"reset: {options!r}"] = functools.partial(reset, options)
     for seed in (True, 1.5, "1", -1, 2**64, float("nan"), [1]):
         found[f"reset: seed {seed!r}"] = functools.partial(seeded, seed)
@@ -227,8 +239,11 @@ def _others() -> dict[str, tuple[Callable[[Place], Any], Any]]:
 
         env = _env()
         env.reset(seed=0)
-        other = {"copy": copy.copy, "deepcopy": copy.deepcopy,
-                 "pickle": lambda x: pickle.loads(pickle.dumps(x))}[how](env)  # fmt: skip
+        other = {
+            "copy": copy.copy,
+            "deepcopy": copy.deepcopy,
+            "pickle": lambda x: pickle.loads(pickle.dumps(x)),
+        }[how](env)
         before = env.get_state().tobytes()
         for _ in range(5):
             other.step(np.zeros(2, int))
@@ -255,8 +270,12 @@ def _others() -> dict[str, tuple[Callable[[Place], Any], Any]]:
             raise Wrong("a mark before a level changed it")
 
     def twice(place: Place) -> Any:
-        place.mine("levels/a", (place.made / "maze.txt").read_text() + "\n" * 2 +
-                   (place.made / "maze.txt").read_text())  # fmt: skip
+        place.mine(
+            "levels/a",
+            (place.made / "maze.txt").read_text()
+            + "\n" * 2
+            + (place.made / "maze.txt").read_text(),
+        )
         place.copy("maze.txt", "levels/a:1")
         place.copy("run")
         return place.astray("evaluate", "run", "--levels", "levels", "--variant", "corner-small")

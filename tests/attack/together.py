@@ -157,9 +157,12 @@ def _outcome(name: str, place: Place, killed: bool = False) -> dict[str, str]:
     """What has come of a work, as digests; without what a kill left aside."""
     work = WORKS[name]
     found = contents(place.work / work.out)
-    return {path: digest for path, digest in found.items()
-            if not (killed and work.leaves and ASIDE.fullmatch(Path(path).parts[0]))
-            and (not work.parts or Path(path).name in work.parts)}  # fmt: skip
+    return {
+        path: digest
+        for path, digest in found.items()
+        if not (killed and work.leaves and ASIDE.fullmatch(Path(path).parts[0]))
+        and (not work.parts or Path(path).name in work.parts)
+    }
 
 
 def _stray(name: str, place: Place) -> list[str]:
@@ -200,8 +203,9 @@ def _see(
 ) -> None:
     for name in wanted:
         found = _outcome(name, place, killed)
-        differ = [p for p in wanted[name].keys() | found.keys()
-                  if wanted[name].get(p) != found.get(p)]  # fmt: skip
+        differ = [
+            p for p in wanted[name].keys() | found.keys() if wanted[name].get(p) != found.get(p)
+        ]
         if differ:
             raise Wrong(f"{name} is not as it is undisturbed: {', '.join(sorted(differ)[:3])}")
         if (left := _stray(name, place)) and not (killed and WORKS[name].leaves):

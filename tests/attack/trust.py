@@ -208,21 +208,34 @@ def _caches() -> dict[str, tuple[Callable[[Place], Any], Any]]:
         "below one that all may write to": lambda folder: folder.parents[1].chmod(0o777),
         "below one that its group may write to": lambda folder: folder.parents[1].chmod(0o775),
         "below a sticky one of others' files": lambda folder: (
-            folder.chmod(0o755), planted(folder / "one.nbi")),
+            folder.chmod(0o755),
+            planted(folder / "one.nbi"),
+        ),
         "with a file that all may write to": lambda folder: (
-            folder.chmod(0o755), planted(folder / "one.nbi")),
+            folder.chmod(0o755),
+            planted(folder / "one.nbi"),
+        ),
         "with a folder that all may write to": lambda folder: (
-            folder.chmod(0o755), (folder / "maze_1").mkdir(), (folder / "maze_1").chmod(0o777)),
+            folder.chmod(0o755),
+            (folder / "maze_1").mkdir(),
+            (folder / "maze_1").chmod(0o777),
+        ),
         "that is a link to one of root's": lambda folder: (
-            folder.rmdir(), folder.symlink_to("/usr/share")),
+            folder.rmdir(),
+            folder.symlink_to("/usr/share"),
+        ),
         "that is a file": lambda folder: (folder.rmdir(), folder.touch()),
         "that is closed": lambda folder: folder.chmod(0),
         "that is for reading": lambda folder: folder.chmod(0o500),
         "that is a link to nothing": lambda folder: (
-            folder.rmdir(), folder.symlink_to("/nonexistent")),
-    }  # fmt: skip
-    return {f"compiled code in a folder {name}": (functools.partial(act, open_up), "success")
-            for name, open_up in cases.items()}  # fmt: skip
+            folder.rmdir(),
+            folder.symlink_to("/nonexistent"),
+        ),
+    }
+    return {
+        f"compiled code in a folder {name}": (functools.partial(act, open_up), "success")
+        for name, open_up in cases.items()
+    }
 
 
 # Names that are none, of agents and of repositories.
@@ -259,6 +272,7 @@ def _kept() -> dict[str, tuple[Callable[[Place], Any], Any]]:
     for name in REPOSITORIES:
         shown = name[:20]
         found[f"pull: a repository called {shown!r}"] = (
-            functools.partial(act, ("pull", "--", name)), "refusal",
-        )  # fmt: skip
+            functools.partial(act, ("pull", "--", name)),
+            "refusal",
+        )
     return found

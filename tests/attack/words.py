@@ -60,7 +60,8 @@ def with_option(words: list[Any], option: str, value: Any) -> list[Any]:
     flag, kept = f"--{option}", list(words)
     if flag in kept:
         at = kept.index(flag)
-        after = next((k for k in range(at + 1, len(kept)) if str(kept[k]).startswith("--")),
-                     len(kept))  # fmt: skip
+        after = next(
+            (k for k in range(at + 1, len(kept)) if str(kept[k]).startswith("--")), len(kept)
+        )
         del kept[at:after]
     return [*kept, f"{flag}={value}"]

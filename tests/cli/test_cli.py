@@ -240,12 +240,17 @@ def test_it_tells_agents_from_devices(astray, run_folder, tmp_path):
     assert set(told["explanations"]) == {"cheese", "corner", "another cell", "device"}
     assert told["episodes"] == 12 and told["moves"] >= told["decisions"]
     assert sum(one["mean"] for one in told["explanations"].values()) == pytest.approx(1)
-    shown = astray("agency", run_folder, "--levels", "0:12", "--measure", "paper",
-                   "--out", tmp_path / "told")  # fmt: skip
+    shown = astray(
+        "agency", run_folder, "--levels", "0:12", "--measure", "paper", "--out", tmp_path / "told"
+    )
     assert "another cell" in shown and "12 episodes" in shown
     assert {path.name for path in (tmp_path / "told").iterdir()} == {
-        "agency.json", "episodes.parquet", "posterior.gif", "posterior.mp4", "posterior.png"
-    }  # fmt: skip
+        "agency.json",
+        "episodes.parquet",
+        "posterior.gif",
+        "posterior.mp4",
+        "posterior.png",
+    }
     assert json.loads((tmp_path / "told" / "agency.json").read_text())["episodes"] == 12
     (tmp_path / "episodes.parquet").write_text("mine")
     told = astray("agency", run_folder, "--levels", "0:12", "--out", tmp_path, fails=True)

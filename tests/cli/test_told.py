@@ -71,9 +71,11 @@ def test_the_list_has_the_others_where_one_agent_is_none(tmp_path, name, content
     folder.mkdir()
     (folder / "config.json").write_text(content or json.dumps(Config().to_json()))
     listed = subprocess.run(
-        [sys.executable, "-m", "astray", "list"], capture_output=True, text=True,
+        [sys.executable, "-m", "astray", "list"],
+        capture_output=True,
+        text=True,
         env=os.environ | {"ASTRAY_AGENTS": str(tmp_path)},
-    )  # fmt: skip
+    )
     assert listed.returncode == 0, listed.stderr
     assert folder.name in listed.stdout and "maze-corner: maze" in listed.stdout
 
@@ -85,7 +87,9 @@ def test_the_list_has_the_others_where_one_agent_is_none(tmp_path, name, content
 def test_a_variable_that_numba_does_not_take_is_left_out(name, value):
     code = f"import os, astray; print(os.environ.get('NUMBA_{name}'))"
     done = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True,
+        [sys.executable, "-c", code],
+        capture_output=True,
+        text=True,
         env=os.environ | {f"NUMBA_{name}": value},
-    )  # fmt: skip
+    )
     assert done.stdout == "None\n" and f"NUMBA_{name} is '{value}', which numba" in done.stderr

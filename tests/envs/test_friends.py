@@ -55,9 +55,12 @@ def test_torchrl_trains_on_it():
 
     logits = TensorDictModule(body(15), in_keys=["observation"], out_keys=["logits"])
     actor = ProbabilisticActor(
-        logits, in_keys=["logits"], distribution_class=OneHotCategorical, return_log_prob=True,
+        logits,
+        in_keys=["logits"],
+        distribution_class=OneHotCategorical,
+        return_log_prob=True,
         default_interaction_type=InteractionType.RANDOM,
-    )  # fmt: skip
+    )
     critic = ValueOperator(body(1), in_keys=["observation"])
     with torch.no_grad():
         data = env.rollout(200, actor, break_when_any_done=False)

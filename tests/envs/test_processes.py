@@ -93,8 +93,9 @@ def start(program, home):
     """Another Python that keeps its compiled code under `home`."""
     env = environment(NUMBA_CACHE_DIR="", XDG_CACHE_HOME=str(home))
     words = [sys.executable, "-c", program]
-    return subprocess.Popen(words, env=env, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
-                            text=True)  # fmt: skip
+    return subprocess.Popen(
+        words, env=env, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    )
 
 
 def told(process):

@@ -104,8 +104,15 @@ def test_what_is_no_state_is_refused(game, variant, tmp_path):
     for wrong in (states[:2], states.view(np.uint8), np.zeros(4), None, "states"):
         with pytest.raises(ValueError, match="or one; got"):
             env.set_state(wrong)
-    for field, value in (("time", -1), ("time", 16), ("time_limit", 0), ("turn", -1),
-                         ("level", -2), ("level", 2**31 - 1), ("mt_next", 624)):  # fmt: skip
+    for field, value in (
+        ("time", -1),
+        ("time", 16),
+        ("time_limit", 0),
+        ("turn", -1),
+        ("level", -2),
+        ("level", 2**31 - 1),
+        ("mt_next", 624),
+    ):
         bad = states.copy()
         bad[field][1] = value
         with pytest.raises(ValueError, match="state 1 is none of this variant"):
@@ -172,8 +179,9 @@ def test_every_state_that_is_played_passes_the_check(game, variant):
 
 
 def test_an_environment_that_repeats_begins_in_its_own_state_again_and_again():
-    env = GameVectorEnv("maze", "anywhere-small", 6, observation="symbolic",
-                        autoreset_mode="SameStep", threads=2)  # fmt: skip
+    env = GameVectorEnv(
+        "maze", "anywhere-small", 6, observation="symbolic", autoreset_mode="SameStep", threads=2
+    )
     seen, _ = env.reset(seed=0)
     begun = env.get_state()
     env.repeat(begun)

@@ -33,9 +33,12 @@ def test_a_notebook_runs_to_its_end(path, tmp_path, monkeypatch):
     nbformat.validate(notebook)
     assert not any(cell.get("outputs") for cell in notebook.cells), "outputs are not committed"
     client.NotebookClient(
-        notebook, timeout=LONGEST, kernel_name="python3", allow_errors=False,
+        notebook,
+        timeout=LONGEST,
+        kernel_name="python3",
+        allow_errors=False,
         resources={"metadata": {"path": str(tmp_path)}},
-    ).execute()  # fmt: skip
+    ).execute()
     shown = [out for cell in notebook.cells for out in cell.get("outputs", ())]
     assert any("image/png" in out.get("data", {}) for out in shown)
     if keep := os.environ.get("ASTRAY_NOTEBOOKS_OUT"):  # to be looked at

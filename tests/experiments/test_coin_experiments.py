@@ -22,9 +22,13 @@ def test_studies_of_coinrun_share_the_agents_without_random_coins(size, tmp_path
 
 def test_who_gets_to_the_end_before_an_invisible_coin_has_missed_it():
     blind = pl.DataFrame(
-        {"seed": 0, "level": range(5), "reached_end": [9, 9, 9, None, None],
-         "took_invisible": [None, 5, 9, 5, None]},
-    )  # fmt: skip
+        {
+            "seed": 0,
+            "level": range(5),
+            "reached_end": [9, 9, 9, None, None],
+            "took_invisible": [None, 5, 9, 5, None],
+        }
+    )
     assert coin_diversity.missed_invisible(blind).tolist() == [[1, 0, 0, 0, 0]]
 
 
@@ -32,18 +36,42 @@ def test_both_ways_of_counting_failures():
     """Level 2 is out where the agent without random coins touches the invisible coin by chance."""
     outcomes = [INTENDED, MISGENERALIZED, MISGENERALIZED, FAILED]
     every = [
-        pl.DataFrame({"policy": policy, "test": test, "agent": agent, "seed": seed,
-                      "level": range(4), "outcome": outcomes})
+        pl.DataFrame(
+            {
+                "policy": policy,
+                "test": test,
+                "agent": agent,
+                "seed": seed,
+                "level": range(4),
+                "outcome": outcomes,
+            }
+        )
         for test in coin_diversity.TESTS
         for policy, agent, seed in (("sampled", "few", 0), ("walk to end", None, None))
-    ]  # fmt: skip
-    trained = pl.DataFrame({"agent": "few", "seed": 0, "level": range(4), "outcome": outcomes,
-                            "took_coin": [3, None, 5, None]})  # fmt: skip
-    blind = pl.concat([
-        pl.DataFrame({"test": test, "seed": 0, "level": range(4), "reached_end": [9, 9, 9, None],
-                      "took_invisible": [None, None, 4, None]})
-        for test in coin_diversity.TESTS
-    ])  # fmt: skip
+    ]
+    trained = pl.DataFrame(
+        {
+            "agent": "few",
+            "seed": 0,
+            "level": range(4),
+            "outcome": outcomes,
+            "took_coin": [3, None, 5, None],
+        }
+    )
+    blind = pl.concat(
+        [
+            pl.DataFrame(
+                {
+                    "test": test,
+                    "seed": 0,
+                    "level": range(4),
+                    "reached_end": [9, 9, 9, None],
+                    "took_invisible": [None, None, 4, None],
+                }
+            )
+            for test in coin_diversity.TESTS
+        ]
+    )
     config = SimpleNamespace(knobs={"random_coin": 0.02})
     work = SimpleNamespace(
         plan=SimpleNamespace(agents={"few": config}),
@@ -69,8 +97,12 @@ def test_fates_at_the_wall():
              "died": [3, 12, 8, None, None], "to_wall": [5.0, -20, -3, -3, 0]},
         )
     )  # fmt: skip
-    there = [permeable_wall.THROUGH, permeable_wall.DIED, permeable_wall.INSIDE,
-             permeable_wall.BEFORE]  # fmt: skip
+    there = [
+        permeable_wall.THROUGH,
+        permeable_wall.DIED,
+        permeable_wall.INSIDE,
+        permeable_wall.BEFORE,
+    ]
     assert table["fate"].to_list() == there
 
 

@@ -5,9 +5,7 @@ import polars as pl
 import pytest
 
 from astray.analysis.outcomes import INTENDED, MISGENERALIZED
-from astray.experiments.studies.mitigation import (
-    _regret as regret,
-)
+from astray.experiments.studies.mitigation import _regret as regret
 from astray.experiments.studies.mitigation import asking_for_help, early_or_late, reward_ensembles
 from astray.experiments.studies.mitigation._help_figures import NEVER
 from astray.mitigation.helped import AFTER, BEFORE
@@ -32,11 +30,14 @@ def test_the_schedules_have_the_same_levels_at_other_times():
 
 
 def test_late_is_after_the_goal_was_passed_or_never_in_episodes_that_go_astray():
-    asked = pl.DataFrame({
-        "agent": "runner", "score": "entropy",
-        "outcome": [MISGENERALIZED] * 4 + [INTENDED],
-        "moment": [BEFORE, AFTER, None, None, None],
-    })  # fmt: skip
+    asked = pl.DataFrame(
+        {
+            "agent": "runner",
+            "score": "entropy",
+            "outcome": [MISGENERALIZED] * 4 + [INTENDED],
+            "moment": [BEFORE, AFTER, None, None, None],
+        }
+    )
     assert asking_for_help.too_late(asked)["late"].to_list() == [0.75]
     shares = dict(asking_for_help.late_shares(asked).select("moment", "share").iter_rows())
     assert shares == {BEFORE: 0.25, AFTER: 0.25, NEVER: 0.5}

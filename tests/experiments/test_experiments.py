@@ -39,9 +39,10 @@ def test_every_experiment_plans(name, size, tmp_path):
 
 SMALLEST = {name: next(iter(catalogue.load(name).sizes)) for name in catalogue.NAMES}
 TRAINED = [
-    (name, size) for name, size in SMALLEST.items()
+    (name, size)
+    for name, size in SMALLEST.items()
     if size in ("smoke", "pixels") and not catalogue.load(name).sizes[size].published
-]  # fmt: skip
+]
 # A network of patches, and one that is distilled from the symbols of another.
 TRAINED.append(("inherited-goals", "pixels"))
 
@@ -278,14 +279,22 @@ def test_what_is_no_python_is_no_experiment(tmp_path, text):
 
 
 def test_tables_of_other_plans_are_deleted_and_nothing_of_the_users(tmp_path):
-    first, second = (replace(one, seeds=1) for one in [
-        *catalogue.load("maze-corner").sizes.values()][:2])  # fmt: skip
+    first, second = (
+        replace(one, seeds=1) for one in [*catalogue.load("maze-corner").sizes.values()][:2]
+    )
     computed = tmp_path / "computed"
     computed.mkdir()
     digest = run.note(first, {}, tmp_path)
     ours = computed / f"episodes-{digest}.parquet"
-    mine = [computed / name for name in ("mine.parquet", f"a-{digest}.txt", f"b-{digest}.parquet",
-                                         f"c-{digest}.parquet")]  # fmt: skip
+    mine = [
+        computed / name
+        for name in (
+            "mine.parquet",
+            f"a-{digest}.txt",
+            f"b-{digest}.parquet",
+            f"c-{digest}.parquet",
+        )
+    ]
     for path in (ours, *mine[:2]):
         path.write_text("table")
     mine[2].mkdir()

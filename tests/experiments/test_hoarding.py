@@ -33,11 +33,16 @@ def episodes(tmp_path_factory):
     """Those of scripted thieves, told; in both tests."""
     played = [
         play_all(
-            PLAN.game, test.variant, test.variant_for(PLAN.config), test.shift, LEVELS, [],
+            PLAN.game,
+            test.variant,
+            test.variant_for(PLAN.config),
+            test.shift,
+            LEVELS,
+            [],
             measures=PLAN.measures,
         ).with_columns(test=pl.lit(name))
         for name, test in PLAN.tests.items()
-    ]  # fmt: skip
+    ]
     folder = tmp_path_factory.mktemp("work")
     return hoarding.told(Work("keys", "smoke", PLAN, folder, "", {}, pl.concat(played)))
 

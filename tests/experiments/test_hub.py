@@ -65,8 +65,10 @@ def test_what_is_pulled_is_the_agent_that_was_pushed(pushed, tmp_path):
     assert run == tmp_path / "agents" / "mouse" and "mouse" in kept.imported()
     assert (run / WEIGHTS).read_bytes() == (kept.find("maze-corner") / WEIGHTS).read_bytes()
     source = json.loads((run / "hub.json").read_text())
-    assert source["repository"] == "ada/mouse" and source["commit"] in pushed.repositories[
-        "ada/mouse"].commits  # fmt: skip
+    assert (
+        source["repository"] == "ada/mouse"
+        and source["commit"] in pushed.repositories["ada/mouse"].commits
+    )
     levels = range(10**6, 10**6 + 20)
     ours_plays, theirs = (
         astray.evaluate(astray.load_agent(name), "maze", "anywhere-small", levels)
@@ -184,10 +186,14 @@ def test_a_file_with_another_digest_is_refused_and_forgotten(pushed, tmp_path, p
 def rewritten(server, changes):
     """The repository with files changed, and digests.json to fit."""
     there = files(server) | changes
-    digests = {"format": 1, "files": {
-        path: {"bytes": len(x), "sha256": hashlib.sha256(x).hexdigest()}
-        for path, x in there.items() if path != "digests.json"
-    }}  # fmt: skip
+    digests = {
+        "format": 1,
+        "files": {
+            path: {"bytes": len(x), "sha256": hashlib.sha256(x).hexdigest()}
+            for path, x in there.items()
+            if path != "digests.json"
+        },
+    }
     there["digests.json"] = changes.get("digests.json", json.dumps(digests).encode())
     server.repositories["ada/mouse"].commit("main", there)
 

@@ -94,12 +94,17 @@ def test_every_kept_agent_does_what_its_card_says(name):
 def test_an_agent_is_kept_without_its_training(run, mouse):
     steps = f"{SHORT.steps}"
     assert {str(path.relative_to(mouse)) for path in mouse.rglob("*") if path.is_file()} == {
-        "README.md", "config.json", "curve.csv", "curve.png", "episode.gif",
+        "README.md",
+        "config.json",
+        "curve.csv",
+        "curve.png",
+        "episode.gif",
         f"checkpoints/{steps}/agent.safetensors",
-    }  # fmt: skip
+    }
     assert [path.name for path in mouse.parent.iterdir()] == ["mouse"]
-    one, two = (load_file(folder / "checkpoints" / steps / checkpoint.AGENT)
-                for folder in (run, mouse))  # fmt: skip
+    one, two = (
+        load_file(folder / "checkpoints" / steps / checkpoint.AGENT) for folder in (run, mouse)
+    )
     assert all(np.array_equal(one[name], two[name]) for name in one) and one.keys() == two.keys()
     curve = pl.read_csv(mouse / "curve.csv")
     assert curve["steps"][-1] == SHORT.steps

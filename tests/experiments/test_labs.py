@@ -54,8 +54,9 @@ def test_an_agent_that_a_page_cannot_compute_has_no_lab(tmp_path, monkeypatch):
 def test_a_report_has_the_command_and_the_link(links, tmp_path):
     film = tmp_path / "film.mp4"
     film.write_bytes(b"")
-    heading = report.Heading(name="a", size="smoke", title="", reproduces="", question="",
-                             differences="", command="")  # fmt: skip
+    heading = report.Heading(
+        name="a", size="smoke", title="", reproduces="", question="", differences="", command=""
+    )
     findings = report.Findings(
         answer="", claims=[], settings={}, videos=[report.Video("A walk.", film, SCENE)]
     )

@@ -27,9 +27,10 @@ def test_curves_train_no_agents_of_their_own_and_show_each_once(size):
     # Itself, and what is no figure's.
     beyond = ("training_curves", ".mitigation.", ".insight.", ".networks.")
     others = [
-        catalogue.load(name) for name, module in catalogue.MODULES.items()
+        catalogue.load(name)
+        for name, module in catalogue.MODULES.items()
         if not any(part in module for part in beyond)
-    ]  # fmt: skip
+    ]
     plans = [one.sizes[size] for one in others if size in one.sizes and one.sizes[size].agents]
     assert folders(plan) <= set().union(*map(folders, plans))
     first = {run.run_folder(Path(), replace(one.config, seed=0)) for one in plans}
@@ -52,12 +53,19 @@ def test_the_smallest_region_is_the_corner_mouse(size):
 def measured(seeds=5, iterations=1000):
     """Returns of `seeds` agents that end at 9 in training, at 1 to 5 in the test."""
     random = np.random.default_rng(0)
-    return pl.DataFrame([
-        {"agent": "mouse", "seed": seed, "steps": 64 * (k + 1),
-         TRAIN: 9 * min(1, k / 500) + random.normal(0, 0.1),
-         TEST: None if k % 10 else 1.0 + seed}
-        for seed in range(seeds) for k in range(iterations)
-    ])  # fmt: skip
+    return pl.DataFrame(
+        [
+            {
+                "agent": "mouse",
+                "seed": seed,
+                "steps": 64 * (k + 1),
+                TRAIN: 9 * min(1, k / 500) + random.normal(0, 0.1),
+                TEST: None if k % 10 else 1.0 + seed,
+            }
+            for seed in range(seeds)
+            for k in range(iterations)
+        ]
+    )
 
 
 def test_a_point_of_a_curve_is_the_middle_of_the_agents():
@@ -84,11 +92,21 @@ def test_the_gap_at_the_end_is_judged_by_its_interval():
 
 def offered(outcome):
     """What two agents go to in three levels, offered all pairs."""
-    return pl.DataFrame([
-        {"colour": colour, "shape": shape, "seed": seed, "level": level,
-         "outcome": FAILED if level == 0 else outcome(colour, shape)}
-        for colour in COLOURS[1:] for shape in SHAPES[1:] for seed in range(2) for level in range(3)
-    ])  # fmt: skip
+    return pl.DataFrame(
+        [
+            {
+                "colour": colour,
+                "shape": shape,
+                "seed": seed,
+                "level": level,
+                "outcome": FAILED if level == 0 else outcome(colour, shape),
+            }
+            for colour in COLOURS[1:]
+            for shape in SHAPES[1:]
+            for seed in range(2)
+            for level in range(3)
+        ]
+    )
 
 
 def test_shares_are_of_those_that_go_to_either():

@@ -70,11 +70,22 @@ def test_what_seeing_adds_is_of_the_same_levels():
         moved_coin.GHOST: [took, end, took, end],
         "right and jump": [took, end, took, end],
     }
-    table = pl.concat([
-        pl.DataFrame({"agent": 0, "level": range(4), "fate": fates, "test": test,
-                      "place_x": [3, 10, 18, 18], "place_y": [1, 3, 6, 2], "end_x": 20})
-        for test, fates in rows.items()
-    ])  # fmt: skip
+    table = pl.concat(
+        [
+            pl.DataFrame(
+                {
+                    "agent": 0,
+                    "level": range(4),
+                    "fate": fates,
+                    "test": test,
+                    "place_x": [3, 10, 18, 18],
+                    "place_y": [1, 3, 6, 2],
+                    "end_x": 20,
+                }
+            )
+            for test, fates in rows.items()
+        ]
+    )
     pairs = moved_coin.paired(table)
     assert pairs["gain"].to_list() == [0, 1, -1, 0]
     assert pairs["way"].to_list() == ["on the way", "off the way"] * 2
@@ -165,8 +176,7 @@ HEADING = report.Heading(
 
 
 def test_what_agents_trained_here_do_stands_beside_the_published(tmp_path):
-    mine = report.Findings(answer="", claims=[Claim("It runs.", "p", "7 %", False)],
-                           settings={})  # fmt: skip
+    mine = report.Findings(answer="", claims=[Claim("It runs.", "p", "7 %", False)], settings={})
     for name in ("n-smoke", "n-published"):
         (tmp_path / name).mkdir()
     report.write(HEADING, mine, tmp_path / "n-smoke")

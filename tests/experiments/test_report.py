@@ -184,8 +184,9 @@ def test_a_report_needs_nothing_from_outside(told, tmp_path):
     page = report.write(*told, tmp_path / "new").read_text()
     sources = re.findall(r"""(?:src|href|url)\s*[=(]\s*["']?([^"'\s>)]*)""", page)
     assert [source.split(",")[0] for source in sources] == [
-        "data:video/mp4;base64", "data:image/png;base64",
-    ]  # fmt: skip
+        "data:video/mp4;base64",
+        "data:image/png;base64",
+    ]
     assert not re.search("https?:", page)
 
 

@@ -78,18 +78,25 @@ def test_outcomes_are_of_all_agents_and_repeat_what_an_evaluation_says(trained, 
     of_run = mine.filter(pl.col("run") == str(experiment_run.run_folder(tmp_path, one)))
     assert of_run.select(*TWO, "seed").unique().rows() == [(5e-4, 40, 1)]
     again = sweeping.play_all(
-        one.find_game(), "anywhere-small", one.variant_for("anywhere-small"), "corner-small",
+        one.find_game(),
+        "anywhere-small",
+        one.variant_for("anywhere-small"),
+        "corner-small",
         range(one.unseen_levels.start, one.unseen_levels.start + 20),
         [sweeping.open_run(experiment_run.run_folder(tmp_path, one))[0]],
-    ).filter(policy="sampled")  # fmt: skip
+    ).filter(policy="sampled")
     tested = of_run.filter(test="in the test")
     assert tested["outcome"].to_list() == again["outcome"].to_list()
     share = pl.read_csv(tmp_path / "shares.csv").filter(
-        pl.col("learning_rate") == 5e-4, pl.col("variant.time_limit") == 40,
-        policy="sampled", test="in the test", outcome=MISGENERALIZED,
-    )  # fmt: skip
-    part = mine.filter(pl.col("learning_rate") == 5e-4, pl.col("variant.time_limit") == 40,
-                       test="in the test")  # fmt: skip
+        pl.col("learning_rate") == 5e-4,
+        pl.col("variant.time_limit") == 40,
+        policy="sampled",
+        test="in the test",
+        outcome=MISGENERALIZED,
+    )
+    part = mine.filter(
+        pl.col("learning_rate") == 5e-4, pl.col("variant.time_limit") == 40, test="in the test"
+    )
     assert share["mean"][0] == pytest.approx((part["outcome"] == MISGENERALIZED).mean())
     assert share["agents"][0] == 2
     figures = [path.name for path in (tmp_path / "figures").glob("*.png")]
@@ -122,19 +129,24 @@ def test_a_sweep_does_not_write_over_what_was_there(trained, tmp_path, name):
 def test_three_settings_have_a_figure_for_each_pair(trained, tmp_path):
     run_sweep(Sweep(BASE, TWO | {"gamma": [0.9, 0.8], "clip": [0.3]}, levels=3), tmp_path)
     names = {path.stem for path in (tmp_path / "figures").glob("*.png")}
-    assert names == {"learning-rate-variant-time-limit", "learning-rate-gamma",
-                     "variant-time-limit-gamma"}  # fmt: skip
+    assert names == {
+        "learning-rate-variant-time-limit",
+        "learning-rate-gamma",
+        "variant-time-limit-gamma",
+    }
 
 
 def test_a_knob_that_the_test_cannot_have_changes_the_training_alone():
     base = replace(BASE, validation=None)
-    swept = Sweep(base, axes(["variant.placement=region", "variant.region=1,3",
-                              "variant.time_limit=30"]))  # fmt: skip
+    swept = Sweep(
+        base, axes(["variant.placement=region", "variant.region=1,3", "variant.time_limit=30"])
+    )
     for cell, config in swept.cells().items():
         tested = sweeping.tested_variant(config, "anywhere-small")
         assert config.training_variant().region == cell[1] and tested.time_limit == 30
         assert tested.with_knobs({"time_limit": 100}) == config.find_game().variant(
-            "anywhere-small")  # fmt: skip
+            "anywhere-small"
+        )
 
 
 def test_the_verb_trains_in_processes(astray, tmp_path):

@@ -11,13 +11,7 @@ from safetensors.torch import save as to_bytes
 
 from astray.agents import policy
 from astray.training import checkpoint
-from helpers.anything import (
-    ANYTHING,
-    CONFIG,
-    changed,
-    tried,
-    tries,
-)
+from helpers.anything import ANYTHING, CONFIG, changed, tried, tries
 
 
 @pytest.fixture(scope="module")

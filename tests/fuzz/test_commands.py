@@ -12,10 +12,7 @@ from hypothesis import strategies as st
 
 from astray import cli
 from astray.cli import arguments, verbs
-from helpers.anything import (
-    tried,
-    tries,
-)
+from helpers.anything import tried, tries
 
 WORDS = st.sampled_from([
     "maze", "coinrun", "keys", "chess", "corner", "anywhere-small", "corner-xs", "--numbers",

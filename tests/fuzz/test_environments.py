@@ -10,12 +10,7 @@ from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, pr
 from astray import games
 from astray.envs.vector import GameVectorEnv
 from astray.level import Level
-from helpers.anything import (
-    GAMES,
-    MORE,
-    QUIET,
-    tried,
-)
+from helpers.anything import GAMES, MORE, QUIET, tried
 
 
 class Environments(RuleBasedStateMachine):
@@ -32,7 +27,7 @@ class Environments(RuleBasedStateMachine):
         threads=st.integers(1, 2),
         pick=st.integers(0, 99),
     )
-    def begin(self, game, mode, seed, threads, pick):  # fmt: skip
+    def begin(self, game, mode, seed, threads, pick):
         made = games.find(game)
         kind = list(made.variants.values())[pick % len(made.variants)]
         kind = replace(kind, time_limit=7)
@@ -43,8 +38,11 @@ class Environments(RuleBasedStateMachine):
         self.seen, _ = self.env.reset(seed=seed)
         self.kept = self.env.get_state()
 
-    @rule(seed=st.none() | st.integers(0, 2**40), level=st.none() | st.integers(0, 2**31 - 2),
-          mask=st.lists(st.booleans(), min_size=3, max_size=3))  # fmt: skip
+    @rule(
+        seed=st.none() | st.integers(0, 2**40),
+        level=st.none() | st.integers(0, 2**31 - 2),
+        mask=st.lists(st.booleans(), min_size=3, max_size=3),
+    )
     def reset(self, seed, level, mask):
         options = {"reset_mask": np.array(mask)} | ({} if level is None else {"level": level})
         before = self.env.get_state()

@@ -8,14 +8,7 @@ from hypothesis import strategies as st
 
 from astray import games
 from astray.level import Level
-from helpers.anything import (
-    ANYTHING,
-    GAMES,
-    SMALLEST,
-    beginning,
-    tried,
-    tries,
-)
+from helpers.anything import ANYTHING, GAMES, SMALLEST, beginning, tried, tries
 
 
 @st.composite

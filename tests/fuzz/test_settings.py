@@ -12,13 +12,7 @@ from astray.envs.vector import GameVectorEnv
 from astray.experiments import spec
 from astray.experiments.spec import SIZES, Experiment, Plan
 from astray.training.config import Config
-from helpers.anything import (
-    ANYTHING,
-    CONFIG,
-    GAMES,
-    tried,
-    tries,
-)
+from helpers.anything import ANYTHING, CONFIG, GAMES, tried, tries
 
 
 @tries(50)
@@ -29,7 +23,7 @@ from helpers.anything import (
         max_size=3,
     )
 )
-def test_settings_are_refused_or_kept(changes):  # fmt: skip
+def test_settings_are_refused_or_kept(changes):
     try:
         config = Config.from_json(json.loads(json.dumps(CONFIG.to_json() | changes)))
     except ValueError:
@@ -87,11 +81,12 @@ def test_an_experiment_is_refused_or_can_be_run(data):
             for name in ("one", "two")[: data.draw(st.integers(0, 2))]
         }
         plan = Plan(
-            agents=agents, seeds=data.draw(st.integers(0, 9)),
+            agents=agents,
+            seeds=data.draw(st.integers(0, 9)),
             tests={"test": spec.Test(mostly(*made.variants), shift, knobs)} if played else {},
             levels=data.draw(st.integers(-1, 10) | st.integers(2**31 - 200_000, 2**31)),
             differences="",
-        )  # fmt: skip
+        )
         size = data.draw(st.sampled_from(["smoke", "hour", "paper", "tiny"]))
         Experiment("", "", "", {size: plan}, find=print)
     except ValueError:

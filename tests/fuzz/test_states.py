@@ -9,13 +9,7 @@ from hypothesis import strategies as st
 from astray import games
 from astray.envs.states import load_states, save_states
 from astray.envs.vector import GameVectorEnv
-from helpers.anything import (
-    GAMES,
-    SMALLEST,
-    changed,
-    tried,
-    tries,
-)
+from helpers.anything import GAMES, SMALLEST, changed, tried, tries
 
 BATCH = 100
 RUINS = ("byte", "field", "extreme")
@@ -43,8 +37,13 @@ def test_a_ruined_state_is_refused_or_plays_on(game, seed, ruin):
     tried("states", BATCH - len(good), BATCH)
     if not good:
         return
-    player = GameVectorEnv(game, kind, len(good), autoreset_mode="SameStep",
-                           observation=["image", "symbolic"][seed % 2])  # fmt: skip
+    player = GameVectorEnv(
+        game,
+        kind,
+        len(good),
+        autoreset_mode="SameStep",
+        observation=["image", "symbolic"][seed % 2],
+    )
     seen = player.set_state(states[good])
     for _ in range(3):
         assert seen in player.observation_space

@@ -42,9 +42,11 @@ found = {{v: golden.golden("{game}", v, batch=1, steps=10) for v in {names}}}
 print(json.dumps([found, golden.over_an_end("{game}")]))
 """
     done = subprocess.run(
-        [sys.executable, "-W", "error", "-c", program], env=environment(NUMBA_DISABLE_JIT="1"),
-        capture_output=True, text=True,
-    )  # fmt: skip
+        [sys.executable, "-W", "error", "-c", program],
+        env=environment(NUMBA_DISABLE_JIT="1"),
+        capture_output=True,
+        text=True,
+    )
     assert done.returncode == 0, done.stderr
     found, over_an_end = json.loads(done.stdout)
     assert len(found) == len(names) and golden.differing(game, found) == []

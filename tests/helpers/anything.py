@@ -17,8 +17,12 @@ from astray.training.config import PRESETS
 MORE = int(os.environ.get("ASTRAY_FUZZ", "1"))
 QUIET = {"deadline": None, "suppress_health_check": list(HealthCheck), "database": None}
 GAMES = list(games.OWN)
-SMALLEST = {name: min(games.find(name).variants.values(), key=lambda v: games.find(name)
-            .symbols.planes(v).size) for name in GAMES}  # fmt: skip
+SMALLEST = {
+    name: min(
+        games.find(name).variants.values(), key=lambda v: games.find(name).symbols.planes(v).size
+    )
+    for name in GAMES
+}
 
 
 def tries(examples):
@@ -32,11 +36,12 @@ ANYTHING = st.recursive(
         st.lists(part, max_size=3) | st.dictionaries(st.text(max_size=5), part, max_size=3)
     ),
     max_leaves=5,
-)  # fmt: skip
+)
 
 
-CONFIG = replace(PRESETS["small"], variant="corner-small", num_envs=2, num_steps=4, minibatches=2,
-                 width=8)  # fmt: skip
+CONFIG = replace(
+    PRESETS["small"], variant="corner-small", num_envs=2, num_steps=4, minibatches=2, width=8
+)
 
 
 COUNTS: dict[str, list[int]] = {}  # of inputs tried, and of those refused, by kind

@@ -77,9 +77,12 @@ def main() -> None:
             ours = GameVectorEnv(game, variant, art="original", autoreset_mode="Disabled")
             for level in random.integers(2**31 - 1, size=given.levels):
                 theirs = ProcgenGym3Env(
-                    num=1, env_name=game, start_level=int(level), num_levels=1,
+                    num=1,
+                    env_name=game,
+                    start_level=int(level),
+                    num_levels=1,
                     distribution_mode=mode,
-                )  # fmt: skip
+                )
                 actions = held_actions(game, given.steps, random)
                 found = differences(theirs, ours, int(level), actions)
                 frames, different = frames + found[0], different + found[1]

@@ -92,9 +92,14 @@ def lab_served(lab, port=None):
 
     port = port or free_port()
     config = uvicorn.Config(
-        make_app(lab, TOKEN, port), host="127.0.0.1", port=port, log_level="error",
-        lifespan="off", ws="websockets-sansio", timeout_graceful_shutdown=1,
-    )  # fmt: skip
+        make_app(lab, TOKEN, port),
+        host="127.0.0.1",
+        port=port,
+        log_level="error",
+        lifespan="off",
+        ws="websockets-sansio",
+        timeout_graceful_shutdown=1,
+    )
     server = uvicorn.Server(config)
     thread = threading.Thread(target=server.run)
     thread.start()

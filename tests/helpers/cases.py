@@ -15,17 +15,22 @@ def telling(variants: Mapping[str, Variant]) -> Iterator[str]:
     """The variants in which a knob has a value that none before has; sides of regions are alike."""
     known: set[tuple[str, object]] = set()
     for name, variant in variants.items():
-        values = {(knob, value) for knob, value in vars(variant).items()
-                  if knob not in ("about", "region", "shifted")}  # fmt: skip
+        values = {
+            (knob, value)
+            for knob, value in vars(variant).items()
+            if knob not in ("about", "region", "shifted")
+        }
         if not values <= known:
             yield name
         known |= values
 
 
 # Every value of every knob, for tests that do the same in each variant; `make fuzz` takes all.
-FEW = ALL if os.environ.get("ASTRAY_FUZZ") else [
-    (game, variant) for game in games.OWN for variant in telling(games.find(game).variants)
-]  # fmt: skip
+FEW = (
+    ALL
+    if os.environ.get("ASTRAY_FUZZ")
+    else [(game, variant) for game in games.OWN for variant in telling(games.find(game).variants)]
+)
 
 
 def shape(game: str, variant: str) -> tuple[object, ...]:

@@ -21,8 +21,13 @@ def joblib_bytes(data, alignment=None):
             if not isinstance(obj, np.ndarray) or obj.dtype.hasobject:
                 return super().save(obj, save_persistent_id)
             fortran = obj.flags.f_contiguous and not obj.flags.c_contiguous
-            state = {"subclass": np.ndarray, "shape": obj.shape, "order": "CF"[fortran],
-                     "dtype": obj.dtype, "allow_mmap": True}  # fmt: skip
+            state = {
+                "subclass": np.ndarray,
+                "shape": obj.shape,
+                "order": "CF"[fortran],
+                "dtype": obj.dtype,
+                "allow_mmap": True,
+            }
             if alignment:
                 state["numpy_array_alignment_bytes"] = alignment
             self.write(b"cjoblib.numpy_pickle\nNumpyArrayWrapper\n)\x81")
@@ -49,9 +54,11 @@ def clarity(actions=15, **args):
         params[f"ppo2_model/pi/{name}/conv2d/kernel:0"] = kernel
         params[f"ppo2_model/pi/{name}/conv2d/bias:0"] = random.normal(size=after) / 4
     for name, kernel, bias, before, after in (
-        ("pi/dense", "kernel", "bias", 512, 256), ("pi/dense_1", "kernel", "bias", 256, 512),
-        ("pi", "w", "b", 512, actions), ("vf", "w", "b", 512, 1),
-    ):  # fmt: skip
+        ("pi/dense", "kernel", "bias", 512, 256),
+        ("pi/dense_1", "kernel", "bias", 256, 512),
+        ("pi", "w", "b", 512, actions),
+        ("vf", "w", "b", 512, 1),
+    ):
         params[f"ppo2_model/{name}/{kernel}:0"] = random.normal(size=(before, after)) / before**0.5
         params[f"ppo2_model/{name}/{bias}:0"] = random.normal(size=after) / 4
     params = {name: array.astype(np.float32) for name, array in params.items()}
@@ -77,8 +84,13 @@ def reference(widths):
         f"block{k}": block(*pair) for k, pair in enumerate(itertools.pairwise((3, *widths)), 1)
     }
     embedder["fc"] = nn.Linear(64 * widths[2], 256)
-    network = nn.ModuleDict({"embedder": nn.ModuleDict(embedder), "fc_policy": nn.Linear(256, 15),
-                             "fc_value": nn.Linear(256, 1)})  # fmt: skip
+    network = nn.ModuleDict(
+        {
+            "embedder": nn.ModuleDict(embedder),
+            "fc_policy": nn.Linear(256, 15),
+            "fc_value": nn.Linear(256, 1),
+        }
+    )
 
     def forward(images):
         x = images.permute(0, 3, 1, 2).float() / 255

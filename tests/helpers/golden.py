@@ -67,10 +67,12 @@ def _of_batch(env: GameVectorEnv, seed: int, names: dict[int, int], steps: int) 
     kind = "symbolic" if env.symbolic else "image"
     env.reset(seed=seed)
     first = seed - SEED
-    actions = np.stack([
-        np.random.default_rng(first + i).integers(len(env.game.actions), size=steps)
-        for i in range(env.num_envs)
-    ])  # fmt: skip
+    actions = np.stack(
+        [
+            np.random.default_rng(first + i).integers(len(env.game.actions), size=steps)
+            for i in range(env.num_envs)
+        ]
+    )
     digests, found = {i: hashlib.sha256() for i in names}, {}
     for t in range(steps):
         observation, reward, terminated, truncated, _ = env.step(actions[:, t])
@@ -96,9 +98,13 @@ def over_an_end(game: str) -> str:
     digest = hashlib.sha256()
     for observation in ("image", "symbolic"):
         env = GameVectorEnv(
-            game, games.find(game).benchmark.variant, 2, observation=observation,
-            autoreset_mode="SameStep", levels=range(50),
-        )  # fmt: skip
+            game,
+            games.find(game).benchmark.variant,
+            2,
+            observation=observation,
+            autoreset_mode="SameStep",
+            levels=range(50),
+        )
         digest.update(env.reset(seed=0)[0].tobytes())
         states = env.get_state()
         states["time"] = states["time_limit"] - [5, 12]

@@ -108,11 +108,22 @@ class Handler(BaseHTTPRequestHandler):
                     self.commit(repository, f"{user}/{name}", branch, body)
             case [user, name, "info", "lfs", "objects", "batch"]:
                 if self.repository(f"{user}/{name.removesuffix('.git')}", writes=True):
-                    self.answer(200, {"transfer": "basic", "objects": [
-                        {"oid": one["oid"], "size": one["size"],
-                         "actions": {"upload": {"href": f"{self.hub.address}/put/{one['oid']}"}}}
-                        for one in json.loads(body)["objects"]
-                    ]})  # fmt: skip
+                    self.answer(
+                        200,
+                        {
+                            "transfer": "basic",
+                            "objects": [
+                                {
+                                    "oid": one["oid"],
+                                    "size": one["size"],
+                                    "actions": {
+                                        "upload": {"href": f"{self.hub.address}/put/{one['oid']}"}
+                                    },
+                                }
+                                for one in json.loads(body)["objects"]
+                            ],
+                        },
+                    )
             case _:
                 self.answer(404)
 
@@ -132,8 +143,11 @@ class Handler(BaseHTTPRequestHandler):
     @staticmethod
     def mode(file):
         large = file["path"].endswith((".safetensors", ".gif", ".png"))
-        return {"path": file["path"], "uploadMode": "lfs" if large else "regular",
-                "shouldIgnore": False}  # fmt: skip
+        return {
+            "path": file["path"],
+            "uploadMode": "lfs" if large else "regular",
+            "shouldIgnore": False,
+        }
 
     def commit(self, repository, name, branch, body):
         files = dict(repository.commits.get(repository.branches.get(branch, ""), {}))
@@ -175,14 +189,28 @@ class Handler(BaseHTTPRequestHandler):
             return self.refuse(404, "RevisionNotFound", "Invalid rev id")
         files = repository.commits[sha]
         if rest[:1] == ["tree"]:
-            return self.answer(200, [
-                {"type": "file", "path": path, "size": len(x), "oid": hashlib.sha1(x).hexdigest()}
-                for path, x in files.items()
-            ])  # fmt: skip
-        return self.answer(200, {
-            "id": name, "sha": sha, "siblings": [{"rfilename": path} for path in files],
-            "private": repository.private, "tags": [],
-        })  # fmt: skip
+            return self.answer(
+                200,
+                [
+                    {
+                        "type": "file",
+                        "path": path,
+                        "size": len(x),
+                        "oid": hashlib.sha1(x).hexdigest(),
+                    }
+                    for path, x in files.items()
+                ],
+            )
+        return self.answer(
+            200,
+            {
+                "id": name,
+                "sha": sha,
+                "siblings": [{"rfilename": path} for path in files],
+                "private": repository.private,
+                "tags": [],
+            },
+        )
 
     def file(self, name, revision, path):
         if not (repository := self.repository(name)):
@@ -202,8 +230,11 @@ class Handler(BaseHTTPRequestHandler):
         cuts = self.hub.cut.get(path)
         if self.command == "HEAD" or not cuts:
             return self.answer(206 if begin else 200, data[begin:], **told)
-        self.answer(206 if begin else 200, data[begin : begin + cuts.pop(0)],
-                    **told | {"Content-Length": str(len(data) - begin)})  # fmt: skip
+        self.answer(
+            206 if begin else 200,
+            data[begin : begin + cuts.pop(0)],
+            **told | {"Content-Length": str(len(data) - begin)},
+        )
         self.close_connection = True
         return None
 

@@ -23,10 +23,18 @@ from astray.training.loop import train
 
 # A checkpoint every other iteration, and many; so small that most of the time goes to files.
 CONFIG = replace(
-    PRESETS["small"], variant="corner-small", knobs={"world": 5, "largest": 5, "time_limit": 20},
-    validation="anywhere-small", num_envs=16, num_steps=64, minibatches=4, steps=60 * 1024,
-    validation_every=3, checkpoint_every=2, width=32,
-)  # fmt: skip
+    PRESETS["small"],
+    variant="corner-small",
+    knobs={"world": 5, "largest": 5, "time_limit": 20},
+    validation="anywhere-small",
+    num_envs=16,
+    num_steps=64,
+    minibatches=4,
+    steps=60 * 1024,
+    validation_every=3,
+    checkpoint_every=2,
+    width=32,
+)
 
 
 # The run that is killed; `CONFIG` is for tests that need to be in the middle of one.

@@ -40,8 +40,12 @@ ARCHITECTURES = {
     "small": Architecture("mlp", (4, 7, 7), (1, 1, 6, 6), 15, width=16),
     "guest": Architecture("helpers.looked_into:Guest", (4, 7, 7), (1, 1, 6, 6), 15),
 }
-LAYERS = {"impala": "block2.residual1", "clear": "block2.relu1", "small": "features.relu1",
-          "guest": "second"}  # fmt: skip
+LAYERS = {
+    "impala": "block2.residual1",
+    "clear": "block2.relu1",
+    "small": "features.relu1",
+    "guest": "second",
+}
 
 
 def make_agent(kind, folder):

@@ -12,11 +12,19 @@ def miniature(plan: Plan, time_limit: int = 25) -> Plan:
     """The plan with two agents of each name, trained for 512 steps in few short levels."""
     agents = {
         name: replace(
-            config, levels=100, steps=512, num_envs=16, num_steps=8, minibatches=4, width=16,
-            checkpoint_every=1, buffer=64, knobs={**config.knobs, "time_limit": time_limit},
+            config,
+            levels=100,
+            steps=512,
+            num_envs=16,
+            num_steps=8,
+            minibatches=4,
+            width=16,
+            checkpoint_every=1,
+            buffer=64,
+            knobs={**config.knobs, "time_limit": time_limit},
         )
         for name, config in plan.agents.items()
-    }  # fmt: skip
+    }
     return replace(plan, agents=agents, seeds=2, levels=20)
 
 

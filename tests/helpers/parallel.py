@@ -11,10 +11,20 @@ from astray.training.loop import train
 
 # One minibatch an epoch, so that the samples of two processes are those of one.
 CONFIG = replace(
-    PRESETS["small"], variant="corner-small", validation="anywhere-small", num_envs=32,
-    knobs={"world": 5, "largest": 5, "time_limit": 12}, num_steps=16, minibatches=1, width=16,
-    steps=4 * 512, validation_every=1, checkpoint_every=2, bfloat16=False, learning_rate=1e-3,
-)  # fmt: skip
+    PRESETS["small"],
+    variant="corner-small",
+    validation="anywhere-small",
+    num_envs=32,
+    knobs={"world": 5, "largest": 5, "time_limit": 12},
+    num_steps=16,
+    minibatches=1,
+    width=16,
+    steps=4 * 512,
+    validation_every=1,
+    checkpoint_every=2,
+    bfloat16=False,
+    learning_rate=1e-3,
+)
 
 if __name__ == "__main__":
     torch.set_num_threads(1)

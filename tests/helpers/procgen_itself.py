@@ -78,8 +78,10 @@ def main() -> None:
         Theirs = unpack(given.wheel, folder)
         for name, options in CASES:
             for forced in (False, True):
-                both = [make(num_envs=8, env_name=name, rand_seed=7, **options)
-                        for make in (Theirs, ProcgenEnv)]  # fmt: skip
+                both = [
+                    make(num_envs=8, env_name=name, rand_seed=7, **options)
+                    for make in (Theirs, ProcgenEnv)
+                ]
                 ended, complete, differ = differences(*both, given.steps, forced)
                 told = f"{ended} episodes ended, {complete} complete, {differ} steps differ"
                 print(f"{name} {options} forced {forced}: {8 * given.steps:,} frames, {told}")

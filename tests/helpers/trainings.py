@@ -10,17 +10,32 @@ from astray.training.config import PRESETS
 from astray.training.loop import train
 
 TINY = replace(
-    PRESETS["small"], variant="corner-small", knobs={"world": 5, "largest": 5, "time_limit": 20},
-    validation="anywhere-small", num_envs=16, num_steps=16, minibatches=4, steps=1024,
-    validation_every=1, checkpoint_every=2, width=16,
-)  # fmt: skip
+    PRESETS["small"],
+    variant="corner-small",
+    knobs={"world": 5, "largest": 5, "time_limit": 20},
+    validation="anywhere-small",
+    num_envs=16,
+    num_steps=16,
+    minibatches=4,
+    steps=1024,
+    validation_every=1,
+    checkpoint_every=2,
+    width=16,
+)
 OFF = {"fused_cpu": False, "bfloat16": False, "channels_last": False, "compile": False,
        "cudagraphs": False, "groups": 1}  # fmt: skip
 PLAIN = replace(TINY, validation=None, **OFF)
 PICTURES = replace(
-    PRESETS["paper"], game="coinrun", variant="coin-end", num_envs=4, num_steps=8,
-    minibatches=2, steps=10**6, normalise_advantage=False, **OFF,
-)  # fmt: skip
+    PRESETS["paper"],
+    game="coinrun",
+    variant="coin-end",
+    num_envs=4,
+    num_steps=8,
+    minibatches=2,
+    steps=10**6,
+    normalise_advantage=False,
+    **OFF,
+)
 
 
 def digest(folder):

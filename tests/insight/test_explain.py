@@ -62,8 +62,14 @@ def test_explain_writes_one_page_that_needs_nothing_else(astray, tmp_path):
     page = (tmp_path / "explain.html").read_text()
     assert path.strip() == str(tmp_path / "explain.html")
     headings = re.findall("<h2>(.*?)</h2>", page)
-    for heading in ("Where it would go", "With the goal anywhere else", "What its layers tell",
-                    "What the value depends on", "What it is after", "Its episode"):  # fmt: skip
+    for heading in (
+        "Where it would go",
+        "With the goal anywhere else",
+        "What its layers tell",
+        "What the value depends on",
+        "What it is after",
+        "Its episode",
+    ):
         assert heading in headings
     assert "Not told here" not in page
     assert page.count("data:image/png;base64,") == 6 and 'src="http' not in page
@@ -78,8 +84,16 @@ def test_explain_writes_one_page_that_needs_nothing_else(astray, tmp_path):
 
 def test_what_a_game_does_not_have_is_told_in_its_place(astray, tmp_path):
     (tmp_path / "level.txt").write_text(RUN)
-    astray("explain", "coin-end", "--level-file", tmp_path / "level.txt", "--others", 20,
-           "--out", tmp_path)  # fmt: skip
+    astray(
+        "explain",
+        "coin-end",
+        "--level-file",
+        tmp_path / "level.txt",
+        "--others",
+        20,
+        "--out",
+        tmp_path,
+    )
     page = (tmp_path / "explain.html").read_text()
     assert "has no cells, which this needs" in page and "<h2>Its episode</h2>" in page
     course = pl.read_parquet(tmp_path / "episode.parquet")
@@ -103,6 +117,14 @@ def test_mistakes_are_told_before_anything_is_written(astray, tmp_path):
 def test_a_drawn_level_is_explained(astray, tmp_path):
     drawing = astray("level", "maze", "anywhere-small", "--numbers", 200_005, "--text")
     (tmp_path / "level.txt").write_text(drawing)
-    astray("explain", "maze-corner", "--level-file", tmp_path / "level.txt", "--others", 20,
-           "--out", tmp_path)  # fmt: skip
+    astray(
+        "explain",
+        "maze-corner",
+        "--level-file",
+        tmp_path / "level.txt",
+        "--others",
+        20,
+        "--out",
+        tmp_path,
+    )
     assert drawing.strip() in (tmp_path / "explain.html").read_text()

@@ -58,8 +58,10 @@ def test_no_level_is_in_both_parts_of_a_split():
 
 
 def test_probes_find_the_cheese_in_the_observation_and_not_in_shuffled_labels(mouse, states):
-    labels = {"cheese right": MAZE.labels["cheese right"],
-              "corner direction": MAZE.labels["corner direction"]}  # fmt: skip
+    labels = {
+        "cheese right": MAZE.labels["cheese right"],
+        "corner direction": MAZE.labels["corner direction"],
+    }
     found = probes.probe(mouse, SMALL, states, ["features.relu1"], labels, seeds=2)
     assert found.height == 2 * 2 * 2
     seen = found.filter(label="cheese right", layer=probes.SEEN)
@@ -90,12 +92,19 @@ def test_what_has_no_label_does_not_count(mouse, states):
     def classes(s):
         return np.where(s["level"] % 4 == 0, -1, s["level"] % 2)
 
-    found = probes.probe(mouse, SMALL, states, ["features.relu2"],
-                         {"sometimes": sometimes, "classes": classes}, seeds=1)  # fmt: skip
+    found = probes.probe(
+        mouse,
+        SMALL,
+        states,
+        ["features.relu2"],
+        {"sometimes": sometimes, "classes": classes},
+        seeds=1,
+    )
     told = found.filter(layer="features.relu2")
     assert dict(zip(told["label"], told["states"], strict=True)) == {
-        "sometimes": 200, "classes": 300,
-    }  # fmt: skip
+        "sometimes": 200,
+        "classes": 300,
+    }
     with pytest.raises(ValueError, match="no label of never has two classes"):
         probes.probe(mouse, SMALL, states, ["features.relu2"], {"never": lambda s: s["level"] < 0})
 
@@ -163,8 +172,9 @@ def test_the_nearest_key_is_told():
     right = games.find("keys").labels["nearest key right"](states)
     for s, quarter, dx in zip(states, near, right, strict=True):
         keys = s["what"][: s["objects"]] == rules.KEY
-        away = np.stack([s["object_x"][: s["objects"]] - s["x"],
-                         s["object_y"][: s["objects"]] - s["y"]])[:, keys]  # fmt: skip
+        away = np.stack(
+            [s["object_x"][: s["objects"]] - s["x"], s["object_y"][: s["objects"]] - s["y"]]
+        )[:, keys]
         best = away[:, np.hypot(*away).argmin()]
         assert dx == pytest.approx(best[0]) and quarter == (best[0] > 0) + 2 * (best[1] > 0)
     assert isinstance(near, np.ndarray) and pl.Series(near).n_unique() > 1

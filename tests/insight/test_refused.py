@@ -67,9 +67,11 @@ def test_what_is_of_another_kind_is_told(agent, make, message):
 def test_a_place_that_is_none_is_told(agent):
     (field,) = fields(agent, "corner-small", [3])
     asked = [
-        lambda: field.towards("ab"), lambda: field.step([], (1, 1)),
-        lambda: field.path_probability((0.5, 1)), lambda: field.places.way({}),
-    ]  # fmt: skip
+        lambda: field.towards("ab"),
+        lambda: field.step([], (1, 1)),
+        lambda: field.path_probability((0.5, 1)),
+        lambda: field.places.way({}),
+    ]
     for ask in asked:
         with pytest.raises(ValueError, match="a cell must be two integers, x and y"):
             ask()

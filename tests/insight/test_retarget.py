@@ -29,8 +29,10 @@ class Seeker(nn.Module):
         x = planes.float()
         seen = self.eye(torch.stack([x[:, 0], x[:, 2], x[:, 1] * 0.5], 1))
         rows, columns = torch.meshgrid(torch.arange(7.0), torch.arange(7.0), indexing="ij")
-        at = [(seen[:, 1] * c).sum((1, 2)) / seen[:, 1].sum((1, 2)).clamp(min=1e-6)
-              for c in (columns, rows)]  # fmt: skip
+        at = [
+            (seen[:, 1] * c).sum((1, 2)) / seen[:, 1].sum((1, 2)).clamp(min=1e-6)
+            for c in (columns, rows)
+        ]
         mouse = [(x[:, 1] * c).sum((1, 2)) for c in (columns, rows)]
         logits = torch.zeros(len(x), 15)
         for k, (low, high) in enumerate(((1, 7), (3, 5))):  # left, right; down, up

@@ -56,8 +56,10 @@ def test_a_corner_vector_is_with_the_corner_open_less_walled_up(mouse):
     cells = {char: level.cells.copy() for char in ".#"}
     for char, made in cells.items():
         made[y, x] = MAZE.editing.LEGEND[char]
-    states = [Level(MAZE, SMALL, c, level.agent, level.looks).state(solvable=False)
-              for c in cells.values()]  # fmt: skip
+    states = [
+        Level(MAZE, SMALL, c, level.agent, level.looks).state(solvable=False)
+        for c in cells.values()
+    ]
     one, other = given(mouse, np.array(states, MAZE.state))
     assert (corner_vectors(mouse, SMALL, [200_003], LAYER).each[0] == one - other).all()
 

@@ -186,10 +186,7 @@ def test_a_folder_that_is_gone_or_never_was_is_none(tmp_path, code, monkeypatch)
     assert jit.code_folder() == str(code)
     shutil.rmtree(code)
     code.write_text("a file, where the folder was")
-    with (
-        pytest.warns(UserWarning, match="compiled code is not kept") as said,
-        jit.one_at_a_time(),
-    ):
+    with pytest.warns(UserWarning, match="compiled code is not kept") as said, jit.one_at_a_time():
         assert (before(3), jit.entry(twice)(3)) == (6, 6)
     assert len(said) == 1
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "none"))
@@ -205,10 +202,7 @@ def test_who_was_stopped_while_compiling_holds_nobody_up_for_ever(code, monkeypa
     monkeypatch.setattr(cache, "SILENT", 0.05)
     monkeypatch.setattr(cache, "PATIENT", 0.05)
     jit.code_folder()
-    with (
-        FileLock(code / "compile.lock"),
-        jit.one_at_a_time(),
-    ):
+    with FileLock(code / "compile.lock"), jit.one_at_a_time():
         assert jit.entry(twice)(3) == 6
     assert [
         record.message.split(":")[0] for record in caplog.records if record.name == "astray"
@@ -237,8 +231,12 @@ def a_version(home, digest=OLD, used=0.0):
     """A folder of compiled code as a process of another version left it."""
     folder = home / digest
     (folder / "envs_0").mkdir(parents=True)
-    for name in ("compile.lock", "envs_0/loops.run-9.py311.nbi", "envs_0/loops.run-9.py311.1.nbc",
-                 "envs_0/loops.run-9.py311.2.nbc.tmp.0123456789abcdef"):  # fmt: skip
+    for name in (
+        "compile.lock",
+        "envs_0/loops.run-9.py311.nbi",
+        "envs_0/loops.run-9.py311.1.nbc",
+        "envs_0/loops.run-9.py311.2.nbc.tmp.0123456789abcdef",
+    ):
         (folder / name).write_bytes(b"123")
     (folder / "used").write_text("astray 0.0.1, numba 0.61.0\n")
     os.utime(folder / "used", (used, used))

@@ -111,8 +111,16 @@ def test_a_level_is_edited_by_the_keyboard_alone(page):
     show(page, ROOM)
     page.get_by_role("checkbox", name="edit by keyboard").focus()
     page.keyboard.press("Space")
-    for key in ("ArrowUp", "ArrowUp", "ArrowUp", "ArrowUp", *["ArrowRight"] * 4, "Enter",
-                "ArrowLeft", "Enter"):  # fmt: skip
+    for key in (
+        "ArrowUp",
+        "ArrowUp",
+        "ArrowUp",
+        "ArrowUp",
+        *["ArrowRight"] * 4,
+        "Enter",
+        "ArrowLeft",
+        "Enter",
+    ):
         page.keyboard.press(key)  # to the cheese, which is taken, and put down beside
     wait(page, "lab.level.grid[5][4] === 2 && lab.level.grid[5][5] === 0")
 

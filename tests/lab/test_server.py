@@ -97,8 +97,13 @@ def test_junk_is_answered_with_what_is_wrong_and_the_socket_stays(served):
 
 
 def test_of_many_like_questions_the_last_is_answered(served):
-    question = {"kind": "fields", "game": "maze", "variant": "anywhere-small", "slot": "own",
-                "agent": "maze-corner"}  # fmt: skip
+    question = {
+        "kind": "fields",
+        "game": "maze",
+        "variant": "anywhere-small",
+        "slot": "own",
+        "agent": "maze-corner",
+    }
     many = [json.dumps(question | {"id": k, "level": k}) for k in range(40)]
     answers = ask(served, *many)
     last = [answer for answer in answers if answer["id"] == 39]

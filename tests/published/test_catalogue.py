@@ -55,8 +55,14 @@ def digest(data):
 
 
 def entry(server, sha256):
-    return Published("runner", Known(about="A test."), "agent.jd", server.address,
-                     size=len(server.data), sha256=sha256)  # fmt: skip
+    return Published(
+        "runner",
+        Known(about="A test."),
+        "agent.jd",
+        server.address,
+        size=len(server.data),
+        sha256=sha256,
+    )
 
 
 # What is fetched
@@ -178,13 +184,26 @@ def test_a_card_tells_origin_licence_and_what_is_not_known(astray, home, tmp_pat
     astray("import", tmp_path / "a.jd", "--as", "a", "--licence", "MIT", "--source", "a friend")
     astray("import", tmp_path / "m.pth", "--as", "m", *MAZE, "--actions", "greedy", "--art", "own")
     card = (home / "a" / "README.md").read_text()
-    for said in ("| licence | MIT |", "| source | a friend |", digest(runner), "gamma | 0.999",
-                 "363,216", "`coinrun procgen`", "art original", "Procgen, sampled",
-                 "all there are"):  # fmt: skip
+    for said in (
+        "| licence | MIT |",
+        "| source | a friend |",
+        digest(runner),
+        "gamma | 0.999",
+        "363,216",
+        "`coinrun procgen`",
+        "art original",
+        "Procgen, sampled",
+        "all there are",
+    ):
         assert said in card
     card = (home / "m" / "README.md").read_text()
-    for said in ("none is known: not to be passed on", "environment steps | not known",
-                 "None is known; `config.json`", "art own", "Procgen, greedy"):  # fmt: skip
+    for said in (
+        "none is known: not to be passed on",
+        "environment steps | not known",
+        "None is known; `config.json`",
+        "art own",
+        "Procgen, greedy",
+    ):
         assert said in card
 
 

@@ -19,10 +19,20 @@ from stable_baselines3.common.callbacks import BaseCallback
 from astray.bench import sb3
 
 CONFIG = Config(
-    game="maze", variant="corner-small", knobs={"world": 5, "largest": 5, "time_limit": 50},
-    observation="symbolic", network="mlp", num_envs=64, num_steps=64, minibatches=4,
-    gamma=0.99, learning_rate=3e-3, anneal=False, steps=10**6, bfloat16=False,
-)  # fmt: skip
+    game="maze",
+    variant="corner-small",
+    knobs={"world": 5, "largest": 5, "time_limit": 50},
+    observation="symbolic",
+    network="mlp",
+    num_envs=64,
+    num_steps=64,
+    minibatches=4,
+    gamma=0.99,
+    learning_rate=3e-3,
+    anneal=False,
+    steps=10**6,
+    bfloat16=False,
+)
 ITERATIONS = (5, 10, 15, 20, 25, 30)  # of 4,096 environment steps
 
 

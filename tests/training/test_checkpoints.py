@@ -160,11 +160,7 @@ def test_a_corrupt_state_in_a_checkpoint_never_reaches_compiled_code(run):
         ("training.states", lambda x: x[: len(x) // 2], "states must be torch.uint8"),
         ("adam.0.exp_avg", lambda x: x.T.copy(), "adam.0.exp_avg must be"),
         ("adam.0.exp_avg", lambda x: x.astype(np.float64), "must be torch.float32"),
-        (
-            "adam.0.step",
-            lambda x: np.zeros(2, np.float32),
-            r"adam.0.step must be .*; got .* \[2\]",
-        ),
+        ("adam.0.step", lambda x: np.zeros(2, np.float32), r"adam.0.step must be .*; got .* \[2\]"),
         ("steps", lambda x: x + 1, "steps must be a multiple of"),
         ("steps", lambda x: x * 2, "it is of step"),
         ("steps", lambda x: x * 1.0, r"steps must be .*; got torch.float64"),
@@ -238,12 +234,20 @@ def test_metrics_that_are_no_text_are_refused(run):
 @pytest.mark.parametrize(
     "architecture",
     [
-        {"width": 10**9}, {"actions": 3_000_000},
-        {"scale": 10**9, "name": "impala", "largest": []}, {"actions": -1}, {"actions": True},
-        {"shape": [4, 7]}, {"shape": [4, 10**9, 10**9]}, {"largest": [0] * 4},
-        {"largest": [6, 6, 1, 1]}, {"name": "squid"}, {"squid": 1}, {"width": "64"},
+        {"width": 10**9},
+        {"actions": 3_000_000},
+        {"scale": 10**9, "name": "impala", "largest": []},
+        {"actions": -1},
+        {"actions": True},
+        {"shape": [4, 7]},
+        {"shape": [4, 10**9, 10**9]},
+        {"largest": [0] * 4},
+        {"largest": [6, 6, 1, 1]},
+        {"name": "squid"},
+        {"squid": 1},
+        {"width": "64"},
     ],
-)  # fmt: skip
+)
 def test_a_forged_architecture_does_no_more_than_fail(run, architecture):
     path = checkpoint.latest(run) / checkpoint.AGENT
     data = path.read_bytes()

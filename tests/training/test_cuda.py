@@ -33,9 +33,7 @@ def learned(config):
 
 
 @pytest.mark.parametrize(
-    "config",
-    [replace(PLAIN, num_steps=40, timeouts="terminate"), PICTURES],
-    ids=["mlp", "impala"],
+    "config", [replace(PLAIN, num_steps=40, timeouts="terminate"), PICTURES], ids=["mlp", "impala"]
 )
 def test_graphs_learn_what_plain_calls_learn(config, monkeypatch):
     plain = learned(config)

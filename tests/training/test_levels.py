@@ -368,7 +368,12 @@ UNEDITABLE = {
 
 @pytest.mark.parametrize("change, said", UNEDITABLE.values(), ids=UNEDITABLE)
 def test_what_cannot_be_edited_never_reaches_compiled_code(change, said):
-    given = {"states": initial_states(GAME, EDITED, range(2)), "variant": EDITED,
-             "seeds": [0, 1], "edits": 5, "kind": "constant"} | change  # fmt: skip
+    given = {
+        "states": initial_states(GAME, EDITED, range(2)),
+        "variant": EDITED,
+        "seeds": [0, 1],
+        "edits": 5,
+        "kind": "constant",
+    } | change
     with pytest.raises(ValueError, match=said):
         GAME.mutation.mutate(**given)

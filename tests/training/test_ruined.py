@@ -16,9 +16,17 @@ from astray.training.loop import Diverged, improve, train
 from astray.training.trainer import Trainer
 
 TINY = replace(
-    PRESETS["small"], variant="corner-small", num_envs=4, num_steps=8, minibatches=2, epochs=1,
-    width=8, steps=192, levels=50, checkpoint_every=2,
-)  # fmt: skip
+    PRESETS["small"],
+    variant="corner-small",
+    num_envs=4,
+    num_steps=8,
+    minibatches=2,
+    epochs=1,
+    width=8,
+    steps=192,
+    levels=50,
+    checkpoint_every=2,
+)
 
 
 def nan(network, batch, config):
@@ -85,8 +93,13 @@ def test_a_loss_that_returns_something_else_is_refused(tmp_path, loss):
 
 @pytest.mark.parametrize("wrong", [{"RANK": "x"}, {"WORLD_SIZE": "many"}, {"MASTER_PORT": "y"}])
 def test_what_torchrun_did_not_set_is_told(tmp_path, monkeypatch, wrong):
-    good = {"TORCHELASTIC_RUN_ID": "1", "RANK": "0", "WORLD_SIZE": "1",
-            "MASTER_ADDR": "127.0.0.1", "MASTER_PORT": "1"}  # fmt: skip
+    good = {
+        "TORCHELASTIC_RUN_ID": "1",
+        "RANK": "0",
+        "WORLD_SIZE": "1",
+        "MASTER_ADDR": "127.0.0.1",
+        "MASTER_PORT": "1",
+    }
     for name, value in (good | wrong).items():
         monkeypatch.setenv(name, value)
     with pytest.raises(ValueError, match="must be as torchrun sets them in the environment"):
@@ -117,8 +130,9 @@ def test_nothing_is_removed_through_a_link(begun, tmp_path):
     (begun / "checkpoints" / "64").symlink_to(elsewhere)
     train(TINY, begun, progress=False)
     assert sorted(path.name for path in elsewhere.iterdir()) == [
-        checkpoint.AGENT, checkpoint.TRAINER
-    ]  # fmt: skip
+        checkpoint.AGENT,
+        checkpoint.TRAINER,
+    ]
 
 
 @pytest.mark.parametrize("name", ["007", "99999999999999999999", "7"])

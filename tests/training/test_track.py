@@ -97,9 +97,12 @@ def trained_with(by, folder, **variables):
     """Runs `astray train --track` in a process of its own; its run folder."""
     words = [*COMMAND, "--folder", "runs", "--track", by]
     done = subprocess.run(
-        [sys.executable, "-m", "astray", *words], cwd=folder, env=environment(**variables),
-        capture_output=True, text=True,
-    )  # fmt: skip
+        [sys.executable, "-m", "astray", *words],
+        cwd=folder,
+        env=environment(**variables),
+        capture_output=True,
+        text=True,
+    )
     assert done.returncode == 0, done.stderr
     return folder / "runs" / "seed-0", done.stderr
 
@@ -112,8 +115,9 @@ def test_wandb_offline_has_settings_metrics_outcomes_and_a_film(tmp_path):
     assert len(logs) == 2 and len({log.name for log in logs}) == 1  # parts of one run
     rows = [row for log in logs for row in history(log)]
     returns = [row["training/return"] for row in rows if "training/return" in row]
-    assert returns == [line["training/return"] for line in checkpoint.metrics(run)
-                       if "training/return" in line]  # fmt: skip
+    assert returns == [
+        line["training/return"] for line in checkpoint.metrics(run) if "training/return" in line
+    ]
     names = {name for row in rows for name in row}
     assert {"outcome/goal misgeneralization", "steps"} <= names
     assert {"film", "outcomes"} <= {name.partition("/")[0] for name in names}
@@ -129,8 +133,10 @@ def history(path):
         record = wandb_internal_pb2.Record()
         record.ParseFromString(data)
         if record.HasField("history"):
-            yield {item.key or "/".join(item.nested_key): json.loads(item.value_json)
-                   for item in record.history.item}  # fmt: skip
+            yield {
+                item.key or "/".join(item.nested_key): json.loads(item.value_json)
+                for item in record.history.item
+            }
 
 
 def records(data, block=32_768, head=7):
@@ -158,6 +164,7 @@ def test_trackio_has_metrics_outcomes_and_a_film(tmp_path):
     names = {name for row in rows for name in row}
     assert {"training/return", "speed/steps_per_second", "outcomes", "film"} <= names
     returns = [row["training/return"] for row in rows if "training/return" in row]
-    assert returns == [line["training/return"] for line in checkpoint.metrics(run)
-                       if "training/return" in line]  # fmt: skip
+    assert returns == [
+        line["training/return"] for line in checkpoint.metrics(run) if "training/return" in line
+    ]
     assert list(Path(kept / "media").rglob("*.gif"))

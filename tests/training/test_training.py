@@ -79,10 +79,17 @@ def test_validation_levels_are_not_training_levels():
 
 def test_an_agent_learns_the_way_to_the_corner(tmp_path):
     config = replace(
-        TINY, validation=None, steps=150_000, num_envs=64, num_steps=32, minibatches=8,
-        width=64, gamma=0.95, learning_rate=2e-3,
+        TINY,
+        validation=None,
+        steps=150_000,
+        num_envs=64,
+        num_steps=32,
+        minibatches=8,
+        width=64,
+        gamma=0.95,
+        learning_rate=2e-3,
         knobs={"world": 5, "largest": 3, "time_limit": 30},
-    )  # fmt: skip
+    )
     train(config, tmp_path, progress=False)
     lines = checkpoint.metrics(tmp_path)
     first, last = lines[2]["training/length"], lines[-1]["training/length"]
@@ -144,8 +151,14 @@ def test_a_timeout_is_bootstrapped_by_default_and_terminates_on_request(tmp_path
 
     advantages = {}
     for timeouts in ("bootstrap", "terminate"):
-        config = replace(TINY, timeouts=timeouts, normalise_advantage=False, num_steps=32,
-                         gamma=0.5, validation=None)  # fmt: skip
+        config = replace(
+            TINY,
+            timeouts=timeouts,
+            normalise_advantage=False,
+            num_steps=32,
+            gamma=0.5,
+            validation=None,
+        )
         trainer = Trainer(config)
         for weight in trainer.network.parameters():
             weight.data.zero_()
@@ -172,9 +185,16 @@ def test_validation_and_shifted_levels_follow_the_knobs_that_make_no_shift():
 
 def test_the_papers_network_is_trained_on_pictures(tmp_path):
     config = replace(
-        PRESETS["paper"], variant="corner", validation="anywhere", num_envs=8, num_steps=8,
-        minibatches=2, epochs=1, steps=128, checkpoint_every=1,
-    )  # fmt: skip
+        PRESETS["paper"],
+        variant="corner",
+        validation="anywhere",
+        num_envs=8,
+        num_steps=8,
+        minibatches=2,
+        epochs=1,
+        steps=128,
+        checkpoint_every=1,
+    )
     train(config, tmp_path, progress=False)
     one, two = (
         load_file(tmp_path / "checkpoints" / s / "agent.safetensors") for s in ("64", "128")

@@ -53,9 +53,11 @@ class Agents:
         on_goal, actions = self.distance == 0, self.possible[:, None]
         bumps = (~self.world.legal).sum(1)[:, None]
         stays = on_goal & (bumps > 0) & (self.at_goal == "stay" and not self.legal)
-        best = self.best | (on_goal & ~stays)[:, None] | (
-            stays[:, None] & ~self.world.legal[:, :, None]
-        )  # fmt: skip
+        best = (
+            self.best
+            | (on_goal & ~stays)[:, None]
+            | (stays[:, None] & ~self.world.legal[:, :, None])
+        )
         k = np.where(stays, bumps, np.where(on_goal, actions, self.best.sum(1)))
         return KIND[best.astype(int), k[:, None], actions[:, None]]
 

@@ -270,15 +270,21 @@ def log_noise(episode: Episode, options: Options) -> np.ndarray:
 
 
 def _evidence(
-    episodes: Sequence[Episode], goals: Sequence[Goal], prior: float, log_goals: np.ndarray,
+    episodes: Sequence[Episode],
+    goals: Sequence[Goal],
+    prior: float,
+    log_goals: np.ndarray,
     options: Options,
-) -> Evidence:  # fmt: skip
+) -> Evidence:
     log_devices = {what: _log_device(episodes, what, options) for what in options.observations}
     log_devices["noise"] = sum(float(log_noise(e, options).sum()) for e in episodes)
     return Evidence(
-        tuple(goals), np.full(len(goals), -np.log(prior)), log_goals, log_devices,
+        tuple(goals),
+        np.full(len(goals), -np.log(prior)),
+        log_goals,
+        log_devices,
         float(mix_devices(log_devices, options)),
-    )  # fmt: skip
+    )
 
 
 def _log_device(episodes: Sequence[Episode], what: Observation, options: Options) -> float:

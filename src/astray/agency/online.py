@@ -20,7 +20,7 @@ from astray.agency.measure import (
     mix_devices,
     prepared,
     seen_in,
-)  # fmt: skip
+)
 from astray.agency.steps import IMPOSSIBLE, Rule, log_table, rule
 
 BY_TIME = "1/(t+1)"

@@ -26,11 +26,8 @@ Noise = Literal["any action", "other actions"]
 
 MOST = len(ACTIONS)
 KINDS = tuple(
-    (best, k, L)
-    for L in range(1, MOST + 1)
-    for best in (True, False)
-    for k in range(1, L + best)
-)  # fmt: skip
+    (best, k, L) for L in range(1, MOST + 1) for best in (True, False) for k in range(1, L + best)
+)
 IMPOSSIBLE = len(KINDS)  # a step of probability 0
 # [2, k, L]: the kind of a step; IMPOSSIBLE where there is none
 KIND = np.full((2, MOST + 1, MOST + 1), IMPOSSIBLE, np.uint8)

@@ -43,19 +43,24 @@ class Convolutions(Pixels):
 def nature(shape: tuple[int, int, int], actions: int) -> Convolutions:
     """The network of Mnih et al. 2015, as Stable-Baselines3's `CnnPolicy` has it."""
     layers = {
-        "conv1": nn.Conv2d(shape[2], 32, 8, stride=4), "relu1": nn.ReLU(),
-        "conv2": nn.Conv2d(32, 64, 4, stride=2), "relu2": nn.ReLU(),
-        "conv3": nn.Conv2d(64, 64, 3), "relu3": nn.ReLU(),
-    }  # fmt: skip
+        "conv1": nn.Conv2d(shape[2], 32, 8, stride=4),
+        "relu1": nn.ReLU(),
+        "conv2": nn.Conv2d(32, 64, 4, stride=2),
+        "relu2": nn.ReLU(),
+        "conv3": nn.Conv2d(64, 64, 3),
+        "relu3": nn.ReLU(),
+    }
     return Convolutions(layers, shape, actions, 512)
 
 
 def overlap(shape: tuple[int, int, int], actions: int, scale: int = 1) -> Convolutions:
     """Patches of 8 x 8 pixels every 4, then of 4 x 4 of those every 2."""
     layers = {
-        "conv1": nn.Conv2d(shape[2], 16 * scale, 8, stride=4), "relu1": nn.ReLU(),
-        "conv2": nn.Conv2d(16 * scale, 32 * scale, 4, stride=2), "relu2": nn.ReLU(),
-    }  # fmt: skip
+        "conv1": nn.Conv2d(shape[2], 16 * scale, 8, stride=4),
+        "relu1": nn.ReLU(),
+        "conv2": nn.Conv2d(16 * scale, 32 * scale, 4, stride=2),
+        "relu2": nn.ReLU(),
+    }
     return Convolutions(layers, shape, actions, 256)
 
 
@@ -68,11 +73,12 @@ def patch(
     """
     channels = 16 * scale
     layers = {
-        "stem": nn.Conv2d(shape[2], channels, 8, stride=8), "relu1": nn.ReLU(),
+        "stem": nn.Conv2d(shape[2], channels, 8, stride=8),
+        "relu1": nn.ReLU(),
         "residual1": Residual(channels),
         "residual2": Residual(channels),
         "relu2": nn.ReLU(),
-    }  # fmt: skip
+    }
     if pooled:
         layers["mean"] = nn.AdaptiveAvgPool2d(1)
     return Convolutions(layers, shape, actions, 256)

@@ -104,8 +104,15 @@ def load(path: Path, game: str, device: str = "cpu") -> tuple[nn.Module, Archite
         network.load_state_dict(tensors)
     except FileNotFoundError:
         raise FileNotFoundError(f"no agent at {path}") from None
-    except (SafetensorError, OSError, KeyError, TypeError, ValueError, RuntimeError,
-            RecursionError) as error:  # fmt: skip
+    except (
+        SafetensorError,
+        OSError,
+        KeyError,
+        TypeError,
+        ValueError,
+        RuntimeError,
+        RecursionError,
+    ) as error:
         raise ValueError(f"{path} is not an agent that can be used: {brief(error)}") from error
     return network.to(device), architecture
 

@@ -15,14 +15,7 @@ from scipy.special import softmax
 
 from astray import games
 from astray.agency.gridworld import Cell, World
-from astray.agency.measure import (
-    CALIBRATED,
-    PRESETS,
-    Episode,
-    Options,
-    decisions,
-    measure_named,
-)
+from astray.agency.measure import CALIBRATED, PRESETS, Episode, Options, decisions, measure_named
 from astray.agency.online import measure_online
 from astray.agency.population import pooled, shares
 from astray.analysis import video
@@ -57,9 +50,13 @@ class Played:
 
 
 def play(
-    policy: Policy, game: str | Game, variant: Variant, levels: Sequence[int] | np.ndarray,
-    shift: Shift, batch: int = 256,
-) -> list[Played]:  # fmt: skip
+    policy: Policy,
+    game: str | Game,
+    variant: Variant,
+    levels: Sequence[int] | np.ndarray,
+    shift: Shift,
+    batch: int = 256,
+) -> list[Played]:
     """`policy`'s episodes in those of `levels` that have all the goals.
 
     Raises ValueError where the game has no `cells`.
@@ -189,17 +186,24 @@ def judge(played: Sequence[Played], options: Options = CALIBRATED) -> Judgement:
         logs.append(np.append(evidence.log_goals, evidence.log_device))
         posterior = softmax(logs[-1] + np.append(evidence.log_prior, 0.0))
         rows.append(
-            {"level": one.level, "moves": len(one.episode.trajectory),
-             "decisions": decisions(one.episode, one.goals, options),
-             "agent": evidence.agent, "log_factor": evidence.log_factor}
+            {
+                "level": one.level,
+                "moves": len(one.episode.trajectory),
+                "decisions": decisions(one.episode, one.goals, options),
+                "agent": evidence.agent,
+                "log_factor": evidence.log_factor,
+            }
             | {f"log {n}": x for n, x in zip(explanations, logs[-1].tolist(), strict=True)}
             | {f"p {n}": x for n, x in zip(explanations, posterior.tolist(), strict=True)}
-        )  # fmt: skip
+        )
     table = pl.DataFrame(rows)
     return Judgement(
-        table, explanations, shares(np.array(logs)), pooled(np.array(logs)),
+        table,
+        explanations,
+        shares(np.array(logs)),
+        pooled(np.array(logs)),
         int(table["decisions"].sum()),
-    )  # fmt: skip
+    )
 
 
 def judge_run(

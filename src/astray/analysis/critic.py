@@ -152,13 +152,19 @@ def observe(
     bounded("batch", batch, 1, MOST)
     n = min(batch, len(states))
     env = GameVectorEnv(
-        agent.game, variant, n, observation=agent.observation, art=agent.art,
+        agent.game,
+        variant,
+        n,
+        observation=agent.observation,
+        art=agent.art,
         autoreset_mode="Disabled",
-    )  # fmt: skip
-    shown = np.concatenate([
-        env.set_state(states[np.arange(first, first + n) % len(states)])
-        for first in range(0, len(states), n)
-    ])  # fmt: skip
+    )
+    shown = np.concatenate(
+        [
+            env.set_state(states[np.arange(first, first + n) % len(states)])
+            for first in range(0, len(states), n)
+        ]
+    )
     env.close()
     return shown[: len(states)]
 

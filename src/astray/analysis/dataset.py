@@ -66,12 +66,7 @@ class Trajectory:
 
 
 def trajectories(
-    policy: Policy,
-    game: str | Game,
-    variant: str | Variant,
-    levels: Levels,
-    *,
-    batch: int = BATCH,
+    policy: Policy, game: str | Game, variant: str | Variant, levels: Levels, *, batch: int = BATCH
 ) -> Iterator[Trajectory]:
     """The episode of a policy in each of `levels`, as they end; each as it would be alone.
 
@@ -80,19 +75,27 @@ def trajectories(
     parts: dict[int, list[tuple]] = {}
     for step in steps(policy, game, variant, levels, batch=batch):
         for i, level in enumerate(step.level.tolist()):
-            parts.setdefault(level, []).append((
-                step.observations[i].copy(), step.before[i].copy(), int(step.actions[i]),
-                float(step.rewards[i]),
-            ))  # fmt: skip
+            parts.setdefault(level, []).append(
+                (
+                    step.observations[i].copy(),
+                    step.before[i].copy(),
+                    int(step.actions[i]),
+                    float(step.rewards[i]),
+                )
+            )
             if not step.ended[i]:
                 continue
             seen, before, actions, rewards = zip(*parts.pop(level), strict=True)
             states = np.array([*before, step.after[i]], step.before.dtype)
             states["seed"] = states["turn"] = 0  # of the batch that it was played in
             yield Trajectory(
-                int(states["level"][0]), np.stack([*seen, step.seen[i]]), states,
-                np.array(actions), np.array(rewards), bool(step.terminated[i]),
-            )  # fmt: skip
+                int(states["level"][0]),
+                np.stack([*seen, step.seen[i]]),
+                states,
+                np.array(actions),
+                np.array(rewards),
+                bool(step.terminated[i]),
+            )
 
 
 def export(
@@ -135,9 +138,12 @@ def _plain(part: Any) -> Any:
 
 
 def write_parquet(
-    played: Iterable[Trajectory], game: Game, variant: Variant, about: Mapping[str, Any],
+    played: Iterable[Trajectory],
+    game: Game,
+    variant: Variant,
+    about: Mapping[str, Any],
     folder: Path,
-) -> None:  # fmt: skip
+) -> None:
     """Write trajectories as Parquet files; see the module."""
     (folder / "steps").mkdir(parents=True)
     episodes, rows, size, files, shape = [], [], 0, 0, None
@@ -151,8 +157,9 @@ def write_parquet(
     if rows:
         write_table(pl.concat(rows), folder / "steps" / f"{files:05}.parquet")
     kinds = dict.fromkeys(game.events, pl.Int64)
-    write_table(pl.DataFrame(episodes, schema_overrides=kinds).sort("level"),
-                folder / "episodes.parquet")  # fmt: skip
+    write_table(
+        pl.DataFrame(episodes, schema_overrides=kinds).sort("level"), folder / "episodes.parquet"
+    )
     data = {**about, "shape": shape, "dtype": "uint8"}
     write_aside(folder / "dataset.json", json.dumps(data, indent=1).encode())
 
@@ -160,24 +167,31 @@ def write_parquet(
 def _episode(one: Trajectory, game: Game) -> dict[str, Any]:
     last = one.states[-1]
     happened = {event: int(last[event]) if last[event] >= 0 else None for event in game.events}
-    return {"level": one.level, "return": float(one.rewards.sum()), "length": len(one),
-            "terminated": one.terminated, **happened}  # fmt: skip
+    return {
+        "level": one.level,
+        "return": float(one.rewards.sum()),
+        "length": len(one),
+        "terminated": one.terminated,
+        **happened,
+    }
 
 
 def _rows(one: Trajectory) -> pl.DataFrame:
     """A row for each state; what was done in it is null in the last."""
     count = len(one)
     ended = [False] * (count - 1)
-    return pl.DataFrame({
-        "level": pl.Series([one.level] * (count + 1), dtype=pl.Int64),
-        "step": pl.Series(range(count + 1), dtype=pl.Int32),
-        "action": pl.Series([*one.actions.tolist(), None], dtype=pl.Int64),
-        "reward": pl.Series([*one.rewards.tolist(), None], dtype=pl.Float64),
-        "terminated": [*ended, one.terminated, None],
-        "truncated": [*ended, not one.terminated, None],
-        "observation": [x.tobytes() for x in one.observations],
-        "state": [x.tobytes() for x in one.states],
-    })  # fmt: skip
+    return pl.DataFrame(
+        {
+            "level": pl.Series([one.level] * (count + 1), dtype=pl.Int64),
+            "step": pl.Series(range(count + 1), dtype=pl.Int32),
+            "action": pl.Series([*one.actions.tolist(), None], dtype=pl.Int64),
+            "reward": pl.Series([*one.rewards.tolist(), None], dtype=pl.Float64),
+            "terminated": [*ended, one.terminated, None],
+            "truncated": [*ended, not one.terminated, None],
+            "observation": [x.tobytes() for x in one.observations],
+            "state": [x.tobytes() for x in one.states],
+        }
+    )
 
 
 def read_trajectories(folder: Path) -> Iterator[Trajectory]:
@@ -220,21 +234,26 @@ def _trajectory(rows: pl.DataFrame, game: Game, shape: tuple[int, ...], path: Pa
     except (ValueError, TypeError, pl.exceptions.PolarsError) as error:
         raise ValueError(f"{path} is not as astray writes it: {error}") from error
     return Trajectory(
-        rows["level"][0], seen, states, done["action"].to_numpy(), done["reward"].to_numpy(),
+        rows["level"][0],
+        seen,
+        states,
+        done["action"].to_numpy(),
+        done["reward"].to_numpy(),
         bool(done["terminated"][-1]),
-    )  # fmt: skip
+    )
 
 
 def write_minari(
-    played: Iterable[Trajectory], game: Game, variant: Variant, about: Mapping[str, Any],
+    played: Iterable[Trajectory],
+    game: Game,
+    variant: Variant,
+    about: Mapping[str, Any],
     folder: Path,
-) -> None:  # fmt: skip
+) -> None:
     """Write trajectories in Minari's layout, to the byte; states are infos, levels are seeds."""
     try:
         from minari.data_collector import EpisodeBuffer  # pyright: ignore[reportMissingImports]
-        from minari.dataset.minari_storage import (  # pyright: ignore[reportMissingImports]
-            MinariStorage,
-        )
+        from minari.dataset.minari_storage import MinariStorage  # pyright: ignore[reportMissingImports]
     except ImportError as error:
         raise ImportError("Minari's layout needs it: pip install 'astray[minari]'") from error
     env = GameVectorEnv(game, variant, observation=about["observation"], art=about["art"])
@@ -243,24 +262,38 @@ def write_minari(
     assert isinstance(taken, spaces.Discrete)
     _see_room(folder)
     storage = MinariStorage.new(
-        folder.absolute() / "data", observation_space=seen, action_space=taken, data_format="hdf5",
-        env_spec=_spec(game, variant), jpeg_encoding=False,
-    )  # fmt: skip
-    storage.update_metadata({
-        "dataset_id": f"astray/{folder_name(about)}-v0", "algorithm_name": about["policy"],
-        "author": set(), "author_email": set(), "code_permalink": "",
-        "description": json.dumps(about), "requirements": [f"astray=={version('astray')}"],
-        "minari_version": version("minari"),
-    })  # fmt: skip
+        folder.absolute() / "data",
+        observation_space=seen,
+        action_space=taken,
+        data_format="hdf5",
+        env_spec=_spec(game, variant),
+        jpeg_encoding=False,
+    )
+    storage.update_metadata(
+        {
+            "dataset_id": f"astray/{folder_name(about)}-v0",
+            "algorithm_name": about["policy"],
+            "author": set(),
+            "author_email": set(),
+            "code_permalink": "",
+            "description": json.dumps(about),
+            "requirements": [f"astray=={version('astray')}"],
+            "minari_version": version("minari"),
+        }
+    )
     storage.update_episodes(
         EpisodeBuffer(
-            id=k, seed=one.level, observations=one.observations, actions=one.actions,  # pyright: ignore
-            rewards=one.rewards.tolist(), terminations=_last(len(one), one.terminated),
+            id=k,
+            seed=one.level,
+            observations=one.observations,  # pyright: ignore
+            actions=one.actions,  # pyright: ignore
+            rewards=one.rewards.tolist(),
+            terminations=_last(len(one), one.terminated),
             truncations=_last(len(one), not one.terminated),
             infos={"state": one.states.view(np.uint8).reshape(len(one) + 1, -1)},
         )
         for k, one in enumerate(_with_room(played, folder))
-    )  # fmt: skip
+    )
 
 
 def _with_room(played: Iterable[Trajectory], folder: Path) -> Iterator[Trajectory]:

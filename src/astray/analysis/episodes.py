@@ -86,9 +86,16 @@ def steps(
             ended |= env.states[event] >= 0
         which = slice(None) if live.all() else live
         yield Step(
-            playing[which].copy(), before[which], observations[which], actions[which],
-            rewards[which], env.states[which], seen[which], terminated[which], ended[which],
-        )  # fmt: skip
+            playing[which].copy(),
+            before[which],
+            observations[which],
+            actions[which],
+            rewards[which],
+            env.states[which],
+            seen[which],
+            terminated[which],
+            ended[which],
+        )
         observations = seen
         if not ended.any():
             continue
@@ -139,6 +146,5 @@ def beginnings(levels: Levels, dtype: np.dtype) -> tuple[str, np.ndarray]:
 
 def _environments(policy: Policy, game: Any, variant: Any, n: int) -> GameVectorEnv:
     return GameVectorEnv(
-        game, variant, n, observation=policy.observation, art=policy.art,
-        autoreset_mode="Disabled",
-    )  # fmt: skip
+        game, variant, n, observation=policy.observation, art=policy.art, autoreset_mode="Disabled"
+    )

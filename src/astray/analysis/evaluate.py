@@ -53,10 +53,15 @@ def evaluate(
             s, k = step.after[i], step.level[i]
             happened = {event: int(s[event]) if s[event] >= 0 else None for event in game.events}
             rows[k] = {
-                "policy": policy.name, "level": int(s.level), "name": names[k],
-                "shifted": bool(s.shifted), "return": float(returns[k]),
-                "length": int(s.time), "terminated": bool(step.terminated[i]), **happened,
-            }  # fmt: skip
+                "policy": policy.name,
+                "level": int(s.level),
+                "name": names[k],
+                "shifted": bool(s.shifted),
+                "return": float(returns[k]),
+                "length": int(s.time),
+                "terminated": bool(step.terminated[i]),
+                **happened,
+            }
             if measures:
                 last[k] = s
     kinds = {"name": pl.String} | {event: pl.Int64 for event in game.events}

@@ -51,9 +51,11 @@ def replay(
         terminated = bool(step.terminated[0])
         ended = {"terminated": terminated, "truncated": bool(step.ended[0]) and not terminated}
     events = {event: int(s[event]) for event in game.events}
-    return {"start": start} | ended | {
-        "return": total, "length": len(moves), "events": events, "steps": moves,
-    }  # fmt: skip
+    return (
+        {"start": start}
+        | ended
+        | {"return": total, "length": len(moves), "events": events, "steps": moves}
+    )
 
 
 def _centre(game: Game, s: Any) -> list[float]:

@@ -121,9 +121,15 @@ def evaluate_runs(
     name = variant or load_shift(game, named).test
     played = config.unseen_levels[:LEVELS_PLAYED] if levels is None else levels
     return _outcomes(
-        [agent for agent, _ in opened], game, name, config.variant_for(name, knobs), named, played,
-        batch, solvable,
-    )  # fmt: skip
+        [agent for agent, _ in opened],
+        game,
+        name,
+        config.variant_for(name, knobs),
+        named,
+        played,
+        batch,
+        solvable,
+    )
 
 
 def evaluate_policies(
@@ -146,9 +152,15 @@ def evaluate_policies(
 
 
 def _outcomes(
-    policies: Sequence[Policy], game: Game, name: str, variant: Variant, shift: str,
-    levels: np.ndarray | range | Path, batch: int, solvable: bool,
-) -> tuple[pl.DataFrame, pl.DataFrame]:  # fmt: skip
+    policies: Sequence[Policy],
+    game: Game,
+    name: str,
+    variant: Variant,
+    shift: str,
+    levels: np.ndarray | range | Path,
+    batch: int,
+    solvable: bool,
+) -> tuple[pl.DataFrame, pl.DataFrame]:
     if isinstance(levels, Path):
         chosen = read_levels(levels, game, variant, solvable=solvable)
     else:
@@ -200,11 +212,11 @@ def play_all(
                 int(policy.path.parent.name),
             )
         parts.append(
-            evaluate(
-                policy, game, variant, levels, batch=batch, measures=measures
-            ).with_columns(
-                run=pl.lit(run, pl.String), seed=pl.lit(seed, pl.Int64),
-                checkpoint=pl.lit(steps, pl.Int64), variant=pl.lit(name),
+            evaluate(policy, game, variant, levels, batch=batch, measures=measures).with_columns(
+                run=pl.lit(run, pl.String),
+                seed=pl.lit(seed, pl.Int64),
+                checkpoint=pl.lit(steps, pl.Int64),
+                variant=pl.lit(name),
             )
-        )  # fmt: skip
+        )
     return tell_apart(label(pl.concat(parts), game, between), between)

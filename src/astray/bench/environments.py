@@ -173,10 +173,14 @@ def _take_turns(contenders: Sequence[Contender], seconds: float, rounds: int) ->
 
 def _ours(game: str, variant: str, what: str, batch: int, threads: int, seed: int) -> Contender:
     env = GameVectorEnv(
-        game, variant, batch, observation="symbolic" if what == SYMBOLS else "image",
+        game,
+        variant,
+        batch,
+        observation="symbolic" if what == SYMBOLS else "image",
         art=ORIGINAL if what == _images(ORIGINAL) else OWN,
-        autoreset_mode="SameStep", threads=threads,
-    )  # fmt: skip
+        autoreset_mode="SameStep",
+        threads=threads,
+    )
     rng = np.random.default_rng(seed)
     actions = rng.integers(len(env.game.actions), size=(ACTIONS, batch))
     env.reset(seed=seed)

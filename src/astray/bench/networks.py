@@ -22,9 +22,8 @@ from astray.training.trainer import Trainer
 PAPER = "impala"
 NETWORKS = (PAPER, "nature", "patch-impala", "overlap", "patch")
 CONFIG = replace(
-    PRESETS["pixels"], variant="corner-small", num_steps=8, minibatches=2,
-    anneal=False,
-)  # fmt: skip
+    PRESETS["pixels"], variant="corner-small", num_steps=8, minibatches=2, anneal=False
+)
 
 
 @dataclass(frozen=True)
@@ -76,11 +75,15 @@ def _measure(
                 speeds[name].append(config.batch * done)
         rows = [
             Row(
-                name, threads, sum(x.numel() for x in trainer.weights), median(speeds[name]),
-                max(speeds[name]), median(speeds[name]) / median(speeds[networks[0]]),
+                name,
+                threads,
+                sum(x.numel() for x in trainer.weights),
+                median(speeds[name]),
+                max(speeds[name]),
+                median(speeds[name]) / median(speeds[networks[0]]),
             )
             for name, trainer in trainers.items()
-        ]  # fmt: skip
+        ]
         for trainer in trainers.values():
             trainer.close()
     return rows

@@ -126,23 +126,35 @@ def ppo(config: Config, network: nn.Module) -> PPO:
     if config.anneal or config.timeouts != "bootstrap" or not config.normalise_advantage:
         raise ValueError("it needs anneal=False, timeouts='bootstrap', normalise_advantage=True")
     env = GameVectorEnv(
-        config.game, config.training_variant(), config.num_envs,
-        observation=config.observation, levels=config.training_levels,
-        autoreset_mode="SameStep", threads=config.threads,
-    )  # fmt: skip
+        config.game,
+        config.training_variant(),
+        config.num_envs,
+        observation=config.observation,
+        levels=config.training_levels,
+        autoreset_mode="SameStep",
+        threads=config.threads,
+    )
     played: VecEnv = VecMonitor(GameVecEnv(env))
     if config.normalise_reward:
         played = VecNormalize(played, norm_obs=False, gamma=config.reward_gamma, clip_reward=10.0)
     model = PPO(
-        cast(type[ActorCriticPolicy], NetworkPolicy), played,
+        cast(type[ActorCriticPolicy], NetworkPolicy),
+        played,
         policy_kwargs={"network": copy.deepcopy(network)},
-        learning_rate=config.learning_rate, n_steps=config.num_steps,
-        batch_size=config.batch // config.minibatches, n_epochs=config.epochs,
-        gamma=config.gamma, gae_lambda=config.lam, clip_range=config.clip,
-        clip_range_vf=config.clip, ent_coef=config.entropy_weight,
+        learning_rate=config.learning_rate,
+        n_steps=config.num_steps,
+        batch_size=config.batch // config.minibatches,
+        n_epochs=config.epochs,
+        gamma=config.gamma,
+        gae_lambda=config.lam,
+        clip_range=config.clip,
+        clip_range_vf=config.clip,
+        ent_coef=config.entropy_weight,
         vf_coef=config.value_weight / 2,  # our loss has half the squared error
-        max_grad_norm=config.gradient_norm, seed=config.seed, device=config.device,
-    )  # fmt: skip
+        max_grad_norm=config.gradient_norm,
+        seed=config.seed,
+        device=config.device,
+    )
     model.set_logger(Logger(None, []))  # or it makes a temporary folder at each `learn`
     return model
 

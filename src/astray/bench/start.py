@@ -72,8 +72,10 @@ def _start(game: str, variant: str, folder: str) -> tuple[float, float]:
     began = time.perf_counter()
     cpu = subprocess.run(
         [sys.executable, "-c", PROGRAM, game, variant],
-        env=environment | {"XDG_CACHE_HOME": folder}, stdout=subprocess.PIPE, check=True,
-    ).stdout  # fmt: skip
+        env=environment | {"XDG_CACHE_HOME": folder},
+        stdout=subprocess.PIPE,
+        check=True,
+    ).stdout
     return time.perf_counter() - began, float(cpu)
 
 

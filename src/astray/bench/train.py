@@ -114,9 +114,14 @@ def _measure(config: Config, turn: float, rounds: int) -> list[Row]:
     rows = [replace(row, what=what, note=note) for what, note in notes.items()]
     for what, each in speeds.items():
         rows.append(
-            replace(row, what=what, steps_per_second=median(each), best=max(each),
-                    ratio=median(ours) / median(each))
-        )  # fmt: skip
+            replace(
+                row,
+                what=what,
+                steps_per_second=median(each),
+                best=max(each),
+                ratio=median(ours) / median(each),
+            )
+        )
     return [replace(row, steps_per_second=median(ours), best=max(ours)), *rows]
 
 
@@ -138,9 +143,13 @@ def _images(config: Config, network: Any) -> dict[str, Made | str]:
     """Ours without any setting of speed, and the plain loops; or why they are not there."""
     plain = Trainer(replace(config, **PLAIN))
     env = GameVectorEnv(
-        config.game, config.training_variant(), config.num_envs,
-        levels=config.training_levels, autoreset_mode="SameStep", threads=config.threads,
-    )  # fmt: skip
+        config.game,
+        config.training_variant(),
+        config.num_envs,
+        levels=config.training_levels,
+        autoreset_mode="SameStep",
+        threads=config.threads,
+    )
     original = Loop(config, copy.deepcopy(network), env, host=True)
     made: dict[str, Made | str] = {
         "astray, all settings of speed off": (lambda: iterate(plain), plain.close),

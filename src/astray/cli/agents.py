@@ -128,17 +128,30 @@ def evaluate(
     if policy is None:
         see_of_policy(game, observation)
         shares, episodes = evaluate_runs(
-            chosen(runs, agent), played, variant=variant, shift=shift, mode=mode,
-            art=art, knobs=pairs(knobs), batch=batch, solvable=not unsolvable,
-        )  # fmt: skip
+            chosen(runs, agent),
+            played,
+            variant=variant,
+            shift=shift,
+            mode=mode,
+            art=art,
+            knobs=pairs(knobs),
+            batch=batch,
+            solvable=not unsolvable,
+        )
     elif runs or agent or game is None or shift is None:
         raise ValueError("--policy needs --game and --shift, and neither runs nor --agent")
     else:
         own = Function(imports.find(policy), policy, observation or "image", art or OWN)
         shares, episodes = evaluate_policies(
-            [own], game, shift, played, variant=variant, knobs=pairs(knobs), batch=batch,
+            [own],
+            game,
+            shift,
+            played,
+            variant=variant,
+            knobs=pairs(knobs),
+            batch=batch,
             solvable=not unsolvable,
-        )  # fmt: skip
+        )
     if out:
         write_table(episodes, out)
     if json:

@@ -33,9 +33,11 @@ def art(
         "folder": str(original.folder()),
         "pictures": len(original.PICTURES) - len(missing),
         "missing": missing,
-        "licences": [dict(zip(("pictures", "author", "licence", "source"), row, strict=True))
-                     for row in (*original.LICENCES, original.LINES)],
-    }  # fmt: skip
+        "licences": [
+            dict(zip(("pictures", "author", "licence", "source"), row, strict=True))
+            for row in (*original.LICENCES, original.LINES)
+        ],
+    }
     if json:
         print_json({OWN: {"pictures": "all", "licence": "MIT"}, "original": found})
         return
@@ -46,8 +48,10 @@ def art(
     elif missing:
         print(f"  without {', '.join(missing)}")
         if set(missing) <= set(original.FORK_ALONE):
-            print(f"  which only the paper's fork has: {original.COMMAND} CHECKOUT, of "
-                  f"{original.FORK}; variants of Maze with a line need them")  # fmt: skip
+            print(
+                f"  which only the paper's fork has: {original.COMMAND} CHECKOUT, of "
+                f"{original.FORK}; variants of Maze with a line need them"
+            )
     if len(missing) < len(original.PICTURES):
         print("  licences of Procgen's pictures:")
         for pictures, author, licence, where in (*original.LICENCES, original.LINES):

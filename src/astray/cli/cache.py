@@ -26,12 +26,23 @@ def cache(prune: bool = False, json: bool = False) -> None:
     removed = _prune(home) if prune else 0
     found = versions(home)
     if json:
-        print_json({
-            "folder": str(home), "removed": removed,
-            "versions": [{"digest": one.folder.name, "this": _is_this(one), "about": one.about,
-                          "used": one.used, "files": one.files, "bytes": one.size}
-                         for one in found],
-        })  # fmt: skip
+        print_json(
+            {
+                "folder": str(home),
+                "removed": removed,
+                "versions": [
+                    {
+                        "digest": one.folder.name,
+                        "this": _is_this(one),
+                        "about": one.about,
+                        "used": one.used,
+                        "files": one.files,
+                        "bytes": one.size,
+                    }
+                    for one in found
+                ],
+            }
+        )
         return
     if prune:
         print(f"removed: {removed / 1e6:.1f} MB")
@@ -41,9 +52,13 @@ def cache(prune: bool = False, json: bool = False) -> None:
     for one in found:
         day = time.strftime("%Y-%m-%d", time.localtime(one.used))
         table.add_row(
-            one.folder.name, one.about or "?", day, f"{one.size / 1e6:.1f}", f"{one.files}",
+            one.folder.name,
+            one.about or "?",
+            day,
+            f"{one.size / 1e6:.1f}",
+            f"{one.files}",
             "this one" if _is_this(one) else "",
-        )  # fmt: skip
+        )
     if found:
         show(table)
 

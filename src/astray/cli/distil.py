@@ -67,13 +67,22 @@ def distil(
     images = observation == "image"
     config = replace(
         PRESETS["pixels" if images else "small"],
-        game=its.game, variant=its.variant if variant is None else variant,
+        game=its.game,
+        variant=its.variant if variant is None else variant,
         validation=its.validation if validation is None else validation,
         knobs=its.knobs if variant in (None, its.variant) else {},
-        first_level=its.first_level, levels=its.levels, observation=observation,
-        network=network or ("patch" if images else "mlp"), art=art or its.art, gamma=its.gamma,
-        steps=steps, epochs=epochs, seed=seed, threads=threads, teacher=name,
-    )  # fmt: skip
+        first_level=its.first_level,
+        levels=its.levels,
+        observation=observation,
+        network=network or ("patch" if images else "mlp"),
+        art=art or its.art,
+        gamma=its.gamma,
+        steps=steps,
+        epochs=epochs,
+        seed=seed,
+        threads=threads,
+        teacher=name,
+    )
     there = folder or Path("runs") / f"{config.game}-{config.variant}-of-{name}"
     for number in range(seed, seed + seeds):
         student = there / f"seed-{number}"

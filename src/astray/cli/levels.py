@@ -21,7 +21,7 @@ from astray.cli.arguments import (
     show,
     standard_input,
     varied,
-)  # fmt: skip
+)
 from astray.files import read
 from astray.game import OWN, Game, Variant
 from astray.level import Level
@@ -119,8 +119,16 @@ def replay(
         return
     for k, step in enumerate(told["steps"], 1):
         print(f"{k:5}  {step['action']:10}  ({step['x']:g}, {step['y']:g})  {step['reward']:+g}")
-    print(f"return {told['return']:g}, " + ("terminated" if told["terminated"] else
-          "truncated" if told["truncated"] else "not ended"))  # fmt: skip
+    print(
+        f"return {told['return']:g}, "
+        + (
+            "terminated"
+            if told["terminated"]
+            else "truncated"
+            if told["truncated"]
+            else "not ended"
+        )
+    )
 
 
 def overlap(
@@ -146,9 +154,12 @@ def overlap(
 
     rules = games.find(game)
     shared = count(
-        rules, varied(rules, training, knobs), level_numbers(training_levels),
-        varied(rules, test, knobs), level_numbers(test_levels),
-    )  # fmt: skip
+        rules,
+        varied(rules, training, knobs),
+        level_numbers(training_levels),
+        varied(rules, test, knobs),
+        level_numbers(test_levels),
+    )
     if json:
         print_json(shared.to_dicts())
         return

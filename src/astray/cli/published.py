@@ -149,9 +149,13 @@ def _check(name: str, levels: str | None, json: bool) -> None:
         print_json(rows)
         return
     table = Table(
-        "levels", "published", "here, counted alike", "here, every level once", "mean length",
+        "levels",
+        "published",
+        "here, counted alike",
+        "here, every level once",
+        "mean length",
         "value at the start",
-    )  # fmt: skip
+    )
     for row in rows:
         value = f"{row['start_value']:.2f}"
         if row["published_value"] is not None:

@@ -108,10 +108,28 @@ def next_level(s, i, n, levels, first, count):
 
 
 def run(
-    states, params, art, symbolic, scenes, levels, first, count, begins,
-    mode, what, actions, observations, final_states, final_observations,
-    reward, terminated, truncated, laps, thread, lap,
-):  # fmt: skip
+    states,
+    params,
+    art,
+    symbolic,
+    scenes,
+    levels,
+    first,
+    count,
+    begins,
+    mode,
+    what,
+    actions,
+    observations,
+    final_states,
+    final_observations,
+    reward,
+    terminated,
+    truncated,
+    laps,
+    thread,
+    lap,
+):
     """Do what `what` says in every environment, and observe it; False: an action is not known.
 
     One loop for all, as every other would compile the game once more.

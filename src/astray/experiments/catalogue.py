@@ -78,8 +78,9 @@ def _run(path: Path) -> object:
     except SyntaxError as error:
         raise ValueError(f"{path} must be a file of Python; {brief(error)}") from error
     except Exception as error:
-        lines = [f.lineno for f in traceback.extract_tb(error.__traceback__)
-                 if f.filename == str(path)]  # fmt: skip
+        lines = [
+            f.lineno for f in traceback.extract_tb(error.__traceback__) if f.filename == str(path)
+        ]
         where = f"{path}, line {lines[-1]}" if lines else f"{path}"
         raise ValueError(f"{where}: {type(error).__name__}: {brief(error)}") from error
     if not hasattr(module, "EXPERIMENT"):

@@ -35,9 +35,12 @@ def on_ray() -> Iterator[Submit]:
     def submit(config: Config, run: Path, track: Tracking | None) -> Future[None]:
         run.mkdir(parents=True, exist_ok=True)  # each node sees whether it is there
         task = ray.remote(train_on_node).options(
-            name=str(run), num_cpus=config.threads, num_gpus=float(config.device == "cuda"),
-            max_retries=RETRIES, retry_exceptions=[OSError],
-        )  # fmt: skip
+            name=str(run),
+            num_cpus=config.threads,
+            num_gpus=float(config.device == "cuda"),
+            max_retries=RETRIES,
+            retry_exceptions=[OSError],
+        )
         return task.remote(config, run.resolve(), track).future()  # pyright: ignore
 
     try:

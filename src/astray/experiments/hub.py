@@ -89,10 +89,12 @@ def push(
             if revision is not None:
                 api.create_branch(repository, branch=revision, exist_ok=True)
             made = api.upload_folder(
-                repo_id=repository, folder_path=folder, revision=revision,
+                repo_id=repository,
+                folder_path=folder,
+                revision=revision,
                 commit_message=f"An agent of {_slug(repository)}",
                 delete_patterns=["checkpoints/*"],
-            )  # fmt: skip
+            )
     return Commit(repository, made.oid, f"{api.endpoint}/{repository}")
 
 
@@ -174,8 +176,9 @@ def _with_card(run: Path, repository: str, shift: str | None, levels: int, passi
     card = (folder / CARD).read_text(encoding="utf-8")
     title, _, text = card.partition("\n")
     front = _FRONT.format(game=config.game, repository=repository, name=name)
-    write_aside(folder / CARD, f"{front}\n{title}\n{_PULLED.format(repository=repository)}{text}"
-                .encode())  # fmt: skip
+    write_aside(
+        folder / CARD, f"{front}\n{title}\n{_PULLED.format(repository=repository)}{text}".encode()
+    )
     return folder
 
 
@@ -224,9 +227,7 @@ def _taker(
         with _told(repository, commit, "pulled"):
             if not offline:
                 _see_size(api, repository, commit, path, most)
-            here = api.hf_hub_download(
-                repository, path, revision=commit, local_files_only=offline
-            )  # fmt: skip
+            here = api.hf_hub_download(repository, path, revision=commit, local_files_only=offline)
         return Path(here)
 
     return take

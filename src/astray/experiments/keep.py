@@ -96,15 +96,25 @@ def write_card(name: str, run: Path, shift: str, levels: int) -> None:
     film(agent, config, between, played[between.test][1], run / "episode.gif")
     environment = Environment(
         loader=PackageLoader("astray.experiments", ""),
-        lstrip_blocks=True, trim_blocks=True, keep_trailing_newline=True, undefined=StrictUndefined,
-    )  # fmt: skip
+        lstrip_blocks=True,
+        trim_blocks=True,
+        keep_trailing_newline=True,
+        undefined=StrictUndefined,
+    )
     text = environment.get_template("card.md").render(
-        name=name, about=game.about, config=config, steps=int(agent.path.parent.name),
-        trained_on=config.training_variant().about, commands=commands(config), shift=shift,
-        between=between, levels=f"{levels:,}", outcomes=OUTCOMES,
+        name=name,
+        about=game.about,
+        config=config,
+        steps=int(agent.path.parent.name),
+        trained_on=config.training_variant().about,
+        commands=commands(config),
+        shift=shift,
+        between=between,
+        levels=f"{levels:,}",
+        outcomes=OUTCOMES,
         rows=[row for variant, (shares, _) in played.items() for row in _rows(variant, shares)],
         settings=asdict(config),
-    )  # fmt: skip
+    )
     write_aside(run / "README.md", text.encode())
 
 

@@ -71,8 +71,9 @@ def _make_room(to: Path) -> bool:
 def _digests(to: Path) -> dict[str, str]:
     """Of all in a lab but the file that holds them, by path; nothing of what is no file."""
     return {
-        path.relative_to(to).as_posix(): "" if path.is_symlink() or not path.is_file()
+        path.relative_to(to).as_posix(): ""
+        if path.is_symlink() or not path.is_file()
         else hashlib.sha256(read(path)).hexdigest()
         for path in sorted(to.rglob("*"))
         if path != to / WRITTEN and (path.is_symlink() or not path.is_dir())
-    }  # fmt: skip
+    }

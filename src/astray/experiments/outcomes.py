@@ -171,10 +171,11 @@ def film(work: Work, *, trained: Test, tested: Test, agent: str | None = None) -
         levels = mine.filter(outcome=outcome).join(far, on="level", how="semi")["level"]
         for level in levels[:1].to_list():
             pair = [
-                video.play(player, game, test.variant_for(config), level, pixels=288,
-                           longest=LONGEST)
+                video.play(
+                    player, game, test.variant_for(config), level, pixels=288, longest=LONGEST
+                )
                 for test in (trained, tested)
-            ]  # fmt: skip
+            ]
             captions = [f"{test.variant} {level}" for test in (trained, tested)]
             frames = video.beside(*(episode.frames for episode in pair), captions=captions)
             path = work.folder / "videos" / f"{outcome.replace(' ', '-')}.mp4"

@@ -121,8 +121,14 @@ def write(
     claims = [asdict(c) | {"beside": beside.get(c.sentence)} for c in findings.claims]
     found = {"answer": findings.answer, "claims": claims}
     write_aside(folder / "findings.json", json.dumps(asdict(heading) | found, indent=2).encode())
-    page = _render("report.html", heading=heading, findings=findings, beside=beside,
-                   links=links or {}, figures=folder / "figures")  # fmt: skip
+    page = _render(
+        "report.html",
+        heading=heading,
+        findings=findings,
+        beside=beside,
+        links=links or {},
+        figures=folder / "figures",
+    )
     write_aside(folder / "report.html", page.encode())
     for place in filter(Path.is_dir, (folder, *(folder / name for name in FOLDERS))):
         remove_left(place, [path.name for path in place.iterdir()])  # of one that was killed
@@ -166,8 +172,11 @@ def _findings(path: Path) -> dict[str, Any]:
 def _render(template: str, **what: Any) -> str:
     environment = Environment(
         loader=PackageLoader("astray.experiments", ""),
-        autoescape=True, lstrip_blocks=True, trim_blocks=True, undefined=StrictUndefined,
-    )  # fmt: skip
+        autoescape=True,
+        lstrip_blocks=True,
+        trim_blocks=True,
+        undefined=StrictUndefined,
+    )
     environment.filters |= {"embedded": embedded, "columns": columns}
     return environment.get_template(template).render(**what)
 

@@ -16,15 +16,7 @@ from astray.analysis.runs import open_run, play_all
 from astray.experiments import catalogue, labs, report
 from astray.experiments.levels import levels_of
 from astray.experiments.report import COMPUTED
-from astray.experiments.spec import (
-    PUBLISHED,
-    Experiment,
-    Plan,
-    Runs,
-    Size,
-    Work,
-    name_of_run,
-)
+from astray.experiments.spec import PUBLISHED, Experiment, Plan, Runs, Size, Work, name_of_run
 from astray.experiments.track import track_report
 from astray.experiments.workers import Place, train_all
 from astray.files import hold, read, see_free, write_aside
@@ -78,10 +70,14 @@ def reproduce(
     folder.mkdir(parents=True, exist_ok=True)
     given = experiment if isinstance(experiment, str) else name
     heading = report.Heading(
-        name=name, size=size, title=whole.title, reproduces=whole.reproduces,
-        question=whole.question, differences=plan.differences,
+        name=name,
+        size=size,
+        title=whole.title,
+        reproduces=whole.reproduces,
+        question=whole.question,
+        differences=plan.differences,
         command=f"astray reproduce {given} --size {size}" + (f" --art {art}" if ending else ""),
-    )  # fmt: skip
+    )
     with hold(folder, "works on"):
         runs = train_agents(plan, root, workers, on, track)
         work = Work(name, size, plan, folder, note(plan, runs, folder), runs, pl.DataFrame())
@@ -183,8 +179,9 @@ def note(plan: Plan, runs: Runs, folder: Path) -> str:
     }
     text, computed = json.dumps(data, indent=1).encode(), folder / COMPUTED
     if computed.is_symlink():
-        raise OSError(f"{computed} must be a folder of its own; it is a link, to what may not be "
-                      "astray's")  # fmt: skip
+        raise OSError(
+            f"{computed} must be a folder of its own; it is a link, to what may not be astray's"
+        )
     digest = hashlib.sha256(text).hexdigest()[:16]
     for table in computed.glob("*.parquet"):
         found = TABLE.fullmatch(table.name)
@@ -213,8 +210,13 @@ def play(plan: Plan, runs: Runs) -> pl.DataFrame:
     parts = []
     for name, test in plan.tests.items():
         played = play_all(
-            plan.game, test.variant, test.variant_for(plan.config), test.shift,
-            levels_of(plan, test), opened, measures=plan.measures,
-        )  # fmt: skip
+            plan.game,
+            test.variant,
+            test.variant_for(plan.config),
+            test.shift,
+            levels_of(plan, test),
+            opened,
+            measures=plan.measures,
+        )
         parts.append(played.with_columns(test=pl.lit(name)))
     return pl.concat(parts).join(owners, on="run", how="left", maintain_order="left")

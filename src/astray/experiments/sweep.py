@@ -184,8 +184,13 @@ def run_sweep(
 
 def _note(sweep: Sweep, folder: Path) -> None:
     """Note what is swept; a folder may be swept in again, with other values or more seeds."""
-    data = {"base": sweep.base.to_json(), "axes": {k: list(v) for k, v in sweep.axes.items()},
-            "seeds": sweep.seeds, "levels": sweep.levels, "shift": sweep.shift}  # fmt: skip
+    data = {
+        "base": sweep.base.to_json(),
+        "axes": {k: list(v) for k, v in sweep.axes.items()},
+        "seeds": sweep.seeds,
+        "levels": sweep.levels,
+        "shift": sweep.shift,
+    }
     write_aside(folder / SWEPT, json.dumps(data, indent=1).encode())
 
 
@@ -201,18 +206,26 @@ def _episodes(
     shift = sweep.shift or shift_of(config)
     between = load_shift(config.find_game(), shift)
     numbers = np.array(config.unseen_levels[: sweep.levels])
-    digest = hashlib.sha256(repr([
-        shift, sweep.levels, config.to_json(), [agent_digest(run) for run in runs],
-        source_digest(COMPUTING),
-    ]).encode()).hexdigest()[:16]  # fmt: skip
+    digest = hashlib.sha256(
+        repr(
+            [
+                shift,
+                sweep.levels,
+                config.to_json(),
+                [agent_digest(run) for run in runs],
+                source_digest(COMPUTING),
+            ]
+        ).encode()
+    ).hexdigest()[:16]
 
     def play() -> pl.DataFrame:
         opened: list[Agent] = [open_run(run)[0] for run in runs]
         played = [
-            play_all(config.find_game(), name, tested_variant(config, name), shift, numbers, opened)
-            .with_columns(test=pl.lit(test))
+            play_all(
+                config.find_game(), name, tested_variant(config, name), shift, numbers, opened
+            ).with_columns(test=pl.lit(test))
             for test, name in ((TRAINING, config.variant), (TEST, between.test))
-        ]  # fmt: skip
+        ]
         return pl.concat(played)
 
     table = kept(folder, digest, play)
@@ -232,12 +245,14 @@ def _heading(sweep: Sweep, folder: Path) -> Heading:
         for name, values in sweep.axes.items()
     )
     return Heading(
-        name=folder.name, size=f"{sweep.seeds} seeds",
+        name=folder.name,
+        size=f"{sweep.seeds} seeds",
         title=f"A sweep of {config.game} {config.variant}",
-        reproduces="nothing", differences="",
+        reproduces="nothing",
+        differences="",
         question=f"What do agents pursue, by {' and '.join(sweep.axes)}?",
         command=f"astray sweep {config.game} {config.variant} {sets} --seeds {sweep.seeds}",
-    )  # fmt: skip
+    )
 
 
 def _findings(sweep: Sweep, episodes: pl.DataFrame, table: pl.DataFrame) -> Findings:
@@ -266,15 +281,18 @@ def _plots(sweep: Sweep, episodes: pl.DataFrame) -> Iterator[Plot]:
     several = [name for name, values in sweep.axes.items() if len(values) > 1]
     pairs = list(itertools.combinations(several, 2)) or [tuple(several or sweep.axes)[:1]]
     for pair in pairs:
-        data = pl.DataFrame([
-            dict(zip(pair, key, strict=True)) | {"what": what}
-            | vars(bootstrap(matrix(part, pl.col("outcome") == outcome)))
-            for what, test, outcome in (
-                (f"{INTENDED}, {TRAINING}", TRAINING, INTENDED),
-                (f"{MISGENERALIZED}, {TEST}", TEST, MISGENERALIZED),
-            )
-            for key, part in mine.filter(test=test).group_by(pair, maintain_order=True)
-        ])  # fmt: skip
+        data = pl.DataFrame(
+            [
+                dict(zip(pair, key, strict=True))
+                | {"what": what}
+                | vars(bootstrap(matrix(part, pl.col("outcome") == outcome)))
+                for what, test, outcome in (
+                    (f"{INTENDED}, {TRAINING}", TRAINING, INTENDED),
+                    (f"{MISGENERALIZED}, {TEST}", TEST, MISGENERALIZED),
+                )
+                for key, part in mine.filter(test=test).group_by(pair, maintain_order=True)
+            ]
+        )
         name = "-".join(one.replace(".", "-").replace("_", "-") for one in pair)
         others = [one for one in several if one not in pair]
         caption = f"What agents do, by {' and '.join(pair)}; shares of episodes"

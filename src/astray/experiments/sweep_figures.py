@@ -49,8 +49,15 @@ def _cells(axes: Axes, panel: pl.DataFrame, across: tuple[str, list], up: tuple[
         y, x = up[1].index(row[up[0]]), across[1].index(row[across[0]])
         shares[y, x] = row["mean"]
         axes.text(x, y, f"{100 * row['mean']:.0f} %", ha="center", va="bottom", color=INK)
-        axes.text(x, y + 0.08, f"{100 * row['low']:.0f} to {100 * row['high']:.0f}", ha="center",
-                  va="top", color=INK, fontsize=7.5)  # fmt: skip
+        axes.text(
+            x,
+            y + 0.08,
+            f"{100 * row['low']:.0f} to {100 * row['high']:.0f}",
+            ha="center",
+            va="top",
+            color=INK,
+            fontsize=7.5,
+        )
     axes.imshow(shares, cmap=shades, vmin=0, vmax=1, aspect="auto")
     axes.set_title(what, fontsize=9.5)
     axes.set_xticks(range(len(across[1])), [f"{x}" for x in across[1]])
@@ -77,9 +84,15 @@ def line(data: pl.DataFrame, across: str) -> Figure:
         ends = np.array([[rows[x]["low"], rows[x]["high"]] for x in xs]).T
         what = panel["what"][0]
         axes.errorbar(
-            range(len(xs)), means, np.abs(ends - means), color=_colour(what), label=what,
-            marker="o", linewidth=2, capsize=3,
-        )  # fmt: skip
+            range(len(xs)),
+            means,
+            np.abs(ends - means),
+            color=_colour(what),
+            label=what,
+            marker="o",
+            linewidth=2,
+            capsize=3,
+        )
     axes.set_xticks(range(len(xs)), [f"{x}" for x in xs])
     axes.set_xlabel(across)
     axes.set_xlim(-0.3, len(xs) - 0.7)

@@ -132,8 +132,11 @@ def watch(running: Mapping[Path, Future], configs: Mapping[Path, Config]) -> Non
                 done = sum(training.steps for training in trainings)
                 whole = sum(training.whole for training in trainings)
                 ended = sum(future.done() for future in running.values())
-                print(f"{done:,} of {whole:,} steps, {ended} of {len(running)} agents trained",
-                      file=sys.stderr, flush=True)  # fmt: skip
+                print(
+                    f"{done:,} of {whole:,} steps, {ended} of {len(running)} agents trained",
+                    file=sys.stderr,
+                    flush=True,
+                )
     for future in running.values():
         future.result()
 
@@ -183,8 +186,10 @@ def _table(trainings: Sequence[Progress]) -> Table:
             table.add_row(
                 f"{one.config.game} {one.config.variant}, seed {one.config.seed}",
                 f"{one.steps / one.whole:.0%} of {one.whole / 1e6:.1f} M steps",
-                f"{speed:,.0f}" if speed else "", f"{one.recent:.2f}", left,
-            )  # fmt: skip
+                f"{speed:,.0f}" if speed else "",
+                f"{one.recent:.2f}",
+                left,
+            )
     waiting = sum(one.steps == 0 for one in trainings)
     ended = sum(one.steps == one.whole for one in trainings)
     table.caption = f"{ended} agents are trained, {waiting} wait"

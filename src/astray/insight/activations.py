@@ -84,8 +84,9 @@ def layers(agent: Agent) -> dict[str, tuple[int, ...]]:
                 stack.callback(hook.remove)
         with torch.no_grad():
             # Two, so that a layer is told whose rows are no observations.
-            agent.network(torch.zeros((2, *agent.architecture.shape), dtype=torch.uint8,
-                                      device=agent.device))  # fmt: skip
+            agent.network(
+                torch.zeros((2, *agent.architecture.shape), dtype=torch.uint8, device=agent.device)
+            )
     return {
         name: tuple(outputs[0].shape[1:])
         for name, outputs in calls.items()
@@ -174,9 +175,12 @@ def _labels(states: np.ndarray, measures: Mapping[str, Measure] | None) -> pl.Da
 
 
 def _fill(
-    values: Mapping[str, np.ndarray], agent: Agent, variant: str | Variant, states: np.ndarray,
+    values: Mapping[str, np.ndarray],
+    agent: Agent,
+    variant: str | Variant,
+    states: np.ndarray,
     batch: int,
-) -> None:  # fmt: skip
+) -> None:
     """Write into `values` what each layer gives in `states`."""
     for first in range(0, len(states), batch):
         part = slice(first, first + batch)
@@ -186,9 +190,14 @@ def _fill(
 
 
 def _capture_aside(
-    agent: Agent, variant: str | Variant, states: np.ndarray,
-    shapes: Mapping[str, tuple[int, ...]], labels: pl.DataFrame, folder: Path, batch: int,
-) -> Activations:  # fmt: skip
+    agent: Agent,
+    variant: str | Variant,
+    states: np.ndarray,
+    shapes: Mapping[str, tuple[int, ...]],
+    labels: pl.DataFrame,
+    folder: Path,
+    batch: int,
+) -> Activations:
     """`capture` to a folder, which is there whole or not at all."""
     folder = Path(folder)
     if os.path.lexists(folder):

@@ -98,9 +98,12 @@ def occlusion(
     maps = []
     for x in torch.from_numpy(observations).split(CHUNK):
         fallen = method.attribute(
-            x.float().to(agent.device), shape, strides=shape, baselines=colour if image else 0,
+            x.float().to(agent.device),
+            shape,
+            strides=shape,
+            baselines=colour if image else 0,
             perturbations_per_eval=max(1, CHUNK // len(x)),
-        )  # fmt: skip
+        )
         maps.append(fallen.double().numpy(force=True))
     return np.concatenate(maps).mean(3) if image else np.concatenate(maps)
 

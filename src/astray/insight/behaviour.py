@@ -75,8 +75,9 @@ class Prediction:
     features: pl.DataFrame
 
 
-def predict(rows: pl.DataFrame, outcome: str, features: Sequence[str], *, seed: int = 0
-            ) -> Prediction:  # fmt: skip
+def predict(
+    rows: pl.DataFrame, outcome: str, features: Sequence[str], *, seed: int = 0
+) -> Prediction:
     """Regress an outcome on features: logistic, with an L1 penalty chosen by cross-validation.
 
     rows     a row for each level, with the columns `outcome` (boolean) and `features` (reals);
@@ -89,13 +90,17 @@ def predict(rows: pl.DataFrame, outcome: str, features: Sequence[str], *, seed: 
         of_kind("the name of a column", name, str)
     missing = {outcome, *features} - set(rows.columns)
     if missing or not features:
-        raise ValueError(f"no column {', '.join(sorted(missing)) or 'is named'}; there are: "
-                         f"{', '.join(rows.columns)}")  # fmt: skip
+        raise ValueError(
+            f"no column {', '.join(sorted(missing)) or 'is named'}; there are: "
+            f"{', '.join(rows.columns)}"
+        )
     known = rows.select(outcome, *features).drop_nulls()
     x, y = known.select(features).to_numpy(), known[outcome].cast(pl.Int64).to_numpy()
     if len(y) < 2 * FOLDS or min(y.sum(), len(y) - y.sum()) < FOLDS:
-        raise ValueError(f"{outcome} must be true in {FOLDS} levels and false in {FOLDS}; "
-                         f"it is true in {y.sum()} of {len(y)}")  # fmt: skip
+        raise ValueError(
+            f"{outcome} must be true in {FOLDS} levels and false in {FOLDS}; "
+            f"it is true in {y.sum()} of {len(y)}"
+        )
     deviation = x.std(0)
     if not deviation.all():
         flat = [name for name, d in zip(features, deviation, strict=True) if not d]
@@ -111,20 +116,28 @@ def predict(rows: pl.DataFrame, outcome: str, features: Sequence[str], *, seed: 
 
     every, all_rows = np.arange(len(features)), np.arange(len(y))
     whole = coefficients(all_rows, every)
-    again = np.array([coefficients(random.integers(len(y), size=len(y)), every)
-                      for _ in range(RESAMPLES)])  # fmt: skip
+    again = np.array(
+        [coefficients(random.integers(len(y), size=len(y)), every) for _ in range(RESAMPLES)]
+    )
     low, high = np.quantile(again, [0.025, 0.975], axis=0)
     return Prediction(
         levels=len(y),
         accuracy=bootstrap((chances > 0.5) == y, seed=seed),
         always=float(max(y.mean(), 1 - y.mean())),
         auc=_area(y, chances, roc_auc_score, random),
-        features=pl.DataFrame({
-            "feature": list(features), "coefficient": whole, "low": low, "high": high,
-            "vif": variance_inflation(x), "sign": _signs(coefficients, all_rows, whole, random),
-            "alone": [_alone(x[:, k], y, roc_auc_score) for k in every], "deviation": deviation,
-        }),
-    )  # fmt: skip
+        features=pl.DataFrame(
+            {
+                "feature": list(features),
+                "coefficient": whole,
+                "low": low,
+                "high": high,
+                "vif": variance_inflation(x),
+                "sign": _signs(coefficients, all_rows, whole, random),
+                "alone": [_alone(x[:, k], y, roc_auc_score) for k in every],
+                "deviation": deviation,
+            }
+        ),
+    )
 
 
 def variance_inflation(x: np.ndarray) -> np.ndarray:
@@ -163,8 +176,9 @@ def _alone(x: np.ndarray, y: np.ndarray, auc: Any) -> float:
     return max(found, 1 - found)
 
 
-def _signs(coefficients: Any, rows: np.ndarray, whole: np.ndarray, random: np.random.Generator
-           ) -> list[float | None]:  # fmt: skip
+def _signs(
+    coefficients: Any, rows: np.ndarray, whole: np.ndarray, random: np.random.Generator
+) -> list[float | None]:
     """For each feature the share of random subsets with it in which its sign is that of `whole`.
 
     None where it is 0 in the whole.
@@ -184,8 +198,9 @@ def _signs(coefficients: Any, rows: np.ndarray, whole: np.ndarray, random: np.ra
     ]
 
 
-def _left_out(x: np.ndarray, y: np.ndarray, fold: np.ndarray, strength: float, model: Any
-              ) -> tuple[np.ndarray, float]:  # fmt: skip
+def _left_out(
+    x: np.ndarray, y: np.ndarray, fold: np.ndarray, strength: float, model: Any
+) -> tuple[np.ndarray, float]:
     """The chance of the outcome in each level by a fit without its fold; mean log likelihood."""
     chances = np.empty(len(y))
     for k in range(FOLDS):

@@ -88,13 +88,18 @@ def along(
     known = {name: column for name, column in known.items() if name not in odd}
     one = {axis: before[axis] for axis in "xy" if axis in (before.dtype.names or ())}
     table = pl.DataFrame(
-        {"step": before["time"]} | one
-        | {"value": value[:-1], "reward": rewards,
-           "advantage": _advantages(rewards, value, bool(last.terminated[0]), gamma, lam),
-           "action": actions, "name": [game.actions[k] for k in actions]}
+        {"step": before["time"]}
+        | one
+        | {
+            "value": value[:-1],
+            "reward": rewards,
+            "advantage": _advantages(rewards, value, bool(last.terminated[0]), gamma, lam),
+            "action": actions,
+            "name": [game.actions[k] for k in actions],
+        }
         | known
         | {name: policy[:-1, k] for k, name in enumerate(game.actions)}
-    )  # fmt: skip
+    )
     final = last.after[0]
     events = {e: int(final[e]) if final[e] >= 0 else None for e in game.events}
     return Course(table, before, events, tuple(known), tuple(game.actions))
@@ -113,9 +118,14 @@ def _advantages(
     cut = torch.zeros_like(ends)
     cut[-1] = not terminated
     found = ppo.advantages(
-        torch.from_numpy(rewards)[:, None], torch.from_numpy(value[:-1])[:, None],
-        torch.from_numpy(value[1:])[:, None], ends, cut, gamma, lam,
-    )  # fmt: skip
+        torch.from_numpy(rewards)[:, None],
+        torch.from_numpy(value[:-1])[:, None],
+        torch.from_numpy(value[1:])[:, None],
+        ends,
+        cut,
+        gamma,
+        lam,
+    )
     return found[:, 0].numpy()
 
 
@@ -130,8 +140,9 @@ def figure(course: Course) -> Figure:
     step = table["step"].to_numpy()
     value.plot(step, table["value"], color=OTHERS[0], linewidth=1.8)
     value.set_title("value")
-    advantage.bar(step, table["advantage"], 1.0,
-                  color=np.where(table["advantage"] >= 0, OTHERS[0], OTHERS[1]))  # fmt: skip
+    advantage.bar(
+        step, table["advantage"], 1.0, color=np.where(table["advantage"] >= 0, OTHERS[0], OTHERS[1])
+    )
     advantage.axhline(0, color=INK, linewidth=0.8)
     advantage.set_title("advantage of the action taken")
     _policy(policy, table, course.actions)
@@ -147,9 +158,17 @@ def figure(course: Course) -> Figure:
         if when is not None:
             for axes in (value, advantage, policy, view):
                 axes.axvline(when, color=INK, linestyle=":", linewidth=1)
-            value.annotate(name.replace("_", " "), (when, 1.0), (-3, -2), ha="right", va="top",
-                           xycoords=("data", "axes fraction"), textcoords="offset points",
-                           fontsize=8.5, rotation=90)  # fmt: skip
+            value.annotate(
+                name.replace("_", " "),
+                (when, 1.0),
+                (-3, -2),
+                ha="right",
+                va="top",
+                xycoords=("data", "axes fraction"),
+                textcoords="offset points",
+                fontsize=8.5,
+                rotation=90,
+            )
     value.set_xlim(step[0], step[-1] + 1)
     return shown
 
@@ -161,8 +180,13 @@ def _policy(axes: Axes, table: pl.DataFrame, names: Sequence[str]) -> None:
     order = [k for k in order if chances[k].mean() >= LIKELY]
     bands = [chances[k] for k in order] + [1 - sum(chances[k] for k in order)]
     colours = [*[*OTHERS, "#4c9f8a"][: len(order)], FAINT]
-    axes.stackplot(table["step"], *bands, labels=[*(str(names[k]) for k in order), "others"],
-                   colors=colours, step="post")  # fmt: skip
+    axes.stackplot(
+        table["step"],
+        *bands,
+        labels=[*(str(names[k]) for k in order), "others"],
+        colors=colours,
+        step="post",
+    )
     axes.set_ylim(0, 1)
     axes.set_title("policy")
     axes.legend(loc="upper left", bbox_to_anchor=(1, 1.05), fontsize=8.5)

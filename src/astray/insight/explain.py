@@ -96,13 +96,19 @@ def explain(asked: Asked, folder: Path, heading: str) -> Path:
         if part.table is not None:
             write_table(part.table, folder / f"{part.name}.parquet")
     environment = Environment(
-        loader=PackageLoader("astray.insight", ""), autoescape=True, lstrip_blocks=True,
-        trim_blocks=True, undefined=StrictUndefined,
-    )  # fmt: skip
+        loader=PackageLoader("astray.insight", ""),
+        autoescape=True,
+        lstrip_blocks=True,
+        trim_blocks=True,
+        undefined=StrictUndefined,
+    )
     html = environment.get_template("page.html").render(
-        heading=heading, parts=parts, images={p.name: _embedded(folder, p) for p in parts},
-        drawing=str(asked.level), rows=_cells,
-    )  # fmt: skip
+        heading=heading,
+        parts=parts,
+        images={p.name: _embedded(folder, p) for p in parts},
+        drawing=str(asked.level),
+        rows=_cells,
+    )
     write_aside(folder / PAGE, html.encode())
     return folder / PAGE
 
@@ -138,14 +144,22 @@ def _fields(asked: Asked) -> list[Part]:
     said = ", ".join(f"{asked.level.game.actions[k]} {found.policy[begin, k]:.2f}" for k in order)
     art = asked.agent.art
     return [
-        Part("field", "Where it would go",
-             f"At the beginning the value is {found.value[begin]:.2f}, and the likeliest actions "
-             f"are {said}. An arrow is the step to be expected in that place.",
-             field_figures.draw({"policy and value": found}, art=art), found.table()),
-        Part("paths", "Which ways it takes to", "The geometric mean of the probabilities of the "
-             "steps of the shortest way from the beginning to each cell.",
-             field_figures.draw_paths({"from the beginning": found}, art=art)),
-    ]  # fmt: skip
+        Part(
+            "field",
+            "Where it would go",
+            f"At the beginning the value is {found.value[begin]:.2f}, and the likeliest actions "
+            f"are {said}. An arrow is the step to be expected in that place.",
+            field_figures.draw({"policy and value": found}, art=art),
+            found.table(),
+        ),
+        Part(
+            "paths",
+            "Which ways it takes to",
+            "The geometric mean of the probabilities of the "
+            "steps of the shortest way from the beginning to each cell.",
+            field_figures.draw_paths({"from the beginning": found}, art=art),
+        ),
+    ]
 
 
 def _edits(asked: Asked) -> list[Part]:
@@ -160,12 +174,18 @@ def _edits(asked: Asked) -> list[Part]:
         (without,) = fields(agent, asked.variant, {"level": level.removed(name, where[0])})
         change = difference(plain, without)
         parts.append(
-            Part(f"without-{slug(name)}", f"Without the {name} at {where[0]}",
-                 f"On the mean over places the value changes by {change.value.mean():+.2f}, and "
-                 f"{100 * change.policy.mean():.0f} % of the policy moves to other actions.",
-                 field_figures.draw({"as it is": plain, f"without the {name}": without,
-                                     "change": change}, art=agent.art), change.table())
-        )  # fmt: skip
+            Part(
+                f"without-{slug(name)}",
+                f"Without the {name} at {where[0]}",
+                f"On the mean over places the value changes by {change.value.mean():+.2f}, and "
+                f"{100 * change.policy.mean():.0f} % of the policy moves to other actions.",
+                field_figures.draw(
+                    {"as it is": plain, f"without the {name}": without, "change": change},
+                    art=agent.art,
+                ),
+                change.table(),
+            )
+        )
         if len(where) == 1:
             parts.append(_moved(asked, name))
     if not parts:
@@ -194,10 +214,14 @@ def _moved(asked: Asked, name: str) -> Part:
     )
     figure.colorbar(shaded, ax=axes, shrink=0.82, label="intended goal first")
     told = ", ".join(f"{outcome} in {count}" for outcome, count in counts.most_common())
-    return Part(f"moved-{slug(name)}", f"With the {name} anywhere else",
-                f"An episode for each of {len(family)} places: {told}. A cell is bright where "
-                f"the agent reaches the intended goal first if the {name} lies there.",
-                figure, played.select("name", "outcome", "return", "length"))  # fmt: skip
+    return Part(
+        f"moved-{slug(name)}",
+        f"With the {name} anywhere else",
+        f"An episode for each of {len(family)} places: {told}. A cell is bright where "
+        f"the agent reaches the intended goal first if the {name} lies there.",
+        figure,
+        played.select("name", "outcome", "return", "length"),
+    )
 
 
 @matplotlib.rc_context(STYLE)
@@ -220,9 +244,15 @@ def _attribution(asked: Asked) -> list[Part]:
         axes.set_xticks([])
         axes.set_yticks([])
     _, (value,) = judge(agent, shown)
-    return [Part("attribution", "What the value depends on",
-                 f"Integrated gradients of the value, {value:.2f}, from an empty observation: blue "
-                 "raises it, red lowers it.", figure)]  # fmt: skip
+    return [
+        Part(
+            "attribution",
+            "What the value depends on",
+            f"Integrated gradients of the value, {value:.2f}, from an empty observation: blue "
+            "raises it, red lowers it.",
+            figure,
+        )
+    ]
 
 
 def _probes(asked: Asked) -> list[Part]:
@@ -233,11 +263,17 @@ def _probes(asked: Asked) -> list[Part]:
     _, states = visit(asked.agent, asked.variant, asked.others, per_episode=4)
     here = np.array([asked.level.state(solvable=False)], game.state)
     table = probes.read(asked.agent, asked.variant, states, here, asked.layers, game.labels)
-    return [Part("probes", "What its layers tell",
-                 f"Linear probes of {', '.join(asked.layers)}, fitted in {len(asked.others)} other "
-                 "levels. Read is what they say of the beginning of this one; score is how well "
-                 "they read levels that they were not fitted on (balanced accuracy, or R squared).",
-                 None, table)]  # fmt: skip
+    return [
+        Part(
+            "probes",
+            "What its layers tell",
+            f"Linear probes of {', '.join(asked.layers)}, fitted in {len(asked.others)} other "
+            "levels. Read is what they say of the beginning of this one; score is how well "
+            "they read levels that they were not fitted on (balanced accuracy, or R squared).",
+            None,
+            table,
+        )
+    ]
 
 
 def _goals(asked: Asked) -> list[Part]:
@@ -251,14 +287,23 @@ def _goals(asked: Asked) -> list[Part]:
         raise ValueError("the level does not have all the goals")
     found = agency.judge(played)
     row = found.episodes.row(0, named=True)
-    table = pl.DataFrame({
-        "explanation": list(found.explanations),
-        "posterior": [float(row[f"p {name}"]) for name in found.explanations],
-    })  # fmt: skip
-    return [Part("goals", "What it is after",
-                 "The posterior over what its episode here is explained by: a goal with a name, "
-                 "another cell, or no goal at all (a device). One episode says little; `astray "
-                 "agency` weighs many.", None, table)]  # fmt: skip
+    table = pl.DataFrame(
+        {
+            "explanation": list(found.explanations),
+            "posterior": [float(row[f"p {name}"]) for name in found.explanations],
+        }
+    )
+    return [
+        Part(
+            "goals",
+            "What it is after",
+            "The posterior over what its episode here is explained by: a goal with a name, "
+            "another cell, or no goal at all (a device). One episode says little; `astray "
+            "agency` weighs many.",
+            None,
+            table,
+        )
+    ]
 
 
 def _episode(asked: Asked) -> list[Part]:

@@ -48,8 +48,9 @@ def draw(panels: Mapping[str, Field | Change], *, art: str = OWN) -> Figure:
             shaded = _shade(axes, one.level, one.cells, one.value, scale, VALUES)
         else:
             most = max(abs(one.value).max(), LEAST_CHANGE)
-            shaded = _shade(axes, one.level, one.cells, one.value,
-                            TwoSlopeNorm(0, -most, most), CHANGES)  # fmt: skip
+            shaded = _shade(
+                axes, one.level, one.cells, one.value, TwoSlopeNorm(0, -most, most), CHANGES
+            )
         _arrows(axes, one.cells, one.arrows)
         axes.set_title(title)
         label = "value" if isinstance(one, Field) else "change of value"
@@ -66,15 +67,28 @@ def draw_paths(panels: Mapping[str, Field], *, art: str = OWN) -> Figure:
     for axes, (title, one) in zip(row, panels.items(), strict=True):
         _background(axes, one.level, art)
         ways = one.path_probability()
-        shaded = _shade(axes, one.level, np.array(list(ways)), np.array(list(ways.values())),
-                        Normalize(0, 1), PATHS)  # fmt: skip
+        shaded = _shade(
+            axes,
+            one.level,
+            np.array(list(ways)),
+            np.array(list(ways.values())),
+            Normalize(0, 1),
+            PATHS,
+        )
         axes.set_title(title)
         figure.colorbar(shaded, ax=axes, shrink=0.82, label="path probability", pad=0.02)
     return figure
 
 
-def heat_map(axes: Axes, level: Level, heat: Mapping[Any, float], *, art: str = OWN,
-             scale: Normalize | None = None, colours: str = PATHS) -> Any:  # fmt: skip
+def heat_map(
+    axes: Axes,
+    level: Level,
+    heat: Mapping[Any, float],
+    *,
+    art: str = OWN,
+    scale: Normalize | None = None,
+    colours: str = PATHS,
+) -> Any:
     """Colour cells of a level by numbers; what `Figure.colorbar` takes."""
     _background(axes, level, art)
     cells, values = np.array(list(heat)), np.array(list(heat.values()))
@@ -95,8 +109,14 @@ def _background(axes: Axes, level: Level, art: str) -> None:
         legend = level.game.editing.LEGEND
         free = [legend[EMPTY], *(legend[char] for char in level.game.editing.OBJECTS.values())]
         height, width = level.cells.shape
-        axes.imshow(np.where(np.isin(level.cells, free), 1.0, 0.75), extent=(0, width, 0, height),
-                    origin="lower", cmap="gray", vmin=0, vmax=1)  # fmt: skip
+        axes.imshow(
+            np.where(np.isin(level.cells, free), 1.0, 0.75),
+            extent=(0, width, 0, height),
+            origin="lower",
+            cmap="gray",
+            vmin=0,
+            vmax=1,
+        )
         _bare(axes)
         return
     state = np.array([level.state(solvable=False)], level.game.state)
@@ -113,8 +133,9 @@ def _bare(axes: Axes) -> None:
     axes.spines[["left", "bottom"]].set_visible(False)
 
 
-def _shade(axes: Axes, level: Level, cells: np.ndarray, values: np.ndarray, scale: Normalize,
-           colours: str) -> Any:  # fmt: skip
+def _shade(
+    axes: Axes, level: Level, cells: np.ndarray, values: np.ndarray, scale: Normalize, colours: str
+) -> Any:
     height, width = level.cells.shape
     grid = np.full((height, width), np.nan)
     grid[cells[:, 1], cells[:, 0]] = values
@@ -129,6 +150,20 @@ def _shade(axes: Axes, level: Level, cells: np.ndarray, values: np.ndarray, scal
 
 def _arrows(axes: Axes, cells: np.ndarray, arrows: np.ndarray) -> None:
     x, y = (cells + 0.5).T - 0.45 * arrows.T
-    axes.quiver(x, y, *(0.9 * arrows.T), angles="xy", scale_units="xy", scale=1, color=INK,
-                pivot="tail", units="x", width=0.09, headwidth=3.2, headlength=3.2,
-                headaxislength=3, edgecolor="white", linewidth=0.4)  # fmt: skip
+    axes.quiver(
+        x,
+        y,
+        *(0.9 * arrows.T),
+        angles="xy",
+        scale_units="xy",
+        scale=1,
+        color=INK,
+        pivot="tail",
+        units="x",
+        width=0.09,
+        headwidth=3.2,
+        headlength=3.2,
+        headaxislength=3,
+        edgecolor="white",
+        linewidth=0.4,
+    )

@@ -76,10 +76,12 @@ class Places:
     def advancing(self, to: Cell) -> np.ndarray:
         """[K, A] bool, the actions that are a step of a shortest way to the cell `to`."""
         away = self.distances(to)
-        return np.array([
-            [away.get(there, -1) == away.get(here, 0) - 1 for there in ways]
-            for here, ways in zip(self.number, self.leads, strict=True)
-        ])  # fmt: skip
+        return np.array(
+            [
+                [away.get(there, -1) == away.get(here, 0) - 1 for there in ways]
+                for here, ways in zip(self.number, self.leads, strict=True)
+            ]
+        )
 
     def way(self, to: Cell, start: Cell | None = None) -> list[Cell]:
         """The cells of a shortest way, from `start` on to `to`; empty where there is none.
@@ -219,10 +221,12 @@ def difference(one: Field, other: Field) -> Change:
         raise ValueError("fields must have places in common; these have none")
     first, second = np.array(both).T
     return Change(
-        other.level, other.cells[second], other.value[second] - one.value[first],
+        other.level,
+        other.cells[second],
+        other.value[second] - one.value[first],
         other.arrows[second] - one.arrows[first],
         abs(other.policy[second] - one.policy[first]).sum(1) / 2,
-    )  # fmt: skip
+    )
 
 
 def splay(level: Level) -> np.ndarray:

@@ -194,8 +194,15 @@ def read(
             score = fit(x, y[known], split(levels, 0), 0)
             model, varies = _fitted(x, y[known], 0)
             told = model.predict(shown[layer].reshape(1, -1)[:, varies])[0]
-            rows.append({"label": label, "layer": layer, "read": float(told),
-                         "true": float(true[0]) if has else None, "score": score})  # fmt: skip
+            rows.append(
+                {
+                    "label": label,
+                    "layer": layer,
+                    "read": float(told),
+                    "true": float(true[0]) if has else None,
+                    "score": score,
+                }
+            )
     if not rows:
         raise ValueError("no label has two classes, or numbers, in enough of these states")
     return pl.DataFrame(rows)

@@ -94,18 +94,28 @@ def following(
         x, y = given - given.mean(0), np.broadcast_to((is_at - is_at.mean(0))[:, None], given.shape)
         axes = (0, 2, 3)
         there = (given * is_at[:, None]).sum(axes)
-        sums += [x.sum(axes), y.sum(axes), (x * x).sum(axes), (y * y).sum(axes),
-                 (x * y).sum(axes), there]  # fmt: skip
+        sums += [
+            x.sum(axes),
+            y.sum(axes),
+            (x * x).sum(axes),
+            (y * y).sum(axes),
+            (x * y).sum(axes),
+            there,
+        ]
         elsewhere += given.sum(axes) - there
         count, seen = count + is_at.size, seen + len(family)
     if not seen:
         raise ValueError(f"no level has a {name} that can be elsewhere")
     _, _, xx, yy, xy, there = sums  # the sums of x and of y are 0
     correlation = xy / np.sqrt(np.maximum(xx * yy, np.finfo(float).tiny))
-    return pl.DataFrame({
-        "channel": np.arange(shape[0]), "correlation": correlation, "there": there / seen,
-        "elsewhere": elsewhere / (count - seen),
-    }).sort(pl.col("correlation").abs(), descending=True)  # fmt: skip
+    return pl.DataFrame(
+        {
+            "channel": np.arange(shape[0]),
+            "correlation": correlation,
+            "there": there / seen,
+            "elsewhere": elsewhere / (count - seen),
+        }
+    ).sort(pl.col("correlation").abs(), descending=True)
 
 
 def _family(level: Level, name: str, count: int, random: np.random.Generator) -> list[Level]:
@@ -166,9 +176,14 @@ def retarget(
 
 
 def _paths(
-    agent: Agent, around: Places, way: list[Cell], clamp: Clamp, shape: tuple[int, ...], name: str,
+    agent: Agent,
+    around: Places,
+    way: list[Cell],
+    clamp: Clamp,
+    shape: tuple[int, ...],
+    name: str,
     how: Sequence[str],
-) -> Iterator[tuple[str, float]]:  # fmt: skip
+) -> Iterator[tuple[str, float]]:
     """How the agent takes to a way, sent along it in each of some WAYS."""
     level = around.level
     gone = level.removed(name)
@@ -189,8 +204,11 @@ def path_along(agent: Agent, level: Level, way: list[Cell], around: Places) -> f
     """
     policy, _ = judge(agent, observe(agent, level.variant, states_at(level, way[:-1])))
     chances = [
-        sum(p for p, leads in zip(some, around.leads[around.number[here]], strict=True)
-            if leads == there)
+        sum(
+            p
+            for p, leads in zip(some, around.leads[around.number[here]], strict=True)
+            if leads == there
+        )
         for some, here, there in zip(policy, way[:-1], way[1:], strict=True)
-    ]  # fmt: skip
+    ]
     return float(np.exp(np.log(np.maximum(chances, np.finfo(float).tiny)).mean()))

@@ -132,9 +132,13 @@ def corner_vectors(
 
 
 def edit_vectors(
-    agent: Agent, variant: str | Variant, levels: Levels, layer: str, edit: Edit,
+    agent: Agent,
+    variant: str | Variant,
+    levels: Levels,
+    layer: str,
+    edit: Edit,
     first: Edit | None = None,
-) -> Vectors:  # fmt: skip
+) -> Vectors:
     """Each level as it is (or as `first` makes it) less as `edit` makes it, where it begins."""
     of_kind("agent", agent, Agent)
     for function in (edit, first):
@@ -248,17 +252,23 @@ def effects(
                 policy, value = judge(agent, observations)
             chance = (policy * advancing).sum(1)
             n = len(some)
-            rows.append({
-                "level": k, "condition": name, "towards": chance[:n].mean(), "start": chance[0],
-                "at": None if extra is None else chance[n], "value": value[:n].mean(), "places": n,
-            })  # fmt: skip
+            rows.append(
+                {
+                    "level": k,
+                    "condition": name,
+                    "towards": chance[:n].mean(),
+                    "start": chance[0],
+                    "at": None if extra is None else chance[n],
+                    "value": value[:n].mean(),
+                    "places": n,
+                }
+            )
     if not rows:
         raise ValueError(f"no level has a cell of the goal {goal!r} away from its beginning")
     return pl.DataFrame(rows, schema_overrides={"at": pl.Float64})
 
 
-def _some(around: Places, to: Cell, count: int, random: np.random.Generator
-          ) -> list[Cell]:  # fmt: skip
+def _some(around: Places, to: Cell, count: int, random: np.random.Generator) -> list[Cell]:
     """The beginning of a level and some other of its places from which there is a way."""
     away = around.distances(to)
     others = [c for c in around.number if away.get(c, 0) > 0 and c != around.level.agent]
@@ -266,8 +276,9 @@ def _some(around: Places, to: Cell, count: int, random: np.random.Generator
     return [around.level.agent, *(others[k] for k in sorted(drawn_at))]
 
 
-def _seen(agent: Agent, variant: Variant, level: Level, cells: Sequence[Cell],
-          to: Cell) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
+def _seen(
+    agent: Agent, variant: Variant, level: Level, cells: Sequence[Cell], to: Cell
+) -> tuple[np.ndarray, np.ndarray]:
     """What is seen at some places of a level, and which actions lead from there to a cell."""
     (around,), (states,) = places_of([level])
     which = [around.number[cell] for cell in cells]

@@ -116,8 +116,9 @@ def outdated(folder: Path) -> list[Path]:
         if code and guest:
             of = files.setdefault(f"{path.parent} {guest['name']} {guest['rest']}", {})
             of.setdefault(code["function"], []).append(path)
-    return [path for of in files.values() for old in sorted(of.values(), key=_last)[:-1]
-            for path in old]  # fmt: skip
+    return [
+        path for of in files.values() for old in sorted(of.values(), key=_last)[:-1] for path in old
+    ]
 
 
 def _last(files: list[Path]) -> int:

@@ -113,10 +113,14 @@ def _write_data(lab: Lab, folder: Path, levels: int, agents: list[str]) -> None:
         told["variants"] = [v for v in told["variants"] if v in found[told["game"]]["variants"]]
         _write_agent(*lab.minds.open(name), called[name], told, folder, levels)
     index = {
-        "format": FORMAT, "engine": "static", "note": NOTE, "games": found, "agents": about,
+        "format": FORMAT,
+        "engine": "static",
+        "note": NOTE,
+        "games": found,
+        "agents": about,
         "broken": {},
         "start": dict(lab.start) | {"agent": called.get(lab.start.get("agent", ""), "")},
-    }  # fmt: skip
+    }
     _write(folder / "index.json", index)
 
 
@@ -202,11 +206,15 @@ def table(
             policies.append(policy)
             values.append(value)
             rows += len(cells)
-        walls = "\n".join("".join("#" if c == "#" else "." for c in line)
-                          for line in reversed(str(level).split("\n")))  # fmt: skip
+        walls = "\n".join(
+            "".join("#" if c == "#" else "." for c in line)
+            for line in reversed(str(level).split("\n"))
+        )
         levels[str(int(s.level))] = {
-            "walls": walls, "places": [f"{x},{y}" for x, y in cells], "goals": goals,
-        }  # fmt: skip
+            "walls": walls,
+            "places": [f"{x},{y}" for x, y in cells],
+            "goals": goals,
+        }
     policy, value = np.concatenate(policies), np.concatenate(values)
     low, high = float(value.min()), float(value.max())
     spread = (high - low) or 1.0

@@ -113,8 +113,11 @@ def _knobs(config: Config, game: Game) -> dict[str, dict[str, Any]]:
             own = config.variant_for(name)
         except ValueError:
             continue
-        changed = {knob: getattr(own, knob) for knob in knobs(type(own))
-                   if getattr(own, knob) != getattr(plain, knob)}  # fmt: skip
+        changed = {
+            knob: getattr(own, knob)
+            for knob in knobs(type(own))
+            if getattr(own, knob) != getattr(plain, knob)
+        }
         if changed:
             found[name] = changed
     return found
@@ -167,9 +170,7 @@ def arrows(agent: Agent, world: World, s: Any) -> Iterator[dict[str, Any]]:
     for first in range(0, len(cells), AT_ONCE):
         some = cells[first : first + AT_ONCE]
         policy, value = judge(agent, observe(agent, world.variant, put(world, s, some)))
-        yield {
-            "cells": some, "policy": rounded(policy), "value": rounded(value), "of": len(cells),
-        }  # fmt: skip
+        yield {"cells": some, "policy": rounded(policy), "value": rounded(value), "of": len(cells)}
 
 
 def rounded(numbers: np.ndarray) -> Any:

@@ -84,10 +84,12 @@ def make_app(lab: Lab, token: str, port: int) -> Any:
             return Response("there is nothing here", 404, {"Content-Security-Policy": policy})
         data, kind = served[path]
         headers = {
-            "Cache-Control": "no-store", "Content-Security-Policy": policy,
-            "Cross-Origin-Resource-Policy": "same-origin", "Referrer-Policy": "no-referrer",
+            "Cache-Control": "no-store",
+            "Content-Security-Policy": policy,
+            "Cross-Origin-Resource-Policy": "same-origin",
+            "Referrer-Policy": "no-referrer",
             "X-Content-Type-Options": "nosniff",
-        }  # fmt: skip
+        }
         return Response(data, media_type=kind, headers=headers)
 
     async def socket(page: Any) -> None:
@@ -106,9 +108,7 @@ def make_app(lab: Lab, token: str, port: int) -> Any:
         finally:
             pages.discard(page)
 
-    routes = [
-        WebSocketRoute("/{token}/socket", socket), Route("/{token}/{path:path}", file),
-    ]  # fmt: skip
+    routes = [WebSocketRoute("/{token}/socket", socket), Route("/{token}/{path:path}", file)]
     return Starlette(routes=routes)
 
 
@@ -217,9 +217,14 @@ def serve(lab: Lab, port: int, browse: bool) -> None:
     port, token = listener.getsockname()[1], secrets.token_urlsafe(24)
     address = f"http://{LOOPBACK}:{port}/{token}/"
     config = uvicorn.Config(
-        make_app(lab, token, port), log_level="warning", ws_max_size=4 * LARGEST, lifespan="off",
-        access_log=False, timeout_graceful_shutdown=int(LEAVE), server_header=False,
-    )  # fmt: skip
+        make_app(lab, token, port),
+        log_level="warning",
+        ws_max_size=4 * LARGEST,
+        lifespan="off",
+        access_log=False,
+        timeout_graceful_shutdown=int(LEAVE),
+        server_header=False,
+    )
     print(f"The lab is at {address}\nIt ends with Ctrl+C.", flush=True)
     if browse:
         webbrowser.open(address)

@@ -95,9 +95,13 @@ def hello(session: Session, message: Message) -> Iterator[Reply]:
             broken[name] = brief(error)
     found = {name: about_game(games.find(name)) for name in games.names()}
     yield {
-        "format": FORMAT, "engine": "python", "games": found, "agents": agents, "broken": broken,
+        "format": FORMAT,
+        "engine": "python",
+        "games": found,
+        "agents": agents,
+        "broken": broken,
         "start": dict(lab.start),
-    }  # fmt: skip
+    }
 
 
 @functools.cache

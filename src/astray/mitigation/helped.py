@@ -154,9 +154,12 @@ def _asked_once(*policies: Policy) -> Iterator[None]:
 
 
 def play(
-    policy: Helped, game: str | Game, variant: str | Variant, levels: Levels,
+    policy: Helped,
+    game: str | Game,
+    variant: str | Variant,
+    levels: Levels,
     watch: Watch | None = None,
-) -> pl.DataFrame:  # fmt: skip
+) -> pl.DataFrame:
     """A row per level: how its episode went, and when help was asked for.
 
     Columns: level, return, length (steps), queries (steps that the expert took), first (the step
@@ -185,9 +188,12 @@ def play(
 
 
 def play_alone(
-    policy: Alone, game: str | Game, variant: str | Variant, levels: Levels,
+    policy: Alone,
+    game: str | Game,
+    variant: str | Variant,
+    levels: Levels,
     watch: Watch | None = None,
-) -> tuple[pl.DataFrame, pl.DataFrame]:  # fmt: skip
+) -> tuple[pl.DataFrame, pl.DataFrame]:
     """How the novice's episodes went, and what the scores said of every step.
 
     Returns a row per level (level, return, length and the game's events), and a row per step:
@@ -212,9 +218,8 @@ def play_alone(
 
 
 def _episodes(
-    policy: Policy, game: Game, variant: str | Variant, levels: Levels,
-    note: Callable[[Step], None],
-) -> pl.DataFrame:  # fmt: skip
+    policy: Policy, game: Game, variant: str | Variant, levels: Levels, note: Callable[[Step], None]
+) -> pl.DataFrame:
     """A row per level: level, length, return and the game's events; each step is noted."""
     returns, rows = np.zeros(len(levels)), [{}] * len(levels)
     for step in steps(policy, game, variant, levels):
@@ -230,9 +235,12 @@ def _episodes(
 
 
 def _with_help(
-    played: pl.DataFrame, queries: np.ndarray, first: np.ndarray, highest: np.ndarray,
+    played: pl.DataFrame,
+    queries: np.ndarray,
+    first: np.ndarray,
+    highest: np.ndarray,
     moment: np.ndarray,
-) -> pl.DataFrame:  # fmt: skip
+) -> pl.DataFrame:
     """Episodes with columns of the help in them; -1 of `first` and `moment` is null."""
     return played.with_columns(
         pl.Series("queries", queries),
@@ -250,8 +258,10 @@ def unheeded(played: pl.DataFrame, said: pl.DataFrame, score: str, limit: float)
     by_level = said.sort("level", "time").group_by("level", maintain_order=True)
     asks = pl.col(score) > limit
     told = by_level.agg(
-        queries=asks.sum(), highest=pl.col(score).max(),
-        first=pl.col("time").filter(asks).first(), moment=pl.col("moment").filter(asks).first(),
-    )  # fmt: skip
+        queries=asks.sum(),
+        highest=pl.col(score).max(),
+        first=pl.col("time").filter(asks).first(),
+        moment=pl.col("moment").filter(asks).first(),
+    )
     first, moment = (told[name].fill_null(-1).to_numpy() for name in ("first", "moment"))
     return _with_help(played, told["queries"].to_numpy(), first, told["highest"].to_numpy(), moment)

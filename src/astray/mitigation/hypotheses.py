@@ -68,9 +68,14 @@ def mutual_information(probabilities: Tensor) -> Tensor:
 
 
 def train_heads(
-    labelled: Frames, label: str, unlabelled: np.ndarray, *, diversity: float, steps: int = 600,
+    labelled: Frames,
+    label: str,
+    unlabelled: np.ndarray,
+    *,
+    diversity: float,
+    steps: int = 600,
     seed: int = 0,
-) -> Heads:  # fmt: skip
+) -> Heads:
     """Two heads that learn `label` of the labelled frames, and to differ on the unlabelled.
 
     unlabelled  [M, ...] float32

@@ -83,18 +83,25 @@ def threshold(scores: pl.DataFrame, percentile: float, granularity: Granularity)
 
 
 def curve(
-    novice: Policy, expert: Policy, score: Score, trial: Trial,
-    granularity: Granularity = "step", percentiles: Sequence[float] = PERCENTILES,
-) -> pl.DataFrame:  # fmt: skip
+    novice: Policy,
+    expert: Policy,
+    score: Score,
+    trial: Trial,
+    granularity: Granularity = "step",
+    percentiles: Sequence[float] = PERCENTILES,
+) -> pl.DataFrame:
     """As `curves`, for one score and one granularity."""
     return curves(novice, expert, [score], trial, [granularity], percentiles)
 
 
 def curves(
-    novice: Policy, expert: Policy, scores: Sequence[Score], trial: Trial,
+    novice: Policy,
+    expert: Policy,
+    scores: Sequence[Score],
+    trial: Trial,
     granularities: Sequence[Granularity] = ("step",),
     percentiles: Sequence[float] = PERCENTILES,
-) -> pl.DataFrame:  # fmt: skip
+) -> pl.DataFrame:
     """What help of every amount brings: a row per percentile, and for no help and all of it.
 
     For each score and granularity; what they share is played once, the novice alone and the expert.
@@ -121,14 +128,21 @@ def curves(
         found = [
             (None, np.inf, unheeded(of_novice, said, f"{k}", np.inf)),
             (None, -np.inf, of_expert),
-            *((p, limit, play(Helped(novice, expert, score, limit, granularity), *test))
-              for p, limit in limits),
-        ]  # fmt: skip
+            *(
+                (p, limit, play(Helped(novice, expert, score, limit, granularity), *test))
+                for p, limit in limits
+            ),
+        ]
         rows = [
-            {"score": score.name, "granularity": granularity, "percentile": percentile,
-             "threshold": limit} | _summed(played, trial, granularity)
+            {
+                "score": score.name,
+                "granularity": granularity,
+                "percentile": percentile,
+                "threshold": limit,
+            }
+            | _summed(played, trial, granularity)
             for percentile, limit, played in found
-        ]  # fmt: skip
+        ]
         seconds = shared + time.perf_counter() - began
         table = pl.DataFrame(rows, schema_overrides=kinds)
         tables.append(table.with_columns(seconds=pl.lit(seconds)))
@@ -149,10 +163,12 @@ def _summed(played: pl.DataFrame, trial: Trial, granularity: Granularity) -> dic
     return {
         "help": by_level if granularity == "level" else by_step,
         "queries": float(played["queries"].mean()),  # pyright: ignore
-        "return": estimate.mean, "low": estimate.low, "high": estimate.high,
+        "return": estimate.mean,
+        "low": estimate.low,
+        "high": estimate.high,
         "intended": float((outcome == INTENDED).mean()),  # pyright: ignore
         "astray": float((outcome == MISGENERALIZED).mean()),  # pyright: ignore
-    } | moments  # fmt: skip
+    } | moments
 
 
 def area(curves: pl.DataFrame) -> pl.DataFrame:

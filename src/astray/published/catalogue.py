@@ -79,9 +79,8 @@ def read_entry(name: str, data: dict[str, Any]) -> Published:
     ]
     own = ("file", "address", "by_hand", "size", "sha256", "tried", "kind")
     return Published(
-        name, known_as(data), checks=tuple(checks),
-        **{key: data[key] for key in own if key in data},
-    )  # fmt: skip
+        name, known_as(data), checks=tuple(checks), **{key: data[key] for key in own if key in data}
+    )
 
 
 def find(name: str) -> Published:

@@ -140,19 +140,25 @@ def write_card(run: Path, name: str) -> None:
     checks = run / CHECKS
     environment = Environment(
         loader=PackageLoader("astray.published", ""),
-        lstrip_blocks=True, trim_blocks=True, keep_trailing_newline=True, undefined=StrictUndefined,
-    )  # fmt: skip
+        lstrip_blocks=True,
+        trim_blocks=True,
+        keep_trailing_newline=True,
+        undefined=StrictUndefined,
+    )
     environment.filters["cell"] = _cell
     said = origin(run)
     try:
         told = [str(RENAMED.get(key, key)) for key in said["settings_told"]]  # of an older version
         text = environment.get_template("card.md").render(
-            name=name, config=config, origin=said, architecture=architecture,
+            name=name,
+            config=config,
+            origin=said,
+            architecture=architecture,
             weights=sum(p.numel() for p in network.parameters()),
             trained_on=config.training_variant().about,
             settings={key: getattr(config, key) for key in told},
             checks=_read(checks, list) if os.path.lexists(checks) else [],
-        )  # fmt: skip
+        )
     except (TemplateError, AttributeError, TypeError) as error:
         raise ValueError(f"{run} has {ORIGIN} or {CHECKS} as astray does not: {error}") from error
     write_aside(run / CARD, text.encode())

@@ -89,10 +89,13 @@ def claim(folder: Path, config: Config, wait: bool = False) -> Iterator[None]:
             check(folder, config)
         else:
             versions = {
-                "python": platform.python_version(), "torch": torch.__version__,
-                "numpy": np.__version__, "numba": numba.__version__,
-                "gymnasium": gymnasium.__version__, "sources": source_digest(("**/*.py",)),
-            }  # fmt: skip
+                "python": platform.python_version(),
+                "torch": torch.__version__,
+                "numpy": np.__version__,
+                "numba": numba.__version__,
+                "gymnasium": gymnasium.__version__,
+                "sources": source_digest(("**/*.py",)),
+            }
             data = {"config": config.to_json(), "versions": versions}
             write_aside(path, json.dumps(data, indent=2).encode())
             begun = True

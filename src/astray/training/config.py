@@ -284,7 +284,12 @@ PRESETS = {
     # The paper's images, by a network of few products; updates are as large as they need be, and
     # four times as many: mice learn from half the steps.
     "pixels": replace(
-        SMALL, observation="image", network="patch", steps=4_000_000, num_envs=64,
-        validation_every=40, checkpoint_every=200,
+        SMALL,
+        observation="image",
+        network="patch",
+        steps=4_000_000,
+        num_envs=64,
+        validation_every=40,
+        checkpoint_every=200,
     ),
-}  # fmt: skip
+}

@@ -64,13 +64,16 @@ class Log:
         self._file = open(path, "a")  # noqa: SIM115
         self._board = SummaryWriter(str(folder / "tensorboard"), purge_step=steps)
         columns = (
-            TextColumn("{task.description}"), BarColumn(), TextColumn("{task.fields[text]}"),
+            TextColumn("{task.description}"),
+            BarColumn(),
+            TextColumn("{task.fields[text]}"),
             TimeRemainingColumn(),
-        )  # fmt: skip
+        )
         self._bar = Progress(*columns, console=Console(stderr=True), disable=not progress)
         name = f"{config.game} {config.variant} seed {config.seed}"
-        self._task = self._bar.add_task(name, total=config.iterations * config.batch,
-                                        completed=steps, text="")  # fmt: skip
+        self._task = self._bar.add_task(
+            name, total=config.iterations * config.batch, completed=steps, text=""
+        )
         self._bar.start()
 
     def write(self, steps: int, values: dict[str, float], speed: dict[str, float]) -> None:

@@ -35,10 +35,9 @@ from astray.training.teacher import TEACHER, Taught
 from astray.training.trainer import Trainer
 
 SPARE = 16  # threads that libraries may start
-SCORED = (
-    2000  # rollouts that are only scored, one after the other; at a chance of 0.01 to learn from
-)
-# each, more are as good as never
+# Rollouts that are only scored, one after the other: at a chance of 0.01 to learn from each, more
+# are as good as never.
+SCORED = 2000
 
 
 class Diverged(RuntimeError):

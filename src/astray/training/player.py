@@ -30,9 +30,14 @@ class Player:
     """
 
     def __init__(
-        self, config: Config, variant: Variant, levels: range, salt: int, groups: int,
+        self,
+        config: Config,
+        variant: Variant,
+        levels: range,
+        salt: int,
+        groups: int,
         sampler: Sampler | None = None,
-    ):  # fmt: skip
+    ):
         if sampler is not None and parallel.size() > 1:
             raise ValueError("with a sampler of levels, one process must train alone")
         self.sampler, self.learns, self._repeats = sampler, True, False
@@ -43,19 +48,25 @@ class Player:
         self.groups = [slice(k * n // groups, (k + 1) * n // groups) for k in range(groups)]
         self.envs = [
             GameVectorEnv(
-                config.game, variant, group.stop - group.start,
-                observation=config.observation, art=config.art, levels=levels,
-                autoreset_mode="SameStep", threads=config.threads,
+                config.game,
+                variant,
+                group.stop - group.start,
+                observation=config.observation,
+                art=config.art,
+                levels=levels,
+                autoreset_mode="SameStep",
+                threads=config.threads,
             )
             for group in self.groups
-        ]  # fmt: skip
+        ]
         self.game, self.space = self.envs[0].game, self.envs[0].single_observation_space
         self.num_envs, self.actions = config.num_envs, len(self.game.actions)
         # What the environments show now; a GPU reads pinned memory while the processor goes on.
         self.images = torch.empty(
             (n, *self.space.shape),  # pyright: ignore
-            dtype=torch.uint8, pin_memory=config.device == "cuda",
-        )  # fmt: skip
+            dtype=torch.uint8,
+            pin_memory=config.device == "cuda",
+        )
         # Seeds far apart: environment i of a batch seeded with k is seeded with k + i.
         seed = (config.seed * 16 + salt) * 2**32 + self.here.start
         for env, group in zip(self.envs, self.groups, strict=True):

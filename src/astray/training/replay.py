@@ -88,9 +88,12 @@ class Replay:
             self.kind = MUTATE
             seeds = random.integers(2**32, size=len(self.places))
             self.current = self.game.mutation.mutate(
-                self.states[self.places], self.variant, seeds, self.config.edits,
+                self.states[self.places],
+                self.variant,
+                seeds,
+                self.config.edits,
                 self.config.mutation,
-            )  # fmt: skip
+            )
         elif random.random() < self.chance:
             self.kind = REPLAY
             self.places = draw_distinct(self.chances(), len(self.places), random)
@@ -196,9 +199,13 @@ class Replay:
         self._put(here, self.current[chosen], score[chosen], best[chosen], optimal[chosen])
 
     def _put(
-        self, where: np.ndarray, states: np.ndarray, score: np.ndarray, best: np.ndarray,
+        self,
+        where: np.ndarray,
+        states: np.ndarray,
+        score: np.ndarray,
+        best: np.ndarray,
         optimal: np.ndarray,
-    ) -> None:  # fmt: skip
+    ) -> None:
         """Keep levels and what is known of them at places of the buffer."""
         self.states[where], self.score[where], self.best[where] = states, score, best
         self.optimal[where], self.visited[where] = optimal, self.rollouts[REPLAY]

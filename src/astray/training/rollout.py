@@ -39,8 +39,13 @@ def estimate(
         ends = ends | cuts
     advantage = ppo.advantages(
         torch.from_numpy(reward).float().to(value.device),
-        value, next_value, ends, cuts, config.gamma, config.lam,
-    )  # fmt: skip
+        value,
+        next_value,
+        ends,
+        cuts,
+        config.gamma,
+        config.lam,
+    )
     player.scored(lambda: Played(own, advantage.numpy(force=True), terminated, truncated))
     target = advantage + value
     if config.normalise_advantage:

@@ -77,10 +77,13 @@ class Teacher:
         symbolic = bool(known.largest)
         self.config, self.player = config, player
         self.env = GameVectorEnv(
-            config.game, config.training_variant(), len(player.images),
-            observation="symbolic" if symbolic else "image", art=config.art,
+            config.game,
+            config.training_variant(),
+            len(player.images),
+            observation="symbolic" if symbolic else "image",
+            art=config.art,
             threads=config.threads,
-        )  # fmt: skip
+        )
         sees = self.env.single_observation_space.shape
         if (sees, len(self.env.game.actions)) != (known.shape, known.actions):
             raise ValueError(

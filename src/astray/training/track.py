@@ -127,10 +127,14 @@ def _begin_wandb(name: str, folder: Path, settings: Mapping[str, Any]) -> tuple[
     import wandb  # pyright: ignore[reportMissingImports]
 
     run = wandb.init(
-        project=os.environ.get("WANDB_PROJECT", PROJECT), name=name, id=_id(folder, "wandb"),
-        resume="allow", config=dict(settings), dir=str(folder),
+        project=os.environ.get("WANDB_PROJECT", PROJECT),
+        name=name,
+        id=_id(folder, "wandb"),
+        resume="allow",
+        config=dict(settings),
+        dir=str(folder),
         settings=wandb.Settings(console="off", quiet=True),
-    )  # fmt: skip
+    )
     run.define_metric("*", step_metric="steps")  # a resumed run may tell of steps again
     return run, wandb
 
@@ -139,9 +143,13 @@ def _begin_trackio(name: str, folder: Path, settings: Mapping[str, Any]) -> tupl
     import trackio  # pyright: ignore[reportMissingImports]
 
     run = trackio.init(
-        project=PROJECT, name=f"{name}-{_id(folder, 'trackio')[:6]}", resume="allow",
-        config=json.loads(json.dumps(settings)), embed=False, auto_log_cpu=False,
-    )  # fmt: skip
+        project=PROJECT,
+        name=f"{name}-{_id(folder, 'trackio')[:6]}",
+        resume="allow",
+        config=json.loads(json.dumps(settings)),
+        embed=False,
+        auto_log_cpu=False,
+    )
     return run, trackio
 
 

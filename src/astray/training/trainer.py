@@ -66,9 +66,13 @@ class Trainer:
         if config.observation == "symbolic":
             largest = tuple(int(k) for k in game.symbols.planes(variant).max((1, 2)))
         self.architecture = Architecture(
-            config.network, space.shape, largest, len(game.actions),  # pyright: ignore
-            config.scale, config.width,
-        )  # fmt: skip
+            config.network,
+            space.shape,  # pyright: ignore
+            largest,
+            len(game.actions),
+            config.scale,
+            config.width,
+        )
         # The user's own words: what they name may be imported.
         own = config.network in NETWORKS
         build = network or (Architecture.build if own else imports.find(config.network))
@@ -97,8 +101,10 @@ class Trainer:
         self.optimizer = torch.optim.Adam(
             self.weights,
             torch.tensor(rate, device=config.device) if graphs else rate,  # graphs read it
-            eps=1e-5, fused=True, capturable=graphs,
-        )  # fmt: skip
+            eps=1e-5,
+            fused=True,
+            capturable=graphs,
+        )
 
     def _check_memory(self, build: Callable[[Architecture], nn.Module]) -> None:
         """MemoryError where a rollout and the network, on a CPU, need more than there is."""

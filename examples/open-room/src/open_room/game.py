@@ -85,9 +85,11 @@ GAME = Game(
     rules=HERE,
     levels=HERE,
     looks={OWN: Looks(OWN, nothing, draw, lambda variant, pixels: (), lambda *_: (1, 1, 3))},
-    variants={"corner": Room(about="the cheese in the upper right corner"),
-              "anywhere": Room(about="the cheese anywhere", corner=False)},
+    variants={
+        "corner": Room(about="the cheese in the upper right corner"),
+        "anywhere": Room(about="the cheese anywhere", corner=False),
+    },
     goals={"cheese": "reached_cheese", "corner": "reached_corner"},
     shifts={"corner": Shift("corner", "anywhere", "cheese", ("corner",))},
     symbols=HERE,
-)  # fmt: skip
+)

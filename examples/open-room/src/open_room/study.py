@@ -10,10 +10,15 @@ from astray.experiments.spec import Experiment, Plan, tests_of
 from astray.training.config import PRESETS
 
 MOUSE = replace(
-    PRESETS["small"], game="open-room", variant="corner", network="open_room.learning:Tanh",
-    loss="open_room.learning:modest", width=64, steps=1_000_000,
+    PRESETS["small"],
+    game="open-room",
+    variant="corner",
+    network="open_room.learning:Tanh",
+    loss="open_room.learning:modest",
+    width=64,
+    steps=1_000_000,
     levels=100,
-)  # fmt: skip
+)
 
 
 def find(work):
@@ -35,7 +40,14 @@ EXPERIMENT = Experiment(
     title="The open room",
     reproduces="nothing",
     question="Does a mouse with another network and loss go to the corner, too?",
-    sizes={"smoke": Plan(agents={"mouse": MOUSE}, seeds=2, tests=tests_of("open-room", "corner"),
-                         levels=100, differences="all of it")},
+    sizes={
+        "smoke": Plan(
+            agents={"mouse": MOUSE},
+            seeds=2,
+            tests=tests_of("open-room", "corner"),
+            levels=100,
+            differences="all of it",
+        )
+    },
     find=find,
-)  # fmt: skip
+)

@@ -22,8 +22,10 @@ def read(path: Path) -> Imported:
     """The agent in a file of others; ValueError says why it is none."""
     reader = READERS.get(path.suffix.lower())
     if reader is None:
-        raise ValueError(f"{path} is refused: an agent's file is {', '.join(READERS)}; "
-                         f"got {path.suffix or 'no ending'}")  # fmt: skip
+        raise ValueError(
+            f"{path} is refused: an agent's file is {', '.join(READERS)}; "
+            f"got {path.suffix or 'no ending'}"
+        )
     try:
         return reader(files.read(path, LARGEST))
     except ValueError as error:

@@ -15,21 +15,17 @@ from torch import Tensor
 
 from astray.agents.clear import BLOCKS
 from astray.agents.importers import plain
-from astray.agents.importers.imported import (
-    ACTIONS,
-    SHAPE,
-    Imported,
-    Plain,
-    build,
-    check_actions,
-)
+from astray.agents.importers.imported import ACTIONS, SHAPE, Imported, Plain, build, check_actions
 from astray.agents.policy import Architecture
 
 SCOPE = "ppo2_model/"
 CONVOLUTIONS = {
-    "pi/1a/conv2d": "block1.conv1", "pi/2a/conv2d": "block2.conv1", "pi/2b/conv2d": "block2.conv2",
-    "pi/3a/conv2d": "block3.conv1", "pi/4a/conv2d": "block4.conv1",
-}  # fmt: skip
+    "pi/1a/conv2d": "block1.conv1",
+    "pi/2a/conv2d": "block2.conv1",
+    "pi/2b/conv2d": "block2.conv2",
+    "pi/3a/conv2d": "block3.conv1",
+    "pi/4a/conv2d": "block4.conv1",
+}
 DENSE = {"pi/dense": "features.linear1", "pi/dense_1": "features.linear2"}
 HEADS = {"pi": "policy", "vf": "value"}
 # Of a training, as the files name them and as we do.
@@ -60,9 +56,10 @@ def read(data: bytes) -> Imported:
     check_actions(len(weights["policy.bias"]))
     architecture = Architecture("clear", SHAPE, (), ACTIONS)
     told = {
-        name: value for name, value in settings.items()
+        name: value
+        for name, value in settings.items()
         if isinstance(name, str) and isinstance(value, Plain)
-    }  # fmt: skip
+    }
     # Procgen's 0, and what is not set, mean: all levels there are, from 0 on.
     ours = {here: told[there] for there, here in SETTINGS.items() if told.get(there)}
     if told.get("reward_processing") == "none":
@@ -70,9 +67,13 @@ def read(data: bytes) -> Imported:
     mode = told.get("distribution_mode") or "hard"
     world = (str(told["env_name"]), str(mode)) if told.get("env_name") else None
     return Imported(
-        build(architecture, weights), architecture, 'RL-Clarity: the "clear" network',
-        world, ours, told,
-    )  # fmt: skip
+        build(architecture, weights),
+        architecture,
+        'RL-Clarity: the "clear" network',
+        world,
+        ours,
+        told,
+    )
 
 
 def _weights(params: dict[Any, Any]) -> dict[str, Tensor]:

@@ -45,8 +45,17 @@ def read(data: bytes) -> Any:
             machine.do(instruction.name, argument)
     except Refused:
         raise
-    except (ValueError, TypeError, KeyError, IndexError, AttributeError, OverflowError,
-            MemoryError, RecursionError, struct.error) as error:  # fmt: skip
+    except (
+        ValueError,
+        TypeError,
+        KeyError,
+        IndexError,
+        AttributeError,
+        OverflowError,
+        MemoryError,
+        RecursionError,
+        struct.error,
+    ) as error:
         raise ValueError(f"it is damaged, or no pickle: {error}") from error
     raise AssertionError("pickletools ends with STOP or an error")
 

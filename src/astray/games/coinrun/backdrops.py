@@ -116,8 +116,11 @@ def _dunes(x: np.ndarray, seed: int) -> list[np.ndarray]:
 
 
 def _town(x: np.ndarray, seed: int) -> list[np.ndarray]:
-    return [_blocks(x, seed, 26) * 14 + 7, _blocks(x, seed + 1, 18) * 10 + 4,
-            _blocks(x, seed + 2, 12) * 5 + 1]  # fmt: skip
+    return [
+        _blocks(x, seed, 26) * 14 + 7,
+        _blocks(x, seed + 1, 18) * 10 + 4,
+        _blocks(x, seed + 2, 12) * 5 + 1,
+    ]
 
 
 def _mesas(x: np.ndarray, seed: int) -> list[np.ndarray]:
@@ -127,8 +130,11 @@ def _mesas(x: np.ndarray, seed: int) -> list[np.ndarray]:
 
 
 def _islands(x: np.ndarray, seed: int) -> list[np.ndarray]:
-    return [np.clip(_waves(x, seed, 7) * 16 - 4, 0, 9) + 7, np.full_like(x, 7.0),
-            np.clip(_waves(x, seed + 1, 9) * 12 - 5, 0, 9) + 1]  # fmt: skip
+    return [
+        np.clip(_waves(x, seed, 7) * 16 - 4, 0, 9) + 7,
+        np.full_like(x, 7.0),
+        np.clip(_waves(x, seed + 1, 9) * 12 - 5, 0, 9) + 1,
+    ]
 
 
 LANDSCAPES: tuple[Callable[[np.ndarray, int], list[np.ndarray]], ...] = (

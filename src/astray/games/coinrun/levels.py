@@ -346,8 +346,7 @@ def _empty_world() -> np.ndarray:
 def build(cells: np.ndarray, agent: tuple[int, int], looks: Any, variant: Variant) -> Any:
     """The state that begins in the level of `cells`, smaller ones in the world's lower left.
 
-    Around a smaller level there is wall. Where `looks` do not say, it ends in the last column
-    that can be stood in, or in the last before a permeable wall.
+    Around a smaller level there is wall. Where `looks` do not say, it ends as `_guess_end` does.
     """
     height, width = cells.shape
     if height > WORLD or width > WORLD:
@@ -357,8 +356,9 @@ def build(cells: np.ndarray, agent: tuple[int, int], looks: Any, variant: Varian
     grid[:height, :width] = cells
     s.time_limit, s.continues = variant.time_limit, variant.records()[0].continues
     s.cell[:] = np.where(grid < CRATE_HERE, grid, EMPTY)
-    s.thing[:] = np.select([grid == CRATE_HERE, (grid == SAW_HERE) | (grid >= SAW_AND_LEFT)],
-                           [CRATE, SAW], NOTHING)  # fmt: skip
+    s.thing[:] = np.select(
+        [grid == CRATE_HERE, (grid == SAW_HERE) | (grid >= SAW_AND_LEFT)], [CRATE, SAW], NOTHING
+    )
     s.x, s.y = F(agent[0]) + HALF, F(agent[1]) + TALL
     s.runner_look, s.ground = looks.get("runner", 0), looks.get("ground", 0)
     s.background = looks.get("background", 0)
@@ -389,10 +389,7 @@ def _add_walkers(s: Any, grid: np.ndarray, details: np.ndarray) -> None:
 
 
 def _guess_end(cell: np.ndarray) -> tuple[int, int]:
-    """The lowest cell that can be stood in, in the rightmost column that has one.
-
-    Left of a permeable wall, if there is one.
-    """
+    """The lowest cell to stand in, in the last column that has one, or before a permeable wall."""
     free = ~np.isin(cell, (WALL, TOP, PERMEABLE))
     free[:, (cell == PERMEABLE).any(0).cumsum() > 0] = False
     stand = free[1:] & ~free[:-1] & (cell[:-1] != PERMEABLE)

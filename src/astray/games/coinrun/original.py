@@ -69,10 +69,13 @@ KINDS = {
     "saws": ["kenney/Enemies/sawHalf.png", "kenney/Enemies/sawHalf_move.png"],
     "crates": [f"kenney/Tiles/{name}.png" for name in BOXES],
     "walkers": [f"kenney/Enemies/{name}{move}.png" for name in ENEMIES for move in ("", "_move")],
-    "runners": [f"kenney/Players/128x256/{name}/alien{name}_{pose}.png"
-                for name in PLAYERS for pose in ("stand", "walk1", "walk2")],
+    "runners": [
+        f"kenney/Players/128x256/{name}/alien{name}_{pose}.png"
+        for name in PLAYERS
+        for pose in ("stand", "walk1", "walk2")
+    ],
     "puff": ["misc_assets/iconCircle_white.png"],
-}  # fmt: skip
+}
 PICTURES = tuple(path for paths in KINDS.values() for path in paths)
 (BACKGROUND_PLACE, CENTRE_PLACE, TOP_PLACE, LAVA_PLACE, LAVA_TOP_PLACE, COIN_PLACE, SAW_PLACE,
  CRATE_PLACE, WALKER_PLACE, RUNNER_PLACE, PUFF_PLACE) = (

@@ -1,7 +1,6 @@
 """CoinRun: a runner jumps over hazards to a coin, which is worth 10 and ends the level.
 
-Numbers and the order of things are the original's; it calculates with 32-bit floats, and so
-does this: a constant that meets a coordinate is one.
+Numbers and the order of things are the original's, also that it calculates with 32-bit floats.
 """
 
 import numpy as np
@@ -26,7 +25,7 @@ ACTIONS = (
 )  # fmt: skip
 MOVES = 9  # actions that may move
 
-F = np.float32
+F = np.float32  # of all that meets a coordinate
 ZERO, ONE, TWO = F(0), F(1), F(2)
 HALF = F(0.5)  # half a side of walkers, saws and crates, and half the runner's width, in cells
 TALL = F(0.5787)  # half the runner's height, cells
@@ -289,10 +288,9 @@ def slide(s, dx, dy):
     """
     x, y = s.x + dx, s.y + dy
     across, along = HALF * CORNER, TALL * CORNER
-    blocked = (
-        is_solid(s, x - across, y - along) or is_solid(s, x - across, y + along)
-        or is_solid(s, x + across, y - along) or is_solid(s, x + across, y + along)
-    )  # fmt: skip
+    low, high = y - along, y + along
+    left = is_solid(s, x - across, low) or is_solid(s, x - across, high)
+    blocked = left or is_solid(s, x + across, low) or is_solid(s, x + across, high)
     if blocked and dx != ZERO:
         x = np.floor(x + HALF) - HALF if dx > ZERO else np.ceil(x - HALF) + HALF
     elif blocked:

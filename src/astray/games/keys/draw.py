@@ -210,9 +210,10 @@ def _art(scale: float, height: int, pixels: int) -> tuple[np.ndarray, ...]:
 
 def _turned(right: np.ndarray, right_up: np.ndarray) -> np.ndarray:
     """The thief as it looks after each action that moves, [9, S, S, 4]; "stay" is to the right."""
-    straight, oblique = ("right", "up", "left", "down"), (
-        "right-up", "left-up", "left-down", "right-down",
-    )  # fmt: skip
+    straight, oblique = (
+        ("right", "up", "left", "down"),
+        ("right-up", "left-up", "left-down", "right-down"),
+    )
     turned = np.repeat(right[None], STAY * 2 + 1, 0)
     for quarter in range(4):
         turned[ACTIONS.index(straight[quarter])] = np.rot90(right, quarter)

@@ -9,15 +9,7 @@ import numpy as np
 
 from astray.art import original
 from astray.game import NEVER, Looks, Variant
-from astray.games.keys.rules import (
-    CHEST,
-    HALF,
-    HIDDEN,
-    LOWER_LEFT,
-    LOWER_RIGHT,
-    UPPER_LEFT,
-    F,
-)
+from astray.games.keys.rules import CHEST, HALF, HIDDEN, LOWER_LEFT, LOWER_RIGHT, UPPER_LEFT, F
 from astray.games.keys.variants import FLOORS
 from astray.kernel.canvas import copy_flat
 from astray.kernel.cells import OPEN, paint_cells
@@ -30,9 +22,12 @@ FLOOR_PICTURES = (
     *(f"topdown_backgrounds/backgrounddetailed{k}.png" for k in range(1, FLOORS)),
 )
 PICTURES = (
-    *FLOOR_PICTURES, "kenney/Ground/Dirt/dirtCenter.png", "misc_assets/spaceAstronauts_008.png",
-    "misc_assets/keyGreen.png", "misc_assets/lock_blue.png",
-)  # fmt: skip
+    *FLOOR_PICTURES,
+    "kenney/Ground/Dirt/dirtCenter.png",
+    "misc_assets/spaceAstronauts_008.png",
+    "misc_assets/keyGreen.png",
+    "misc_assets/lock_blue.png",
+)
 WALL_PLACE, THIEF_PLACE, KEY_PLACE, CHEST_PLACE = range(FLOORS, FLOORS + 4)  # among the pictures
 KEY_ASPECT = F(84 / 52)  # of the key's picture
 KEY_WIDE, CHEST_HALF = F(0.375), F(0.5)  # half the side of their pictures, cells

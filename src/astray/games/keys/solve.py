@@ -270,9 +270,14 @@ class Planner:
         if self.goal == "chests":
             worth = (-float(now.key_penalty), REWARD, -float(now.step_penalty))
         order = best_order(
-            times, met, now.what[objects] == KEY, int(now.taken - now.opened), int(needed),
-            *worth, self.gamma,
-        )  # fmt: skip
+            times,
+            met,
+            now.what[objects] == KEY,
+            int(now.taken - now.opened),
+            int(needed),
+            *worth,
+            self.gamma,
+        )
         order = [chosen[i] for i in order if i >= 0]
         return order if len(there) == len(chosen) else order[:1]
 

@@ -104,12 +104,16 @@ VARIANTS = {
     "many-chests": replace(MANY_CHESTS, shifted=MANY_KEYS),
     "many-keys": replace(MANY_KEYS, shifted=MANY_CHESTS),
     "many-chests-penalties": replace(
-        MANY_CHESTS, about="two chests a key; a key costs 0.3, a step 0.002",
-        key_penalty=0.3, step_penalty=0.002,
+        MANY_CHESTS,
+        about="two chests a key; a key costs 0.3, a step 0.002",
+        key_penalty=0.3,
+        step_penalty=0.002,
     ),
     "many-keys-penalties": replace(
-        MANY_KEYS, about="two keys a chest; a key costs 0.3, a step 0.002",
-        key_penalty=0.3, step_penalty=0.002,
+        MANY_KEYS,
+        about="two keys a chest; a key costs 0.3, a step 0.002",
+        key_penalty=0.3,
+        step_penalty=0.002,
     ),
     "many-chests-easy": replace(MANY_CHESTS, about="two chests a key, in 9 cells", **EASY),
     "many-keys-easy": replace(MANY_KEYS, about="two keys a chest, in 9 cells", **EASY),
@@ -128,7 +132,7 @@ VARIANTS = {
     "hidden-inventory": replace(
         MANY_KEYS, about="two keys a chest; keys in hand are not shown", inventory="hidden"
     ),
-}  # fmt: skip
+}
 
 GOALS = {"chests": "all_chests", "keys": "keys_before_last"}
 

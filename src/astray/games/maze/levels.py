@@ -145,10 +145,7 @@ def describe(s: Any) -> dict[str, Any]:
         "goal": cell(s.goal_x, s.goal_y),
         "other": cell(s.other_x, s.other_y),
         "corner": cell(s.corner_x, s.corner_y),
-        "looks": {
-            "background": int(s.background),
-            "background_offset": float(s.background_offset),
-        },
+        "looks": {"background": int(s.background), "background_offset": float(s.background_offset)},
     }
 
 

@@ -7,15 +7,7 @@ import functools
 import numpy as np
 
 from astray.bounds import bounded, of_kind
-from astray.game import (
-    MOST_EDITS,
-    MUTATIONS,
-    NEVER,
-    Mutation,
-    Variant,
-    check_states,
-    integers,
-)
+from astray.game import MOST_EDITS, MUTATIONS, NEVER, Mutation, Variant, check_states, integers
 from astray.games.maze import rules
 from astray.games.maze.levels import ANYWHERE, CORNER, ON_OTHER, furnish, invariants
 from astray.games.maze.rules import BOTH, EMPTY, GOAL, OTHER, STATE, note_arrivals

@@ -90,9 +90,11 @@ CORNER = Maze(about="cheese always in the upper right corner", placement="corner
 ANYWHERE = Maze(about="cheese anywhere")
 LINE = replace(ANYWHERE, about="a yellow line anywhere", goal_shape="line")
 APART = replace(
-    ANYWHERE, about="cheese anywhere, and an empty dish elsewhere",
-    other_shape="dish", other_colour="cyan",
-)  # fmt: skip
+    ANYWHERE,
+    about="cheese anywhere, and an empty dish elsewhere",
+    other_shape="dish",
+    other_colour="cyan",
+)
 DISH = replace(APART, about="cheese anywhere, always on a dish", placement="other")
 
 EASY = dict(world=15, largest=15)

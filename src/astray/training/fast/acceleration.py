@@ -185,13 +185,15 @@ def accelerate(
         other = f"network {type(network).__name__}" if not known else f"loss {loss!r}"
         warnings.warn(
             f"training runs the {other} as it is written, which takes longer: astray.training.fast "
-            "computes another", stacklevel=2,
-        )  # fmt: skip
+            "computes another",
+            stacklevel=2,
+        )
     elif config.device == "cuda" and config.compile is None and not using.compile:
         warnings.warn(
             "learning is slower without torch.compile, which needs Triton, a C compiler and "
-            "Python's headers", stacklevel=2,
-        )  # fmt: skip
+            "Python's headers",
+            stacklevel=2,
+        )
     if using.of_network:
         model = Model(network, loss, config, using)
         return Accelerated(using, model.outputs, model, model.loss, loss)
@@ -212,9 +214,13 @@ def agree(network: nn.Module, config: Config, architecture: Architecture) -> boo
         logits, value = network(torch.from_numpy(planes))
         old = ppo.log_probabilities(logits).gather(1, action[:, None])[:, 0]
     batch = Samples(
-        torch.from_numpy(planes), action, old + 0.3 * noise[0], value + 0.3 * noise[1],
-        noise[2], value + noise[3],
-    )  # fmt: skip
+        torch.from_numpy(planes),
+        action,
+        old + 0.3 * noise[0],
+        value + 0.3 * noise[1],
+        noise[2],
+        value + noise[3],
+    )
     plain = ppo.loss(network, batch, config)
     try:
         fast = Model(network, ppo.loss, config, Acceleration(fused_cpu=True)).loss(batch)

@@ -109,9 +109,13 @@ def collect(actor: Actor) -> Samples:
     actor.advantage.copy_(advantage)
     actor.target.copy_(target)
     return Samples(
-        actor.observation[:-1], actor.action[:-1], actor.log_probability[:-1], value[:-1],
-        actor.advantage, actor.target,
-    )  # fmt: skip
+        actor.observation[:-1],
+        actor.action[:-1],
+        actor.log_probability[:-1],
+        value[:-1],
+        actor.advantage,
+        actor.target,
+    )
 
 
 def _values_cut_off(

@@ -34,10 +34,16 @@ class Loss(torch.autograd.Function):
         if shapes != {(len(outputs),)}:
             raise ValueError(f"samples must be [{len(outputs)}], as outputs are; got {shapes}")
         evaluate(
-            outputs.detach().numpy(), minibatch.action.numpy(), minibatch.log_probability.numpy(),
-            minibatch.value.numpy(), minibatch.advantage.numpy(), minibatch.target.numpy(),
-            *weights, grad.numpy(), parts.numpy(),
-        )  # fmt: skip
+            outputs.detach().numpy(),
+            minibatch.action.numpy(),
+            minibatch.log_probability.numpy(),
+            minibatch.value.numpy(),
+            minibatch.advantage.numpy(),
+            minibatch.target.numpy(),
+            *weights,
+            grad.numpy(),
+            parts.numpy(),
+        )
         policy, value, entropy = parts[:3]
         loss = policy + weights[1] * value - weights[2] * entropy
         ctx.save_for_backward(grad)
@@ -56,15 +62,35 @@ def ensure_compiled() -> None:
     """Compile the kernel for the types to come, or take it from the cache."""
     table, column = np.empty((0, 2), np.float32), np.empty(0, np.float32)
     with one_at_a_time():
-        evaluate(table, np.empty(0, np.int64), column, column, column, column, 0.2, 0.5, 0.01,
-                 table, np.zeros(len(PARTS)))  # fmt: skip
+        evaluate(
+            table,
+            np.empty(0, np.int64),
+            column,
+            column,
+            column,
+            column,
+            0.2,
+            0.5,
+            0.01,
+            table,
+            np.zeros(len(PARTS)),
+        )
 
 
 @entry
 def evaluate(
-    outputs, action, old_log_probability, old_value, advantage, target, clip, value_weight,
-    entropy_weight, grad, parts,
-):  # fmt: skip
+    outputs,
+    action,
+    old_log_probability,
+    old_value,
+    advantage,
+    target,
+    clip,
+    value_weight,
+    entropy_weight,
+    grad,
+    parts,
+):
     """Fill `grad` [B, A + 1] with the gradient of the loss by `outputs`, `parts` with the means."""
     count, actions = len(outputs), outputs.shape[1] - 1
     log_probability, probability = np.empty((2, actions))

@@ -54,10 +54,19 @@ class Forward(torch.autograd.Function):
 
     @staticmethod
     def forward(
-        ctx: Any, planes: Tensor, spread: CircleEmbedding, between: torch.dtype,
-        w1: Tensor, b1: Tensor, w2: Tensor, b2: Tensor,
-        policy: Tensor, policy_bias: Tensor, value: Tensor, value_bias: Tensor,
-    ) -> Tensor:  # fmt: skip
+        ctx: Any,
+        planes: Tensor,
+        spread: CircleEmbedding,
+        between: torch.dtype,
+        w1: Tensor,
+        b1: Tensor,
+        w2: Tensor,
+        b2: Tensor,
+        policy: Tensor,
+        policy_bias: Tensor,
+        value: Tensor,
+        value_bias: Tensor,
+    ) -> Tensor:
         ctx.found = ends, rows, values = _found(planes, spread)
         h1 = planes.new_empty((len(planes), len(w1)), dtype=between)
         weight, bias = w1.detach().T.contiguous().numpy(), b1.detach().numpy()

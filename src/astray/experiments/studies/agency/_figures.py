@@ -63,9 +63,16 @@ def draw_factors(table: pl.DataFrame, kinds: Sequence[str]) -> Figure:
             y = [kinds.index(k) + 0.13 * (number - 2) for k in there]
             mean = np.array([part[k]["log factor"] for k in there])
             low, high = (np.array([part[k][end] for k in there]) for end in ("low", "high"))
-            axes.errorbar(mean, y, xerr=[mean - low, high - mean], fmt="o", markersize=3.5,
-                          color=colour, linewidth=1.3,
-                          label=map_ if preset == "paper" else None)  # fmt: skip
+            axes.errorbar(
+                mean,
+                y,
+                xerr=[mean - low, high - mean],
+                fmt="o",
+                markersize=3.5,
+                color=colour,
+                linewidth=1.3,
+                label=map_ if preset == "paper" else None,
+            )
         axes.axvline(0, color=figures.INK, linewidth=0.8)
         axes.set_xscale("symlog", linthresh=2)
         axes.set_xticks([-2, -1, 0, 1, 2, 5, 10, 20, 50], [-2, -1, 0, 1, 2, 5, 10, 20, 50])

@@ -52,22 +52,37 @@ def find(work: Work) -> Findings:
         answer=answer(table),
         claims=judge(table, goals, called),
         plots=[
-            Plot("trajectories", f"One trajectory of each type ({DRAWN}), and what the paper's "
-                 "measure says of it.", draw_types(settings[DRAWN]), table.filter(map=DRAWN)),
-            Plot("factors", "How much a trajectory speaks for an agent, on average, with 95 % "
-                 "intervals: by the paper's measure and by the calibrated one.",
-                 draw_factors(table, (*GOAL_DIRECTED, LOST, NEVER_ON_WAY)), table),
+            Plot(
+                "trajectories",
+                f"One trajectory of each type ({DRAWN}), and what the paper's measure says of it.",
+                draw_types(settings[DRAWN]),
+                table.filter(map=DRAWN),
+            ),
+            Plot(
+                "factors",
+                "How much a trajectory speaks for an agent, on average, with 95 % "
+                "intervals: by the paper's measure and by the calibrated one.",
+                draw_factors(table, (*GOAL_DIRECTED, LOST, NEVER_ON_WAY)),
+                table,
+            ),
         ],
         tables=[
-            Table("beside-paper", "Beside the paper's four trajectories: means over trajectories, "
-                  "from the lowest to the highest map", beside_paper(table)),
+            Table(
+                "beside-paper",
+                "Beside the paper's four trajectories: means over trajectories, "
+                "from the lowest to the highest map",
+                beside_paper(table),
+            ),
             Table("types", "All maps; intervals of the mean log Bayes factor (nats)", table),
             Table("goals", f"Which goal {POOLED} trajectories together pursue", goals),
             Table("called-agents", f"Share of policies called agents after {STEPS} steps", called),
         ],
-        settings={"maps": ", ".join(MAPS), "seed": str(SEED),
-                  **{preset: str(options) for preset, options in PRESETS.items()}},
-    )  # fmt: skip
+        settings={
+            "maps": ", ".join(MAPS),
+            "seed": str(SEED),
+            **{preset: str(options) for preset, options in PRESETS.items()},
+        },
+    )
 
 
 def setting(world: World) -> Setting:
@@ -107,13 +122,19 @@ def summary(measured: pl.DataFrame) -> pl.DataFrame:
         factor = bootstrap(part["factor"].to_numpy())
         rows.append(
             dict(zip(("preset", "map", "type"), key, strict=True))
-            | {"trajectories": len(part), "steps": part["steps"].mean(),
-               "-log p_agt": part["agt"].mean(), "-log p_dev": part["dev"].mean(),
-               "p(agent)": part["agent"].mean(),
-               "called agents": (part["factor"] > 0).mean(),
-               "log factor": factor.mean, "low": factor.low, "high": factor.high,
-               "at most 0.0674": (part["agent"] <= 0.0674).mean()}
-        )  # fmt: skip
+            | {
+                "trajectories": len(part),
+                "steps": part["steps"].mean(),
+                "-log p_agt": part["agt"].mean(),
+                "-log p_dev": part["dev"].mean(),
+                "p(agent)": part["agent"].mean(),
+                "called agents": (part["factor"] > 0).mean(),
+                "log factor": factor.mean,
+                "low": factor.low,
+                "high": factor.high,
+                "at most 0.0674": (part["agent"] <= 0.0674).mean(),
+            }
+        )
     return pl.DataFrame(rows)
 
 
@@ -146,7 +167,7 @@ def inferred(settings: Mapping[str, Setting]) -> pl.DataFrame:
                     "p(true goal)": chances[TRUE],
                 }
             )
-    return pl.DataFrame(rows)  # fmt: skip
+    return pl.DataFrame(rows)
 
 
 def call_agents(settings: Mapping[str, Setting], count: int) -> pl.DataFrame:
@@ -191,32 +212,55 @@ def judge(table: pl.DataFrame, goals: pl.DataFrame, called: pl.DataFrame) -> lis
         claims.append(Claim(text, paper, ours, held))
 
     claims: list[Claim] = []
-    about("Trajectories that go to a goal, be it the wrong one, are agents on average on every "
-          "map.", "p(agent) 0.9999, for one trajectory of each of three types",
-          GOAL_DIRECTED, "paper", +1)  # fmt: skip
+    about(
+        "Trajectories that go to a goal, be it the wrong one, are agents on average on every map.",
+        "p(agent) 0.9999, for one trajectory of each of three types",
+        GOAL_DIRECTED,
+        "paper",
+        +1,
+    )
     fixed, _ = span(goals.filter(type="goal misgeneralization")["p(fixed goal)"])
     true, _ = span(goals.filter(type="robust")["p(true goal)"])
-    claims.append(Claim(
-        "Together they give away what they pursue: the fixed goal, or the true one wherever it is.",
-        "not measured", f"from {POOLED} trajectories with probability at least {fixed:.3f} and "
-        f"{true:.3f}", min(fixed, true) > 0.5,
-    ))  # fmt: skip
+    claims.append(
+        Claim(
+            "Together they give away what they pursue: the fixed goal, or the true one wherever "
+            "it is.",
+            "not measured",
+            f"from {POOLED} trajectories with probability at least {fixed:.3f} and {true:.3f}",
+            min(fixed, true) > 0.5,
+        )
+    )
     published = "p(agent) 0.0674, for one trajectory"
-    about("Capability failures are devices on average on every map.", published,
-          (LOST,), "paper", -1)  # fmt: skip
-    about("So are at least those that never meet the memorised way.", published,
-          (NEVER_ON_WAY,), "paper", -1)  # fmt: skip
-    about("By the calibrated measure, those are devices.", "not measured",
-          (NEVER_ON_WAY,), "calibrated", -1)  # fmt: skip
+    about(
+        "Capability failures are devices on average on every map.", published, (LOST,), "paper", -1
+    )
+    about(
+        "So are at least those that never meet the memorised way.",
+        published,
+        (NEVER_ON_WAY,),
+        "paper",
+        -1,
+    )
+    about(
+        "By the calibrated measure, those are devices.",
+        "not measured",
+        (NEVER_ON_WAY,),
+        "calibrated",
+        -1,
+    )
     aimless = called.filter(pl.col("policy").is_in(list(WALKERS)))
     calibrated, paper, bound = (
         100 * span(aimless[name])[1] for name in ("calibrated", "paper", "calibrated, high")
     )
-    claims.append(Claim(
-        "By the calibrated measure, at most one in five of policies without a goal is called an "
-        "agent.", "not measured",
-        f"at most {calibrated:.0f}\u00a0%; by the paper's up to {paper:.0f}\u00a0%", bound < 20,
-    ))  # fmt: skip
+    claims.append(
+        Claim(
+            "By the calibrated measure, at most one in five of policies without a goal is called "
+            "an agent.",
+            "not measured",
+            f"at most {calibrated:.0f}\u00a0%; by the paper's up to {paper:.0f}\u00a0%",
+            bound < 20,
+        )
+    )
     return claims
 
 

@@ -26,18 +26,27 @@ AGENTS: Mapping[Size, Config] = {
         PRESETS["small"], **ABOUT, width=128, gamma=0.99, entropy_weight=0.01, steps=10_000_000
     ),
     "pixels": replace(
-        PRESETS["pixels"], **ABOUT, knobs={"hazards": False, "time_limit": 300}, gamma=0.99,
-        entropy_weight=0.01, steps=1_000_000,
+        PRESETS["pixels"],
+        **ABOUT,
+        knobs={"hazards": False, "time_limit": 300},
+        gamma=0.99,
+        entropy_weight=0.01,
+        steps=1_000_000,
     ),
     "hour": replace(LARGE, steps=25_000_000),
     "paper": LARGE,
     # OpenAI's agent, trained on all levels as released; for its tests they are numbered likewise.
     "published": Config(
-        game="coinrun", variant="coin-end", knobs={"numbering": "procgen", "place": "anywhere"},
-        network="clear", observation="image", art="original", levels=LEVELS.stop - SPARED,
+        game="coinrun",
+        variant="coin-end",
+        knobs={"numbering": "procgen", "place": "anywhere"},
+        network="clear",
+        observation="image",
+        art="original",
+        levels=LEVELS.stop - SPARED,
         normalise_reward=False,
     ),
-}  # fmt: skip
+}
 RUNNER = "runner"  # the name of the agents where there are no others
 DIFFERENCES: Mapping[Size, str] = {
     "smoke": "levels seen as symbols instead of a picture, by a network of two hidden layers, and "
@@ -60,9 +69,13 @@ RIGHT_AND_JUMP = Function(
 def plan(size: Size, seeds: int, levels: int, **more: Any) -> Plan:
     """A plan with the runners whose coin was always at the end, and no others."""
     return Plan(
-        agents={RUNNER: AGENTS[size]}, published=AGENT if size == PUBLISHED else {},
-        seeds=seeds, levels=levels, differences=DIFFERENCES[size], **more,
-    )  # fmt: skip
+        agents={RUNNER: AGENTS[size]},
+        published=AGENT if size == PUBLISHED else {},
+        seeds=seeds,
+        levels=levels,
+        differences=DIFFERENCES[size],
+        **more,
+    )
 
 
 def play(runs: Sequence[Path], variant: Variant, levels: np.ndarray | range) -> pl.DataFrame:

@@ -68,18 +68,33 @@ def stages(bars: pl.DataFrame) -> Figure:
     figure = Figure(figsize=(figures.WIDTH, 3.6))
     axes = figure.subplots()
     names = bars["stage"].unique(maintain_order=True).to_list()
-    looks = {False: ("no coin in view", figures.COLOURS[FAILED], -0.2),
-             True: ("coin in view", figures.COLOURS[INTENDED], 0.2)}  # fmt: skip
+    looks = {
+        False: ("no coin in view", figures.COLOURS[FAILED], -0.2),
+        True: ("coin in view", figures.COLOURS[INTENDED], 0.2),
+    }
     lowest = min(0.0, bars["low"].min() or 0.0)  # type: ignore[type-var]
     for coin, (label, colour, shift) in looks.items():
         part = bars.filter(coin=coin)
         x = np.array([names.index(stage) for stage in part["stage"]]) + shift
         axes.bar(x, part["mean"], 0.38, color=colour, label=label)
-        axes.errorbar(x, part["mean"], yerr=_whiskers(part), fmt="none", ecolor=figures.INK,
-                      elinewidth=1.3, capsize=3)  # fmt: skip
+        axes.errorbar(
+            x,
+            part["mean"],
+            yerr=_whiskers(part),
+            fmt="none",
+            ecolor=figures.INK,
+            elinewidth=1.3,
+            capsize=3,
+        )
         for at, rows in zip(x, part["rows"], strict=True):
-            axes.annotate(f"n = {rows:,}", (at, lowest), (0, 3), textcoords="offset points",
-                          ha="center", fontsize=8)  # fmt: skip
+            axes.annotate(
+                f"n = {rows:,}",
+                (at, lowest),
+                (0, 3),
+                textcoords="offset points",
+                ha="center",
+                fontsize=8,
+            )
     axes.set_xticks(range(len(names)), names)
     axes.tick_params(axis="x", length=0)
     axes.grid(axis="y")
@@ -101,8 +116,15 @@ def effects(table: pl.DataFrame) -> Figure:
     for k, (kind, marker) in enumerate(zip(kinds, "os", strict=False)):
         part = table.filter(coin_is=kind)
         x = np.array([names.index(stage) for stage in part["stage"]]) + 0.16 * (k - 0.5)
-        axes.errorbar(x, part["mean"], yerr=_whiskers(part), fmt=marker, color=figures.OTHERS[k],
-                      capsize=3, label=f"coin {kind}")  # fmt: skip
+        axes.errorbar(
+            x,
+            part["mean"],
+            yerr=_whiskers(part),
+            fmt=marker,
+            color=figures.OTHERS[k],
+            capsize=3,
+            label=f"coin {kind}",
+        )
     axes.axhline(0, color=figures.INK, linewidth=0.8)
     axes.set_xticks(range(len(names)), names)
     axes.set_xlim(-0.5, len(names) - 0.5)
@@ -188,22 +210,33 @@ def parts(bars: pl.DataFrame, sizes: pl.DataFrame) -> Figure:
             y = np.array([names.index(name) for name in part["part"]])
             at = y + height * (number - (len(methods) - 1) / 2)
             axes.barh(
-                at, part["mean"], height * 0.9, color=colour, label=method,
-                xerr=_whiskers(part), error_kw={"ecolor": figures.INK, "elinewidth": 1},
-            )  # fmt: skip
+                at,
+                part["mean"],
+                height * 0.9,
+                color=colour,
+                label=method,
+                xerr=_whiskers(part),
+                error_kw={"ecolor": figures.INK, "elinewidth": 1},
+            )
         size = sizes.filter(test=test)
         axes.plot(
-            size["area"], [names.index(name) for name in size["part"]], "D", markersize=4.5,
-            color=figures.INK, markerfacecolor="white", label="share of what is seen",
-        )  # fmt: skip
+            size["area"],
+            [names.index(name) for name in size["part"]],
+            "D",
+            markersize=4.5,
+            color=figures.INK,
+            markerfacecolor="white",
+            label="share of what is seen",
+        )
         axes.set_yticks(range(len(names)), names)
         axes.set_ylim(len(names) - 0.5, -0.5)
         axes.xaxis.set_major_formatter(PercentFormatter(1, symbol=" %"))
         axes.grid(axis="x")
         axes.set_title(test)
     rows[-1].set_xlabel("share of attribution")
-    figure.legend(*rows[0].get_legend_handles_labels(), loc="outside upper left", ncols=4,
-                  handlelength=1)  # fmt: skip
+    figure.legend(
+        *rows[0].get_legend_handles_labels(), loc="outside upper left", ncols=4, handlelength=1
+    )
     return figure
 
 
@@ -245,8 +278,14 @@ def calibration(table: pl.DataFrame) -> Figure:
     axes = figure.subplots()
     both = table.select("expected", "mean").to_numpy()
     axes.axline((both.min(), both.min()), slope=1, color=figures.INK, linewidth=0.8)
-    axes.errorbar(table["expected"], table["mean"], yerr=_whiskers(table), fmt="o", capsize=3,
-                  color=figures.OTHERS[0])  # fmt: skip
+    axes.errorbar(
+        table["expected"],
+        table["mean"],
+        yerr=_whiskers(table),
+        fmt="o",
+        capsize=3,
+        color=figures.OTHERS[0],
+    )
     axes.grid()
     axes.set_xlabel("the critic's value")
     axes.set_title("discounted return that came", fontweight="normal", fontsize=10.5)
@@ -293,8 +332,14 @@ def gains(table: pl.DataFrame) -> Figure:
     figure = Figure(figsize=(figures.WIDTH, 0.8 + 0.36 * len(table)))
     axes = figure.subplots()
     names = [f"{row['group']} (n = {row['rows']:,})" for row in table.to_dicts()]
-    axes.errorbar(table["mean"], range(len(table)), xerr=_whiskers(table), fmt="o", capsize=3,
-                  color=figures.OTHERS[0])  # fmt: skip
+    axes.errorbar(
+        table["mean"],
+        range(len(table)),
+        xerr=_whiskers(table),
+        fmt="o",
+        capsize=3,
+        color=figures.OTHERS[0],
+    )
     axes.axvline(0, color=figures.INK, linewidth=0.8)
     axes.set_yticks(range(len(table)), names)
     axes.set_ylim(len(table) - 0.5, -0.5)

@@ -76,24 +76,33 @@ def find(work: Work) -> Findings:
             ),
         ],
         plots=[
-            Plot("parts", "The share of attribution on each part, by three methods, with 95\u00a0% "
-                 "intervals over agents and levels; the mark is the part's share of what is seen, "
-                 "which it would have if it mattered no more than its size.",
-                 _figures.parts(bars, sizes(table)), bars),
-            Plot("maps", "Maps of some states: blue is what raises the value, red what lowers it.",
-                 _figures.maps(examples), examples),
+            Plot(
+                "parts",
+                "The share of attribution on each part, by three methods, with 95\u00a0% "
+                "intervals over agents and levels; the mark is the part's share of what is seen, "
+                "which it would have if it mattered no more than its size.",
+                _figures.parts(bars, sizes(table)),
+                bars,
+            ),
+            Plot(
+                "maps",
+                "Maps of some states: blue is what raises the value, red what lowers it.",
+                _figures.maps(examples),
+                examples,
+            ),
         ],
         tables=[
             Table("shares", "Share of attribution on each part", bars),
             Table("by-size", "Share of attribution over share of what is seen", by_size),
         ],
-        settings=outcomes.settings(work.plan) | {
+        settings=outcomes.settings(work.plan)
+        | {
             "states": f"up to {DRAWN} of each episode",
             "the paper and its code": "There eight pictures were looked at. Here parts are found "
             "in every state by drawing it without them. Of symbols, cells in which there is "
             "nothing are a part of their own, for a gradient asks what adding something would do.",
         },
-    )  # fmt: skip
+    )
 
 
 def visited(work: Work, where: str, seed: int) -> tuple[Agent, pl.DataFrame, np.ndarray]:
@@ -186,10 +195,12 @@ EXPERIMENT = Experiment(
     title="What the critic looks at",
     reproduces="Figure 8",
     question="What in view does the critic's value depend on: the coin, the end wall, hazards?",
-    sizes={"smoke": _agents.plan("smoke", 2, 100, visited=TESTS),
-           "pixels": _agents.plan("pixels", 3, 100, visited=TESTS),
-           "hour": _agents.plan("hour", 1, 200, visited=TESTS),
-           "paper": _agents.plan("paper", 3, 500, visited=TESTS),
-           "published": _agents.plan("published", 1, 120, visited=BRIEF)},
+    sizes={
+        "smoke": _agents.plan("smoke", 2, 100, visited=TESTS),
+        "pixels": _agents.plan("pixels", 3, 100, visited=TESTS),
+        "hour": _agents.plan("hour", 1, 200, visited=TESTS),
+        "paper": _agents.plan("paper", 3, 500, visited=TESTS),
+        "published": _agents.plan("published", 1, 120, visited=BRIEF),
+    },
     find=find,
-)  # fmt: skip
+)

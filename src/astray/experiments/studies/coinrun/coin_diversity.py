@@ -55,29 +55,36 @@ def find(work: Work) -> Findings:
             holds_above(
                 "Random coins in just 2\u00a0% of training levels make goal misgeneralization much "
                 "rarer.",
-                "greatly improved (no figure given)", f"{NEVER} less {FIRST}",
-                bootstrap(astray[NEVER] - astray[FIRST]), FALL,
+                "greatly improved (no figure given)",
+                f"{NEVER} less {FIRST}",
+                bootstrap(astray[NEVER] - astray[FIRST]),
+                FALL,
             ),
             holds_above(
-                "More random coins help more.", "more randomization helps (no figure given)",
-                f"{FIRST} less {last}", bootstrap(astray[FIRST] - astray[last]), 0.0,
+                "More random coins help more.",
+                "more randomization helps (no figure given)",
+                f"{FIRST} less {last}",
+                bootstrap(astray[FIRST] - astray[last]),
+                0.0,
             ),
             holds_above(
                 "Even without random coins, goal misgeneralization is rarer than where the coin "
                 "is invisible.",
-                "lower than this baseline", f"base rate less {NEVER}",
-                bootstrap(base - astray[NEVER]), 0.0,
+                "lower than this baseline",
+                f"base rate less {NEVER}",
+                bootstrap(base - astray[NEVER]),
+                0.0,
             ),
             holds_above(
                 "Without random coins, runners go to the end without the coin more often than they "
                 "reach neither.",
-                "generally proceeds to the end", f"{MISGENERALIZED} less {FAILED}, {NEVER}",
-                bootstrap(astray[NEVER] - failed), 0.0,
+                "generally proceeds to the end",
+                f"{MISGENERALIZED} less {FAILED}, {NEVER}",
+                bootstrap(astray[NEVER] - failed),
+                0.0,
             ),
         ],
-        videos=outcomes.film(
-            work, trained=BLIND[where], tested=TESTS[where], agent=NEVER
-        ),
+        videos=outcomes.film(work, trained=BLIND[where], tested=TESTS[where], agent=NEVER),
         plots=[
             Plot(
                 "diversity",
@@ -86,19 +93,22 @@ def find(work: Work) -> Findings:
                 "the coin is at any place that can be got to, right at the original's random "
                 "place, the first column of a section. The base rates are of the runners without "
                 "random coins, to whom the coin is invisible, and of a scripted walk to the end.",
-                _figures.diversity(table.filter(levels_counted=ALL)), table,
+                _figures.diversity(table.filter(levels_counted=ALL)),
+                table,
             ),
             Plot(
                 "diversity-original",
                 "As the original's code counts: only levels in which a runner without random "
                 "coins does not touch the invisible coin by chance; capability failure is any "
                 "episode without the coin.",
-                _figures.diversity(table.filter(levels_counted=MISSED)), table,
+                _figures.diversity(table.filter(levels_counted=MISSED)),
+                table,
             ),
             outcomes.curve_plot(replace(work, runs={NEVER: work.runs[NEVER]})),
         ],
         tables=[Table("diversity", "Failures against the share of random coins", table), *tables],
-        settings=outcomes.settings(work.plan) | {
+        settings=outcomes.settings(work.plan)
+        | {
             "levels that no training met": unmet(work),
             "the paper's text and its code": "The text counts all levels of a test; the code only "
             "those in which one run of the agent without random coins does not touch the invisible "
@@ -109,7 +119,7 @@ def find(work: Work) -> Findings:
             "levels; the sweep ran 80 million steps on all levels, with 512 environments and, as "
             "it seems, four times the channels, one agent each.",
         },
-    )  # fmt: skip
+    )
 
 
 def in_training(work: Work) -> pl.DataFrame:
@@ -173,8 +183,10 @@ def curves(work: Work, trained: pl.DataFrame, blind: pl.DataFrame) -> pl.DataFra
                 if counted == MISSED:
                     failed = pl.col("took_coin").is_null()
                 wrong = matrix(played, pl.col("outcome") == MISGENERALIZED)
-                told += [(share, MISGENERALIZED, bootstrap(wrong)),
-                         (share, FAILED, bootstrap(matrix(own, failed)))]  # fmt: skip
+                told += [
+                    (share, MISGENERALIZED, bootstrap(wrong)),
+                    (share, FAILED, bootstrap(matrix(own, failed))),
+                ]
             walk = work.episodes.filter(kept, test=where, policy=Walk("end").name)
             told += [
                 (None, BASE, bootstrap(missed_invisible(here.filter(kept)))),
@@ -218,16 +230,27 @@ EXPERIMENT = Experiment(
     "the coin and not for the end of the level?",
     sizes={
         "smoke": plan(
-            "smoke", (0, 2, 6, 20), 2, 500,
+            "smoke",
+            (0, 2, 6, 20),
+            2,
+            500,
             f"four of the eight shares; {_agents.DIFFERENCES['smoke']}",
         ),
         "pixels": plan(
-            "pixels", (0, 2, 20), 3, 500,
+            "pixels",
+            (0, 2, 20),
+            3,
+            500,
             f"three of the eight shares; {_agents.DIFFERENCES['pixels']}",
         ),
-        "hour": plan("hour", (0, 2, 10), 1, 1000, f"{_agents.DIFFERENCES['hour']}; three shares "
-                     "of random coins instead of eight"),
+        "hour": plan(
+            "hour",
+            (0, 2, 10),
+            1,
+            1000,
+            f"{_agents.DIFFERENCES['hour']}; three shares of random coins instead of eight",
+        ),
         "paper": plan("paper", SHARES, 3, 10_000, ""),
     },
     find=find,
-)  # fmt: skip
+)

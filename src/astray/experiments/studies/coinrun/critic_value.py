@@ -63,7 +63,9 @@ def find(work: Work) -> Findings:
         claims=[
             is_more(
                 "The value is higher at the end of the level than at its beginning.",
-                "much higher (no number given)", f"{END} less {BEGINNING}", rise,
+                "much higher (no number given)",
+                f"{END} less {BEGINNING}",
+                rise,
             ),
             Claim(
                 "The coin has an insignificant effect at all stages of a level.",
@@ -77,7 +79,9 @@ def find(work: Work) -> Findings:
             ),
             is_more(
                 "Where a level holds no coin at all, the value rises to its end all the same.",
-                "not measured", f"{END} less {BEGINNING}", alone_rise,
+                "not measured",
+                f"{END} less {BEGINNING}",
+                alone_rise,
             ),
             Claim(
                 "The coin adds less than half of what the end of the level adds.",
@@ -93,7 +97,8 @@ def find(work: Work) -> Findings:
                 "What the critic expects and what came of it, in levels as in training: the "
                 f"discounted return from a state on, of {BINS} groups of states by their value, "
                 f"with 95\u00a0% intervals. {unit}",
-                _figures.calibration(came), came,
+                _figures.calibration(came),
+                came,
             ),
             Plot(
                 "stages",
@@ -101,13 +106,15 @@ def find(work: Work) -> Findings:
                 "view, as in the paper; with 95\u00a0% intervals over agents and levels. Stages "
                 "are thirds of the way to the end, and what is beyond the face of a wall that "
                 "lets pass.",
-                _figures.stages(bars), bars,
+                _figures.stages(bars),
+                bars,
             ),
             Plot(
                 "coins",
                 "What a coin adds to the value of the same state: where one is in view it is "
                 "taken away, where none is one is put at a random place to stand that is in view.",
-                _figures.effects(effects), effects,
+                _figures.effects(effects),
+                effects,
             ),
         ],
         tables=[
@@ -116,14 +123,15 @@ def find(work: Work) -> Findings:
             Table("calibration", "Values and the returns that came", came),
             Table("coins", "What a coin adds to the value of the same state", effects),
         ],
-        settings=outcomes.settings(work.plan) | {
+        settings=outcomes.settings(work.plan)
+        | {
             "states": f"{len(table):,}, up to {DRAWN} of each episode",
             "the paper and its code": "There each picture was labelled by hand, and its error bars "
             "are from the 5th to the 95th percentile, which is a 90\u00a0% interval; all pictures "
             "were of one agent and resampled alone. Here stage and coin come from the state, and "
             "agents and levels are resampled.",
         },
-    )  # fmt: skip
+    )
 
 
 def values(work: Work) -> pl.DataFrame:
@@ -148,13 +156,16 @@ def values(work: Work) -> pl.DataFrame:
             away = counterfactual(agent, variant, states, edits.without_coin)
             more = counterfactual(agent, variant, states, edits.with_coin_in_view)
             seen, put = away["seen"], more["seen"] & ~away["seen"]
-            parts.append(rows.select("level", "step", "value", "future").with_columns(
-                test=pl.lit(name), agent=pl.lit(config.seed),
-                stage=pl.Series(np.array(STAGES)[stage[wanted]]),
-                coin=seen,
-                taken_away=pl.when(seen).then(-away["change"]),
-                put_in_view=pl.when(put).then(more["change"]),
-            ))  # fmt: skip
+            parts.append(
+                rows.select("level", "step", "value", "future").with_columns(
+                    test=pl.lit(name),
+                    agent=pl.lit(config.seed),
+                    stage=pl.Series(np.array(STAGES)[stage[wanted]]),
+                    coin=seen,
+                    taken_away=pl.when(seen).then(-away["change"]),
+                    put_in_view=pl.when(put).then(more["change"]),
+                )
+            )
     return pl.concat(parts)
 
 
@@ -203,10 +214,12 @@ EXPERIMENT = Experiment(
     title="What the critic values",
     reproduces="Figure 6",
     question="Does the critic value the coin, or the end of the level, where the coin always was?",
-    sizes={"smoke": _agents.plan("smoke", 2, 300, visited=TESTS),
-           "pixels": _agents.plan("pixels", 3, 300, visited=TESTS),
-           "hour": _agents.plan("hour", 1, 500, visited=TESTS),
-           "paper": _agents.plan("paper", 3, 1000, visited=TESTS),
-           "published": _agents.plan("published", 1, 300, visited=BRIEF)},
+    sizes={
+        "smoke": _agents.plan("smoke", 2, 300, visited=TESTS),
+        "pixels": _agents.plan("pixels", 3, 300, visited=TESTS),
+        "hour": _agents.plan("hour", 1, 500, visited=TESTS),
+        "paper": _agents.plan("paper", 3, 1000, visited=TESTS),
+        "published": _agents.plan("published", 1, 300, visited=BRIEF),
+    },
     find=find,
-)  # fmt: skip
+)

@@ -22,8 +22,12 @@ from astray.experiments.studies.coinrun._agents import RIGHT_AND_JUMP, RUNNER
 from astray.games.coinrun.rules import HALF, TALL
 
 AT_END, ANYWHERE, GHOST, NONE, LEDGE = (
-    "coin at the end", "coin anywhere", "ghost of it", "no coin", "coin on a ledge",
-)  # fmt: skip
+    "coin at the end",
+    "coin anywhere",
+    "ghost of it",
+    "no coin",
+    "coin on a ledge",
+)
 TESTS = {
     AT_END: Test("coin-end", "coin-end"),
     ANYWHERE: Test("coin-anywhere", "coin-end"),
@@ -45,17 +49,26 @@ BATCH = 128  # states of 17 kB are copied at every step
 def find(work: Work) -> Findings:
     """What became of the coin, seen and unseen, at the same places of the same levels."""
     table = work.keep("episodes-by-place", lambda: episodes(work))
-    fates = pl.concat([
-        group_means(table.with_columns(share=pl.col("fate") == fate), "share", ["test"])
-        .with_columns(fate=pl.lit(fate))
-        for fate in FATES
-    ]).sort(pl.col("test").replace_strict([*TESTS, NONE], range(len(TESTS) + 1), default=9),
-            maintain_order=True)  # fmt: skip
+    fates = pl.concat(
+        [
+            group_means(
+                table.with_columns(share=pl.col("fate") == fate), "share", ["test"]
+            ).with_columns(fate=pl.lit(fate))
+            for fate in FATES
+        ]
+    ).sort(
+        pl.col("test").replace_strict([*TESTS, NONE], range(len(TESTS) + 1), default=9),
+        maintain_order=True,
+    )
     pairs = paired(table)
-    gains = pl.concat([
-        group_means(pairs.with_columns(by=pl.lit(by), group=pl.col(by)), "gain", ["by", "group"])
-        for by in ("all", "way", "part", "height")
-    ]).sort(pl.col("group").replace_strict(GROUPS, range(len(GROUPS))))  # fmt: skip
+    gains = pl.concat(
+        [
+            group_means(
+                pairs.with_columns(by=pl.lit(by), group=pl.col(by)), "gain", ["by", "group"]
+            )
+            for by in ("all", "way", "part", "height")
+        ]
+    ).sort(pl.col("group").replace_strict(GROUPS, range(len(GROUPS))))
     share = {test: share_of(table, test, TAKEN) for test in TESTS}
     past, script = share_of(table, ANYWHERE, END), share_of(table, RIGHT_AND_JUMP.name, TAKEN)
     gain, touched = mean_of(pairs, "gain"), mean_of(pairs, "touched")
@@ -68,48 +81,78 @@ def find(work: Work) -> Findings:
         f"places in {rounded(touched.mean)}: that it is seen makes a difference of "
         f"{100 * gain.mean:+.0f} of 100 levels.",
         claims=[
-            holds_above("At the end of the level the coin is taken.", "trained to",
-                        "taken", share[AT_END], NEARLY_ALL),
-            holds_above("Moved, the coin is often passed by on the way to the end.",
-                        "generally proceeds to the end (no figure given)",
-                        "end without it", past, MUCH,
-                        why="many of the places lie on the way: a runner that only holds right and "
-                        f"jump would touch {rounded(script.mean)} of the coins"),
-            holds_above("Seeing the coin makes it more likely to be taken.",
-                        "lower than with an invisible coin (no figure given)",
-                        "taken where it is seen less touched where it is not, in the same levels",
-                        gain, 0.0,
-                        why=f"nearly all that is taken is come by: unseen, {rounded(touched.mean)} "
-                        f"are touched; seen, {rounded(share[ANYWHERE].mean)} are taken"),
-            holds_above("More is taken by coming by than by its being seen.", "not measured",
-                        "touched unseen less what seeing adds",
-                        mean_of(pairs, pl.col("touched") - pl.col("gain")), 0.0),
-            holds_above("Off the way, seeing the coin leads to it in most levels.", "not measured",
-                        "what seeing adds where right-and-jump does not touch it", off,
-                        HALF_OF_IT,
-                        why="its way hardly depends on the coin: it gets to the end in "
-                        f"{rounded(share_of(table, NONE, END).mean)} of levels that have none"),
+            holds_above(
+                "At the end of the level the coin is taken.",
+                "trained to",
+                "taken",
+                share[AT_END],
+                NEARLY_ALL,
+            ),
+            holds_above(
+                "Moved, the coin is often passed by on the way to the end.",
+                "generally proceeds to the end (no figure given)",
+                "end without it",
+                past,
+                MUCH,
+                why="many of the places lie on the way: a runner that only holds right and "
+                f"jump would touch {rounded(script.mean)} of the coins",
+            ),
+            holds_above(
+                "Seeing the coin makes it more likely to be taken.",
+                "lower than with an invisible coin (no figure given)",
+                "taken where it is seen less touched where it is not, in the same levels",
+                gain,
+                0.0,
+                why=f"nearly all that is taken is come by: unseen, {rounded(touched.mean)} "
+                f"are touched; seen, {rounded(share[ANYWHERE].mean)} are taken",
+            ),
+            holds_above(
+                "More is taken by coming by than by its being seen.",
+                "not measured",
+                "touched unseen less what seeing adds",
+                mean_of(pairs, pl.col("touched") - pl.col("gain")),
+                0.0,
+            ),
+            holds_above(
+                "Off the way, seeing the coin leads to it in most levels.",
+                "not measured",
+                "what seeing adds where right-and-jump does not touch it",
+                off,
+                HALF_OF_IT,
+                why="its way hardly depends on the coin: it gets to the end in "
+                f"{rounded(share_of(table, NONE, END).mean)} of levels that have none",
+            ),
         ],
         videos=films(work, pairs),
         plots=[
-            Plot("fates", "What became of episodes, which are left at the coin, its ghost, or the "
-                 "end of the level.", _figures.fates(fates, FATES), fates),
-            Plot("gains", "How much more often the coin is taken than its ghost is touched, at the "
-                 "same places of the same levels: in all, by whether a runner that only holds "
-                 "right and jump touches it, by where it is on the way to the end, and by its "
-                 "height over the start; with 95\u00a0% intervals.",
-                 _figures.gains(gains), gains),
+            Plot(
+                "fates",
+                "What became of episodes, which are left at the coin, its ghost, or the "
+                "end of the level.",
+                _figures.fates(fates, FATES),
+                fates,
+            ),
+            Plot(
+                "gains",
+                "How much more often the coin is taken than its ghost is touched, at the "
+                "same places of the same levels: in all, by whether a runner that only holds "
+                "right and jump touches it, by where it is on the way to the end, and by its "
+                "height over the start; with 95\u00a0% intervals.",
+                _figures.gains(gains),
+                gains,
+            ),
         ],
         tables=[
             Table("fates", "What became of episodes", fates),
             Table("gains", "What seeing the coin adds to the share in which it is taken", gains),
         ],
-        settings=outcomes.settings(work.plan) | {
+        settings=outcomes.settings(work.plan)
+        | {
             "the ghost": "a coin that is not drawn; touching it is counted and changes nothing",
             "on the way": f"a runner that holds right and jump touches the ghost; it does in "
             f"{script.percent()}",
         },
-    )  # fmt: skip
+    )
 
 
 def episodes(work: Work) -> pl.DataFrame:
@@ -145,12 +188,16 @@ def play(work: Work, policy: Policy, test: str) -> pl.DataFrame:
         touched[step.level] |= near_x & near_y
         for i in np.flatnonzero(step.ended):
             end, k = fate(s[i]), step.level[i]
-            rows.append({
-                "level": int(levels[k]), "after": end,
-                "fate": TAKEN if test == GHOST and touched[k] else end,
-                "place_x": int(place[k, 0]), "place_y": int(place[k, 1]),
-                "end_x": int(s[i]["end_x"]),
-            })  # fmt: skip
+            rows.append(
+                {
+                    "level": int(levels[k]),
+                    "after": end,
+                    "fate": TAKEN if test == GHOST and touched[k] else end,
+                    "place_x": int(place[k, 0]),
+                    "place_y": int(place[k, 1]),
+                    "end_x": int(s[i]["end_x"]),
+                }
+            )
     return pl.DataFrame(rows).sort("level").with_columns(test=pl.lit(test))
 
 
@@ -183,11 +230,17 @@ def paired(table: pl.DataFrame) -> pl.DataFrame:
         gain=(pl.col("fate") == TAKEN).cast(pl.Float64) - pl.col("touched"),
         all=pl.lit("all"),
         way=pl.when("by_script").then(pl.lit(ON_WAY)).otherwise(pl.lit(OFF_WAY)),
-        part=pl.when(share < 1 / 3).then(pl.lit(FIRST)).when(share < 2 / 3).then(
-            pl.lit(SECOND)).otherwise(pl.lit(LAST)),
-        height=pl.when(pl.col("place_y") <= 2).then(pl.lit(LOW)).when(
-            pl.col("place_y") <= 5).then(pl.lit(HIGHER)).otherwise(pl.lit(HIGHEST)),
-    )  # fmt: skip
+        part=pl.when(share < 1 / 3)
+        .then(pl.lit(FIRST))
+        .when(share < 2 / 3)
+        .then(pl.lit(SECOND))
+        .otherwise(pl.lit(LAST)),
+        height=pl.when(pl.col("place_y") <= 2)
+        .then(pl.lit(LOW))
+        .when(pl.col("place_y") <= 5)
+        .then(pl.lit(HIGHER))
+        .otherwise(pl.lit(HIGHEST)),
+    )
 
 
 def share_of(table: pl.DataFrame, test: str, fate: str) -> Estimate:
@@ -202,15 +255,24 @@ def films(work: Work, pairs: pl.DataFrame) -> list[Video]:
     shown = []
     for name, what, rows in (
         ("passed-by", "passes the coin by", mine.filter(fate=END)),
-        ("gone-to", "goes to a coin that it would not have touched unseen",
-         mine.filter(fate=TAKEN, touched=False)),
-    ):  # fmt: skip
+        (
+            "gone-to",
+            "goes to a coin that it would not have touched unseen",
+            mine.filter(fate=TAKEN, touched=False),
+        ),
+    ):
         for level in rows["level"].head(1).to_list():
             both = [
-                video.play(agent, "coinrun", TESTS[test].variant_for(work.plan.config), level,
-                           pixels=288, longest=outcomes.LONGEST)
+                video.play(
+                    agent,
+                    "coinrun",
+                    TESTS[test].variant_for(work.plan.config),
+                    level,
+                    pixels=288,
+                    longest=outcomes.LONGEST,
+                )
                 for test in (AT_END, ANYWHERE)
-            ]  # fmt: skip
+            ]
             captions = [AT_END, ANYWHERE]
             frames = video.beside(*(one.frames for one in both), captions=captions)
             path = work.folder / "videos" / f"{name}.mp4"

@@ -44,13 +44,22 @@ PICTURES = 6
 def find(work: Work) -> Findings:
     """What became of those who reached the wall, and the critic's value on their way."""
     reached = at_wall(work.episodes)
-    fates = pl.concat([
-        group_means(reached.with_columns(share=pl.col("fate") == fate), "share", ["test", "who"])
-        .with_columns(fate=pl.lit(fate))
-        for fate in FATES
-    ]).select("test", "who", "fate", "mean", "low", "high", "agents", "levels", "rows").sort(
-        pl.col("test").replace_strict(list(TESTS), range(len(TESTS))), "who", maintain_order=True
-    )  # fmt: skip
+    fates = (
+        pl.concat(
+            [
+                group_means(
+                    reached.with_columns(share=pl.col("fate") == fate), "share", ["test", "who"]
+                ).with_columns(fate=pl.lit(fate))
+                for fate in FATES
+            ]
+        )
+        .select("test", "who", "fate", "mean", "low", "high", "agents", "levels", "rows")
+        .sort(
+            pl.col("test").replace_strict(list(TESTS), range(len(TESTS))),
+            "who",
+            maintain_order=True,
+        )
+    )
     table = work.keep("values", lambda: values(work))
     ways, peaks = approach(table), peak(table)
     through, entered = (
@@ -67,19 +76,25 @@ def find(work: Work) -> Findings:
         claims=[
             holds_above(
                 "Whenever the runner reaches the wall, it goes through.",
-                "100\u00a0%, n\u00a0=\u00a0114", "out on the other side", through, NEARLY_ALL,
+                "100\u00a0%, n\u00a0=\u00a0114",
+                "out on the other side",
+                through,
+                NEARLY_ALL,
                 why=f"{rounded(entered.mean - through.mean)} are still in the wall, "
                 f"{COLUMNS} columns wide, when the time is up",
             ),
             holds_above(
                 "It neither stays at the wall nor comes back to it.",
-                "100\u00a0%, n\u00a0=\u00a0114", "in the wall or on the other side", entered,
+                "100\u00a0%, n\u00a0=\u00a0114",
+                "in the wall or on the other side",
+                entered,
                 NEARLY_ALL,
             ),
             holds_above(
                 "The critic's value is highest just left of the wall, not in it or beyond.",
                 "about step 35, one episode",
-                f"there, with the wall in view, in the median at step {median(peaks)}", before,
+                f"there, with the wall in view, in the median at step {median(peaks)}",
+                before,
                 MOST,
             ),
         ],
@@ -91,21 +106,23 @@ def find(work: Work) -> Findings:
                 "The critic's value by the distance to the wall's face, over all episodes that "
                 "reach it, with 95\u00a0% intervals over agents and levels; up to "
                 f"{FOLLOWED} steps after the wall was touched.",
-                _figures.approach(ways, COLUMNS), ways,
+                _figures.approach(ways, COLUMNS),
+                ways,
             ),
         ],
         tables=[
             Table("fates", "What became of those who reached the wall", fates),
             *outcomes.outcome_tables(work),
         ],
-        settings=outcomes.settings(work.plan) | {
+        settings=outcomes.settings(work.plan)
+        | {
             "episodes with values": f"all that touch the wall in their first {LONGEST} steps",
             "the wall": f"{COLUMNS} columns, which end in a step one cell high; who is out of the "
             "last column went through",
             "the paper and its code": "There one wall was two columns wide, a later one 15, and "
             "which was counted by hand is not recorded; nor where the coin was.",
         },
-    )  # fmt: skip
+    )
 
 
 def at_wall(episodes: pl.DataFrame) -> pl.DataFrame:
@@ -145,16 +162,26 @@ def values(work: Work) -> pl.DataFrame:
         variant = limited.variant_for(work.plan.config)
         for first in range(0, len(levels), AT_ONCE):
             rows, states = visit(
-                agent, variant, levels[first : first + AT_ONCE],
+                agent,
+                variant,
+                levels[first : first + AT_ONCE],
                 measures={"to_wall": measures.to_wall},
-            )  # fmt: skip
+            )
             touched = pl.Series(states["touched_wall"]).replace(-1, None)
             rows = rows.with_columns(touched=touched).with_columns(
                 touched=pl.col("touched").max().over("level")
             )
             rows = rows.filter(pl.col("step") <= pl.col("touched") + FOLLOWED)
-            parts.append(rows.select(pl.lit(config.seed).alias("agent"), "level", "step", "value",
-                                     "to_wall", "touched"))  # fmt: skip
+            parts.append(
+                rows.select(
+                    pl.lit(config.seed).alias("agent"),
+                    "level",
+                    "step",
+                    "value",
+                    "to_wall",
+                    "touched",
+                )
+            )
     return pl.concat(parts)
 
 
@@ -190,9 +217,13 @@ def show(work: Work, typical: dict[str, Any]) -> tuple[Video, Plot]:
     test = work.plan.tests[ANYWHERE].variant
     variant = work.plan.tests[ANYWHERE].variant_for(work.plan.config)
     episode = video.play(
-        player, config.game, variant, typical["level"], pixels=288,
+        player,
+        config.game,
+        variant,
+        typical["level"],
+        pixels=288,
         longest=typical["touched"] + FOLLOWED,
-    )  # fmt: skip
+    )
     value = judge(player, episode.observations)[1]
     path = work.folder / "videos" / "wall.mp4"
     texts = [f"step {k}, value {v:.2f}" for k, v in enumerate(value)]
@@ -250,4 +281,4 @@ EXPERIMENT = Experiment(
         "published": _agents.plan("published", 1, 150, **PLAYED | {"tests": BRIEF}),
     },
     find=find,
-)  # fmt: skip
+)

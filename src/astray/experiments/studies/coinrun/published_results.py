@@ -49,25 +49,48 @@ def find(work: Work) -> Findings:
         claims=[
             Claim(
                 "That a coin is taken at the original's random place shows no more than running "
-                "right does.", "not measured",
+                "right does.",
+                "not measured",
                 f"agent less script: {gap.percent()}; holds where it is less than "
-                f"{100 * CLOSE:g}\u00a0% above", gap.high < CLOSE,
+                f"{100 * CLOSE:g}\u00a0% above",
+                gap.high < CLOSE,
             ),
             holds_above(
                 "What the blind script does in a level foretells what the agent does.",
                 "not measured",
-                "taken where the script takes the coin less where it does not", foretold, APART,
+                "taken where the script takes the coin less where it does not",
+                foretold,
+                APART,
             ),
         ],
-        plots=[Plot("fates", "What became of episodes in the same levels.",
-                    _figures.fates(bars, FATES), bars)],
+        plots=[
+            Plot(
+                "fates",
+                "What became of episodes in the same levels.",
+                _figures.fates(bars, FATES),
+                bars,
+            )
+        ],
         tables=[
             Table("fates", "What became of episodes in the same levels", bars),
-            Table("foretold", "How often the agent takes the coin, and dies", pl.DataFrame([
-                {"where": f"right and jump {'takes' if k else 'does not take'} it",
-                 "what": "taken"} | vars(one) for k, one in where.items()
-            ] + [{"where": f"the coin is in {k}", "what": "died"} | vars(one)
-                 for k, one in died.items()])),
+            Table(
+                "foretold",
+                "How often the agent takes the coin, and dies",
+                pl.DataFrame(
+                    [
+                        {
+                            "where": f"right and jump {'takes' if k else 'does not take'} it",
+                            "what": "taken",
+                        }
+                        | vars(one)
+                        for k, one in where.items()
+                    ]
+                    + [
+                        {"where": f"the coin is in {k}", "what": "died"} | vars(one)
+                        for k, one in died.items()
+                    ]
+                ),
+            ),
         ],
         settings={
             "the file": f"{catalogue.find(SOURCE).known.source}; one agent, trained by others with "
@@ -75,16 +98,24 @@ def find(work: Work) -> Findings:
             "levels": f"{len(theirs):,}, those of the file; they are numbered as here",
             "variant": VARIANT,
         },
-    )  # fmt: skip
+    )
 
 
 def scripts(levels: np.ndarray) -> pl.DataFrame:
     """Episodes of scripts, left at the end; is_near: the coin is in the first section."""
-    return pl.concat([
-        evaluate(policy, "coinrun", VARIANT, levels, until=["reached_end"],
-                 measures={"is_near": lambda s: s["coin_x"] == BEGIN})
-        for policy in (RIGHT_AND_JUMP, Random())
-    ])  # fmt: skip
+    return pl.concat(
+        [
+            evaluate(
+                policy,
+                "coinrun",
+                VARIANT,
+                levels,
+                until=["reached_end"],
+                measures={"is_near": lambda s: s["coin_x"] == BEGIN},
+            )
+            for policy in (RIGHT_AND_JUMP, Random())
+        ]
+    )
 
 
 def difference(taken: np.ndarray, by_script: np.ndarray) -> Estimate:
@@ -96,20 +127,25 @@ def difference(taken: np.ndarray, by_script: np.ndarray) -> Estimate:
 def fates(theirs: pl.DataFrame, ours: pl.DataFrame) -> pl.DataFrame:
     """Columns test (who), fate, mean."""
     alone = ~pl.col("end")  # what came after the end does not count
-    told = {"published agent": theirs.select(
-        "coin", "end", died=pl.col("died") & alone, timed_out=pl.col("timed_out") & alone
-    )}  # fmt: skip
+    told = {
+        "published agent": theirs.select(
+            "coin", "end", died=pl.col("died") & alone, timed_out=pl.col("timed_out") & alone
+        )
+    }
     for policy in (SCRIPT, RANDOM):
         of = ours.filter(policy=policy)
         coin, end = pl.col("took_coin").is_not_null(), pl.col("reached_end").is_not_null()
         died = pl.col("died").is_not_null()
-        told[policy] = of.select(coin=coin, end=end & ~coin, died=died & ~end,
-                                 timed_out=~(coin | end | died))  # fmt: skip
-    return pl.DataFrame([
-        {"test": who, "fate": fate, "mean": float(table[column].mean() or 0)}  # type: ignore[arg-type]
-        for who, table in told.items()
-        for fate, column in zip(FATES, table.columns, strict=True)
-    ])  # fmt: skip
+        told[policy] = of.select(
+            coin=coin, end=end & ~coin, died=died & ~end, timed_out=~(coin | end | died)
+        )
+    return pl.DataFrame(
+        [
+            {"test": who, "fate": fate, "mean": float(table[column].mean() or 0)}  # type: ignore[arg-type]
+            for who, table in told.items()
+            for fate, column in zip(FATES, table.columns, strict=True)
+        ]
+    )
 
 
 EXPERIMENT = Experiment(

@@ -26,8 +26,9 @@ def depth(table: pl.DataFrame, plain: float, without: float) -> Figure:
     figure = Figure(figsize=(figures.WIDTH, 1.1 + 0.34 * len(table)))
     axes = figure.subplots()
     y = np.arange(len(table))
-    axes.errorbar(table["mean"], y, xerr=_whiskers(table), fmt="o", color=figures.OTHERS[0],
-                  capsize=3)  # fmt: skip
+    axes.errorbar(
+        table["mean"], y, xerr=_whiskers(table), fmt="o", color=figures.OTHERS[0], capsize=3
+    )
     axes.axvline(plain, color=figures.INK, linestyle="--", linewidth=1, label="nothing changed")
     axes.axvline(without, color=figures.INK, linestyle=":", linewidth=1.4, label="no cheese")
     axes.set_yticks(y, table["layer"].to_list())
@@ -47,8 +48,10 @@ def dose(table: pl.DataFrame, random: pl.DataFrame) -> Figure:
     """
     figure = Figure(figsize=(figures.WIDTH, 3.4))
     axes = figure.subplots()
-    for part, colour, name in ((random, GREY, "random vectors of the same length"),
-                               (table, figures.OTHERS[0], "cheese vectors")):  # fmt: skip
+    for part, colour, name in (
+        (random, GREY, "random vectors of the same length"),
+        (table, figures.OTHERS[0], "cheese vectors"),
+    ):
         x = part["coefficient"].to_numpy()
         axes.plot(x, part["mean"], color=colour, marker="o", linewidth=2, label=name)
         axes.fill_between(x, part["low"], part["high"], color=colour, alpha=PALE, linewidth=0)
@@ -111,11 +114,14 @@ def _probe(axes: Axes, table: pl.DataFrame, label: str) -> None:
     ):
         means = table[name].cast(pl.Float64).fill_null(float("nan")).to_numpy()
         axes.plot(x, means, color=colour, marker=marker, linewidth=1.6, label=called)
-        low, high = (table[f"{name} {end}"].cast(pl.Float64).fill_null(float("nan")).to_numpy()
-                     for end in ("low", "high"))  # fmt: skip
+        low, high = (
+            table[f"{name} {end}"].cast(pl.Float64).fill_null(float("nan")).to_numpy()
+            for end in ("low", "high")
+        )
         axes.fill_between(x, low, high, color=colour, alpha=PALE, linewidth=0)
-    axes.axhline(table["chance"][0], color=figures.INK, linestyle=":", linewidth=1.2,
-                 label="without looking")  # fmt: skip
+    axes.axhline(
+        table["chance"][0], color=figures.INK, linestyle=":", linewidth=1.2, label="without looking"
+    )
     axes.set_xticks(x, table["layer"].to_list(), rotation=50, ha="right", fontsize=8.5)
     numbers = table["kind"][0] == "number"
     axes.set_ylim(-0.25 if numbers else 0, 1.03)

@@ -22,9 +22,13 @@ from astray.training.config import PRESETS, Config
 MOUSE = "mouse"
 CORNER_MOUSE = replace(PRESETS["small"], variant="corner-small", validation="anywhere-small")
 CHEESE_MOUSE = Config(
-    game="maze", variant="anywhere-easy", observation="image", network="impala", art="original",
+    game="maze",
+    variant="anywhere-easy",
+    observation="image",
+    network="impala",
+    art="original",
     levels=100_000,
-)  # fmt: skip
+)
 SMALL = Test("anywhere-small", "corner-small")
 LARGE = Test("anywhere-easy", "corner-easy", {"smallest": 11})  # cells a side, of 15
 CORNER = "the mouse of the corner that comes with astray, in worlds of 7 cells, seen as symbols"
@@ -33,21 +37,36 @@ CHEESE = "a mouse that others trained with cheese anywhere, in mazes of 11 to 15
 
 def of_corner_mouse(levels: int, **more: Any) -> Plan:
     """A plan with the kept mouse whose cheese always lay in the corner."""
-    return Plan(agents={MOUSE: CORNER_MOUSE}, published={MOUSE: "maze-corner"}, levels=levels,
-                differences=CORNER, **more)  # fmt: skip
+    return Plan(
+        agents={MOUSE: CORNER_MOUSE},
+        published={MOUSE: "maze-corner"},
+        levels=levels,
+        differences=CORNER,
+        **more,
+    )
 
 
 def of_cheese_mouse(levels: int, **more: Any) -> Plan:
     """A plan with the published mouse that finds its cheese."""
-    return Plan(agents={MOUSE: CHEESE_MOUSE}, published={MOUSE: "maze-160m"}, levels=levels,
-                differences=CHEESE, **more)  # fmt: skip
+    return Plan(
+        agents={MOUSE: CHEESE_MOUSE},
+        published={MOUSE: "maze-160m"},
+        levels=levels,
+        differences=CHEESE,
+        **more,
+    )
 
 
 def of_kept_runner(levels: int, **more: Any) -> Plan:
     """A plan with the kept runner whose coin always lay at the end."""
     name, smoke = _agents.RUNNER, "smoke"
-    return Plan(agents={name: _agents.AGENTS[smoke]}, published={name: "coin-end"}, levels=levels,
-                differences=_agents.DIFFERENCES[smoke], **more)  # fmt: skip
+    return Plan(
+        agents={name: _agents.AGENTS[smoke]},
+        published={name: "coin-end"},
+        levels=levels,
+        differences=_agents.DIFFERENCES[smoke],
+        **more,
+    )
 
 
 def opened(work: Work, where: str) -> tuple[Agent, Variant, np.ndarray]:
@@ -72,7 +91,9 @@ def of_levels(rows: pl.DataFrame, value: str, condition: str, minus: str | None 
 
 def table_of(rows: Mapping[str, Estimate], heading: str) -> pl.DataFrame:
     """Estimates by name, as a table."""
-    return pl.DataFrame([
-        {heading: name, "mean": one.mean, "low": one.low, "high": one.high, "n": one.levels}
-        for name, one in rows.items()
-    ])  # fmt: skip
+    return pl.DataFrame(
+        [
+            {heading: name, "mean": one.mean, "low": one.low, "high": one.high, "n": one.levels}
+            for name, one in rows.items()
+        ]
+    )

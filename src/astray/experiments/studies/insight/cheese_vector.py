@@ -56,8 +56,9 @@ def find(work: Work) -> Findings:
         {name: of_levels(rows, where, name) for name in shown} for where in (SQUARE, START, ALL)
     )
     few = rows.filter(pl.col("level") < SWEPT)  # the levels of all other layers and coefficients
-    depth = means(few, {f"subtracted at {layer}": layer for layer in LAYERS[work.size].layers},
-                  "layer")  # fmt: skip
+    depth = means(
+        few, {f"subtracted at {layer}": layer for layer in LAYERS[work.size].layers}, "layer"
+    )
     base = [of_levels(few, SQUARE, one).mean for one in (PLAIN, WITHOUT)]
     by_dose = {f"{c:g} times": c for c in COEFFICIENTS}
     by_dose |= {PLAIN: 0.0, SUBTRACTED: -1.0, ADDED: 1.0}
@@ -74,20 +75,39 @@ def find(work: Work) -> Findings:
         f"random one of its length {said[RANDOM].mean:.3f}.",
         claims=CLAIMS[work.size](rows),
         plots=[
-            Plot("depth", "The probability of the next step to the cheese, the cheese vector of "
-                 "each layer subtracted there. Dashed: as it is; dotted: a level without cheese.",
-                 _figures.depth(depth, *base), depth),
-            Plot("dose", f"Likewise at {main}, by the coefficient; grey: random vectors.",
-                 _figures.dose(dose, chance), dose),
+            Plot(
+                "depth",
+                "The probability of the next step to the cheese, the cheese vector of "
+                "each layer subtracted there. Dashed: as it is; dotted: a level without cheese.",
+                _figures.depth(depth, *base),
+                depth,
+            ),
+            Plot(
+                "dose",
+                f"Likewise at {main}, by the coefficient; grey: random vectors.",
+                _figures.dose(dose, chance),
+                dose,
+            ),
         ],
         tables=[
-            Table("effects", "Probability of the next step to the cheese where the ways to cheese "
-                  "and corner part", table_of(said, "condition")),
+            Table(
+                "effects",
+                "Probability of the next step to the cheese where the ways to cheese "
+                "and corner part",
+                table_of(said, "condition"),
+            ),
             Table("starts", "The same where levels begin", table_of(starts, "condition")),
-            Table("everywhere", "The same at places all over the level",
-                  table_of(everywhere, "condition")),
-            Table("vectors", "The vectors of each layer: mean length, mean length of what the "
-                  "layer gives, mean cosine of two levels", shape),
+            Table(
+                "everywhere",
+                "The same at places all over the level",
+                table_of(everywhere, "condition"),
+            ),
+            Table(
+                "vectors",
+                "The vectors of each layer: mean length, mean length of what the "
+                "layer gives, mean cosine of two levels",
+                shape,
+            ),
         ],
         settings={
             "levels": f"{len(levels)}, of which those count in which the ways part; the first "
@@ -99,7 +119,7 @@ def find(work: Work) -> Findings:
             "subtracting acts, adding has next to no effect. The figures beside ours are of this "
             "agent, 40 mazes, measured before.",
         },
-    )  # fmt: skip
+    )
 
 
 def steered(size: Size, agent: Agent, variant: Variant, levels: np.ndarray) -> pl.DataFrame:
@@ -121,19 +141,24 @@ def steered(size: Size, agent: Agent, variant: Variant, levels: np.ndarray) -> p
     }
     swept |= {f"{c:g} times": Condition([main], c) for c in COEFFICIENTS}
     swept |= {f"random, {c:g} times": Condition(random, c) for c in COEFFICIENTS}
-    return pl.concat([
-        effects(agent, variant, part, "cheese", which, places=PLACES[size], at=decision)
-        for part, which in ((levels, conditions), (some, swept))
-    ])  # fmt: skip
+    return pl.concat(
+        [
+            effects(agent, variant, part, "cheese", which, places=PLACES[size], at=decision)
+            for part, which in ((levels, conditions), (some, swept))
+        ]
+    )
 
 
 def means(rows: pl.DataFrame, names: Mapping[str, str | float], heading: str) -> pl.DataFrame:
     """The mean of some conditions, by what they are called in a figure."""
-    return pl.concat([
-        table_of({"": of_levels(rows, SQUARE, name)}, "").drop("")
-        .with_columns(pl.lit(called).alias(heading))
-        for name, called in names.items()
-    ])  # fmt: skip
+    return pl.concat(
+        [
+            table_of({"": of_levels(rows, SQUARE, name)}, "")
+            .drop("")
+            .with_columns(pl.lit(called).alias(heading))
+            for name, called in names.items()
+        ]
+    )
 
 
 def shapes(size: Size, agent: Agent, variant: Variant, levels: np.ndarray) -> pl.DataFrame:
@@ -141,9 +166,14 @@ def shapes(size: Size, agent: Agent, variant: Variant, levels: np.ndarray) -> pl
     rows = []
     for layer in LAYERS[size].layers:
         vectors = object_vectors(agent, variant, levels[:SWEPT], layer)
-        rows.append({"layer": layer, "length": vectors.norms.mean(),
-                     "length of the mean": float(np.linalg.norm(vectors.mean)),
-                     "cosine": vectors.alike()})  # fmt: skip
+        rows.append(
+            {
+                "layer": layer,
+                "length": vectors.norms.mean(),
+                "length of the mean": float(np.linalg.norm(vectors.mean)),
+                "cosine": vectors.alike(),
+            }
+        )
     return pl.DataFrame(rows)
 
 
@@ -156,20 +186,33 @@ def of_cheese_mouse(rows: pl.DataFrame) -> list[Claim]:
     return [
         holds_within(
             "Subtracting the cheese vector turns the mouse from the cheese.",
-            "0.844 to 0.479: -0.365 (40 mazes)", "change of the probability",
-               less(SUBTRACTED, PLAIN), (-inf, -0.25)),
+            "0.844 to 0.479: -0.365 (40 mazes)",
+            "change of the probability",
+            less(SUBTRACTED, PLAIN),
+            (-inf, -0.25),
+        ),
         holds_within(
-            "It does what taking the cheese away does.", "0.479 and 0.497: -0.018",
-            "subtracted less without cheese", less(SUBTRACTED, WITHOUT), (-0.08, 0.08)),
+            "It does what taking the cheese away does.",
+            "0.479 and 0.497: -0.018",
+            "subtracted less without cheese",
+            less(SUBTRACTED, WITHOUT),
+            (-0.08, 0.08),
+        ),
         holds_within(
             "A random vector of the same length does nearly nothing.",
             "0.844 to 0.843; of the paper's network: wrecks the policy",
-               "change of the probability", less(RANDOM, PLAIN), (-0.03, 0.03)),
+            "change of the probability",
+            less(RANDOM, PLAIN),
+            (-0.03, 0.03),
+        ),
         holds_within(
             "Adding it draws the mouse to the cheese.",
             "0.844 to 0.896: +0.052; of the paper's network: next to no effect",
-               "change of the probability", less(ADDED, PLAIN), (0.0, inf)),
-    ]  # fmt: skip
+            "change of the probability",
+            less(ADDED, PLAIN),
+            (0.0, inf),
+        ),
+    ]
 
 
 def of_corner_mouse(rows: pl.DataFrame) -> list[Claim]:
@@ -179,15 +222,26 @@ def of_corner_mouse(rows: pl.DataFrame) -> list[Claim]:
     return [
         holds_within(
             "A mouse of the corner hardly turns when the cheese is taken from the level.",
-            "not measured", "change of the probability of the next step to the cheese", gone,
-               (-0.1, 0.1)),
+            "not measured",
+            "change of the probability of the next step to the cheese",
+            gone,
+            (-0.1, 0.1),
+        ),
         holds_within(
-            "Nor when its cheese vector is subtracted.", "not measured",
-            "change of the probability", plain, (-0.1, 0.1)),
+            "Nor when its cheese vector is subtracted.",
+            "not measured",
+            "change of the probability",
+            plain,
+            (-0.1, 0.1),
+        ),
         holds_within(
-            "Nor by a random vector of that length.", "not measured",
-            "change of the probability", other, (-0.1, 0.1)),
-    ]  # fmt: skip
+            "Nor by a random vector of that length.",
+            "not measured",
+            "change of the probability",
+            other,
+            (-0.1, 0.1),
+        ),
+    ]
 
 
 CLAIMS = {"smoke": of_corner_mouse, "published": of_cheese_mouse}

@@ -23,12 +23,17 @@ WHERE = "cheese anywhere"
 ANY_SIZE = Test("anywhere-easy", "corner-easy", {"smallest": 7})  # cells a side, of 15
 CHEESE = "cheese first"
 NEAR_SQUARE, STRAIGHT_SQUARE, STRAIGHT_CORNER, SQUARE_CORNER = (
-    "cheese to decision square, steps", "cheese to decision square, straight",
-    "cheese to corner, straight", "decision square to 5 x 5 corner, straight",
-)  # fmt: skip
+    "cheese to decision square, steps",
+    "cheese to decision square, straight",
+    "cheese to corner, straight",
+    "decision square to 5 x 5 corner, straight",
+)
 PUBLISHED = {  # the four features of Mini et al., and their coefficients there
-    NEAR_SQUARE: -1.15, STRAIGHT_SQUARE: -0.08, STRAIGHT_CORNER: -2.31, SQUARE_CORNER: 0.73,
-}  # fmt: skip
+    NEAR_SQUARE: -1.15,
+    STRAIGHT_SQUARE: -0.08,
+    STRAIGHT_CORNER: -2.31,
+    SQUARE_CORNER: 0.73,
+}
 
 
 def find(work: Work) -> Findings:
@@ -48,22 +53,36 @@ def find(work: Work) -> Findings:
         claims=[
             holds_within(
                 "Distances in the maze tell whether the cheese is taken.",
-                "accuracy .904 to .848 without looking", "area under the curve, all distances",
-                   every.auc, (0.6, inf)),
+                "accuracy .904 to .848 without looking",
+                "area under the curve, all distances",
+                every.auc,
+                (0.6, inf),
+            ),
             holds_within(
-                "The published four tell it as well as all.", ".913 and .904",
-                "area under the curve, the four", four.auc, (every.auc.mean - 0.02, inf)),
+                "The published four tell it as well as all.",
+                ".913 and .904",
+                "area under the curve, the four",
+                four.auc,
+                (every.auc.mean - 0.02, inf),
+            ),
             *(signed(four, name, value) for name, value in PUBLISHED.items() if name in names),
         ],
         plots=[
-            Plot("coefficients", "Log odds of taking the cheese for a standard deviation more of "
-                 "each distance, with 95\u00a0% intervals over levels; all distances together.",
-                 _figures.coefficients(every.features), every.features),
+            Plot(
+                "coefficients",
+                "Log odds of taking the cheese for a standard deviation more of "
+                "each distance, with 95\u00a0% intervals over levels; all distances together.",
+                _figures.coefficients(every.features),
+                every.features,
+            )
         ],
         tables=[
-            Table("all", "All distances; vif: how many times the variance of a coefficient is that "
-                  "without the others; sign: share of subsets of distances with the same sign",
-                  every.features),
+            Table(
+                "all",
+                "All distances; vif: how many times the variance of a coefficient is that "
+                "without the others; sign: share of subsets of distances with the same sign",
+                every.features,
+            ),
             Table("four", "The four of Mini et al.", four.features),
         ],
         settings={
@@ -73,7 +92,7 @@ def find(work: Work) -> Findings:
             "accuracy": f"all: {every.accuracy.amount()}, four: {four.accuracy.amount()}; saying "
             f"the commoner always: {every.always:.3f}",
         },
-    )  # fmt: skip
+    )
 
 
 def varies(column: pl.Series) -> bool:
@@ -91,8 +110,11 @@ def signed(found: Prediction, name: str, published: float) -> Claim:
     )
     return holds_within(
         f"{'Less' if less else 'More'} likely with more of: {name}.",
-        f"{published:+.2f} a standard deviation", f"coefficient{sign}", ours,
-                  (-inf, 0.0) if less else (0.0, inf))  # fmt: skip
+        f"{published:+.2f} a standard deviation",
+        f"coefficient{sign}",
+        ours,
+        (-inf, 0.0) if less else (0.0, inf),
+    )
 
 
 def choices(work: Work, agent: Agent, variant: Variant, levels: np.ndarray) -> pl.DataFrame:
@@ -101,8 +123,9 @@ def choices(work: Work, agent: Agent, variant: Variant, levels: np.ndarray) -> p
     game = work.plan.game
     played = label(
         evaluate(agent, game, variant, levels, until=("reached_goal", "reached_corner")),
-        game, load_shift(game, test.shift),
-    )  # fmt: skip
+        game,
+        load_shift(game, test.shift),
+    )
     first = played.filter(pl.col("outcome") != FAILED).select(
         "level", (pl.col("outcome") == INTENDED).alias(CHEESE)
     )

@@ -70,22 +70,40 @@ def find(work: Work) -> Findings:
             holds_within(
                 "Whether a coin is in view can be read off the last layer.",
                 "Trinh et al. 2024: the internal state does not represent the coin at all",
-                   "balanced accuracy", last[COIN], (0.6, inf)),
+                "balanced accuracy",
+                last[COIN],
+                (0.6, inf),
+            ),
             holds_within(
                 "Training put it there: it is read better than off a network never trained.",
-                "not measured", "balanced accuracy, trained less never trained", gain,
-                   (0.0, inf)),
+                "not measured",
+                "balanced accuracy, trained less never trained",
+                gain,
+                (0.0, inf),
+            ),
             holds_within(
-                "Whether the end wall is in view is read nearly always.", "not measured",
-                "balanced accuracy", last[WALL], (0.9, inf)),
+                "Whether the end wall is in view is read nearly always.",
+                "not measured",
+                "balanced accuracy",
+                last[WALL],
+                (0.9, inf),
+            ),
             holds_within(
-                "The policy ignores the coin: without it, it hardly changes.", "not measured",
-                "total variation", moved[REMOVED], (-inf, 0.05)),
+                "The policy ignores the coin: without it, it hardly changes.",
+                "not measured",
+                "total variation",
+                moved[REMOVED],
+                (-inf, 0.05),
+            ),
         ],
         plots=[
-            Plot("probes", "What linear probes read in levels that they were not fitted on, layer "
-                 "by layer, with intervals over splits of the levels.",
-                 _figures.probes(table, list(READ)), table),
+            Plot(
+                "probes",
+                "What linear probes read in levels that they were not fitted on, layer "
+                "by layer, with intervals over splits of the levels.",
+                _figures.probes(table, list(READ)),
+                table,
+            )
         ],
         tables=[
             Table("probes", "What probes read", table),
@@ -97,7 +115,7 @@ def find(work: Work) -> Findings:
             "probes": f"logistic and ridge regression on {probes.DIRECTIONS} principal components",
             "value": f"{REMOVED}: {value[REMOVED].amount()}; {ADDED}: {value[ADDED].amount()}",
         },
-    )  # fmt: skip
+    )
 
 
 def visited(size: Size, agent: Agent, variant: Variant, levels: np.ndarray) -> np.ndarray:
@@ -116,9 +134,7 @@ def changed(agent: Agent, variant: Variant, states: np.ndarray) -> pl.DataFrame:
     """How policy and value change with the coin, a row for each state in which that is seen."""
     seen = coin_in_view(states)
     parts = []
-    for name, which, edit in (
-        (REMOVED, seen, without_coin), (ADDED, ~seen, with_coin_in_view),
-    ):  # fmt: skip
+    for name, which, edit in ((REMOVED, seen, without_coin), (ADDED, ~seen, with_coin_in_view)):
         table = counterfactual(agent, variant, states[which], edit).filter("seen")
         parts.append(table.select("level", "step", "change", "policy_change", edit=pl.lit(name)))
     return pl.concat(parts)

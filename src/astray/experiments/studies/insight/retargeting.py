@@ -35,12 +35,14 @@ def find(work: Work) -> Findings:
     found = work.keep(
         "following", lambda: following(agent, variant, levels[:LEARN], layer, places=16)
     )
-    tuned = work.keep("tuned", lambda: tune(agent, variant, levels[LEARN : LEARN + TUNE], found,
-                                            layer))  # fmt: skip
+    tuned = work.keep(
+        "tuned", lambda: tune(agent, variant, levels[LEARN : LEARN + TUNE], found, layer)
+    )
     best = tuned.sort("path", descending=True).row(0, named=True)
     clamp = clamp_of(found, layer, best["channels"], best["factor"])
-    rows = work.keep("paths", lambda: retarget(agent, variant, levels[LEARN + TUNE :], clamp,
-                                               targets=TARGETS))  # fmt: skip
+    rows = work.keep(
+        "paths", lambda: retarget(agent, variant, levels[LEARN + TUNE :], clamp, targets=TARGETS)
+    )
     said = {how: of_levels(rows, how) for how in WAYS}
     maps = {how: by_cell(rows, how) for how in WAYS}
     return Findings(
@@ -50,15 +52,21 @@ def find(work: Work) -> Findings:
         "cheese.",
         claims=CLAIMS[work.size](rows),
         plots=[
-            Plot("targets", "Path probability to each cell: the geometric mean of the "
-                 "probabilities of the steps of the shortest way there, the mean over levels.",
-                 _figures.targets(maps, variant_side(variant)),
-                 pl.concat([m.with_columns(how=pl.lit(how)) for how, m in maps.items()])),
+            Plot(
+                "targets",
+                "Path probability to each cell: the geometric mean of the "
+                "probabilities of the steps of the shortest way there, the mean over levels.",
+                _figures.targets(maps, variant_side(variant)),
+                pl.concat([m.with_columns(how=pl.lit(how)) for how, m in maps.items()]),
+            )
         ],
         tables=[
             Table("ways", "Path probability to the target", table_of(said, "how")),
-            Table("following", "Channels by how what they give goes with where the cheese is",
-                  found.head(16)),
+            Table(
+                "following",
+                "Channels by how what they give goes with where the cheese is",
+                found.head(16),
+            ),
             Table("tuned", "Clamps that were tried on other levels", tuned),
         ],
         settings={
@@ -69,7 +77,7 @@ def find(work: Work) -> Findings:
             "the paper and its code": "There eleven channels were picked by eye, in a network "
             "four times as wide; here by correlation, their number and value on other levels.",
         },
-    )  # fmt: skip
+    )
 
 
 def variant_side(variant: Variant) -> int:
@@ -102,9 +110,13 @@ def of_levels(rows: pl.DataFrame, how: str, minus: str | None = None) -> Estimat
     """The mean over levels of the path probability, less that in another way to send it."""
 
     def means(one: str) -> np.ndarray:
-        return rows.filter(how=one).group_by("level").agg(pl.col("path").mean()).sort("level")[
-            "path"
-        ].to_numpy()  # fmt: skip
+        return (
+            rows.filter(how=one)
+            .group_by("level")
+            .agg(pl.col("path").mean())
+            .sort("level")["path"]
+            .to_numpy()
+        )
 
     return bootstrap(means(how) - (means(minus) if minus else 0.0))
 
@@ -119,28 +131,47 @@ def of_cheese_mouse(rows: pl.DataFrame) -> list[Claim]:
     """The claims about the mouse that finds its cheese. Bounds were set before the run."""
     return [
         holds_within(
-            "Moving the cheese sends the mouse there.", "yes, nearly everywhere",
-            "moved less as it is", of_levels(rows, MOVED, AS_IS), (0.1, inf)),
+            "Moving the cheese sends the mouse there.",
+            "yes, nearly everywhere",
+            "moved less as it is",
+            of_levels(rows, MOVED, AS_IS),
+            (0.1, inf),
+        ),
         holds_within(
             "Clamping the channels that follow the cheese at a cell sends it there, too.",
-            "yes, near the mouse and on the way to the corner", "clamped less as it is",
-               of_levels(rows, CLAMPED, AS_IS), (0.03, inf)),
+            "yes, near the mouse and on the way to the corner",
+            "clamped less as it is",
+            of_levels(rows, CLAMPED, AS_IS),
+            (0.03, inf),
+        ),
         holds_within(
-            "It does so less than the cheese itself.", "less", "moved less clamped",
-            of_levels(rows, MOVED, CLAMPED), (0.0, inf)),
-    ]  # fmt: skip
+            "It does so less than the cheese itself.",
+            "less",
+            "moved less clamped",
+            of_levels(rows, MOVED, CLAMPED),
+            (0.0, inf),
+        ),
+    ]
 
 
 def of_corner_mouse(rows: pl.DataFrame) -> list[Claim]:
     """The claims about the mouse of the corner. Bounds were set before the run."""
     return [
         holds_within(
-            "Moving the cheese sends a mouse of the corner nowhere.", "not measured",
-            "moved less as it is", of_levels(rows, MOVED, AS_IS), (-0.05, 0.05)),
+            "Moving the cheese sends a mouse of the corner nowhere.",
+            "not measured",
+            "moved less as it is",
+            of_levels(rows, MOVED, AS_IS),
+            (-0.05, 0.05),
+        ),
         holds_within(
-            "Nor does clamping what follows the cheese in the first layer.", "not measured",
-            "clamped less as it is", of_levels(rows, CLAMPED, AS_IS), (-0.05, 0.05)),
-    ]  # fmt: skip
+            "Nor does clamping what follows the cheese in the first layer.",
+            "not measured",
+            "clamped less as it is",
+            of_levels(rows, CLAMPED, AS_IS),
+            (-0.05, 0.05),
+        ),
+    ]
 
 
 CLAIMS = {"smoke": of_corner_mouse, "published": of_cheese_mouse}

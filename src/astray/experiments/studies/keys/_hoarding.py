@@ -155,10 +155,16 @@ def draw(table: pl.DataFrame, tests: Mapping[str, str]) -> Figure:
                 for end in ("mean", "low", "high")
             )
             axes.errorbar(
-                mean, np.arange(len(policies)) + shift, xerr=[mean - low, high - mean],
-                fmt=marker, markersize=5, color=figures.OTHERS[0], markerfacecolor=face,
-                linewidth=1.3, label=name,
-            )  # fmt: skip
+                mean,
+                np.arange(len(policies)) + shift,
+                xerr=[mean - low, high - mean],
+                fmt=marker,
+                markersize=5,
+                color=figures.OTHERS[0],
+                markerfacecolor=face,
+                linewidth=1.3,
+                label=name,
+            )
     for axes, unit in zip(panels, MEASURES.values(), strict=True):
         axes.set_title(unit, fontsize=9.5, fontweight="normal")
         axes.set_yticks(range(len(policies)), policies)

@@ -37,11 +37,13 @@ def find(work: Work) -> Findings:
     sizes = by_size(work.episodes)
     judged = {MOUSE: judge_control(work), OURS: judge_kept()}
     said = {name: judgement for name, (judgement, _) in judged.items()}
-    goals = pl.DataFrame([
-        {"who": name, "explanation": goal} | vars(one)
-        for name, judgement in said.items()
-        for goal, one in zip(judgement.explanations, judgement.shares, strict=True)
-    ])  # fmt: skip
+    goals = pl.DataFrame(
+        [
+            {"who": name, "explanation": goal} | vars(one)
+            for name, judgement in said.items()
+            for goal, one in zip(judgement.explanations, judgement.shares, strict=True)
+        ]
+    )
     largest = max(sizes.filter(outcome=INTENDED).to_dicts(), key=lambda row: row["size"])
     first = {o: share(work.episodes, WHERE, o).mean for o in OUTCOMES}
     return Findings(
@@ -50,49 +52,70 @@ def find(work: Work) -> Findings:
         f"{rounded(first[FAILED])}. {said[MOUSE].sentence()} Of our mouse of the corner: "
         f"{said[OURS].sentence()}",
         claims=[
-            holds_above("It reaches the cheese in unseen levels like those of its training.",
-                        "97.4\u00a0% by others, of the first 801 episodes to end", INTENDED,
-                        reached, RELIABLY,
-                        why=f"it gets lost in the largest mazes: of {largest['size']} cells a side "
-                        f"it finds the cheese in {rounded(largest['mean'])}; who counts the first "
-                        "episodes to end leaves out those who are lost"),
-            holds_above("Where cheese and corner part, it goes to the cheese first.",
-                        "corner first in 6\u00a0%, by others",
-                        f"{INTENDED} less {MISGENERALIZED}, of levels that tell them apart",
-                        share(work.episodes.filter("tells_apart"), WHERE, INTENDED,
-                              minus=MISGENERALIZED), MOST),
-            pursues("By the agency measure it is an agent, and its goal the cheese.",
-                    said[MOUSE], "cheese"),
-            pursues("By the same measure our mouse of the corner is one of the corner.",
-                    said[OURS], "corner"),
+            holds_above(
+                "It reaches the cheese in unseen levels like those of its training.",
+                "97.4\u00a0% by others, of the first 801 episodes to end",
+                INTENDED,
+                reached,
+                RELIABLY,
+                why=f"it gets lost in the largest mazes: of {largest['size']} cells a side "
+                f"it finds the cheese in {rounded(largest['mean'])}; who counts the first "
+                "episodes to end leaves out those who are lost",
+            ),
+            holds_above(
+                "Where cheese and corner part, it goes to the cheese first.",
+                "corner first in 6\u00a0%, by others",
+                f"{INTENDED} less {MISGENERALIZED}, of levels that tell them apart",
+                share(work.episodes.filter("tells_apart"), WHERE, INTENDED, minus=MISGENERALIZED),
+                MOST,
+            ),
+            pursues(
+                "By the agency measure it is an agent, and its goal the cheese.",
+                said[MOUSE],
+                "cheese",
+            ),
+            pursues(
+                "By the same measure our mouse of the corner is one of the corner.",
+                said[OURS],
+                "corner",
+            ),
         ],
         videos=[film(work, name, made, *rest) for name, (made, rest) in judged.items()],
         plots=[
-            Plot("sizes", "Which goal is reached first, by the size of the maze, with 95\u00a0% "
-                 "intervals.", _figures.by_size(sizes), sizes),
+            Plot(
+                "sizes",
+                "Which goal is reached first, by the size of the maze, with 95\u00a0% intervals.",
+                _figures.by_size(sizes),
+                sizes,
+            ),
             *outcomes.outcome_plots(work, tables),
         ],
         tables=[
             Table("sizes", "Outcomes by the size of the maze", sizes),
-            Table("goals", "Share of episodes that each explanation holds for", goals), *tables,
+            Table("goals", "Share of episodes that each explanation holds for", goals),
+            *tables,
         ],
-        settings=outcomes.settings(work.plan) | {
+        settings=outcomes.settings(work.plan)
+        | {
             "judged": f"{JUDGED} levels of each mouse; ours, which `make demo` trains, in its own "
             "mazes of 7 cells",
             "the published 97.4 %": "is of the first 801 episodes to end, among which those that "
             "take long are missing; here every level counts once",
         },
-    )  # fmt: skip
+    )
 
 
 def by_size(episodes: pl.DataFrame) -> pl.DataFrame:
     """The share of each outcome for each size of maze."""
     mine = episodes.filter(policy=AGENTS).with_columns(agent=pl.col("seed"))
-    return pl.concat([
-        group_means(mine.with_columns(share=pl.col("outcome") == outcome), "share", ["size"])
-        .with_columns(outcome=pl.lit(outcome))
-        for outcome in OUTCOMES
-    ])  # fmt: skip
+    return pl.concat(
+        [
+            group_means(
+                mine.with_columns(share=pl.col("outcome") == outcome), "share", ["size"]
+            ).with_columns(outcome=pl.lit(outcome))
+            for outcome in OUTCOMES
+        ]
+    )
 
 
 def judge_control(work: Work) -> tuple[Judgement, tuple[Any, ...]]:
@@ -123,8 +146,9 @@ def pursues(sentence: str, judgement: Judgement, goal: str) -> Claim:
     return holds_above(sentence, "not measured", f"{goal}: of episodes", share, MOST)
 
 
-def film(work: Work, name: str, judgement: Judgement, agent: Any, variant: Variant, played: Any
-         ) -> Video:  # fmt: skip
+def film(
+    work: Work, name: str, judgement: Judgement, agent: Any, variant: Variant, played: Any
+) -> Video:
     """The most telling episode, beside where the measure thinks it is going."""
     path = work.folder / "videos" / f"{name.replace(' ', '-')}.mp4"
     frames = posterior_video(agent, "maze", variant, played)
@@ -136,9 +160,13 @@ def film(work: Work, name: str, judgement: Judgement, agent: Any, variant: Varia
 
 
 CONTROL = Config(
-    game="maze", variant="anywhere-easy", observation="image", network="impala", art="original",
+    game="maze",
+    variant="anywhere-easy",
+    observation="image",
+    network="impala",
+    art="original",
     levels=100_000,
-)  # fmt: skip
+)
 
 EXPERIMENT = Experiment(
     title="The mouse that finds its cheese",

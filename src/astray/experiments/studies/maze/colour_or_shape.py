@@ -43,37 +43,50 @@ def find(work: Work) -> Findings:
         f"red line in {rounded(gem.mean)} of the levels in which it goes to either and neither "
         f"lies on the way to the other; it goes to neither in {rounded(stuck.mean)}. Between "
         f"other pairs that keep colour or shape, from {rounded(low)} to {rounded(high)} go to the "
-        "one that keeps the colour."
-        + (CODES if symbolic else ""),
+        "one that keeps the colour." + (CODES if symbolic else ""),
         claims=[
             holds_above(
                 "In unseen levels like those of its training, the mouse reaches the line.",
-                "reliably", INTENDED, share(work.episodes, train, INTENDED), 0.9,
+                "reliably",
+                INTENDED,
+                share(work.episodes, train, INTENDED),
+                0.9,
             ),
             holds_above(
                 "It usually goes to the yellow gem rather than to the red line.",
                 "89\u00a0% (n = 102, counted by hand)",
-                f"to neither: {stuck.percent()}; to the gem, of those that go to either", gem, 0.5,
+                f"to neither: {stuck.percent()}; to the gem, of those that go to either",
+                gem,
+                0.5,
             ),
             near_codes(work, pairs) if symbolic else flips(agents),
         ],
         videos=outcomes.film(work, trained=work.plan.tests[train], tested=work.plan.tests[test]),
         plots=[
-            Plot("pairs", f"Which of two objects mice go to that were trained on a {COLOUR} "
-                 f"{SHAPE}, in % of episodes: left, to that which keeps the colour. In the first "
-                 f"row the {SHAPE} is just as in training, in the first column the {COLOUR} "
-                 "object; in their corner the two are alike.",
-                 pair_maps(table, (COLOUR, SHAPE)), table),
-            *outcomes.outcome_plots(work, tables), outcomes.curve_plot(work),
+            Plot(
+                "pairs",
+                f"Which of two objects mice go to that were trained on a {COLOUR} "
+                f"{SHAPE}, in % of episodes: left, to that which keeps the colour. In the first "
+                f"row the {SHAPE} is just as in training, in the first column the {COLOUR} "
+                "object; in their corner the two are alike.",
+                pair_maps(table, (COLOUR, SHAPE)),
+                table,
+            ),
+            *outcomes.outcome_plots(work, tables),
+            outcomes.curve_plot(work),
         ],
         tables=[
-            Table("pairs", f"A {SHAPE} in each colour against a {COLOUR} object of each shape, in "
-                  "levels in which neither lies on the way to the other", table),
+            Table(
+                "pairs",
+                f"A {SHAPE} in each colour against a {COLOUR} object of each shape, in "
+                "levels in which neither lies on the way to the other",
+                table,
+            ),
             Table("agents", "Likewise, by agent: intervals are over levels alone", agents),
             *tables,
         ],
         settings=outcomes.settings(work.plan),
-    )  # fmt: skip
+    )
 
 
 CODES = (
@@ -107,10 +120,15 @@ def offer_pairs(work: Work) -> pl.DataFrame:
                 knobs = {"goal_colour": colour, "other_shape": shape}
                 variant = replace(test, knobs=knobs).variant_for(config)
                 episodes = label(evaluate(agent, game, variant, levels), game, shift)
-                parts.append(episodes.select(
-                    "level", "outcome", colour=pl.lit(colour), shape=pl.lit(shape),
-                    seed=pl.lit(config.seed),
-                ))  # fmt: skip
+                parts.append(
+                    episodes.select(
+                        "level",
+                        "outcome",
+                        colour=pl.lit(colour),
+                        shape=pl.lit(shape),
+                        seed=pl.lit(config.seed),
+                    )
+                )
     return pl.concat(parts)
 
 
@@ -178,9 +196,11 @@ def near_codes(work: Work, pairs: pl.DataFrame) -> Claim:
     return holds_above(
         "Seen as symbols, of two new objects the mouse goes to that whose code is nearer to the "
         "one it knows.",
-        "not measured", "to the nearer, of those that go to either",
-        bootstrap(matrix(went, pl.col("nearer")), matrix(went, pl.col("either"))), 0.5,
-    )  # fmt: skip
+        "not measured",
+        "to the nearer, of those that go to either",
+        bootstrap(matrix(went, pl.col("nearer")), matrix(went, pl.col("either"))),
+        0.5,
+    )
 
 
 def nearness(work: Work) -> tuple[dict[str, float], dict[str, float]]:
@@ -188,10 +208,12 @@ def nearness(work: Work) -> tuple[dict[str, float], dict[str, float]]:
     planes = work.plan.game.symbols.planes(work.plan.config.training_variant())
     circle = CircleEmbedding(planes.max((1, 2)).tolist()).circle.numpy()
     shapes, colours = (
-        {name: float(circle[:, code] @ circle[:, names.index(known)])
-         for code, name in enumerate(names)}
+        {
+            name: float(circle[:, code] @ circle[:, names.index(known)])
+            for code, name in enumerate(names)
+        }
         for names, known in ((SHAPES, SHAPE), (COLOURS, COLOUR))
-    )  # fmt: skip
+    )
     return shapes, colours
 
 
@@ -203,7 +225,8 @@ EXPERIMENT = Experiment(
         "smoke": Plan(
             agents={
                 "mouse": replace(
-                    PRESETS["small"], variant="yellow-line-small",
+                    PRESETS["small"],
+                    variant="yellow-line-small",
                     validation="red-line-yellow-gem-small",
                     steps=11_000_000,  # half of them leave it at 78 % of unseen levels
                 )
@@ -219,8 +242,10 @@ EXPERIMENT = Experiment(
         "pixels": Plan(
             agents={
                 "mouse": replace(
-                    PRESETS["pixels"], variant="yellow-line-small",
-                    validation="red-line-yellow-gem-small", steps=2_000_000,
+                    PRESETS["pixels"],
+                    variant="yellow-line-small",
+                    validation="red-line-yellow-gem-small",
+                    steps=2_000_000,
                 )
             },
             seeds=8,
@@ -233,8 +258,12 @@ EXPERIMENT = Experiment(
         "hour": Plan(
             agents={
                 "mouse": replace(
-                    PRESETS["paper"], variant="yellow-line", knobs=dict(EASY),
-                    validation="red-line-yellow-gem", steps=25_000_000, device="cuda",
+                    PRESETS["paper"],
+                    variant="yellow-line",
+                    knobs=dict(EASY),
+                    validation="red-line-yellow-gem",
+                    steps=25_000_000,
+                    device="cuda",
                 )
             },
             tests=tests_of("maze", "colour-or-shape"),
@@ -245,7 +274,9 @@ EXPERIMENT = Experiment(
         "paper": Plan(
             agents={
                 "mouse": replace(
-                    PRESETS["paper"], variant="yellow-line", validation="red-line-yellow-gem",
+                    PRESETS["paper"],
+                    variant="yellow-line",
+                    validation="red-line-yellow-gem",
                     device="cuda",
                 )
             },
@@ -256,4 +287,4 @@ EXPERIMENT = Experiment(
         ),
     },
     find=find,
-)  # fmt: skip
+)

@@ -50,32 +50,40 @@ def find(work: Work) -> Findings:
                 "is anywhere.",
                 "performance improves as the region grows (a curve without figures)",
                 f"reached after {sides[largest]} less after {sides[smallest]}",
-                less(success[largest], success[smallest]), 0.0,
+                less(success[largest], success[smallest]),
+                0.0,
             ),
             holds_above(
                 f"A mouse whose cheese was anywhere in {sides[middle]} still goes to the corner, "
                 f"more often than one that found it in {sides[largest]}.",
                 "uses location as a proxy until the region is quite large (no figure given)",
                 f"{MISGENERALIZED} after {sides[middle]} less after {sides[largest]}",
-                less(corner[middle], corner[largest]), 0.0,
+                less(corner[middle], corner[largest]),
+                0.0,
             ),
         ],
         videos=outcomes.film(
-            work, trained=Test(work.plan.agents[middle].variant, tested.shift), tested=tested,
+            work,
+            trained=Test(work.plan.agents[middle].variant, tested.shift),
+            tested=tested,
             agent=middle,
         ),
         plots=[
-            Plot("regions", "How often the cheese is reached within the time limit, which is the "
-                 "paper's measure, and what is reached first, with 95 % intervals. In training: "
-                 "the last tenth of it, on its own levels.", region_lines(shown, first),
-                 pl.concat([shown, first.rename({"outcome": "who"})])),
+            Plot(
+                "regions",
+                "How often the cheese is reached within the time limit, which is the "
+                "paper's measure, and what is reached first, with 95 % intervals. In training: "
+                "the last tenth of it, on its own levels.",
+                region_lines(shown, first),
+                pl.concat([shown, first.rename({"outcome": "who"})]),
+            )
         ],
         tables=[
             Table("success", "How often the cheese is reached, where it is anywhere", shown),
             *outcomes.outcome_tables(work),
         ],
         settings=outcomes.settings(work.plan),
-    )  # fmt: skip
+    )
 
 
 def region(config: Config) -> int:
@@ -122,12 +130,14 @@ def success_table(work: Work, regions: Mapping[str, int]) -> pl.DataFrame:
 
 def first_table(apart: pl.DataFrame, regions: Mapping[str, int]) -> pl.DataFrame:
     """How often each outcome comes about: outcome, region, mean, low, high."""
-    return pl.DataFrame([
-        {"outcome": outcome, "region": side}
-        | _shares(bootstrap(matrix(of(apart, name), pl.col("outcome") == outcome)))
-        for outcome in OUTCOMES
-        for name, side in regions.items()
-    ])  # fmt: skip
+    return pl.DataFrame(
+        [
+            {"outcome": outcome, "region": side}
+            | _shares(bootstrap(matrix(of(apart, name), pl.col("outcome") == outcome)))
+            for outcome in OUTCOMES
+            for name, side in regions.items()
+        ]
+    )
 
 
 def _shares(estimate: Estimate) -> dict[str, float]:
@@ -157,9 +167,15 @@ SMOKE, HOUR = (maze_corner.EXPERIMENT.sizes[size] for size in ("smoke", "hour"))
 # The text has 100,000 levels and IMPALA as it is; this sweep's scripts have four times its
 # channels, and levels without end.
 PAPER = replace(
-    PRESETS["paper"], variant="region-1", validation="anywhere", scale=4, steps=80_000_000,
-    num_envs=512, minibatches=16, device="cuda",
-)  # fmt: skip
+    PRESETS["paper"],
+    variant="region-1",
+    validation="anywhere",
+    scale=4,
+    steps=80_000_000,
+    num_envs=512,
+    minibatches=16,
+    device="cuda",
+)
 
 EXPERIMENT = Experiment(
     title="The region of the cheese",

@@ -17,9 +17,11 @@ NEVER = "never"
 STYLES = ("-", "--", ":")
 MARKERS = "osD^v<>P*X"
 SHADES = {
-    "before it was seen": "#2fa393", "seen, not passed": "#9fd3c7",
-    "after it was passed": "#f0a03c", NEVER: "#d2d2ce",
-}  # fmt: skip
+    "before it was seen": "#2fa393",
+    "seen, not passed": "#9fd3c7",
+    "after it was passed": "#f0a03c",
+    NEVER: "#d2d2ce",
+}
 
 
 @matplotlib.rc_context(figures.STYLE)
@@ -37,10 +39,13 @@ def help_curves(table: pl.DataFrame) -> Figure:
     scores = table["score"].unique(maintain_order=True).to_list()
     colours = [c for c, _ in zip(cycle(figures.OTHERS), scores, strict=False)]
     looks = {
-        score: {"color": colour, "linestyle": STYLES[k // len(figures.OTHERS)],
-                "marker": MARKERS[k]}
+        score: {
+            "color": colour,
+            "linestyle": STYLES[k // len(figures.OTHERS)],
+            "marker": MARKERS[k],
+        }
         for k, (score, colour) in enumerate(zip(scores, colours, strict=True))
-    }  # fmt: skip
+    }
     for axes, panel in zip(grid.flat, panels, strict=False):
         for (score,), line in panel.group_by(["score"], maintain_order=True):
             line = line.sort("help")
@@ -74,12 +79,19 @@ def moments(table: pl.DataFrame, order: Sequence[str]) -> Figure:
         for moment in order:
             share = dict(panel.filter(moment=moment).select("score", "share").iter_rows())
             width = np.array([share.get(name, 0.0) for name in names])
-            axes.barh(names, width, 0.7, left, color=SHADES[moment], edgecolor="white",
-                      label=moment)  # fmt: skip
+            axes.barh(
+                names, width, 0.7, left, color=SHADES[moment], edgecolor="white", label=moment
+            )
             for y, (begin, size) in enumerate(zip(left, width, strict=True)):
                 if size >= figures.NARROWEST:
-                    axes.text(begin + size / 2, y, f"{100 * size:.0f} %", ha="center",
-                              va="center_baseline", fontsize=9)  # fmt: skip
+                    axes.text(
+                        begin + size / 2,
+                        y,
+                        f"{100 * size:.0f} %",
+                        ha="center",
+                        va="center_baseline",
+                        fontsize=9,
+                    )
             left += width
         axes.invert_yaxis()
         axes.set_xlim(0, 1)
@@ -88,6 +100,11 @@ def moments(table: pl.DataFrame, order: Sequence[str]) -> Figure:
         axes.spines[["left", "bottom"]].set_visible(False)
     rows[-1].xaxis.set_major_formatter(PercentFormatter(1, symbol=" %"))
     rows[-1].set_xlabel("share of the episodes that go astray without help")
-    figure.legend(*rows[0].get_legend_handles_labels(), loc="outside upper left", ncols=4,
-                  handlelength=1, handleheight=1)  # fmt: skip
+    figure.legend(
+        *rows[0].get_legend_handles_labels(),
+        loc="outside upper left",
+        ncols=4,
+        handlelength=1,
+        handleheight=1,
+    )
     return figure

@@ -68,25 +68,36 @@ def find(proxy: str, work: Work) -> Findings:
     return Findings(
         answer=f"In levels that tell the goals apart, mice go to the {proxy} first, with {shares} "
         "of training levels that do: "
-        + "; ".join(f"{told[method]} ({method})" for method in METHODS) + ".",
+        + "; ".join(f"{told[method]} ({method})" for method in METHODS)
+        + ".",
         claims=claims(work, buffers),
         plots=[
-            Plot("misgeneralization",
-                 f"Episodes that reach the {proxy} first, in levels that tell the goals apart, "
-                 "with 95\u00a0% intervals over agents, then levels.",
-                 by_share_figure(table.filter(what=MISGENERALIZED), "share of episodes"),
-                 table.filter(what=MISGENERALIZED)),
-            Plot("return", "Mean return in the same levels; 10 is all there is.",
-                 by_share_figure(table.filter(what="return"), "return"),
-                 table.filter(what="return")),
-            Plot("buffer",
-                 "The share of the buffer's levels whose goal is placed as in the test, in the "
-                 "last quarter of training, a dot an agent; dotted: the share of new "
-                 "levels.",
-                 buffer_figure(buffers), buffers),
+            Plot(
+                "misgeneralization",
+                f"Episodes that reach the {proxy} first, in levels that tell the goals apart, "
+                "with 95\u00a0% intervals over agents, then levels.",
+                by_share_figure(table.filter(what=MISGENERALIZED), "share of episodes"),
+                table.filter(what=MISGENERALIZED),
+            ),
+            Plot(
+                "return",
+                "Mean return in the same levels; 10 is all there is.",
+                by_share_figure(table.filter(what="return"), "return"),
+                table.filter(what="return"),
+            ),
+            Plot(
+                "buffer",
+                "The share of the buffer's levels whose goal is placed as in the test, in the "
+                "last quarter of training, a dot an agent; dotted: the share of new "
+                "levels.",
+                buffer_figure(buffers),
+                buffers,
+            ),
         ],
         videos=outcomes.film(
-            work, trained=work.plan.tests["in training"], tested=work.plan.tests[TESTED],
+            work,
+            trained=work.plan.tests["in training"],
+            tested=work.plan.tests[TESTED],
             agent=name_of(DR, 0.0),
         ),
         tables=[
@@ -94,13 +105,14 @@ def find(proxy: str, work: Work) -> Findings:
             Table("buffers", "Levels of the test's kind in the buffer", buffers),
             *outcomes.outcome_tables(work),
         ],
-        settings=outcomes.settings(work.plan) | {
+        settings=outcomes.settings(work.plan)
+        | {
             "steps": f"{work.plan.config.steps:,} that are learned from; PLR and ACCEL play about "
             "two more for each of those, to score levels",
             "levels of the test": "none that any training draws under any number; a level that "
             "ACCEL makes by mutation may be one of them",
         },
-    )  # fmt: skip
+    )
 
 
 def telling(work: Work, agent: str) -> pl.DataFrame:
@@ -115,11 +127,15 @@ def by_share(work: Work) -> pl.DataFrame:
         INTENDED: pl.col("outcome") == INTENDED,
         "return": pl.col("return"),
     }
-    return pl.DataFrame([
-        {"method": method, "share": share, "what": what}
-        | vars(bootstrap(matrix(telling(work, name_of(method, share)), value)))
-        for method in METHODS for share in SHARES for what, value in values.items()
-    ])  # fmt: skip
+    return pl.DataFrame(
+        [
+            {"method": method, "share": share, "what": what}
+            | vars(bootstrap(matrix(telling(work, name_of(method, share)), value)))
+            for method in METHODS
+            for share in SHARES
+            for what, value in values.items()
+        ]
+    )
 
 
 def in_buffers(work: Work) -> pl.DataFrame:
@@ -133,8 +149,15 @@ def in_buffers(work: Work) -> pl.DataFrame:
             means = last.group_by("seed").agg(pl.col("levels/shifted_in_buffer").mean())
             for seed, mean in means.sort("seed").rows():
                 amplified = mean / share if share else None
-                rows.append({"method": method, "share": share, "seed": seed, "in_buffer": mean,
-                             "amplified": amplified})  # fmt: skip
+                rows.append(
+                    {
+                        "method": method,
+                        "share": share,
+                        "seed": seed,
+                        "in_buffer": mean,
+                        "amplified": amplified,
+                    }
+                )
     return pl.DataFrame(rows, schema_overrides={"amplified": pl.Float64})
 
 
@@ -198,8 +221,17 @@ def by_share_figure(table: pl.DataFrame, label: str) -> Figure:
         part = table.filter(method=method)
         x = np.arange(len(part)) + 0.06 * (k - (len(LINES) - 1) / 2)
         spread = [part["mean"] - part["low"], part["high"] - part["mean"]]
-        axes.errorbar(x, part["mean"], yerr=spread, fmt="o-", color=colour, linewidth=1.8,
-                      markersize=4.5, capsize=3, label=method)  # fmt: skip
+        axes.errorbar(
+            x,
+            part["mean"],
+            yerr=spread,
+            fmt="o-",
+            color=colour,
+            linewidth=1.8,
+            markersize=4.5,
+            capsize=3,
+            label=method,
+        )
     _shares_below(axes)
     if label != "return":
         axes.set_ylim(-0.02, 1.02)
@@ -243,12 +275,16 @@ def experiment(title: str, shift: str, proxy: str) -> Experiment:
         "tell it from the cheese?",
         sizes={
             "smoke": plan(
-                shift, 3, 500, 4_000_000, 64,
+                shift,
+                3,
+                500,
+                4_000_000,
+                64,
                 "worlds of 7 cells instead of 13, seen as symbols by a network of two hidden "
                 "layers; 4 million steps instead of 250 and 750 million; rollouts of 64 steps "
                 "instead of 128; 4 of the 11 shares; regret as the solver gives it, which the "
                 "paper has beside its estimate",
-            ),
+            )
         },
         find=partial(find, proxy),
-    )  # fmt: skip
+    )

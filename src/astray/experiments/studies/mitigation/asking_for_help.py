@@ -71,9 +71,14 @@ def novices(work: Work, name: str) -> list[Novice]:
     game, count = config.find_game(), work.plan.levels
     shift = load_shift(game, SHIFTS[name])
     trial = Trial(
-        game, shift, config.variant_for(shift.train), config.training_levels[:count],
-        config.variant_for(shift.test), config.unseen_levels[:count], WATCHES[name],
-    )  # fmt: skip
+        game,
+        shift,
+        config.variant_for(shift.train),
+        config.training_levels[:count],
+        config.variant_for(shift.test),
+        config.unseen_levels[:count],
+        WATCHES[name],
+    )
     agents = [open_run(run)[0] for run in runs]
     found = []
     for agent, run in zip(agents, runs, strict=True):
@@ -147,15 +152,23 @@ def find(work: Work) -> Findings:
         f"policy would have asked only after the goal was passed, or never, in {asks}.",
         claims=claims(table, areas, late),
         plots=[
-            Plot("curves", "Return against the share of help, thresholds at percentiles of the "
-                 "scores in training; the first agent of each name. The expert walks the shortest "
-                 "way to the goal.",
-                 help_figures.help_curves(of_firsts(table)), of_firsts(table)),
-            Plot("moments", "When a score would first have asked for help, at the 95th percentile "
-                 "of its steps in training, in episodes that go astray without. For the runner it "
-                 "is the coin that is seen or passed; the mouse sees all, and has passed the "
-                 "cheese when it is in the corner.",
-                 help_figures.moments(shown, [*MOMENTS, NEVER]), shown),
+            Plot(
+                "curves",
+                "Return against the share of help, thresholds at percentiles of the "
+                "scores in training; the first agent of each name. The expert walks the shortest "
+                "way to the goal.",
+                help_figures.help_curves(of_firsts(table)),
+                of_firsts(table),
+            ),
+            Plot(
+                "moments",
+                "When a score would first have asked for help, at the 95th percentile "
+                "of its steps in training, in episodes that go astray without. For the runner it "
+                "is the coin that is seen or passed; the mouse sees all, and has passed the "
+                "cheese when it is in the corner.",
+                help_figures.moments(shown, [*MOMENTS, NEVER]),
+                shown,
+            ),
         ],
         tables=[
             Table("areas", "Areas under the curves: 0.5 for help of equal worth", areas),
@@ -170,7 +183,7 @@ def find(work: Work) -> Findings:
             "seconds a curve": f"{table['seconds'].mean():.1f} on average, "
             f"{table['seconds'].max():.1f} at most, on a machine that was not idle",
         },
-    )  # fmt: skip
+    )
 
 
 def by_run(table: pl.DataFrame, sum_up: Callable[[pl.DataFrame], pl.DataFrame]) -> pl.DataFrame:
@@ -227,7 +240,7 @@ def claims(table: pl.DataFrame, areas: pl.DataFrame, late: pl.DataFrame) -> list
             f"that is soonest; holds above {100 * LATE:g}\u00a0%",
             soonest > LATE,
         ),
-    ]  # fmt: skip
+    ]
     if MOUSE not in areas["agent"]:
         return told
     ahead = lead(areas)
@@ -235,11 +248,13 @@ def claims(table: pl.DataFrame, areas: pl.DataFrame, late: pl.DataFrame) -> list
         *told,
         Claim(
             "Where a mouse goes is better foreseen by playing the level in advance than by its "
-            "entropy.", "none",
+            "entropy.",
+            "none",
             f"area under the curve by level: {ASTRAY} {ahead:.2f} above the entropy's, the least "
-            f"of all agents; holds above {AHEAD:g}", ahead > AHEAD,
+            f"of all agents; holds above {AHEAD:g}",
+            ahead > AHEAD,
         ),
-    ]  # fmt: skip
+    ]
 
 
 def lead(areas: pl.DataFrame) -> float:

@@ -37,20 +37,32 @@ def find(work: Work) -> Findings:
         claims=[
             holds_above(
                 "Levels that tell the goals apart help more at the end of training than at its "
-                "beginning.", "none", f"{EARLY} less {LATE}", late, BETTER,
+                "beginning.",
+                "none",
+                f"{EARLY} less {LATE}",
+                late,
+                BETTER,
             ),
             holds_above(
-                "Throughout, they help more than at the beginning.", "none",
-                f"{EARLY} less {THROUGHOUT}", bootstrap(wrong[EARLY] - wrong[THROUGHOUT]), BETTER,
+                "Throughout, they help more than at the beginning.",
+                "none",
+                f"{EARLY} less {THROUGHOUT}",
+                bootstrap(wrong[EARLY] - wrong[THROUGHOUT]),
+                BETTER,
             ),
             Claim(
-                "At the beginning they leave no trace.", "none",
+                "At the beginning they leave no trace.",
+                "none",
                 f"{NEVER} less {EARLY}: {early.percent()}; holds where all of it is within "
-                f"{100 * ALIKE:g}\u00a0% of 0", early.low > -ALIKE and early.high < ALIKE,
+                f"{100 * ALIKE:g}\u00a0% of 0",
+                early.low > -ALIKE and early.high < ALIKE,
             ),
             holds_above(
                 "Whenever they come, the mice learn to reach the cheese of the training levels.",
-                "none", "the schedule with the lowest share", poorest, CAPABLE,
+                "none",
+                "the schedule with the lowest share",
+                poorest,
+                CAPABLE,
             ),
         ],
         plots=[*outcomes.outcome_plots(work, tables), outcomes.curve_plot(work)],
@@ -59,7 +71,7 @@ def find(work: Work) -> Findings:
         ),
         tables=tables,
         settings=outcomes.settings(work.plan),
-    )  # fmt: skip
+    )
 
 
 MOUSE = replace(
@@ -85,7 +97,7 @@ EXPERIMENT = Experiment(
             differences="worlds of 7 cells, seen as symbols by a network of two hidden layers, and "
             "4 million steps; the learning rate falls to 0 in all trainings alike, so that what "
             "comes late is learned with smaller steps",
-        ),
+        )
     },
     find=find,
 )

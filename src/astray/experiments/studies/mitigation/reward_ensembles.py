@@ -78,26 +78,38 @@ def find(work: Work) -> Findings:
                 "Where heads are made to differ, one of them holds the intended goal.",
                 "none: in the spirit of the literature",
                 f"ensembles with such a head: {told(held[MADE])}; holds above "
-                f"{100 * OFTEN:g}\u00a0%", held[MADE].low > OFTEN,
+                f"{100 * OFTEN:g}\u00a0%",
+                held[MADE].low > OFTEN,
             ),
             Claim(
-                "Where they are not, none does.", "none",
+                "Where they are not, none does.",
+                "none",
                 f"ensembles with such a head: {told(held[ALONE])}; holds below "
-                f"{100 * SELDOM:g}\u00a0%", held[ALONE].high < SELDOM,
+                f"{100 * SELDOM:g}\u00a0%",
+                held[ALONE].high < SELDOM,
             ),
             Claim(
-                "Four labels of the test choose the better head.", "none",
+                "Four labels of the test choose the better head.",
+                "none",
                 f"draws of four labels: {told(four)}; holds above {100 * CHOSEN:g}\u00a0%",
                 four.low > CHOSEN,
             ),
         ],
         plots=[
-            Plot("heads",
-                 "Every head by how often it answers as either hypothesis does, in frames where "
-                 "the two differ: a line joins the heads of an ensemble.",
-                 heads_figure(table), table),
-            Plot("labels", "How often so many labels choose the better head of ensembles that "
-                 "were made to differ.", labels_figure(labels), labels),
+            Plot(
+                "heads",
+                "Every head by how often it answers as either hypothesis does, in frames where "
+                "the two differ: a line joins the heads of an ensemble.",
+                heads_figure(table),
+                table,
+            ),
+            Plot(
+                "labels",
+                "How often so many labels choose the better head of ensembles that "
+                "were made to differ.",
+                labels_figure(labels),
+                labels,
+            ),
         ],
         tables=[Table("heads", "Heads, and the labels that choose them", table)],
         settings={
@@ -109,7 +121,7 @@ def find(work: Work) -> Findings:
             "frames in which cheese and corner differ",
             "weight of the mutual information": f"{KINDS[MADE]:g}",
         },
-    )  # fmt: skip
+    )
 
 
 def heads(count: int) -> pl.DataFrame:
@@ -159,10 +171,12 @@ def nearest(table: pl.DataFrame, kind: str) -> float:
 
 def choosing(table: pl.DataFrame) -> pl.DataFrame:
     """Columns labels, mean, low, high: how often so many choose the better head."""
-    return pl.DataFrame([
-        {"labels": count} | vars(bootstrap(of_ensembles(table, MADE, f"chosen with {count}")))
-        for count in LABELS
-    ])  # fmt: skip
+    return pl.DataFrame(
+        [
+            {"labels": count} | vars(bootstrap(of_ensembles(table, MADE, f"chosen with {count}")))
+            for count in LABELS
+        ]
+    )
 
 
 @matplotlib.rc_context(figures.STYLE)
@@ -214,7 +228,7 @@ EXPERIMENT = Experiment(
         "smoke": Plan(
             levels=FRAMES,
             differences="mazes of 7 cells, seen as symbols; nothing acts on the hypotheses",
-        ),
+        )
     },
     find=find,
 )

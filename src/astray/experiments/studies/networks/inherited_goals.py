@@ -34,24 +34,34 @@ def find(work: Work) -> Findings:
         f"first: {told}.",
         claims=[
             holds_above(
-                "Students learn to reach the cheese of the training levels.", "none",
-                "the students with the lowest share", poorest, CAPABLE,
+                "Students learn to reach the cheese of the training levels.",
+                "none",
+                "the students with the lowest share",
+                poorest,
+                CAPABLE,
             ),
             Claim(
-                "The student of a mouse that pursues the corner does so as often as it.", "none",
+                "The student of a mouse that pursues the corner does so as often as it.",
+                "none",
                 f"{OF_CORNER} less its teacher: {same.percent()}; holds where all of it is within "
-                f"{100 * ALIKE:g}\u00a0% of 0", same.low > -ALIKE and same.high < ALIKE,
+                f"{100 * ALIKE:g}\u00a0% of 0",
+                same.low > -ALIKE and same.high < ALIKE,
             ),
             holds_above(
                 "The student of a mouse that pursues the cheese chooses anew: it goes to the "
-                "corner more often than its teacher.", "none", f"{OF_CHEESE} less its teacher",
-                bootstrap(corner[OF_CHEESE] - corner[CHEESE]), APART,
+                "corner more often than its teacher.",
+                "none",
+                f"{OF_CHEESE} less its teacher",
+                bootstrap(corner[OF_CHEESE] - corner[CHEESE]),
+                APART,
             ),
             holds_above(
                 "Something of the goal is inherited all the same: the student of the corner goes "
-                "there more often than that of the cheese.", "none",
+                "there more often than that of the cheese.",
+                "none",
                 f"{OF_CORNER} less {OF_CHEESE}",
-                bootstrap(corner[OF_CORNER] - corner[OF_CHEESE]), 0.0,
+                bootstrap(corner[OF_CORNER] - corner[OF_CHEESE]),
+                0.0,
             ),
         ],
         videos=outcomes.film(
@@ -59,11 +69,12 @@ def find(work: Work) -> Findings:
         ),
         plots=[*outcomes.outcome_plots(work, tables), outcomes.curve_plot(work)],
         tables=tables,
-        settings=outcomes.settings(work.plan) | {
+        settings=outcomes.settings(work.plan)
+        | {
             "students": "each has the teacher of its own seed; it acts, and learns the teacher's "
-            "probabilities and values in the states that it comes to; rewards teach it nothing",
+            "probabilities and values in the states that it comes to; rewards teach it nothing"
         },
-    )  # fmt: skip
+    )
 
 
 MOUSE = replace(
@@ -71,9 +82,12 @@ MOUSE = replace(
 )
 PLAIN = replace(MOUSE, epochs=1, steps=2_000_000)
 PATCHES = replace(
-    PRESETS["pixels"], variant="corner-small", validation="anywhere-small", epochs=1,
+    PRESETS["pixels"],
+    variant="corner-small",
+    validation="anywhere-small",
+    epochs=1,
     steps=1_500_000,
-)  # fmt: skip
+)
 
 
 def plan(student: Config, differences: str) -> Plan:

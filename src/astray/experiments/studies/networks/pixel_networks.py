@@ -42,8 +42,9 @@ def find(work: Work) -> Findings:
     )
     ends = {
         (game, network): ending(measured, name_of(game, network))
-        for game in GAMES for network in SPEEDS
-    }  # fmt: skip
+        for game in GAMES
+        for network in SPEEDS
+    }
     rows = []
     for (game, network), values in ends.items():
         mean, low, high = over_agents(values[:, None])[:, 0].tolist()
@@ -61,15 +62,19 @@ def find(work: Work) -> Findings:
         f"return most in training: {told}, of 10.",
         claims=[sooner(game, ends[game, OURS] - ends[game, PAPER]) for game in GAMES],
         plots=[
-            Plot("returns", "Return of recent training episodes by seconds of one processor, a "
-                 "line an agent; seconds are steps divided by the steps per second of the "
-                 "network.", curve_panels(measured), measured),
+            Plot(
+                "returns",
+                "Return of recent training episodes by seconds of one processor, a "
+                "line an agent; seconds are steps divided by the steps per second of the "
+                "network.",
+                curve_panels(measured),
+                measured,
+            )
         ],
         tables=[Table("ends", "Return in the last tenth of training", table)],
-        settings=outcomes.settings(work.plan) | {
-            "steps per second": ", ".join(f"{n}: {v:,}" for n, v in SPEEDS.items()),
-        },
-    )  # fmt: skip
+        settings=outcomes.settings(work.plan)
+        | {"steps per second": ", ".join(f"{n}: {v:,}" for n, v in SPEEDS.items())},
+    )
 
 
 def ending(measured: pl.DataFrame, agent: str) -> np.ndarray:
@@ -100,8 +105,13 @@ def curve_panels(measured: pl.DataFrame) -> Figure:
         for network, speed in SPEEDS.items():
             mine = measured.filter(agent=name_of(game, network)).drop_nulls("return")
             for k, (_, one) in enumerate(mine.group_by("seed", maintain_order=True)):
-                axes.plot(one["steps"] / speed, one["return"], color=LINES[network], linewidth=1,
-                          label=network if k == 0 else None)  # fmt: skip
+                axes.plot(
+                    one["steps"] / speed,
+                    one["return"],
+                    color=LINES[network],
+                    linewidth=1,
+                    label=network if k == 0 else None,
+                )
         axes.set_title(game)
         axes.set_xlabel("seconds of one processor")
         axes.grid(axis="y")
@@ -131,7 +141,7 @@ EXPERIMENT = Experiment(
             levels=1,  # there are no tests
             differences="worlds of 7 cells, and levels of one or two sections without hazards; "
             "five minutes of one processor instead of 200 million steps",
-        ),
+        )
     },
     find=find,
 )

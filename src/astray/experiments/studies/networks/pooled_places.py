@@ -29,11 +29,17 @@ def find(work: Work) -> Findings:
         claims=[
             holds_above(
                 "A network that pools over places learns to reach the cheese of its training.",
-                "none", INTENDED, pooled, CAPABLE,
+                "none",
+                INTENDED,
+                pooled,
+                CAPABLE,
             ),
             holds_above(
-                "Pooling over places removes the corner as a goal, at least in part.", "none",
-                f"{FLAT} less {POOLED}", bootstrap(corner[FLAT] - corner[POOLED]), LESS,
+                "Pooling over places removes the corner as a goal, at least in part.",
+                "none",
+                f"{FLAT} less {POOLED}",
+                bootstrap(corner[FLAT] - corner[POOLED]),
+                LESS,
             ),
         ],
         videos=outcomes.film(
@@ -41,11 +47,12 @@ def find(work: Work) -> Findings:
         ),
         plots=[*outcomes.outcome_plots(work, tables), outcomes.curve_plot(work)],
         tables=tables,
-        settings=outcomes.settings(work.plan) | {
+        settings=outcomes.settings(work.plan)
+        | {
             "places": "convolutions pad with zeros, so that channels can tell the border of the "
-            "picture, which pooling does not take away",
+            "picture, which pooling does not take away"
         },
-    )  # fmt: skip
+    )
 
 
 EXPERIMENT = Experiment(
@@ -59,7 +66,7 @@ EXPERIMENT = Experiment(
             tests=tests_of("maze", "corner-small"),
             levels=1000,
             differences="worlds of 7 cells, networks of patches, and 2 million steps",
-        ),
+        )
     },
     find=find,
 )

@@ -17,9 +17,12 @@ from astray.experiments.studies.maze import colour_or_shape, maze_corner, maze_r
 
 # The other studies of CoinRun have the runners of this one.
 STUDIES = (
-    critic_value.EXPERIMENT, colour_or_shape.EXPERIMENT, keys_and_chests.EXPERIMENT,
-    maze_corner.EXPERIMENT, maze_region.EXPERIMENT,
-)  # fmt: skip
+    critic_value.EXPERIMENT,
+    colour_or_shape.EXPERIMENT,
+    keys_and_chests.EXPERIMENT,
+    maze_corner.EXPERIMENT,
+    maze_region.EXPERIMENT,
+)
 TRAIN, TEST = "training variant", "test variant"
 SERIES = {TRAIN: "training/return", TEST: "validation/return"}
 LINES = {TRAIN: (OTHERS[0], "-"), TEST: (OTHERS[1], "--")}
@@ -43,14 +46,18 @@ def find(work: Work) -> Findings:
             ends_lower(row) for row in ended.to_dicts() if work.plan.agents[row["agent"]].validation
         ],
         plots=[
-            Plot("curves", f"Return of recent episodes while training: the {middle} of "
-                 f"{outcomes.settings(work.plan)['seeds']} agents and its 95 % interval over them. "
-                 "What there is to get can differ between the variants.",
-                 curve_panels(shown), shown),
+            Plot(
+                "curves",
+                f"Return of recent episodes while training: the {middle} of "
+                f"{outcomes.settings(work.plan)['seeds']} agents and its 95 % interval over them. "
+                "What there is to get can differ between the variants.",
+                curve_panels(shown),
+                shown,
+            )
         ],
         tables=[Table("ends", f"Returns in the last tenth of training, {middle} of agents", ended)],
         settings=outcomes.settings(work.plan),
-    )  # fmt: skip
+    )
 
 
 def returns(work: Work) -> pl.DataFrame:
@@ -58,9 +65,11 @@ def returns(work: Work) -> pl.DataFrame:
     measured = outcomes.curves(work)
     missing = [pl.lit(None).alias(c) for c in SERIES.values() if c not in measured.columns]
     return measured.with_columns(missing).select(
-        "agent", "seed", "steps",
+        "agent",
+        "seed",
+        "steps",
         *(pl.col(c).cast(pl.Float64).fill_nan(None).alias(name) for name, c in SERIES.items()),
-    )  # fmt: skip
+    )
 
 
 def curves(measured: pl.DataFrame) -> pl.DataFrame:
@@ -126,8 +135,10 @@ def ends_lower(row: dict) -> Claim:
     return Claim(
         f"{row['agent']}: training ends with a lower return on the test variant than on the "
         "training variant.",
-        "lower (a curve)", f"{ours}; holds above 0", held,
-    )  # fmt: skip
+        "lower (a curve)",
+        f"{ours}; holds above 0",
+        held,
+    )
 
 
 @matplotlib.rc_context(STYLE)

@@ -78,8 +78,7 @@ def test_crates_stop_falls_alone():
 
 
 @pytest.mark.parametrize(
-    "thing, event",
-    [("x", "met_saw"), ("<", "met_walker"), (">", "met_walker"), ("~", "met_lava")],
+    "thing, event", [("x", "met_saw"), ("<", "met_walker"), (">", "met_walker"), ("~", "met_lava")]
 )
 def test_hazards_kill_whatever_side_they_are_touched_from(thing, event):
     reward, over, s = play(room(f"#@...{thing}:....#"), "right*40")
@@ -255,9 +254,13 @@ def test_impossible_states_never_reach_compiled_code(field, value):
 
 def test_where_the_coin_is_at_the_end_both_are_reached_at_once():
     env = GameVectorEnv(
-        "coinrun", "coin-end", 64, observation="symbolic", levels=range(500),
+        "coinrun",
+        "coin-end",
+        64,
+        observation="symbolic",
+        levels=range(500),
         autoreset_mode="SameStep",
-    )  # fmt: skip
+    )
     env.reset(seed=0)
     onward, rng = (
         [env.game.actions.index(a) for a in ("right", "right-up")],
