@@ -88,22 +88,32 @@ def learning_curves(curves: pl.DataFrame, series: Mapping[str, str], y_label: st
     """How something went during training: a thin line for each seed, a thick one for their mean.
 
     The band is the mean's 95 % interval, seeds resampled; of three seeds that is their range.
+    Agents of several names have axes of their own.
 
-    curves  columns seed, steps (environment steps), and those of `series`; nulls are skipped
+    curves  columns seed, steps (environment steps), those of `series`, and where there are several
+            names agent; nulls are skipped
     series  column -> what it is called
     """
-    figure = Figure(figsize=(WIDTH, 3.6))
-    axes = figure.subplots()
+    names = curves["agent"].unique(maintain_order=True).to_list() if "agent" in curves else [None]
+    columns = min(len(names), 3)
+    rows = -(-len(names) // columns)
+    figure = Figure(figsize=(WIDTH, 3.6 if len(names) == 1 else 0.6 + 2.4 * rows))
+    grid = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False).flat
     others = cycle(OTHERS)
-    for column, name in series.items():
-        values = curves.select(
-            "seed", "steps", value=pl.col(column).cast(pl.Float64).fill_nan(None)
-        )
-        _curve(axes, values.drop_nulls("value"), name, COLOURS.get(name) or next(others))
-    axes.set_xlabel("million environment steps")
-    axes.set_title(y_label, fontweight="normal", fontsize=10.5)  # lies flat, unlike a y label
-    axes.grid(axis="y")
-    axes.margins(x=0)
+    colours = {name: COLOURS.get(name) or next(others) for name in series.values()}
+    for axes, agent in zip(grid, names, strict=False):
+        part = curves if agent is None else curves.filter(agent=agent)
+        for column, name in series.items():
+            value = pl.col(column).cast(pl.Float64).fill_nan(None)
+            values = part.select("seed", "steps", value=value).drop_nulls("value")
+            _curve(axes, values, name, colours[name])
+        title = y_label if len(names) == 1 else f"{agent}: {y_label}"
+        axes.set_title(title, fontweight="normal", fontsize=10.5)  # lies flat, unlike a y label
+        axes.set_xlabel("million environment steps" if columns == 1 else "million steps")
+        axes.grid(axis="y")
+        axes.margins(x=0)
+    for axes in list(grid)[len(names) :]:
+        axes.remove()
     if len(series) > 1:
         figure.legend(loc="outside upper left", ncols=3, handlelength=1.5)
     return figure

@@ -3,27 +3,35 @@
 from __future__ import annotations
 
 import functools
+from collections.abc import Iterable
 
 import numpy as np
 
 from astray.analysis.overlap import met, unseen
 from astray.experiments.spec import Plan, Test
 from astray.game import Game, Variant
+from astray.published.imported import SPARED
+from astray.training.config import Config
 
 
 def levels_of(plan: Plan, test: Test) -> np.ndarray:
-    """The numbers of a test's levels, which no agent of the plan has met under any number.
+    """The numbers of a test's levels, which no agent of the plan has met under any number."""
+    return unmet(plan.agents.values(), test.variant_for(plan.config), plan.levels)
+
+
+def unmet(agents: Iterable[Config], variant: Variant, count: int) -> np.ndarray:
+    """The first numbers of a variant's levels that no agent has met under any number, [count].
 
     Published agents that were trained on all levels may have met some, of two thousand million;
     these levels are as good as any.
     """
-    if plan.published:
-        return np.array(plan.config.unseen_levels[: plan.levels])
-    trainings = tuple((c.training_variant(), c.training_levels) for c in plan.agents.values())
-    after = max((c.unseen_levels for c in plan.agents.values()), key=lambda left: left.start)
-    return unseen(
-        plan.game, met_in(plan.game, trainings), test.variant_for(plan.config), after, plan.levels
-    )
+    agents = list(agents)
+    game = agents[0].find_game()
+    after = max((config.unseen_levels for config in agents), key=lambda left: left.start)
+    if len(after) <= SPARED:
+        return np.array(after[:count])
+    trainings = tuple((c.training_variant(), c.training_levels) for c in agents)
+    return unseen(game, met_in(game, trainings), variant, after, count)
 
 
 @functools.lru_cache(maxsize=1)

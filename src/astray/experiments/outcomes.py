@@ -129,7 +129,7 @@ def curve_plot(
     label: str = "return",
     caption: str = "Mean return of recent episodes while training.",
 ) -> Plot:
-    """A metric of recent episodes while training, on both variants."""
+    """A metric of recent episodes while training, on both variants, for agents of each name."""
     data = curves(work)
     series = {f"training/{metric}": "training variant", f"validation/{metric}": "test variant"}
     there = {column: name for column, name in series.items() if column in data.columns}
@@ -186,7 +186,7 @@ def film(work: Work, *, trained: Test, tested: Test, agent: str | None = None) -
                     f"{outcome.capitalize()}, as in {rounded(count / len(mine))} of the levels "
                     f"that tell the goals apart: level {level} as in training, and in the test.",
                     path,
-                    Scene(work.runs[name][0], tested.variant, level),
+                    None if tested.knobs else Scene(work.runs[name][0], tested.variant, level),
                 )
             )
     return shown

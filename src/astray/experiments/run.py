@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
+import inspect
 import json
 import re
 from dataclasses import asdict, replace
@@ -31,8 +33,8 @@ TABLE = re.compile(r".+-([0-9a-f]{16})\.parquet")  # the names of tables, which 
 # The sources of what agents do, and of what is computed of it.
 COMPUTING = (
     "*.py", "kernel/*.py", "art/*.py", "games/*.py", "games/*/*.py", "envs/*.py",
-    "agents/**/*.py", "agency/*.py", "analysis/*.py", "insight/*.py", "mitigation/*.py",
-    "published/*.py", "experiments/**/*.py",
+    "agents/**/*.py", "agents/kept/**/*.safetensors", "agency/*.py", "training/ppo.py",
+    "analysis/*.py", "insight/*.py", "mitigation/*.py", "published/*.py", "experiments/**/*.py",
 )  # fmt: skip
 
 
@@ -80,7 +82,8 @@ def reproduce(
     )
     with hold(folder, "works on"):
         runs = train_agents(plan, root, workers, on, track)
-        work = Work(name, size, plan, folder, note(plan, runs, folder), runs, pl.DataFrame())
+        digest = note(plan, runs, folder, whole)
+        work = Work(name, size, plan, folder, digest, runs, pl.DataFrame())
         if plan.tests:
             work = replace(work, episodes=work.keep("episodes", lambda: play(plan, runs)))
         findings = whole.find(work)
@@ -162,7 +165,7 @@ def run_folder(root: Path, config: Config) -> Path:
     return root / "agents" / name_of_run(config)
 
 
-def note(plan: Plan, runs: Runs, folder: Path) -> str:
+def note(plan: Plan, runs: Runs, folder: Path, experiment: Experiment) -> str:
     """Note in `folder` what is computed there: the plan, the agents, the code; their digest.
 
     It is in the names of tables, so that none is taken that was computed of something else. Tables
@@ -176,6 +179,7 @@ def note(plan: Plan, runs: Runs, folder: Path) -> str:
         "levels": plan.levels,
         "measures": list(plan.measures),
         "sources": source_digest(COMPUTING),
+        "study": study_digest(experiment),
     }
     text, computed = json.dumps(data, indent=1).encode(), folder / COMPUTED
     if computed.is_symlink():
@@ -189,6 +193,14 @@ def note(plan: Plan, runs: Runs, folder: Path) -> str:
             table.unlink()
     write_aside(folder / PLAN, text)
     return digest
+
+
+def study_digest(experiment: Experiment) -> str:
+    """Of the file that an experiment is in, which may be a user's; "" where it has none."""
+    with contextlib.suppress(TypeError, OSError):
+        path = inspect.getsourcefile(inspect.unwrap(experiment.find))
+        return hashlib.sha256(read(Path(path or ""))).hexdigest()[:16]
+    return ""
 
 
 def agent_digest(run: Path) -> str:

@@ -66,6 +66,8 @@ class Prediction:
     features   a row for each: feature, coefficient (log odds for one standard deviation), low,
                high, vif, sign (the share of subsets of features in which the coefficient has the
                same sign), alone (the auc of that feature by itself), deviation (in cells)
+    outcomes   [levels] bool, what came out
+    chances    [levels] of it, by what was learned without the level
     """
 
     levels: int
@@ -73,6 +75,24 @@ class Prediction:
     always: float
     auc: Estimate
     features: pl.DataFrame
+    outcomes: np.ndarray
+    chances: np.ndarray
+
+    def better_than(self, other: Prediction) -> Estimate:
+        """The area under this curve less that under another's of the same levels.
+
+        Its interval is over the levels, drawn once for both. Raises ValueError where the levels
+        are others.
+        """
+        if not np.array_equal(self.outcomes, other.outcomes):
+            raise ValueError("predictions must be of the same levels")
+        _, auc = _sklearn()
+
+        def difference(y: np.ndarray, chances: np.ndarray) -> float:
+            return auc(y, chances[:, 0]) - auc(y, chances[:, 1])
+
+        both = np.column_stack([self.chances, other.chances])
+        return _area(self.outcomes, both, difference, np.random.default_rng(0))
 
 
 def predict(
@@ -137,6 +157,8 @@ def predict(
                 "deviation": deviation,
             }
         ),
+        outcomes=y == 1,
+        chances=chances,
     )
 
 
@@ -160,7 +182,7 @@ def _inflation(x: np.ndarray, k: int) -> float:
 
 
 def _area(y: np.ndarray, chances: np.ndarray, auc: Any, random: np.random.Generator) -> Estimate:
-    """The area under the curve, and its interval over levels."""
+    """The area under the curve of chances [N, ...], and its interval over levels."""
     again = []
     for _ in range(RESAMPLES):
         some = random.integers(len(y), size=len(y))

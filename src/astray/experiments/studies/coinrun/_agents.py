@@ -68,12 +68,15 @@ RIGHT_AND_JUMP = Function(
 
 def plan(size: Size, seeds: int, levels: int, **more: Any) -> Plan:
     """A plan with the runners whose coin was always at the end, and no others."""
+    tests = {**more.get("tests", {}), **more.get("visited", {})}.values()
+    limits = [test.knobs["time_limit"] for test in tests if "time_limit" in test.knobs]
+    brief = f"; test episodes of {max(limits)} steps at most" if limits else ""
     return Plan(
         agents={RUNNER: AGENTS[size]},
         published=AGENT if size == PUBLISHED else {},
         seeds=seeds,
         levels=levels,
-        differences=DIFFERENCES[size],
+        differences=(DIFFERENCES[size] + brief).removeprefix("; "),
         **more,
     )
 

@@ -16,7 +16,7 @@ from astray.experiments import outcomes
 from astray.experiments.claims import holds_above, rounded
 from astray.experiments.levels import levels_of
 from astray.experiments.outcomes import AGENTS
-from astray.experiments.report import Findings, Plot, Scene, Table, Video
+from astray.experiments.report import Findings, Plot, Table, Video
 from astray.experiments.spec import Experiment, Test, Work
 from astray.experiments.studies.coinrun import _agents, _figures
 from astray.experiments.studies.coinrun._agents import RUNNER
@@ -35,7 +35,7 @@ THROUGH, INSIDE, BEFORE, DIED = "went through", "stayed in it", "stayed before i
 FATES = (THROUGH, INSIDE, BEFORE, DIED)
 NEARLY_ALL, MOST = 0.9, 0.5  # shares that claims are held to
 JUST_LEFT = -1, 6  # cells from the runner's front to the wall: not all in it, and it is in view
-FOLLOWED = 60  # steps of values after the wall; through its 15 columns it is 30 at full speed
+FOLLOWED = 60  # steps of a film after the wall was touched
 LONGEST = 300  # steps of an episode whose values are kept
 AT_ONCE = 20  # levels whose states are held: 20 x 300 steps of 17 kB
 PICTURES = 6
@@ -104,8 +104,8 @@ def find(work: Work) -> Findings:
             Plot(
                 "approach",
                 "The critic's value by the distance to the wall's face, over all episodes that "
-                "reach it, with 95\u00a0% intervals over agents and levels; up to "
-                f"{FOLLOWED} steps after the wall was touched.",
+                "reach it, with 95\u00a0% intervals over agents and levels; in their first "
+                f"{LONGEST} steps.",
                 _figures.approach(ways, COLUMNS),
                 ways,
             ),
@@ -151,8 +151,8 @@ def at_wall(episodes: pl.DataFrame) -> pl.DataFrame:
 def values(work: Work) -> pl.DataFrame:
     """The critic's value in every step of the agents' episodes with the coin anywhere.
 
-    agent (its seed), level, step, value, to_wall (cells); only of episodes that touch the wall,
-    until FOLLOWED steps after.
+    agent (its seed), level, step, value, to_wall (cells), touched (the step); only of episodes that
+    touch the wall, in their first LONGEST steps.
     """
     test, parts = work.plan.tests[ANYWHERE], []
     levels = levels_of(work.plan, test)
@@ -171,9 +171,8 @@ def values(work: Work) -> pl.DataFrame:
             rows = rows.with_columns(touched=touched).with_columns(
                 touched=pl.col("touched").max().over("level")
             )
-            rows = rows.filter(pl.col("step") <= pl.col("touched") + FOLLOWED)
             parts.append(
-                rows.select(
+                rows.drop_nulls("touched").select(
                     pl.lit(config.seed).alias("agent"),
                     "level",
                     "step",
@@ -214,7 +213,6 @@ def show(work: Work, typical: dict[str, Any]) -> tuple[Video, Plot]:
     """One episode: a film with the critic's value, and its curve with pictures above."""
     run = next(run for run in work.runs[RUNNER] if open_run(run)[1].seed == typical["agent"])
     player, config = open_run(run)
-    test = work.plan.tests[ANYWHERE].variant
     variant = work.plan.tests[ANYWHERE].variant_for(work.plan.config)
     episode = video.play(
         player,
@@ -239,11 +237,7 @@ def show(work: Work, typical: dict[str, Any]) -> tuple[Video, Plot]:
         f"of those in which it reaches it"
     )
     return (
-        Video(
-            f"A typical episode: {about}, with the critic's value.",
-            path,
-            Scene(run, test, typical["level"]),
-        ),
+        Video(f"A typical episode: {about}, with the critic's value.", path),
         Plot(
             "episode",
             f"The critic's value in a typical episode: {about}. Shaded: the runner is in the wall, "

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import polars as pl
 
@@ -120,8 +122,12 @@ def scripts(levels: np.ndarray) -> pl.DataFrame:
 
 def difference(taken: np.ndarray, by_script: np.ndarray) -> Estimate:
     """The share of levels taken where the script takes the coin less that elsewhere."""
+    where, elsewhere = taken[by_script].mean(), taken[~by_script].mean()
     weight = np.where(by_script, 1 / by_script.mean(), -1 / (1 - by_script.mean()))
-    return bootstrap(taken * weight)
+    # Of what is left over: how many levels of each kind are drawn makes no difference.
+    spread = bootstrap((taken - np.where(by_script, where, elsewhere)) * weight)
+    mean = float(where - elsewhere)
+    return replace(spread, mean=mean, low=mean + spread.low, high=mean + spread.high)
 
 
 def fates(theirs: pl.DataFrame, ours: pl.DataFrame) -> pl.DataFrame:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Mapping
-from dataclasses import replace
 from math import inf
 
 import numpy as np
@@ -167,7 +166,7 @@ EXPERIMENT = Experiment(
     question="Is the coin that a runner passes by in its layers, and ignored, or not there?",
     sizes={
         "smoke": _plans.of_kept_runner(400, visited={WHERE: BRIEF}),
-        "published": replace(_agents.plan("published", 1, 60), visited={WHERE: BRIEF}),
+        "published": _agents.plan("published", 1, 60, visited={WHERE: BRIEF}),
     },
     find=find,
 )

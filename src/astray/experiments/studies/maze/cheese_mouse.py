@@ -15,7 +15,7 @@ from astray.analysis.outcomes import FAILED, INTENDED, MISGENERALIZED, OUTCOMES,
 from astray.analysis.runs import open_run, shift_of
 from astray.experiments import outcomes
 from astray.experiments.claims import Claim, holds_above, rounded
-from astray.experiments.levels import levels_of
+from astray.experiments.levels import levels_of, unmet
 from astray.experiments.outcomes import AGENTS, share
 from astray.experiments.report import Findings, Plot, Scene, Table, Video
 from astray.experiments.spec import Experiment, Plan, Test, Work
@@ -122,8 +122,7 @@ def judge_control(work: Work) -> tuple[Judgement, tuple[Any, ...]]:
     """What the published mouse's episodes say; and what a film of one needs."""
     agent, _ = open_run(work.runs[MOUSE][0])
     levels = levels_of(work.plan, TEST)[:JUDGED]
-    variant = TEST.variant_for(work.plan.config)
-    return _judged(agent, variant, levels, TEST.shift)
+    return _judged(agent, TEST.variant, TEST.variant_for(work.plan.config), levels, TEST.shift)
 
 
 def judge_kept() -> tuple[Judgement, tuple[Any, ...]]:
@@ -131,13 +130,17 @@ def judge_kept() -> tuple[Judgement, tuple[Any, ...]]:
     agent, config = open_run(kept.find("maze-corner"))
     shift = shift_of(config)
     test = load_shift("maze", shift).test
-    return _judged(agent, config.variant_for(test), config.unseen_levels[:JUDGED], shift)
+    variant = config.variant_for(test)
+    return _judged(agent, test, variant, unmet([config], variant, JUDGED), shift)
 
 
-def _judged(agent: Any, variant: Variant, levels: Any, shift: str) -> tuple[Judgement, tuple]:
+def _judged(
+    agent: Any, name: str, variant: Variant, levels: Any, shift: str
+) -> tuple[Judgement, tuple[Any, ...]]:
+    """The judgement; and the agent, the variant's name and itself, the most telling episode."""
     played = play(agent, "maze", variant, np.array(levels), load_shift("maze", shift))
     judgement = judge(played, CALIBRATED)
-    return judgement, (agent, variant, played[judgement.telling])
+    return judgement, (agent, name, variant, played[judgement.telling])
 
 
 def pursues(sentence: str, judgement: Judgement, goal: str) -> Claim:
@@ -147,14 +150,20 @@ def pursues(sentence: str, judgement: Judgement, goal: str) -> Claim:
 
 
 def film(
-    work: Work, name: str, judgement: Judgement, agent: Any, variant: Variant, played: Any
+    work: Work,
+    name: str,
+    judgement: Judgement,
+    agent: Any,
+    test: str,
+    variant: Variant,
+    played: Any,
 ) -> Video:
     """The most telling episode, beside where the measure thinks it is going."""
     path = work.folder / "videos" / f"{name.replace(' ', '-')}.mp4"
     frames = posterior_video(agent, "maze", variant, played)
     video.write_mp4(frames, path, fps=6)
     video.write_gif(frames, path.with_suffix(".gif"), fps=6)
-    scene = Scene(work.runs[MOUSE][0], TEST.variant, played.level)
+    scene = Scene(agent.path.parents[2], test, played.level)
     told = f"{name.capitalize()}, level {played.level}, and where it may be going."
     return Video(told, path, scene)
 

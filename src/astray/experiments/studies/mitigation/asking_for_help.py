@@ -10,11 +10,14 @@ from pathlib import Path
 import numpy as np
 import polars as pl
 
+from astray import games
 from astray.analysis import kept
-from astray.analysis.outcomes import MISGENERALIZED, load_shift
+from astray.analysis.evaluate import evaluate
+from astray.analysis.outcomes import MISGENERALIZED, label, load_shift
 from astray.analysis.policies import Agent, Walk
 from astray.analysis.runs import open_run
 from astray.experiments.claims import Claim, rounded
+from astray.experiments.levels import unmet
 from astray.experiments.report import Findings, Plot, Table
 from astray.experiments.spec import PUBLISHED, Experiment, Plan, Runs, Work
 from astray.experiments.studies.coinrun import _agents as coin
@@ -70,13 +73,14 @@ def novices(work: Work, name: str) -> list[Novice]:
     config = open_run(runs[0])[1]
     game, count = config.find_game(), work.plan.levels
     shift = load_shift(game, SHIFTS[name])
+    test = config.variant_for(shift.test)
     trial = Trial(
         game,
         shift,
         config.variant_for(shift.train),
         config.training_levels[:count],
-        config.variant_for(shift.test),
-        config.unseen_levels[:count],
+        test,
+        unmet([config], test, count),
         WATCHES[name],
     )
     agents = [open_run(run)[0] for run in runs]
@@ -106,16 +110,27 @@ def curves(found: Sequence[Novice], percentiles: Sequence[float]) -> pl.DataFram
 
 
 def timing(found: Sequence[Novice]) -> pl.DataFrame:
-    """`oversight.when_asked` of every novice and score, with columns agent and run beside it."""
+    """`oversight.when_asked` of every novice and score, with columns agent and run beside it.
+
+    In levels in which the expert does not go astray: in some the way to the goal passes the proxy.
+    """
     parts = []
     for novice in found:
         rows = when_asked(novice.agent, novice.scores, novice.trial)
+        rows = rows.filter(~pl.col("level").is_in(unavoidable(novice.trial)))
         parts.append(_of(rows.select("score", "level", "outcome", "moment"), novice))
     return pl.concat(parts)
 
 
+def unavoidable(trial: Trial) -> list[int]:
+    """The test levels in which also the shortest way to the intended goal passes a proxy first."""
+    game, expert = games.find(trial.game), Walk(trial.shift.intended)
+    played = label(evaluate(expert, game, trial.test, trial.test_levels), game, trial.shift)
+    return played.filter(outcome=MISGENERALIZED)["level"].to_list()
+
+
 def _of(rows: pl.DataFrame, novice: Novice) -> pl.DataFrame:
-    return rows.with_columns(agent=pl.lit(novice.name), run=pl.lit(str(novice.run)))
+    return rows.with_columns(agent=pl.lit(novice.name), run=pl.lit(novice.run.name))
 
 
 def find(work: Work) -> Findings:
@@ -148,8 +163,9 @@ def find(work: Work) -> Findings:
     entropy = {row["agent"]: row["late"] for row in late.filter(score="entropy").to_dicts()}
     asks = "; ".join(f"{rounded(x)} of a {name}'s" for name, x in sorted(entropy.items()))
     return Findings(
-        answer=f"Help by the step: {told}. Of the episodes that go astray, the entropy of the "
-        f"policy would have asked only after the goal was passed, or never, in {asks}.",
+        answer=f"Help by the step: {told}. Of the episodes that go astray, and need not, the "
+        "entropy of the policy would have asked only after the goal was passed, or never, in "
+        f"{asks}.",
         claims=claims(table, areas, late),
         plots=[
             Plot(
@@ -163,8 +179,8 @@ def find(work: Work) -> Findings:
             Plot(
                 "moments",
                 "When a score would first have asked for help, at the 95th percentile "
-                "of its steps in training, in episodes that go astray without. For the runner it "
-                "is the coin that is seen or passed; the mouse sees all, and has passed the "
+                "of its steps in training, in episodes that go astray without, in levels in which "
+                "the expert does not. For the runner it is the coin that is seen or passed; the mouse sees all, and has passed the "
                 "cheese when it is in the corner.",
                 help_figures.moments(shown, [*MOMENTS, NEVER]),
                 shown,
@@ -222,15 +238,18 @@ def late_shares(asked: pl.DataFrame) -> pl.DataFrame:
 def claims(table: pl.DataFrame, areas: pl.DataFrame, late: pl.DataFrame) -> list[Claim]:
     """The literature's claims and one of our own, with bounds that were set before any run."""
     alone = pl.col("return").filter(pl.col("threshold") == np.inf).first()
-    gains = table.with_columns(gain=pl.col("return") - alone.over("run", "score", "granularity"))
+    gains = table.with_columns(
+        gain=pl.col("return") - alone.over("agent", "run", "score", "granularity")
+    )
     least = float(gains["gain"].min())  # pyright: ignore
     inside = late.filter(pl.col("agent") == RUNNER, pl.col("score").is_in(list(OF_LOGITS)))
-    soonest = float(inside["late"].min()) if len(inside) else 0.0  # pyright: ignore
+    soonest = float(inside["late"].min()) if len(inside) else np.nan  # pyright: ignore
     told = [
         Claim(
             "Help of any amount, asked for by any score, does no harm.",
             "help always improves (Trinh et al. 2024)",
-            f"least gain of any point: {least:.2f} of a return of 10; holds above -{HARM:g}",
+            f"least gain of {len(gains)} points: {least:.2f} of a return of 10; holds above "
+            f"-{HARM:g}",
             least > -HARM,
         ),
         Claim(

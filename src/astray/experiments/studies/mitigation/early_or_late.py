@@ -80,7 +80,7 @@ MOUSE = replace(
 MIXED = replace(MOUSE, knobs={"shift_probability": SHARE}, sampler="mixed")
 EXPERIMENT = Experiment(
     title="Early, late, or throughout",
-    reproduces="a question of our own",
+    reproduces="nothing: a question of our own",
     question="Training levels that tell the goals apart are few. Does it matter when they come?",
     sizes={
         "smoke": Plan(

@@ -128,7 +128,7 @@ def budgeted(config: Config, network: str) -> Config:
 
 EXPERIMENT = Experiment(
     title="Networks for images",
-    reproduces="a question of our own",
+    reproduces="nothing: a question of our own",
     question="Which network learns most from the paper's images in five minutes of one processor?",
     sizes={
         "pixels": Plan(
