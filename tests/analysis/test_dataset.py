@@ -178,3 +178,9 @@ def test_the_verb_writes_agents_and_scripts(astray, tmp_path):
     astray(*walk, "--observation", "symbolic", "--levels", "0:4", "--out", tmp_path / "walk")
     assert pl.read_parquet(tmp_path / "walk" / "episodes.parquet")["terminated"].all()
     assert "needs --game and --variant" in astray("export", "--policy", "random", fails=True)
+
+
+def test_a_level_that_is_given_twice_is_refused(tmp_path):
+    with pytest.raises(ValueError, match="levels must be given once each"):
+        dataset.export(Random(), "maze", "corner-small", np.array([3, 3, 5]), tmp_path / "data")
+    assert not (tmp_path / "data").exists()

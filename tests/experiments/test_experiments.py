@@ -323,3 +323,19 @@ def test_art_that_is_none_is_told_before_anything_is_done(tmp_path):
     with pytest.raises(ValueError, match="published agents see the art that they know; got 'own2'"):
         run.reproduce("moved-coin", "published", tmp_path, art="own2")
     assert not list(tmp_path.iterdir())
+
+
+def test_tables_are_computed_anew_where_a_study_of_ones_own_was_edited(tmp_path):
+    path = tmp_path / "mine.py"
+    text = (
+        "from dataclasses import replace\n"
+        "from astray.experiments.studies.maze.maze_corner import EXPERIMENT as OTHER\n"
+    )
+    digests = set()
+    for number in range(2):
+        path.write_text(
+            f"{text}def find(work):\n    return {number}\n\n"
+            "EXPERIMENT = replace(OTHER, find=find)\n"
+        )
+        digests.add(run.study_digest(catalogue.find(str(path))[1]))
+    assert len(digests) == 2 and "" not in digests

@@ -75,3 +75,23 @@ def test_features_and_labels_of_ruined_states_are_refused(field):
 def test_a_game_without_features_says_so():
     with pytest.raises(ValueError, match="'coinrun' has no features of levels"):
         level_features(games.find("coinrun"), "coin-end", range(3))
+
+
+def test_an_outcome_that_few_levels_have_is_predicted_all_the_same():
+    random = np.random.default_rng(0)
+    rows = pl.DataFrame({"x": random.normal(size=300), "y": np.arange(300) % 60 == 0})
+    for seed in range(3):
+        assert predict(rows, "y", ["x"], seed=seed).levels == 300
+
+
+def test_two_predictions_are_compared_on_the_same_draws_of_levels():
+    random = np.random.default_rng(0)
+    x, noise = random.normal(size=(2, 400))
+    rows = pl.DataFrame({"x": x, "same": x, "noise": noise, "y": x + noise / 2 > 0})
+    one, same, blind = (predict(rows, "y", [name]) for name in ("x", "same", "noise"))
+    equal = one.better_than(same)
+    assert [equal.mean, equal.low, equal.high] == pytest.approx([0, 0, 0], abs=1e-3)
+    ahead = one.better_than(blind)
+    assert ahead.low > 0.1 and ahead.mean == pytest.approx(one.auc.mean - blind.auc.mean)
+    with pytest.raises(ValueError, match="of the same levels"):
+        one.better_than(predict(rows.head(200), "y", ["x"]))

@@ -140,7 +140,7 @@ def test_the_level_of_no_goal_is_left_out_and_none_is_told(mouse):
     both = {"with": level, "without": level.removed("goal")}
     rows = effects(mouse, SMALL, both, "cheese", {"plain": Condition()})
     assert rows["level"].to_list() == [0]
-    with pytest.raises(ValueError, match="no level has a cell of the goal 'cheese'"):
+    with pytest.raises(ValueError, match="no level has a way from its beginning to the goal"):
         effects(mouse, SMALL, {"none": both["without"]}, "cheese", {"plain": Condition()})
 
 

@@ -112,9 +112,12 @@ def export(
 
     The folder is there once it is whole, and not before.
 
-    Raises ValueError where there is something at `folder`, or what is played cannot be.
+    Raises ValueError where there is something at `folder`, a level is given twice, by whose
+    number its episode is known, or what is played cannot be.
     """
     see_policy(policy)
+    if not isinstance(levels, Mapping) and len(set(np.asarray(levels).tolist())) < len(levels):
+        raise ValueError(f"levels must be given once each; got {shown(levels)}")
     check_word("format", form, Format)
     of_kind("folder", folder, str | Path)
     if os.path.lexists(folder):

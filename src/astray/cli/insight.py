@@ -64,16 +64,18 @@ def explain(
     levels = config.variant_for(name, pairs(knobs))
     chosen = one_level(game, levels, level, level_file, unsolvable=True)
     first = int(config.unseen_levels[0])
-    if not isinstance(chosen, Level):
-        number = first if chosen is None else chosen
+    number = first if chosen is None else chosen
+    if not isinstance(number, Level):
         drawn = Level.of(game, levels, initial_states(game, levels, [number])[0])
         where = f"{name} level {number}"
     else:
-        drawn, where = chosen, f"{name} {level_file}"
+        drawn, where = number, f"{name} {level_file}"
     reads = tuple(layers.split(",")) if layers else default_layers(player)
     see_layers(player, reads)
     see_free(out, PAGE, SIGN, ())
     see_writable(out / PAGE)
-    after = np.array(config.unseen_levels[1 : others + 1])
-    asked = Asked(player, levels, drawn, named, reads, after)
+    after = np.array(config.unseen_levels[1 : others + 2])
+    # Probes do not learn from the level that they read.
+    after = np.array([one for one in after.tolist() if one != number][:others])
+    asked = Asked(player, levels, drawn, named, reads, after, config.gamma, config.lam)
     print(write(asked, out, f"{agent.name} in {game.name} {where}"))

@@ -12,7 +12,7 @@ A map is [N, H, W] for an agent that sees images, the mean over colours as in th
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 import polars as pl
@@ -180,7 +180,12 @@ def _captum() -> Any:
 
 
 def _mlp(agent: Agent) -> MLP:
-    return cast(MLP, agent.network)  # the network that sees planes
+    if not isinstance(agent.network, MLP):
+        raise ValueError(
+            "gradients of planes need the network mlp; occlusion takes any: got "
+            f"{type(agent.network).__name__}"
+        )
+    return agent.network
 
 
 def _value(agent: Agent) -> Callable[[Tensor], Tensor]:

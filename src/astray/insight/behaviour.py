@@ -136,9 +136,7 @@ def predict(
 
     every, all_rows = np.arange(len(features)), np.arange(len(y))
     whole = coefficients(all_rows, every)
-    again = np.array(
-        [coefficients(random.integers(len(y), size=len(y)), every) for _ in range(RESAMPLES)]
-    )
+    again = np.array([coefficients(_resample(y, random), every) for _ in range(RESAMPLES)])
     low, high = np.quantile(again, [0.025, 0.975], axis=0)
     return Prediction(
         levels=len(y),
@@ -181,13 +179,18 @@ def _inflation(x: np.ndarray, k: int) -> float:
     return float(1 / share) if share > 1e-10 else np.inf
 
 
-def _area(y: np.ndarray, chances: np.ndarray, auc: Any, random: np.random.Generator) -> Estimate:
-    """The area under the curve of chances [N, ...], and its interval over levels."""
-    again = []
-    for _ in range(RESAMPLES):
+def _resample(y: np.ndarray, random: np.random.Generator) -> np.ndarray:
+    """Levels drawn anew, among which there are both outcomes."""
+    while True:
         some = random.integers(len(y), size=len(y))
         if 0 < y[some].sum() < len(y):
-            again.append(auc(y[some], chances[some]))
+            return some
+
+
+def _area(y: np.ndarray, chances: np.ndarray, auc: Any, random: np.random.Generator) -> Estimate:
+    """The area under the curve of chances [N, ...], and its interval over levels."""
+    drawn = [_resample(y, random) for _ in range(RESAMPLES)]
+    again = [auc(y[some], chances[some]) for some in drawn]
     low, high = np.quantile(again, [0.025, 0.975])
     return Estimate(float(auc(y, chances)), float(low), float(high), 1, len(y), len(y))
 

@@ -55,7 +55,8 @@ class Part:
 class Asked:
     """What is to be explained.
 
-    layers  that probes read; others  numbers of levels that they learn from
+    layers      that probes read; others  numbers of levels that they learn from
+    gamma, lam  of its training, for advantages
     """
 
     agent: Agent
@@ -64,6 +65,8 @@ class Asked:
     shift: str
     layers: tuple[str, ...]
     others: np.ndarray
+    gamma: float = episode.GAMMA
+    lam: float = episode.LAMBDA
 
 
 def explain(asked: Asked, folder: Path, heading: str) -> Path:
@@ -308,7 +311,9 @@ def _goals(asked: Asked) -> list[Part]:
 
 def _episode(asked: Asked) -> list[Part]:
     """Its value, advantage and policy along the episode."""
-    course = episode.along(asked.agent, asked.variant, asked.level)
+    course = episode.along(
+        asked.agent, asked.variant, asked.level, gamma=asked.gamma, lam=asked.lam
+    )
     happened = {n.replace("_", " "): k for n, k in course.events.items() if k is not None}
     events = [f"{name} at step {k}" for name, k in happened.items()]
     said = f"{len(course.table)} steps: {', '.join(events) or 'no event'}."

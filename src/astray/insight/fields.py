@@ -74,11 +74,14 @@ class Places:
         return found
 
     def advancing(self, to: Cell) -> np.ndarray:
-        """[K, A] bool, the actions that are a step of a shortest way to the cell `to`."""
+        """[K, A] bool, the actions that are a step of a shortest way to the cell `to`.
+
+        None is in that cell, nor where there is no way to it.
+        """
         away = self.distances(to)
         return np.array(
             [
-                [away.get(there, -1) == away.get(here, 0) - 1 for there in ways]
+                [away.get(here, 0) > 0 and away.get(there) == away[here] - 1 for there in ways]
                 for here, ways in zip(self.number, self.leads, strict=True)
             ]
         )

@@ -235,6 +235,8 @@ def effects(
         if to is None or to == level.agent:
             continue
         (around,), _ = places_of([level])
+        if level.agent not in around.distances(to):
+            continue
         extra = at(level.state(solvable=False)) if at else None
         count = places - (extra is not None)
         some = _some(around, to, count, np.random.default_rng([seed, k]))
@@ -264,7 +266,7 @@ def effects(
                 }
             )
     if not rows:
-        raise ValueError(f"no level has a cell of the goal {goal!r} away from its beginning")
+        raise ValueError(f"no level has a way from its beginning to the goal {goal!r}")
     return pl.DataFrame(rows, schema_overrides={"at": pl.Float64})
 
 

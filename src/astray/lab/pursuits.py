@@ -89,15 +89,17 @@ def splay(
             agent.seed = first + draw
             for k, outcome in enumerate(_outcomes(agent, world, some, shift)):
                 outcomes[k][outcome] = outcomes[k].get(outcome, 0) + 1
-        where = [level.agent if thing == "agent" else _place(level, thing, world) for level in some]
+        where = [
+            level.agent if thing == "agent" else _place(level, thing, at, world) for level in some
+        ]
         yield {"cells": where, "outcomes": outcomes, "of": of}
 
 
-def _place(level: Level, thing: str, world: World) -> tuple[int, int]:
-    """Where the one thing is that is elsewhere than in `world`, or still where it was."""
+def _place(level: Level, thing: str, at: tuple[int, int] | None, world: World) -> tuple[int, int]:
+    """Where the thing is that was moved from `at` in `world`, or still there."""
     there = {*level.where(thing)}
     new = there - {*world.level.where(thing)}
-    return min(new or there)
+    return min(new) if new else at or min(there)
 
 
 def _outcomes(agent: Agent, world: World, levels: list[Level], shift: Shift) -> list[str]:
@@ -155,9 +157,10 @@ def _cell(s: Any) -> list[float]:
 
 
 def _things(world: World, s: Any) -> set[tuple[int, int, int]]:
-    """The cells that hold things, and what."""
+    """The cells that hold things that stay until they are taken, and what."""
     if not world.game.editing:
         return set()
-    wanted = {world.game.editing.LEGEND[char] for char in world.game.editing.OBJECTS.values()}
+    legend, objects = world.game.editing.LEGEND, world.game.editing.OBJECTS
+    wanted = {legend[char] for name, char in objects.items() if not name.startswith("walker")}
     grid = np.array(world.game.editing.describe(s)["grid"])
     return {(int(x), int(y), int(grid[y, x])) for y, x in np.argwhere(np.isin(grid, [*wanted]))}

@@ -176,21 +176,22 @@ class Conversation:
 
     async def _answer_one(self, text: str) -> None:
         answers: Any = self.session.answers(text)
-        while (part := await asyncio.to_thread(self._next, answers)) is not None:
+        while (part := await asyncio.to_thread(self._next, answers, text)) is not None:
             await self._send(part)
             if not part.get("done") and self._is_stale(text):
                 await self._send({"id": number_of(text), "done": True, "stale": True})
                 answers.close()
                 return
 
-    def _next(self, answers: Iterator[dict[str, Any]]) -> dict[str, Any] | None:
+    def _next(self, answers: Iterator[dict[str, Any]], text: str) -> dict[str, Any] | None:
         """The next part of an answer; a mistake of the lab's own ends that answer alone."""
         with self.lab.lock:
             try:
                 return next(answers, None)
             except Exception as error:
                 traceback.print_exc(file=sys.stderr)
-                return {"id": 0, "done": True, "error": f"the lab itself failed: {error!r}"}
+                said = f"the lab itself failed: {error!r}"
+                return {"id": number_of(text), "done": True, "error": said}
 
     async def _send(self, part: dict[str, Any]) -> None:
         await self.page.send_text(json.dumps(part))

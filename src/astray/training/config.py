@@ -43,6 +43,7 @@ RANGES = (
 
 
 SAMPLERS = ("uniform", "mixed", "plr", "accel")  # of levels, astray's own
+SCORING = ("plr", "accel")  # those that learn from how an agent did
 Tracking = Literal["wandb", "trackio"]  # who else is told of a training
 Schedule = Literal["throughout", "early", "late", "annealed"]
 Score = Literal["regret", "max-monte-carlo", "positive-value-loss"]
@@ -70,7 +71,9 @@ class Config:
     seed: int = 0
 
     sampler: str = "uniform"  # of levels: or mixed, plr, accel; or your own, module:Class
-    share: float | None = None  # mixed: of episodes in shifted levels; None: shift_probability
+    # Mixed: the chance of an episode to be in a shifted level, as the mean over environment steps;
+    # None: shift_probability.
+    share: float | None = None
     schedule: Schedule = "throughout"  # mixed: when the shifted levels are played
     buffer: int = 4096  # plr, accel: levels that are kept, to be replayed
     replay: float | None = None  # plr, accel: chance that a rollout replays; None: 1/3 and 1/2
@@ -146,6 +149,10 @@ class Config:
         if self.sampler not in SAMPLERS and not imports.is_name(self.sampler):
             possible = f"{', '.join(SAMPLERS)}, or module:Class"
             raise ValueError(f"sampler must be one of {possible}; got {self.sampler!r}")
+        if self.teacher is not None and self.sampler in SCORING:
+            raise ValueError(
+                f"a student is not scored: its sampler must be another; got {self.sampler!r}"
+            )
         if self.loss is not None and not imports.is_name(self.loss):
             raise ValueError(f"loss must be module:function; got {self.loss!r}")
         self.training_variant()

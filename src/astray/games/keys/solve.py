@@ -228,7 +228,9 @@ class Planner:
         check(s)
         _compile()
         self.goal, self.gamma = goal, gamma
-        self._order: list[int] = []
+        self._order: list[int] = []  # as planned, also what of it is gone
+        self._gone: set[int] = set()  # what was gone then
+        self._asked = -1  # the last step that was asked for
         self._is_open = (s.cell[: s.world, : s.world] != WALL).copy()
         self._fields: dict[int, np.ndarray] = {}
 
@@ -236,11 +238,14 @@ class Planner:
         """Steps from every cell to what is best next, [world, world]; None where nothing is."""
         if now.ended or now[GOALS[self.goal]] != NEVER:
             return None
-        left = [k for k in self._order if now.gone[k] == NEVER]
-        if left and now.what[left[0]] == CHEST and now.taken == now.opened:
-            left = []  # not as planned
-        self._order = left or self._plan(now)
-        return self._field(now, self._order[0]) if self._order else None
+        gone = {k for k in range(now.objects) if now.gone[k] != NEVER}
+        since, follows = len(gone) - len(self._gone), now.time == self._asked + 1
+        self._asked = int(now.time)
+        # Others may have acted in between, and in every episode but the first of a level.
+        as_planned = self._gone <= gone and gone - self._gone == set(self._order[:since])
+        if not follows or not as_planned or since >= len(self._order):
+            self._order, self._gone, since = self._plan(now), gone, 0
+        return self._field(now, self._order[since]) if self._order else None
 
     def action(self, now: Any) -> int:
         """The next action."""

@@ -180,8 +180,8 @@ def find(work: Work) -> Findings:
                 "moments",
                 "When a score would first have asked for help, at the 95th percentile "
                 "of its steps in training, in episodes that go astray without, in levels in which "
-                "the expert does not. For the runner it is the coin that is seen or passed; the mouse sees all, and has passed the "
-                "cheese when it is in the corner.",
+                "the expert does not. For the runner it is the coin that is seen or passed; the "
+                "mouse sees all, and has passed the cheese when it is in the corner.",
                 help_figures.moments(shown, [*MOMENTS, NEVER]),
                 shown,
             ),

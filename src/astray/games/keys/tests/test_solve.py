@@ -193,3 +193,50 @@ def test_keys_in_hand_are_told_of_openings():
     assert np.isnan(measures.keys_in_hand(env.states)[0])
     follow(env, "chests")
     assert measures.keys_in_hand(env.states)[0] == 1.5  # two, then one
+
+
+def small(level):
+    env = GameVectorEnv("keys", SMALL, 1, observation="symbolic")
+    env.reset(seed=0, options={"level": np.array([level])})
+    return env
+
+
+def walk(env, guide, steps=10**6):
+    """What an expert does, until its episode ends or it stays, or for some steps."""
+    actions, stay = [], GAME.actions.index("stay")
+    while not env.states[0].ended and len(actions) < steps:
+        actions.append(guide(env.states[0]))
+        if actions[-1] == stay:
+            break
+        env.step(np.array(actions[-1:]))
+    return actions
+
+
+@pytest.mark.parametrize("goal", ["chests", "keys"])
+def test_an_expert_takes_over_as_well_as_one_that_is_asked_there_first(goal):
+    handed_over, longer = 0, []
+    for level in range(16):
+        one, two = small(level), small(level)
+        guide = GAME.solver.expert(one.states[0], goal)
+        random = np.random.default_rng(level)
+        guide(one.states[0])
+        for action in random.integers(9, size=60):
+            if not one.states[0].ended:
+                one.step(np.array([action])), two.step(np.array([action]))
+        s = one.states[0]
+        if s.ended or s[GAME.goals[goal]] >= 0 or (s.gone[: s.objects] < 0).all():
+            continue
+        handed_over += 1
+        longer.append(len(walk(one, guide)) - len(walk(two, GAME.solver.expert(s.copy(), goal))))
+        reached = [env.states[0][GAME.goals[goal]] >= 0 for env in (one, two)]
+        assert reached[0] == reached[1], level
+    assert handed_over > 4 and not any(longer)
+
+
+def test_an_expert_begins_a_level_anew_however_its_last_episode_was_left():
+    for level in range(8):
+        env = small(level)
+        guide = GAME.solver.expert(env.states[0], "chests")
+        first = walk(env, guide)
+        walk(small(level), guide, len(first) // 2)
+        assert walk(small(level), guide) == first, level
