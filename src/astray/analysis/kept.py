@@ -40,6 +40,12 @@ def find(name: str) -> Path:
     raise ValueError(f"unknown agent {name!r}; there are: {there}")
 
 
+def name_of(run: Path) -> str:
+    """What verbs know a run folder by: the name of a kept or imported agent, else its path."""
+    there = run.name in (*names(), *imported()) and find(run.name) == run
+    return run.name if there else str(run)
+
+
 def run_of(run: Path) -> Path:
     """`run`; or, where nothing is at that path and it is an agent's name, that agent's folder."""
     if not run.exists() and str(run) in (*names(), *imported()):

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 import polars as pl
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
+from astray.analysis import kept
 from astray.analysis.tables import write_table
 from astray.bounds import shown
 from astray.experiments.claims import Claim
@@ -40,7 +41,7 @@ class Scene:
     @property
     def command(self) -> str:
         """That opens it in the lab."""
-        run = shlex.quote(str(self.run))
+        run = shlex.quote(kept.name_of(Path(self.run)))
         return f"astray lab {run} --variant {self.variant} --level {self.level}"
 
 

@@ -47,10 +47,10 @@ def find(work: Work) -> Findings:
     largest = max(sizes.filter(outcome=INTENDED).to_dicts(), key=lambda row: row["size"])
     first = {o: share(work.episodes, WHERE, o).mean for o in OUTCOMES}
     return Findings(
-        answer=f"In mazes of 3 to 15 cells it finds the cheese in {rounded(reached.mean)}, passes "
-        f"the corner before in {rounded(first[MISGENERALIZED])} and reaches neither in "
-        f"{rounded(first[FAILED])}. {said[MOUSE].sentence()} Of our mouse of the corner: "
-        f"{said[OURS].sentence()}",
+        answer=f"In mazes of {sizes['size'].min()} to {sizes['size'].max()} cells it finds the "
+        f"cheese in {rounded(reached.mean)}, passes the corner before in "
+        f"{rounded(first[MISGENERALIZED])} and reaches neither in {rounded(first[FAILED])}. "
+        f"{said[MOUSE].sentence()} Of our mouse of the corner: {said[OURS].sentence()}",
         claims=[
             holds_above(
                 "It reaches the cheese in unseen levels like those of its training.",
