@@ -284,7 +284,7 @@ def test_tables_of_other_plans_are_deleted_and_nothing_of_the_users(tmp_path):
     )
     computed = tmp_path / "computed"
     computed.mkdir()
-    digest = run.note(first, {}, tmp_path)
+    digest = run.note(first, {}, tmp_path, catalogue.load("maze-corner"))
     ours = computed / f"episodes-{digest}.parquet"
     mine = [
         computed / name
@@ -299,8 +299,11 @@ def test_tables_of_other_plans_are_deleted_and_nothing_of_the_users(tmp_path):
         path.write_text("table")
     mine[2].mkdir()
     mine[3].symlink_to(mine[0])
-    assert run.note(first, {}, tmp_path) == digest and ours.exists()
-    assert run.note(second, {}, tmp_path) != digest and not ours.exists()
+    assert run.note(first, {}, tmp_path, catalogue.load("maze-corner")) == digest and ours.exists()
+    assert (
+        run.note(second, {}, tmp_path, catalogue.load("maze-corner")) != digest
+        and not ours.exists()
+    )
     assert all(map(os.path.lexists, mine))
 
 
@@ -308,7 +311,7 @@ def test_tables_are_not_looked_for_where_a_link_leads(tmp_path):
     (tmp_path / "computed").symlink_to(tmp_path.parent)
     plan = next(iter(catalogue.load("maze-corner").sizes.values()))
     with pytest.raises(OSError, match="computed must be a folder of its own; it is a link"):
-        run.note(plan, {}, tmp_path)
+        run.note(plan, {}, tmp_path, catalogue.load("maze-corner"))
 
 
 def test_what_fails_in_a_study_of_ones_own_is_told_with_its_line(tmp_path):
