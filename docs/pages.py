@@ -14,7 +14,7 @@ import os
 import pkgutil
 import re
 import sys
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import MISSING, fields
 from pathlib import Path
 from types import ModuleType
@@ -297,40 +297,33 @@ def size_parts(plan: Plan) -> Iterator[str]:
             f"{plan.levels:,}."
         )
         names = list(settings(plan.config))
-        yield table(
-            ("agent", *names),
-            [
-                (name, *settings(config).values())
-                for name, config in itertools.islice(plan.agents.items(), MOST)
-            ],
-        )
+        some = itertools.islice(plan.agents.items(), MOST)
+        rows = [(name, *settings(config).values()) for name, config in some]
+        yield table(("agent", *names), rows)
     tests = {**plan.tests, **plan.visited}
     if tests:
-        yield table(
-            ("test", "variant", "shift", "knobs changed"),
-            [
-                (
-                    name,
-                    link(plan.game, test.variant),
-                    code(test.shift),
-                    " ".join(code(f"{k}={v}") for k, v in test.knobs.items()),
-                )
-                for name, test in tests.items()
-            ],
-        )
+        rows = [
+            (name, link(plan.game, test.variant), code(test.shift), assigned(test.knobs))
+            for name, test in tests.items()
+        ]
+        yield table(("test", "variant", "shift", "knobs changed"), rows)
 
 
 def settings(config: Config) -> dict[str, str]:
     """What tells agents apart, for a table."""
     return {
         "variant": link(config.game, config.variant),
-        "knobs changed": " ".join(code(f"{k}={v}") for k, v in config.knobs.items()),
+        "knobs changed": assigned(config.knobs),
         "steps": f"{config.steps / 1e6:g} million",
         "sees": config.observation,
         "network": f"{config.network}, {config.scale} x"
         if config.network == "impala"
         else f"{config.network}, {config.width} units",
     }
+
+
+def assigned(knobs: Mapping[str, Any]) -> str:
+    return " ".join(code(f"{name}={value}") for name, value in knobs.items())
 
 
 def link(game: str, variant: str) -> str:

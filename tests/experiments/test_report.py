@@ -283,9 +283,10 @@ def test_a_table_that_was_cut_short_is_told(tmp_path):
 
 
 def test_agents_of_several_names_have_curves_of_their_own():
-    both = pl.concat([CURVES.with_columns(agent=pl.lit(name)) for name in ("one", "two")])
-    axes = figures.learning_curves(both, {"training": "a"}, "return").axes
-    assert [one.get_title(loc="left") for one in axes] == ["one: return", "two: return"]
+    names = ["one", "two", "three", "four"]  # of six places two are empty
+    every = pl.concat([CURVES.with_columns(agent=pl.lit(name)) for name in names])
+    axes = figures.learning_curves(every, {"training": "a"}, "return").axes
+    assert [one.get_title(loc="left") for one in axes] == [f"{name}: return" for name in names]
     for one in axes:
         points = {str(line.get_label()): line.get_xydata().tolist() for line in one.lines}
         assert len(one.lines) == 2 + 1 and points["a"] == [[0, 0], [1, 3], [2, 9]]

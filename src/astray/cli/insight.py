@@ -74,8 +74,8 @@ def explain(
     see_layers(player, reads)
     see_free(out, PAGE, SIGN, ())
     see_writable(out / PAGE)
-    after = np.array(config.unseen_levels[1 : others + 2])
     # Probes do not learn from the level that they read.
-    after = np.array([one for one in after.tolist() if one != number][:others])
-    asked = Asked(player, levels, drawn, named, reads, after, config.gamma, config.lam)
+    after = [one for one in config.unseen_levels[1 : others + 2] if one != number][:others]
+    told = np.array(after), config.gamma, config.lam
+    asked = Asked(player, levels, drawn, named, reads, *told)
     print(write(asked, out, f"{agent.name} in {game.name} {where}"))

@@ -98,7 +98,7 @@ def learning_curves(curves: pl.DataFrame, series: Mapping[str, str], y_label: st
     columns = min(len(names), 3)
     rows = -(-len(names) // columns)
     figure = Figure(figsize=(WIDTH, 3.6 if len(names) == 1 else 0.6 + 2.4 * rows))
-    grid = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False).flat
+    grid = [*figure.subplots(rows, columns, sharey=True, squeeze=False).flat]
     others = cycle(OTHERS)
     colours = {name: COLOURS.get(name) or next(others) for name in series.values()}
     for axes, agent in zip(grid, names, strict=False):
@@ -112,8 +112,8 @@ def learning_curves(curves: pl.DataFrame, series: Mapping[str, str], y_label: st
         axes.set_xlabel("million environment steps" if columns == 1 else "million steps")
         axes.grid(axis="y")
         axes.margins(x=0)
-    for axes in list(grid)[len(names) :]:
-        axes.remove()
+    for unused in grid[len(names) :]:
+        unused.remove()
     if len(series) > 1:
         figure.legend(loc="outside upper left", ncols=3, handlelength=1.5)
     return figure

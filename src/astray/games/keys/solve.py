@@ -239,17 +239,18 @@ class Planner:
         if now.ended or now[GOALS[self.goal]] != NEVER:
             return None
         gone = {k for k in range(now.objects) if now.gone[k] != NEVER}
-        since, follows = len(gone) - len(self._gone), now.time == self._asked + 1
-        self._asked = int(now.time)
-        # Others may have acted in between, and in every episode but the first of a level.
+        since = len(gone) - len(self._gone)
         as_planned = self._gone <= gone and gone - self._gone == set(self._order[:since])
-        if not follows or not as_planned or since >= len(self._order):
+        if not as_planned or since >= len(self._order):
             self._order, self._gone, since = self._plan(now), gone, 0
         return self._field(now, self._order[since]) if self._order else None
 
     def action(self, now: Any) -> int:
-        """The next action."""
+        """The next action; planned anew where others have acted since the last."""
         check(now)
+        if now.time != self._asked + 1:
+            self._order = []
+        self._asked = int(now.time)
         steps = self.steps(now)
         return STAY if steps is None else int(towards(now, steps))
 
