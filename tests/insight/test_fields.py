@@ -11,7 +11,7 @@ from astray.analysis.runs import open_run
 from astray.games.maze import solve
 from astray.insight import field_figures
 from astray.insight.activations import layers
-from astray.insight.fields import cell_of, difference, fields, outcomes, splay
+from astray.insight.fields import cell_of, difference, fields, outcomes, places_of, splay
 from astray.insight.interventions import steer
 from astray.level import Level
 from helpers.looked_into import ROOM
@@ -72,6 +72,12 @@ def test_a_step_towards_a_place_is_one_that_the_solver_has_nearer(level, field):
             if away[y + dy + 1, x + dx + 1] == away[y + 1, x + 1] - 1
         )
         assert field.towards((6, 6))[k] == pytest.approx(chance), (x, y)
+
+
+def test_where_no_way_leads_to_a_place_no_step_is_one_towards_it(level):
+    (around,), _ = places_of([level])
+    towards = around.advancing((50, 50))  # outside of the level
+    assert len(towards) == 31 and not towards.any()
 
 
 def test_the_probability_of_a_path_is_the_geometric_mean_of_its_steps(level, field):

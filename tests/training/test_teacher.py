@@ -132,3 +132,9 @@ def test_the_verb_distils_from_an_agent_by_name(tmp_path, monkeypatch):
         "corner-small",
     )
     assert checkpoint.finished(run, config)
+
+
+def test_a_sampler_that_learns_from_scores_has_no_students():
+    for sampler in ("plr", "accel"):
+        with pytest.raises(ValueError, match=f"a student is not scored.*{sampler}"):
+            replace(STUDENT, sampler=sampler)
