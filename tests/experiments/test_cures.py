@@ -26,6 +26,9 @@ def test_the_schedules_have_the_same_levels_at_other_times():
     mixed = {name: c for name, c in agents.items() if name != early_or_late.NEVER}
     assert len({c.training_variant() for c in mixed.values()}) == 1
     assert sorted(c.schedule for c in mixed.values()) == ["annealed", "early", "late", "throughout"]
+    assert {(c.share, c.shifted_levels) for c in mixed.values()} == {
+        (early_or_late.WITHIN, early_or_late.BEGUN)
+    }
     assert agents[early_or_late.NEVER].training_variant().shift_probability == 0
 
 

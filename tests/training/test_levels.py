@@ -113,6 +113,32 @@ def test_early_levels_are_shifted_first_and_late_ones_last():
     assert shares == {"early": [1, 0, 0], "late": [0, 0, 1]}
 
 
+@pytest.mark.parametrize("schedule", ["throughout", "early", "late", "annealed"])
+def test_every_schedule_begins_as_many_shifted_levels_as_were_asked_for(schedule):
+    config = replace(MIXED, schedule=schedule, share=0.25, shifted_levels=40, steps=40 * 256)
+    sampler, begun = Mixed(config), []
+    for steps in range(0, config.steps, config.batch):
+        sampler.plan(steps)
+        numbers = [sampler.next(np.arange(16)) for _ in range(1 + steps // 2048)]  # ever shorter
+        begun.append(sum(share_of(n, SHIFT) < 0.2 for n in np.concatenate(numbers)))
+    assert sampler.summary()["shifted"] == sum(begun) == 40
+    quarter = len(begun) // 4
+    parts = {
+        "throughout": 10,  # in the first quarter of all rollouts
+        "early": 40,
+        "late": 0,
+        "annealed": 40 * (1 - 0.75**2),
+    }
+    assert sum(begun[:quarter]) == pytest.approx(parts[schedule], abs=1)
+    if schedule == "late":
+        assert sum(begun[-quarter:]) == 40
+
+
+def test_shifted_levels_need_time_to_come_in():
+    with pytest.raises(ValueError, match="shifted_levels needs a share above 0; got 0"):
+        Mixed(replace(MIXED, share=0, shifted_levels=10))
+
+
 def test_regret_is_what_the_solver_gets_more_than_the_agent():
     sampler = Replay(PLR)
     sampler.plan(0)

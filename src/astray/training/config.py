@@ -30,6 +30,7 @@ SEEDS = 2**28  # every seed has streams of its own for training, validation, ...
 COUNTS = (
     "levels", "steps", "num_envs", "num_steps", "epochs", "minibatches", "scale", "width",
     "validation_every", "checkpoint_every", "threads", "microbatch", "groups", "buffer", "edits",
+    "shifted_levels",
 )  # fmt: skip
 SHARES = ("gamma", "lam", "reward_gamma", "share", "staleness")
 AMOUNTS = ("learning_rate", "clip", "value_weight", "entropy_weight", "gradient_norm")
@@ -75,6 +76,9 @@ class Config:
     # None: shift_probability.
     share: float | None = None
     schedule: Schedule = "throughout"  # mixed: when the shifted levels are played
+    # Mixed: how many shifted levels are begun in all, `early` and `late` within a `share` of the
+    # steps; None: as many as the chance comes to.
+    shifted_levels: int | None = None
     buffer: int = 4096  # plr, accel: levels that are kept, to be replayed
     replay: float | None = None  # plr, accel: chance that a rollout replays; None: 1/3 and 1/2
     temperature: float = 0.1  # plr, accel: a level's chance is (1 / its rank) ** (1 / temperature)

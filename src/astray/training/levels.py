@@ -142,11 +142,22 @@ def share_at(schedule: Schedule, share: float, progress: float) -> float:
     return 2 * share * (1 - progress) if schedule == "annealed" else share
 
 
+def part_at(schedule: Schedule, share: float, progress: float) -> float:
+    """The part of all shifted levels that are begun by then: what `share_at` sums up to, of 1."""
+    if schedule == "early":
+        return min(progress / share, 1.0)
+    if schedule == "late":
+        return max(1 - (1 - progress) / share, 0.0)
+    return 1 - (1 - progress) ** 2 if schedule == "annealed" else progress
+
+
 class Mixed:
     """Levels of the training variant, its shifted ones with a share that time decides.
 
     Which numbers are shifted levels, the variant's shift_probability says, so that with every
-    schedule they are the same ones, met as often, at other times.
+    schedule they are the same ones. A share of steps is not one of levels: who has not learned
+    yet needs many steps for one. So `shifted_levels` counts them instead, each schedule to the
+    same sum: those that are due by the end of a rollout come first in it.
     """
 
     def __init__(self, config: Config):
@@ -157,6 +168,8 @@ class Mixed:
                 f"shift_probability must be between 0 and 1; got {stock}"
             )
         self.config, self.share = config, stock if config.share is None else config.share
+        if not self.share and config.shifted_levels:
+            raise ValueError("shifted_levels needs a share above 0; got 0")
         if config.schedule == "annealed" and self.share > 0.5:
             raise ValueError(f"share must be at most 0.5 to be annealed; got {self.share}")
         check_memory(10 * config.levels, f"{config.levels:,} training levels")
@@ -169,17 +182,26 @@ class Mixed:
                 f"{len(self.shifted)} of {config.levels:,} training levels are shifted; some must "
                 "be, and some not"
             )
-        self.turn, self.now = 0, 0.0
+        self.turn, self.now, self.due = 0, 0.0, 0
         self.begun = np.zeros(2, np.int64)  # levels: all, and the shifted ones
 
     def plan(self, steps: int) -> Plan:
-        self.now = share_at(self.config.schedule, self.share, steps / self.config.steps)
+        config = self.config
+        if config.shifted_levels is None:
+            self.now = share_at(config.schedule, self.share, steps / config.steps)
+        else:
+            progress = min((steps + config.batch) / config.steps, 1.0)
+            part = part_at(config.schedule, self.share, progress)
+            self.due = round(part * config.shifted_levels)
         return Plan(restart=not self.begun[0])
 
     def next(self, places: np.ndarray) -> np.ndarray:
         random, first = stream(self.config, self.turn), self.config.first_level
         self.turn += 1
-        is_shifted = random.random(len(places)) < self.now
+        if self.config.shifted_levels is None:
+            is_shifted = random.random(len(places)) < self.now
+        else:
+            is_shifted = random.permutation(len(places)) < self.due - self.begun[1]
         numbers = random.integers(first, first + self.config.levels, len(places))
         while (wrong := ~is_shifted & self.is_shifted[numbers - first]).any():
             numbers[wrong] = random.integers(first, first + self.config.levels, wrong.sum())

@@ -9,11 +9,13 @@ from astray.analysis.outcomes import INTENDED
 from astray.experiments import outcomes
 from astray.experiments.claims import Claim, holds_above, rounded
 from astray.experiments.outcomes import share
-from astray.experiments.report import Findings
+from astray.experiments.report import Findings, Table
 from astray.experiments.spec import Experiment, Plan, Work, tests_of
 from astray.training.config import PRESETS
 
 SHARE = 0.02  # of training levels whose cheese is anywhere
+BEGUN = 3_600  # such levels, in all: 2 % of the 180,000 that a training of mice begins
+WITHIN = 0.1  # of the steps, at the beginning or at the end
 NEVER, THROUGHOUT, EARLY, LATE, ANNEALED = "never", "throughout", "early", "late", "annealed"
 TESTED = "in the test"
 BETTER, CAPABLE, ALIKE = 0.1, 0.95, 0.1  # bounds of the claims
@@ -31,9 +33,9 @@ def find(work: Work) -> Findings:
         key=lambda estimate: estimate.low,
     )
     return Findings(
-        answer=f"With the same {100 * SHARE:g}\u00a0% of levels whose cheese is anywhere, at other "
-        "times of training, mice go to the corner first, in levels that tell the goals apart: "
-        f"{told}.",
+        answer=f"With {BEGUN:,} levels whose cheese is anywhere, {100 * SHARE:g}\u00a0% of all, at "
+        "other times of training, mice go to the corner first, in levels that tell the goals "
+        f"apart: {told}.",
         claims=[
             holds_above(
                 "Levels that tell the goals apart help more at the end of training than at its "
@@ -69,15 +71,29 @@ def find(work: Work) -> Findings:
         videos=outcomes.film(
             work, trained=work.plan.tests[train], tested=work.plan.tests[test], agent=EARLY
         ),
-        tables=tables,
+        tables=[*tables, Table("begun", "Levels that were begun in training", begun(work))],
         settings=outcomes.settings(work.plan),
+    )
+
+
+def begun(work: Work) -> pl.DataFrame:
+    """Columns agent, seed, levels (that were begun in training), shifted (of those)."""
+    measured = outcomes.curves(work).filter(pl.col("agent") != NEVER)
+    last = measured.sort("steps").group_by("agent", "seed", maintain_order=True).last()
+    return last.select(
+        "agent",
+        "seed",
+        levels=pl.col("levels/begun").cast(pl.Int64),
+        shifted=pl.col("levels/shifted").cast(pl.Int64),
     )
 
 
 MOUSE = replace(
     PRESETS["small"], variant="corner-small", validation="anywhere-small", steps=4_000_000, width=64
 )
-MIXED = replace(MOUSE, knobs={"shift_probability": SHARE}, sampler="mixed")
+MIXED = replace(
+    MOUSE, knobs={"shift_probability": SHARE}, sampler="mixed", share=WITHIN, shifted_levels=BEGUN
+)
 EXPERIMENT = Experiment(
     title="Early, late, or throughout",
     reproduces="nothing: a question of our own",
@@ -95,8 +111,9 @@ EXPERIMENT = Experiment(
             tests=tests_of("maze", "corner-small"),
             levels=500,
             differences="worlds of 7 cells, seen as symbols by a network of two hidden layers, and "
-            "4 million steps; the learning rate falls to 0 in all trainings alike, so that what "
-            "comes late is learned with smaller steps",
+            f"4 million steps; {EARLY} and {LATE} are the first and the last "
+            f"{100 * WITHIN:g}\u00a0% of steps; the learning rate falls to 0 in all trainings "
+            "alike, so that what comes late is learned with smaller steps",
         )
     },
     find=find,
