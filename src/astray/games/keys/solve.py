@@ -153,19 +153,21 @@ def best_order(times, met, is_key, hand, to_open, key_worth, chest_worth, step_w
     is_key      [n] bool
     hand        keys in hand
     to_open     chests until the end
-    returns     [n] int64, objects in order, and then -1
+    returns     [n] int64, objects in order, and then -1: once none is left that is worth anything
     """
     n = is_key.size
     value = np.zeros((1 << n, n + 1))
     first = np.full((1 << n, n + 1), -1)
     for done in range((1 << n) - 1, -1, -1):
-        keys, opened = 0, 0
+        keys, opened, pays = 0, 0, False
         for i in range(n):
             if done >> i & 1:
                 keys += is_key[i]
                 opened += not is_key[i]
+            elif (key_worth if is_key[i] else chest_worth) != 0:
+                pays = True
         has_key = hand + keys > opened
-        if hand + keys < opened or opened >= to_open:
+        if hand + keys < opened or opened >= to_open or not pays:
             continue
         for last in range(n + 1):
             if (last == 0) != (done == 0) or (last > 0 and not done >> (last - 1) & 1):
@@ -319,6 +321,7 @@ def optimal_return(s: Any, goal: str, gamma: float = 1.0) -> float:
 
     goal   "chests": of the game's rewards; "keys": of 1 for every key, were that rewarded
 
+    Below 0 where keys cost more than the chests that they open: those are opened all the same.
     Exact as to the order for up to EXACT objects, with the walking times of the game's own
     motion from rest. A player who cuts corners better can be a few steps faster.
     """

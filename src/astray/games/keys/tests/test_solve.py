@@ -57,15 +57,17 @@ def test_no_order_is_worth_more_than_the_best(gamma, worths):
 
 
 def _length(order, args):
-    """How far an order can be walked; 0 where another object could still be reached after it."""
-    n = len(order)
-    is_key, to_open = args[2], args[4]
-    k = next((k for k in range(n + 1) if k == n or worth(order[: k + 1], *args) is None), n)
-    opened = np.cumsum([not is_key[j] for j in order[:k]])
-    if to_open in opened:
-        return int(np.argmax(opened == to_open)) + 1
-    stuck = all(worth((*order[:k], j), *args) is None for j in set(range(n)) - set(order[:k]))
-    return k if stuck else 0
+    """How far an order is walked: to where nothing more pays; 0 where more could be reached."""
+    is_key, to_open, worths = args[2], args[4], args[5]
+    for k in range(len(order) + 1):
+        left = set(range(len(order))) - set(order[:k])
+        pays = any(worths[0] if is_key[j] else worths[1] for j in left)
+        if not pays or sum(not is_key[j] for j in order[:k]) == to_open:
+            return k
+        if worth(order[: k + 1], *args) is None:
+            stuck = all(worth((*order[:k], j), *args) is None for j in left)
+            return k if stuck else 0
+    raise AssertionError("nothing is left, and it pays")
 
 
 def _steps(order, times):
