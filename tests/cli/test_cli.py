@@ -47,7 +47,17 @@ def test_levels_are_printed_as_drawings_and_as_data(astray):
 
 
 def test_knobs_are_changed(astray):
-    said = astray("level", "maze", "region-1", "--set", "region=25", "walls=hedge", "--json")
+    said = astray(
+        "level",
+        "maze",
+        "region-1",
+        "--set",
+        "region=25",
+        "walls=hedge",
+        "--set",
+        "time_limit=9",
+        "--json",
+    )
     assert json.loads(said)["goal"] != json.loads(said)["corner"]
 
 
@@ -145,6 +155,7 @@ def test_an_evaluation_that_finds_no_room_leaves_nothing(run_folder, tmp_path):
         ("level maze corner --set region=5", "need placement 'region'"),
         ("train maze corner --seeds 0", "seeds must be an integer from 1 to 268435456; got 0"),
         ("level maze corner --set region", "a knob must be set as NAME=VALUE; got 'region'"),
+        ("level maze corner --set world=5 --set world=7", "knob 'world' is set twice: to '5' and"),
         ("level maze corner --set squid=5", "unknown knob 'squid'; there are: time_limit"),
         ("level maze corner --set region=5.5", "region must be of type int; got 5.5"),
         ("reproduce maze-cornr", "unknown experiment 'maze-cornr'; there are: agency, "),

@@ -10,7 +10,7 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 from rich.console import Console, RenderableType
-from tyro.conf import arg
+from tyro.conf import UseAppendAction, arg
 
 from astray.analysis import kept
 from astray.bounds import bounded
@@ -18,7 +18,9 @@ from astray.game import LEVELS, NEVER, Game, Variant
 from astray.level import Level, read_levels
 
 Mode = Literal["sampled", "greedy"]
-Knobs = Annotated[tuple[str, ...], arg(name="set", metavar="KNOB=VALUE")]
+# Several after one --set, or one after each of several.
+Words = tuple[tuple[str, ...], ...]
+Knobs = UseAppendAction[Annotated[Words, arg(name="set", metavar="KNOB=VALUE")]]
 AT_ONCE = 10_000_000  # level numbers of one command
 
 
@@ -60,14 +62,20 @@ def level_numbers(text: str) -> np.ndarray:
     return np.concatenate([np.arange(span.start, span.stop) for span in spans])
 
 
-def pairs(knobs: tuple[str, ...]) -> dict[str, Any]:
-    wrong = [knob for knob in knobs if "=" not in knob]
-    if wrong:
-        raise ValueError(f"a knob must be set as NAME=VALUE; got {wrong[0]!r}")
-    return dict(knob.split("=", 1) for knob in knobs)
+def pairs(knobs: Words) -> dict[str, Any]:
+    """Values by name, as text; ValueError where a knob has none, or two."""
+    found: dict[str, Any] = {}
+    for knob in (knob for together in knobs for knob in together):
+        name, equals, value = knob.partition("=")
+        if not equals:
+            raise ValueError(f"a knob must be set as NAME=VALUE; got {knob!r}")
+        if name in found:
+            raise ValueError(f"knob {name!r} is set twice: to {found[name]!r} and to {value!r}")
+        found[name] = value
+    return found
 
 
-def varied(game: Game, variant: str, knobs: tuple[str, ...]) -> Variant:
+def varied(game: Game, variant: str, knobs: Words) -> Variant:
     return game.variant(variant).with_knobs(pairs(knobs))
 
 
