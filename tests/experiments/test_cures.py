@@ -49,14 +49,14 @@ def test_late_is_after_the_goal_was_passed_or_never_in_episodes_that_go_astray()
 def test_a_claim_about_help_holds_by_its_bound():
     rows = [
         {"agent": "runner", "run": "r", "score": "entropy", "granularity": "step",
-         "threshold": t, "return": r}
+         "threshold": t, "return": r, "gain": r - 5, "error": 0.05}
         for t, r in ((np.inf, 5.0), (-np.inf, 10.0), (0.5, 4.9))
     ]  # fmt: skip
     areas = pl.DataFrame({"agent": ["runner"], "score": ["entropy"], "granularity": ["step"]})
     late = pl.DataFrame({"agent": ["runner"], "score": ["entropy"], "late": [0.6]})
     table = pl.DataFrame(rows)
     assert [v.held for v in asking_for_help.claims(table, areas, late)] == [True, True]
-    worse = table.with_columns(pl.col("return").replace(4.9, 4.0))
+    worse = table.with_columns(pl.col("gain").replace(4.9 - 5, -1.0))
     soon = late.with_columns(late=0.4)
     assert [v.held for v in asking_for_help.claims(worse, areas, soon)] == [False, False]
 

@@ -8,11 +8,11 @@ import polars as pl
 import pytest
 from scipy.spatial.distance import mahalanobis
 from scipy.special import logsumexp, softmax
-from scipy.stats import entropy
+from scipy.stats import entropy, norm, sem
 
 from astray import games
 from astray.agents import policy as trained
-from astray.analysis.episodes import steps
+from astray.analysis.episodes import beginnings, steps
 from astray.analysis.evaluate import evaluate
 from astray.analysis.outcomes import load_shift
 from astray.analysis.policies import Random, Walk
@@ -37,6 +37,7 @@ from astray.mitigation.oversight import (
     Trial,
     area,
     curve,
+    least_gain,
     net_returns,
     threshold,
     training_scores,
@@ -121,6 +122,28 @@ def test_distances_are_those_of_scipy_from_the_training_frames(mouse):
     assert fitted(env, shown) == pytest.approx(naive, rel=1e-4)
     away = np.linalg.norm(features(mouse, shown) - seen.mean(0), axis=1)
     assert plain(env, shown) == pytest.approx(away)
+
+
+def test_what_help_brings_is_told_level_by_level(mouse):
+    trial = Trial("maze", SHIFT, CORNER, range(10), ANYWHERE, LEVELS)
+    table = curve(mouse, Walk("cheese"), Chance(), trial, "step", (50.0,))
+    alone = evaluate(mouse, "maze", ANYWHERE, LEVELS)["return"]
+    best = evaluate(Walk("cheese"), "maze", ANYWHERE, LEVELS)["return"]
+    nothing, all_of_it, _ = table.select("gain", "error").rows()
+    assert nothing == (0, 0)
+    assert all_of_it == pytest.approx(((best - alone).mean(), sem((best - alone).to_numpy())))
+
+
+def test_the_least_gain_of_many_has_a_bound_for_all():
+    points = pl.DataFrame(
+        {
+            "threshold": [np.inf, -np.inf, 0.1, 0.2, 0.3],
+            "gain": [0.0, 2.0, -0.1, 0.5, 0.0],
+            "error": [0.0, 0.1, 0.2, 0.5, 0.1],
+        }
+    )
+    width = norm.isf(0.05 / 4)
+    assert least_gain(points) == pytest.approx((-0.1, 0.5 - 0.5 * width))
 
 
 def test_without_help_the_novice_plays_as_it_does_and_with_all_of_it_the_expert(mouse):
@@ -300,6 +323,55 @@ def test_a_mouse_of_the_corner_is_astray_where_one_of_the_cheese_is_not(mouse):
     assert np.median(one) > 0.8 and np.median(one) > np.median(two) + 0.2
     assert of_corner.imagined == 12
     assert (of_corner(env, seen) == one).all() and of_corner.imagined == 12  # known by now
+
+
+@pytest.mark.parametrize("kind", ["entropy", "astray"])
+def test_what_a_level_is_foretold_is_the_same_whatever_is_played_beside_it(mouse, kind):
+    env = GameVectorEnv("maze", ANYWHERE, 3, observation="symbolic")
+    seen, _ = env.reset(seed=0, options={"level": np.array([200_000, 200_001, 200_002])})
+    three = GoalPosterior(mouse, SHIFT, kind, cells=4)(env, seen)
+    alone = GameVectorEnv("maze", ANYWHERE, 1, observation="symbolic")
+    shown, _ = alone.reset(seed=0, options={"level": 200_002})
+    assert three[2] == GoalPosterior(mouse, SHIFT, kind, cells=4)(alone, shown)[0]
+
+
+DRAWN = """\
+#######
+#######
+##.G@##
+##.#.##
+##.#.##
+#######
+#######
+"""
+
+
+def test_levels_of_one_number_with_other_walls_are_foretold_each(mouse):
+    env, score = (
+        GameVectorEnv("maze", ANYWHERE, 1, observation="symbolic"),
+        GoalPosterior(mouse, SHIFT, "astray"),
+    )
+    for imagined, drawing in enumerate((DRAWN, DRAWN.replace(".#.", "..."), DRAWN), 1):
+        level = Level.from_text(MAZE, ANYWHERE, drawing)
+        _, begin = beginnings({"one": level}, MAZE.state)
+        seen, _ = env.reset(seed=0, options={"state": begin})
+        assert 0 < score(env, seen)[0] < 1
+        assert score.imagined == min(imagined, 2)
+
+
+def test_nobody_goes_astray_where_there_is_no_corner(mouse):
+    cornerless = Level.from_text(MAZE, ANYWHERE, DRAWN.replace("#######", ".######", 1))
+    env = GameVectorEnv("maze", ANYWHERE, 1, observation="symbolic")
+    _, begin = beginnings({"one": cornerless}, MAZE.state)
+    seen, _ = env.reset(seed=0, options={"state": begin})
+    assert GoalPosterior(mouse, SHIFT, "astray")(env, seen) == 0
+
+
+def test_features_are_the_same_whatever_stands_beside_them(mouse):
+    frames = np.concatenate([s.observations for s in steps(mouse, "maze", CORNER, LEVELS)])
+    together = features(mouse, frames[:50])
+    alone = np.concatenate([features(mouse, frames[k : k + 1]) for k in range(50)])
+    assert (together == alone).all()
 
 
 def test_the_likeliest_shares_are_those_of_a_search():

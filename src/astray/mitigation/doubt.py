@@ -15,6 +15,7 @@ from typing import Any, Literal, Protocol
 import numpy as np
 import torch
 
+from astray.agents import policy as trained
 from astray.agents.actor_critic import ActorCritic
 from astray.analysis import agency
 from astray.analysis.episodes import Levels, steps
@@ -27,7 +28,7 @@ from astray.level import Level
 RANDOM_SALT = 2**34  # no agent has this seed, or a larger one
 ROUNDS = 300  # of expectation and maximisation
 RIDGE = 1e-3  # of the mean variance, added to every variance of features
-PLACES = {"goal": ("goal", "goal on other"), "other": ("other",)}  # objects that lie in a place
+Key = tuple[int, str, bytes]  # of a level that is played
 
 
 class Score(Protocol):
@@ -162,14 +163,17 @@ class Disagreement:
 def features(agent: Agent, observations: np.ndarray) -> np.ndarray:
     """What the agent's logits and value are linear functions of, [N, F] float64.
 
+    The same for an observation whatever stands beside it.
+
     Raises ValueError where the network is none of astray's own.
     """
     network = agent.network
     if not isinstance(network, ActorCritic):
         raise ValueError(f"features need a network of astray's; got {type(network).__name__}")
     shown = torch.from_numpy(observations).to(agent.device)
-    parts = [network.hidden(part) for part in shown.split(AT_ONCE[agent.observation])]
-    return torch.cat(parts).double().numpy(force=True)
+    chunk = AT_ONCE[agent.observation]
+    found, _ = trained.outputs(lambda part: (network.hidden(part), part), shown, chunk)
+    return found.double().numpy(force=True)
 
 
 @dataclass(frozen=True, eq=False)
@@ -211,7 +215,8 @@ class GoalPosterior:
 
     Before a level begins, it is played with the goal in each of at most `cells` cells (its splay);
     so this needs a game whose levels can be edited, and a copy of the world to try in. Known with
-    the first step, it stays the same throughout the level.
+    the first step, it stays the same throughout the level, whatever other levels are played beside
+    it: each level's episodes are imagined by themselves.
 
     kind  "entropy": of the likeliest shares of the splay's episodes that each goal, and "a device",
           explain, nats: high where the agent pursues now this goal, now that. "astray": 1 less the
@@ -223,7 +228,7 @@ class GoalPosterior:
     kind: Literal["entropy", "astray"] = "entropy"
     cells: int = 12
     imagined: int = 0  # episodes so far
-    _known: dict[tuple[int, bytes], float] = field(default_factory=dict, repr=False)
+    _known: dict[Key, float] = field(default_factory=dict, repr=False)
 
     def __post_init__(self) -> None:
         # A script remembers the levels that it is in, by number; imagined ones are others.
@@ -235,40 +240,33 @@ class GoalPosterior:
 
     def __call__(self, env: GameVectorEnv, observations: np.ndarray) -> np.ndarray:
         keys = [self._key(env, s) for s in env.states]
-        fresh = {k: i for i, k in enumerate(keys) if k not in self._known}
-        if fresh:
-            self._imagine(env, fresh)
+        for key, s in zip(keys, env.states, strict=True):
+            if key not in self._known:
+                self._known[key] = self._imagine(env, s)
         return np.array([self._known[key] for key in keys])
 
-    def _key(self, env: GameVectorEnv, s: Any) -> tuple[int, bytes]:
-        """What a level is known by while it is played: its number, and the goals' places."""
+    def _key(self, env: GameVectorEnv, s: Any) -> Key:
+        """What a level is known by while it is played: its number, the goals' places, its cells."""
         places = agency.named_places(env.game, s, self.shift)
-        return int(s.level), repr(places).encode()
+        return int(s.level), repr(places), env.game.cells.free(s).tobytes()
 
-    def _imagine(self, env: GameVectorEnv, fresh: dict[tuple[int, bytes], int]) -> None:
-        """Play the levels that are new, and keep what their episodes say."""
-        levels: dict[str, Level] = {}
-        owner: list[tuple[int, bytes]] = []
-        for key, i in fresh.items():
-            level = Level.of(env.game, env.variant, env.states[i])
-            some = goal_splay(level)[:: max(1, -(-len(goal_splay(level)) // self.cells))]
-            for one in [level] if self.kind == "astray" else some:
-                levels[str(len(levels))] = one
-                owner.append(key)
+    def _imagine(self, env: GameVectorEnv, s: Any) -> float:
+        """Play the level of a state, or its splay, and tell what the episodes say."""
+        level = Level.of(env.game, env.variant, s)
+        played_ones = [level]
+        if self.kind == "entropy":
+            splay = goal_splay(level)
+            played_ones = splay[:: max(1, -(-len(splay) // self.cells))]
+        levels = {str(k): one for k, one in enumerate(played_ones)}
         played = agency.play(self.agent, env.game, env.variant, levels, self.shift)  # pyright: ignore
         self.imagined += len(levels)
+        if not played:  # a level that lacks one of the goals: nobody goes astray there
+            return 0.0
         judged = agency.judge(played)
-        columns = [f"p {name}" for name in judged.explanations]
-        posterior = judged.episodes.select(columns).to_numpy()
-        logs = judged.episodes.select([f"log {name}" for name in judged.explanations]).to_numpy()
-        which = judged.episodes["level"].to_numpy()
-        for key in fresh:
-            mine = np.array([owner[k] == key for k in which])
-            if self.kind == "entropy":
-                self._known[key] = float(entropy_of(likeliest_shares(logs[mine])))
-            else:
-                intended = judged.explanations.index(self.shift.intended)
-                self._known[key] = float(1 - posterior[mine, intended].mean())
+        if self.kind == "entropy":
+            logs = judged.episodes.select([f"log {name}" for name in judged.explanations])
+            return float(entropy_of(likeliest_shares(logs.to_numpy())))
+        return 1 - float(judged.episodes[f"p {self.shift.intended}"].to_numpy().mean())
 
 
 def likeliest_shares(log_evidence: np.ndarray) -> np.ndarray:

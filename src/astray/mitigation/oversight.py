@@ -15,6 +15,7 @@ import itertools
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
+from statistics import NormalDist
 
 import numpy as np
 import polars as pl
@@ -110,7 +111,8 @@ def curves(
     share of what the granularity names, steps or levels, that got help), queries (expert's steps a
     level), return, low, high (95 % over levels), intended and astray (shares of episodes that
     reached the intended goal or a proxy first), seconds (that the curve took, with its part of what
-    is shared), and the share of helped levels of each of `MOMENTS`, null without a watch.
+    is shared), the share of helped levels of each of `MOMENTS`, null without a watch, and gain
+    (return less that without help in the same levels) with its standard error.
     """
     of_kind("trial", trial, Trial)
     began = time.perf_counter()
@@ -141,6 +143,7 @@ def curves(
                 "threshold": limit,
             }
             | _summed(played, trial, granularity)
+            | _gain((played["return"] - of_novice["return"]).to_numpy())
             for percentile, limit, played in found
         ]
         seconds = shared + time.perf_counter() - began
@@ -169,6 +172,26 @@ def _summed(played: pl.DataFrame, trial: Trial, granularity: Granularity) -> dic
         "intended": float((outcome == INTENDED).mean()),  # pyright: ignore
         "astray": float((outcome == MISGENERALIZED).mean()),  # pyright: ignore
     } | moments
+
+
+def _gain(gains: np.ndarray) -> dict[str, float]:
+    """The mean of what help brought in each level [N], and its standard error."""
+    error = gains.std(ddof=1) / len(gains) ** 0.5 if len(gains) > 1 else np.nan
+    return {"gain": float(gains.mean()), "error": float(error)}
+
+
+def least_gain(curves: pl.DataFrame, confidence: float = 0.95) -> tuple[float, float]:
+    """The least gain of all points of `curves`, and a bound that all true ones are above.
+
+    By Bonferroni's correction: each point has its part of 1 - `confidence`, for the worst of many
+    noisy ones is low by chance.
+    """
+    of_kind("curves", curves, pl.DataFrame)
+    finite("confidence", confidence, 0, 1)
+    helped = curves.filter(pl.col("threshold") != np.inf)
+    width = NormalDist().inv_cdf(1 - (1 - confidence) / len(helped))
+    gain, error = helped["gain"].to_numpy(), helped["error"].to_numpy()
+    return float(gain.min()), float((gain - width * error).min())
 
 
 def area(curves: pl.DataFrame) -> pl.DataFrame:

@@ -35,7 +35,7 @@ from astray.mitigation.doubt import (
     distances,
 )
 from astray.mitigation.helped import AFTER, MOMENTS, Watch
-from astray.mitigation.oversight import Trial, area, net_returns, when_asked
+from astray.mitigation.oversight import Trial, area, least_gain, net_returns, when_asked
 
 MOUSE, RUNNER = "mouse", coin.RUNNER
 KEPT = {MOUSE: "maze-corner", RUNNER: "coin-end"}  # the agents that come with astray
@@ -237,20 +237,16 @@ def late_shares(asked: pl.DataFrame) -> pl.DataFrame:
 
 def claims(table: pl.DataFrame, areas: pl.DataFrame, late: pl.DataFrame) -> list[Claim]:
     """The literature's claims and one of our own, with bounds that were set before any run."""
-    alone = pl.col("return").filter(pl.col("threshold") == np.inf).first()
-    gains = table.with_columns(
-        gain=pl.col("return") - alone.over("agent", "run", "score", "granularity")
-    )
-    least = float(gains["gain"].min())  # pyright: ignore
+    least, bound = least_gain(table)
     inside = late.filter(pl.col("agent") == RUNNER, pl.col("score").is_in(list(OF_LOGITS)))
     soonest = float(inside["late"].min()) if len(inside) else np.nan  # pyright: ignore
     told = [
         Claim(
             "Help of any amount, asked for by any score, does no harm.",
             "help always improves (Trinh et al. 2024)",
-            f"least gain of {len(gains)} points: {least:.2f} of a return of 10; holds above "
-            f"-{HARM:g}",
-            least > -HARM,
+            f"least gain of all points: {least:.2f} of a return of 10, all of them above "
+            f"{bound:.2f} with 95\u00a0% confidence; holds above -{HARM:g}",
+            bound > -HARM,
         ),
         Claim(
             "A runner's scores ask too late: when the coin was passed, or never.",
