@@ -89,7 +89,7 @@ def begun(work: Work) -> pl.DataFrame:
 
 
 MOUSE = replace(
-    PRESETS["small"], variant="corner-small", validation="anywhere-small", steps=4_000_000, width=64
+    PRESETS["small"], variant="corner-small", validation="anywhere-small", steps=4_000_000
 )
 MIXED = replace(
     MOUSE, knobs={"shift_probability": SHARE}, sampler="mixed", share=WITHIN, shifted_levels=BEGUN
