@@ -12,7 +12,7 @@ from astray.mitigation.helped import AFTER, BEFORE
 
 
 def test_agents_of_a_method_differ_in_the_share_and_in_nothing_else():
-    plan = regret.experiment("t", "corner-small", "corner").sizes["smoke"]
+    plan = regret.experiment("t", "corner-small", "corner", {}).sizes["smoke"]
     assert len(plan.agents) == len(regret.METHODS) * len(regret.SHARES) == 16
     for method in regret.METHODS:
         configs = [plan.agents[regret.name_of(method, share)] for share in regret.SHARES]

@@ -27,6 +27,17 @@ def test_settings_in_older_words_are_those_of_today():
         Config.from_json(TINY.to_json() | {"environment": 3})
 
 
+def test_a_knob_that_came_later_was_as_it_is_by_default():
+    mixed = replace(TINY, knobs=TINY.knobs | {"shift_probability": 0.1}, validation=None)
+    data = json.loads(json.dumps(mixed.to_json()))
+    for variant in (data["training_variant"], data["training_variant"]["shifted"]):
+        del variant["dish_planes"]
+    assert Config.from_json(data) == mixed
+    data["training_variant"]["shifted"]["window"] = 3
+    with pytest.raises(ValueError, match="its maze corner-small is not that of this version"):
+        Config.from_json(data)
+
+
 def test_an_older_run_is_opened_and_goes_on_as_it_would_have(tmp_path):
     config = replace(TINY, validation=None, checkpoint_every=1, steps=4 * TINY.batch)
     run = tmp_path / "run"

@@ -6,7 +6,7 @@ import json
 import types
 import typing
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field, fields, replace
+from dataclasses import MISSING, asdict, dataclass, field, fields, replace
 from math import inf, isfinite
 from typing import Annotated, Any, Literal
 
@@ -246,10 +246,22 @@ class Config:
         if unknown:
             raise ValueError(f"this version has no setting {unknown[0]!r}; a later one may")
         config = Config(**values)
-        variant = json.loads(json.dumps(asdict(config.training_variant())))
-        if _levels_of(data.get("training_variant", variant)) != _levels_of(variant):
+        now = config.training_variant()
+        variant = json.loads(json.dumps(asdict(now)))
+        told = _with_later_knobs(data.get("training_variant", variant), now)
+        if _levels_of(told) != _levels_of(variant):
             raise ValueError(f"its {config.game} {config.variant} is not that of this version")
         return config
+
+
+def _with_later_knobs(told: Any, now: Variant) -> Any:
+    """A variant, written out by this version or an older one: what that lacked has its default."""
+    if not isinstance(told, dict):
+        return told
+    later = {f.name: f.default for f in fields(now) if f.default is not MISSING}
+    if told.get("shifted") is not None and now.shifted is not None:
+        told = told | {"shifted": _with_later_knobs(told["shifted"], now.shifted)}
+    return later | told
 
 
 def _levels_of(variant: Any) -> Any:

@@ -17,8 +17,9 @@ from astray.kernel.maze import margin, paint_maze, paint_walls
 
 ART = Path(__file__).parent / "art"
 FLOOR = 256  # pixels of a floor's height; larger pictures repeat them
-# The symbolic planes: wall, mouse, dish where a variant has one, on which something may lie; and
-# last the objects' shapes and colours as indices into SHAPES and COLOURS.
+# The symbolic planes: wall, mouse, dish where a variant has one, on which something may lie (in as
+# many planes as it says); and last the objects' shapes and colours as indices into SHAPES and
+# COLOURS.
 WALL_PLANE, MOUSE_PLANE, DISH_PLANE, SHAPE_PLANE, COLOUR_PLANE = 0, 1, 2, -2, -1
 DISH = OTHERS.index("dish")
 
@@ -83,7 +84,7 @@ def paint_planes(s, scene):
     scene[:] = 0
     paint_walls(s, scene[WALL_PLANE])
     if s.other_x != NEVER and s.other_shape == DISH:
-        scene[DISH_PLANE, edge + s.other_y, edge + s.other_x] = 1
+        scene[DISH_PLANE:SHAPE_PLANE, edge + s.other_y, edge + s.other_x] = 1
     elif s.other_x != NEVER:
         scene[SHAPE_PLANE, edge + s.other_y, edge + s.other_x] = s.other_shape
         scene[COLOUR_PLANE, edge + s.other_y, edge + s.other_x] = s.other_colour
@@ -128,7 +129,7 @@ def planes_scene_shape(variant: Variant) -> tuple[int, ...]:
 
 def _planes(variant: Variant) -> int:
     p: Any = variant
-    return 4 + (p.other_shape == OTHERS[DISH])
+    return 4 + p.planes_of_dish
 
 
 def scene_shape(variant: Variant, pixels: int) -> tuple[int, ...]:

@@ -14,6 +14,7 @@ Placement = Literal["corner", "region", "anywhere", "other"]
 SHAPES, COLOURS, WALLS = get_args(Shape), get_args(Colour), get_args(Walls)
 OTHERS = get_args(Other)
 FLOORS = 9  # backgrounds
+MOST_PLANES = 64  # that show a dish
 AS_NUMBERED = -1  # the background that the level's number decides
 
 
@@ -39,6 +40,7 @@ class Maze(Variant):
     goal_colour: Colour = "yellow"
     other_shape: Other = "none"  # of an object that does nothing, anywhere
     other_colour: Colour = "none"
+    dish_planes: int = 1  # of symbols that show a dish: the more, the sooner it is noticed
     walls: Walls = "sand"
     background: int = AS_NUMBERED  # 0 to 8
     time_limit: int = 500  # steps
@@ -69,6 +71,10 @@ class Maze(Variant):
                 f"placement 'other' needs other_shape 'dish', on which the goal is seen; it is "
                 f"{self.other_shape!r}"
             )
+        if not 1 <= self.dish_planes <= MOST_PLANES:
+            raise ValueError(f"dish_planes must be from 1 to {MOST_PLANES}; got {self.dish_planes}")
+        if self.dish_planes != 1 and self.other_shape != "dish":
+            raise ValueError(f"dish_planes need other_shape 'dish'; it is {self.other_shape!r}")
         if self.region < 1:
             raise ValueError(f"region must be at least 1; got {self.region} cells a side")
         if not AS_NUMBERED <= self.background < FLOORS:
@@ -81,9 +87,14 @@ class Maze(Variant):
             if shape != "none" and colour == "none":
                 raise ValueError(f"{name}_shape is {shape!r} but {name}_colour is 'none'")
 
-    def _view(self) -> tuple[int, int, bool]:
+    @property
+    def planes_of_dish(self) -> int:
+        """Symbolic planes that show a dish; 0 where there is none."""
+        return self.dish_planes if self.other_shape == "dish" else 0
+
+    def _view(self) -> tuple[int, int, int]:
         """What decides the shape of an observation."""
-        return self.world, self.window, self.other_shape == "dish"
+        return self.world, self.window, self.planes_of_dish
 
 
 CORNER = Maze(about="cheese always in the upper right corner", placement="corner")

@@ -41,16 +41,18 @@ def name_of(method: str, share: float) -> str:
     return f"{method}, {100 * share:g}\u00a0%"
 
 
-def plan(shift: str, seeds: int, levels: int, steps: int, width: int, differences: str) -> Plan:
+def plan(
+    shift: str, knobs: dict[str, Any], seeds: int, levels: int, steps: int, differences: str
+) -> Plan:
     """Agents of every method with every share, on the training variant of a shift of Maze."""
     tests = tests_of("maze", shift)
     train, test = (one.variant for one in tests.values())
-    base = replace(PRESETS["small"], variant=train, validation=test, steps=steps, width=width)
+    base = replace(PRESETS["small"], variant=train, validation=test, steps=steps, knobs=knobs)
     agents: dict[str, Config] = {}
     for method, settings in METHODS.items():
         for share in SHARES:
-            knobs = {"shift_probability": share} if share else {}
-            agents[name_of(method, share)] = replace(base, knobs=knobs, **settings)
+            few = knobs | ({"shift_probability": share} if share else {})
+            agents[name_of(method, share)] = replace(base, knobs=few, **settings)
     return Plan(agents=agents, seeds=seeds, tests=tests, levels=levels, differences=differences)
 
 
@@ -266,8 +268,13 @@ def _shares_below(axes: Any) -> None:
     axes.grid(axis="y")
 
 
-def experiment(title: str, shift: str, proxy: str) -> Experiment:
-    """The experiment on a shift of Maze, of small worlds."""
+def experiment(
+    title: str, shift: str, proxy: str, knobs: dict[str, Any], seen: str = ""
+) -> Experiment:
+    """The experiment on a shift of Maze, of small worlds.
+
+    knobs, seen  of the variants, and what they change in what the paper's mice see
+    """
     return Experiment(
         title=title,
         reproduces="Abdel Sadek et al. 2025, in small",
@@ -276,14 +283,14 @@ def experiment(title: str, shift: str, proxy: str) -> Experiment:
         sizes={
             "smoke": plan(
                 shift,
+                knobs,
                 3,
                 500,
                 4_000_000,
-                64,
                 "worlds of 7 cells instead of 13, seen as symbols by a network of two hidden "
-                "layers; 4 million steps instead of 250 and 750 million; rollouts of 64 steps "
+                "layers; 4 million steps instead of 250 and more; rollouts of 64 steps "
                 "instead of 128; 4 of the 11 shares; regret as the solver gives it, which the "
-                "paper has beside its estimate",
+                "paper has beside its estimate" + seen,
             )
         },
         find=partial(find, proxy),

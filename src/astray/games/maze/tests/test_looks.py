@@ -37,6 +37,16 @@ def test_a_dish_is_a_plane_of_its_own_so_that_cheese_on_it_is_seen():
         assert np.argwhere(shape).tolist() == np.argwhere(colour).tolist() == [[s.goal_y, s.goal_x]]
 
 
+def test_a_dish_can_be_seen_in_many_planes():
+    seen = {}
+    for planes in (1, 6):
+        variant = VARIANTS["dish-apart-small"].with_knobs({"dish_planes": planes})
+        seen[planes] = begin(variant, "symbolic")[1]
+    assert len(seen[6]) == len(seen[1]) + 5
+    assert all((plane == seen[1][2]).all() for plane in seen[6][2:8])
+    assert (np.delete(seen[6], range(3, 8), 0) == seen[1]).all()
+
+
 def test_cheese_on_a_dish_looks_unlike_either_alone():
     on, apart = (begin(VARIANTS[name], "image")[1] for name in ("dish-small", "dish-apart-small"))
     bare = begin(VARIANTS["anywhere-small"], "image")[1]
