@@ -285,6 +285,9 @@ def test_a_table_that_was_cut_short_is_told(tmp_path):
 def test_agents_of_several_names_have_curves_of_their_own():
     names = ["one", "two", "three", "four"]  # of six places two are empty
     every = pl.concat([CURVES.with_columns(agent=pl.lit(name)) for name in names])
+    figure = figures.learning_curves(every, {"training": "a", "test": "b"}, "return")
+    (legend,) = figure.legends
+    assert [text.get_text() for text in legend.get_texts()] == ["a", "b"]
     axes = figures.learning_curves(every, {"training": "a"}, "return").axes
     assert [one.get_title(loc="left") for one in axes] == [f"{name}: return" for name in names]
     for one in axes:

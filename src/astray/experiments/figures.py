@@ -115,7 +115,8 @@ def learning_curves(curves: pl.DataFrame, series: Mapping[str, str], y_label: st
     for unused in grid[len(names) :]:
         unused.remove()
     if len(series) > 1:
-        figure.legend(loc="outside upper left", ncols=3, handlelength=1.5)
+        lines, labels = grid[0].get_legend_handles_labels()  # the same in all axes
+        figure.legend(lines, labels, loc="outside upper left", ncols=3, handlelength=1.5)
     return figure
 
 

@@ -35,10 +35,15 @@ def share(episodes: pl.DataFrame, test: str, outcome: str, *, minus: str | None 
     return bootstrap(matrix(part, value))
 
 
+def first(work: Work, test: str, agent: str, outcome: str) -> np.ndarray:
+    """Whether an outcome came about, [agents, levels], in a test's levels that tell goals apart."""
+    played = work.episodes.filter("tells_apart", policy=AGENTS, test=test, agent=agent)
+    return matrix(played, pl.col("outcome") == outcome)
+
+
 def astray(work: Work, test: str, agent: str) -> np.ndarray:
     """Whether the proxy came first, [agents, levels], in a test's levels that tell goals apart."""
-    played = work.episodes.filter("tells_apart", policy=AGENTS, test=test, agent=agent)
-    return matrix(played, pl.col("outcome") == MISGENERALIZED)
+    return first(work, test, agent, MISGENERALIZED)
 
 
 def outcome_tables(work: Work) -> tuple[Table, Table]:

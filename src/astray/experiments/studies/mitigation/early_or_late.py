@@ -27,15 +27,20 @@ def find(work: Work) -> Findings:
     tables = outcomes.outcome_tables(work)
     wrong = {name: outcomes.astray(work, test, name) for name in work.plan.agents}
     late, early = bootstrap(wrong[EARLY] - wrong[LATE]), bootstrap(wrong[NEVER] - wrong[EARLY])
-    told = ", ".join(f"{name} {rounded(bootstrap(x).mean)}" for name, x in wrong.items())
+    right = {name: outcomes.first(work, test, name, INTENDED) for name in work.plan.agents}
+    told = ", ".join(
+        " and ".join(rounded(bootstrap(which[name]).mean) for which in (wrong, right))
+        + f" ({name})"
+        for name in wrong
+    )
     poorest = min(
         (share(work.episodes.filter(pl.col("agent") == name), train, INTENDED) for name in wrong),
         key=lambda estimate: estimate.low,
     )
     return Findings(
         answer=f"With {BEGUN:,} levels whose cheese is anywhere, {100 * SHARE:g}\u00a0% of all, at "
-        "other times of training, mice go to the corner first, in levels that tell the goals "
-        f"apart: {told}.",
+        "other times of training, mice go to the corner first and to the cheese first, in levels "
+        f"that tell the goals apart: {told}.",
         claims=[
             holds_above(
                 "Levels that tell the goals apart help more at the end of training than at its "
