@@ -16,6 +16,7 @@ from urllib.parse import urlsplit
 from websockets.asyncio.client import connect
 from websockets.exceptions import InvalidStatus
 
+from astray.lab import session
 from astray.lab.server import Bucket, files
 from astray.lab.serving import make_lab
 from helpers.browsed import lab_served
@@ -94,6 +95,21 @@ def test_junk_is_answered_with_what_is_wrong_and_the_socket_stays(served):
     junk = ["", "{", "[]", "null", '{"id": 9}', "\x00" * 10]
     answers = ask(served, *junk, '{"id": 3, "kind": "art", "game": "maze"}')
     assert all("error" in answer for answer in answers[:-1]) and "mouse" in answers[-1]["pictures"]
+
+
+def test_a_mistake_of_the_lab_itself_ends_the_answer_to_its_question_alone(served, monkeypatch):
+    def fails(*_):
+        raise ZeroDivisionError("nobody reckoned with this")
+
+    monkeypatch.setattr(session, "ANSWERS", {**session.ANSWERS, "level": fails})
+    words = {"game": "maze", "variant": "corner-small"}
+    first, second = ask(
+        served,
+        json.dumps({"id": 41, "kind": "level", "level": 3, **words}),
+        json.dumps({"id": 42, "kind": "art", **words}),
+    )
+    assert first["id"] == 41 and "the lab itself failed: ZeroDivision" in first["error"]
+    assert second["id"] == 42 and "mouse" in second["pictures"]
 
 
 def test_of_many_like_questions_the_last_is_answered(served):

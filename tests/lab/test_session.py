@@ -7,12 +7,15 @@ import numpy as np
 import pytest
 
 from astray import games
+from astray.analysis.episodes import initial_states
 from astray.analysis.replay import replay
 from astray.analysis.runs import load_agent
 from astray.insight.fields import fields
+from astray.lab import minds
 from astray.lab.messages import LARGEST, read
 from astray.lab.serving import make_lab
 from astray.lab.session import ANSWERS, Session
+from astray.lab.worlds import read_world
 from astray.level import Level
 
 MESSAGES = int(os.environ.get("ASTRAY_LAB_MESSAGES", "400"))  # of those at random
@@ -146,6 +149,28 @@ def test_probes_read_what_is_true_of_the_state(session):
     assert told["rows"] and all(row["layer"] == "features.relu1" for row in told["rows"])
     assert any(row["true"] is not None and row["score"] > 0.5 for row in told["rows"])
     assert "layer" in ask(session, "reading", **MAZE, level=17, layer="nothing")["error"]
+
+
+def test_the_best_way_takes_the_coin_that_ends_the_episode(session):
+    runner = {"game": "coinrun", "variant": "coin-anywhere", "level": 3}
+    told = ask(session, "route", **runner, goal="coin")
+    s = initial_states("coinrun", "coin-anywhere", [3])[0]
+    ((x, y, _),) = told["takes"]
+    assert (x, y) == (s.coin_x, s.coin_y) and told["steps"] == len(told["cells"]) - 1
+
+
+def test_probes_are_not_fitted_to_the_level_that_they_read(monkeypatch):
+    lab, played = make_lab("maze-corner", {}), []
+
+    def visit(agent, variant, levels, **more):
+        played.append(list(levels))
+        return None, np.zeros(1)
+
+    monkeypatch.setattr(minds, "visit", visit)
+    for number in (7, minds.FIRST_VISITED + 3):
+        world = read_world(read(json.dumps({"id": 1, "kind": "level", **MAZE, "level": number})))
+        lab.minds.visited("maze-corner", world)
+        assert number not in played[-1] and len(played[-1]) == minds.VISITED
 
 
 def test_the_best_way_takes_a_key_before_a_chest(session):

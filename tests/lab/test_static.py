@@ -26,6 +26,7 @@ from helpers.browsed import folder_served, opened, wait
 STEPS = 150  # of each episode at random, each three times
 PLAYED = [
     ("maze", "anywhere-small"), ("maze", "red-line-yellow-gem"), ("maze", "anywhere-memory"),
+    ("maze", "dish-small"), ("maze", "dish-apart-small"),
     ("keys", "many-keys-small"), ("keys", "many-chests"), ("keys", "many-keys-penalties"),
     ("coinrun", "coin-anywhere"), ("coinrun", "coin-end-permeable-continue"),
 ]  # fmt: skip
@@ -88,6 +89,34 @@ def test_rules_are_those_of_python_state_by_state(page, name, kind):
                 seen, rewards, _, _, _ = env.step(actions[t : t + 1])
                 reward = float(rewards[0])
         assert ended or len(told) == len(actions) + 1
+
+
+def test_a_dish_is_seen_in_as_many_planes_as_the_variant_says(page):
+    game = games.find("maze")
+    variant = game.variant("dish-small").with_knobs({"dish_planes": 6})
+    (s,) = initial_states(game, variant, [1])
+    level = Level.of(game, variant, s)
+    (told,) = json.loads(page.evaluate(PLAY, ["maze", level.to_json(), knobs(variant), []]))
+    env = GameVectorEnv(game, variant, 1, observation="symbolic")
+    seen, _ = env.reset(options={"state": np.array([level.state()], game.state)})
+    assert base64.b64decode(told[1]) == seen.tobytes() and seen.shape[1] == 10
+
+
+DRAWN = """\
+##############################
+#.............................
+#........................%%%..
+#.@......................%%%..
+############...########..%%%==
+##############################
+"""  # of CoinRun, with ground beyond the columns that let pass
+
+
+@pytest.mark.parametrize("drawn", [DRAWN, DRAWN.replace("%", "."), DRAWN.replace(".@", "@.")])
+def test_a_drawn_level_of_coinrun_ends_where_it_does_in_python(page, drawn):
+    here, there = both(page, kind="level", game="coinrun", variant="coin-end", level=drawn)
+    for name in ("end_x", "end_y", "permeable"):
+        assert here["state"][name] == there["state"][name], name
 
 
 def test_networks_give_what_torch_gives(page, static, exported):
@@ -211,19 +240,59 @@ def test_a_large_agent_is_looked_up_in_a_table(chrome, tmp_path):
     path.write_bytes(weights(architecture.build(), architecture, "maze"))
     (folder / "config.json").write_text(json.dumps({"config": config.to_json()}))
     lab = make_lab(folder, {})
-    export(lab, tmp_path / "site", levels=1, agents=[str(folder)])
+    export(lab, tmp_path / "site", levels=3, agents=[str(folder)])
     agent, game = Agent(path, "maze"), games.find("maze")
-    with folder_served(tmp_path / "site") as address, opened(chrome, address) as (page, told):
-        found = page.evaluate("[...lab.fields.values()]")
-        wait(page, "lab.ready")
-        assert not told
     variant = game.variant("anywhere-small")
-    level = Level.of(game, variant, _begun(game, variant, 0))
-    for one in found[:5]:
-        s = level.moved("agent", tuple(one["cell"])).state(solvable=False)
-        policy, value = judge(agent, observe(agent, variant, np.array([s], game.state)))
-        assert np.allclose(one["policy"], policy[0], atol=0.01)  # a byte for each
-        assert abs(one["value"] - value[0]) < 0.01
+    levels = [Level.of(game, variant, _begun(game, variant, number)) for number in range(3)]
+    edited = levels[2].moved("goal", _another(levels[2]))
+    with folder_served(tmp_path / "site") as address, opened(chrome, address) as (page, told):
+        first = page.evaluate("[...lab.fields.values()]")
+        wait(page, "lab.ready")
+        message = {"kind": "fields", "agent": page.evaluate("lab.part('agent').value")}
+        message |= {"game": "maze", "variant": "anywhere-small", "level": edited.to_json()}
+        asked = page.evaluate("(message) => lab.engine.ask(message)", message)
+        assert not told
+    second = [
+        {"cell": cell, "policy": policy, "value": value}
+        for cell, policy, value in zip(asked["cells"], asked["policy"], asked["value"], strict=True)
+    ]
+    for level, found in ((levels[0], first[:5]), (edited, second[:5])):
+        for one in found:
+            s = level.moved("agent", tuple(one["cell"])).state(solvable=False)
+            policy, value = judge(agent, observe(agent, variant, np.array([s], game.state)))
+            assert np.allclose(one["policy"], policy[0], atol=0.01)  # a byte for each
+            assert abs(one["value"] - value[0]) < 0.01
+
+
+def _another(level):
+    """The last cell but its own that the goal could be in."""
+    return [one.where("goal")[0] for one in level.splay("goal")][-1]
+
+
+def test_an_agent_with_knobs_has_levels_of_its_own(chrome, tmp_path):
+    architecture = Architecture("mlp", (4, 5, 5), (1, 1, 6, 6), 15, width=8)
+    config = make_lab("maze-corner", {}).minds.open("maze-corner")[1]
+    config = replace(config, knobs={"world": 5, "largest": 5}, width=8)
+    path = tmp_path / "run" / "checkpoints" / "1" / "agent.safetensors"
+    path.parent.mkdir(parents=True)
+    path.write_bytes(weights(architecture.build(), architecture, "maze"))
+    (tmp_path / "run" / "config.json").write_text(json.dumps({"config": config.to_json()}))
+    lab = make_lab(tmp_path / "run", {})
+    export(lab, tmp_path / "site", levels=3, agents=[str(tmp_path / "run")])
+    variant = config.variant_for("anywhere-small")
+    with folder_served(tmp_path / "site") as address, opened(chrome, address) as (page, told):
+        wait(page, "lab.ready")
+        agent = page.evaluate("lab.part('agent').value")
+        for number in range(3):
+            level = page.evaluate(
+                """([agent, variant, level]) => lab.engine.ask({kind: "level", game: "maze",
+                  variant, level, agent, knobs: lab.about.agents[agent].knobs[variant]})
+                """,
+                [agent, "anywhere-small", number],
+            )
+            game = config.find_game()
+            assert level["text"] == str(Level.of(game, variant, _begun(game, variant, number)))
+        assert not told
 
 
 def _begun(game, variant, number):
@@ -237,7 +306,7 @@ def test_a_table_is_no_larger_than_is_asked_for():
     game = config.find_game()
     index, data = table(agent, game, game.variant("anywhere-small"), 2, most=2000)
     assert len(data) <= 2000  # a level too large for its half has one place of the goal alone
-    assert 1 in {len(level["goals"]) for level in index["levels"].values()}
+    assert 1 in {len(level["goals"]) for level in index["levels"]}
 
 
 def test_nothing_is_written_over_and_nothing_outside(tmp_path):

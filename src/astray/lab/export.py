@@ -111,6 +111,7 @@ def _write_data(lab: Lab, folder: Path, levels: int, agents: list[str]) -> None:
     for name in agents:
         told = about[called[name]]
         told["variants"] = [v for v in told["variants"] if v in found[told["game"]]["variants"]]
+        _write_own_levels(lab.minds.open(name)[1], called[name], told, folder, levels)
         _write_agent(*lab.minds.open(name), called[name], told, folder, levels)
     index = {
         "format": FORMAT,
@@ -154,6 +155,18 @@ def _levels(game: Game, variant: Variant, count: int) -> list[dict[str, Any]]:
     return found
 
 
+def _write_own_levels(
+    config: Config, name: str, told: dict[str, Any], folder: Path, count: int
+) -> None:
+    """The levels of an agent whose variants have other knobs, and where they are."""
+    game = config.find_game()
+    told["levels"] = {}
+    for variant in (name for name in told["variants"] if name in told["knobs"]):
+        path = f"data/levels/{game.name}-{variant}-{name}.json"
+        _write(folder.parent / path, {"levels": _levels(game, config.variant_for(variant), count)})
+        told["levels"][variant] = path
+
+
 def _write_agent(
     agent: Agent, config: Config, name: str, told: dict[str, Any], folder: Path, levels: int
 ) -> None:
@@ -188,7 +201,7 @@ def table(
     bounded("levels", count, 1, MOST)
     if not sees(agent, game, variant):
         raise ValueError("the agent must see levels of the variant; it does not")
-    levels, policies, values, rows = {}, [], [], 0
+    levels, policies, values, rows = [], [], [], 0
     for s in initial_states(game, variant, range(count)):
         level = Level.of(game, variant, s)
         begun = level.state(solvable=False)
@@ -210,11 +223,14 @@ def table(
             "".join("#" if c == "#" else "." for c in line)
             for line in reversed(str(level).split("\n"))
         )
-        levels[str(int(s.level))] = {
-            "walls": walls,
-            "places": [f"{x},{y}" for x, y in cells],
-            "goals": goals,
-        }
+        levels.append(
+            {
+                "walls": walls,
+                "looks": dict(level.looks),
+                "places": [f"{x},{y}" for x, y in cells],
+                "goals": goals,
+            }
+        )
     policy, value = np.concatenate(policies), np.concatenate(values)
     low, high = float(value.min()), float(value.max())
     spread = (high - low) or 1.0

@@ -36,7 +36,7 @@ class Minds:
 
     paths: Mapping[str, Path]
     _opened: dict[str, tuple[Agent, Config]] = field(default_factory=dict)
-    _visited: dict[tuple[str, str], np.ndarray] = field(default_factory=dict)
+    _visited: dict[tuple[str, str, int], np.ndarray] = field(default_factory=dict)
     _last: tuple[Any, Agent, Any] | None = None
 
     @classmethod
@@ -80,9 +80,12 @@ class Minds:
     def visited(self, name: str, world: World) -> np.ndarray:
         """States of the agent's own episodes in the world's variant, to fit probes in."""
         agent, _ = self.open(name)
-        key = (name, repr(world.variant))
+        numbers = range(FIRST_VISITED, FIRST_VISITED + VISITED + 1)
+        asked = world.number
+        spared = numbers[-1] if asked is None or asked not in numbers else asked
+        key = (name, repr(world.variant), spared)
         if key not in self._visited:
-            levels = range(FIRST_VISITED, FIRST_VISITED + VISITED)
+            levels = [number for number in numbers if number != spared]
             self._visited[key] = visit(agent, world.variant, levels, per_episode=EACH)[1]
         return self._visited[key]
 
@@ -97,7 +100,7 @@ class Minds:
         test = game.shifts[shift].test if shift else config.variant
         return {
             "game": config.game, "variant": config.variant, "test": test, "shift": shift,
-            "variants": [n for n, v in game.variants.items() if sees(agent, game, v)],
+            "variants": [n for n, v in _own_variants(config, game) if sees(agent, game, v)],
             "observation": agent.observation, "art": agent.art, "network": config.network,
             "knobs": _knobs(config, game), "steps": config.steps,
             "gamma": config.gamma, "lam": config.lam, "seed": agent.seed,
@@ -108,11 +111,8 @@ class Minds:
 def _knobs(config: Config, game: Game) -> dict[str, dict[str, Any]]:
     """The knobs that are changed for the agent, of each variant where any is."""
     found = {}
-    for name, plain in game.variants.items():
-        try:
-            own = config.variant_for(name)
-        except ValueError:
-            continue
+    for name, own in _own_variants(config, game):
+        plain = game.variants[name]
         changed = {
             knob: getattr(own, knob)
             for knob in knobs(type(own))
@@ -121,6 +121,15 @@ def _knobs(config: Config, game: Game) -> dict[str, dict[str, Any]]:
         if changed:
             found[name] = changed
     return found
+
+
+def _own_variants(config: Config, game: Game) -> Iterator[tuple[str, Variant]]:
+    """All variants of the agent's game by name, with its knobs where they can have them."""
+    for name, plain in game.variants.items():
+        try:
+            yield name, config.variant_for(name)
+        except ValueError:
+            yield name, plain
 
 
 def sees(agent: Agent, game: Game, variant: Variant) -> bool:

@@ -139,11 +139,23 @@ def route(episode: Episode, goal: str) -> dict[str, Any]:
             break
         env.step(np.array([policy(env.states[0])]))
         cells.append(_cell(env.states[0]))
-        gone = before - _things(world, env.states[0])
+        gone = before - _things(world, env.states[0]) or _at_end(world, env.states[0], goal, before)
         if gone and takes is None:
             takes, taken_at = sorted(gone), len(cells) - 1
     env.close()
     return {"cells": cells, "takes": takes, "steps": taken_at}
+
+
+def _at_end(
+    world: World, s: Any, goal: str, things: set[tuple[int, int, int]]
+) -> set[tuple[int, int, int]]:
+    """The thing called as the goal that ended the episode, as a coin does: it is still drawn."""
+    objects = world.game.editing.OBJECTS if world.game.editing else {}
+    if not s.ended or s[world.game.goals[goal]] == NEVER or goal not in objects:
+        return set()
+    code = world.game.editing.LEGEND[objects[goal]]
+    away = {one: abs(one[0] + 0.5 - s.x) + abs(one[1] + 0.5 - s.y) for one in things}
+    return set(sorted((one for one in things if one[2] == code), key=away.__getitem__)[:1])
 
 
 def _stands(cells: list[list[float]], game: Game) -> bool:

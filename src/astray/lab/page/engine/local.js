@@ -6,13 +6,14 @@ import { posterior } from "../mind/agency.js";
 import { readNetwork, softmax } from "../mind/network.js";
 import { noise, sample } from "../mind/noise.js";
 import { readTable } from "../mind/table.js";
-import { NEVER, advance } from "../rules/common.js";
+import { NEVER, WALL, advance } from "../rules/common.js";
 import { rules as coinrun } from "../rules/coinrun.js";
 import { rules as keys } from "../rules/keys.js";
 import { rules as maze } from "../rules/maze.js";
 
 const RULES = { coinrun, keys, maze };
 const AT_ONCE = 16; // places that are computed before the page may draw
+const [TOP, PERMEABLE] = [2, 8]; // of CoinRun's cells, beside WALL
 const NEITHER = "neither";
 const OTHER = "another cell";
 
@@ -71,14 +72,15 @@ export class LocalEngine {
   }
 
   // The level of a message and the state that it begins in.
-  async world({ game, variant, level, knobs = {} }) {
+  async world({ game, variant, level, agent, knobs = {} }) {
     const rules = RULES[game];
     if (!rules) throw new Error(`the game '${game}' needs Python: astray lab`);
     const about = this.about.games[game];
     if (!about.knobs[variant]) throw new Error(`unknown variant '${variant}' of ${game}`);
     let [given, number] = [level, null];
     if (typeof level === "number") {
-      const { levels } = await this.file(`data/levels/${game}-${variant}.json`);
+      const own = this.about.agents[agent]?.levels?.[variant]; // of an agent with knobs of its own
+      const { levels } = await this.file(own ?? `data/levels/${game}-${variant}.json`);
       const kept = levels.find((one) => one.number === level);
       if (!kept) throw new Error(`without Python there are levels 0 to ${levels.length - 1} of this`);
       number = level;
@@ -332,7 +334,7 @@ function splayed({ level, s, rules }, thing, at, about) {
 
 // Only places are wanted of the state, so that its looks may be any.
 const knobsOf = () => ({
-  goal_shape: "none", goal_colour: "none", other_shape: "none", other_colour: "none",
+  goal_shape: "none", goal_colour: "none", other_shape: "dish", other_colour: "none",
   inventory: "hidden", walls: "sand",
 });
 
@@ -383,14 +385,17 @@ function whole(level) {
     level.grid[y]?.[x] ?? 1));
   const looks = { ...level.looks };
   looks.end ??= endOf(grid);
+  looks.permeable ??= grid[looks.end[1]].filter((what) => what === PERMEABLE).length;
   return { ...level, grid, looks };
 }
 
+// The lowest cell to stand in, in the last column that has one, or before a permeable wall.
 function endOf(grid) {
-  const solid = (what) => what === 1 || what === 2 || what === 8;
-  for (let x = grid.length - 1; x >= 0; x--) {
+  const ground = (what) => what === WALL || what === TOP;
+  const walls = cellsOf(grid, PERMEABLE).map(([x]) => x);
+  for (let x = Math.min(grid.length, ...walls) - 1; x >= 0; x--) {
     for (let y = 1; y < grid.length; y++) {
-      if (!solid(grid[y][x]) && solid(grid[y - 1][x]) && grid[y - 1][x] !== 8) return [x, y];
+      if (!ground(grid[y][x]) && ground(grid[y - 1][x])) return [x, y];
     }
   }
   return [0, 0];

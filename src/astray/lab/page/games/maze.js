@@ -4,6 +4,7 @@ import { eachCell } from "./common.js";
 
 const WALLS = ["sand", "stone", "hedge"];
 const SHAPES = ["none", "cheese", "line", "gem", "star", "ring", "cross"];
+const OTHERS = [...SHAPES, "dish"];
 const COLOURS = ["none", "yellow", "red", "green", "blue", "magenta", "cyan"];
 const FLOOR = "#ece6d6";
 const UNSEEN = "rgba(60, 60, 60, 0.35)"; // the outline of an object that the agent does not see
@@ -22,7 +23,7 @@ function moving(brush, level, s, pictures) {
   for (const what of ["other", "goal"]) {
     const [x, y] = [s[`${what}_x`], s[`${what}_y`]];
     if (x < 0 || (what === "goal" && s.reached_goal >= 0)) continue;
-    object(brush, SHAPES[s[`${what}_shape`]], COLOURS[s[`${what}_colour`]], x, y, pictures);
+    object(brush, OTHERS[s[`${what}_shape`]], COLOURS[s[`${what}_colour`]], x, y, pictures);
   }
   brush.stamp(pictures.get("mouse"), s.x, s.y, 0.86, 0.86, s.faces_right);
 }

@@ -36,7 +36,7 @@ const EVENTS = [
   "died", "met_saw", "met_walker", "met_lava", "timed_out",
 ];
 
-export const rules = { build, step, planes, copy, problem: () => null, places, put, things: [COIN] };
+export const rules = { build, step, planes, copy, problem: () => null, places, put };
 
 function build({ grid, agent, looks = {} }, variant) {
   const cell = agent.map(Math.floor);

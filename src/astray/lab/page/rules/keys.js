@@ -25,7 +25,7 @@ const CHARS = { 0: ".", 1: "#", 2: "k", 3: "C" };
 const CORNERS = ["upper-right", "upper-left", "lower-right", "lower-left", "hidden"];
 const HIDDEN = 4;
 
-export const rules = { build, step, planes, copy, problem, places, put, things: [KEY, CHEST] };
+export const rules = { build, step, planes, copy, problem, places, put };
 
 function build({ grid, agent, looks = {} }, variant) {
   const cell = agent.map(Math.floor);

@@ -7,15 +7,18 @@ import { NEVER, WALL, cellsOf, checkAgent, distances, push, unreachable } from "
 const EMPTY = 0;
 const GOAL = 2;
 const OTHER = 3;
+const BOTH = 4; // the goal on the other object, which is a dish
 const REWARD = 10;
 const SHAPES = ["none", "cheese", "line", "gem", "star", "ring", "cross"];
 const COLOURS = ["none", "yellow", "red", "green", "blue", "magenta", "cyan"];
-const CHARS = { 0: ".", 1: "#", 2: "G", 3: "o" };
+const OTHERS = [...SHAPES, "dish"];
+const DISH = OTHERS.indexOf("dish");
+const CHARS = { 0: ".", 1: "#", 2: "G", 3: "o", 4: "O" };
 
-export const rules = { build, step, planes, copy, problem, places, put, things: [GOAL, OTHER] };
+export const rules = { build, step, planes, copy, problem, places, put };
 
-function only(grid, code, name) {
-  const found = cellsOf(grid, code);
+function only(grid, codes, name) {
+  const found = codes.flatMap((code) => cellsOf(grid, code));
   if (found.length > 1) {
     const cells = found.map(([x, y]) => `(${x}, ${y})`).join(", ");
     throw new Error(`a level has at most one ${name}; this has one at each of [${cells}]`);
@@ -27,8 +30,11 @@ function build({ grid, agent, looks = {} }, variant) {
   const world = grid.length;
   const cell = agent.map(Math.floor);
   checkAgent(grid, cell, CHARS);
-  const [goal_x, goal_y] = only(grid, GOAL, "goal");
-  const [other_x, other_y] = only(grid, OTHER, "other");
+  const [goal_x, goal_y] = only(grid, [GOAL, BOTH], "goal");
+  const [other_x, other_y] = only(grid, [OTHER, BOTH], "other");
+  if (cellsOf(grid, BOTH).length && variant.other_shape !== "dish") {
+    throw new Error("a goal lies on the other object only where that is a dish");
+  }
   let [right, top] = [-1, -1];
   grid.forEach((row, y) => row.forEach((what, x) => {
     if (what !== WALL) [right, top] = [Math.max(right, x), Math.max(top, y)];
@@ -40,7 +46,7 @@ function build({ grid, agent, looks = {} }, variant) {
     goal_x, goal_y, other_x, other_y,
     corner_x: open ? right : NEVER, corner_y: open ? top : NEVER,
     goal_shape: SHAPES.indexOf(variant.goal_shape), goal_colour: COLOURS.indexOf(variant.goal_colour),
-    other_shape: SHAPES.indexOf(variant.other_shape),
+    other_shape: OTHERS.indexOf(variant.other_shape), dish_planes: variant.dish_planes,
     other_colour: COLOURS.indexOf(variant.other_colour),
     walls: ["sand", "stone", "hedge"].indexOf(variant.walls), background: looks.background ?? 0,
     background_offset: looks.background_offset ?? 0,
@@ -69,7 +75,7 @@ function step(s, action) {
   if (!isWall(s, x, y)) [s.x, s.y] = [x + 0.5, y + 0.5];
   noteArrivals(s);
   const reached = s.reached_goal === s.time;
-  if (reached) s.cell[s.goal_y][s.goal_x] = EMPTY;
+  if (reached) s.cell[s.goal_y][s.goal_x] = s.cell[s.goal_y][s.goal_x] === BOTH ? OTHER : EMPTY;
   return { reward: reached ? REWARD : 0, terminated: reached };
 }
 
@@ -82,12 +88,15 @@ function noteArrivals(s) {
   }
 }
 
-// What an agent sees, planes of [C, H, W]: walls, mouse, shapes, colours.
+// What an agent sees, planes of [C, H, W]: walls, mouse, dish (where a variant has one, in as many
+// planes as it says), shapes, colours.
 function planes(s) {
   const side = s.window ? 2 * Math.floor(s.window / 2) + 1 : s.world;
   const [x, y] = [Math.floor(s.x), Math.floor(s.y)];
   const [left, low] = s.window ? [x - (side >> 1), y - (side >> 1)] : [0, 0];
-  const data = new Uint8Array(4 * side * side);
+  const dishes = s.other_shape === DISH ? s.dish_planes : 0;
+  const [shapes, colours] = [2 + dishes, 3 + dishes];
+  const data = new Uint8Array((4 + dishes) * side * side);
   const at = (plane, i, j) => (plane * side + (j - low)) * side + (i - left);
   const seen = (i, j) => i >= left && j >= low && i < left + side && j < low + side;
   for (let j = low; j < low + side; j++) {
@@ -95,14 +104,17 @@ function planes(s) {
   }
   for (const what of ["other", "goal"]) {
     const [i, j] = [s[`${what}_x`], s[`${what}_y`]];
-    if (i !== NEVER && seen(i, j)) {
-      data[at(2, i, j)] = s[`${what}_shape`];
-      data[at(3, i, j)] = s[`${what}_colour`];
+    if (i === NEVER || !seen(i, j)) continue;
+    if (what === "other" && dishes) {
+      for (let plane = 2; plane < shapes; plane++) data[at(plane, i, j)] = 1;
+    } else {
+      data[at(shapes, i, j)] = s[`${what}_shape`];
+      data[at(colours, i, j)] = s[`${what}_colour`];
     }
   }
   data[at(1, x, y)] = 1;
-  if (s.reached_goal !== NEVER) data[at(2, x, y)] = data[at(3, x, y)] = 0; // it stands on it
-  return { shape: [4, side, side], data };
+  if (s.reached_goal !== NEVER) data[at(shapes, x, y)] = data[at(colours, x, y)] = 0; // stands on it
+  return { shape: [4 + dishes, side, side], data };
 }
 
 function ways(s) {
@@ -113,7 +125,8 @@ function ways(s) {
 function problem({ grid, agent }, s) {
   const steps = ways(s);
   const cell = agent.map(Math.floor);
-  return unreachable(grid, cell, [["goal", GOAL], ["other", OTHER]], (x, y) => steps[y][x] >= 0);
+  const objects = [["goal", GOAL], ["other", OTHER], ["goal on other", BOTH]];
+  return unreachable(grid, cell, objects, (x, y) => steps[y][x] >= 0);
 }
 
 function places(s) {
