@@ -44,6 +44,15 @@ def ask(session, kind, **more):
     return joined
 
 
+def test_the_first_agent_is_one_that_sees_the_levels():
+    assert make_lab(None, {}).start["agent"] == "maze-corner"
+    dish = make_lab(None, {"game": "maze", "variant": "dish-small"})  # of more symbolic planes
+    assert dish.minds.open(dish.start["agent"])[0].observation == "image"
+    assert dish.start["variant"] == "dish-small"
+    with pytest.raises(ValueError, match="unknown variant 'dishes' of maze"):
+        make_lab(None, {"game": "maze", "variant": "dishes"})
+
+
 def test_hello_tells_games_and_agents(session):
     about = ask(session, "hello")
     assert set(games.OWN) <= about["games"].keys()

@@ -31,7 +31,7 @@ def make_lab(agent: str | Path | None, start: Mapping[str, Any]) -> Lab:
             runs[name] = path
     minds = Minds.of(runs)
     if not name:
-        name = _first_agent(minds, start.get("game"))
+        name = _first_agent(minds, start.get("game"), start.get("variant"))
     first: dict[str, Any] = {"agent": name, "level": 0}
     if name:
         about = minds.about(name)
@@ -44,10 +44,10 @@ def make_lab(agent: str | Path | None, start: Mapping[str, Any]) -> Lab:
     return Lab(minds, first | {"game": game.name})
 
 
-def _first_agent(minds: Minds, game: str | None) -> str:
-    """The name of an agent that plays `game`, None: any; empty where there is none."""
-    names = sorted(minds.paths, key=lambda name: name != FIRST)
-    for name in names:
-        if game is None or minds.open(name)[0].game == game:
+def _first_agent(minds: Minds, game: str | None, variant: str | None) -> str:
+    """The name of an agent for levels of a game and a variant, None: any; empty: there is none."""
+    for name in sorted(minds.paths, key=lambda name: name != FIRST):
+        about = minds.about(name)
+        if game in (None, about["game"]) and (variant is None or variant in about["variants"]):
             return name
     return ""
