@@ -43,6 +43,7 @@ SIDE = 256  # pixels of a level's picture
 WIDTH = "90"  # characters of a help text
 LAB_LEVELS, FIRST_LEVEL = 100, 17  # of the lab that is shown on the site
 FIRST = f"game=maze&variant=anywhere-small&agent=maze-corner&level={FIRST_LEVEL}"
+FOUND = 3  # parts of the navigation, up to what was found
 MOST = 40  # rows of settings; a sweep may have more agents
 
 
@@ -58,7 +59,8 @@ def on_config(config: MkDocsConfig) -> MkDocsConfig:
         for part in ("games", "experiments", "agents", "api")
     }
     named = [{name.capitalize(): made} for name, made in parts.items() if name != "api"]
-    config.nav = [*config.nav[:1], *named, *config.nav[1:], "cli.md", {"API": parts["api"]}]
+    first, rest = config.nav[:FOUND], config.nav[FOUND:]
+    config.nav = [*first, *named, *rest, "cli.md", {"API": parts["api"]}]
     return config
 
 
