@@ -2,12 +2,14 @@
 
 from astray.experiments.studies.mitigation import _regret as regret
 
-# Six for each that shows the cheese, as in the paper: shape and colour are two numbers each.
-PLANES = 24
+# In the paper the dish is seen in six planes and the cheese in one. Here a plane is a 1, and the
+# cheese two points on the unit circle, for its shape and its colour: a square of length 2.
+PLANES = 12
 EXPERIMENT = regret.experiment(
     "Minimax regret: cheese on a dish",
     "dish-small",
     "dish",
     {"dish_planes": PLANES},
-    f"; the dish is seen in {PLANES} planes and the cheese in 4, where the paper has 6 and 1",
+    f"; the dish is seen in {PLANES} planes and the cheese as two points of length 1, where the "
+    "paper has 6 planes and 1",
 )
