@@ -262,6 +262,16 @@ def test_observations_of_another_shape_are_refused(planes, method):
         getattr(attribution, method)(planes, np.zeros((2, 4, 7, 7), np.uint8))
 
 
+def test_gradients_of_a_network_of_ones_own_are_refused(planes):
+    class Own(torch.nn.Module):
+        """Of a guest."""
+
+    planes.network = Own()
+    for method in (attribution.gradients, attribution.integrated_gradients):
+        with pytest.raises(ValueError, match="need the network mlp; occlusion takes any: got Own"):
+            method(planes, shown_to(planes))
+
+
 def test_without_captum_the_extra_is_named(planes, monkeypatch):
     monkeypatch.setitem(sys.modules, "captum.attr", None)
     with pytest.raises(ImportError, match=r"pip install 'astray\[insight\]'"):

@@ -10,6 +10,8 @@ from astray import games, load_agent
 from astray.analysis import kept
 from astray.analysis.critic import judge, observe
 from astray.analysis.evaluate import evaluate
+from astray.analysis.runs import open_run
+from astray.insight import explain
 from astray.insight.episode import along, figure
 
 # So short that arrows in all of its places are drawn in a moment.
@@ -112,6 +114,21 @@ def test_mistakes_are_told_before_anything_is_written(astray, tmp_path):
     said = astray("explain", "maze-corner", "--others", 2, "--out", tmp_path, fails=True)
     assert "explain.html is none of astray's; it would be replaced" in said
     assert (tmp_path / "explain.html").read_text() == "mine"
+
+
+def test_probes_learn_from_other_levels_and_advantages_are_those_of_the_training(
+    astray, tmp_path, monkeypatch
+):
+    given = []
+    monkeypatch.setattr(explain, "explain", lambda asked, *_: given.append(asked))
+    config = open_run(kept.find("maze-corner"))[1]
+    first = config.unseen_levels[0]
+    for level in (None, first + 3, 5):
+        words = () if level is None else ("--level", level)
+        astray("explain", "maze-corner", *words, "--others", 6, "--out", tmp_path)
+        assert (first if level is None else level) not in given[-1].others
+        assert len(given[-1].others) == len({*given[-1].others}) == 6
+        assert (given[-1].gamma, given[-1].lam) == (config.gamma, config.lam) != (0.999, 0.95)
 
 
 def test_a_drawn_level_is_explained(astray, tmp_path):
