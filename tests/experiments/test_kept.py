@@ -13,7 +13,7 @@ from safetensors.numpy import load_file
 from astray.analysis import kept
 from astray.analysis.evaluate import evaluate
 from astray.analysis.outcomes import OUTCOMES, label, load_shift
-from astray.analysis.runs import open_run
+from astray.analysis.runs import open_run, reward_deviation
 from astray.experiments import keep
 from astray.training import checkpoint
 from astray.training.loop import train
@@ -137,6 +137,11 @@ def test_a_kept_agent_stands_for_its_run_folder(astray, run, mouse, tmp_path):
     assert films[0].read_bytes() == films[1].read_bytes()
     assert json.loads(astray("list", "--json"))["agents"]["mouse"]["variant"] == SHORT.variant
     assert "mouse: maze, trained on corner-small" in astray("list")
+
+
+def test_what_rewards_were_divided_by_is_kept(run, mouse):
+    divisor = reward_deviation(*open_run(run))
+    assert divisor and divisor == reward_deviation(*open_run(mouse))
 
 
 def test_the_curve_ends_where_the_agent_does(run, tmp_path, monkeypatch):

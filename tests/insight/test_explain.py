@@ -48,6 +48,11 @@ def test_advantages_are_the_discounted_sum_of_surprises():
     surprise = reward + 0.9 * np.append(value[1:], 0.0) - value
     expected = [sum(0.72**k * d for k, d in enumerate(surprise[t:])) for t in range(len(value))]
     assert table["advantage"].to_numpy() == pytest.approx(expected, abs=1e-4)
+    # As in its training, values are of rewards that were divided; and at most 10.
+    for deviation, last in ((2.0, 5.0), (0.5, 10.0)):
+        course = along(runner, "coin-end", level, gamma=0.9, lam=0.8, deviation=deviation)
+        assert course.table["advantage"][-1] == pytest.approx(last - value[-1], abs=1e-4)
+        assert course.table["reward"][-1] == reward[-1] == 10
 
 
 def test_the_figure_of_an_episode_has_its_marks():
@@ -129,6 +134,7 @@ def test_probes_learn_from_other_levels_and_advantages_are_those_of_the_training
         assert (first if level is None else level) not in given[-1].others
         assert len(given[-1].others) == len({*given[-1].others}) == 6
         assert (given[-1].gamma, given[-1].lam) == (config.gamma, config.lam) != (0.999, 0.95)
+        assert given[-1].deviation is None  # it was kept before this was
 
 
 def test_a_drawn_level_is_explained(astray, tmp_path):

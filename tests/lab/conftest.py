@@ -1,7 +1,12 @@
-"""Labs that several tests look at."""
+"""Labs and agents that several tests look at."""
+
+import json
+from dataclasses import replace
 
 import pytest
+import torch
 
+from astray.agents.policy import weights
 from astray.lab.export import export
 from astray.lab.serving import make_lab
 from helpers.browsed import browser, folder_served
@@ -25,3 +30,19 @@ def exported(tmp_path_factory):
 def static(exported):
     with folder_served(exported) as address:
         yield address
+
+
+@pytest.fixture
+def untrained():
+    """Writes an agent of Maze that has learned nothing to a run folder, and tells its path."""
+
+    def write(folder, architecture, **settings):
+        torch.manual_seed(0)
+        config = replace(make_lab("maze-corner", {}).minds.open("maze-corner")[1], **settings)
+        path = folder / "checkpoints" / "1" / "agent.safetensors"
+        path.parent.mkdir(parents=True)
+        path.write_bytes(weights(architecture.build(), architecture, "maze"))
+        (folder / "config.json").write_text(json.dumps({"config": config.to_json()}))
+        return path
+
+    return write

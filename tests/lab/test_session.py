@@ -2,9 +2,11 @@
 
 import json
 import os
+from dataclasses import replace
 
 import numpy as np
 import pytest
+from safetensors.numpy import load_file
 
 from astray import games
 from astray.analysis.episodes import initial_states
@@ -13,10 +15,14 @@ from astray.analysis.runs import load_agent
 from astray.insight.fields import fields
 from astray.lab import minds
 from astray.lab.messages import LARGEST, read
+from astray.lab.minds import Minds
 from astray.lab.serving import make_lab
 from astray.lab.session import ANSWERS, Session
 from astray.lab.worlds import read_world
 from astray.level import Level
+from astray.training import checkpoint
+from astray.training.ppo import RewardNormaliser
+from helpers.trainings import PLAIN, train_to_first_checkpoint
 
 MESSAGES = int(os.environ.get("ASTRAY_LAB_MESSAGES", "400"))  # of those at random
 MAZE = {"game": "maze", "variant": "anywhere-small", "agent": "maze-corner"}
@@ -59,6 +65,22 @@ def test_hello_tells_games_and_agents(session):
     assert about["agents"]["maze-corner"]["game"] == "maze"
     assert "anywhere" not in about["agents"]["maze-corner"]["variants"]  # of 25 cells
     assert about["start"]["variant"] == "anywhere-small"
+
+
+def test_what_rewards_were_divided_by_is_told_where_it_was_kept(tmp_path, monkeypatch):
+    train_to_first_checkpoint(PLAIN, tmp_path / "divided", monkeypatch)
+    train_to_first_checkpoint(
+        replace(PLAIN, normalise_reward=False), tmp_path / "whole", monkeypatch
+    )
+    named = Minds.of({name: tmp_path / name for name in ("divided", "whole")})
+    kept = load_file(checkpoint.latest(tmp_path / "divided") / "trainer.safetensors")
+    normaliser = RewardNormaliser(1, variance=kept["training.moments"][1])
+    told = named.about("divided")["reward_deviation"]
+    assert 3 / told == pytest.approx(normaliser.scaled(np.array([3.0]))[0])
+    assert named.about("whole")["reward_deviation"] is None
+    named.open("divided")[0].path.with_name("trainer.safetensors").write_bytes(b"half of it")
+    assert named.about("divided")["reward_deviation"] is None  # as of kept agents, which have none
+    assert named.about("maze-corner")["reward_deviation"] is None
 
 
 def test_fields_are_those_of_insight(session):

@@ -2,25 +2,25 @@
 
 import base64
 import json
-from dataclasses import replace
 
 import numpy as np
 import pytest
 import torch
 
 from astray import games
-from astray.agents.policy import Architecture, weights
-from astray.analysis.critic import judge, observe
+from astray.agents.policy import Architecture
+from astray.analysis.critic import judge
 from astray.analysis.episodes import initial_states
-from astray.analysis.policies import Agent
 from astray.analysis.replay import replay
 from astray.envs.vector import GameVectorEnv
-from astray.lab.export import export, file_names, table
+from astray.lab.export import export, file_names
 from astray.lab.link import link
+from astray.lab.minds import Minds
 from astray.lab.serving import make_lab
-from astray.lab.session import Session
+from astray.lab.session import Lab, Session
 from astray.lab.worlds import snapshot
 from astray.level import Level
+from astray.training.ppo import RewardNormaliser, advantages
 from helpers.browsed import folder_served, opened, wait
 
 STEPS = 150  # of each episode at random, each three times
@@ -112,11 +112,25 @@ DRAWN = """\
 """  # of CoinRun, with ground beyond the columns that let pass
 
 
-@pytest.mark.parametrize("drawn", [DRAWN, DRAWN.replace("%", "."), DRAWN.replace(".@", "@.")])
-def test_a_drawn_level_of_coinrun_ends_where_it_does_in_python(page, drawn):
-    here, there = both(page, kind="level", game="coinrun", variant="coin-end", level=drawn)
-    for name in ("end_x", "end_y", "permeable"):
-        assert here["state"][name] == there["state"][name], name
+@pytest.mark.parametrize(
+    "drawn", [DRAWN, DRAWN.replace("%", "."), DRAWN.replace(".@", "@."), DRAWN.replace(".%", "o%")]
+)
+def test_a_drawn_level_of_coinrun_begins_and_ends_where_it_does_in_python(page, drawn):
+    words = {"kind": "level", "game": "coinrun", "variant": "coin-end"}
+    here, there = both(page, **words, level=drawn)
+    edited = here["level"] | {"grid": [row.copy() for row in here["level"]["grid"]]}
+    edited["grid"][3][20] = games.find("coinrun").editing.LEGEND["%"]
+    for mine, python in ((here, there), both(page, **words, level=edited)):
+        for name in ("end_x", "end_y", "permeable", "coin_x", "coin_y"):
+            assert mine["state"][name] == python["state"][name], name
+
+
+def test_a_level_of_coinrun_that_is_too_large_is_refused_in_python_s_words(page):
+    level = "\n".join([".@" + 63 * ".", 65 * "#"])
+    words = {"kind": "level", "game": "coinrun", "variant": "coin-end", "level": level}
+    said = page.evaluate("(m) => lab.engine.ask(m).catch((error) => error.message)", words)
+    (told,) = Session(make_lab("maze-corner", {})).answers(json.dumps({"id": 1} | words))
+    assert said == told["error"]
 
 
 def test_networks_give_what_torch_gives(page, static, exported):
@@ -142,7 +156,7 @@ def test_networks_give_what_torch_gives(page, static, exported):
         assert np.allclose([v for _, v in found], value, atol=1e-5)
 
 
-def both(page, **message):
+def both(page, lab=None, **message):
     """The answers of the page's own engine and of Python, the parts of each joined."""
     here = json.loads(
         page.evaluate(
@@ -154,7 +168,7 @@ def both(page, **message):
             message,
         )
     )
-    session = Session(make_lab("maze-corner", {}))
+    session = Session(lab or make_lab("maze-corner", {}))
     there = list(session.answers(json.dumps({"id": 1} | message)))
     return _joined(here), _joined(there)
 
@@ -226,58 +240,66 @@ def test_a_level_is_refused_in_python_s_words(page):
     assert here["text"] == there["text"]
 
 
-def test_a_large_agent_is_looked_up_in_a_table(chrome, tmp_path):
-    torch.manual_seed(0)
-    architecture = Architecture("impala", (64, 64, 3), (), 15, widths=(4, 4, 4))
-    folder = tmp_path / "run"
-    config = replace(
-        make_lab("maze-corner", {}).minds.open("maze-corner")[1],
-        observation="image",
-        network="impala",
-    )
-    path = folder / "checkpoints" / "1" / "agent.safetensors"
-    path.parent.mkdir(parents=True)
-    path.write_bytes(weights(architecture.build(), architecture, "maze"))
-    (folder / "config.json").write_text(json.dumps({"config": config.to_json()}))
-    lab = make_lab(folder, {})
-    export(lab, tmp_path / "site", levels=3, agents=[str(folder)])
-    agent, game = Agent(path, "maze"), games.find("maze")
-    variant = game.variant("anywhere-small")
-    levels = [Level.of(game, variant, _begun(game, variant, number)) for number in range(3)]
-    edited = levels[2].moved("goal", _another(levels[2]))
+CYAN = """([x, y]) => {
+  const { left, low, rows } = lab.stage.frame;
+  const side = Math.round(lab.stage.scale);
+  const [across, down] = [(x - left) * side, (rows + low - 1 - y) * side];
+  const { data } = lab.part("world").getContext("2d").getImageData(across, down, side, side);
+  return data.some((red, k) => k % 4 === 0 && red < 80 && data[k + 1] > 150 && data[k + 2] > 150);
+}"""
+
+
+@pytest.mark.parametrize(
+    "kind, thing",
+    [("dish-small", "goal on other"), ("dish-small", "agent"), ("dish-apart-small", "goal")],
+)
+def test_who_sees_dishes_does_as_in_python(chrome, untrained, tmp_path, kind, thing):
+    architecture = Architecture("mlp", (5, 7, 7), (1, 1, 1, 6, 6), 15, width=8)
+    untrained(tmp_path / "run", architecture, variant="dish-small", validation=None, width=8)
+    asked = {"game": "maze", "variant": kind, "agent": "mouse"}
+    lab = Lab(Minds.of({"mouse": tmp_path / "run"}), asked | {"level": 0})
+    export(lab, tmp_path / "site", levels=3, agents=["mouse"])
     with folder_served(tmp_path / "site") as address, opened(chrome, address) as (page, told):
-        first = page.evaluate("[...lab.fields.values()]")
-        wait(page, "lab.ready")
-        message = {"kind": "fields", "agent": page.evaluate("lab.part('agent').value")}
-        message |= {"game": "maze", "variant": "anywhere-small", "level": edited.to_json()}
-        asked = page.evaluate("(message) => lab.engine.ask(message)", message)
+        here, there = both(page, lab, kind="level", **asked, level=0)
+        assert here["text"] == there["text"] and here["problem"] == there["problem"]
+        wait(page, f"({CYAN})({[there['state'][f'other_{axis}'] for axis in 'xy']})")
+        here, there = both(page, lab, kind="play", **asked, level=0, steps=30)
+        actions = here["actions"]
+        assert actions == there["actions"] and here["rewards"] == there["rewards"]
+        assert np.allclose(here["value"], there["value"], atol=1e-5)
+        here, there = both(page, lab, kind="posterior", **asked, level=0, actions=actions[:3])
+        assert here["goals"].keys() == there["goals"].keys() >= {"cheese", "corner"}
+        assert np.allclose(here["shares"], there["shares"], atol=2e-5)
+        here, there = both(page, lab, kind="splay", **asked, level=0, thing=thing)
+        assert sorted(map(str, zip(here["cells"], here["outcomes"], strict=True))) == sorted(
+            map(str, zip(map(list, there["cells"]), there["outcomes"], strict=True))
+        )
         assert not told
-    second = [
-        {"cell": cell, "policy": policy, "value": value}
-        for cell, policy, value in zip(asked["cells"], asked["policy"], asked["value"], strict=True)
-    ]
-    for level, found in ((levels[0], first[:5]), (edited, second[:5])):
-        for one in found:
-            s = level.moved("agent", tuple(one["cell"])).state(solvable=False)
-            policy, value = judge(agent, observe(agent, variant, np.array([s], game.state)))
-            assert np.allclose(one["policy"], policy[0], atol=0.01)  # a byte for each
-            assert abs(one["value"] - value[0]) < 0.01
 
 
-def _another(level):
-    """The last cell but its own that the goal could be in."""
-    return [one.where("goal")[0] for one in level.splay("goal")][-1]
+def test_advantages_are_in_the_rewards_that_values_are_of(page):
+    value, rewards, deviation = [0.5, 0.4, 2.0, 1.0], [0.0, 3.0, -50.0], 2.5
+    told = page.evaluate(
+        """async ([value, rewards, reward_deviation]) => {
+          const { advantagesOf } = await import(new URL("timeline.js", location.href));
+          const about = { agents: { mouse: { gamma: 0.9, lam: 0.8, reward_deviation } } };
+          const episode = { value, rewards, terminated: false };
+          return advantagesOf({ about, agent: "mouse", episode });
+        }""",
+        [value, rewards, deviation],
+    )
+    scaled = RewardNormaliser(1, variance=deviation**2).scaled(np.array(rewards))
+    ends = torch.tensor([[False], [False], [True]])
+    reward, before, after = (torch.tensor(x)[:, None] for x in (scaled, value[:-1], value[1:]))
+    expected = advantages(reward, before, after, torch.zeros_like(ends), ends, 0.9, 0.8)
+    assert np.allclose(told, expected[:, 0], atol=1e-6)
 
 
-def test_an_agent_with_knobs_has_levels_of_its_own(chrome, tmp_path):
+def test_an_agent_with_knobs_has_levels_of_its_own(chrome, untrained, tmp_path):
     architecture = Architecture("mlp", (4, 5, 5), (1, 1, 6, 6), 15, width=8)
-    config = make_lab("maze-corner", {}).minds.open("maze-corner")[1]
-    config = replace(config, knobs={"world": 5, "largest": 5}, width=8)
-    path = tmp_path / "run" / "checkpoints" / "1" / "agent.safetensors"
-    path.parent.mkdir(parents=True)
-    path.write_bytes(weights(architecture.build(), architecture, "maze"))
-    (tmp_path / "run" / "config.json").write_text(json.dumps({"config": config.to_json()}))
+    untrained(tmp_path / "run", architecture, knobs={"world": 5, "largest": 5}, width=8)
     lab = make_lab(tmp_path / "run", {})
+    config = lab.minds.open(str(tmp_path / "run"))[1]
     export(lab, tmp_path / "site", levels=3, agents=[str(tmp_path / "run")])
     variant = config.variant_for("anywhere-small")
     with folder_served(tmp_path / "site") as address, opened(chrome, address) as (page, told):
@@ -291,22 +313,9 @@ def test_an_agent_with_knobs_has_levels_of_its_own(chrome, tmp_path):
                 [agent, "anywhere-small", number],
             )
             game = config.find_game()
-            assert level["text"] == str(Level.of(game, variant, _begun(game, variant, number)))
+            (s,) = initial_states(game, variant, [number])
+            assert level["text"] == str(Level.of(game, variant, s))
         assert not told
-
-
-def _begun(game, variant, number):
-    env = GameVectorEnv(game, variant, 1, observation="symbolic")
-    env.reset(seed=0, options={"level": number})
-    return env.get_state()[0]
-
-
-def test_a_table_is_no_larger_than_is_asked_for():
-    agent, config = make_lab("maze-corner", {}).minds.open("maze-corner")
-    game = config.find_game()
-    index, data = table(agent, game, game.variant("anywhere-small"), 2, most=2000)
-    assert len(data) <= 2000  # a level too large for its half has one place of the goal alone
-    assert 1 in {len(level["goals"]) for level in index["levels"]}
 
 
 def test_nothing_is_written_over_and_nothing_outside(tmp_path):

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import hashlib
+import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
 import polars as pl
+from safetensors import SafetensorError, safe_open
 
 from astray import games
 from astray.agents.policy import usable
@@ -18,13 +20,18 @@ from astray.analysis.evaluate import evaluate
 from astray.analysis.given import Measure, see_policy
 from astray.analysis.outcomes import label, load_shift, shares, tell_apart
 from astray.analysis.policies import Agent, Policy, Random, Walk
-from astray.bounds import of_kind, shown
+from astray.bounds import finite, of_kind, shown
+from astray.files import read, see_readable
 from astray.game import Game, Variant
 from astray.level import read_levels
 from astray.training import checkpoint
 from astray.training.config import Config
+from astray.training.ppo import RewardNormaliser
 
 LEVELS_PLAYED = 1000  # where nobody says which
+# Of discounted returns: mean, variance and count, in what a training goes on from.
+MOMENTS = "training.moments"
+DEVIATION = "reward_deviation"  # beside the settings of an agent that was kept
 Mode = Literal["sampled", "greedy"]
 
 
@@ -57,6 +64,33 @@ def load_agent(run: str | Path, mode: Mode = "sampled", art: str | None = None) 
     Raises FileNotFoundError or ValueError where there is none, or not one that can be used.
     """
     return open_run(kept.run_of(Path(run)), mode, art)[0]
+
+
+def reward_deviation(agent: Agent, config: Config) -> float | None:
+    """What rewards were divided by when the agent was saved; None where none were, or nobody knows.
+
+    Its values are of rewards so divided. A training's last two checkpoints tell by what, and so
+    does the folder of an agent that was kept from one of them.
+    """
+    if not config.normalise_reward:
+        return None
+    try:
+        deviation = _deviation(agent.path)
+        finite("reward_deviation", deviation, 0)
+    except (SafetensorError, OSError, TypeError, ValueError, KeyError):
+        return None
+    return deviation or None
+
+
+def _deviation(path: Path) -> float:
+    trainer = path.with_name(checkpoint.TRAINER)
+    if not trainer.exists():
+        settings = json.loads(read(path.parents[2] / "config.json", checkpoint.LARGEST_CONFIG))
+        return settings[DEVIATION]
+    see_readable(trainer)
+    with safe_open(trainer, "numpy") as file:
+        _, variance, _ = file.get_tensor(MOMENTS).tolist()
+    return float(1 / RewardNormaliser(1, clip=np.inf, variance=variance).scaled(np.ones(1))[0])
 
 
 def shift_of(config: Config) -> str:

@@ -49,7 +49,7 @@ def explain(
     """
     from astray.analysis.episodes import initial_states
     from astray.analysis.outcomes import load_shift
-    from astray.analysis.runs import open_run, shift_of
+    from astray.analysis.runs import open_run, reward_deviation, shift_of
     from astray.insight.activations import see_layers
     from astray.insight.explain import PAGE, SIGN, Asked, default_layers
     from astray.insight.explain import explain as write
@@ -76,6 +76,6 @@ def explain(
     see_writable(out / PAGE)
     # Probes do not learn from the level that they read.
     after = [one for one in config.unseen_levels[1 : others + 2] if one != number][:others]
-    told = np.array(after), config.gamma, config.lam
+    told = np.array(after), config.gamma, config.lam, reward_deviation(player, config)
     asked = Asked(player, levels, drawn, named, reads, *told)
     print(write(asked, out, f"{agent.name} in {game.name} {where}"))

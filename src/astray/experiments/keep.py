@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import re
 import shutil
@@ -16,12 +17,12 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from astray.analysis.kept import KEPT
 from astray.analysis.outcomes import OUTCOMES, load_shift
-from astray.analysis.runs import evaluate_runs, open_run, shift_of
+from astray.analysis.runs import DEVIATION, evaluate_runs, open_run, reward_deviation, shift_of
 from astray.analysis.tables import write_table
 from astray.experiments import catalogue
 from astray.experiments.films import film
 from astray.experiments.outcomes import AGENTS
-from astray.files import folder_aside, write_aside
+from astray.files import folder_aside, read, write_aside
 from astray.training import checkpoint
 from astray.training.config import Config
 
@@ -59,7 +60,10 @@ def keep(
         there = aside / "checkpoints" / agent.path.parent.name
         there.mkdir(parents=True, exist_ok=True)
         shutil.copyfile(agent.path, there / checkpoint.AGENT)
-        shutil.copyfile(source / "config.json", aside / "config.json")
+        settings = json.loads(read(source / "config.json", checkpoint.LARGEST_CONFIG))
+        if (deviation := reward_deviation(agent, config)) is not None:
+            settings[DEVIATION] = deviation
+        write_aside(aside / "config.json", json.dumps(settings, indent=2).encode())
         draw_curve(source, config, int(there.name), aside)
         write_card(name, aside, named, levels)
         os.replace(aside, folder / name)

@@ -61,9 +61,12 @@ def along(
     marks: Mapping[str, Measure] | None = None,
     gamma: float = GAMMA,
     lam: float = LAMBDA,
+    deviation: float | None = None,
 ) -> Course:
     """Play an agent's episode in a level, and tell what it made of every step.
 
+    deviation  what rewards were divided by in its training (`analysis.runs.reward_deviation`):
+               values are of such rewards, and then advantages, too; None: of rewards as they are
     marks  functions of states that are true or false, as whether a coin is in view; None: those of
            the game's labels that are
 
@@ -72,11 +75,16 @@ def along(
     of_kind("agent", agent, Agent)
     finite("gamma", gamma, 0, 1)
     finite("lam", lam, 0, 1)
+    if deviation is not None:
+        finite("deviation", deviation, 1e-9)
     game = games.find(agent.game)
     levels = {"level": level} if isinstance(level, Level) else [level]
     played = list(steps(agent, game, variant, levels, batch=1))
     before = np.concatenate([step.before for step in played])
     rewards = np.concatenate([step.rewards for step in played])
+    learned = rewards
+    if deviation is not None:
+        learned = ppo.RewardNormaliser(1, variance=deviation**2).scaled(rewards)
     actions = np.concatenate([step.actions for step in played])
     last = played[-1]
     policy, value = judge(agent, np.concatenate([s.observations for s in played] + [last.seen]))
@@ -93,7 +101,7 @@ def along(
         | {
             "value": value[:-1],
             "reward": rewards,
-            "advantage": _advantages(rewards, value, bool(last.terminated[0]), gamma, lam),
+            "advantage": _advantages(learned, value, bool(last.terminated[0]), gamma, lam),
             "action": actions,
             "name": [game.actions[k] for k in actions],
         }

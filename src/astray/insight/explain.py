@@ -56,7 +56,7 @@ class Asked:
     """What is to be explained.
 
     layers      that probes read; others  numbers of levels that they learn from
-    gamma, lam  of its training, for advantages
+    gamma, lam  of its training, for advantages; deviation  what its rewards were divided by there
     """
 
     agent: Agent
@@ -67,6 +67,7 @@ class Asked:
     others: np.ndarray
     gamma: float = episode.GAMMA
     lam: float = episode.LAMBDA
+    deviation: float | None = None
 
 
 def explain(asked: Asked, folder: Path, heading: str) -> Path:
@@ -312,7 +313,12 @@ def _goals(asked: Asked) -> list[Part]:
 def _episode(asked: Asked) -> list[Part]:
     """Its value, advantage and policy along the episode."""
     course = episode.along(
-        asked.agent, asked.variant, asked.level, gamma=asked.gamma, lam=asked.lam
+        asked.agent,
+        asked.variant,
+        asked.level,
+        gamma=asked.gamma,
+        lam=asked.lam,
+        deviation=asked.deviation,
     )
     happened = {n.replace("_", " "): k for n, k in course.events.items() if k is not None}
     events = [f"{name} at step {k}" for name, k in happened.items()]

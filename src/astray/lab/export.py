@@ -219,14 +219,11 @@ def table(
             policies.append(policy)
             values.append(value)
             rows += len(cells)
-        walls = "\n".join(
-            "".join("#" if c == "#" else "." for c in line)
-            for line in reversed(str(level).split("\n"))
-        )
         levels.append(
             {
-                "walls": walls,
+                "walls": _walls(level),
                 "looks": dict(level.looks),
+                "other": [f"{x},{y}" for x, y in level.where("other")],
                 "places": [f"{x},{y}" for x, y in cells],
                 "goals": goals,
             }
@@ -239,6 +236,12 @@ def table(
     data[:, -1] = np.round(SHARE * (value - low) / spread)
     index = {"actions": len(game.actions), "low": low, "high": high, "levels": levels}
     return index, data.tobytes()
+
+
+def _walls(level: Level) -> str:
+    """The level's cells, rows from the lowest up: "#" where there is wall."""
+    rows = reversed(str(level).split("\n"))
+    return "\n".join("".join("#" if char == "#" else "." for char in row) for row in rows)
 
 
 def _write(path: Path, data: Any) -> None:

@@ -13,7 +13,7 @@ import numpy as np
 from astray.analysis import kept
 from astray.analysis.critic import judge, observe, visit
 from astray.analysis.policies import Agent
-from astray.analysis.runs import open_run, shift_of
+from astray.analysis.runs import open_run, reward_deviation, shift_of
 from astray.game import Game, Shift, Variant, knobs
 from astray.insight.activations import layers
 from astray.lab import steering
@@ -104,6 +104,7 @@ class Minds:
             "observation": agent.observation, "art": agent.art, "network": config.network,
             "knobs": _knobs(config, game), "steps": config.steps,
             "gamma": config.gamma, "lam": config.lam, "seed": agent.seed,
+            "reward_deviation": reward_deviation(agent, config),
             "layers": {name: list(shape) for name, shape in layers(agent).items()},
         }  # fmt: skip
 

@@ -1,6 +1,6 @@
 // The timeline of an episode: value, advantages, events.
 
-import { advantages, drawTimeline } from "./draw/charts.js";
+import { advantages, divided, drawTimeline } from "./draw/charts.js";
 
 // The episode's curves, and buttons that go to its marked steps.
 export function showTimeline(lab) {
@@ -12,8 +12,7 @@ export function showTimeline(lab) {
     part("bookmarks").replaceChildren();
     return;
   }
-  const { gamma, lam } = lab.about.agents[lab.agent];
-  const advantage = advantages(episode.value, episode.rewards, episode.terminated, gamma, lam);
+  const advantage = advantagesOf(lab);
   const final = episode.states.at(-1);
   const events = lab.rules.events.filter((name) => final[name] >= 0 && final[name] <= last)
     .map((name) => ({ name: name.replace(/_/g, " "), step: final[name] }))
@@ -23,6 +22,13 @@ export function showTimeline(lab) {
   const worst = advantage.indexOf(Math.min(...advantage));
   bookmarks(lab, [["highest advantage", best], ["lowest advantage", worst],
     ...events.slice(0, 4).map(({ name, step }) => [name, step])]);
+}
+
+// The advantages of the episode's actions, in the rewards that the agent's values are of.
+export function advantagesOf({ about, agent, episode }) {
+  const { gamma, lam, reward_deviation: deviation } = about.agents[agent];
+  const rewards = divided(episode.rewards, deviation);
+  return advantages(episode.value, rewards, episode.terminated, gamma, lam);
 }
 
 function bookmarks(lab, marks) {

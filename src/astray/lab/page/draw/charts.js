@@ -4,6 +4,7 @@ import { themed } from "./colours.js";
 
 const EDGE = 8; // pixels around a chart
 const AXIS = 36; // pixels of the numbers at its left
+const CLIP = 10; // of divided rewards, as in the training
 
 // A canvas as sharp as the screen; its size in CSS pixels.
 export function fitted(canvas, height) {
@@ -146,6 +147,13 @@ export function drawTimeline(canvas, { value, advantage, events, last }, now) {
 export function stepAt(canvas, x, last) {
   const share = (x - AXIS) / (canvas.clientWidth - AXIS - EDGE);
   return Math.round(Math.min(Math.max(share, 0), 1) * last);
+}
+
+// Rewards as a critic was trained with them, whose values are of these; as they are where nobody
+// knows the deviation of returns, null.
+export function divided(rewards, deviation) {
+  if (!deviation) return rewards;
+  return rewards.map((reward) => Math.min(Math.max(reward / deviation, -CLIP), CLIP));
 }
 
 // Generalised advantage estimates of an episode (Schulman et al. 2016), [T].

@@ -6,7 +6,7 @@ import { posterior } from "../mind/agency.js";
 import { readNetwork, softmax } from "../mind/network.js";
 import { noise, sample } from "../mind/noise.js";
 import { readTable } from "../mind/table.js";
-import { NEVER, WALL, advance } from "../rules/common.js";
+import { NEVER, WALL, advance, cellsOf } from "../rules/common.js";
 import { rules as coinrun } from "../rules/coinrun.js";
 import { rules as keys } from "../rules/keys.js";
 import { rules as maze } from "../rules/maze.js";
@@ -338,12 +338,6 @@ const knobsOf = () => ({
   inventory: "hidden", walls: "sand",
 });
 
-function cellsOf(grid, code) {
-  const found = [];
-  grid.forEach((row, y) => row.forEach((what, x) => what === code && found.push([x, y])));
-  return found;
-}
-
 function nested(data, [planes, height, width]) {
   return Array.from({ length: planes }, (_, c) => Array.from({ length: height }, (_, y) =>
     Array.from(data.slice((c * height + y) * width, (c * height + y + 1) * width))));
@@ -380,7 +374,10 @@ export function textOf({ grid, agent }, legend) {
 
 // A smaller level of CoinRun in the lower left of the whole world, walls around it.
 function whole(level) {
-  const side = 64;
+  const [side, wide, high] = [64, level.grid[0].length, level.grid.length];
+  if (Math.max(wide, high) > side) {
+    throw new Error(`the level is ${wide} x ${high} cells; it is at most ${side} a side`);
+  }
   const grid = Array.from({ length: side }, (_, y) => Array.from({ length: side }, (_, x) =>
     level.grid[y]?.[x] ?? 1));
   const looks = { ...level.looks };

@@ -1,8 +1,8 @@
 // What an agent does, looked up: of agents that are too large to be computed here.
 //
 // For some levels, and in them for every place of the goal and of the agent, its policy and value
-// were computed beforehand, a byte for each probability. A level is known by its walls and its
-// floor, which images show: one that was edited has no number.
+// were computed beforehand, a byte for each probability. A level is known by what else images show,
+// its walls, its floor and its other object: one that was edited has no number.
 
 import { NEVER, WALL } from "../rules/common.js";
 
@@ -13,15 +13,17 @@ export async function readTable(file, about) {
   const index = await file(about.path);
   const bytes = new Uint8Array(await file(about.bytes, "bytes"));
   const { actions, low, high } = index;
-  const key = (walls, background, offset) => [walls, background, offset].join(" ");
-  const levels = new Map(index.levels.map((level) =>
-    [key(level.walls, level.looks.background, level.looks.background_offset), level]));
+  const key = (walls, background, offset, other) => [walls, background, offset, other].join(" ");
+  const levels = new Map(index.levels.map(({ walls, looks, other, ...level }) =>
+    [key(walls, looks.background, looks.background_offset, other), level]));
   return (s) => {
     const walls = s.cell.map((row) => [...row].map((what) => (what === WALL ? "#" : ".")).join(""));
-    const level = levels.get(key(walls.join("\n"), s.background, s.background_offset));
+    const other = s.other_x === NEVER ? "" : `${s.other_x},${s.other_y}`;
+    const level = levels.get(key(walls.join("\n"), s.background, s.background_offset, other));
     if (!level) {
       throw new Error("this agent's answers were computed beforehand, for levels as they are " +
-        "numbered: its goal may be moved here, but no walls; with Python all may: astray lab");
+        "numbered: it and its goal may be moved here, but nothing else; with Python all may: " +
+        "astray lab");
     }
     const goal = s.goal_x === NEVER ? "none" : `${s.goal_x},${s.goal_y}`;
     const rows = level.goals[goal];

@@ -61,7 +61,7 @@ function build({ grid, agent, looks = {} }, variant) {
       if (what >= WALKER_LEFT) {
         addWalker(s, x, y, what === WALKER_LEFT || what === SAW_AND_LEFT, details[`${x},${y}`] ?? 0);
       }
-      if (what === COIN) [s.coin_x, s.coin_y] = [x, y];
+      if (what === COIN && x > s.coin_x) [s.coin_x, s.coin_y] = [x, y]; // the lowest of the last
     }
   }
   if (s.walkers > MOST_WALKERS) {

@@ -1,0 +1,76 @@
+"""What agents that see images do is looked up: tables of it, and a page that reads them."""
+
+import numpy as np
+
+from astray import games
+from astray.agents.policy import Architecture
+from astray.analysis.critic import judge, observe
+from astray.analysis.episodes import initial_states
+from astray.analysis.policies import Agent
+from astray.lab.export import export, table
+from astray.lab.serving import make_lab
+from astray.level import Level
+from helpers.browsed import folder_served, opened, wait
+
+SIGHTED = Architecture("impala", (64, 64, 3), (), 15, widths=(4, 4, 4))
+IMAGES = {"observation": "image", "network": "impala"}
+
+
+def test_a_large_agent_is_looked_up_in_a_table(chrome, untrained, tmp_path):
+    path = untrained(tmp_path / "run", SIGHTED, **IMAGES)
+    lab = make_lab(tmp_path / "run", {})
+    export(lab, tmp_path / "site", levels=3, agents=[str(tmp_path / "run")])
+    agent, game = Agent(path, "maze"), games.find("maze")
+    variant = game.variant("anywhere-small")
+    levels = [Level.of(game, variant, s) for s in initial_states(game, variant, range(3))]
+    edited = levels[2].moved("goal", _another(levels[2]))
+    with folder_served(tmp_path / "site") as address, opened(chrome, address) as (page, told):
+        first = page.evaluate("[...lab.fields.values()]")
+        wait(page, "lab.ready")
+        message = {"kind": "fields", "agent": page.evaluate("lab.part('agent').value")}
+        message |= {"game": "maze", "variant": "anywhere-small", "level": edited.to_json()}
+        asked = page.evaluate("(message) => lab.engine.ask(message)", message)
+        splay = {"kind": "splay", "level": 2, "thing": "goal"}
+        ended = page.evaluate("(message) => lab.engine.ask(message)", message | splay)
+        assert ended["of"] == len(levels[2].splay("goal")) and not told
+    second = [
+        {"cell": cell, "policy": policy, "value": value}
+        for cell, policy, value in zip(asked["cells"], asked["policy"], asked["value"], strict=True)
+    ]
+    for level, found in ((levels[0], first[:5]), (edited, second[:5])):
+        for one in found:
+            s = level.moved("agent", tuple(one["cell"])).state(solvable=False)
+            policy, value = judge(agent, observe(agent, variant, np.array([s], game.state)))
+            assert np.allclose(one["policy"], policy[0], atol=0.01)  # a byte for each
+            assert abs(one["value"] - value[0]) < 0.01
+
+
+def test_a_table_knows_a_level_by_its_other_object_too(chrome, untrained, tmp_path):
+    untrained(tmp_path / "run", SIGHTED, **IMAGES, variant="dish-small", validation=None)
+    lab = make_lab(tmp_path / "run", {})
+    export(lab, tmp_path / "site", levels=2, agents=[str(tmp_path / "run")])
+    game = games.find("maze")
+    variant = game.variant("dish-apart-small")
+    level = Level.of(game, variant, initial_states(game, variant, [1])[0])
+    (first, second, *_) = level.splay("other")
+    moved = second if str(first) == str(level) else first
+    ask = """([level, agent]) => lab.engine.ask({ kind: "fields", game: "maze",
+      variant: "dish-apart-small", level, agent }).catch((error) => error.message)"""
+    with folder_served(tmp_path / "site") as address, opened(chrome, address) as (page, _):
+        agent = page.evaluate("lab.part('agent').value")
+        assert page.evaluate(ask, [level.to_json(), agent])["value"]
+        said = page.evaluate(ask, [moved.to_json(), agent])
+        assert "it and its goal may be moved here, but nothing else" in said
+
+
+def _another(level):
+    """The last cell but its own that the goal could be in."""
+    return [one.where("goal")[0] for one in level.splay("goal")][-1]
+
+
+def test_a_table_is_no_larger_than_is_asked_for():
+    agent, config = make_lab("maze-corner", {}).minds.open("maze-corner")
+    game = config.find_game()
+    index, data = table(agent, game, game.variant("anywhere-small"), 2, most=2000)
+    assert len(data) <= 2000  # a level too large for its half has one place of the goal alone
+    assert 1 in {len(level["goals"]) for level in index["levels"]}
