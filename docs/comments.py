@@ -27,7 +27,8 @@ def listed(text: str) -> str:
     """`text` with its paragraphs of names and explanations as a list."""
     made = "\n\n".join(map(_paragraph, text.split("\n\n")))
     plain = re.split(r"(`[^`]*`)", made)
-    plain[::2] = [part.replace("<", "&lt;") for part in plain[::2]]
+    # Not code: no tag, and `a[b][c]` no link.
+    plain[::2] = [part.replace("<", "&lt;").replace("][", "]&#91;") for part in plain[::2]]
     return "".join(plain)
 
 

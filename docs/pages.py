@@ -21,6 +21,7 @@ from types import ModuleType
 from typing import Any
 from unittest import mock
 
+from links import api_page, for_site
 from mkdocs.config.defaults import MkDocsConfig
 from mkdocs.exceptions import PluginError
 from mkdocs.structure.files import File, Files
@@ -148,18 +149,7 @@ def in_lab(plan: Plan) -> str:
 
 def from_root(name: str) -> str:
     """A text of the repository, its links those of the site."""
-    folder = Path(name).parent
-
-    def moved(match: re.Match) -> str:
-        path = os.path.normpath(folder / match[1])
-        if path.startswith("docs/"):
-            return f"]({path.removeprefix('docs/')})"
-        if path.startswith("src/astray/"):
-            module = path.removeprefix("src/").removesuffix(".py").replace("/", ".")
-            return f"]({api_page(module)}#{module})"
-        return "](" + {"benchmarks/README.md": "speed.md", "agents": "agents/index.md"}[path] + ")"
-
-    return re.sub(r"\]\((?!https?:)([^)#]+)\)", moved, (ROOT / name).read_text())
+    return for_site((ROOT / name).read_text(), str(Path(name).parent))
 
 
 # Games
@@ -305,7 +295,7 @@ def size_parts(plan: Plan) -> Iterator[str]:
     tests = {**plan.tests, **plan.visited}
     if tests:
         rows = [
-            (name, link(plan.game, test.variant), code(test.shift), assigned(test.knobs))
+            (name, link(plan.game.name, test.variant), code(test.shift), assigned(test.knobs))
             for name, test in tests.items()
         ]
         yield table(("test", "variant", "shift", "knobs changed"), rows)
@@ -376,13 +366,6 @@ def api_pages() -> Iterator[tuple[str, str]]:
     for page, names in sorted(by_page.items(), key=lambda item: item[0] != api_page("astray")):
         title = "astray" + ("." + Path(page).stem if page != api_page("astray") else "")
         yield page, f"# {title}\n\n" + "\n\n".join(f"::: {name}" for name in names)
-
-
-def api_page(module: str) -> str:
-    """The page that a module is told on."""
-    parts = module.split(".")
-    package = (ROOT / "src" / "/".join(parts[:2])).is_dir() and len(parts) > 1
-    return f"api/{parts[1]}.md" if package else "api/index.md"
 
 
 def modules(package: ModuleType) -> Iterator[str]:
