@@ -15,7 +15,8 @@ from astray.analysis.estimates import bootstrap, over_agents
 from astray.analysis.evaluate import evaluate
 from astray.analysis.outcomes import FAILED, INTENDED, MISGENERALIZED, label, load_shift, tell_apart
 from astray.analysis.overlap import met, overlap, unseen
-from astray.analysis.policies import Agent, Random, Walk
+from astray.analysis.policies import Random, Walk
+from astray.analysis.trained import Agent
 
 MAZE = games.find("maze")
 LEVELS = range(1_000_000, 1_000_060)

@@ -10,7 +10,7 @@ from astray import games
 from astray.agents.policy import Architecture, weights
 from astray.analysis import critic
 from astray.analysis.evaluate import evaluate
-from astray.analysis.policies import Agent
+from astray.analysis.trained import Agent
 from astray.envs.vector import GameVectorEnv
 from astray.games.coinrun import edits, measures
 from astray.level import Level

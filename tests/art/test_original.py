@@ -11,8 +11,8 @@ from PIL import Image
 
 from astray import games
 from astray.agents.policy import Architecture, weights
-from astray.analysis.policies import Agent
 from astray.analysis.runs import open_run
+from astray.analysis.trained import Agent
 from astray.envs.vector import GameVectorEnv, picture
 from astray.games.maze.variants import Maze
 from astray.training.config import Config

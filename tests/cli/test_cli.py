@@ -268,18 +268,17 @@ def test_it_tells_agents_from_devices(astray, run_folder, tmp_path):
     assert "episodes.parquet is none of astray's, which would have agency.json beside it" in told
 
 
-def test_verbs_of_levels_and_files_do_not_wait_for_torch():
+def test_help_and_verbs_of_levels_do_not_wait_for_torch():
     program = """
 import sys
 from astray.cli import verbs
-for name in sys.argv[1:]:
+for name in verbs.VERBS:
     verbs.find(name)
 print("torch" in sys.modules)
 """
     # What they do with agents imports it when it is needed.
-    names = ["level", "replay", "overlap", "art", "cache", "keep", "push", "pull", "import", "lab"]
     told = subprocess.run(
-        [sys.executable, "-c", program, *names], capture_output=True, text=True, check=True
+        [sys.executable, "-c", program], capture_output=True, text=True, check=True
     )
     assert told.stdout == "False\n"
 

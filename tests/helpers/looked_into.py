@@ -5,7 +5,7 @@ import torch
 from torch import nn
 
 from astray.agents.policy import Architecture, weights
-from astray.analysis.policies import Agent
+from astray.analysis.trained import Agent
 
 # A way up, and one to the right: they part where the mouse begins.
 ROOM = """

@@ -10,7 +10,7 @@ import torch
 from astray import games
 from astray.agents.policy import Architecture, weights
 from astray.analysis.critic import observe
-from astray.analysis.policies import Agent
+from astray.analysis.trained import Agent
 from astray.games.coinrun import edits
 from astray.insight import attribution
 from astray.level import Level

@@ -6,7 +6,7 @@ from astray import games
 from astray.agents.policy import Architecture
 from astray.analysis.critic import judge, observe
 from astray.analysis.episodes import initial_states
-from astray.analysis.policies import Agent
+from astray.analysis.trained import Agent
 from astray.lab.export import export, table
 from astray.lab.serving import make_lab
 from astray.level import Level

@@ -15,7 +15,8 @@ import numpy as np
 import torch
 
 from astray.agents import policy as trained
-from astray.analysis.policies import AT_ONCE, Observation, chosen
+from astray.analysis.policies import Observation
+from astray.analysis.trained import AT_ONCE, chosen
 from astray.bounds import shown
 from astray.envs.vector import GameVectorEnv
 from astray.game import OWN

@@ -19,7 +19,8 @@ import polars as pl
 
 from astray.analysis.episodes import Levels, steps
 from astray.analysis.given import Measure, measured, see_measures
-from astray.analysis.policies import Agent, episode_noise
+from astray.analysis.policies import episode_noise
+from astray.analysis.trained import Agent
 from astray.bounds import bounded, finite, of_kind
 from astray.envs.vector import GameVectorEnv
 from astray.game import MOST, Variant

@@ -1,32 +1,18 @@
-"""Policies to evaluate: trained agents, and scripted ones for base rates."""
+"""What a policy is, and scripted ones for base rates; `trained` has those that learned."""
 
 from __future__ import annotations
 
-import contextlib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any, Literal, Protocol
 
 import numpy as np
-import torch
 
-from astray.agents import policy as trained
-from astray.agents.names import NETWORKS
-from astray.bounds import of_kind
 from astray.envs.vector import GameVectorEnv
 from astray.game import OWN, Game
 from astray.kernel.rng import fill_noise
-from astray.training import ppo
-from astray.words import check_words
 
 Observation = Literal["image", "symbolic"]
-# Observations that a network is shown together: for a large one more are no sooner, and those that
-# a batch lacks to a multiple of it take their time, too.
-AT_ONCE = {"symbolic": 64, "image": 16}
-# Products of weights, of that many observations, for which a second thread costs more than it
-# saves: five times as much where other programs keep the processors busy.
-FEW = 200_000_000
 RANDOM_SALT = 2**32  # no agent has this seed, or a larger one
 
 
@@ -50,93 +36,6 @@ def episode_noise(seed: int, states: np.ndarray, count: int) -> np.ndarray:
     out = np.empty((len(states), count), np.float32)
     fill_noise(seed, states["level"].copy(), states["time"].copy(), out)
     return out
-
-
-def chosen(
-    logits: torch.Tensor, mode: Literal["sampled", "greedy"], seed: int, env: GameVectorEnv
-) -> np.ndarray:
-    """The actions [N] that a policy of these logits [N, A] takes in the states of `env`."""
-    if mode == "greedy":
-        return logits.argmax(-1).numpy(force=True)
-    uniform = torch.from_numpy(episode_noise(seed, env.states, logits.shape[1]))
-    return ppo.sample(logits, uniform.to(logits.device))[0].numpy(force=True)
-
-
-@dataclass
-class Agent:
-    """A trained network; `mode` "sampled" draws from its policy, "greedy" takes the likeliest."""
-
-    path: Path  # of a checkpoint's agent.safetensors
-    game: str
-    mode: Literal["sampled", "greedy"] = "sampled"
-    seed: int = 0  # of the sampling
-    device: str = "cpu"
-    art: str = OWN  # that it is shown
-    network: torch.nn.Module = field(init=False, repr=False)
-    architecture: trained.Architecture = field(init=False)
-    threads: int = field(init=False, repr=False)  # that `outputs` takes on a CPU
-    # Within `asked_once`: the last observations, and what the network gave for them.
-    _keeps: bool = field(init=False, repr=False, compare=False, default=False)
-    _kept: Any = field(init=False, repr=False, compare=False, default=None)
-
-    def __post_init__(self) -> None:
-        check_words(self)
-        self.network, self.architecture = trained.load(self.path, self.game, self.device)
-        self.threads = torch.get_num_threads()
-        if self.architecture.name in NETWORKS:  # others may not bear to be tried
-            each = trained.products(self.network, self.architecture.shape, self.device)
-            if each * AT_ONCE[self.observation] < FEW:
-                self.threads = 1
-
-    @property
-    def name(self) -> str:
-        return self.mode
-
-    @property
-    def observation(self) -> Observation:
-        return "symbolic" if self.architecture.largest else "image"
-
-    def outputs(self, observations: np.ndarray) -> tuple[torch.Tensor, torch.Tensor]:
-        """Logits [N, A] and values [N] on `observations` [N, ...]."""
-        of_kind("observations", observations, np.ndarray)
-        if self._kept and self._kept[0] is observations:
-            return self._kept[1]
-        shown, known = observations.shape[1:], self.architecture.shape
-        if shown != known:
-            raise ValueError(f"the agent sees observations of shape {known}, not {shown}")
-        chunk = AT_ONCE[self.observation]
-        shown_here = torch.from_numpy(observations).to(self.device)
-        before = torch.get_num_threads()
-        torch.set_num_threads(self.threads)
-        try:
-            found = trained.outputs(self.network, shown_here, chunk)
-        finally:
-            torch.set_num_threads(before)
-        if self._keeps:
-            self._kept = observations, found
-        return found
-
-    @contextlib.contextmanager
-    def asked_once(self) -> Iterator[None]:
-        """What the network gives for an array is computed once, however often it is asked for.
-
-        Within it nobody may change the array, or the network.
-        """
-        self._keeps = True
-        try:
-            yield
-        finally:
-            self._keeps, self._kept = False, None
-
-    def actions(self, env: GameVectorEnv, observations: np.ndarray) -> np.ndarray:
-        if self.observation == "image" and env.art != self.art:
-            raise ValueError(
-                f"the agent is to see art {self.art!r}; these images are drawn with {env.art!r}"
-            )
-        logits, _ = self.outputs(observations)
-        if not logits.isfinite().all():
-            raise ValueError(f"the agent at {self.path} gives logits that are not finite")
-        return chosen(logits, self.mode, self.seed, env)
 
 
 @dataclass

@@ -19,7 +19,8 @@ from astray.analysis.episodes import Levels
 from astray.analysis.evaluate import evaluate
 from astray.analysis.given import Measure, see_policy
 from astray.analysis.outcomes import label, load_shift, shares, tell_apart
-from astray.analysis.policies import Agent, Policy, Random, Walk
+from astray.analysis.policies import Policy, Random, Walk
+from astray.analysis.trained import Agent
 from astray.bounds import finite, of_kind, shown
 from astray.files import read, see_readable
 from astray.game import Game, Variant

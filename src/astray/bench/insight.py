@@ -19,8 +19,8 @@ from rich.table import Table
 
 from astray.agents.policy import Architecture, weights
 from astray.analysis import kept
-from astray.analysis.policies import Agent
 from astray.analysis.runs import load_agent
+from astray.analysis.trained import Agent
 from astray.bench import tables
 from astray.bench.tables import decimal
 from astray.insight.fields import each_field

@@ -14,10 +14,8 @@ from astray.analysis import kept
 from astray.bounds import bounded
 from astray.cli.arguments import print_json, show
 from astray.experiments import catalogue
-from astray.experiments.spec import Size
-from astray.experiments.workers import Place
+from astray.experiments.spec import Place, Size
 from astray.game import OWN
-from astray.training import checkpoint
 from astray.training.config import PRESETS, Tracking
 from astray.words import printable
 
@@ -68,6 +66,8 @@ def list_(json: bool = False) -> None:
 
 def _agent(name: str) -> dict[str, Any]:
     """The settings of an agent that is here; where they cannot be read, what is wrong."""
+    from astray.training import checkpoint
+
     try:
         return vars(checkpoint.read_config(kept.find(name)))
     except (ValueError, OSError) as error:

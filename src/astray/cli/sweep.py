@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 from tyro.conf import UseAppendAction, arg
 
 from astray.bounds import bounded
-from astray.experiments.workers import Place
+from astray.experiments.spec import Place
 from astray.training.config import Config, Tracking
 
 MOST_WORKERS = 1024  # processes

@@ -7,7 +7,7 @@ from pathlib import Path
 import polars as pl
 
 from astray.analysis import video
-from astray.analysis.policies import Agent
+from astray.analysis.trained import Agent
 from astray.game import Shift
 from astray.training.config import Config
 

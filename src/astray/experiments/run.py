@@ -18,9 +18,18 @@ from astray.analysis.runs import open_run, play_all
 from astray.experiments import catalogue, labs, report
 from astray.experiments.levels import levels_of
 from astray.experiments.report import COMPUTED
-from astray.experiments.spec import PUBLISHED, Experiment, Plan, Runs, Size, Work, name_of_run
+from astray.experiments.spec import (
+    PUBLISHED,
+    Experiment,
+    Place,
+    Plan,
+    Runs,
+    Size,
+    Work,
+    name_of_run,
+)
 from astray.experiments.track import track_report
-from astray.experiments.workers import Place, train_all
+from astray.experiments.workers import train_all
 from astray.files import hold, read, see_free, write_aside
 from astray.game import OWN
 from astray.kernel.jit import source_digest

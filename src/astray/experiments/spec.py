@@ -26,6 +26,7 @@ from astray.training.config import Config
 Size = Literal["smoke", "pixels", "hour", "paper", "published"]
 SIZES: tuple[Size, ...] = get_args(Size)
 PUBLISHED: Size = "published"  # of agents that others trained: nothing is trained
+Place = Literal["here", "ray"]  # where agents are trained
 Runs = Mapping[str, Sequence[Path]]  # the run folders of the agents of each name
 
 

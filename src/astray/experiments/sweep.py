@@ -25,16 +25,16 @@ import polars as pl
 
 from astray.analysis.estimates import bootstrap
 from astray.analysis.outcomes import INTENDED, MISGENERALIZED, load_shift, matrix, shares
-from astray.analysis.policies import Agent
 from astray.analysis.runs import open_run, play_all, shift_of
 from astray.analysis.tables import write_table
+from astray.analysis.trained import Agent
 from astray.bounds import bounded, shown
 from astray.experiments import report, sweep_figures
 from astray.experiments.outcomes import AGENTS
 from astray.experiments.report import Findings, Heading, Plot, Table
 from astray.experiments.run import COMPUTING, agent_digest, run_folder
-from astray.experiments.spec import kept
-from astray.experiments.workers import Place, train_all
+from astray.experiments.spec import Place, kept
+from astray.experiments.workers import train_all
 from astray.files import hold, see_free, write_aside
 from astray.game import Variant
 from astray.kernel.jit import source_digest

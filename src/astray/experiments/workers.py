@@ -15,7 +15,6 @@ from concurrent.futures import Future, ProcessPoolExecutor
 from dataclasses import dataclass
 from multiprocessing.synchronize import Event
 from pathlib import Path
-from typing import Literal
 
 from rich.console import Console
 from rich.live import Live
@@ -23,6 +22,7 @@ from rich.table import Table
 
 from astray.envs.pool import usable_processors
 from astray.experiments.cluster import Submit, on_ray
+from astray.experiments.spec import Place
 from astray.training import checkpoint
 from astray.training.config import Config, Tracking
 from astray.training.log import METRICS, measured
@@ -30,9 +30,6 @@ from astray.training.track import train_tracked
 
 SECONDS, QUIET = 0.5, 60.0  # from one look at the runs to the next; from line to line
 TAIL = 4096  # bytes of metrics.jsonl in which its last line is
-
-
-Place = Literal["here", "ray"]
 
 
 def train_all(

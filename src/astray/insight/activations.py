@@ -27,8 +27,8 @@ from torch import Tensor
 from astray import games
 from astray.analysis.critic import observe
 from astray.analysis.given import Measure, measured, see_measures
-from astray.analysis.policies import Agent
 from astray.analysis.tables import write_table
+from astray.analysis.trained import Agent
 from astray.bounds import bounded, of_kind, one_of, shown
 from astray.envs.states import BROKEN
 from astray.files import folder_aside, read, see_readable, write_aside

@@ -23,7 +23,7 @@ from torch import Tensor
 
 from astray.agents.mlp import MLP
 from astray.analysis.critic import Edit, observe
-from astray.analysis.policies import Agent
+from astray.analysis.trained import Agent
 from astray.bounds import bounded, of_kind
 from astray.envs.vector import IMAGE
 from astray.game import MOST, Variant

@@ -21,8 +21,8 @@ from astray import games
 from astray.analysis.critic import judge
 from astray.analysis.episodes import steps
 from astray.analysis.given import Measure, measured
-from astray.analysis.policies import Agent
 from astray.analysis.style import FAINT, INK, OTHERS, STYLE, WIDTH
+from astray.analysis.trained import Agent
 from astray.bounds import finite, of_kind
 from astray.game import Variant
 from astray.level import Level

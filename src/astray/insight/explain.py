@@ -20,9 +20,9 @@ from astray.analysis import agency
 from astray.analysis.critic import judge, observe, visit
 from astray.analysis.evaluate import evaluate
 from astray.analysis.outcomes import label, load_shift
-from astray.analysis.policies import Agent
 from astray.analysis.style import STYLE, save
 from astray.analysis.tables import write_table
+from astray.analysis.trained import Agent
 from astray.bounds import bounded
 from astray.envs.vector import picture
 from astray.files import see_free, write_aside

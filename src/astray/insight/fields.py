@@ -22,7 +22,7 @@ import polars as pl
 from astray import games
 from astray.analysis.critic import judge, observe
 from astray.analysis.episodes import Levels, initial_states
-from astray.analysis.policies import Agent
+from astray.analysis.trained import Agent
 from astray.bounds import of_kind, shown
 from astray.envs.vector import GameVectorEnv
 from astray.game import Game, Variant

@@ -20,7 +20,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from astray.analysis.policies import Agent
+from astray.analysis.trained import Agent
 from astray.bounds import bounded, finite, of_kind, shown
 from astray.game import MOST, Variant
 from astray.insight.activations import see_layers

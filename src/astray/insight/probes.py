@@ -23,7 +23,7 @@ import torch
 from astray.analysis.critic import observe
 from astray.analysis.estimates import bootstrap
 from astray.analysis.given import Measure, measured, see_measures
-from astray.analysis.policies import Agent
+from astray.analysis.trained import Agent
 from astray.bounds import bounded, of_kind
 from astray.game import MOST, Variant
 from astray.insight.activations import activations

@@ -19,7 +19,7 @@ import polars as pl
 from astray import games
 from astray.analysis.critic import judge, observe
 from astray.analysis.episodes import Levels
-from astray.analysis.policies import Agent
+from astray.analysis.trained import Agent
 from astray.bounds import bounded, of_kind, shown
 from astray.game import MOST, Variant
 from astray.insight.activations import activations, see_layers

@@ -20,7 +20,7 @@ import numpy as np
 from astray import games
 from astray.analysis.critic import judge, observe
 from astray.analysis.episodes import initial_states
-from astray.analysis.policies import Agent
+from astray.analysis.trained import Agent
 from astray.bounds import bounded, of_kind
 from astray.files import folder_aside, write_aside
 from astray.game import MOST, Game, Variant

@@ -12,8 +12,8 @@ import numpy as np
 
 from astray.analysis import kept
 from astray.analysis.critic import judge, observe, visit
-from astray.analysis.policies import Agent
 from astray.analysis.runs import open_run, reward_deviation, shift_of
+from astray.analysis.trained import Agent
 from astray.game import Game, Shift, Variant, knobs
 from astray.insight.activations import layers
 from astray.lab import steering

@@ -15,7 +15,7 @@ from astray.agency.measure import CALIBRATED
 from astray.agency.online import Growth, measure_online
 from astray.analysis.agency import named_places
 from astray.analysis.episodes import steps
-from astray.analysis.policies import Agent
+from astray.analysis.trained import Agent
 from astray.game import NEVER, Game, Shift
 from astray.lab.messages import LONGEST
 from astray.lab.minds import rounded

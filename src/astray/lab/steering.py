@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from contextlib import AbstractContextManager
 from typing import Any
 
-from astray.analysis.policies import Agent
+from astray.analysis.trained import Agent
 from astray.bounds import of_kind, shown
 from astray.insight.interventions import ablate, patch, steer
 from astray.insight.vectors import object_vectors

@@ -19,7 +19,8 @@ from astray.agents import policy as trained
 from astray.agents.actor_critic import ActorCritic
 from astray.analysis import agency
 from astray.analysis.episodes import Levels, steps
-from astray.analysis.policies import AT_ONCE, Agent, Policy, episode_noise
+from astray.analysis.policies import Policy, episode_noise
+from astray.analysis.trained import AT_ONCE, Agent
 from astray.bounds import of_kind, shown
 from astray.envs.vector import GameVectorEnv
 from astray.game import Shift, Variant

@@ -13,7 +13,8 @@ import polars as pl
 from astray import games
 from astray.analysis.episodes import Levels, Step, steps
 from astray.analysis.given import Measure, see_policy
-from astray.analysis.policies import Agent, Observation, Policy, Walk
+from astray.analysis.policies import Observation, Policy, Walk
+from astray.analysis.trained import Agent
 from astray.bounds import of_kind
 from astray.game import Game, Variant
 from astray.mitigation.doubt import Score

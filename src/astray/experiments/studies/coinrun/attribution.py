@@ -10,8 +10,8 @@ import polars as pl
 
 from astray.analysis.critic import observe, visit
 from astray.analysis.estimates import Estimate, group_means, mean_of
-from astray.analysis.policies import Agent
 from astray.analysis.runs import open_run
+from astray.analysis.trained import Agent
 from astray.envs.vector import picture
 from astray.experiments import outcomes
 from astray.experiments.claims import Claim

@@ -10,8 +10,8 @@ import numpy as np
 import polars as pl
 
 from astray.analysis.estimates import bootstrap
-from astray.analysis.policies import Agent
 from astray.analysis.runs import open_run
+from astray.analysis.trained import Agent
 from astray.estimate import Estimate
 from astray.experiments.levels import levels_of
 from astray.experiments.spec import Plan, Test, Work

@@ -9,7 +9,7 @@ import polars as pl
 
 from astray.analysis.evaluate import evaluate
 from astray.analysis.outcomes import FAILED, INTENDED, label, load_shift
-from astray.analysis.policies import Agent
+from astray.analysis.trained import Agent
 from astray.estimate import Estimate
 from astray.experiments.claims import Claim, holds_within
 from astray.experiments.report import Findings, Plot, Table

@@ -11,7 +11,7 @@ import polars as pl
 
 from astray.analysis.critic import counterfactual, visit
 from astray.analysis.estimates import bootstrap, group_means
-from astray.analysis.policies import Agent
+from astray.analysis.trained import Agent
 from astray.estimate import Estimate
 from astray.experiments.claims import holds_within
 from astray.experiments.report import Findings, Plot, Table

@@ -10,7 +10,7 @@ import numpy as np
 import polars as pl
 
 from astray.analysis.estimates import bootstrap
-from astray.analysis.policies import Agent
+from astray.analysis.trained import Agent
 from astray.estimate import Estimate
 from astray.experiments.claims import Claim, holds_within
 from astray.experiments.report import Findings, Plot, Table

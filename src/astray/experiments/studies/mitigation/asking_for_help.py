@@ -14,8 +14,9 @@ from astray import games
 from astray.analysis import kept
 from astray.analysis.evaluate import evaluate
 from astray.analysis.outcomes import MISGENERALIZED, label, load_shift
-from astray.analysis.policies import Agent, Walk
+from astray.analysis.policies import Walk
 from astray.analysis.runs import open_run
+from astray.analysis.trained import Agent
 from astray.experiments.claims import Claim, rounded
 from astray.experiments.levels import unmet
 from astray.experiments.report import Findings, Plot, Table
