@@ -385,6 +385,11 @@ def level_numbers(given: Any) -> np.ndarray:
     return numbers.astype(np.int64)
 
 
+def centre(s: Any) -> list[float]:
+    """The agent's x and y in a state that has them by these names."""
+    return [float(s.x), float(s.y)]
+
+
 def within(numbers: np.ndarray, first: int, after: int | np.ndarray) -> np.ndarray:
     """Which of `numbers` are from `first` on and before `after`."""
     return (numbers >= first) & (numbers < after)

@@ -68,9 +68,8 @@ class Level:
         of_kind("a state", s, np.void)
         if s.dtype != game.state or s.flags.writeable:  # as those of live `states` are not
             game.check(np.array([s]), variant)
-        told = game.editing.describe(s)
-        cells = np.array(told["grid"], np.uint8)
-        return Level(game, variant, cells, _cell(told["agent"]), told["looks"])
+        cells, centre = game.editing.grid(s), game.editing.centre(s)
+        return Level(game, variant, cells, _cell(centre), game.editing.describe(s)["looks"])
 
     @staticmethod
     def from_text(game: Game, variant: Variant, drawing: str) -> Level:

@@ -86,11 +86,21 @@ class Editing(Protocol):
         ...
 
     @property
+    def grid(self) -> Callable[[Any], np.ndarray]:
+        """(s) -> [H, W] uint8, the codes of what its cells hold, rows from the lowest up."""
+        ...
+
+    @property
+    def centre(self) -> Callable[[Any], list[float]]:
+        """(s) -> x and y of the agent, in cells."""
+        ...
+
+    @property
     def describe(self) -> Callable[[Any], dict[str, Any]]:
         """(s) -> its level as plain, JSON-able data, and what follows from that.
 
-        "grid" (codes, rows from the lowest up), "agent" (its centre), "looks" (all else that
-        `build` needs to build it again).
+        "grid" and "agent" (its centre), as lists; "looks" (all else that `build` needs to build
+        it again).
         """
         ...
 

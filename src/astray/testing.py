@@ -165,6 +165,8 @@ def check_editing(game: Game, variant: Variant) -> None:
     for s in _beginnings(game, variant):
         level = Level.of(game, variant, s)
         told = game.editing.describe(s)
+        assert told["grid"] == game.editing.grid(s).tolist()
+        assert told["agent"] == game.editing.centre(s)
         assert game.editing.describe(level.state(solvable=False)) == told
         assert Level.from_json(game, variant, level.to_json()).to_json() == level.to_json()
         drawn = Level.from_text(game, variant, str(level))

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Iterable, Iterator, Sequence
 from hashlib import blake2b
+from itertools import chain, pairwise
+from typing import Any
 
 import numpy as np
 import polars as pl
@@ -29,12 +30,15 @@ def overlap(
     Columns: same; training (different ones among the training levels); test (likewise);
     seen (share of the test levels that are among the training's).
     """
+    game = games.find(game)
     seen, tested = (
-        list(zip(*_digests(game, variant, levels), strict=True))
+        [(_level(game, s), _walls(game, s)) for s in chain(*_states(game, variant, levels))]
         for variant, levels in ((training, training_levels), (test, test_levels))
     )
     rows = []
-    for same, before, after in zip(("level", "walls"), seen, tested, strict=True):
+    for same, before, after in zip(
+        ("level", "walls"), zip(*seen, strict=True), zip(*tested, strict=True), strict=True
+    ):
         known = set(before)
         share = float(np.mean([digest in known for digest in after]))
         rows.append({"same": same, "training": len(known), "test": len(set(after)), "seen": share})
@@ -47,15 +51,16 @@ def met(game: str | Game, trainings: Iterable[tuple[str | Variant, range]]) -> s
     trainings  the variant and the numbers of each; where levels of one number hardly differ
                between variants of the same numbers, many cost little more than one
     """
+    game = games.find(game)
     variants: dict[range, list[str | Variant]] = {}
     for variant, numbers in dict.fromkeys(trainings):
         variants.setdefault(numbers, []).append(variant)
     known = set()
     for numbers, made in variants.items():
         for chunks in zip(*(_states(game, variant, numbers) for variant in made), strict=True):
-            known.update(level for level, _ in _told(game, chunks[0]))
-            for before, states in itertools.pairwise(chunks):
-                known.update(level for level, _ in _told(game, states[_differ(before, states)]))
+            known.update(_level(game, s) for s in chunks[0])
+            for before, states in pairwise(chunks):
+                known.update(_level(game, s) for s in states[_differ(before, states)])
     return known
 
 
@@ -68,26 +73,19 @@ def unseen(
 
     Levels are the same where all but their looks is. ValueError where too few are different.
     """
+    game = games.find(game)
     found: list[int] = []
     looked = candidates[: SEARCHED * count]
     for first in range(0, len(looked), CHUNK):
         numbers = looked[first : first + CHUNK]
-        fresh = [level not in known for level, _ in _digests(game, test, numbers)]
+        fresh = [_level(game, s) not in known for s in initial_states(game, test, numbers)]
         found += np.array(numbers)[fresh].tolist()
         if len(found) >= count:
             return np.array(found[:count])
     raise ValueError(
-        f"of {len(looked)} levels of {games.find(game).name} that no training drew from, only "
+        f"of {len(looked)} levels of {game.name} that no training drew from, only "
         f"{len(found)} are not in them; {count} are needed"
     )
-
-
-def _digests(
-    game: str | Game, variant: str | Variant, levels: Sequence[int] | np.ndarray | range
-) -> Iterator[tuple[bytes, bytes]]:
-    """Of each level: a digest of all but its looks, and one of its walls alone."""
-    for states in _states(game, variant, levels):
-        yield from _told(game, states)
 
 
 def _states(
@@ -105,25 +103,24 @@ def _differ(one: np.ndarray, other: np.ndarray) -> np.ndarray:
     return (words != others).any(1)
 
 
-def _told(game: str | Game, states: np.ndarray) -> Iterator[tuple[bytes, bytes]]:
-    """Of each state's level: a digest of all but its looks, and one of its walls alone.
+def _level(game: Game, s: Any) -> bytes:
+    """A digest of all but the looks of a state's level.
 
-    Of a game without editing both are of all fields of its own in the state.
+    Of a game without editing it is of all fields of its own in the state, as are its `_walls`.
     """
-    game = games.find(game)
+    if game.editing:
+        return _digest(game.editing.grid(s), np.array(game.editing.centre(s)))
+    return _digest(*(s[name] for name in game.state.names or () if name not in COMMON))
+
+
+def _walls(game: Game, s: Any) -> bytes:
+    """A digest of the walls alone of a state's level."""
     if not game.editing:
-        names = [name for name in states.dtype.names or () if name not in COMMON]
-        for s in states:
-            whole = blake2b(b"".join(s[name].tobytes() for name in names), digest_size=8).digest()
-            yield whole, whole
-        return
-    objects = [game.editing.LEGEND[char] for char in game.editing.OBJECTS.values()]
-    for s in states:
-        told = game.editing.describe(s)
-        grid = np.array(told["grid"], np.uint8)
-        walls = np.where(np.isin(grid, objects), game.editing.LEGEND[EMPTY], grid)
-        begun = grid.tobytes() + np.array(told["agent"]).tobytes()
-        yield (
-            blake2b(begun, digest_size=8).digest(),
-            blake2b(walls.tobytes(), digest_size=8).digest(),
-        )
+        return _level(game, s)
+    grid, legend = game.editing.grid(s), game.editing.LEGEND
+    objects = [legend[char] for char in game.editing.OBJECTS.values()]
+    return _digest(np.where(np.isin(grid, objects), legend[EMPTY], grid))
+
+
+def _digest(*arrays: np.ndarray) -> bytes:
+    return blake2b(b"".join(array.tobytes() for array in arrays), digest_size=8).digest()

@@ -39,13 +39,13 @@ def replay(
     """
     game, chosen = games.find(game), {"": level} if isinstance(level, Level) else [level]
     s = initial_states(game, variant, chosen)[0]
-    start, moves, total = _centre(game, s), [], 0.0
+    start, moves, total = game.editing.centre(s), [], 0.0
     ended = {"terminated": False, "truncated": False}
     policy = Script(iter(actions))
     for step in islice(steps(policy, game, variant, chosen), len(actions)):
         s, reward = step.after[0].copy(), float(step.rewards[0])
         total += reward
-        x, y = _centre(game, s)
+        x, y = game.editing.centre(s)
         action = game.actions[step.actions[0]]
         moves.append({"action": action, "x": x, "y": y, "reward": reward})
         terminated = bool(step.terminated[0])
@@ -56,8 +56,3 @@ def replay(
         | ended
         | {"return": total, "length": len(moves), "events": events, "steps": moves}
     )
-
-
-def _centre(game: Game, s: Any) -> list[float]:
-    """Where the agent is, x and y."""
-    return game.editing.describe(s)["agent"]

@@ -149,7 +149,7 @@ def places(world: World, s: Any) -> list[tuple[int, int]]:
     """The cells that the agent could be in, nearest to it first."""
     game = world.game
     reachable = game.solver.reachable(s)
-    cells = np.array(game.editing.describe(s)["grid"])
+    cells = game.editing.grid(s)
     height, width = cells.shape
     free = (cells == game.editing.LEGEND["."]) & reachable[:height, :width]
     if not {"x", "y"} <= {*(game.state.names or ())}:

@@ -174,5 +174,5 @@ def _things(world: World, s: Any) -> set[tuple[int, int, int]]:
         return set()
     legend, objects = world.game.editing.LEGEND, world.game.editing.OBJECTS
     wanted = {legend[char] for name, char in objects.items() if not name.startswith("walker")}
-    grid = np.array(world.game.editing.describe(s)["grid"])
+    grid = world.game.editing.grid(s)
     return {(int(x), int(y), int(grid[y, x])) for y, x in np.argwhere(np.isin(grid, [*wanted]))}

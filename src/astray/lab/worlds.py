@@ -85,7 +85,7 @@ def _centred(game: Game, variant: Variant, data: Mapping[str, Any]) -> Mapping[s
         if not known or cells.ndim != 2 or not (0 <= y < len(cells) and 0 <= x < len(cells[0])):
             return data
         s = game.editing.build(cells, (x, y), data.get("looks", {}), variant)
-        return {**data, "agent": game.editing.describe(s)["agent"]}
+        return {**data, "agent": game.editing.centre(s)}
     except (ValueError, TypeError, KeyError, IndexError, OverflowError, AttributeError):
         return data
 
@@ -123,8 +123,7 @@ def snapshot(game: Game, s: Any) -> dict[str, Any]:
     fields = {name: np.asarray(s[name]).tolist() for name in shown_fields(game)}
     if is_drawn(game):
         return fields
-    described = game.editing.describe(s)
-    return fields | {"agent": described["agent"], "grid": described["grid"]}
+    return fields | {"agent": game.editing.centre(s), "grid": game.editing.grid(s).tolist()}
 
 
 @dataclass(eq=False)

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from astray.game import NEVER, Variant, within
+from astray.game import NEVER, Variant, centre, within
 from astray.games.coinrun.reach import pick_place
 from astray.games.coinrun.rules import (
     BARRIER,
@@ -264,19 +264,26 @@ def put_coins(s, p, random, random_x, random_y):
         s.coin_x, s.coin_y = random_x, random_y
 
 
-def describe(s: Any) -> dict[str, Any]:
-    """The level in state `s` as plain data; rows of `grid` from the lowest up."""
-    grid, details = s.cell.copy(), s.detail.copy()
-    grid[s.thing == CRATE] = CRATE_HERE
-    grid[s.thing == SAW] = SAW_HERE
+def grid(s: Any) -> np.ndarray:
+    """What every cell holds, [WORLD, WORLD] uint8, with crates, saws and walkers."""
+    cells = s.cell.copy()
+    cells[s.thing == CRATE] = CRATE_HERE
+    cells[s.thing == SAW] = SAW_HERE
     for k in range(s.walkers):
         x, y, left = int(s.walker_x[k]), int(s.walker_y[k]), s.walker_vx[k] < 0
         saw = s.thing[y, x] == SAW
-        grid[y, x] = (SAW_AND_LEFT if saw else WALKER_LEFT) + (not left)
-        details[y, x] = s.walker_look[k]
+        cells[y, x] = (SAW_AND_LEFT if saw else WALKER_LEFT) + (not left)
+    return cells
+
+
+def describe(s: Any) -> dict[str, Any]:
+    """The level in state `s` as plain data; rows of `grid` from the lowest up."""
+    details = s.detail.copy()
+    for k in range(s.walkers):
+        details[int(s.walker_y[k]), int(s.walker_x[k])] = s.walker_look[k]
     return {
         "world": WORLD,
-        "grid": grid.tolist(),
+        "grid": grid(s).tolist(),
         "legend": {
             "empty": EMPTY, "wall": WALL, "top of a wall": TOP, "lava": LAVA,
             "top of lava": LAVA_TOP, "barrier": BARRIER, "coin": COIN, "invisible coin": INVISIBLE,
@@ -285,7 +292,7 @@ def describe(s: Any) -> dict[str, Any]:
             "saw and walker to the left": SAW_AND_LEFT,
             "saw and walker to the right": SAW_AND_RIGHT,
         },
-        "agent": [float(s.x), float(s.y)],
+        "agent": centre(s),
         "coins": [[int(x), int(y)] for y, x in np.argwhere(s.cell == COIN)],
         "looks": {
             "runner": int(s.runner_look),

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from astray.game import NEVER, Variant, within
+from astray.game import NEVER, Variant, centre, within
 from astray.games.keys.rules import (
     CHEST,
     CORNER,
@@ -155,9 +155,9 @@ def furnish(s, p):
 def grid(s: Any) -> np.ndarray:
     """What is in every cell, [world, world] uint8; objects that are gone are not."""
     cells = s.cell[: s.world, : s.world].copy()
-    for k in range(s.objects):
-        if s.gone[k] == NEVER:
-            cells[int(s.object_y[k]), int(s.object_x[k])] = s.what[k]
+    there = s.gone[: s.objects] == NEVER
+    x, y = (at[: s.objects][there].astype(np.int64) for at in (s.object_x, s.object_y))
+    cells[y, x] = s.what[: s.objects][there]
     return cells
 
 
@@ -174,7 +174,7 @@ def describe(s: Any) -> dict[str, Any]:
         "maze_size": int(s.maze_size),
         "grid": cells.tolist(),
         "legend": {"empty": EMPTY, "wall": WALL, "key": KEY, "chest": CHEST},
-        "agent": [float(s.x), float(s.y)],
+        "agent": centre(s),
         "keys": int((cells == KEY).sum()),
         "chests": int((cells == CHEST).sum()),
         "looks": {

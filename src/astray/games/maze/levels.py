@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from astray.game import NEVER, Variant, within
+from astray.game import NEVER, Variant, centre, within
 from astray.games.maze.rules import BOTH, EMPTY, GOAL, LARGEST, OTHER, STATE, note_arrivals
 from astray.games.maze.variants import AS_NUMBERED, COLOURS, FLOORS, OTHERS, SHAPES, WALLS
 from astray.kernel.jit import kernel, shared
@@ -129,6 +129,11 @@ def put(s, what, k, margin, free_x, free_y):
     return x, y
 
 
+def grid(s: Any) -> np.ndarray:
+    """What every cell holds, [world, world] uint8."""
+    return s.cell[: s.world, : s.world].copy()
+
+
 def describe(s: Any) -> dict[str, Any]:
     """The level in state `s` as plain data; rows of `grid` from the lowest up."""
 
@@ -138,10 +143,10 @@ def describe(s: Any) -> dict[str, Any]:
     return {
         "world": int(s.world),
         "maze_size": int(s.maze_size),
-        "grid": s.cell[: s.world, : s.world].tolist(),
+        "grid": grid(s).tolist(),
         "legend": {"empty": EMPTY, "wall": WALL, "goal": GOAL, "other": OTHER}
         | ({"goal on other": BOTH} if (s.cell == BOTH).any() else {}),
-        "agent": [float(s.x), float(s.y)],
+        "agent": centre(s),
         "goal": cell(s.goal_x, s.goal_y),
         "other": cell(s.other_x, s.other_y),
         "corner": cell(s.corner_x, s.corner_y),

@@ -33,7 +33,7 @@ def test_symbols_say_what_is_where(name):
     env, planes = begin(VARIANTS[name], "symbolic")
     s = env.states[0]
     wall, key, chest, thief, hand, sub_x, sub_y = planes
-    cells = np.array(GAME.editing.describe(s)["grid"])
+    cells = GAME.editing.grid(s)
     for plane, code in ((wall, WALL), (key, KEY), (chest, CHEST)):
         assert np.array_equal(plane, cells == code)
     place = [[int(s.y), int(s.x)]]
