@@ -32,7 +32,7 @@ def _compiled(game: Game, art: str) -> Callable:
         "paint_planes": game.symbols.paint_planes if game.symbols else loops.paint_no_planes,
         "draw_planes": game.symbols.draw_planes if game.symbols else loops.draw_no_planes,
     }
-    digest = digest_of(functions.values())
+    digest = digest_of(functions, len(game.actions))
     label = "_".join(filter(None, (game.name, "" if art == OWN else art, digest)))
     functions["paint_one"] = specialise(loops.paint_any, label, shared, **functions)
     functions["begin_one"] = specialise(loops.begin, label, shared, **functions)

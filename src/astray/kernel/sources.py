@@ -1,12 +1,13 @@
-"""Digests of sources: what compiled code depends on, so that it is never older than they are."""
+"""Digests of what compiled code depends on, so that it is of these functions as they are now."""
 
 from __future__ import annotations
 
 import ast
 import hashlib
 import importlib.util
+import inspect
 import sys
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from types import ModuleType
 
@@ -15,20 +16,24 @@ ITSELF = "astray"  # the folder of compiled code is named after its sources: `ji
 FOREIGN = {"gymnasium", "llvmlite", "matplotlib", "numba", "numpy", "scipy", "torch", ITSELF}
 
 
-def digest_of(functions: Iterable[Callable]) -> str | None:
-    """Of the sources of all modules that functions come from, and of all that these import.
+def digest_of(functions: Mapping[str, Callable], *more: object) -> str | None:
+    """Of which functions stand for which names, and of `more`.
 
-    "" where all are astray's own; None where one has no file, as in a notebook: then nobody can
-    tell whether it has changed.
+    And of the sources of all modules that these come from but astray's own, and of what those
+    import. None where a function has no file, as in a notebook, or was made by another: then nobody
+    can tell whether it has changed.
     """
     found: dict[str, ModuleType] = {}
-    for function in functions:
-        name = function.__module__
+    digest = hashlib.sha256(repr(more).encode())
+    for bound, function in functions.items():
+        function = inspect.unwrap(getattr(function, "py_func", function))
+        if getattr(function, "__closure__", None) or not hasattr(function, "__code__"):
+            return None
+        name, code = function.__module__, function.__code__
+        told = (bound, name, function.__qualname__, code.co_firstlineno, code.co_code.hex())
+        digest.update(repr(told).encode())
         if name.partition(".")[0] != ITSELF or ".tests." in name:
             _follow(name, found)
-    if not found:
-        return ""
-    digest = hashlib.sha256()
     for name in sorted(found):
         path = getattr(found[name], "__file__", None)
         if path is None or not Path(path).is_file():
@@ -44,7 +49,7 @@ def _follow(name: str, found: dict[str, ModuleType]) -> None:
         return
     found[name] = module
     path = getattr(module, "__file__", None)
-    if path is None or not Path(path).is_file():
+    if path is None or not path.endswith(".py") or not Path(path).is_file():
         return
     for other in _imported(ast.parse(Path(path).read_bytes()), module.__package__ or ""):
         root = other.partition(".")[0]
