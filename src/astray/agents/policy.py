@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -88,20 +89,38 @@ def weights(network: nn.Module, architecture: Architecture, game: str) -> bytes:
 
 def load(path: Path, game: str, device: str = "cpu") -> tuple[nn.Module, Architecture]:
     """The network that `weights` wrote to `path`. Nothing in the file is executed."""
-    try:
-        see_readable(path)
-        with safe_open(path, "pt", device="cpu") as file:
-            found = read_header(file.metadata(), game)
-            tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
-        architecture = _architecture(found["architecture"])
+    with _explained(path):
+        tensors, architecture = _read(path, game)
         with torch.device("meta"):  # first without memory: a header can promise any size
             promised = {n: t.shape for n, t in architecture.build().state_dict().items()}
         if promised != {name: tensor.shape for name, tensor in tensors.items()}:
             raise ValueError("its weights are not those of its architecture")
-        if not all(x.isfinite().all() for x in tensors.values() if x.is_floating_point()):
-            raise ValueError("its weights are not all finite numbers")
         network = architecture.build()
         network.load_state_dict(tensors)
+        return network.to(device).eval(), architecture
+
+
+def load_into(network: nn.Module, path: Path, game: str) -> None:
+    """Give `network` the weights that `weights` wrote to `path`, whoever made it."""
+    with _explained(path):
+        network.load_state_dict(_read(path, game)[0])
+
+
+def _read(path: Path, game: str) -> tuple[dict[str, Tensor], Architecture]:
+    see_readable(path)
+    with safe_open(path, "pt", device="cpu") as file:
+        found = read_header(file.metadata(), game)
+        tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
+    if not all(x.isfinite().all() for x in tensors.values() if x.is_floating_point()):
+        raise ValueError("its weights are not all finite numbers")
+    return tensors, _architecture(found["architecture"])
+
+
+@contextlib.contextmanager
+def _explained(path: Path) -> Iterator[None]:
+    """One kind of error for all that may be wrong with an agent's file."""
+    try:
+        yield
     except FileNotFoundError:
         raise FileNotFoundError(f"no agent at {path}") from None
     except (
@@ -114,7 +133,6 @@ def load(path: Path, game: str, device: str = "cpu") -> tuple[nn.Module, Archite
         RecursionError,
     ) as error:
         raise ValueError(f"{path} is not an agent that can be used: {brief(error)}") from error
-    return network.to(device), architecture
 
 
 def header(game: str, **more: Any) -> dict[str, str]:

@@ -188,14 +188,13 @@ def restore(folder: Path, trainer: Trainer) -> None:
     if not steps_saved(folder):
         return
     config, path = trainer.config, latest(folder)
-    network, _ = policy.load(path / AGENT, config.game)
+    policy.load_into(trainer.network, path / AGENT, config.game)
     try:
         # From bytes: a mapped file could not be deleted on Windows while it is in use.
         data = read(path / TRAINER)
         tensors = from_bytes(data)
         header = policy.read_header(_metadata(data), config.game)
         _compare(Config.from_json(header["config"]), config, "it is of another run")
-        trainer.network.load_state_dict(network.state_dict())
         trainer.restore(tensors)
         if path.name != f"{trainer.steps}":
             raise ValueError(f"it is of step {trainer.steps}")

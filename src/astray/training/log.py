@@ -62,7 +62,7 @@ class Log:
         kept = [line for line, data in there if data["steps"] <= steps]
         write_aside(path, "".join(kept).encode())
         self._file = open(path, "a")  # noqa: SIM115
-        self._board = SummaryWriter(str(folder / "tensorboard"), purge_step=steps)
+        self._board = SummaryWriter(str(folder / "tensorboard"), purge_step=steps + 1)
         columns = (
             TextColumn("{task.description}"),
             BarColumn(),

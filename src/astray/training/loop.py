@@ -123,7 +123,8 @@ def iterate(
         saved = trainer.iteration
         try:
             while trainer.iteration < config.iterations:
-                with settings():  # the caller's own are back where it looks at an iteration
+                # The caller's own are back where it looks at an iteration.
+                with settings(), chance(config, trainer.iteration):
                     metrics, speed = improve(trainer)
                     see_converging(trainer)
                     if log:
@@ -138,6 +139,19 @@ def iterate(
                 checkpoint.save(folder, trainer)
             raise
         parallel.wait()
+
+
+@contextlib.contextmanager
+def chance(config: Config, iteration: int) -> Iterator[None]:
+    """What a network or a loss draws from torch's own random state, as for dropout.
+
+    It depends on the seed and the iteration alone, so that a stop changes nothing.
+    """
+    with torch.random.fork_rng(range(torch.cuda.device_count() if config.device == "cuda" else 0)):
+        torch.manual_seed(
+            int(np.random.SeedSequence((config.seed, iteration)).generate_state(1)[0])
+        )
+        yield
 
 
 def checked(config: Config, network: Any, loss: Any, sampler: Any) -> Config:
@@ -313,6 +327,7 @@ def update(trainer: Trainer, rollout: Samples, rate: float) -> dict[str, float]:
     whole = (parallel.joined(x.numpy(force=True)) for x in (samples.value, samples.target))
     explained = ppo.explained_variance(*map(torch.from_numpy, whole))
     step = functools.partial(trainer.repeat, functools.partial(learn, trainer, samples))
+    trainer.network.train()  # drops units, where it has dropout; who acts does not
     names, sums, first_kl = [], None, None
     for _ in range(config.epochs):
         order = torch.randperm(
@@ -328,6 +343,7 @@ def update(trainer: Trainer, rollout: Samples, rate: float) -> dict[str, float]:
             if sums is None and "approx_kl" in measured:
                 first_kl = measured["approx_kl"].clone()
             sums = values if sums is None else sums + values
+    trainer.network.eval()
     assert sums is not None
     first = {} if first_kl is None else {"first_kl": first_kl}
     parallel.average([sums, *first.values()])

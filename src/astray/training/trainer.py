@@ -79,7 +79,7 @@ class Trainer:
         self._check_memory(build)
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(config.seed)
-            self.network = build(self.architecture).to(config.device)
+            self.network = build(self.architecture).to(config.device).eval()
             if not own:
                 _see_outputs(self.network, self.architecture, self.player.images.to(config.device))
         self.weights = list(self.network.parameters())
