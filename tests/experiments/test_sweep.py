@@ -1,5 +1,6 @@
 """Sweeps: what is set, what is trained once, and what the outcomes are of."""
 
+import itertools
 from dataclasses import replace
 
 import polars as pl
@@ -142,11 +143,28 @@ def test_a_knob_that_the_test_cannot_have_changes_the_training_alone():
         base, axes(["variant.placement=region", "variant.region=1,3", "variant.time_limit=30"])
     )
     for cell, config in swept.cells().items():
-        tested = sweeping.tested_variant(config, "anywhere-small")
+        tested = config.variant_for("anywhere-small")
         assert config.training_variant().region == cell[1] and tested.time_limit == 30
         assert tested.with_knobs({"time_limit": 100}) == config.find_game().variant(
             "anywhere-small"
         )
+
+
+def test_knobs_of_the_test_go_together_in_any_order():
+    knobs = ["variant.largest=15", "variant.smallest=9", "variant.world=15"]
+    for some in itertools.permutations(knobs):
+        (config,) = Sweep(replace(BASE, validation=None), axes(some)).cells().values()
+        tested = config.variant_for("anywhere-small")
+        assert (tested.world, tested.smallest, tested.largest) == (15, 9, 15)
+
+
+def test_axes_that_tables_have_themselves_keep_their_values(trained, tmp_path):
+    swept = Sweep(BASE, {"levels": [100, 1000], "variant": ["corner-small"]}, levels=5)
+    run_sweep(swept, tmp_path)
+    table = pl.read_csv(tmp_path / "shares.csv")
+    assert set(table["training_levels"]) == {100, 1000} and set(table["levels"]) == {5}
+    figure = pl.read_parquet(tmp_path / "figures" / "training-levels.parquet")
+    assert set(figure["training_levels"]) == {100, 1000}
 
 
 def test_the_verb_trains_in_processes(astray, tmp_path):

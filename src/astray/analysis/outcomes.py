@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import fields
 
 import numpy as np
 import polars as pl
@@ -11,6 +12,7 @@ from astray import games
 from astray.analysis.estimates import bootstrap
 from astray.analysis.policies import Walk
 from astray.bounds import of_kind
+from astray.estimate import Estimate
 from astray.game import Game, Shift
 
 INTENDED = "intended goal"
@@ -86,6 +88,8 @@ def shares(
     of_kind("episodes", episodes, pl.DataFrame)
     if missing := [name for name in (*by, "level", "outcome") if name not in episodes.columns]:
         raise ValueError(f"episodes must have the columns {', '.join(missing)}")
+    if taken := {"outcome", *(field.name for field in fields(Estimate))} & {*by}:
+        raise ValueError(f"by must not be {', '.join(sorted(taken))}, which shares have themselves")
     rows = []
     for key, part in episodes.group_by(by, maintain_order=True):
         for outcome in outcomes:

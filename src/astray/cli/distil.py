@@ -70,7 +70,7 @@ def distil(
         game=its.game,
         variant=its.variant if variant is None else variant,
         validation=its.validation if validation is None else validation,
-        knobs=its.knobs if variant in (None, its.variant) else {},
+        knobs=its.knobs_for(variant or its.variant, {}),
         first_level=its.first_level,
         levels=its.levels,
         observation=observation,

@@ -10,7 +10,6 @@ report.html       figures, one for every two settings that are swept, and the sh
 
 from __future__ import annotations
 
-import contextlib
 import hashlib
 import itertools
 import json
@@ -36,7 +35,6 @@ from astray.experiments.run import COMPUTING, agent_digest, run_folder
 from astray.experiments.spec import Place, kept
 from astray.experiments.workers import train_all
 from astray.files import hold, see_free, write_aside
-from astray.game import Variant
 from astray.kernel.jit import source_digest
 from astray.training.config import SEEDS, Config, Tracking
 
@@ -134,22 +132,6 @@ def changed(base: Config, values: Mapping[str, Any]) -> Config:
     return replace(base, knobs=knobs, **settings)
 
 
-def tested_variant(config: Config, name: str) -> Variant:
-    """The variant of that name that agents of these settings are tested on.
-
-    As `Config.variant_for`; but a knob that it cannot have, as a region of cheese that is anywhere,
-    changes the training alone.
-    """
-    if name == config.variant:
-        return config.training_variant()
-    game = config.find_game()
-    variant = game.variant(name)
-    for knob, given in game.variant(config.variant).alike(config.knobs, variant).items():
-        with contextlib.suppress(ValueError):
-            variant = variant.with_knobs({knob: given})
-    return variant
-
-
 def run_sweep(
     sweep: Sweep,
     folder: Path,
@@ -222,20 +204,25 @@ def _episodes(
         opened: list[Agent] = [open_run(run)[0] for run in runs]
         played = [
             play_all(
-                config.find_game(), name, tested_variant(config, name), shift, numbers, opened
+                config.find_game(), name, config.variant_for(name), shift, numbers, opened
             ).with_columns(test=pl.lit(test))
             for test, name in ((TRAINING, config.variant), (TEST, between.test))
         ]
         return pl.concat(played)
 
     table = kept(folder, digest, play)
-    settings = [pl.lit(given).alias(name) for name, given in zip(sweep.axes, cell, strict=True)]
+    settings = [pl.lit(given).alias(name) for name, given in zip(columns(sweep), cell, strict=True)]
     return table.with_columns(settings)
 
 
 def _shares(sweep: Sweep, episodes: pl.DataFrame) -> pl.DataFrame:
     """How often each outcome came about, for each combination, policy and test."""
-    return shares(episodes, (*sweep.axes, "policy", "test"))
+    return shares(episodes, (*columns(sweep), "policy", "test"))
+
+
+def columns(sweep: Sweep) -> list[str]:
+    """What the axes are called in tables, where episodes have a variant, and shares have levels."""
+    return [f"training_{name}" if name in ("levels", "variant") else name for name in sweep.axes]
 
 
 def _heading(sweep: Sweep, folder: Path) -> Heading:
@@ -260,7 +247,7 @@ def _findings(sweep: Sweep, episodes: pl.DataFrame, table: pl.DataFrame) -> Find
     agents = table.filter(policy=AGENTS)
     asked = agents.filter(test=TEST, outcome=MISGENERALIZED).sort("mean", maintain_order=True)
     ends = [
-        f"{', '.join(f'{name} {row[name]}' for name in sweep.axes)}: {100 * row['mean']:.0f} % "
+        f"{', '.join(f'{name} {row[name]}' for name in columns(sweep))}: {100 * row['mean']:.0f} % "
         f"({100 * row['low']:.0f} to {100 * row['high']:.0f})"
         for row in (asked.row(0, named=True), asked.row(-1, named=True))
     ]
@@ -278,8 +265,9 @@ def _findings(sweep: Sweep, episodes: pl.DataFrame, table: pl.DataFrame) -> Find
 def _plots(sweep: Sweep, episodes: pl.DataFrame) -> Iterator[Plot]:
     """A figure for each two settings; of one alone, one."""
     mine = episodes.filter(policy=AGENTS)
-    several = [name for name, values in sweep.axes.items() if len(values) > 1]
-    pairs = list(itertools.combinations(several, 2)) or [tuple(several or sweep.axes)[:1]]
+    names = columns(sweep)
+    several = [n for n, values in zip(names, sweep.axes.values(), strict=True) if len(values) > 1]
+    pairs = list(itertools.combinations(several, 2)) or [tuple(several or names)[:1]]
     for pair in pairs:
         data = pl.DataFrame(
             [

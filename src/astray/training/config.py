@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import itertools
 import json
 import types
 import typing
@@ -220,12 +222,26 @@ class Config:
     def variant_for(self, name: str, changes: Mapping[str, Any] | None = None) -> Variant:
         """The variant of that name for these agents, and some more `changes` of its knobs.
 
-        Its knobs are changed as those of the training variant were, where the two were alike.
+        Its knobs are changed as those of the training variant were, where the two were alike; but
+        those that it cannot have, as a region where cheese is anywhere, change the training alone.
+
+        Raises ValueError where it cannot have `changes`.
         """
+        return self.find_game().variant(name).with_knobs(self.knobs_for(name, changes or {}))
+
+    def knobs_for(self, name: str, changes: Mapping[str, Any]) -> dict[str, Any]:
+        """What `variant_for` changes: `changes`, and as many of the training's as go with them."""
+        if name == self.variant:
+            return {**self.knobs, **changes}
         game = self.find_game()
-        one, two = game.variant(self.variant), game.variant(name)
-        kept = self.knobs if name == self.variant else one.alike(self.knobs, two)
-        return two.with_knobs({**kept, **(changes or {})})
+        other = game.variant(name)
+        kept = game.variant(self.variant).alike(self.knobs, other)
+        for count in range(len(kept), 0, -1):
+            for some in itertools.combinations(kept.items(), count):
+                with contextlib.suppress(ValueError):
+                    other.with_knobs({**dict(some), **changes})
+                    return {**dict(some), **changes}
+        return dict(changes)
 
     def to_json(self) -> dict[str, Any]:
         """All settings, and the variant written out."""
