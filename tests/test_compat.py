@@ -84,7 +84,7 @@ def test_an_episode_is_that_of_its_level():
 def test_the_same_seed_repeats_everything_whatever_the_threads():
     one, two, other = (
         played(face(rand_seed=seed, num_threads=threads))
-        for seed, threads in ((5, 1), (5, 2), (6, 1))
+        for seed, threads in ((5, 0), (5, 2), (6, 1))
     )
     assert str(one) == str(two) != str(other)
 

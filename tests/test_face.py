@@ -77,9 +77,14 @@ def test_a_registered_game_is_found_by_name_and_by_gymnasium(monkeypatch):
     assert gymnasium.make("astray/mine-one-v0").unwrapped.vector.game is mine
     with pytest.raises(ValueError, match="one of astray's"):
         astray.register(replace(maze, name="keys"))
+    with pytest.raises(ValueError, match=r"must be of letters.*'a mine'"):
+        astray.register(replace(mine, name="a mine"))
+    assert "a mine" not in games.names()
+    astray.register(replace(mine, variants={"two": maze.variants["corner"]}))
+    assert [n for n in gymnasium.registry if "mine" in n] == ["astray/mine-two-v0"]
     with pytest.raises(ValueError, match="must be a Game"):
         astray.register(3)
-    gymnasium.registry.pop("astray/mine-one-v0")
+    gymnasium.registry.pop("astray/mine-two-v0")
 
 
 def test_a_kept_agent_is_loaded_by_its_name():

@@ -46,7 +46,7 @@ class Options:
 
     num_levels   of the game's, from start_level on; 0: all that there are
     rand_seed    decides which level comes when, and nothing else; None: another one each time
-    num_threads  that share the batch; what comes out does not depend on them
+    num_threads  that share the batch, 0 or 1 for one; what comes out does not depend on them
     art          of the images: the original's, or "own", which needs no import
     """
 
@@ -69,7 +69,7 @@ class Options:
         check_word("distribution_mode", self.distribution_mode, Mode)
         bounded("start_level", self.start_level, 0, LEVELS.stop - 1)
         bounded("num_levels", self.num_levels, 0, LEVELS.stop - self.start_level)
-        bounded("num_threads", self.num_threads, 1, MOST)
+        bounded("num_threads", self.num_threads, 0, MOST)
         bounded("rand_seed", self.rand_seed or 0, 0, 2**31 - 1)
         for name in ("center_agent", "use_backgrounds"):
             if not getattr(self, name):
@@ -120,7 +120,7 @@ class ProcgenGym3Env:
             num,
             art=chosen.art,
             autoreset_mode="Disabled",
-            threads=min(chosen.num_threads, num),
+            threads=max(1, min(chosen.num_threads, num)),
             render_mode=chosen.render_mode,
         )
         self.combos = COMBOS

@@ -106,7 +106,7 @@ class Variant:
         Raises ValueError where there is no such knob, or it cannot be that.
         """
         of_kind("knobs", changes, Mapping)
-        kinds = {name: type(getattr(self, name)) for name in knobs(type(self))}
+        kinds = {n: k if isinstance(k, type) else str for n, k in knobs(type(self)).items()}
         values = {name: _as_knob(name, value, kinds) for name, value in changes.items()}
         if self.shifted is not None:
             try:

@@ -66,6 +66,7 @@ class Level:
         ValueError where `s` was changed by hand to what cannot be.
         """
         of_kind("a state", s, np.void)
+        variant = game.variant(variant)
         if s.dtype != game.state or s.flags.writeable:  # as those of live `states` are not
             game.check(np.array([s]), variant)
         cells, centre = game.editing.grid(s), game.editing.centre(s)
@@ -218,7 +219,8 @@ class Level:
         """
         lifted = self if name == "agent" else self.removed(name, at)
         reachable = self.game.solver.reachable(lifted.state(solvable=False))
-        free = (lifted.cells == self.game.editing.LEGEND[EMPTY]) & reachable
+        height, width = lifted.cells.shape  # of a drawing, which may be smaller than a state's
+        free = (lifted.cells == self.game.editing.LEGEND[EMPTY]) & reachable[:height, :width]
         free[self.agent[1], self.agent[0]] = name == "agent"
         cells = [(int(x), int(y)) for y, x in np.argwhere(free)]
         if name == "agent":

@@ -101,6 +101,8 @@ def test_a_reset_to_a_state_leaves_the_levels_to_come_alone():
 def test_what_is_no_state_is_refused(game, variant, tmp_path):
     env = played(game, variant)
     states, path = env.get_state(), tmp_path / "states.npz"
+    with pytest.raises(ValueError, match=r"must be \[N\] records of .* of shape \(2, 4\)"):
+        save_states(path, game, np.stack([states, states]))
     for wrong in (states[:2], states.view(np.uint8), np.zeros(4), None, "states"):
         with pytest.raises(ValueError, match="or one; got"):
             env.set_state(wrong)
@@ -129,7 +131,7 @@ def test_what_is_no_state_is_refused(game, variant, tmp_path):
     with pytest.raises(ValueError, match="the episode of state 0 has ended"):
         env.set_state(ended)
     assert env.get_state().tobytes() == states.tobytes()  # refused before anything was touched
-    with pytest.raises(ValueError, match="states must be of"):
+    with pytest.raises(ValueError, match=r"states must be \[N\] records of"):
         save_states(path, game, np.zeros(3))
 
 

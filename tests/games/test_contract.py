@@ -145,3 +145,9 @@ def test_closed_environments_say_so():
     env.close()
     with pytest.raises(RuntimeError, match="closed"):
         env.step(np.array([0, 0]))
+
+
+def test_a_knob_that_was_given_as_an_integer_can_be_a_fraction_again():
+    variant = replace(games.find("keys").variant("many-chests"), key_penalty=1)
+    assert variant.with_knobs({"key_penalty": 0.3}).key_penalty == 0.3
+    assert variant.with_knobs({"key_penalty": "0.5"}).key_penalty == 0.5

@@ -74,6 +74,13 @@ def test_objects_are_moved_removed_and_added(game, variant):
         level.moved("agent", (-1, 3))
 
 
+SMALL = """.........
+.........
+@.......o
+=========
+"""
+
+
 def free(level):
     """Empty cells that the agent can reach."""
     return [other.agent for other in level.splay("agent") if other.agent != level.agent]
@@ -97,6 +104,12 @@ def test_a_level_is_splayed_over_all_places_of_an_object(game, variant):
         for other in family[:5]:  # each can be played, and the object reached
             (x, y) = next(iter(set(other.where(name)) - set(where[1:])))
             assert level.game.solver.reachable(other.state(solvable=False))[y, x]
+
+
+def test_a_small_drawing_of_coinrun_is_splayed():
+    coinrun = games.find("coinrun")
+    level = Level.from_text(coinrun, coinrun.variant("coin-end"), SMALL)
+    assert {other.agent for other in level.splay("agent")} >= {(0, 1), (1, 1), (7, 1)}
 
 
 @pytest.mark.parametrize("game", games.OWN)

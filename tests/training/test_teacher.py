@@ -138,3 +138,5 @@ def test_a_sampler_that_learns_from_scores_has_no_students():
     for sampler in ("plr", "accel"):
         with pytest.raises(ValueError, match=f"a student is not scored.*{sampler}"):
             replace(STUDENT, sampler=sampler)
+    with pytest.raises(ValueError, match="one group; got 2 groups"):
+        replace(STUDENT, groups=2)

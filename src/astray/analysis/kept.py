@@ -54,4 +54,4 @@ def run_of(run: Path) -> Path:
 
 
 def _names(home: Path) -> list[str]:
-    return sorted(path.parent.name for path in home.glob("*/config.json"))
+    return sorted(path.parent.name for path in home.glob("[!.]*/config.json"))

@@ -26,9 +26,13 @@ def register_own() -> None:
 
 
 def _register_ids(game: Game) -> None:
+    # Registered again, a game takes its own place.
+    before = [n for n, spec in gymnasium.registry.items() if spec.kwargs.get("game") == game.name]
+    for name in before:
+        if name.startswith("astray/"):
+            gymnasium.registry.pop(name)
     for variant in game.variants:
         name = f"astray/{game.name}-{variant}-{VERSION}"
-        gymnasium.registry.pop(name, None)  # registered again, a game takes its own place
         gymnasium.register(
             name,
             entry_point="astray.envs.single:GameEnv",

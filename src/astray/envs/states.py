@@ -29,8 +29,9 @@ def save_states(path: Path, game: str | Game, states: np.ndarray) -> None:
     game = games.find(game)
     wanted = game.state
     of_kind("states", states, np.ndarray)
-    if states.dtype != wanted:
-        raise ValueError(f"states must be of {game.name}; got {states.dtype}")
+    if states.dtype != wanted or states.ndim != 1:
+        given = f"{states.dtype} of shape {states.shape}"
+        raise ValueError(f"states must be [N] records of {game.name}; got {given}")
     file, plain = io.BytesIO(), np.dtype(wanted.descr)
     np.savez_compressed(file, game=game.name, format=FORMAT, states=states.view(plain))
     write_aside(path, file.getvalue())

@@ -356,7 +356,7 @@ def picture(
 ) -> np.ndarray:
     """`states` [N] of `game` as the agent would see them at any scale, [N, pixels, pixels, 3]."""
     game = games.find(game)
-    game.variant(variant)
+    variant = game.variant(variant)
     bounded("pixels", pixels, *PICTURES)
     game.check(states, variant)
     looks, loop = game.drawn(art), compiled_loop(game, art)

@@ -14,7 +14,7 @@ import numpy as np
 from astray.analysis.episodes import initial_states
 from astray.analysis.runs import open_run
 from astray.experiments.report import Scene
-from astray.files import read, write_aside
+from astray.files import folder_aside, read, write_aside
 from astray.lab.export import COMPUTED, export, file_names
 from astray.lab.link import link
 from astray.lab.minds import Minds
@@ -37,8 +37,10 @@ def write(scenes: Iterable[Scene], folder: Path) -> dict[Scene, str]:
         return {}
     first, runs = found[0], {name: Path(name) for name in names}
     start = {"game": open_run(first.run)[0].game, "variant": first.variant, "level": 0}
-    export(Lab(Minds.of(runs), start | {"agent": str(first.run)}), to, 1, list(names))
-    write_aside(to / WRITTEN, json.dumps(_digests(to)).encode())
+    with folder_aside(to) as aside:  # a kill leaves none that could not be told from the user's
+        export(Lab(Minds.of(runs), start | {"agent": str(first.run)}), aside, 1, list(names))
+        write_aside(aside / WRITTEN, json.dumps(_digests(aside)).encode())
+        aside.rename(to)
     told = json.loads(read(to / "data" / "index.json"))["games"]
     links = {}
     for scene in found:

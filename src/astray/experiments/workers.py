@@ -62,8 +62,13 @@ def in_processes(count: int) -> Iterator[Submit]:
     with ProcessPoolExecutor(count, context, _begin, (end,)) as pool:
         try:
             yield functools.partial(_submit, pool)
-        except Exception:  # of one training; those that have begun go on to their end
-            pool.shutdown(cancel_futures=True)
+        except Exception as error:  # of one training; those that have begun go on to their end
+            print(f"a training failed, and others go on: {error}", file=sys.stderr, flush=True)
+            try:
+                pool.shutdown(cancel_futures=True)
+            except BaseException:
+                end.set()
+                raise
             raise
         except BaseException:  # an interrupt: all end now, and go on from their checkpoints later
             end.set()

@@ -9,6 +9,7 @@ from __future__ import annotations
 import functools
 import importlib
 import pkgutil
+import re
 from importlib.metadata import EntryPoint, entry_points
 
 from astray.bounds import shown
@@ -30,10 +31,15 @@ def register(game: Game) -> None:
     Again, it takes the place of the one before. A package that is installed can offer its games
     to all processes: see the entry points above.
 
-    Raises ValueError where the name is that of one of astray's own games.
+    Raises ValueError where the name is that of one of astray's own games, or cannot be a name.
     """
     if not isinstance(game, Game):
         raise ValueError(f"a game must be a Game; got {game!r}")
+    if not all(re.fullmatch(r"[\w:.-]+", name) for name in (game.name, *game.variants)):
+        raise ValueError(
+            "names of a game and its variants must be of letters, digits, _, -, . and :; got "
+            f"{game.name!r} with {', '.join(map(repr, game.variants))}"
+        )
     if game.name in OWN:
         raise ValueError(f"a game's name must be its own; {game.name!r} is one of astray's")
     _registered[game.name] = game

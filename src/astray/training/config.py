@@ -159,6 +159,8 @@ class Config:
             raise ValueError(
                 f"a student is not scored: its sampler must be another; got {self.sampler!r}"
             )
+        if self.teacher is not None and (self.groups or 1) > 1:
+            raise ValueError(f"a student's environments are one group; got {self.groups} groups")
         if self.loss is not None and not imports.is_name(self.loss):
             raise ValueError(f"loss must be module:function; got {self.loss!r}")
         self.training_variant()

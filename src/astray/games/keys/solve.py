@@ -189,7 +189,7 @@ def best_order(times, met, is_key, hand, to_open, key_worth, chest_worth, step_w
                     total = (
                         spent * step_worth
                         - times[last, j] * HURRY
-                        + later / gamma * worth
+                        + gamma ** (times[last, j] - 1) * worth
                         + later * value[done | 1 << j, j + 1]
                     )
                     if total > best:

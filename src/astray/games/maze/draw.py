@@ -144,7 +144,7 @@ def art(variant: Variant, pixels: int) -> tuple[np.ndarray, ...]:
     """
     scale = _scale(variant, pixels)
     p: Any = variant
-    return _art(int(np.ceil(scale)), min(round(p.world * scale), FLOOR))
+    return _art(int(np.ceil(scale)), min(max(round(p.world * scale), 1), FLOOR))
 
 
 @functools.cache

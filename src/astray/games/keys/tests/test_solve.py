@@ -98,6 +98,11 @@ def test_all_chests_are_opened_in_every_level(name):
         assert follow(env, "chests") == most
 
 
+def test_who_looks_no_step_ahead_gets_nothing_from_afar():
+    s = begin(VARIANTS["many-chests"], 0).states[0]
+    assert [GAME.solver.optimal_return(s, goal, 0.0) for goal in GAME.goals] == [0, 0]
+
+
 def test_the_player_of_chests_leaves_keys_that_the_player_of_keys_takes():
     beyond = {goal: [] for goal in GAME.goals}
     for goal, level in [(goal, level) for goal in GAME.goals for level in range(40)]:

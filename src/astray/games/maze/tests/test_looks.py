@@ -63,6 +63,12 @@ def test_a_window_of_symbols_is_what_is_around_the_mouse():
     assert planes[1].sum() == planes[1, 4, 4] == 1
 
 
+@pytest.mark.parametrize("window", [13, 14])
+def test_a_window_far_wider_than_the_world_can_be_drawn(window):
+    env, _ = begin(replace(VARIANTS["anywhere-small"], window=window), "symbolic")
+    assert env.picture(64).shape == (1, 64, 64, 3)
+
+
 @pytest.mark.parametrize("name", ["anywhere", "anywhere-easy", "fixed-size", "anywhere-memory"])
 def test_a_picture_of_the_agents_size_is_what_the_agent_sees(name):
     env, image = begin(VARIANTS[name], "image")
