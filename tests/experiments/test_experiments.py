@@ -1,5 +1,6 @@
 """Every experiment plans, and runs whole in miniature, stopped and repeated."""
 
+import importlib
 import json
 import os
 import re
@@ -10,10 +11,12 @@ import sys
 import time
 from dataclasses import replace
 from pathlib import Path
+from types import ModuleType, SimpleNamespace
 
 import polars as pl
 import pytest
 
+from astray import games
 from astray.analysis.outcomes import FAILED, INTENDED, MISGENERALIZED
 from astray.analysis.runs import open_run
 from astray.experiments import catalogue, report, run
@@ -21,9 +24,11 @@ from astray.experiments.claims import holds_above
 from astray.experiments.outcomes import share
 from astray.experiments.studies.mitigation import asking_for_help, reward_ensembles
 from astray.training import checkpoint
+from astray.training.config import Config
 from helpers.killed import CONFIG
 from helpers.miniature import miniature, train_here
 from helpers.processes import environment
+from helpers.trainings import TINY
 
 ALL = [(name, size) for name in catalogue.NAMES for size in catalogue.load(name).sizes]
 
@@ -160,6 +165,23 @@ def test_other_agents_and_other_code_compute_anew(reports, monkeypatch):
     assert second > first
     monkeypatch.setattr(run, "source_digest", lambda patterns: "of other sources")
     assert computed() > second
+
+
+def test_an_edit_of_a_game_of_ones_own_is_another_plan(tmp_path, monkeypatch):
+    source = tmp_path / "my_rules.py"
+    source.write_text("def step(s, action):\n    return 0.0, False\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    rules = importlib.import_module("my_rules")
+    maze = games.find("maze")
+    game = replace(maze, rules=SimpleNamespace(**vars(maze.rules) | {"step": rules.step}))
+    monkeypatch.setattr(Config, "find_game", lambda _: game)
+    before = run.guests_digest([TINY])
+    assert before == run.guests_digest([TINY])
+    source.write_text("def step(s, action):\n    return 1.0, False\n")
+    assert run.guests_digest([TINY]) != before
+    monkeypatch.setattr(rules.step, "__module__", "of_no_file")
+    monkeypatch.setitem(sys.modules, "of_no_file", ModuleType("of_no_file"))
+    assert run.guests_digest([TINY]) != run.guests_digest([TINY])
 
 
 @pytest.mark.skipif(not hasattr(os, "kill") or os.name == "nt", reason="needs signals")

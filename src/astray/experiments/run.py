@@ -7,12 +7,15 @@ import hashlib
 import inspect
 import json
 import re
+import uuid
+from collections.abc import Iterable
 from dataclasses import asdict, replace
 from pathlib import Path
 
 import polars as pl
 import torch
 
+from astray import imports
 from astray.analysis import kept
 from astray.analysis.runs import open_run, play_all
 from astray.experiments import catalogue, labs, report
@@ -33,6 +36,7 @@ from astray.experiments.workers import train_all
 from astray.files import hold, read, see_free, write_aside
 from astray.game import OWN
 from astray.kernel.jit import source_digest
+from astray.kernel.sources import digest_of_modules
 from astray.training import checkpoint
 from astray.training.config import Config, Tracking
 from astray.training.teacher import give
@@ -188,6 +192,7 @@ def note(plan: Plan, runs: Runs, folder: Path, experiment: Experiment) -> str:
         "levels": plan.levels,
         "measures": list(plan.measures),
         "sources": source_digest(COMPUTING),
+        "guests": guests_digest(c for made in plan.trainings().values() for c in made),
         "study": study_digest(experiment),
     }
     text, computed = json.dumps(data, indent=1).encode(), folder / COMPUTED
@@ -210,6 +215,21 @@ def study_digest(experiment: Experiment) -> str:
         path = inspect.getsourcefile(inspect.unwrap(experiment.find))
         return hashlib.sha256(read(Path(path or ""))).hexdigest()[:16]
     return ""
+
+
+def guests_digest(configs: Iterable[Config]) -> str:
+    """Of the sources of games, networks, losses and samplers of others that agents rest on.
+
+    Another every time where nobody can tell, as of what a notebook defines.
+    """
+    modules = set()
+    for config in configs:
+        game = config.find_game()
+        modules |= {game.rules.step.__module__, game.levels.generate.__module__}
+        named = (config.network, config.loss or "", config.sampler)
+        modules |= {name.partition(":")[0] for name in named if imports.is_name(name)}
+    found = digest_of_modules(sorted(modules))
+    return uuid.uuid4().hex if found is None else found
 
 
 def agent_digest(run: Path) -> str:

@@ -31,7 +31,7 @@ from astray.bounds import bounded, shown
 from astray.experiments import report, sweep_figures
 from astray.experiments.outcomes import AGENTS
 from astray.experiments.report import Findings, Heading, Plot, Table
-from astray.experiments.run import COMPUTING, agent_digest, run_folder
+from astray.experiments.run import COMPUTING, agent_digest, guests_digest, run_folder
 from astray.experiments.spec import Place, kept
 from astray.experiments.workers import train_all
 from astray.files import hold, see_free, write_aside
@@ -196,6 +196,7 @@ def _episodes(
                 config.to_json(),
                 [agent_digest(run) for run in runs],
                 source_digest(COMPUTING),
+                guests_digest([config]),
             ]
         ).encode()
     ).hexdigest()[:16]

@@ -7,7 +7,7 @@ import hashlib
 import importlib.util
 import inspect
 import sys
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
 from types import ModuleType
 
@@ -23,17 +23,31 @@ def digest_of(functions: Mapping[str, Callable], *more: object) -> str | None:
     import. None where a function has no file, as in a notebook, or was made by another: then nobody
     can tell whether it has changed.
     """
-    found: dict[str, ModuleType] = {}
-    digest = hashlib.sha256(repr(more).encode())
+    told, modules = [repr(more)], []
     for bound, function in functions.items():
         function = inspect.unwrap(getattr(function, "py_func", function))
         if getattr(function, "__closure__", None) or not hasattr(function, "__code__"):
             return None
         name, code = function.__module__, function.__code__
-        told = (bound, name, function.__qualname__, code.co_firstlineno, code.co_code.hex())
-        digest.update(repr(told).encode())
+        told += [bound, name, function.__qualname__, code.co_firstlineno, code.co_code.hex()]
+        modules.append(name)
+    sources = digest_of_modules(modules)
+    whole = hashlib.sha256(repr([*told, sources]).encode())
+    return None if sources is None else whole.hexdigest()[:16]
+
+
+def digest_of_modules(names: Iterable[str]) -> str | None:
+    """Of the sources of modules that are not astray's own, and of all that these import.
+
+    "" where all are astray's own; None where one has no file.
+    """
+    found: dict[str, ModuleType] = {}
+    for name in names:
         if name.partition(".")[0] != ITSELF or ".tests." in name:
             _follow(name, found)
+    if not found:
+        return ""
+    digest = hashlib.sha256()
     for name in sorted(found):
         path = getattr(found[name], "__file__", None)
         if path is None or not Path(path).is_file():
