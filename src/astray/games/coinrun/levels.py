@@ -319,8 +319,7 @@ def truths(states: np.ndarray) -> dict[str, np.ndarray]:
         "cell": (s.cell <= PERMEABLE).all((1, 2)),
         "thing": (s.thing <= SAW).all((1, 2)),
         "detail": (s.detail < DETAILS).all((1, 2)),
-        "x": (s.x > 0) & (s.x < WORLD),
-        "y": (s.y > 0) & (s.y < WORLD),
+        **{name: (s[name] > 0) & (s[name] < WORLD) for name in ("x", "y")},
         "vx": abs(s.vx) <= 2,
         "vy": abs(s.vy) <= 2,
         "pose": within(s.pose, 0, 3),
@@ -330,11 +329,8 @@ def truths(states: np.ndarray) -> dict[str, np.ndarray]:
         "walker_vx": (abs(s.walker_vx) <= 2).all(1),
         "walker_look": (s.walker_look < LOOKS).all(1),
         "trail_x": ((s.trail_x >= 0) & (s.trail_x < WORLD)).all((1, 2)),
-        "end_x": within(s.end_x, 0, WORLD),
-        "end_y": within(s.end_y, 0, WORLD),
-        "coin_x": within(s.coin_x, NEVER, WORLD),
-        "coin_y": within(s.coin_y, NEVER, WORLD),
-        "permeable": within(s.permeable, 0, WORLD),
+        **{name: within(s[name], 0, WORLD) for name in ("end_x", "end_y", "permeable")},
+        **{name: within(s[name], NEVER, WORLD) for name in ("coin_x", "coin_y")},
         "runner_look": within(s.runner_look, 0, RUNNERS),
         "ground": within(s.ground, 0, GROUNDS),
         "background": within(s.background, 0, BACKGROUNDS),
@@ -359,12 +355,12 @@ def build(cells: np.ndarray, agent: tuple[int, int], looks: Any, variant: Varian
     if height > WORLD or width > WORLD:
         raise ValueError(f"the level is {width} x {height} cells; it is at most {WORLD} a side")
     state = _empty_world().copy()
-    s, grid = state.view(np.recarray)[0], np.full((WORLD, WORLD), WALL)
-    grid[:height, :width] = cells
+    s, drawn = state.view(np.recarray)[0], np.full((WORLD, WORLD), WALL)
+    drawn[:height, :width] = cells
     s.time_limit, s.continues = variant.time_limit, variant.records()[0].continues
-    s.cell[:] = np.where(grid < CRATE_HERE, grid, EMPTY)
+    s.cell[:] = np.where(drawn < CRATE_HERE, drawn, EMPTY)
     s.thing[:] = np.select(
-        [grid == CRATE_HERE, (grid == SAW_HERE) | (grid >= SAW_AND_LEFT)], [CRATE, SAW], NOTHING
+        [drawn == CRATE_HERE, (drawn == SAW_HERE) | (drawn >= SAW_AND_LEFT)], [CRATE, SAW], NOTHING
     )
     s.x, s.y = F(agent[0]) + HALF, F(agent[1]) + TALL
     s.runner_look, s.ground = looks.get("runner", 0), looks.get("ground", 0)
@@ -375,7 +371,7 @@ def build(cells: np.ndarray, agent: tuple[int, int], looks: Any, variant: Varian
         if not (0 <= x < WORLD and 0 <= y < WORLD and 0 <= which < DETAILS):
             raise ValueError(f"looks: details [{x}, {y}, {which}] are of no cell or no look")
         details[y, x] = which
-    _add_walkers(s, grid, details)
+    _add_walkers(s, drawn, details)
     s.detail[:] = details
     s.end_x, s.end_y = looks.get("end", _guess_end(s.cell))
     s.permeable = looks.get("permeable", int((s.cell[s.end_y] == PERMEABLE).sum()))
@@ -385,13 +381,13 @@ def build(cells: np.ndarray, agent: tuple[int, int], looks: Any, variant: Varian
     return s
 
 
-def _add_walkers(s: Any, grid: np.ndarray, details: np.ndarray) -> None:
-    """The walkers of the drawn `grid`, in the order in which the original makes them."""
-    found = [(int(x), int(y)) for x, y in np.argwhere(grid.T >= WALKER_LEFT)]
+def _add_walkers(s: Any, drawn: np.ndarray, details: np.ndarray) -> None:
+    """The walkers of a drawn level, in the order in which the original makes them."""
+    found = [(int(x), int(y)) for x, y in np.argwhere(drawn.T >= WALKER_LEFT)]
     if len(found) > WALKERS:
         raise ValueError(f"a level has at most {WALKERS} walkers; this has {len(found)}")
     for x, y in found:
-        left = grid[y, x] in (WALKER_LEFT, SAW_AND_LEFT)
+        left = drawn[y, x] in (WALKER_LEFT, SAW_AND_LEFT)
         add_walker(s, x, y, left, details[y, x])
 
 
