@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 from gymnasium import spaces
 
+from astray import games
 from astray.compat import EXPLORATION, ProcgenEnv, ProcgenGym3Env
 from astray.envs.vector import GameVectorEnv
 from helpers.drawn import environment
@@ -108,6 +109,21 @@ def test_gym3s_face_shows_the_same():
     gym3.act(np.array([4, -1]))
     assert gym3.observe()[2].tolist() == [False, True]
     gym3.close()
+
+
+def test_who_leaves_an_episode_does_nothing_in_it(monkeypatch):
+    game = games.find("maze")
+    stay = game.actions.index("stay")
+    names = [f"other{k}" if k == stay else name for k, name in enumerate(game.actions)]
+    monkeypatch.setattr(type(game), "actions", (*names[:-1], "stay"))
+    gym3 = ProcgenGym3Env(num=1, env_name="maze/corner-small", art="own", rand_seed=1)
+    taken, step = [], gym3.env.step
+    monkeypatch.setattr(gym3.env, "step", lambda actions: taken.append(actions) or step(actions))
+    gym3.act(np.array([-1]))
+    assert taken[0].tolist() == [len(names) - 1]
+    monkeypatch.setattr(type(game), "actions", tuple(names))
+    with pytest.raises(ValueError, match="must have an action to stay"):
+        ProcgenGym3Env(num=1, env_name="maze/corner-small", art="own")
 
 
 def test_exploration_is_one_level():

@@ -35,7 +35,7 @@ COMBOS = [
     ("LEFT", "DOWN"), ("LEFT",), ("LEFT", "UP"), ("DOWN",), (), ("UP",), ("RIGHT", "DOWN"),
     ("RIGHT",), ("RIGHT", "UP"), ("D",), ("A",), ("W",), ("S",), ("Q",), ("E",),
 ]  # fmt: skip
-FORCE_RESET, STAY = -1, 4  # actions
+FORCE_RESET = -1  # an action
 ONWARD = 997  # from a sequential level that was completed to the next
 WORD = 2**32
 
@@ -123,6 +123,9 @@ class ProcgenGym3Env:
             threads=max(1, min(chosen.num_threads, num)),
             render_mode=chosen.render_mode,
         )
+        if "stay" not in self.env.game.actions:
+            raise ValueError(f"{env_name} must have an action to stay, for episodes that are left")
+        self._stay = self.env.game.actions.index("stay")
         self.combos = COMBOS
         self.levels = chosen.levels(env_name)
         seed = secrets.randbelow(2**31) if chosen.rand_seed is None else chosen.rand_seed
@@ -156,7 +159,7 @@ class ProcgenGym3Env:
         actions = integers(ac, "actions").astype(np.int64)
         forced = actions == FORCE_RESET
         self._seen, reward, terminated, truncated, _ = self.env.step(
-            np.where(forced, STAY, actions)
+            np.where(forced, self._stay, actions)
         )
         self._reward = reward.astype(np.float32)
         done = terminated | truncated | forced

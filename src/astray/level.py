@@ -181,7 +181,9 @@ class Level:
         return "\n".join("".join(row) for row in reversed(rows))
 
     def where(self, name: str) -> list[Cell]:
-        """The cells that hold the object called `name`; ValueError where there is no such one."""
+        """The cells that hold the object called `name`, or the agent's; ValueError for others."""
+        if name == "agent":
+            return [self.agent]
         if not isinstance(name, str) or name not in self.game.editing.OBJECTS:
             there = ", ".join(["agent", *self.game.editing.OBJECTS])
             raise ValueError(f"unknown object {name!r}; there are: {there}")

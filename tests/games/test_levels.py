@@ -106,6 +106,11 @@ def test_a_level_is_splayed_over_all_places_of_an_object(game, variant):
             assert level.game.solver.reachable(other.state(solvable=False))[y, x]
 
 
+def test_the_agent_is_where_it_is():
+    level = Level.from_text(games.find("coinrun"), games.find("coinrun").variant("coin-end"), SMALL)
+    assert level.where("agent") == [(0, 1)] and level.where("coin") == [(8, 1)]
+
+
 def test_a_small_drawing_of_coinrun_is_splayed():
     coinrun = games.find("coinrun")
     level = Level.from_text(coinrun, coinrun.variant("coin-end"), SMALL)

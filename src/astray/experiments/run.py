@@ -8,7 +8,7 @@ import inspect
 import json
 import re
 import uuid
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import asdict, replace
 from pathlib import Path
 
@@ -77,8 +77,6 @@ def reproduce(
     name, whole = catalogue.find(experiment)
     if not isinstance(size, str) or size not in whole.sizes:
         raise ValueError(f"unknown size {size!r} of {name}; there are: {', '.join(whole.sizes)}")
-    if size != PUBLISHED:
-        torch.set_num_threads(1)  # several cost small networks more than they save
     plan, ending = whole.sizes[size].drawn_with(art), "" if art == OWN else f"-{art}"
     folder = root / f"{name}-{size}{ending}"
     see_free(folder, PLAN, b'"sources"', report.WRITTEN)
@@ -93,7 +91,7 @@ def reproduce(
         differences=plan.differences,
         command=f"astray reproduce {given} --size {size}" + (f" --art {art}" if ending else ""),
     )
-    with hold(folder, "works on"):
+    with hold(folder, "works on"), threads_for(size):
         runs = train_agents(plan, root, workers, on, track)
         digest = note(plan, runs, folder, whole)
         work = Work(name, size, plan, folder, digest, runs, pl.DataFrame())
@@ -107,6 +105,18 @@ def reproduce(
         if track:
             track_report(heading, findings, folder, track)
         return page
+
+
+@contextlib.contextmanager
+def threads_for(size: Size) -> Iterator[None]:
+    """One of torch's threads for the small networks that are trained here, which more cost time."""
+    before = torch.get_num_threads()
+    if size != PUBLISHED:
+        torch.set_num_threads(1)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)
 
 
 def train_agents(
