@@ -1,13 +1,15 @@
 """A training that torchrun starts: `torchrun --nproc-per-node 2 -m helpers.parallel folder`."""
 
 import sys
+import weakref
 from dataclasses import replace
 from pathlib import Path
 
 import torch
+from torch import distributed
 
 from astray.training.config import PRESETS
-from astray.training.loop import train
+from astray.training.loop import iterate
 
 # One minibatch an epoch, so that the samples of two processes are those of one.
 CONFIG = replace(
@@ -28,4 +30,7 @@ CONFIG = replace(
 
 if __name__ == "__main__":
     torch.set_num_threads(1)
-    train(CONFIG, Path(sys.argv[1]), progress=False)
+    for _ in iterate(CONFIG, Path(sys.argv[1])):
+        group = weakref.ref(distributed.group.WORLD)
+    # A group that outlives the training has threads that may abort the process when it ends.
+    assert group() is None, "the group of processes is still there"

@@ -9,6 +9,7 @@ samples of every process, which is the one difference from one process.
 from __future__ import annotations
 
 import contextlib
+import importlib
 from collections.abc import Iterator, Sequence
 from typing import Any
 
@@ -28,6 +29,10 @@ def processes(device: str) -> Iterator[None]:
     if device == "cuda":
         gpu = torch.device("cuda", dist.get_node_local_rank(0))  # pyright: ignore
         torch.cuda.set_device(gpu)
+    # Its functions take the group that is there when it is imported as a default, which torch does
+    # at the first step of an optimiser: the group would live on, and its threads may abort the
+    # process when that ends.
+    importlib.import_module("torch.distributed.nn.functional")
     try:
         dist.init_process_group("nccl" if gpu else "gloo", device_id=gpu)
     except ValueError as error:
