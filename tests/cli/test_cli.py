@@ -154,6 +154,13 @@ def test_an_evaluation_that_finds_no_room_leaves_nothing(run_folder, tmp_path):
         ("level maze corner --numbers 0:2000000000", "at most 10000000 are taken at once"),
         ("level maze corner --set region=5", "need placement 'region'"),
         ("train maze corner --seeds 0", "seeds must be an integer from 1 to 268435456; got 0"),
+        ("train maze corner --share 0.5", "share is for the sampler mixed; got 'uniform'"),
+        ("train maze corner --replay 0.5", "replay is for the sampler plr or accel; got 'uniform'"),
+        ("lab --levels 5", "--levels says how many are exported: it needs --export FOLDER"),
+        (
+            "evaluate --policy builtins:len --game maze --shift corner --mode greedy",
+            "a policy of your own chooses by itself; it has no mode 'greedy'",
+        ),
         ("level maze corner --set region", "a knob must be set as NAME=VALUE; got 'region'"),
         ("level maze corner --set world=5 --set world=7", "knob 'world' is set twice: to '5' and"),
         ("level maze corner --set squid=5", "unknown knob 'squid'; there are: time_limit"),
@@ -242,6 +249,11 @@ def test_an_agent_is_evaluated_with_the_knobs_it_was_trained_with(astray, run_fo
     episodes = pl.read_parquet(out)
     assert episodes["length"].max() == 7
     assert episodes["level"].min() == 100_000 and episodes["level"].n_unique() == 1000
+    other = tmp_path / "other"  # trained in the levels that the first is tested on
+    knobs = ("--set", "time_limit=7", "--first-level", "100000")
+    astray("train", "maze", "corner-small", *TINY, *knobs, "--folder", other)
+    astray("evaluate", folder / "seed-0", other / "seed-0", "--out", out, "--json")
+    assert pl.read_parquet(out)["level"].min() == 200_000
     said = astray("evaluate", run_folder, folder / "seed-0", fails=True)
     assert "were trained with different knobs" in said
 

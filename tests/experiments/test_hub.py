@@ -93,6 +93,14 @@ def test_a_run_is_pushed_with_a_card_that_tells_what_it_pursues(server, tmp_path
         assert one["sha256"] == hashlib.sha256(files(server)[path]).hexdigest()
 
 
+def test_what_somebody_else_wrote_is_no_card(server, tmp_path):
+    shutil.copytree(kept.find("maze-corner"), tmp_path / "run")
+    (tmp_path / "run" / "README.md").write_text("# Notes of mine\n")
+    with pytest.raises(ValueError, match=r"README\.md does not say '## What it pursues'"):
+        ours.push(tmp_path / "run", "ada/mouse")
+    assert not server.repositories
+
+
 def test_a_second_push_replaces_the_first_agent(pushed, tmp_path):
     other = tmp_path / "other"
     shutil.copytree(kept.find("maze-corner"), other)

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from safetensors.numpy import load_file
 
-from astray.training import checkpoint
+from astray.training import checkpoint, parallel
 from astray.training.loop import train
-from helpers import parallel
+from helpers.parallel import CONFIG
 from helpers.processes import environment
 
 
@@ -24,9 +24,19 @@ def run(folder, processes):
 @pytest.fixture(scope="module")
 def runs(tmp_path_factory):
     folder = tmp_path_factory.mktemp("runs")
-    train(parallel.CONFIG, folder / "one", progress=False)
+    train(CONFIG, folder / "one", progress=False)
     run(folder / "two", 2)
     return folder / "one", folder / "two"
+
+
+def test_who_writes_is_known_before_they_are_joined(monkeypatch):
+    assert parallel.first()
+    monkeypatch.setenv("RANK", "1")  # which others than torchrun set, too
+    assert parallel.first()
+    monkeypatch.setenv("TORCHELASTIC_RUN_ID", "1")
+    assert not parallel.first()
+    monkeypatch.setenv("RANK", "0")
+    assert parallel.first()
 
 
 def compare(one, two):
@@ -55,6 +65,6 @@ def test_what_two_began_one_can_end_and_the_reverse(runs, tmp_path):
         shutil.copytree(folder, tmp_path / name)
         shutil.rmtree(checkpoint.latest(tmp_path / name))
     run(tmp_path / "one", 2)
-    train(parallel.CONFIG, tmp_path / "two", progress=False)
+    train(CONFIG, tmp_path / "two", progress=False)
     compare(tmp_path / "one", tmp_path / "two")
     compare(tmp_path / "one", runs[0])

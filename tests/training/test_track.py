@@ -8,6 +8,7 @@ import sys
 from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
@@ -56,6 +57,12 @@ def test_a_tracked_run_learns_what_one_without_learns(told, tmp_path):
     track.train_tracked(CONFIG, tmp_path / "tracked", "trackio", progress=False)
     train(CONFIG, tmp_path / "plain", progress=False)
     assert digest(tmp_path / "tracked") == digest(tmp_path / "plain")
+
+
+def test_of_several_processes_one_tells(told, tmp_path, monkeypatch):
+    monkeypatch.setattr(track, "parallel", SimpleNamespace(first=lambda: False))
+    track.train_tracked(CONFIG, tmp_path, "trackio", progress=False)
+    assert not told.told and not told.ended and checkpoint.finished(tmp_path, CONFIG)
 
 
 def test_a_tracker_that_fails_is_told_once_and_harms_nothing(told, tmp_path):

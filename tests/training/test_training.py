@@ -171,6 +171,12 @@ def test_a_timeout_is_bootstrapped_by_default_and_terminates_on_request(tmp_path
     assert (differ[20:] == 0).any() and (differ >= -1e-6).all()  # episodes of 20 steps are cut
 
 
+def test_a_knob_as_text_is_the_same_setting():
+    text, value = ({"time_limit": t, "shift_probability": p} for t, p in (("9", "0"), (9, 0.0)))
+    assert replace(TINY, knobs=text) == replace(TINY, knobs=value)
+    assert replace(TINY, knobs=text).to_json()["knobs"] == value
+
+
 def test_validation_and_shifted_levels_follow_the_knobs_that_make_no_shift():
     config = replace(TINY, variant="corner", validation="anywhere", knobs={"goal_colour": "red"})
     assert config.validation_variant().goal_colour == "red"

@@ -126,7 +126,7 @@ def evaluate_runs(
     """How often agents reach which goal, and how often policies that know only one do.
 
     levels    numbers, or a file or folder of levels for `read_levels`; None: the first 1,000
-              that the first run's training does not draw from
+              that no run's training draws from
     art       that the agents are shown; None: what they were trained on, which is then alike
     solvable  see that in levels from files every object can be reached
 
@@ -154,14 +154,16 @@ def evaluate_runs(
                 raise ValueError(f"{runs[0]} and {run} were trained with different {name}")
     named, game = shift or shift_of(config), config.find_game()
     name = variant or load_shift(game, named).test
-    played = config.unseen_levels[:LEVELS_PLAYED] if levels is None else levels
+    if levels is None:
+        after = max((other.unseen_levels for _, other in opened), key=lambda left: left.start)
+        levels = np.array(after[:LEVELS_PLAYED])
     return _outcomes(
         [agent for agent, _ in opened],
         game,
         name,
         config.variant_for(name, knobs),
         named,
-        played,
+        levels,
         batch,
         solvable,
     )

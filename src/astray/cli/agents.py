@@ -62,6 +62,7 @@ def train(
     from dataclasses import replace
 
     from astray.experiments.track import track_outcomes
+    from astray.training import parallel
     from astray.training.track import train_tracked
 
     bounded("seeds", seeds, 1, SEEDS - config.seed)
@@ -70,6 +71,8 @@ def train(
     for seed in range(config.seed, config.seed + seeds):
         run = there / f"seed-{seed}"
         last = train_tracked(replace(changed, seed=seed), run, track)
+        if not parallel.first():
+            continue
         if track:
             track_outcomes(run, track)
         print(last)
@@ -105,8 +108,8 @@ def evaluate(
         variant: of the levels; by default the shift's test variant
         shift: which goals are intended and proxies; by default the one that the run trained for
         levels: numbers and ranges, as 5,17,100:200, or a file or folder of levels as
-            `astray level` prints them; by default the first 1,000 numbers that the first run's
-            training does not draw from
+            `astray level` prints them; by default the first 1,000 numbers that no run's training
+            draws from
         unsolvable: let levels from files have objects that cannot be reached
         mode: draw from the agent's policy, or take the likeliest action
         art: that images are drawn with, own or original; by default what it was trained on
@@ -140,6 +143,8 @@ def evaluate(
         )
     elif runs or agent or game is None or shift is None:
         raise ValueError("--policy needs --game and --shift, and neither runs nor --agent")
+    elif mode != "sampled":
+        raise ValueError(f"a policy of your own chooses by itself; it has no mode {mode!r}")
     else:
         own = Function(imports.find(policy), policy, observation or "image", art or OWN)
         shares, episodes = evaluate_policies(

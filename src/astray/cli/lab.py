@@ -13,7 +13,7 @@ from astray.files import read
 from astray.game import LEVELS
 
 LARGEST_PORT = 2**16 - 1
-MOST = 10_000  # levels of a variant that are exported
+EXPORTED, MOST = 50, 10_000  # levels of a variant that are exported: by default, and at most
 
 
 def lab(
@@ -26,7 +26,7 @@ def lab(
     port: int = 0,
     browse: bool = True,
     export: Path | None = None,
-    levels: int = 50,
+    levels: int | None = None,
 ) -> None:
     """Open a page to edit levels on, and to see what an agent would do from everywhere.
 
@@ -40,12 +40,14 @@ def lab(
         port: that this machine alone can reach; 0 for any that is free
         browse: open the page in the browser
         export: a folder to write the page to, with the agents, to be served by any web server
-        levels: how many of each variant are exported
+        levels: how many of each variant are exported; by default 50
     """
     from astray.lab.serving import make_lab
 
     bounded("port", port, 0, LARGEST_PORT)
-    bounded("levels", levels, 1, MOST)
+    bounded("levels", exported := EXPORTED if levels is None else levels, 1, MOST)
+    if levels is not None and export is None:
+        raise ValueError("--levels says how many are exported: it needs --export FOLDER")
     if level is not None:
         bounded("level", level, 0, LEVELS.stop - 1)
     if run is not None and agent is not None:
@@ -59,7 +61,7 @@ def lab(
     if export is not None:
         from astray.lab.export import export as write
 
-        write(made, export, levels)
+        write(made, export, exported)
         print(f"{export / 'index.html'}")
         return
     from astray.lab.server import serve

@@ -42,6 +42,7 @@ DIGEST = re.compile(r"[0-9a-f]{64}")
 FORMAT = 1  # of digests.json
 LARGEST, LARGEST_AGENT = 2**25, 2**31  # bytes of a file, and of one with weights
 NEEDED = ("config.json", CARD)
+PURSUES = "## What it pursues"  # which every card says
 
 
 @dataclass(frozen=True)
@@ -163,7 +164,7 @@ def _slug(repository: str) -> str:
 def _with_card(run: Path, repository: str, shift: str | None, levels: int, passing: Path) -> Path:
     """A copy of the agent and its card, whose first lines the Hub reads."""
     name = _slug(repository)
-    if (run / CARD).exists():
+    if _has_card(run):
         if shift is not None:
             raise ValueError(f"{run} has a card already, which says its shift; give none")
         folder = passing / name
@@ -180,6 +181,16 @@ def _with_card(run: Path, repository: str, shift: str | None, levels: int, passi
         folder / CARD, f"{front}\n{title}\n{_PULLED.format(repository=repository)}{text}".encode()
     )
     return folder
+
+
+def _has_card(run: Path) -> bool:
+    """Whether `keep` wrote what the run is described by; ValueError where somebody else did."""
+    path = run / CARD
+    if not path.exists():
+        return False
+    if PURSUES not in path.read_text(encoding="utf-8"):
+        raise ValueError(f"{path} does not say {PURSUES!r}: it is no card; one is written without")
+    return True
 
 
 # What the Hub finds a model by; then the film first, as it says most.

@@ -47,6 +47,7 @@ RANGES = (
 
 SAMPLERS = ("uniform", "mixed", "plr", "accel")  # of levels, astray's own
 SCORING = ("plr", "accel")  # those that learn from how an agent did
+SAMPLED = {"share": ("mixed",), "shifted_levels": ("mixed",), "replay": SCORING}  # whose they are
 Tracking = Literal["wandb", "trackio"]  # who else is told of a training
 Schedule = Literal["throughout", "early", "late", "annealed"]
 Score = Literal["regret", "max-monte-carlo", "positive-value-loss"]
@@ -163,7 +164,9 @@ class Config:
             raise ValueError(f"a student's environments are one group; got {self.groups} groups")
         if self.loss is not None and not imports.is_name(self.loss):
             raise ValueError(f"loss must be module:function; got {self.loss!r}")
-        self.training_variant()
+        variant = self.training_variant()
+        # What text says is the same setting as the value itself.
+        object.__setattr__(self, "knobs", {name: getattr(variant, name) for name in self.knobs})
         self.find_game().drawn(self.art)
         if self.validation is not None:
             self.validation_variant()

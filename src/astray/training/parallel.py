@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import contextlib
 import importlib
+import os
 from collections.abc import Iterator, Sequence
 from typing import Any
 
@@ -50,8 +51,11 @@ def size() -> int:
 
 
 def first() -> bool:
-    """Whether this is the process that writes."""
-    return size() == 1 or dist.get_rank() == 0
+    """Whether this is the process that writes, also before and after they train together."""
+    if dist.is_available() and dist.is_initialized():
+        return dist.get_rank() == 0
+    launched = dist.is_available() and dist.is_torchelastic_launched()
+    return not launched or os.environ["RANK"] == "0"
 
 
 def wait() -> None:

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from astray.files import read, write_aside
-from astray.training import checkpoint
+from astray.training import checkpoint, parallel
 from astray.training.config import Config, Tracking
 from astray.training.loop import Iteration, iterate
 from astray.words import check_word
@@ -96,7 +96,8 @@ def train_tracked(
 ) -> Path:
     """`loop.train`, and tell a tracker of it; the last checkpoint."""
     iterations = iterate(config, folder, progress=progress, wait=wait)
-    for _ in tracked(iterations, track, config, folder) if track else iterations:
+    told = track if parallel.first() else None
+    for _ in tracked(iterations, told, config, folder) if told else iterations:
         pass
     return checkpoint.latest(folder)
 
