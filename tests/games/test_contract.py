@@ -80,6 +80,7 @@ def test_a_masked_reset_leaves_the_others_and_the_options_alone():
         ({"levels": []}, "at least one"),
         ({"levels": [-1]}, "from 0 to"),
         ({"levels": range(5, 5)}, "at least one"),
+        ({"levels": range(0, 9, 2)}, r"has step 1; walk list\(range\(0, 9, 2\)\) instead"),
         ({"observation": "text"}, "unknown observation 'text'"),
     ],
 )

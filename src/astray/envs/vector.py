@@ -376,8 +376,10 @@ def picture(
 
 def _checked(levels: Any) -> tuple[int, int, np.ndarray]:
     """First and count of a range, or the list as an array; its numbers checked."""
-    if not isinstance(levels, range) or levels.step != 1:
+    if not isinstance(levels, range):
         return 0, 1, level_numbers(levels)
+    if levels.step != 1:
+        raise ValueError(f"a range of levels to draw from has step 1; walk list({levels}) instead")
     if not levels or levels.start < LEVELS.start or levels.stop > LEVELS.stop:
         raise ValueError(
             f"levels must be numbers from 0 to {LEVELS.stop - 1}, at least one; got {levels}"
