@@ -133,13 +133,14 @@ EXPERIMENT = Experiment(
                 game="keys",
                 variant="many-chests-small",
                 validation="many-keys-small",
+                steps=6_000_000,
             ),
             "many-keys-small",
             seeds=3,
             levels=1000,
             differences="mazes of 5 and 7 cells instead of 5 to 13, with 1 to 3 keys in training "
             "instead of 1 to 6; 200 steps an episode instead of 1000; a network of patches, a "
-            "discount of 0.98 instead of 0.999, and 4 million steps instead of 200 million",
+            "discount of 0.98 instead of 0.999, and 6 million steps instead of 200 million",
         ),
         "hour": plan(
             replace(
