@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import functools
+from collections.abc import Iterable, Iterator, Sequence
 
 import numpy as np
 import polars as pl
@@ -11,6 +12,7 @@ from astray.bounds import of_kind
 from astray.estimate import Estimate
 
 RESAMPLES = 10_000
+LARGEST_KEPT = 20_000_000  # counts that are drawn once, a byte each
 QUARTILES = 4  # with fewer agents there is nothing to trim
 
 
@@ -55,24 +57,48 @@ def bootstrap(values: np.ndarray, weights: np.ndarray | None = None, *, seed: in
             f"values must be [agents, levels], at least one of each; got {values.shape}"
         )
     agents, levels = values.shape
-    rng = np.random.default_rng(seed)
-    by_agent = rng.multinomial(agents, np.full(agents, 1 / agents), RESAMPLES).astype(float)
     sums, weight = np.empty(RESAMPLES), np.full(RESAMPLES, float(agents * levels))
     if weights is not None:
         weights = np.atleast_2d(np.asarray(weights, float))
         if weights.shape != values.shape or not (weights >= 0).all():
             raise ValueError(f"weights must be {values.shape} numbers, none below 0; got {weights}")
-    for part in np.array_split(np.arange(RESAMPLES), max(1, RESAMPLES * levels // 4_000_000)):
-        by_level = rng.multinomial(levels, np.full(levels, 1 / levels), len(part)).astype(float)
-        drawn = by_agent[part], by_level
-        sums[part] = _sums(values, *drawn)
+    done = 0
+    for drawn in _resamples(agents, levels, seed):
+        part = slice(done, done := done + len(drawn[0]))
+        by_agent, by_level = (counts.astype(float) for counts in drawn)
+        sums[part] = _sums(values, by_agent, by_level)
         if weights is not None:
-            weight[part] = _sums(weights, *drawn)
+            weight[part] = _sums(weights, by_agent, by_level)
     if not weight.any():
         return Estimate(np.nan, np.nan, np.nan, agents, levels, values.size)
     low, high = np.quantile(sums[weight > 0] / weight[weight > 0], [0.025, 0.975])
     mean = values.mean() if weights is None else values.sum() / weights.sum()
     return Estimate(float(mean), float(low), float(high), agents, levels, values.size)
+
+
+def _resamples(agents: int, levels: int, seed: int) -> Iterable[tuple[np.ndarray, np.ndarray]]:
+    """How often resamples draw each agent and each level, [R, agents] and [R, levels], in parts.
+
+    A report has many means over as many agents and levels: what they share is drawn once.
+    """
+    if RESAMPLES * levels <= LARGEST_KEPT:
+        return _kept_resamples(agents, levels, seed)
+    return _drawn_resamples(agents, levels, seed)
+
+
+@functools.lru_cache(maxsize=4)
+def _kept_resamples(agents: int, levels: int, seed: int) -> list[tuple[np.ndarray, np.ndarray]]:
+    return list(_drawn_resamples(agents, levels, seed))
+
+
+def _drawn_resamples(
+    agents: int, levels: int, seed: int
+) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    rng = np.random.default_rng(seed)
+    by_agent = rng.multinomial(agents, np.full(agents, 1 / agents), RESAMPLES)
+    for part in np.array_split(by_agent, max(1, RESAMPLES * levels // 4_000_000)):
+        by_level = rng.multinomial(levels, np.full(levels, 1 / levels), len(part))
+        yield part.astype(np.int32), by_level.astype(np.min_scalar_type(by_level.max()))
 
 
 def _sums(values: np.ndarray, by_agent: np.ndarray, by_level: np.ndarray) -> np.ndarray:

@@ -36,6 +36,7 @@ def save(figure: Figure, folder: Path, name: str) -> None:
     # The SVG's text and ids are settings of matplotlib, not arguments; they are put back after.
     with matplotlib.rc_context(STYLE):
         figure.savefig(png, format="png")
+        figure.set_layout_engine("none")  # all is where it belongs; to find out takes a while
         figure.savefig(svg, format="svg", metadata={"Date": None})
     write_aside(folder / f"{name}.png", png.getvalue())
     write_aside(folder / f"{name}.svg", svg.getvalue())
