@@ -1,6 +1,7 @@
 """Sweeps: what is set, what is trained once, and what the outcomes are of."""
 
 import itertools
+import shlex
 from dataclasses import replace
 
 import polars as pl
@@ -11,6 +12,7 @@ from astray.experiments import run as experiment_run
 from astray.experiments import sweep as sweeping
 from astray.experiments.sweep import Sweep, axes, run_sweep
 from astray.experiments.workers import train_all
+from astray.training.config import PRESETS
 from astray.training.loop import train
 from helpers.trainings import TINY
 
@@ -180,3 +182,22 @@ def test_the_verb_trains_in_processes(astray, tmp_path):
 
 def test_trainings_are_those_of_the_workers():
     assert sweeping.train_all is train_all
+
+
+@pytest.mark.parametrize(
+    "sweep",
+    [
+        Sweep(PRESETS["small"], {"gamma": [0.9, 0.99]}),
+        Sweep(BASE, TWO, seeds=3, levels=50, shift="corner"),
+        Sweep(replace(PRESETS["pixels"], anneal=False, fused_cpu=False), {"width": [8]}),
+        Sweep(replace(BASE, variant="corner", knobs={"time_limit": 9}), {"anneal": [True, False]}),
+    ],
+    ids=["small", "own", "pixels", "knobs"],
+)
+def test_the_command_that_a_report_names_makes_the_sweep(sweep, astray, monkeypatch):
+    made = []
+    monkeypatch.setattr(sweeping, "run_sweep", lambda given, *_, **__: made.append(given))
+    astray(*shlex.split(sweeping.command(sweep))[1:])
+    (again,) = made
+    assert list(again.cells().values()) == list(sweep.cells().values())
+    assert (again.seeds, again.levels, again.shift) == (sweep.seeds, sweep.levels, sweep.shift)

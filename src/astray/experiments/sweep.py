@@ -14,6 +14,7 @@ import hashlib
 import itertools
 import json
 import math
+import shlex
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
@@ -24,7 +25,7 @@ import polars as pl
 
 from astray.analysis.estimates import bootstrap
 from astray.analysis.outcomes import INTENDED, MISGENERALIZED, load_shift, matrix, shares
-from astray.analysis.runs import open_run, play_all, shift_of
+from astray.analysis.runs import LEVELS_PLAYED, open_run, play_all, shift_of
 from astray.analysis.tables import write_table
 from astray.analysis.trained import Agent
 from astray.bounds import bounded, shown
@@ -36,7 +37,7 @@ from astray.experiments.spec import Place, kept
 from astray.experiments.workers import train_all
 from astray.files import hold, see_free, write_aside
 from astray.kernel.jit import source_digest
-from astray.training.config import SEEDS, Config, Tracking
+from astray.training.config import PRESETS, SEEDS, Config, Tracking
 
 KNOB = "variant."  # before the name of a knob of the variant
 SHORT = {"lr": "learning_rate"}
@@ -59,7 +60,7 @@ class Sweep:
     base: Config
     axes: Mapping[str, Sequence[Any]]
     seeds: int = 1
-    levels: int = 1000
+    levels: int = LEVELS_PLAYED
     shift: str | None = None
 
     def __post_init__(self) -> None:
@@ -228,10 +229,6 @@ def columns(sweep: Sweep) -> list[str]:
 
 def _heading(sweep: Sweep, folder: Path) -> Heading:
     config = sweep.base
-    sets = " ".join(
-        f"--set {name}={','.join(str(one) for one in values)}"
-        for name, values in sweep.axes.items()
-    )
     return Heading(
         name=folder.name,
         size=f"{sweep.seeds} seeds",
@@ -239,8 +236,33 @@ def _heading(sweep: Sweep, folder: Path) -> Heading:
         reproduces="nothing",
         differences="",
         question=f"What do agents pursue, by {' and '.join(sweep.axes)}?",
-        command=f"astray sweep {config.game} {config.variant} {sets} --seeds {sweep.seeds}",
+        command=command(sweep),
     )
+
+
+def command(sweep: Sweep) -> str:
+    """The command that makes the sweep: a preset, and all that differs from it."""
+    base, words = sweep.base, ["astray", "sweep", sweep.base.game, sweep.base.variant]
+
+    def changes(preset: Config) -> dict[str, Any]:
+        told = {f.name for f in fields(Config)} - {"game", "variant", "knobs", *sweep.axes}
+        return {n: getattr(base, n) for n in told if getattr(base, n) != getattr(preset, n)}
+
+    preset = min(PRESETS, key=lambda name: (len(changes(PRESETS[name])), name != "small"))
+    words += ["--preset", preset] if preset != "small" else []
+    for name, given in sorted(changes(PRESETS[preset]).items()):
+        flag = name.replace("_", "-")
+        if isinstance(given, bool) and isinstance(getattr(PRESETS["small"], name), bool):
+            words.append(f"--{flag}" if given else f"--no-{flag}")
+        else:
+            words += [f"--{flag}", str(given)]
+    alone = {f"{KNOB}{name}": [given] for name, given in base.knobs.items()}
+    for name, values in (alone | dict(sweep.axes)).items():
+        words += ["--set", f"{name}={','.join(map(str, values))}"]
+    words += ["--seeds", str(sweep.seeds)]
+    words += [] if sweep.levels == LEVELS_PLAYED else ["--test-levels", str(sweep.levels)]
+    words += [] if sweep.shift is None else ["--shift", sweep.shift]
+    return shlex.join(words)
 
 
 def _findings(sweep: Sweep, episodes: pl.DataFrame, table: pl.DataFrame) -> Findings:
