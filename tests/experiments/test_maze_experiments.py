@@ -38,7 +38,7 @@ def test_curves_train_no_agents_of_their_own_and_show_each_once(size):
     assert len(first) == len(plan.agents)
 
 
-@pytest.mark.parametrize("size", ["smoke", "hour"])
+@pytest.mark.parametrize("size", ["pixels", "hour"])
 def test_the_smallest_region_is_the_corner_mouse(size):
     corner = catalogue.load("maze-corner").sizes[size]
     region = maze_region.EXPERIMENT.sizes[size]

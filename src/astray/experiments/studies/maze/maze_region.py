@@ -163,7 +163,8 @@ def sweep(first: Config, regions: Sequence[int], **settings: Any) -> dict[str, C
     return {f"region {region(config)}": config for config in (first, *others)}
 
 
-SMOKE, HOUR = (maze_corner.EXPERIMENT.sizes[size] for size in ("smoke", "hour"))
+HOUR = maze_corner.EXPERIMENT.sizes["hour"]
+SMALL_TEST = {"in the test": tests_of("maze", "corner-small")["in the test"]}
 # The text has 100,000 levels and IMPALA as it is; this sweep's scripts have four times its
 # channels, and levels without end.
 PAPER = replace(
@@ -184,9 +185,9 @@ EXPERIMENT = Experiment(
     sizes={
         "smoke": Plan(
             # An even side adds no junctions, only passages.
-            agents=sweep(SMOKE.config, (3, 5, 7), knobs=dict(SMALL)),
+            agents=sweep(maze_corner.SYMBOLS, (3, 5, 7), knobs=dict(SMALL)),
             seeds=2,
-            tests={"in the test": SMOKE.tests["in the test"]},
+            tests=SMALL_TEST,
             levels=1000,
             differences="regions of 1, 3, 5 and 7 cells, in worlds of 7 instead of 25, seen as "
             "symbols instead of a picture; a mouse that starts anywhere and has 100 steps instead "
@@ -195,7 +196,7 @@ EXPERIMENT = Experiment(
         "pixels": Plan(
             agents=sweep(maze_corner.PIXELS, (3, 5, 7), knobs=dict(SMALL)),
             seeds=3,
-            tests={"in the test": SMOKE.tests["in the test"]},
+            tests=SMALL_TEST,
             levels=1000,
             differences="regions of 1, 3, 5 and 7 cells, in worlds of 7 instead of 25; a mouse "
             "that starts anywhere and has 100 steps instead of 500; a network of patches, and 2 "
