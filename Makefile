@@ -17,10 +17,11 @@ test: $(INSTALLED)
 	$(MAKE) --no-print-directory --jobs 2 check docs compiled
 	$(PYTEST)
 
-# Two workers on two cores: a second thread in each would wait for a core, and keep it busy.
+# Three workers on two cores, as tests wait for other processes; a second thread in each would wait
+# for a core, and keep it busy.
 # A worker begins with half of all tests in a row, so that most of what they share is made once.
 test quick fuzz: export OMP_NUM_THREADS ?= 1
-PYTEST := $(BIN)/python -m pytest -n 2 --dist worksteal
+PYTEST := $(BIN)/python -m pytest -n 3 --dist worksteal
 
 # What tests run compiled: here beside the linters, for compiling is one process's work.
 compiled: $(INSTALLED)

@@ -237,7 +237,10 @@ def check_compiled_once(game: Game, variant: Variant) -> None:
     for options in observations(game):
         env = GameVectorEnv(game, variant, 2, **options)
         env.reset(seed=0)
-        env.step(np.zeros(2, np.int64))
+        actions = np.zeros(2, np.int64)
+        env.step(actions)
+        actions.flags.writeable = False
+        env.step(actions)
         env.picture(100)
     loop = compiled_loop(game)
     assert len(getattr(loop, "signatures", [0])) == 1, f"compiled for {loop.signatures}"  # pyright: ignore

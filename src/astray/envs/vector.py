@@ -244,6 +244,8 @@ class GameVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
             )
         n, largest = self.num_envs, len(self.game.actions) - 1
         actions = np.ascontiguousarray(integers(actions, "actions"), np.int64)
+        if not actions.flags.behaved:  # for read-only arrays all would be compiled once more
+            actions = actions.copy()
         reward, terminated, truncated = np.empty(n), np.empty(n, bool), np.empty(n, bool)
         if actions.shape != (n,) or not self._run(
             self._steps, out, actions, reward, terminated, truncated

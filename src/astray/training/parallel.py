@@ -55,7 +55,7 @@ def first() -> bool:
     if dist.is_available() and dist.is_initialized():
         return dist.get_rank() == 0
     launched = dist.is_available() and dist.is_torchelastic_launched()
-    return not launched or os.environ["RANK"] == "0"
+    return not launched or os.environ.get("RANK", "0") == "0"
 
 
 def wait() -> None:
