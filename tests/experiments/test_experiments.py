@@ -66,9 +66,9 @@ def in_miniature(name, plan, monkeypatch):
 
 
 def open_for_short(folder):
-    """A kept agent, and its settings with episodes of a few steps."""
+    """A kept agent, and its settings with few levels and episodes of a few steps."""
     agent, config = open_run(folder)
-    return agent, replace(config, knobs={**config.knobs, "time_limit": 40})
+    return agent, replace(config, levels=1000, knobs={**config.knobs, "time_limit": 40})
 
 
 @pytest.mark.parametrize("name, size", TRAINED)
