@@ -71,11 +71,10 @@ def train(
     for seed in range(config.seed, config.seed + seeds):
         run = there / f"seed-{seed}"
         last = train_tracked(replace(changed, seed=seed), run, track)
-        if not parallel.first():
-            continue
-        if track:
-            track_outcomes(run, track)
-        print(last)
+        if parallel.first():
+            if track:
+                track_outcomes(run, track)
+            print(last)
 
 
 def evaluate(

@@ -189,7 +189,9 @@ def _has_card(run: Path) -> bool:
     if not path.exists():
         return False
     if PURSUES not in path.read_text(encoding="utf-8"):
-        raise ValueError(f"{path} does not say {PURSUES!r}: it is no card; one is written without")
+        raise ValueError(
+            f"{path} does not say {PURSUES!r}: it is no card; without it, one is written"
+        )
     return True
 
 
