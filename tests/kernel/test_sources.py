@@ -53,7 +53,7 @@ def test_what_another_function_made_is_told_by_nothing(module):
 
 def test_an_edit_is_another(module, tmp_path):
     before = digest_of({"step": module.step_one})
-    (tmp_path / "of_functions.py").write_text(FUNCTIONS + "# edited\\n")
+    (tmp_path / "of_functions.py").write_text(FUNCTIONS + "# edited\n")
     assert digest_of({"step": module.step_one}) != before
 
 
