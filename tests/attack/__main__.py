@@ -142,7 +142,7 @@ def _prepare(code: Path, base: Path) -> None:
 
     import astray.cli.verbs
     import astray.experiments.run
-    import astray.experiments.sweep
+    import astray.experiments.sweep.run
     import astray.lab.export
     import astray.lab.session
 

@@ -9,8 +9,10 @@ import pytest
 
 from astray.analysis.outcomes import MISGENERALIZED
 from astray.experiments import run as experiment_run
-from astray.experiments import sweep as sweeping
-from astray.experiments.sweep import Sweep, axes, run_sweep
+from astray.experiments.sweep import run as sweeping
+from astray.experiments.sweep.report import command
+from astray.experiments.sweep.run import run_sweep
+from astray.experiments.sweep.settings import Sweep, axes, value
 from astray.experiments.workers import train_all
 from astray.training.config import PRESETS
 from astray.training.loop import train
@@ -40,7 +42,7 @@ def test_texts_are_settings_and_their_values():
         "learning_rate": [1e-4, 5e-4], "variant.region": [1, 3], "anneal": [True, False],
         "variant": ["a", "b-1"],
     }  # fmt: skip
-    assert sweeping.value("[" * 10**5) == "[" * 10**5
+    assert value("[" * 10**5) == "[" * 10**5
 
 
 @pytest.mark.parametrize(
@@ -197,7 +199,7 @@ def test_trainings_are_those_of_the_workers():
 def test_the_command_that_a_report_names_makes_the_sweep(sweep, astray, monkeypatch):
     made = []
     monkeypatch.setattr(sweeping, "run_sweep", lambda given, *_, **__: made.append(given))
-    astray(*shlex.split(sweeping.command(sweep))[1:])
+    astray(*shlex.split(command(sweep))[1:])
     (again,) = made
     assert list(again.cells().values()) == list(sweep.cells().values())
     assert (again.seeds, again.levels, again.shift) == (sweep.seeds, sweep.levels, sweep.shift)

@@ -34,7 +34,7 @@ def test_a_command_does_something_or_says_what_is_wrong(verb, words):
     with pytest.MonkeyPatch.context() as patch:
         # What they would do takes long, and is tested elsewhere.
         patch.setattr("astray.training.track.train_tracked", lambda *a, **k: Path("trained"))
-        patch.setattr("astray.experiments.sweep.run_sweep", lambda *a, **k: Path("swept"))
+        patch.setattr("astray.experiments.sweep.run.run_sweep", lambda *a, **k: Path("swept"))
         patch.setattr("astray.experiments.run.reproduce", lambda *a, **k: Path("reported"))
         patch.setattr(sys, "argv", ["astray", *([verb] if verb else []), *words])
         patch.setattr(sys, "stdin", io.StringIO("left right"))

@@ -47,8 +47,9 @@ def sweep(
         on: train on this machine, or on a Ray cluster whose nodes all see the folder
         track: tell wandb or trackio, too, how trainings go
     """
-    from astray.experiments.sweep import Sweep, run_sweep
-    from astray.experiments.sweep import axes as read_axes
+    from astray.experiments.sweep.run import run_sweep
+    from astray.experiments.sweep.settings import Sweep
+    from astray.experiments.sweep.settings import axes as read_axes
 
     bounded("test_levels", test_levels, 1, MOST_LEVELS)
     if workers is not None:

@@ -1,0 +1,110 @@
+"""The report of a sweep: what agents of each combination do, and the command that makes it."""
+
+from __future__ import annotations
+
+import itertools
+import shlex
+from collections.abc import Iterator
+from dataclasses import fields
+from pathlib import Path
+from typing import Any
+
+import polars as pl
+
+from astray.analysis.estimates import bootstrap
+from astray.analysis.outcomes import INTENDED, MISGENERALIZED, matrix
+from astray.analysis.runs import LEVELS_PLAYED
+from astray.experiments.outcomes import AGENTS
+from astray.experiments.report import Findings, Heading, Plot, Table
+from astray.experiments.sweep.figures import grid, line
+from astray.experiments.sweep.settings import KNOB, Sweep
+from astray.training.config import PRESETS, Config
+
+TRAINING, TEST = "in training", "in the test"
+
+
+def heading(sweep: Sweep, folder: Path) -> Heading:
+    config = sweep.base
+    return Heading(
+        name=folder.name,
+        size=f"{sweep.seeds} seeds",
+        title=f"A sweep of {config.game} {config.variant}",
+        reproduces="nothing",
+        differences="",
+        question=f"What do agents pursue, by {' and '.join(sweep.axes)}?",
+        command=command(sweep),
+    )
+
+
+def command(sweep: Sweep) -> str:
+    """The command that makes the sweep: a preset, and all that differs from it."""
+    base, words = sweep.base, ["astray", "sweep", sweep.base.game, sweep.base.variant]
+
+    def changes(preset: Config) -> dict[str, Any]:
+        told = {f.name for f in fields(Config)} - {"game", "variant", "knobs", *sweep.axes}
+        return {n: getattr(base, n) for n in told if getattr(base, n) != getattr(preset, n)}
+
+    preset = min(PRESETS, key=lambda name: (len(changes(PRESETS[name])), name != "small"))
+    words += ["--preset", preset] if preset != "small" else []
+    for name, given in sorted(changes(PRESETS[preset]).items()):
+        flag = name.replace("_", "-")
+        if isinstance(given, bool) and isinstance(getattr(PRESETS["small"], name), bool):
+            words.append(f"--{flag}" if given else f"--no-{flag}")
+        else:
+            words += [f"--{flag}", str(given)]
+    alone = {f"{KNOB}{name}": [given] for name, given in base.knobs.items()}
+    for name, values in (alone | dict(sweep.axes)).items():
+        words += ["--set", f"{name}={','.join(map(str, values))}"]
+    words += ["--seeds", str(sweep.seeds)]
+    words += [] if sweep.levels == LEVELS_PLAYED else ["--test-levels", str(sweep.levels)]
+    words += [] if sweep.shift is None else ["--shift", sweep.shift]
+    return shlex.join(words)
+
+
+def findings(sweep: Sweep, episodes: pl.DataFrame, table: pl.DataFrame) -> Findings:
+    """The figures, and a sentence on the combinations at the ends."""
+    agents = table.filter(policy=AGENTS)
+    asked = agents.filter(test=TEST, outcome=MISGENERALIZED).sort("mean", maintain_order=True)
+    names = sweep.columns()
+    ends = [
+        f"{', '.join(f'{name} {row[name]}' for name in names)}: {100 * row['mean']:.0f} % "
+        f"({100 * row['low']:.0f} to {100 * row['high']:.0f})"
+        for row in (asked.row(0, named=True), asked.row(-1, named=True))
+    ]
+    settings = {name: str(x) for name, x in vars(sweep.base).items() if name not in sweep.axes}
+    return Findings(
+        answer=f"The proxy is reached first in the test least often with {ends[0]}, and most often "
+        f"with {ends[1]}.",
+        claims=[],
+        plots=list(_plots(sweep, episodes)),
+        tables=[Table("agents", "What the agents do", agents.drop("policy"))],
+        settings=settings | {"seeds": str(sweep.seeds), "levels": str(sweep.levels)},
+    )
+
+
+def _plots(sweep: Sweep, episodes: pl.DataFrame) -> Iterator[Plot]:
+    """A figure for each two settings; of one alone, one."""
+    mine = episodes.filter(policy=AGENTS)
+    names = sweep.columns()
+    several = [n for n, values in zip(names, sweep.axes.values(), strict=True) if len(values) > 1]
+    pairs = list(itertools.combinations(several, 2)) or [tuple(several or names)[:1]]
+    for pair in pairs:
+        data = pl.DataFrame(
+            [
+                dict(zip(pair, key, strict=True))
+                | {"what": what}
+                | vars(bootstrap(matrix(part, pl.col("outcome") == outcome)))
+                for what, test, outcome in (
+                    (f"{INTENDED}, {TRAINING}", TRAINING, INTENDED),
+                    (f"{MISGENERALIZED}, {TEST}", TEST, MISGENERALIZED),
+                )
+                for key, part in mine.filter(test=test).group_by(pair, maintain_order=True)
+            ]
+        )
+        name = "-".join(one.replace(".", "-").replace("_", "-") for one in pair)
+        others = [one for one in several if one not in pair]
+        caption = f"What agents do, by {' and '.join(pair)}; shares of episodes"
+        if others:
+            caption += f", over all values of {', '.join(others)}"
+        draw = grid if len(pair) == 2 else line
+        yield Plot(name, f"{caption}.", draw(data, *pair), data)
