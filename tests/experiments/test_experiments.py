@@ -217,19 +217,16 @@ def test_trainings_end_with_the_experiment_that_began_them(tmp_path):
 REPRODUCE = """
 import pathlib, sys
 from dataclasses import replace
-from helpers.miniature import miniature, train_here
-from astray.experiments import catalogue
-from astray.experiments import run
+from helpers.miniature import miniature
+from astray.experiments import catalogue, run
 whole = catalogue.load("maze-corner")
 small = replace(whole, sizes={"smoke": miniature(whole.sizes["smoke"])})
 catalogue.load = lambda _: small
-run.reproduce("maze-corner", "smoke", pathlib.Path(sys.argv[1]), workers=2)
+run.reproduce("maze-corner", "smoke", pathlib.Path(sys.argv[1]))
 """
 TRAIN = """
 import pathlib, sys
 from helpers.killed import CONFIG
-from helpers.miniature import miniature, train_here
-from helpers.processes import environment
 from astray.training.loop import train
 train(CONFIG, pathlib.Path(sys.argv[1]), progress=False, wait=True)
 """
@@ -241,12 +238,12 @@ def begin(program, folder, **options):
     return subprocess.Popen(words, env=environment(), stderr=subprocess.PIPE, text=True, **options)
 
 
-def test_two_that_reproduce_the_same_at_once_both_come_to_its_end(tmp_path):
-    both = [begin(REPRODUCE, tmp_path) for _ in range(2)]
+def test_two_that_reproduce_the_same_at_once_both_come_to_its_end(reports):
+    both = [begin(REPRODUCE, reports) for _ in range(2)]
     said = [process.communicate()[1] for process in both]
     assert [process.returncode for process in both] == [0, 0], said
     assert sum("another process works on" in text for text in said) == 1
-    assert (tmp_path / "maze-corner-smoke" / "report.html").exists()
+    assert (reports / "maze-corner-smoke" / "report.html").exists()
 
 
 def test_a_training_that_another_process_does_is_waited_for(tmp_path):

@@ -52,7 +52,7 @@ def mouse(written, monkeypatch):
 # The outcome of each level that the cards of some agents tell of, as its number in `OUTCOMES`: so
 # that a part of the levels is enough to see that an agent is the one on its card.
 OUTCOMES_OF = json.loads(Path(__file__).with_name("kept.json").read_text())
-CARDS, REPLAYED = 1000, 200  # levels
+CARDS, REPLAYED = 1000, 100  # levels
 
 
 def told_by_card(name):
