@@ -19,7 +19,7 @@ from astray.training.config import PRESETS, Config
 # decide how many steps a network gets, so that all get the same time.
 SPEEDS = {"impala": 216, "nature": 1900, "patch-impala": 1260, "overlap": 4120, "patch": 4270}
 PAPER, OURS = "impala", "patch"
-SECONDS = 300
+SECONDS = 180
 GAMES = {
     "maze": replace(PRESETS["pixels"], variant="corner-small"),
     "coinrun": replace(
@@ -129,7 +129,7 @@ def budgeted(config: Config, network: str) -> Config:
 EXPERIMENT = Experiment(
     title="Networks for images",
     reproduces="nothing: a question of our own",
-    question="Which network learns most from the paper's images in five minutes of one processor?",
+    question="Which network learns most from the paper's images in three minutes of one processor?",
     sizes={
         "pixels": Plan(
             agents={
@@ -140,7 +140,7 @@ EXPERIMENT = Experiment(
             seeds=3,
             levels=1,  # there are no tests
             differences="worlds of 7 cells, and levels of one or two sections without hazards; "
-            "five minutes of one processor instead of 200 million steps",
+            "three minutes of one processor instead of 200 million steps",
         )
     },
     find=find,
