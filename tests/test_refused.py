@@ -1,5 +1,6 @@
 """What would end the process or never end is refused at once, with what was given."""
 
+import functools
 import inspect
 import os
 import signal
@@ -25,7 +26,7 @@ from astray.envs.vector import GameVectorEnv, picture
 from astray.files import read, see_writable
 from astray.kernel.grid import distances
 from astray.kernel.rng import fill_noise
-from astray.level import read_levels
+from astray.level import Level, read_levels
 from astray.training import checkpoint
 from astray.training.config import PRESETS
 from astray.training.fast import fused, sparse
@@ -131,6 +132,22 @@ def test_live_states_can_be_set_to_nothing_by_hand(game, variant):
     with pytest.raises(ValueError, match="state 0 is none of this variant"):
         env.set_state(states)
     env.close()
+
+
+@pytest.mark.parametrize("game", games.OWN)
+def test_states_of_bytes_are_checked_though_nobody_can_write_to_them(game):
+    found = games.find(game)
+    variant = next(iter(found.variants.values()))
+    env = GameVectorEnv(found, variant, 1)
+    env.reset(seed=0)
+    live, states = env.states[0], env.get_state()
+    found.solver.reachable(live), Level.of(found, variant, live)
+    states["mt_next"] = 10**9
+    (forged,) = np.frombuffer(states.tobytes(), found.state)
+    assert not forged.flags.writeable
+    for use in (found.solver.reachable, functools.partial(Level.of, found, variant)):
+        with pytest.raises(ValueError, match="mt_next cannot be"):
+            use(forged)
 
 
 def test_what_steps_write_to_is_theirs_to_write():

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection
+import reprlib
+from collections.abc import Collection, Sequence
 from typing import Any
 
 import numpy as np
+
+MOST = 2**31 - 1  # of a knob, and of what is counted
 
 
 def bounded(name: str, given: Any, least: float, most: float) -> None:
@@ -36,6 +39,26 @@ def one_of(kind: str, given: Any, there: Collection[str]) -> None:
     """ValueError where what is `given` as the name of a `kind` is none of those that are there."""
     if not isinstance(given, str) or given not in there:
         raise ValueError(f"unknown {kind} {shown(given)}; there are: {', '.join(there)}")
+
+
+def integers(given: Any, name: str) -> np.ndarray:
+    """`given` as an array, if it holds integers; ValueError where it does not.
+
+    A float would be cut short in silence, and a boolean be 0 or 1.
+    """
+    numbers = array_of(given)
+    several = isinstance(given, Sequence) and not isinstance(given, str | range)
+    if numbers.dtype.kind not in "iu" or (several and any(isinstance(x, bool) for x in given)):
+        raise ValueError(f"{name} must be integers; got {reprlib.repr(given)}")
+    return numbers
+
+
+def array_of(given: Any) -> np.ndarray:
+    """`given` as an array; of no numbers where it is lists of lists of any lengths."""
+    try:
+        return np.asarray(given)
+    except ValueError:
+        return np.empty(1, object)
 
 
 def shown(given: Any) -> str:

@@ -16,9 +16,9 @@ from typing import Any, Literal
 import numpy as np
 from gymnasium import spaces
 
-from astray.bounds import bounded, of_kind
+from astray.bounds import MOST, bounded, integers, of_kind
 from astray.envs.vector import GameVectorEnv
-from astray.game import LEVELS, MOST, integers
+from astray.record import LEVELS
 from astray.words import check_word
 
 Mode = Literal["easy", "hard", "memory", "exploration"]

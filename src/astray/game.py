@@ -4,59 +4,22 @@ from __future__ import annotations
 
 import functools
 import json
-import reprlib
 import typing
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, fields, replace
 from typing import Any, Literal, Self
 
 import numpy as np
 
-from astray.bounds import bounded, finite, of_kind, shown
-from astray.kernel.rng import RNG_FIELDS, WORDS
+from astray.bounds import MOST, bounded, finite, of_kind, shown
 from astray.protocols import Cells, Editing, Levels, Mutating, Rules, Solver, Symbols
+from astray.record import check_states, record_dtype
 
-NEVER = -1  # the step of an event that has not happened; the number of a level that has none
-LEVELS = range(2**31 - 1)  # all numbers that there are; the original has no others
 OWN = "own"  # the art that is drawn here
-MOST = 2**31 - 1  # of a knob, and of what is counted
 Mutation = Literal["constant", "identity", "binomial"]  # what is edited of a level, and how often
 MUTATIONS: tuple[Mutation, ...] = typing.get_args(Mutation)
 MOST_EDITS = 10_000  # of a level; some 50 ms
 KINDS = {int: np.int64, float: np.float64, bool: np.bool_}
-
-
-def state_dtype(*own: tuple) -> np.dtype:
-    """The record of one environment: what every game has, then the game's `own` fields.
-
-    A record, so that a state can be copied, compared, saved and edited whole; `np.record`,
-    so that `s.x` works compiled and interpreted alike.
-    """
-    common = [
-        ("level", np.int64),  # its number
-        ("shifted", np.bool_),  # the level comes from the variant's shifted distribution
-        ("time", np.int64),  # steps since the level began
-        ("time_limit", np.int64),  # steps
-        ("ended", np.bool_),  # the episode is over
-        ("seed", np.uint64),  # with `turn`, decides which level comes next
-        ("turn", np.int64),  # episodes begun
-        *RNG_FIELDS,
-    ]
-    return _record_dtype([*common, *own])
-
-
-def _record_dtype(columns: list[tuple]) -> np.dtype:
-    """A record of `columns`, aligned and without gaps, whose bytes no copy would keep."""
-    taken = [name for name, *_ in columns if hasattr(np.record, name)]
-    assert not taken, f"records have attributes of these names already: {taken}"
-    columns = sorted(columns, key=lambda column: -np.dtype(column[1]).alignment)
-    gap = -np.dtype(columns).itemsize % 8
-    if gap:
-        columns = [*columns, ("gap", np.uint8, (gap,))]
-    return np.dtype((np.record, np.dtype(columns, align=True)))
-
-
-COMMON = frozenset(state_dtype().names or ())  # fields that the states of all games have
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -126,7 +89,7 @@ class Variant:
     def records(self) -> np.ndarray:
         """The knobs for compiled code, [2]: of this variant, and of the one it shifts to."""
         kinds = knobs(type(self))
-        dtype = _record_dtype([(n, KINDS.get(k, np.int64)) for n, k in kinds.items()])
+        dtype = record_dtype([(n, KINDS.get(k, np.int64)) for n, k in kinds.items()])
         records = np.zeros(2, dtype)
         for record, variant in zip(records, (self, self.shifted or self), strict=True):
             for name, kind in kinds.items():
@@ -304,92 +267,3 @@ class Game:
     def check(self, states: np.ndarray, variant: Variant) -> None:
         """Raise ValueError if one of states [N] is none of `variant`: compiled code trusts them."""
         check_states(states, self.name, self.rules, lambda s: self.invariants(s, variant))
-
-
-def check_states(
-    states: Any, game: str, rules: Rules, truths: Callable[[np.ndarray], dict]
-) -> None:
-    """Raise ValueError if one of states [N] is none that `rules` play, or of which not all is true.
-
-    truths  of states [N], as `Game.invariants` tells them
-    """
-    if not isinstance(states, np.ndarray) or states.dtype != rules.STATE or states.ndim != 1:
-        kind, shape = getattr(states, "dtype", type(states)), np.shape(states)
-        raise ValueError(f"states must be [N] records of {game}; got {kind} of {shape}")
-    s = states.view(np.ndarray)  # a recarray's fields are slow
-    for name, holds in (_always(s, rules.EVENTS) | truths(s)).items():
-        if not holds.all():
-            i = int(np.argmin(holds))
-            raise ValueError(f"state {i} is none of this variant: its {name} cannot be")
-
-
-def check_record(s: Any, rules: Rules, truths: Callable[[np.ndarray], dict]) -> None:
-    """Raise ValueError if `s` is no record that `rules` play: a solver's compiled code trusts it.
-
-    A record of a live `states` is taken as it is: nobody could change it, and a check takes 1 ms.
-
-    truths  of states [N] of any variant, as `Game.invariants` tells them of one
-    """
-    if not isinstance(s, np.void) or s.dtype != rules.STATE:
-        raise ValueError(f"a state must be a record of this game; got {reprlib.repr(s)}")
-    if not s.flags.writeable:
-        return
-    states = np.array([s], rules.STATE).view(np.ndarray)
-    for name, holds in (_always(states, rules.EVENTS) | truths(states)).items():
-        if not holds.all():
-            raise ValueError(f"the state is none of this game: its {name} cannot be")
-
-
-def _always(s: np.ndarray, events: Sequence[str]) -> dict[str, np.ndarray]:
-    """What is true of states [N] of all games: its name -> [N] bool."""
-    return {
-        "mt_next": within(s["mt_next"], 0, WORDS),
-        "turn": s["turn"] >= 0,
-        "level": within(s["level"], NEVER, LEVELS.stop),
-        "time_limit": within(s["time_limit"], 1, MOST + 1),
-        "time": (s["time"] >= 0) & (s["time"] <= s["time_limit"]),
-    } | {event: (s[event] >= NEVER) & (s[event] <= s["time"]) for event in events}
-
-
-def integers(given: Any, name: str) -> np.ndarray:
-    """`given` as an array, if it holds integers; ValueError where it does not.
-
-    A float would be cut short in silence, and a boolean be 0 or 1.
-    """
-    numbers = _array(given)
-    several = isinstance(given, Sequence) and not isinstance(given, str | range)
-    if numbers.dtype.kind not in "iu" or (several and any(isinstance(x, bool) for x in given)):
-        raise ValueError(f"{name} must be integers; got {reprlib.repr(given)}")
-    return numbers
-
-
-def _array(given: Any) -> np.ndarray:
-    """`given` as an array; of no numbers where it is lists of lists of any lengths."""
-    try:
-        return np.asarray(given)
-    except ValueError:
-        return np.empty(1, object)
-
-
-def level_numbers(given: Any) -> np.ndarray:
-    """`given` (a sequence, a range, an array) as numbers of levels, [N] int64, at least one."""
-    if isinstance(given, range) and given:  # which may go on for long
-        given = given if given[0] in LEVELS and given[-1] in LEVELS else [given[0], given[-1]]
-    if not np.size(_array(given)):
-        raise ValueError("levels are numbers, at least one; none is given")
-    numbers = integers(given, "levels")
-    if numbers.ndim != 1 or numbers.min() < LEVELS.start or numbers.max() >= LEVELS.stop:
-        raise ValueError(
-            f"levels must be numbers from 0 to {LEVELS.stop - 1}; got {reprlib.repr(given)}"
-        )
-    return numbers.astype(np.int64)
-
-
-def centre(s: Any) -> list[float]:
-    """The agent's x and y in a state that has them by these names."""
-    return [float(s.x), float(s.y)]
-
-
-def within(numbers: np.ndarray, first: int, after: int | np.ndarray) -> np.ndarray:
-    """Which of `numbers` are from `first` on and before `after`."""
-    return (numbers >= first) & (numbers < after)

@@ -15,6 +15,7 @@ import numpy as np
 from astray.bounds import of_kind, shown
 from astray.files import read
 from astray.game import Game, Variant
+from astray.record import is_trusted
 
 AGENT, EMPTY = "@", "."  # in every game's drawings
 BYTE_ORDER_MARK = "\ufeff"  # with which some editors begin a file
@@ -67,7 +68,7 @@ class Level:
         """
         of_kind("a state", s, np.void)
         variant = game.variant(variant)
-        if s.dtype != game.state or s.flags.writeable:  # as those of live `states` are not
+        if s.dtype != game.state or not is_trusted(s):
             game.check(np.array([s]), variant)
         cells, centre = game.editing.grid(s), game.editing.centre(s)
         return Level(game, variant, cells, _cell(centre), game.editing.describe(s)["looks"])

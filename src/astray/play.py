@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from astray.envs.vector import IMAGE, PICTURE, GameVectorEnv
-from astray.game import LEVELS, OWN, Game, Variant
+from astray.game import OWN, Game, Variant
 from astray.level import Level
+from astray.record import LEVELS
 
 VIEW = 256  # pixels a side of the agent's view, enlarged
 GAP, TEXT = 16, 18  # pixels

@@ -22,8 +22,9 @@ from gymnasium.vector import AutoresetMode, SyncVectorEnv
 from astray.envs.compiled import compiled_loop
 from astray.envs.single import GameEnv
 from astray.envs.vector import GameVectorEnv
-from astray.game import NEVER, OWN, Game, Variant
+from astray.game import OWN, Game, Variant
 from astray.level import Level
+from astray.record import NEVER
 
 SHORT, LONG = 30, 70  # steps of episodes that are cut short, and of a play with several of them
 LEVELS = range(5)  # looked at, of each variant

@@ -88,7 +88,7 @@ def _noise(states: np.ndarray, share: float) -> None:
 
 def _names(states: np.ndarray, shape: int) -> list[str]:
     """Fields of numbers of that many dimensions, beside those that all games have."""
-    from astray.game import COMMON
+    from astray.record import COMMON
 
     return [n for n in states.dtype.names or () if n not in COMMON and states[n].ndim == shape]
 

@@ -12,12 +12,12 @@ import pytest
 from scipy.sparse.csgraph import shortest_path
 
 from astray.envs.pool import Pace, Pool
-from astray.game import state_dtype
 from astray.kernel import rng
 from astray.kernel.canvas import blit, copy_window
 from astray.kernel.grid import UNREACHABLE, distances
 from astray.kernel.jit import kernel
 from astray.kernel.laps import begin_lap, end_lap, take
+from astray.record import state_dtype
 
 MASK = 2**64 - 1
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from astray.analysis.episodes import initial_states
-from astray.game import NEVER
 from astray.games.maze import GAME
+from astray.record import NEVER
 
 EDITED = replace(GAME.variant("corner-small"), shift_probability=0.3)
 

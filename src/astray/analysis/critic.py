@@ -21,9 +21,9 @@ from astray.analysis.episodes import Levels, steps
 from astray.analysis.given import Measure, measured, see_measures
 from astray.analysis.policies import episode_noise
 from astray.analysis.trained import Agent
-from astray.bounds import bounded, finite, of_kind
+from astray.bounds import MOST, bounded, finite, of_kind
 from astray.envs.vector import GameVectorEnv
-from astray.game import MOST, Variant
+from astray.game import Variant
 
 STEP_SALT = 2**33  # no agent has this seed, or a larger one
 

@@ -14,10 +14,11 @@ import numpy as np
 
 from astray import games
 from astray.analysis.given import see_policy
-from astray.bounds import bounded, of_kind
+from astray.bounds import MOST, bounded, of_kind
 from astray.envs.vector import GameVectorEnv
-from astray.game import MOST, Game, Variant, level_numbers
+from astray.game import Game, Variant
 from astray.level import Level
+from astray.record import level_numbers
 
 if TYPE_CHECKING:  # levels are printed without torch, which takes seconds to import
     from astray.analysis.policies import Policy

@@ -12,8 +12,9 @@ import polars as pl
 
 from astray import games
 from astray.analysis.episodes import CHUNK, initial_states
-from astray.game import COMMON, Game, Variant, level_numbers
+from astray.game import Game, Variant
 from astray.level import EMPTY
+from astray.record import COMMON, level_numbers
 
 SEARCHED = 100  # levels looked at for each that is needed
 

@@ -15,10 +15,10 @@ from PIL import Image, ImageDraw, ImageFont
 from astray import games
 from astray.analysis.episodes import steps
 from astray.analysis.policies import Policy
-from astray.bounds import bounded, of_kind
+from astray.bounds import MOST, bounded, of_kind
 from astray.envs.vector import picture
 from astray.files import write_aside
-from astray.game import MOST, Game, Variant
+from astray.game import Game, Variant
 from astray.level import Level
 
 BACKGROUND, INK = (247, 247, 245), (34, 34, 34)

@@ -15,7 +15,7 @@ from tyro.conf import Positional, arg
 from astray import imports
 from astray.analysis.kept import KEPT
 from astray.analysis.tables import write_table
-from astray.bounds import bounded
+from astray.bounds import MOST, bounded
 from astray.cli.arguments import (
     Knobs,
     Mode,
@@ -29,7 +29,7 @@ from astray.cli.arguments import (
 )
 from astray.envs.vector import PICTURES
 from astray.files import see_free, see_writable, write_aside
-from astray.game import MOST, OWN
+from astray.game import OWN
 from astray.training.config import SEEDS, Config, Tracking
 
 if TYPE_CHECKING:

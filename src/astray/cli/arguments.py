@@ -14,8 +14,9 @@ from tyro.conf import UseAppendAction, arg
 
 from astray.analysis import kept
 from astray.bounds import bounded
-from astray.game import LEVELS, NEVER, Game, Variant
+from astray.game import Game, Variant
 from astray.level import Level, read_levels
+from astray.record import LEVELS, NEVER
 
 Mode = Literal["sampled", "greedy"]
 # Several after one --set, or one after each of several.

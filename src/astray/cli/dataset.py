@@ -9,9 +9,9 @@ from tyro.conf import Positional
 
 from astray import games, imports
 from astray.analysis.dataset import Format
-from astray.bounds import bounded
+from astray.bounds import MOST, bounded
 from astray.cli.arguments import Knobs, Mode, chosen, level_numbers, pairs, see_of_policy
-from astray.game import MOST, OWN
+from astray.game import OWN
 
 LEVELS = "0:1000"
 WALK = "walk:"

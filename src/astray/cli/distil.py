@@ -9,9 +9,8 @@ from tyro.conf import Positional
 
 from astray.analysis import kept
 from astray.analysis.policies import Observation
-from astray.bounds import bounded
+from astray.bounds import MOST, bounded
 from astray.envs.pool import most_threads
-from astray.game import MOST
 from astray.training.config import MOST_STEPS, PRESETS, SEEDS, Tracking
 
 

@@ -11,7 +11,7 @@ from astray.analysis import kept
 from astray.bounds import bounded
 from astray.cli.arguments import Knobs, Mode, one_level, pairs
 from astray.files import see_free, see_writable
-from astray.game import LEVELS
+from astray.record import LEVELS
 
 MOST_LEVELS = 10_000
 

@@ -10,7 +10,7 @@ from tyro.conf import Positional
 from astray.analysis import kept
 from astray.bounds import bounded
 from astray.files import read
-from astray.game import LEVELS
+from astray.record import LEVELS
 
 LARGEST_PORT = 2**16 - 1
 EXPORTED, MOST = 50, 10_000  # levels of a variant that are exported: by default, and at most

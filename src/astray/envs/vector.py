@@ -14,14 +14,15 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
 from astray import games
-from astray.bounds import bounded, of_kind, shown
+from astray.bounds import MOST, bounded, integers, of_kind, shown
 from astray.envs.compiled import compiled_loop
 from astray.envs.infos import Columns, Info, merged, objects
 from astray.envs.loops import AS_SET, DISABLED, NEXT_LEVEL, NEXT_STEP, NOTHING, SAME_STEP, STEP
 from astray.envs.pool import Pool, alone, most_threads
-from astray.game import LEVELS, MOST, OWN, Game, Variant, integers, level_numbers
+from astray.game import OWN, Game, Variant
 from astray.level import Level
 from astray.memory import check_memory
+from astray.record import LEVELS, level_numbers, trusted
 from astray.words import check_word
 
 IMAGE = 64  # pixels a side of what the agent sees
@@ -112,6 +113,7 @@ class GameVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         self._shape = (num_envs, *self.single_observation_space.shape)
 
         self._threads = threads
+        # No recarray: with these numba's calls are slow.
         self._states = np.zeros(num_envs, self.game.state)
         kept = num_envs if self._mode == SAME_STEP else 0  # ends that a new beginning overwrites
         self._final_states = np.empty(kept, self.game.state)
@@ -157,9 +159,7 @@ class GameVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
     @property
     def states(self) -> np.recarray:
         """The record of each environment, [N], live and read-only: see `set_state`."""
-        states = self._states.view(np.recarray)  # with which numba's calls are slow
-        states.setflags(write=False)
-        return states
+        return trusted(self._states)
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None

@@ -29,10 +29,10 @@ from astray.analysis.critic import observe
 from astray.analysis.given import Measure, measured, see_measures
 from astray.analysis.tables import write_table
 from astray.analysis.trained import Agent
-from astray.bounds import bounded, of_kind, one_of, shown
+from astray.bounds import MOST, bounded, of_kind, one_of, shown
 from astray.envs.states import BROKEN
 from astray.files import folder_aside, read, see_readable, write_aside
-from astray.game import MOST, Variant
+from astray.game import Variant
 from astray.memory import check_memory
 
 INDEX, LABELS, FORMAT = "index.json", "labels.parquet", 1

@@ -24,9 +24,9 @@ from torch import Tensor
 from astray.agents.mlp import MLP
 from astray.analysis.critic import Edit, observe
 from astray.analysis.trained import Agent
-from astray.bounds import bounded, of_kind
+from astray.bounds import MOST, bounded, of_kind
 from astray.envs.vector import IMAGE
-from astray.game import MOST, Variant
+from astray.game import Variant
 
 CHUNK = 64  # observations at a time
 REST, NOTHING = "rest", "nothing"  # parts that are what no other is

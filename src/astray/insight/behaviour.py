@@ -21,9 +21,9 @@ import polars as pl
 from astray import games
 from astray.analysis.episodes import CHUNK, Levels, initial_states
 from astray.analysis.estimates import bootstrap
-from astray.bounds import bounded, of_kind
+from astray.bounds import MOST, bounded, of_kind
 from astray.estimate import Estimate
-from astray.game import MOST, Game, Variant
+from astray.game import Game, Variant
 
 FOLDS = 5
 SUBSETS = 200  # of features, in which signs are compared

@@ -21,8 +21,8 @@ import torch
 from torch import Tensor
 
 from astray.analysis.trained import Agent
-from astray.bounds import bounded, finite, of_kind, shown
-from astray.game import MOST, Variant
+from astray.bounds import MOST, bounded, finite, of_kind, shown
+from astray.game import Variant
 from astray.insight.activations import see_layers
 from astray.level import Cell
 

@@ -24,8 +24,8 @@ from astray.analysis.critic import observe
 from astray.analysis.estimates import bootstrap
 from astray.analysis.given import Measure, measured, see_measures
 from astray.analysis.trained import Agent
-from astray.bounds import bounded, of_kind
-from astray.game import MOST, Variant
+from astray.bounds import MOST, bounded, of_kind
+from astray.game import Variant
 from astray.insight.activations import activations
 
 SEEN = "observation"  # in the place of a layer: what the agent is shown

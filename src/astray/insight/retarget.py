@@ -20,8 +20,8 @@ from astray import games
 from astray.analysis.critic import judge, observe
 from astray.analysis.episodes import Levels
 from astray.analysis.trained import Agent
-from astray.bounds import bounded, of_kind, shown
-from astray.game import MOST, Variant
+from astray.bounds import MOST, bounded, of_kind, shown
+from astray.game import Variant
 from astray.insight.activations import activations, see_layers
 from astray.insight.fields import Places, drawn, places_of, states_at
 from astray.insight.interventions import patch, place

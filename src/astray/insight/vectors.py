@@ -21,8 +21,8 @@ from astray import games
 from astray.analysis.critic import judge, observe
 from astray.analysis.episodes import Levels
 from astray.analysis.trained import Agent
-from astray.bounds import bounded, finite, of_kind, shown
-from astray.game import MOST, Variant
+from astray.bounds import MOST, bounded, finite, of_kind, shown
+from astray.game import Variant
 from astray.insight.activations import activations
 from astray.insight.fields import Places, cell_of, drawn, places_of
 from astray.insight.interventions import steer

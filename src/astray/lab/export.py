@@ -21,9 +21,9 @@ from astray import games
 from astray.analysis.critic import judge, observe
 from astray.analysis.episodes import initial_states
 from astray.analysis.trained import Agent
-from astray.bounds import bounded, of_kind
+from astray.bounds import MOST, bounded, of_kind
 from astray.files import folder_aside, write_aside
-from astray.game import MOST, Game, Variant
+from astray.game import Game, Variant
 from astray.lab.minds import Minds, places, put, sees
 from astray.lab.server import TYPES
 from astray.lab.session import FORMAT, Lab, about_game, drawings

@@ -16,11 +16,12 @@ from astray.agency.online import Growth, measure_online
 from astray.analysis.agency import named_places
 from astray.analysis.episodes import steps
 from astray.analysis.trained import Agent
-from astray.game import NEVER, Game, Shift
+from astray.game import Game, Shift
 from astray.lab.messages import LONGEST
 from astray.lab.minds import rounded
 from astray.lab.worlds import Episode, World, environment
 from astray.level import Level
+from astray.record import NEVER
 
 NEITHER = "neither"  # of the goals
 OTHER = "another cell"

@@ -15,9 +15,10 @@ from astray import games
 from astray.analysis.episodes import initial_states
 from astray.bounds import bounded
 from astray.envs.vector import GameVectorEnv
-from astray.game import COMMON, LEVELS, Game, Variant
+from astray.game import Game, Variant
 from astray.lab.messages import Message
 from astray.level import Level
+from astray.record import COMMON, LEVELS
 
 PAGE = Path(__file__).parent / "page"
 LONGEST_ARRAY = 64  # items of a state's field that a page is told

@@ -15,8 +15,7 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from astray.bounds import bounded
-from astray.game import MOST
+from astray.bounds import MOST, bounded
 
 HIDDEN = 64
 BATCH = 128  # frames of either kind in a step

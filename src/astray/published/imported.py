@@ -27,7 +27,7 @@ from astray.agents.importers.imported import Imported
 from astray.analysis import kept
 from astray.bounds import shown
 from astray.files import folder_aside, read, write_aside
-from astray.game import LEVELS
+from astray.record import LEVELS
 from astray.training import checkpoint
 from astray.training.config import RENAMED, Config
 

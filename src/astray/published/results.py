@@ -12,7 +12,7 @@ from pathlib import Path
 import polars as pl
 
 from astray.files import read
-from astray.game import LEVELS
+from astray.record import LEVELS
 
 LARGEST = 512_000_000  # bytes
 # What each of our columns may be called there: by the paper's program, and by its later fork.

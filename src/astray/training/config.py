@@ -16,8 +16,9 @@ from tyro.conf import Positional, Suppress
 
 from astray import games, imports
 from astray.agents.names import check_network, renamed_network
-from astray.bounds import shown
-from astray.game import LEVELS, MOST, MOST_EDITS, OWN, Game, Mutation, Variant
+from astray.bounds import MOST, shown
+from astray.game import MOST_EDITS, OWN, Game, Mutation, Variant
+from astray.record import LEVELS
 
 # Settings as older run folders have them, and what they are called now.
 RENAMED = {

@@ -13,8 +13,8 @@ from collections.abc import Callable
 import numpy as np
 
 from astray.envs.vector import GameVectorEnv
-from astray.game import NEVER
 from astray.memory import check_memory
+from astray.record import NEVER, trusted
 from astray.training.config import Config
 from astray.training.levels import (
     Arrays,
@@ -225,7 +225,5 @@ class Replay:
         """The discounted return of the best policy in each of states [K], 0 if that is no score."""
         if self.intended is None:
             return np.zeros(len(states))
-        known = states.copy()
-        known.setflags(write=False)  # the solver checks nobody's states but those that may change
-        best = self.game.solver.optimal_return
-        return np.array([best(s, self.intended, self.config.gamma) for s in known])
+        best, gamma = self.game.solver.optimal_return, self.config.gamma
+        return np.array([best(s, self.intended, gamma) for s in trusted(states.copy())])

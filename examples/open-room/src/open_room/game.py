@@ -5,9 +5,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from astray.game import NEVER, OWN, Game, Looks, Shift, Variant, state_dtype
+from astray.game import OWN, Game, Looks, Shift, Variant
 from astray.kernel.jit import kernel, shared
 from astray.kernel.rng import below
+from astray.record import NEVER, state_dtype
 
 SIDE = 16  # cells
 ACTIONS = ("stay", "left", "right", "down", "up")

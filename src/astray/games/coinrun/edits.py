@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 
-from astray.game import NEVER
 from astray.games.coinrun.draw import VIEW
 from astray.games.coinrun.levels import BACKGROUNDS, RUNNERS
 from astray.games.coinrun.rules import (
@@ -26,6 +25,7 @@ from astray.games.coinrun.rules import (
     WALL,
     WORLD,
 )
+from astray.record import NEVER
 
 CENTRES = np.arange(WORLD) + 0.5
 IN_VIEW = VIEW / 2 - 0.5  # cells from the runner to the centre of a cell that all of is seen

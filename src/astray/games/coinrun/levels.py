@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from astray.game import NEVER, Variant, centre, within
+from astray.game import Variant
 from astray.games.coinrun.reach import pick_place
 from astray.games.coinrun.rules import (
     BARRIER,
@@ -34,6 +34,7 @@ from astray.games.coinrun.rules import (
 )
 from astray.kernel.jit import kernel, shared
 from astray.kernel.rng import draw_u32, share, unit
+from astray.record import NEVER, centre, within
 
 RUNNERS, GROUNDS, BACKGROUNDS, CRATES, LOOKS = 5, 6, 62, 4, 9  # how many looks there are
 DETAILS = CRATES * (CRATES + 1)  # of cells: looks of walkers, or of one or two crates

@@ -5,9 +5,9 @@ Numbers and the order of things are the original's, also that it calculates with
 
 import numpy as np
 
-from astray.game import NEVER, state_dtype
 from astray.kernel.jit import kernel, shared
 from astray.kernel.rng import below
+from astray.record import NEVER, state_dtype
 
 WORLD = 64  # cells a side
 WALKERS = 48  # at most in a level; the original has up to 35

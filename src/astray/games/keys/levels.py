@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from astray.game import NEVER, Variant, centre, within
+from astray.game import Variant
 from astray.games.keys.rules import (
     CHEST,
     CORNER,
@@ -24,6 +24,7 @@ from astray.games.keys.variants import AS_NUMBERED, FLOORS
 from astray.kernel.jit import kernel, shared
 from astray.kernel.maze import WALL, carve
 from astray.kernel.rng import WORDS, below, seed_twister, unit
+from astray.record import NEVER, centre, within
 
 LEGEND = {"#": WALL, ".": EMPTY, "k": KEY, "C": CHEST}
 OBJECTS = {"key": "k", "chest": "C"}

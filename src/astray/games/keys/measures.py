@@ -10,9 +10,9 @@ from typing import Any
 
 import numpy as np
 
-from astray.game import NEVER
 from astray.games.keys.rules import CHEST, KEY, MOST
 from astray.games.keys.solve import optimal_return
+from astray.record import NEVER
 
 
 def steps_taken(states: np.ndarray) -> np.ndarray:

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from astray.art import original
-from astray.game import NEVER, Looks, Variant
+from astray.game import Looks, Variant
 from astray.games.keys.rules import CHEST, HALF, HIDDEN, LOWER_LEFT, LOWER_RIGHT, UPPER_LEFT, F
 from astray.games.keys.variants import FLOORS
 from astray.kernel.canvas import copy_flat
@@ -16,6 +16,7 @@ from astray.kernel.cells import OPEN, paint_cells
 from astray.kernel.jit import kernel, shared
 from astray.kernel.maze import is_wall
 from astray.kernel.qt import GENERIC, SPRITE, around, blit, blit_turned, camera
+from astray.record import NEVER
 
 FLOOR_PICTURES = (
     "topdown_backgrounds/floortiles.png",

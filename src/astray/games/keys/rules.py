@@ -2,10 +2,10 @@
 
 import numpy as np
 
-from astray.game import NEVER, state_dtype
 from astray.kernel.jit import kernel
 from astray.kernel.maze import WALL
 from astray.kernel.rng import below
+from astray.record import NEVER, state_dtype
 
 LARGEST = 23  # cells a side of the largest world
 MOST = 36  # objects in a level

@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 
 from astray.bounds import finite, one_of
-from astray.game import NEVER, check_record
 from astray.games.keys import rules
 from astray.games.keys.levels import truths
 from astray.games.keys.rules import (
@@ -31,6 +30,7 @@ from astray.games.keys.variants import GOALS
 from astray.kernel.grid import UNREACHABLE, distances
 from astray.kernel.jit import entry, kernel, one_at_a_time, shared
 from astray.kernel.maze import WALL
+from astray.record import NEVER, check_record
 
 EXACT = 12  # objects; of more, the nearest are ordered, and all anew after each
 SLACK = float(F(0.5) - HALF)  # cells that the thief may be off the middle of a corridor

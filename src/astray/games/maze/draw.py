@@ -9,11 +9,12 @@ from typing import Any
 import numpy as np
 
 from astray.art import own
-from astray.game import NEVER, OWN, Looks, Variant
+from astray.game import OWN, Looks, Variant
 from astray.games.maze.variants import COLOURS, FLOORS, OTHERS, SHAPES, WALLS
 from astray.kernel.canvas import blit, copy_flat, copy_window, pixel
 from astray.kernel.jit import kernel
 from astray.kernel.maze import margin, paint_maze, paint_walls
+from astray.record import NEVER
 
 ART = Path(__file__).parent / "art"
 FLOOR = 256  # pixels of a floor's height; larger pictures repeat them

@@ -6,12 +6,13 @@ from typing import Any
 
 import numpy as np
 
-from astray.game import NEVER, Variant, centre, within
+from astray.game import Variant
 from astray.games.maze.rules import BOTH, EMPTY, GOAL, LARGEST, OTHER, STATE, note_arrivals
 from astray.games.maze.variants import AS_NUMBERED, COLOURS, FLOORS, OTHERS, SHAPES, WALLS
 from astray.kernel.jit import kernel, shared
 from astray.kernel.maze import WALL, carve
 from astray.kernel.rng import below, share, unit
+from astray.record import NEVER, centre, within
 
 CORNER, REGION, ANYWHERE, ON_OTHER = 0, 1, 2, 3  # Maze.placement, in the order of its choices
 DISH = OTHERS.index("dish")

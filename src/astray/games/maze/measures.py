@@ -11,12 +11,12 @@ from typing import Any
 
 import numpy as np
 
-from astray.game import check_states
 from astray.games.maze import rules
 from astray.games.maze.levels import truths
 from astray.games.maze.rules import ACTIONS
 from astray.games.maze.solve import STAY, routes, steps_to, target
 from astray.kernel.grid import UNREACHABLE
+from astray.record import check_states
 
 NONE = -1  # of a label that a state does not have
 WAYS = tuple(ACTIONS.index(name) for name in ("left", "right", "down", "up"))

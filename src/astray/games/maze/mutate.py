@@ -6,8 +6,8 @@ import functools
 
 import numpy as np
 
-from astray.bounds import bounded, of_kind
-from astray.game import MOST_EDITS, MUTATIONS, NEVER, Mutation, Variant, check_states, integers
+from astray.bounds import bounded, integers, of_kind
+from astray.game import MOST_EDITS, MUTATIONS, Mutation, Variant
 from astray.games.maze import rules
 from astray.games.maze.levels import ANYWHERE, CORNER, ON_OTHER, furnish, invariants
 from astray.games.maze.rules import BOTH, EMPTY, GOAL, OTHER, STATE, note_arrivals
@@ -16,6 +16,7 @@ from astray.kernel.grid import UNREACHABLE, distances
 from astray.kernel.jit import entry, kernel, shared
 from astray.kernel.maze import WALL
 from astray.kernel.rng import below, seed_twister, unit
+from astray.record import NEVER, check_states
 from astray.words import check_word
 
 CONSTANT, IDENTITY, BINOMIAL = range(len(MUTATIONS))

@@ -8,13 +8,14 @@ from typing import Any
 import numpy as np
 
 from astray.art import original
-from astray.game import NEVER, Looks, Variant
+from astray.game import Looks, Variant
 from astray.games.maze.variants import COLOURS, FLOORS, OTHERS, WALLS
 from astray.kernel.canvas import copy_flat
 from astray.kernel.cells import OPEN, paint_cells
 from astray.kernel.jit import kernel, shared
 from astray.kernel.maze import is_wall
 from astray.kernel.qt import GENERIC, SPRITE, around, blit, camera
+from astray.record import NEVER
 
 F = np.float32
 HALF = F(0.5)  # half a side of the mouse, cells

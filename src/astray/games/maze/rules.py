@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from astray.game import NEVER, state_dtype
 from astray.kernel.jit import kernel
 from astray.kernel.maze import is_wall
+from astray.record import NEVER, state_dtype
 
 LARGEST = 31  # cells a side of the largest world
 EMPTY, GOAL, OTHER, BOTH = 0, 2, 3, 4  # what is in a cell, if not WALL; BOTH: goal on other

@@ -9,13 +9,13 @@ from typing import Any
 import numpy as np
 
 from astray.bounds import finite, one_of
-from astray.game import NEVER, check_record
 from astray.games.maze import rules
 from astray.games.maze.levels import truths
 from astray.games.maze.rules import ACTIONS, REWARD
 from astray.games.maze.variants import GOALS
 from astray.kernel.grid import UNREACHABLE, distances
 from astray.kernel.maze import WALL
+from astray.record import NEVER, check_record
 
 STAY = ACTIONS.index("stay")
 

@@ -14,9 +14,10 @@ from astray.analysis.adapters import Function
 from astray.analysis.evaluate import evaluate
 from astray.analysis.runs import open_run
 from astray.experiments.spec import PUBLISHED, Plan, Size
-from astray.game import LEVELS, Variant
+from astray.game import Variant
 from astray.games.coinrun.rules import ACTIONS
 from astray.published.imported import SPARED
+from astray.record import LEVELS
 from astray.training.config import PRESETS, Config
 
 ABOUT = {"game": "coinrun", "variant": "coin-end", "validation": "coin-anywhere"}

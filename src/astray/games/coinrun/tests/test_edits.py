@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 
 from astray.envs.vector import GameVectorEnv
-from astray.game import NEVER
 from astray.games.coinrun import GAME, edits, measures
 from astray.games.coinrun.rules import COIN, CRATE, SAW, TOP, WALL
 from astray.games.coinrun.variants import VARIANTS
 from astray.level import Level
+from astray.record import NEVER
 
 ANYWHERE = VARIANTS["coin-anywhere"]
 EDITS = [*edits.PARTS.values(), edits.with_coin_at_end, edits.with_coin_in_view]

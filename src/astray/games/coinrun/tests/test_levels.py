@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 
 from astray.envs.vector import GameVectorEnv
-from astray.game import NEVER
 from astray.games.coinrun import GAME
 from astray.games.coinrun.rules import COIN, INVISIBLE, PERMEABLE, SAW, TOP, WALL
 from astray.games.coinrun.solve import plan
 from astray.games.coinrun.variants import VARIANTS
 from astray.level import Level
+from astray.record import NEVER
 
 N = 1000
 

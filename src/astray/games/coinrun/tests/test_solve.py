@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from astray.envs.vector import GameVectorEnv
-from astray.game import NEVER
 from astray.games.coinrun import GAME, solve
 from astray.games.coinrun.rules import ACTIONS
+from astray.record import NEVER
 
 LEVELS = range(100_000, 100_060)
 

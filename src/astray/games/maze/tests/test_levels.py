@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from astray.envs.vector import GameVectorEnv
-from astray.game import NEVER
 from astray.games.maze import GAME
 from astray.games.maze.rules import BOTH, OTHER
 from astray.games.maze.variants import VARIANTS, Maze
 from astray.kernel.maze import WALL
 from astray.level import Level
+from astray.record import NEVER
 
 N = 1000
 
