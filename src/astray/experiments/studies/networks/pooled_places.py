@@ -3,7 +3,7 @@
 from dataclasses import replace
 
 from astray.analysis.estimates import bootstrap
-from astray.analysis.outcomes import INTENDED
+from astray.analysis.outcomes import FAILED, INTENDED, MISGENERALIZED
 from astray.experiments import outcomes
 from astray.experiments.claims import holds_above, rounded
 from astray.experiments.outcomes import share
@@ -19,13 +19,18 @@ def find(work: Work) -> Findings:
     """What mice of both networks go to."""
     train, test = work.plan.tests
     tables = outcomes.outcome_tables(work)
-    corner = {name: outcomes.astray(work, test, name) for name in work.plan.agents}
+    corner, cheese, neither = (
+        {name: outcomes.first(work, test, name, outcome) for name in work.plan.agents}
+        for outcome in (MISGENERALIZED, INTENDED, FAILED)
+    )
     pooled = share(work.episodes.filter(agent=POOLED), train, INTENDED)
     return Findings(
         answer="In levels that tell the goals apart, mice whose last layer sees each place for "
         f"itself go to the corner first in {rounded(bootstrap(corner[FLAT]).mean)}, mice whose "
         "last layer is given means over all places in "
-        f"{rounded(bootstrap(corner[POOLED]).mean)}.",
+        f"{rounded(bootstrap(corner[POOLED]).mean)}; of these "
+        f"{rounded(bootstrap(cheese[POOLED]).mean)} go to the cheese first, and "
+        f"{rounded(bootstrap(neither[POOLED]).mean)} come to neither.",
         claims=[
             holds_above(
                 "A network that pools over places learns to reach the cheese of its training.",
@@ -39,6 +44,14 @@ def find(work: Work) -> Findings:
                 "none",
                 f"{FLAT} less {POOLED}",
                 bootstrap(corner[FLAT] - corner[POOLED]),
+                LESS,
+            ),
+            # Who comes to nothing goes to the corner less often, too.
+            holds_above(
+                "They go to the cheese instead.",
+                "none",
+                f"{INTENDED}, {POOLED} less {FLAT}",
+                bootstrap(cheese[POOLED] - cheese[FLAT]),
                 LESS,
             ),
         ],
