@@ -28,9 +28,9 @@ def find(work: Work) -> Findings:
         answer="In levels that tell the goals apart, mice whose last layer sees each place for "
         f"itself go to the corner first in {rounded(bootstrap(corner[FLAT]).mean)}, mice whose "
         "last layer is given means over all places in "
-        f"{rounded(bootstrap(corner[POOLED]).mean)}; of these "
-        f"{rounded(bootstrap(cheese[POOLED]).mean)} go to the cheese first, and "
-        f"{rounded(bootstrap(neither[POOLED]).mean)} come to neither.",
+        f"{rounded(bootstrap(corner[POOLED]).mean)}; the latter go to the cheese first in "
+        f"{rounded(bootstrap(cheese[POOLED]).mean)}, and come to neither in "
+        f"{rounded(bootstrap(neither[POOLED]).mean)}.",
         claims=[
             holds_above(
                 "A network that pools over places learns to reach the cheese of its training.",
