@@ -6,15 +6,15 @@ import { posterior } from "../mind/agency.js";
 import { readNetwork, softmax } from "../mind/network.js";
 import { noise, sample } from "../mind/noise.js";
 import { readTable } from "../mind/table.js";
-import { NEVER, WALL, advance, cellsOf } from "../rules/common.js";
 import { rules as coinrun } from "../rules/coinrun.js";
 import { rules as keys } from "../rules/keys.js";
 import { rules as maze } from "../rules/maze.js";
+import { played, snapshot, take, told } from "./episodes.js";
+import { NEITHER, firstGoal, namedPlaces } from "./goals.js";
+import { read, splayed, textOf, whole } from "./levels.js";
 
 const RULES = { coinrun, keys, maze };
 const AT_ONCE = 16; // places that are computed before the page may draw
-const [TOP, PERMEABLE] = [2, 8]; // of CoinRun's cells, beside WALL
-const NEITHER = "neither";
 const OTHER = "another cell";
 
 export class LocalEngine {
@@ -255,145 +255,7 @@ function small(buffer) {
   return judge;
 }
 
-function played({ s, rules }, actions) {
-  const episode = { states: [rules.copy(s)], actions: [], rewards: [], terminated: false, ended: false };
-  for (const action of actions) take(episode, rules, action);
-  return episode;
-}
-
-function take(episode, rules, action) {
-  if (episode.ended) throw new Error(`the episode has ended after ${episode.actions.length} steps`);
-  const s = rules.copy(episode.states.at(-1));
-  const { reward, terminated } = advance(rules, s, action);
-  episode.states.push(s);
-  episode.actions.push(action);
-  episode.rewards.push(reward);
-  Object.assign(episode, { terminated, ended: s.ended });
-}
-
-function told(episode, first, agent, rules) {
-  const states = episode.states.slice(first);
-  const judged = agent ? states.map((s) => agent.judge(s, rules)) : [];
-  return {
-    first, states: states.map(snapshot), actions: episode.actions.slice(Math.max(first - 1, 0)),
-    rewards: episode.rewards.slice(Math.max(first - 1, 0)), terminated: episode.terminated,
-    ended: episode.ended,
-    ...(agent && { policy: judged.map((j) => j.policy), value: judged.map((j) => j.value) }),
-  };
-}
-
-// A state without what does not move.
-export function snapshot(s) {
-  const { cell, thing, draws, trail_x: trail, ...fields } = s;
-  return structuredClone(fields);
-}
-
-function namedPlaces(game, shift, s) {
-  const [places, events] = [{}, new Set()];
-  for (const goal of [shift.intended, ...shift.proxies, ...Object.keys(game.goals)]) {
-    const event = game.goals[goal];
-    const place = event.replace("reached_", "");
-    if (!(`${place}_x` in s) || game.real_time) {
-      throw new Error(`${game.about.split(" ")[1]} has no cell for the goal '${goal}'; maze has`);
-    }
-    if (events.has(event)) continue;
-    if (s[`${place}_x`] !== NEVER) places[goal] = [s[`${place}_x`], s[`${place}_y`]];
-    events.add(event);
-  }
-  return places;
-}
-
-function firstGoal(s, shift, events) {
-  const reached = [shift.intended, ...shift.proxies].filter((goal) => s[events[goal]] !== NEVER);
-  return reached.reduce((best, goal) => best === NEITHER || s[events[goal]] < s[events[best]]
-    ? goal : best, NEITHER);
-}
-
-// A level for every place of a thing, as `Level.splay` has them.
-function splayed({ level, s, rules }, thing, at, about) {
-  const { grid, agent, looks } = level;
-  const lifted = grid.map((row) => [...row]);
-  const code = about.legend[about.objects[thing]];
-  if (thing !== "agent") {
-    const where = at ?? cellsOf(grid, code)[0];
-    if (!where || grid[where[1]][where[0]] !== code) throw new Error(`which ${thing}?`);
-    lifted[where[1]][where[0]] = 0;
-  }
-  const state = rules.build({ grid: lifted, agent, looks }, { ...s, ...knobsOf(s) });
-  const here = agent.map(Math.floor);
-  return rules.places(state).filter((cell) => String(cell) !== String(here) || thing === "agent")
-    .filter(([x, y]) => lifted[y][x] === 0)
-    .sort((one, two) => one[1] - two[1] || one[0] - two[0])
-    .map((cell) => {
-      const cells = lifted.map((row) => [...row]);
-      if (thing !== "agent") cells[cell[1]][cell[0]] = code;
-      const begin = thing === "agent" ? [cell[0] + 0.5, cell[1] + 0.5] : agent;
-      return { cell, level: { grid: cells, agent: begin, looks } };
-    });
-}
-
-// Only places are wanted of the state, so that its looks may be any.
-const knobsOf = () => ({
-  goal_shape: "none", goal_colour: "none", other_shape: "dish", other_colour: "none",
-  inventory: "hidden", walls: "sand",
-});
-
 function nested(data, [planes, height, width]) {
   return Array.from({ length: planes }, (_, c) => Array.from({ length: height }, (_, y) =>
     Array.from(data.slice((c * height + y) * width, (c * height + y + 1) * width))));
-}
-
-// A drawing as cells, rows from the lowest up, in the words of `Level.from_text`.
-function read(text, legend) {
-  const lines = text.replace(/\r/g, "").split("\n").filter((line) => !line.startsWith(";"));
-  const rows = lines.map((line) => line.trim()).filter(Boolean).reverse();
-  const lengths = new Set(rows.map((row) => row.length));
-  if (lengths.size !== 1) {
-    throw new Error(`a level's rows are equally long; these have [${rows.map((r) => r.length)}]`);
-  }
-  const agents = [];
-  const grid = rows.map((row, y) => [...row].map((char, x) => {
-    if (char === "@") agents.push([x, y]);
-    const code = char === "@" ? legend["."] : legend[char];
-    if (code === undefined) {
-      const there = [...Object.keys(legend), "@"].join(" ");
-      throw new Error(`unknown '${char}' at cell (${x}, ${y}); there are: ${there}`);
-    }
-    return code;
-  }));
-  if (agents.length !== 1) throw new Error(`a level has one '@', the agent; this has ${agents.length}`);
-  return { grid, agent: agents[0] };
-}
-
-export function textOf({ grid, agent }, legend) {
-  const chars = Object.fromEntries(Object.entries(legend).map(([char, code]) => [code, char]));
-  const rows = grid.map((row) => row.map((code) => chars[code]));
-  rows[Math.floor(agent[1])][Math.floor(agent[0])] = "@";
-  return rows.map((row) => row.join("")).reverse().join("\n");
-}
-
-// A smaller level of CoinRun in the lower left of the whole world, walls around it.
-function whole(level) {
-  const [side, wide, high] = [64, level.grid[0].length, level.grid.length];
-  if (Math.max(wide, high) > side) {
-    throw new Error(`the level is ${wide} x ${high} cells; it is at most ${side} a side`);
-  }
-  const grid = Array.from({ length: side }, (_, y) => Array.from({ length: side }, (_, x) =>
-    level.grid[y]?.[x] ?? 1));
-  const looks = { ...level.looks };
-  looks.end ??= endOf(grid);
-  looks.permeable ??= grid[looks.end[1]].filter((what) => what === PERMEABLE).length;
-  return { ...level, grid, looks };
-}
-
-// The lowest cell to stand in, in the last column that has one, or before a permeable wall.
-function endOf(grid) {
-  const ground = (what) => what === WALL || what === TOP;
-  const walls = cellsOf(grid, PERMEABLE).map(([x]) => x);
-  for (let x = Math.min(grid.length, ...walls) - 1; x >= 0; x--) {
-    for (let y = 1; y < grid.length; y++) {
-      if (!ground(grid[y][x]) && ground(grid[y - 1][x])) return [x, y];
-    }
-  }
-  return [0, 0];
 }

@@ -1,0 +1,36 @@
+// Episodes as `astray.lab.worlds` plays and tells them.
+
+import { advance } from "../rules/common.js";
+
+export function played({ s, rules }, actions) {
+  const episode = { states: [rules.copy(s)], actions: [], rewards: [], terminated: false, ended: false };
+  for (const action of actions) take(episode, rules, action);
+  return episode;
+}
+
+export function take(episode, rules, action) {
+  if (episode.ended) throw new Error(`the episode has ended after ${episode.actions.length} steps`);
+  const s = rules.copy(episode.states.at(-1));
+  const { reward, terminated } = advance(rules, s, action);
+  episode.states.push(s);
+  episode.actions.push(action);
+  episode.rewards.push(reward);
+  Object.assign(episode, { terminated, ended: s.ended });
+}
+
+export function told(episode, first, agent, rules) {
+  const states = episode.states.slice(first);
+  const judged = agent ? states.map((s) => agent.judge(s, rules)) : [];
+  return {
+    first, states: states.map(snapshot), actions: episode.actions.slice(Math.max(first - 1, 0)),
+    rewards: episode.rewards.slice(Math.max(first - 1, 0)), terminated: episode.terminated,
+    ended: episode.ended,
+    ...(agent && { policy: judged.map((j) => j.policy), value: judged.map((j) => j.value) }),
+  };
+}
+
+// A state without what does not move.
+export function snapshot(s) {
+  const { cell, thing, draws, trail_x: trail, ...fields } = s;
+  return structuredClone(fields);
+}

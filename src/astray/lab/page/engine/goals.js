@@ -1,0 +1,26 @@
+// Where a shift's goals are, and which was reached first.
+
+import { NEVER } from "../rules/common.js";
+
+export const NEITHER = "neither";
+
+export function namedPlaces(game, shift, s) {
+  const [places, events] = [{}, new Set()];
+  for (const goal of [shift.intended, ...shift.proxies, ...Object.keys(game.goals)]) {
+    const event = game.goals[goal];
+    const place = event.replace("reached_", "");
+    if (!(`${place}_x` in s) || game.real_time) {
+      throw new Error(`${game.about.split(" ")[1]} has no cell for the goal '${goal}'; maze has`);
+    }
+    if (events.has(event)) continue;
+    if (s[`${place}_x`] !== NEVER) places[goal] = [s[`${place}_x`], s[`${place}_y`]];
+    events.add(event);
+  }
+  return places;
+}
+
+export function firstGoal(s, shift, events) {
+  const reached = [shift.intended, ...shift.proxies].filter((goal) => s[events[goal]] !== NEVER);
+  return reached.reduce((best, goal) => best === NEITHER || s[events[goal]] < s[events[best]]
+    ? goal : best, NEITHER);
+}

@@ -1,0 +1,89 @@
+// Levels as `astray.level` has them: drawn as text, and one for every place of a thing.
+
+import { WALL, cellsOf } from "../rules/common.js";
+
+const [TOP, PERMEABLE] = [2, 8]; // of CoinRun's cells, beside WALL
+
+// A drawing as cells, rows from the lowest up, in the words of `Level.from_text`.
+export function read(text, legend) {
+  const lines = text.replace(/\r/g, "").split("\n").filter((line) => !line.startsWith(";"));
+  const rows = lines.map((line) => line.trim()).filter(Boolean).reverse();
+  const lengths = new Set(rows.map((row) => row.length));
+  if (lengths.size !== 1) {
+    throw new Error(`a level's rows are equally long; these have [${rows.map((r) => r.length)}]`);
+  }
+  const agents = [];
+  const grid = rows.map((row, y) => [...row].map((char, x) => {
+    if (char === "@") agents.push([x, y]);
+    const code = char === "@" ? legend["."] : legend[char];
+    if (code === undefined) {
+      const there = [...Object.keys(legend), "@"].join(" ");
+      throw new Error(`unknown '${char}' at cell (${x}, ${y}); there are: ${there}`);
+    }
+    return code;
+  }));
+  if (agents.length !== 1) throw new Error(`a level has one '@', the agent; this has ${agents.length}`);
+  return { grid, agent: agents[0] };
+}
+
+export function textOf({ grid, agent }, legend) {
+  const chars = Object.fromEntries(Object.entries(legend).map(([char, code]) => [code, char]));
+  const rows = grid.map((row) => row.map((code) => chars[code]));
+  rows[Math.floor(agent[1])][Math.floor(agent[0])] = "@";
+  return rows.map((row) => row.join("")).reverse().join("\n");
+}
+
+// A smaller level of CoinRun in the lower left of the whole world, walls around it.
+export function whole(level) {
+  const [side, wide, high] = [64, level.grid[0].length, level.grid.length];
+  if (Math.max(wide, high) > side) {
+    throw new Error(`the level is ${wide} x ${high} cells; it is at most ${side} a side`);
+  }
+  const grid = Array.from({ length: side }, (_, y) => Array.from({ length: side }, (_, x) =>
+    level.grid[y]?.[x] ?? 1));
+  const looks = { ...level.looks };
+  looks.end ??= endOf(grid);
+  looks.permeable ??= grid[looks.end[1]].filter((what) => what === PERMEABLE).length;
+  return { ...level, grid, looks };
+}
+
+// The lowest cell to stand in, in the last column that has one, or before a permeable wall.
+function endOf(grid) {
+  const ground = (what) => what === WALL || what === TOP;
+  const walls = cellsOf(grid, PERMEABLE).map(([x]) => x);
+  for (let x = Math.min(grid.length, ...walls) - 1; x >= 0; x--) {
+    for (let y = 1; y < grid.length; y++) {
+      if (!ground(grid[y][x]) && ground(grid[y - 1][x])) return [x, y];
+    }
+  }
+  return [0, 0];
+}
+
+// A level for every place of a thing, as `Level.splay` has them.
+export function splayed({ level, s, rules }, thing, at, about) {
+  const { grid, agent, looks } = level;
+  const lifted = grid.map((row) => [...row]);
+  const code = about.legend[about.objects[thing]];
+  if (thing !== "agent") {
+    const where = at ?? cellsOf(grid, code)[0];
+    if (!where || grid[where[1]][where[0]] !== code) throw new Error(`which ${thing}?`);
+    lifted[where[1]][where[0]] = 0;
+  }
+  const state = rules.build({ grid: lifted, agent, looks }, { ...s, ...knobsOf(s) });
+  const here = agent.map(Math.floor);
+  return rules.places(state).filter((cell) => String(cell) !== String(here) || thing === "agent")
+    .filter(([x, y]) => lifted[y][x] === 0)
+    .sort((one, two) => one[1] - two[1] || one[0] - two[0])
+    .map((cell) => {
+      const cells = lifted.map((row) => [...row]);
+      if (thing !== "agent") cells[cell[1]][cell[0]] = code;
+      const begin = thing === "agent" ? [cell[0] + 0.5, cell[1] + 0.5] : agent;
+      return { cell, level: { grid: cells, agent: begin, looks } };
+    });
+}
+
+// Only places are wanted of the state, so that its looks may be any.
+const knobsOf = () => ({
+  goal_shape: "none", goal_colour: "none", other_shape: "dish", other_colour: "none",
+  inventory: "hidden", walls: "sand",
+});
