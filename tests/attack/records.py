@@ -26,8 +26,9 @@ def attempts() -> Iterator[Attempt]:
     for name in games.OWN:
         for title, use in _uses().items():
             for ruin in RUINS:
-                act = functools.partial(_use, name, use, ruin)
-                yield Attempt(2, f"{title} of states of {name}: {ruin}", act, "any")
+                for kind, held in HELD.items():
+                    act = functools.partial(_use, name, use, ruin, held)
+                    yield Attempt(2, f"{title} of {kind} of {name}: {ruin}", act, "any")
 
 
 def _extremes(kind: np.dtype) -> list[Any]:
@@ -111,10 +112,23 @@ def _codes(states: np.ndarray, value: int) -> None:
             states[name] = min(value, np.iinfo(states[name].dtype).max)
 
 
-def _use(game: str, use: Callable[[Any, np.ndarray], Any], ruin: str, place: Place) -> None:
+# Who could have written to the states that are given.
+HELD: dict[str, Callable[[np.ndarray], np.ndarray]] = {
+    "states": lambda s: s,
+    "read-only states": lambda s: np.frombuffer(s.tobytes(), s.dtype),
+}
+
+
+def _use(
+    game: str,
+    use: Callable[[Any, np.ndarray], Any],
+    ruin: str,
+    held: Callable[[np.ndarray], np.ndarray],
+    place: Place,
+) -> None:
     env, states = _env(game), _states(place, game)
     RUINS[ruin](states)
-    use(env, states)
+    use(env, held(states))
 
 
 def _uses() -> dict[str, Callable[[Any, np.ndarray], Any]]:
