@@ -15,7 +15,7 @@ import numpy as np
 from astray.bounds import of_kind, shown
 from astray.files import read
 from astray.game import Game, Variant
-from astray.record import is_trusted
+from astray.record import NEVER, is_trusted
 
 AGENT, EMPTY = "@", "."  # in every game's drawings
 BYTE_ORDER_MARK = "\ufeff"  # with which some editors begin a file
@@ -136,7 +136,7 @@ class Level:
         return level
 
     def state(self, *, solvable: bool = True) -> Any:
-        """The state that begins in this level; ValueError, naming the cell, where none can.
+        """The state that begins in this level, which has no number; ValueError where none can.
 
         solvable  see that the agent can reach every object
         """
@@ -150,6 +150,7 @@ class Level:
             raise ValueError(
                 f"a level's looks are {shown(dict(self.looks))}; these cannot be: {error}"
             ) from error
+        s["level"] = NEVER
         game.check(np.array([s], game.state), self.variant)
         _check_told(self.looks, game.editing.describe(s)["looks"], "a level's looks")
         if solvable:

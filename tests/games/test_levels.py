@@ -9,6 +9,7 @@ from gymnasium.utils.env_checker import data_equivalence
 from astray import games
 from astray.envs.vector import GameVectorEnv
 from astray.level import AGENT, Level, read_levels
+from astray.record import NEVER
 from helpers.cases import FEW
 
 
@@ -50,6 +51,14 @@ def test_drawings_are_read_back(game, variant):
         assert np.array_equal(again.cells, level.cells) and again.agent == level.agent
         told, theirs = level.to_json(), again.to_json()
         assert {n for n in told if told[n] != theirs[n]} <= {"looks"}
+
+
+@pytest.mark.parametrize("game, variant", FEW)
+def test_a_level_that_is_given_as_data_has_no_number(game, variant):
+    level = one(game, variant)
+    env = GameVectorEnv(game, variant, 2)
+    _, info = env.reset(seed=0, options={"level": level})
+    assert info["level"].tolist() == [NEVER, NEVER] and level.state()["level"] == NEVER
 
 
 @pytest.mark.parametrize("game, variant", FEW)

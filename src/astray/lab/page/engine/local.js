@@ -6,6 +6,7 @@ import { posterior } from "../mind/agency.js";
 import { readNetwork, softmax } from "../mind/network.js";
 import { noise, sample } from "../mind/noise.js";
 import { readTable } from "../mind/table.js";
+import { NEVER } from "../rules/common.js";
 import { rules as coinrun } from "../rules/coinrun.js";
 import { rules as keys } from "../rules/keys.js";
 import { rules as maze } from "../rules/maze.js";
@@ -97,7 +98,7 @@ export class LocalEngine {
     }
     if (game === "coinrun") given = whole(given);
     const s = rules.build(given, kind);
-    s.level = number ?? 0;
+    s.level = number ?? NEVER;
     const looks = { ...given.looks };
     return { level: { game, grid: given.grid, agent: [s.x, s.y], looks }, s, number, rules };
   }

@@ -18,7 +18,7 @@ const mixTwo = (number, salt) => mix(mix(number) ^ salt);
 
 // [count] numbers from 0 to 1 for the next action in a level at a step.
 export function noise(seed, level, time, count) {
-  const episode = mixTwo(BigInt(seed), BigInt(level));
+  const episode = mixTwo(BigInt(seed), BigInt.asUintN(64, BigInt(level)));
   return Array.from({ length: count }, (_, k) =>
     Math.fround(Number(mixTwo(episode, BigInt(time * count + k)) >> 11n) * TO_UNIT));
 }
