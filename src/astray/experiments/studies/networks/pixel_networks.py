@@ -1,5 +1,6 @@
 """Which network learns most from images in the same time of one processor?"""
 
+import itertools
 from dataclasses import replace
 
 import matplotlib
@@ -27,7 +28,7 @@ GAMES = {
     ),
 }
 LINES = dict(zip(SPEEDS, (INK, *OTHERS[:4]), strict=True))
-LAST = 10  # the end of a training: its last tenth
+LAST = 0.1  # the end of a training, as a share of its steps
 
 
 def name_of(game: str, network: str) -> str:
@@ -40,17 +41,14 @@ def find(work: Work) -> Findings:
     measured = outcomes.curves(work).select(
         "agent", "seed", "steps", pl.col("training/return").cast(pl.Float64).alias("return")
     )
-    ends = {
-        (game, network): ending(measured, name_of(game, network))
-        for game in GAMES
-        for network in SPEEDS
-    }
-    rows = []
-    for (game, network), values in ends.items():
+    ends, rows = {}, []
+    for game, network in itertools.product(GAMES, SPEEDS):
+        name = name_of(game, network)
+        ends[game, network] = values = mean_return(measured, name, LAST)
         mean, low, high = over_agents(values[:, None])[:, 0].tolist()
-        steps = work.plan.agents[name_of(game, network)].steps
-        told = {"game": game, "network": network, "steps": steps}
-        rows.append(told | {"mean": mean, "low": low, "high": high})
+        told = {"game": game, "network": network, "steps": work.plan.agents[name].steps}
+        throughout = float(mean_return(measured, name, 1.0).mean())
+        rows.append(told | {"mean": mean, "low": low, "high": high, "throughout": throughout})
     table = pl.DataFrame(rows)
     best = {
         game: table.filter(game=game).sort("mean", descending=True).row(0, named=True)
@@ -71,18 +69,17 @@ def find(work: Work) -> Findings:
                 measured,
             )
         ],
-        tables=[Table("ends", "Return in the last tenth of training", table)],
+        tables=[Table("ends", "Return in the last tenth of training, and throughout it", table)],
         settings=outcomes.settings(work.plan)
         | {"steps per second": ", ".join(f"{n}: {v:,}" for n, v in SPEEDS.items())},
     )
 
 
-def ending(measured: pl.DataFrame, agent: str) -> np.ndarray:
-    """The mean return in the last tenth of training, [seeds]; 0 where no episode had ended."""
-    mine = measured.filter(agent=agent)
-    last = mine.filter(pl.col("steps") > pl.col("steps").max() * (1 - 1 / LAST))
-    means = last.group_by("seed").agg(pl.col("return").mean()).sort("seed")
-    return means["return"].fill_null(0.0).to_numpy()
+def mean_return(measured: pl.DataFrame, agent: str, share: float) -> np.ndarray:
+    """The mean return in the last `share` of training, [seeds]; 0 where no episode had ended."""
+    mine = measured.filter(agent=agent).with_columns(pl.col("return").fill_null(0.0))
+    last = mine.filter(pl.col("steps") > pl.col("steps").max() * (1 - share))
+    return last.group_by("seed").agg(pl.col("return").mean()).sort("seed")["return"].to_numpy()
 
 
 def sooner(game: str, difference: np.ndarray) -> Claim:
