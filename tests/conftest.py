@@ -9,6 +9,11 @@ from astray import cli
 from helpers.cases import REFERENCE
 
 
+def pytest_collection_modifyitems(items):
+    """What waits most of its time comes first, so that others are done meanwhile."""
+    items.sort(key=lambda item: item.get_closest_marker("waits") is None)
+
+
 @pytest.fixture
 def reference() -> Path:
     """Recordings of the original program."""

@@ -14,6 +14,7 @@ from astray.analysis.trained import Agent
 from astray.envs.vector import GameVectorEnv
 from astray.games.coinrun import edits, measures
 from astray.level import Level
+from astray.record import NEVER
 
 GAME = games.find("coinrun")
 SHORT = replace(GAME.variants["coin-anywhere"], time_limit=40)
@@ -138,7 +139,7 @@ def test_a_state_without_its_coin_is_a_level_built_without_it(either):
     assert np.array_equal([row["policy"], row["policy_edited"]], [p, q])
     likelier = p > q  # the event that tells the two best
     assert row["policy_change"] == pytest.approx(p[likelier].sum() - q[likelier].sum())
-    assert (row["level"], row["step"], row["stage"]) == (0, 0, 0)
+    assert (row["level"], row["step"], row["stage"]) == (NEVER, 0, 0)
 
 
 @pytest.mark.parametrize(

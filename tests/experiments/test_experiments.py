@@ -25,7 +25,7 @@ from astray.experiments.outcomes import share
 from astray.experiments.studies.mitigation import asking_for_help, reward_ensembles
 from astray.training import checkpoint
 from astray.training.config import Config
-from helpers.killed import CONFIG
+from helpers.killed import SHORT
 from helpers.miniature import miniature, train_here
 from helpers.processes import environment
 from helpers.trainings import TINY
@@ -226,9 +226,9 @@ run.reproduce("maze-corner", "smoke", pathlib.Path(sys.argv[1]))
 """
 TRAIN = """
 import pathlib, sys
-from helpers.killed import CONFIG
+from helpers.killed import SHORT
 from astray.training.loop import train
-train(CONFIG, pathlib.Path(sys.argv[1]), progress=False, wait=True)
+train(SHORT, pathlib.Path(sys.argv[1]), progress=False, wait=True)
 """
 
 
@@ -247,12 +247,12 @@ def test_two_that_reproduce_the_same_at_once_both_come_to_its_end(reports):
 
 
 def test_a_training_that_another_process_does_is_waited_for(tmp_path):
-    with checkpoint.claim(tmp_path, CONFIG):
+    with checkpoint.claim(tmp_path, SHORT):
         second = begin(TRAIN, tmp_path)
         assert "is training in" in second.stderr.readline()
         assert second.poll() is None and not checkpoint.steps_saved(tmp_path)
     assert second.communicate() and second.returncode == 0
-    assert checkpoint.finished(tmp_path, CONFIG)
+    assert checkpoint.finished(tmp_path, SHORT)
 
 
 @pytest.mark.skipif(os.name == "nt", reason="needs signals")

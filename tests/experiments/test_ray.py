@@ -17,6 +17,7 @@ RAY = importlib.util.find_spec("ray") is not None
 
 
 @pytest.mark.skipif(not RAY or sys.platform != "linux", reason="needs ray, and /proc")
+@pytest.mark.waits
 def test_a_process_and_a_node_that_die_lose_nothing(tmp_path):
     words = [sys.executable, "-m", "helpers.on_ray", str(tmp_path)]
     done = subprocess.run(words, env=environment(), capture_output=True, text=True)
