@@ -15,7 +15,7 @@ from astray.bounds import bounded
 from astray.cli.arguments import print_json, show
 from astray.experiments import catalogue
 from astray.experiments.spec import Place, Size
-from astray.game import OWN
+from astray.game import OWN, Game
 from astray.training.config import PRESETS, Tracking
 from astray.words import printable
 
@@ -28,18 +28,9 @@ def list_(json: bool = False) -> None:
     Args:
         json: print JSON
     """
-
+    described, broken = games.survey(_game)
     found = {
-        "games": {
-            name: {
-                "about": game.about,
-                "variants": {k: v.about for k, v in game.variants.items()},
-                "goals": list(game.goals),
-                "shifts": {k: vars(v) for k, v in game.shifts.items()},
-            }
-            for name in games.names()
-            for game in [games.find(name)]
-        },
+        "games": described | {name: {"error": reason} for name, reason in broken.items()},
         "experiments": {name: catalogue.load(name).title for name in catalogue.NAMES},
         "agents": {name: _agent(name) for name in (*kept.names(), *kept.imported())},
         "presets": list(PRESETS),
@@ -47,7 +38,7 @@ def list_(json: bool = False) -> None:
     if json:
         print_json(found)
         return
-    for name, game in found["games"].items():
+    for name, game in described.items():
         table = Table("variant", "levels", box=None, padding=(0, 2))
         for variant, about in game["variants"].items():
             table.add_row(variant, about)
@@ -55,6 +46,8 @@ def list_(json: bool = False) -> None:
         for shift, what in game["shifts"].items():
             goals = f"{what['intended']}, or {' or '.join(what['proxies'])}?"
             show(f"  shift {shift}: {what['train']} -> {what['test']}: {goals}")
+    for name, reason in broken.items():
+        show(f"[bold]{escape(printable(name))}[/]: broken: {escape(printable(reason))}")
     show("[bold]experiments[/]")
     for name, title in found["experiments"].items():
         show(f"  {name}: {title}")
@@ -62,6 +55,15 @@ def list_(json: bool = False) -> None:
     for name, config in found["agents"].items():
         about = config.get("error") or f"{config['game']}, trained on {config['variant']}"
         show(f"  {escape(printable(name))}: {escape(printable(about))}")
+
+
+def _game(game: Game) -> dict[str, Any]:
+    return {
+        "about": game.about,
+        "variants": {k: v.about for k, v in game.variants.items()},
+        "goals": list(game.goals),
+        "shifts": {k: vars(v) for k, v in game.shifts.items()},
+    }
 
 
 def _agent(name: str) -> dict[str, Any]:

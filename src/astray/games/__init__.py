@@ -10,9 +10,11 @@ import functools
 import importlib
 import pkgutil
 import re
+from collections.abc import Callable
 from importlib.metadata import EntryPoint, entry_points
+from typing import Any
 
-from astray.bounds import shown
+from astray.bounds import brief, shown
 from astray.game import Game
 
 OWN = tuple(sorted(module.name for module in pkgutil.iter_modules(__path__) if module.ispkg))
@@ -63,6 +65,21 @@ def find(game: str | Game) -> Game:
     raise ValueError(f"unknown game {game!r}; there are: {', '.join(names())}")
 
 
+def survey(describe: Callable[[Game], Any]) -> tuple[dict[str, Any], dict[str, str]]:
+    """Return what `describe` says of every game, and the reason for each that is broken, by name.
+
+    A game of another package may fail in any way, and must not keep the others from being seen.
+    """
+    found, broken = {}, {}
+    for name in names():
+        try:
+            found[name] = describe(find(name))
+        except Exception as error:
+            is_told = isinstance(error, ValueError)
+            broken[name] = brief(error) if is_told else f"the game {name!r} fails: {error!r}"
+    return found, broken
+
+
 @functools.cache
 def _offered() -> dict[str, EntryPoint]:
     """The games of other packages that are installed, by name; none is imported by this."""
@@ -73,7 +90,7 @@ def _offered() -> dict[str, EntryPoint]:
 def _load(point: EntryPoint) -> Game:
     try:
         game = point.load()
-    except Exception as error:
+    except (Exception, SystemExit) as error:  # else a module that exits would end every verb
         raise ValueError(f"the game {point.name!r}, {point.value}, fails: {error!r}") from error
     if not isinstance(game, Game) or game.name != point.name:
         raise ValueError(f"{point.value} must be a Game called {point.name!r}; got {game!r}")

@@ -47,7 +47,10 @@ def make_lab(agent: str | Path | None, start: Mapping[str, Any]) -> Lab:
 def _first_agent(minds: Minds, game: str | None, variant: str | None) -> str:
     """The name of an agent for levels of a game and a variant, None: any; empty: there is none."""
     for name in sorted(minds.paths, key=lambda name: name != FIRST):
-        about = minds.about(name)
+        try:
+            about = minds.about(name)
+        except (ValueError, OSError):  # the page tells which agents are broken
+            continue
         if game in (None, about["game"]) and (variant is None or variant in about["variants"]):
             return name
     return ""

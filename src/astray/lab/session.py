@@ -87,13 +87,13 @@ class Session:
 def hello(session: Session, message: Message) -> Iterator[Reply]:
     """What there is: games, variants, agents; and what to begin with."""
     lab = session.lab
-    agents, broken = {}, {}
+    found, broken = games.survey(about_game)
+    agents = {}
     for name in lab.minds.paths:
         try:
             agents[name] = lab.minds.about(name)
         except (*MISTAKES, OSError) as error:
             broken[name] = brief(error)
-    found = {name: about_game(games.find(name)) for name in games.names()}
     yield {
         "format": FORMAT,
         "engine": "python",

@@ -98,7 +98,8 @@ export class Panels {
     const { about, game } = lab;
     const agents = Object.entries(about.agents).map(([name, { game: plays }]) => [name, `${name} (${plays})`]);
     const none = Object.keys(about.games).map((name) => [`none ${name}`, `no agent (${name})`]);
-    options(part("agent"), [...agents, ...none], lab.agent || `none ${game}`);
+    const broken = Object.entries(about.broken).map(([name, why]) => [`broken ${name}`, `${name} is broken: ${why}`, true]);
+    options(part("agent"), [...agents, ...none, ...broken], lab.agent || `none ${game}`);
     const seen = about.agents[lab.agent]?.variants ?? Object.keys(lab.rules.variants);
     options(part("variant"), seen.map((name) => [name, `${name}: ${lab.rules.variants[name]}`]), lab.variant);
     this.#tools();

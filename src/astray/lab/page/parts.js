@@ -4,9 +4,9 @@ export const percent = (share) => `${Math.round(100 * share)} %`;
 
 // Fill a choice with [value, text] pairs, and keep what is chosen where it is among them.
 export function options(select, pairs, chosen) {
-  select.replaceChildren(...pairs.map(([value, text]) => {
+  select.replaceChildren(...pairs.map(([value, text, disabled = false]) => {
     const option = document.createElement("option");
-    [option.value, option.textContent] = [value, text];
+    [option.value, option.textContent, option.disabled] = [value, text, disabled];
     return option;
   }));
   if (pairs.some(([value]) => value === chosen)) select.value = chosen;

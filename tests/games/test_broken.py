@@ -1,0 +1,46 @@
+"""A game of a stranger that is broken is told, and keeps nothing else from being seen."""
+
+import json
+
+import pytest
+
+from astray import games
+from astray.lab.serving import make_lab
+from astray.lab.session import Session
+from helpers.guests import offer
+
+SOURCES = {
+    "raises": "raise RuntimeError('it lacks a file')",
+    "leaves": "import sys; sys.exit(0)",
+    "is_none": "GAME = 3",
+    "is_hollow": "import dataclasses\nfrom astray import games\n"
+    "GAME = dataclasses.replace(games.find('maze'), name='is_hollow', variants={'one': 3})",
+}
+REASONS = {
+    "raises": "RuntimeError('it lacks a file')",
+    "leaves": "SystemExit(0)",
+    "is_none": "must be a Game called 'is_none'; got 3",
+    "is_hollow": "no attribute 'about'",
+}
+
+
+@pytest.fixture
+def strangers(tmp_path, monkeypatch):
+    offer(tmp_path, monkeypatch, **SOURCES)
+    yield
+    games._offered.cache_clear()
+
+
+def test_what_is_there_is_listed_beside_broken_games_and_why(strangers, astray):
+    found = json.loads(astray("list", "--json"))["games"]
+    assert set(games.OWN) <= found.keys()
+    for name, reason in REASONS.items():
+        assert reason in found[name]["error"]
+    said = "".join(astray("list").split())
+    assert all("".join(f"{n}: broken:".split()) in said for n in REASONS) and "coinrun" in said
+
+
+def test_the_first_page_of_the_lab_tells_broken_games_and_why(strangers):
+    (about,) = Session(make_lab("maze-corner", {})).answers('{"id": 1, "kind": "hello"}')
+    assert set(about["games"]) == set(games.OWN)
+    assert all(reason in about["broken"][name] for name, reason in REASONS.items())
