@@ -10,6 +10,9 @@ AssertionError.
 from __future__ import annotations
 
 import functools
+import logging
+import time
+import warnings
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
 from itertools import product
@@ -26,6 +29,8 @@ from astray.game import OWN, Game, Variant
 from astray.level import Level
 from astray.record import NEVER
 
+LOG = logging.getLogger("astray")
+SLOW = 15  # seconds of a processor that compiling a game may take; astray's own take 8 to 17
 SHORT, LONG = 30, 70  # steps of episodes that are cut short, and of a play with several of them
 LEVELS = range(5)  # looked at, of each variant
 
@@ -34,11 +39,28 @@ def check_game(game: Game, variants: Iterable[str] | None = None) -> None:
     """See that a game is what environments, training and analysis take it for.
 
     variants  names of those to check; by default all
+
+    How long it takes to compile is logged, and warned of where it is more than SLOW.
     """
+    report_compiling(game)
     check_parts(game)
     for name in game.variants if variants is None else variants:
         for check in CHECKS:
             check(game, game.variant(name))
+
+
+def report_compiling(game: Game) -> None:
+    """Log the seconds that compiling takes, few where the code was kept; warn of many."""
+    before = time.process_time()
+    compiled_loop(game)
+    seconds = time.process_time() - before
+    LOG.info("%s: compiled, or taken from the cache, in %.1f s", game.name, seconds)
+    if seconds > SLOW:
+        warnings.warn(
+            f"{game.name} took {seconds:.0f} s to compile, more than {SLOW}: docs/extending.md, "
+            '"What takes long to compile", says what mostly does',
+            stacklevel=3,
+        )
 
 
 def check_parts(game: Game) -> None:

@@ -1,6 +1,6 @@
 """Compile what most tests ask for, while linters keep another core busy: python -m helpers.compiled
 
-Of two processes that compile one waits for the other, and so would the workers of the tests.
+Of two processes that compile a game one waits for the other, as would the workers of the tests.
 """
 
 import numpy as np

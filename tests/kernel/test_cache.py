@@ -5,7 +5,9 @@ import os
 import shutil
 import sys
 import tempfile
+import threading
 import time
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numba
@@ -14,6 +16,8 @@ from filelock import FileLock
 
 import astray
 from astray import cli
+from astray.envs import compiled
+from astray.games import find
 from astray.kernel import cache, jit, versions
 from astray.kernel.stored import Stored
 
@@ -214,6 +218,29 @@ def test_who_was_stopped_while_compiling_holds_nobody_up_for_ever(code, monkeypa
 
 
 @COMPILED
+def test_games_compile_at_once_and_one_game_once(monkeypatch):
+    monkeypatch.setattr(cache, "SILENT", 5)
+    both, inside = threading.Barrier(2, timeout=3), []
+
+    def compiling(game, looks, run):
+        inside.append(game.name)
+        both.wait()
+
+    monkeypatch.setattr(compiled, "_compile", compiling)
+    monkeypatch.setattr(compiled, "_compile_shared", lambda: None)
+
+    def compile_both(*names):
+        with ThreadPoolExecutor() as threads:
+            found = [threads.submit(compiled._compiled.__wrapped__, find(n), "own") for n in names]
+        return [one.exception() for one in found]
+
+    assert compile_both("maze", "keys") == [None, None] and sorted(inside) == ["keys", "maze"]
+    monkeypatch.setattr(both, "_timeout", 0.1)
+    failed = compile_both("maze", "maze")
+    assert [type(error) for error in failed] == [threading.BrokenBarrierError] * 2
+
+
+@COMPILED
 def test_code_of_sources_that_were_edited_since_they_were_loaded_is_not_kept(code, monkeypatch):
     before = numba.config.OPT  # which counts as a source
     monkeypatch.setattr(numba.config, "OPT", type(before)(1))
@@ -233,6 +260,7 @@ def a_version(home, digest=OLD, used=0.0):
     (folder / "envs_0").mkdir(parents=True)
     for name in (
         "compile.lock",
+        "compile-maze.lock",
         "envs_0/loops.run-9.py311.nbi",
         "envs_0/loops.run-9.py311.1.nbc",
         "envs_0/loops.run-9.py311.2.nbc.tmp.0123456789abcdef",
@@ -249,8 +277,8 @@ def test_versions_are_told_last_used_first(tmp_path, code):
     this, old = versions.versions(code.parent)
     assert this.folder == code and this.files == 1
     assert this.about == f"astray {astray.__version__}, numba {numba.__version__}"
-    assert (old.about, old.used, old.files) == ("astray 0.0.1, numba 0.61.0", 0, 5)
-    assert old.size == 4 * 3 + len("astray 0.0.1, numba 0.61.0\n")
+    assert (old.about, old.used, old.files) == ("astray 0.0.1, numba 0.61.0", 0, 6)
+    assert old.size == 5 * 3 + len("astray 0.0.1, numba 0.61.0\n")
     assert versions.versions(tmp_path / "none") == []
 
 
@@ -302,9 +330,10 @@ def test_a_folder_without_its_mark_is_not_ours(tmp_path):
     assert not versions.remove(folder) and len(list(folder.rglob("*.nb*"))) == 3
 
 
-def test_a_version_that_a_process_compiles_into_stays(tmp_path):
+@pytest.mark.parametrize("lock", ["compile.lock", "compile-maze.lock", "compile-mine_0123.lock"])
+def test_a_version_that_a_process_compiles_into_stays(lock, tmp_path):
     folder = a_version(tmp_path)
-    with FileLock(folder / "compile.lock"):
+    with FileLock(folder / lock):
         assert not versions.remove(folder)
     assert len(list(folder.rglob("*.nb*"))) == 3
 

@@ -40,13 +40,20 @@ def _compiled(game: Game, art: str) -> Callable:
     # What nobody can tell to be unchanged is compiled by each process.
     decorate = passing if digest is None else entry
     run = specialise(loops.run, label, decorate, ACTIONS=len(game.actions), **functions)
-    with one_at_a_time():
+    with one_at_a_time(label):
         _compile(game, looks, run)
+    _compile_shared()
+    return run
+
+
+@functools.cache
+def _compile_shared() -> None:
+    """Compile what all games call from Python, or take it from the cache."""
+    with one_at_a_time():
         numbers, table = np.empty(0, np.int64), np.empty((0, 1), np.int64)
         loops.fill(table, table, numbers, np.empty(0, bool))
         distances(np.ones((1, 1), bool), 0, 0)
         rng.fill_noise(0, numbers, numbers, np.empty((0, 1), np.float32))
-    return run
 
 
 def _compile(game: Game, looks: Looks, run: Callable) -> None:

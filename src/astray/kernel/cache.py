@@ -129,14 +129,14 @@ def passing_folder() -> str:
 
 
 @contextlib.contextmanager
-def held(folder: str) -> Iterator[bool]:
-    """Hold the folder of compiled code for this process, and tell whether it is held.
+def held(folder: str, lock_name: str = LOCK) -> Iterator[bool]:
+    """Hold a lock in the folder of compiled code for this process, and tell whether it is held.
 
     It is not where the folder cannot be written, nor where who holds it was stopped: nothing is
     to be written to it then.
     """
     with contextlib.ExitStack() as stack:
-        is_held, lock = False, FileLock(Path(folder, LOCK))
+        is_held, lock = False, FileLock(Path(folder, lock_name))
         if folder:
             try:
                 is_held = _is_entered(stack, lock, SILENT) or _is_waited_for(stack, lock)

@@ -17,6 +17,7 @@ from numba.core.compiler import Compiler
 
 from astray.kernel.cache import cache_folder, held, passing_folder
 from astray.kernel.stored import Stored
+from astray.kernel.versions import LOCK
 
 PACKAGE = Path(__file__).parents[1]
 KERNELS = ("kernel/*.py", "games/*/*.py", "envs/loops.py", "game.py")  # all that is compiled
@@ -142,9 +143,12 @@ def specialise(
 
 
 @contextlib.contextmanager
-def one_at_a_time() -> Iterator[None]:
-    """Compile in here: numba's cache breaks when two processes write one entry."""
-    with held(code_folder()) as is_held:
+def one_at_a_time(label: str = "") -> Iterator[None]:
+    """Compile in here: numba's cache breaks when two processes write one entry.
+
+    label  of what is specialised, which nobody waits for who compiles something else
+    """
+    with held(code_folder(), f"compile-{label}.lock" if label else LOCK) as is_held:
         if not is_held:
             Stored.writes = False
         yield

@@ -24,6 +24,7 @@ CODE = re.compile(r"(?P<function>.+?)(\.\d+)?\.nb[ic](\.tmp\.[0-9a-f]+)?")
 # Functions of a game that is not ours, by its own digest: see `envs.compiled`.
 GUEST = re.compile(r"(?P<name>.+)_[0-9a-f]{16}(?P<rest>-\d+\.py\w+)")
 USED, LOCK = "used", "compile.lock"
+LOCKS = re.compile(r"compile(-.+)?\.lock")  # that of what all use, and one for each game
 
 
 @dataclass(frozen=True)
@@ -86,7 +87,8 @@ def _files(folder: Path) -> Iterator[Path]:
     for parent, _, names in os.walk(folder):  # which does not go through links
         for name in names:
             path = Path(parent, name)
-            is_code = CODE.fullmatch(name) or (name in (USED, LOCK) and Path(parent) == folder)
+            is_own = Path(parent) == folder and (name == USED or LOCKS.fullmatch(name))
+            is_code = CODE.fullmatch(name) or is_own
             if is_code and stat.S_ISREG(path.lstat().st_mode):
                 yield path
 
@@ -98,7 +100,10 @@ def remove(folder: Path) -> bool:
     """
     if not is_ours(folder):
         return False
-    with contextlib.suppress(Timeout, OSError), FileLock(folder / LOCK).acquire(timeout=0):
+    with contextlib.suppress(Timeout, OSError), contextlib.ExitStack() as held:
+        locks = (path for path in folder.iterdir() if LOCKS.fullmatch(path.name))
+        for path in {folder / LOCK, *locks}:
+            held.enter_context(FileLock(path).acquire(timeout=0))
         # The mark last: what is left of a removal that was interrupted can be removed.
         for path in sorted(_files(folder), key=lambda path: path == folder / USED):
             path.unlink(missing_ok=True)
