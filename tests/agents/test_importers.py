@@ -13,7 +13,7 @@ from astray.agents.clear import Clear
 from astray.agents.impala import Impala
 from astray.agents.importers import files, jd, plain, pth
 from astray.agents.policy import Architecture, load, weights
-from helpers.foreign import clarity, joblib_bytes, reference, saved
+from helpers.foreign import as_pfrl, clarity, joblib_bytes, reference, saved
 
 SHAPE = (64, 64, 3)
 IMAGES = torch.from_numpy(np.random.default_rng(0).integers(0, 256, (3, *SHAPE), np.uint8))
@@ -90,6 +90,7 @@ def test_every_activation_of_the_clear_network_is_named():
             lambda state: {"model_state_dict": state, "optimizer_state_dict": {"state": {}}},
         ),
         ((8, 24, 40), lambda state: state),
+        ((16, 32, 32), as_pfrl),
     ],
 )
 def test_impala_of_any_widths_computes_what_it_did_there(widths, wrap):

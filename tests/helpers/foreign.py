@@ -106,6 +106,18 @@ def reference(widths):
     return network.state_dict(), forward
 
 
+def as_pfrl(state):
+    """The weights of `reference` by the names that train-procgen-pfrl gives them."""
+    names = {"embedder.fc": "hidden_fc", "fc_policy": "logits_fc", "fc_value": "value_fc"}
+    for block, there in ((1, "conv_seqs.0"), (2, "conv_seqs.1"), (3, "conv_seqs.2")):
+        names[f"embedder.block{block}.conv"] = f"{there}.conv"
+        for unit, conv in itertools.product((1, 2), (1, 2)):
+            here = f"embedder.block{block}.res{unit}.conv{conv}"
+            names[here] = f"{there}.res_block{unit - 1}.conv{conv - 1}"
+    parted = {name: name.rpartition(".") for name in state}
+    return {f"{names[layer]}.{kind}": state[n] for n, (layer, _, kind) in parted.items()}
+
+
 def saved(data):
     file = io.BytesIO()
     torch.save(data, file)

@@ -1,7 +1,8 @@
-"""Agents of train-procgen-pytorch, which the paper's were trained with: IMPALA, any channels.
+"""Read IMPALA agents of train-procgen-pytorch, as the paper's, and of train-procgen-pfrl.
 
-Its files hold the weights under `model_state_dict` (older ones `state_dict`), some the
-optimizer's state beside them. Images are divided by 255, actions drawn from the policy.
+Files hold the weights by name, bare or under `model_state_dict` (older ones `state_dict`), some
+with the optimizer's state. Both programs compute the same network, with any channels, under
+different names: images are divided by 255, actions are sampled from the policy.
 """
 
 from __future__ import annotations
@@ -10,7 +11,8 @@ import io
 import pickle
 import re
 import warnings
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from typing import Any
 
 import torch
@@ -20,24 +22,72 @@ from astray.agents.importers.imported import ACTIONS, SHAPE, Imported, build, ch
 from astray.agents.policy import Architecture
 
 HOLDS = ("model_state_dict", "state_dict")
-RENAMED = (("embedder.fc.", "features.linear."), ("embedder.", ""), (".res", ".residual"),
-           ("fc_", ""))  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Names:
+    """The names that a program gives to the weights of its IMPALA.
+
+    heads    of the first convolution and of the policy, which every such file has
+    renamed  pairs (regular expression, replacement) that give our names
+    """
+
+    program: str
+    heads: tuple[str, str]
+    renamed: tuple[tuple[str, str | Callable[[re.Match[str]], str]], ...]
+
+
+def _plus_one(match: re.Match[str]) -> str:
+    """Return the match with each number one higher: that program counts from 0, ours from 1."""
+    return re.sub(r"\d", lambda digit: str(int(digit[0]) + 1), match[0])
+
+
+PROGRAMS = (
+    Names(
+        "train-procgen-pytorch",
+        ("embedder.block1.conv.weight", "fc_policy.weight"),
+        (
+            (r"^embedder\.fc\.", "features.linear."),
+            (r"^embedder\.", ""),
+            (r"\.res(?=\d)", ".residual"),
+            (r"^fc_", ""),
+        ),
+    ),
+    Names(
+        "train-procgen-pfrl",
+        ("conv_seqs.0.conv.weight", "logits_fc.weight"),
+        (
+            (r"^conv_seqs\.\d|res_block\d|conv\d", _plus_one),
+            (r"^conv_seqs\.", "block"),
+            (r"\.res_block", ".residual"),
+            (r"^hidden_fc\.", "features.linear."),
+            (r"^logits_fc\.", "policy."),
+            (r"^value_fc\.", "value."),
+        ),
+    ),
+)
 
 
 def read(data: bytes) -> Imported:
-    """The agent in the bytes of a .pth file; ValueError says why it is none."""
+    """Return the agent in the bytes of a .pth or .pt file.
+
+    Raises:
+        ValueError: the bytes are damaged, hold more than weights, or another network.
+    """
     tensors = _tensors(_load(data), len(data))
     if any(name.startswith("gru.") for name in tensors):
         raise ValueError("it is a recurrent agent; only feed-forward ones are read")
-    if "fc_policy.weight" not in tensors or "embedder.block1.conv.weight" not in tensors:
-        names = ", ".join(list(tensors)[:3])
-        raise ValueError(f"it is no IMPALA of train-procgen-pytorch: its weights are {names}, ...")
-    check_actions(len(tensors["fc_policy.weight"]))
-    renamed = {_rename(name): tensor for name, tensor in tensors.items()}
+    names = next((one for one in PROGRAMS if set(one.heads) <= set(tensors)), None)
+    if names is None:
+        there = ", ".join(list(tensors)[:3])
+        programs = " or ".join(one.program for one in PROGRAMS)
+        raise ValueError(f"it is no IMPALA of {programs}: its weights are {there}, ...")
+    check_actions(len(tensors[names.heads[1]]))
+    renamed = {_rename(name, names): tensor for name, tensor in tensors.items()}
     convolutions = [renamed.get(f"block{k}.conv.weight") for k in (1, 2, 3)]
     widths = tuple(len(c) for c in convolutions if c is not None and c.ndim == 4)
     architecture = Architecture("impala", SHAPE, (), ACTIONS, widths=widths)
-    about = f"train-procgen-pytorch: IMPALA, channels {'/'.join(map(str, widths))}"
+    about = f"{names.program}: IMPALA, channels {'/'.join(map(str, widths))}"
     return Imported(build(architecture, renamed), architecture, about)
 
 
@@ -73,7 +123,7 @@ def _tensors(found: Any, size: int) -> dict[str, Tensor]:
     return tensors
 
 
-def _rename(name: str) -> str:
-    for there, here in RENAMED:
-        name = name.replace(there, here)
+def _rename(name: str, names: Names) -> str:
+    for there, here in names.renamed:
+        name = re.sub(there, here, name)
     return name
