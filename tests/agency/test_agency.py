@@ -156,7 +156,7 @@ def test_e_values_are_at_most_one_on_average_under_every_device():
     seen = [devices.see(world, t, world.number(goal)) for t in trajectories]
     e = np.array(
         [
-            measure(Episode(world, t, goal)).log_agent
+            measure(Episode(world, t, goal), PAPER).log_agent
             - max(devices.log_best(s), -steps * np.log(4))
             for t, s in zip(trajectories, seen, strict=True)
         ]
@@ -246,7 +246,7 @@ def test_steps_that_do_not_move_count_for_the_paper_alone():
     still = Episode(SMALL, SMALL.walk((0, 0), [0, 3, 0, 3]), (0, 2))
     moved = Episode(SMALL, SMALL.walk((0, 0), [3, 3]), (0, 2))
     assert measure(still, CALIBRATED).log_factor == measure(moved, CALIBRATED).log_factor
-    assert measure(still).log_agent < measure(moved).log_agent - 1
+    assert measure(still, PAPER).log_agent < measure(moved, PAPER).log_agent - 1
 
 
 def test_only_squares_where_goals_part_are_decisions():
@@ -256,3 +256,9 @@ def test_only_squares_where_goals_part_are_decisions():
     assert decisions(episode, goals, CALIBRATED) == 1
     evidence = measure_named([episode], [goals])
     assert evidence.likeliest()[0][0] == "up"
+
+
+def test_the_preset_that_is_meant_for_real_policies_is_the_default():
+    wall = Episode(SMALL, SMALL.walk((0, 0), [0, 3, 0, 3]), (0, 2))
+    assert measure(wall).log_factor == measure(wall, CALIBRATED).log_factor
+    assert measure_online(wall).agent[-1] == measure_online(wall, CALIBRATED).agent[-1]

@@ -84,7 +84,7 @@ def test_fractions_tables_and_single_goals_are_exact(case):
     exact = float(Fraction(case["p_agt_given_g_true_exact"]))
     assert np.exp(log_goal(episode, episode.true)) == pytest.approx(exact, rel=1e-12)
     exact = float(Fraction(case["p_dev_type_exact"]))
-    assert np.exp(measure(episode).log_device) == pytest.approx(exact, rel=1e-12)
+    assert np.exp(measure(episode, PAPER).log_device) == pytest.approx(exact, rel=1e-12)
     seen = devices.see(episode.world, episode.trajectory, episode.world.number(episode.true))
     rows = sorted(devices.table_of(seen).tolist())
     assert rows == sorted(case["device_table_type"].values())
@@ -98,9 +98,9 @@ def test_fractions_tables_and_single_goals_are_exact(case):
 
 @every_case
 def test_the_online_posterior_and_the_switching_prior_are_the_golden_ones(case):
-    growth = measure_online(episode_of(case))
+    growth = measure_online(episode_of(case), PAPER)
     assert growth.agent == pytest.approx(case["online_posterior"], **CLOSE)
-    switching = measure_online(episode_of(case), switch="1/(t+1)")
+    switching = measure_online(episode_of(case), PAPER, switch="1/(t+1)")
     golden = case["neg_log_p_agt_switch_1_over_t_plus_1"]
     assert -switching.log_agent[-1] == pytest.approx(golden, **CLOSE)
 
@@ -112,14 +112,14 @@ def test_pooled_trajectories_are_the_golden_ones():
         Episode(world, world.trajectory([(tuple(cell), a) for cell, a in steps]), tuple(true))
         for steps, true in zip(golden["trajectories"], golden["g_true"], strict=True)
     ]
-    evidence = measure(episodes)
+    evidence = measure(episodes, PAPER)
     assert -evidence.log_agent == pytest.approx(golden["pooled_neg_log_p_agt"], **CLOSE)
     assert -evidence.log_device == pytest.approx(golden["pooled_neg_log_p_dev"], **CLOSE)
     for (goal, chance), (name, expected) in zip(
         evidence.likeliest(3), golden["pooled_top_goals"], strict=True
     ):
         assert f"cell{goal}" == name and chance == pytest.approx(expected, **CLOSE)
-    factors = [measure(episode).log_factor for episode in episodes]
+    factors = [measure(episode, PAPER).log_factor for episode in episodes]
     assert np.mean(factors) == pytest.approx(golden["mean_log_bf"], **CLOSE)
 
 

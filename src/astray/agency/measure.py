@@ -133,7 +133,7 @@ class Evidence:
         return [(self.goals[i], float(posterior[i])) for i in order]
 
 
-def measure(episodes: Episode | Sequence[Episode], options: Options = PAPER) -> Evidence:
+def measure(episodes: Episode | Sequence[Episode], options: Options = CALIBRATED) -> Evidence:
     """The evidence of one trajectory, or of several of one agent or device in one world.
 
     Several share one goal (a cell, or the true goal wherever it is), one eps and one device.

@@ -10,7 +10,7 @@ from scipy.special import expit, logsumexp
 
 from astray.agency import devices
 from astray.agency.measure import (
-    PAPER,
+    CALIBRATED,
     Episode,
     Goal,
     Options,
@@ -42,7 +42,7 @@ class Growth:
         return expit(self.log_agent - self.log_device)
 
 
-def measure_online(episode: Episode, options: Options = PAPER, switch: Switch = 0.0) -> Growth:
+def measure_online(episode: Episode, options: Options = CALIBRATED, switch: Switch = 0.0) -> Growth:
     """The evidence after every step that counts (see `Options.legal`).
 
     switch  the probability that the goal is drawn anew before a step, or "1/(t+1)": that after t
