@@ -80,3 +80,16 @@ def test_the_version_is_told(astray):
 @pytest.mark.skipif(not os.environ.get("ASTRAY_RELEASE"), reason="minutes; set ASTRAY_RELEASE=1")
 def test_the_wheel_is_built_checked_and_works_alone():
     subprocess.run(["make", "wheel"], cwd=ROOT, check=True)
+
+
+NAMES_INDEX = re.compile(r"""pip\\?["', ]+install(?:\\?["', ]+-\S+)*\\?["', ]+astray\b""")
+
+
+@pytest.mark.parametrize("folder", ["README.md", "docs", "examples", "src", "Makefile"])
+def test_nothing_installs_a_name_from_an_index_where_astray_is_not(folder):
+    """Whoever takes the name would be run by all who follow such a line."""
+    kinds = {".md", ".py", ".ipynb", ".js", ".html", ".json", ""}
+    files = [path for path in (ROOT / folder, *(ROOT / folder).rglob("*")) if path.is_file()]
+    texts = {path: path.read_text(encoding="utf-8") for path in files if path.suffix in kinds}
+    assert texts
+    assert not {str(path) for path, text in texts.items() if NAMES_INDEX.search(text)}

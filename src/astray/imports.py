@@ -70,6 +70,14 @@ def known(name: str, group: str, kind: type) -> Any:
     return found
 
 
+def missing(need: str, extra: str) -> ImportError:
+    """Return the error that names the extra which brings a library that is not installed.
+
+    astray is on no package index, so that its name there could be anybody's.
+    """
+    return ImportError(f"{need}: pip install '.[{extra}]' in a clone of astray")
+
+
 def _attribute(thing: Any, name: str) -> Any:
     for part in name.partition(":")[2].split("."):
         thing = getattr(thing, part)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from astray import imports
 from astray.envs.vector import IMAGE, PICTURE, GameVectorEnv
 from astray.game import OWN, Game, Variant
 from astray.level import Level
@@ -30,7 +31,7 @@ def play(game: Game, variant: Variant, level: int | Level | None = None, art: st
     try:
         import pygame
     except ImportError:
-        raise ImportError("playing needs pygame-ce: pip install 'astray[play]'") from None
+        raise imports.missing("playing needs pygame-ce", "play") from None
 
     env = GameVectorEnv(game, variant, art=art, autoreset_mode="Disabled")
     current = int(np.random.default_rng().integers(LEVELS.stop)) if level is None else level

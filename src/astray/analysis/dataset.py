@@ -26,7 +26,7 @@ import numpy as np
 import polars as pl
 from gymnasium import spaces
 
-from astray import games
+from astray import games, imports
 from astray.analysis.episodes import Levels, steps
 from astray.analysis.given import see_policy
 from astray.analysis.policies import Policy
@@ -258,7 +258,7 @@ def write_minari(
         from minari.data_collector import EpisodeBuffer  # pyright: ignore[reportMissingImports]
         from minari.dataset.minari_storage import MinariStorage  # pyright: ignore[reportMissingImports]
     except ImportError as error:
-        raise ImportError("Minari's layout needs it: pip install 'astray[minari]'") from error
+        raise imports.missing("Minari's layout needs it", "minari") from error
     env = GameVectorEnv(game, variant, observation=about["observation"], art=about["art"])
     seen, taken = env.single_observation_space, env.single_action_space
     env.close()

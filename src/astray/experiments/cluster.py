@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import Future
 from pathlib import Path
 
+from astray import imports
 from astray.training import checkpoint
 from astray.training.config import Config, Tracking
 from astray.training.track import train_tracked
@@ -26,7 +27,7 @@ def on_ray() -> Iterator[Submit]:
     try:
         import ray  # pyright: ignore[reportMissingImports]
     except ImportError as error:
-        raise ImportError("a Ray cluster needs ray: pip install 'astray[cluster]'") from error
+        raise imports.missing("a Ray cluster needs ray", "cluster") from error
     try:
         ray.init(address="auto", log_to_driver=False)
     except ConnectionError:

@@ -21,6 +21,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from astray import imports
 from astray.agents import policy
 from astray.analysis import kept
 from astray.bounds import brief, of_kind, shown
@@ -148,7 +149,7 @@ def _api(endpoint: str | None) -> HfApi:
     try:
         from huggingface_hub import HfApi
     except ImportError as error:
-        raise ImportError("the Hub needs huggingface_hub: pip install 'astray[hub]'") from error
+        raise imports.missing("the Hub needs huggingface_hub", "hub") from error
     return HfApi(endpoint=endpoint)
 
 
@@ -210,7 +211,7 @@ _PULLED = """
 ![One level, as in training and in the test](episode.gif)
 
 ```bash
-pip install 'astray[hub]'
+pip install '.[hub]'   # in a clone of astray
 astray pull {repository}
 ```
 """

@@ -5,8 +5,8 @@
     group_means(shares(rows, maps, where), "attribution", ["part"], per="area")
 
 A map is [N, H, W] for an agent that sees images, the mean over colours as in the paper, and
-[N, C, H, W] for one that sees symbolic planes. The methods are Captum's: `pip install
-'astray[insight]'`. What a part amounts to as a whole tells `critic.counterfactual`.
+[N, C, H, W] for one that sees symbolic planes. The methods are Captum's, of
+the extra `insight`. What a part amounts to as a whole tells `critic.counterfactual`.
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ from PIL import Image
 from scipy.ndimage import gaussian_filter
 from torch import Tensor
 
+from astray import imports
 from astray.agents.mlp import MLP
 from astray.analysis.critic import Edit, observe
 from astray.analysis.trained import Agent
@@ -175,7 +176,7 @@ def _captum() -> Any:
     try:
         import captum.attr
     except ImportError:
-        raise ImportError("attribution needs captum: pip install 'astray[insight]'") from None
+        raise imports.missing("attribution needs captum", "insight") from None
     return captum.attr
 
 

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 import polars as pl
 
-from astray import games
+from astray import games, imports
 from astray.analysis.episodes import CHUNK, Levels, initial_states
 from astray.analysis.estimates import bootstrap
 from astray.bounds import MOST, bounded, of_kind
@@ -244,5 +244,5 @@ def _sklearn() -> tuple[Any, Any]:
         from sklearn.linear_model import LogisticRegression
         from sklearn.metrics import roc_auc_score
     except ImportError:
-        raise ImportError("predictions need scikit-learn: pip install 'astray[insight]'") from None
+        raise imports.missing("predictions need scikit-learn", "insight") from None
     return LogisticRegression, roc_auc_score

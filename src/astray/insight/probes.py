@@ -20,6 +20,7 @@ import numpy as np
 import polars as pl
 import torch
 
+from astray import imports
 from astray.analysis.critic import observe
 from astray.analysis.estimates import bootstrap
 from astray.analysis.given import Measure, measured, see_measures
@@ -258,4 +259,4 @@ def _sklearn() -> None:
     try:
         import sklearn  # noqa: F401
     except ImportError:
-        raise ImportError("probes need scikit-learn: pip install 'astray[insight]'") from None
+        raise imports.missing("probes need scikit-learn", "insight") from None

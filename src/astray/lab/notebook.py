@@ -6,6 +6,7 @@ import functools
 from pathlib import Path
 from typing import Any
 
+from astray import imports
 from astray.lab.worlds import PAGE
 from astray.level import Level
 
@@ -62,9 +63,7 @@ def _widget_class() -> type:
         import anywidget
         import traitlets
     except ImportError:
-        raise ImportError(
-            "the lab in a notebook needs anywidget: pip install 'astray[notebook]'"
-        ) from None
+        raise imports.missing("the lab in a notebook needs anywidget", "notebook") from None
 
     class Lab(anywidget.AnyWidget):
         """The lab's page in a notebook's cell."""

@@ -19,6 +19,7 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import Any
 
+from astray import imports
 from astray.lab.messages import LARGEST, number_of, read
 from astray.lab.session import Lab, Session
 from astray.lab.worlds import PAGE
@@ -238,7 +239,5 @@ def _see_installed() -> None:
         import uvicorn
         import websockets
     except ImportError:
-        raise ImportError(
-            "the lab needs starlette, uvicorn and websockets: pip install 'astray[lab]'"
-        ) from None
+        raise imports.missing("the lab needs starlette, uvicorn and websockets", "lab") from None
     del starlette, uvicorn, websockets

@@ -15,6 +15,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from astray import imports
 from astray.files import read, write_aside
 from astray.training import checkpoint, parallel
 from astray.training.config import Config, Tracking
@@ -40,7 +41,7 @@ class Tracker:
         try:
             self._run, self._library = begin(name, folder, settings)
         except ImportError as error:
-            raise ImportError(f"{by} is not installed: pip install 'astray[track]'") from error
+            raise imports.missing(f"{by} is not installed", "track") from error
         except Exception as error:
             raise RuntimeError(f"{by} cannot track this run: {error}") from error
 
