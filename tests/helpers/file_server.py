@@ -2,20 +2,25 @@
 
 import contextlib
 import threading
+import time
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+
+PIECE = 10_000  # bytes
 
 
 class Server(ThreadingHTTPServer):
     """Serves one file on the loopback, whole or from a place on.
 
     stops   bytes after which a connection ends, though more was promised; 0: it does not
+    pause   seconds before each further 10,000 bytes
     ranges  it can begin elsewhere than at the beginning
     asked   the ranges that were asked for
     """
 
-    def __init__(self, data, stops=0, ranges=True):
+    def __init__(self, data, stops=0, ranges=True, pause=0.0):
         super().__init__(("127.0.0.1", 0), Handler)
         self.data, self.stops, self.ranges, self.asked = data, stops, ranges, []
+        self.pause = pause
         self.address = f"http://127.0.0.1:{self.server_port}/agent.jd"
 
 
@@ -31,7 +36,10 @@ class Handler(BaseHTTPRequestHandler):
             self.send_header("Content-Range", f"bytes {begin}-{len(data) - 1}/{len(data)}")
         self.send_header("Content-Length", str(len(data) - begin))
         self.end_headers()
-        self.wfile.write(data[begin : begin + (self.server.stops or len(data))])
+        end = min(begin + (self.server.stops or len(data)), len(data))
+        for at in range(begin, end, PIECE):
+            time.sleep(self.server.pause)
+            self.wfile.write(data[at : min(at + PIECE, end)])
 
     def log_message(self, *args):
         pass

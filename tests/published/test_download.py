@@ -3,15 +3,21 @@
 import contextlib
 import hashlib
 import itertools
+import subprocess
+import sys
 import threading
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 
 import numpy as np
 import pytest
 
+from astray.files import LOCK
+from astray.published import catalogue
 from astray.published import download as downloads
 from astray.published.download import download
+from astray.published.imported import Known
 from helpers.file_server import serving
+from helpers.processes import environment
 
 DATA = np.random.default_rng(0).bytes(50_000)
 
@@ -24,6 +30,87 @@ def serve():
 
 def digest(data):
     return hashlib.sha256(data).hexdigest()
+
+
+def left(folder):
+    """The names of the files in a folder, without that of its lock."""
+    return [path.name for path in folder.iterdir() if path.name != LOCK]
+
+
+def downloads_at_once(server, to, count):
+    """What so many processes at once said that download one file, and how they ended."""
+    code = (
+        "import pathlib; from astray.published.download import download\n"
+        f"download({server.address!r}, pathlib.Path({str(to)!r}), "
+        f"size={len(DATA)}, sha256={digest(DATA)!r})"
+    )
+    begun = [
+        subprocess.Popen([sys.executable, "-c", code], env=environment(), stderr=subprocess.PIPE)
+        for _ in range(count)
+    ]
+    return [(one.communicate()[1].decode(), one.returncode) for one in begun]
+
+
+def test_downloads_of_one_file_at_once_all_succeed(serve, tmp_path):
+    server, to = serve(DATA, pause=0.02), tmp_path / "agent.jd"
+    said = downloads_at_once(server, to, 4)
+    assert [code for _, code in said] == [0] * 4, said
+    assert to.read_bytes() == DATA and left(tmp_path) == ["agent.jd"]
+    assert server.asked == [None]  # the others found it there, and saw that it is the one
+
+
+def test_what_is_checked_is_put_in_place_whatever_is_written_meanwhile(
+    serve, tmp_path, monkeypatch
+):
+    to, put = tmp_path / "agent.jd", downloads.write_aside
+    monkeypatch.setattr(
+        downloads,
+        "write_aside",
+        lambda *given: ((tmp_path / "agent.jd.part").write_bytes(b"more"), put(*given)),
+    )
+    download(serve(DATA).address, to, size=len(DATA), sha256=digest(DATA))
+    assert to.read_bytes() == DATA
+
+
+def test_a_table_that_was_changed_is_not_read(tmp_path, monkeypatch):
+    monkeypatch.setenv("ASTRAY_AGENTS", str(tmp_path))
+    one = catalogue.Published("a-table", Known(), sha256=digest(b"seed\n"), kind="results")
+    monkeypatch.setattr(catalogue, "find", lambda _: one)
+    path = tmp_path / catalogue.RESULTS / "a-table.csv"
+    path.parent.mkdir()
+    path.write_bytes(b"seed\n")
+    assert catalogue.results_file("a-table") == path
+    path.write_bytes(b"seeds\n")
+    with pytest.raises(ValueError, match=r"is not the table that was published: .* bring it again"):
+        catalogue.results_file("a-table")
+
+
+def test_an_agent_fetched_twice_at_once_is_there_once(serve, tmp_path, monkeypatch):
+    monkeypatch.setenv("ASTRAY_AGENTS", str(tmp_path))
+    server, said = serve(DATA, pause=0.02), []
+    one = catalogue.Published(
+        "an-agent", Known(), "agent.jd", server.address, size=len(DATA), sha256=digest(DATA)
+    )
+
+    def imported(file, name, known, expected):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "config.json").write_text("{}")
+        return tmp_path / name
+
+    def fetch():
+        try:
+            said.append(catalogue.fetch(one))
+        except (ValueError, OSError) as error:
+            said.append(str(error))
+
+    monkeypatch.setattr(catalogue, "import_agent", imported)
+    threads = [threading.Thread(target=fetch) for _ in range(2)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    there = tmp_path / "an-agent"
+    assert said == [there, f"there is an agent 'an-agent' already, in {there}"]
 
 
 @pytest.mark.parametrize("ranges", [True, False], ids=["with ranges", "without"])
@@ -65,7 +152,7 @@ def test_a_server_that_sends_a_byte_now_and_then_is_not_waited_for(serve, tmp_pa
     server, known = serve(bytes(500)), dict(size=1000, sha256="00" * 32)
     with pytest.raises(OSError, match=r"fewer than 10,000 bytes came in 30 .*; 500 of"):
         download(server.address, tmp_path / "a", **known)
-    assert [p.name for p in tmp_path.iterdir()] == ["a.part"]
+    assert left(tmp_path) == ["a.part"]
 
 
 def test_a_server_that_never_comes_to_its_answer_is_not_waited_for(tmp_path, monkeypatch):
@@ -86,14 +173,14 @@ def test_a_server_that_never_comes_to_its_answer_is_not_waited_for(tmp_path, mon
             download(address, tmp_path / "a", size=1000, sha256="00" * 32)
         assert ended.wait(10)  # nobody listens any more
         server.shutdown()
-    assert not list(tmp_path.iterdir())
+    assert not left(tmp_path)
 
 
 def test_no_more_is_taken_than_was_published(serve, tmp_path):
     server = serve(bytes(3_000_000))
     with pytest.raises(ValueError, match="is not the file that was published"):
         download(server.address, tmp_path / "a", size=1000, sha256="00" * 32)
-    assert not list(tmp_path.iterdir())
+    assert not left(tmp_path)
 
 
 @pytest.mark.parametrize(

@@ -13,7 +13,8 @@ from pathlib import Path
 from typing import Any, Literal
 
 from astray.analysis import kept
-from astray.published.download import download
+from astray.files import hold
+from astray.published.download import digest_of, download
 from astray.published.imported import Known, import_agent, known_as
 
 DOWNLOADS, RESULTS = "downloads", "results"  # in the folder of imported agents
@@ -108,23 +109,35 @@ def fetch(one: Published, *, unchecked: bool = False) -> Path:
             f"no digest of {one.name} is known, so what comes cannot be checked; to take it as it "
             f"is: astray agents fetch {one.name} --unchecked"
         )
-    if one.name in (*kept.names(), *kept.imported()):
-        raise ValueError(f"there is an agent {one.name!r} already, in {kept.find(one.name)}")
+    home = kept.folder()
     if one.kind == "results":
-        to = kept.folder() / RESULTS / f"{one.name}.csv"
+        to = home / RESULTS / f"{one.name}.csv"
         download(one.address, to, size=one.size, sha256=one.sha256)
         return to
-    file = kept.folder() / DOWNLOADS / one.file
-    download(one.address, file, size=one.size, sha256=one.sha256)
-    try:
-        return import_agent(file, one.name, one.known, expected=one.sha256)
-    finally:
-        file.unlink()
+    home.mkdir(parents=True, exist_ok=True)
+    with hold(home, "fetches an agent to"):  # also until it is imported: the file is one for all
+        if one.name in (*kept.names(), *kept.imported()):
+            raise ValueError(f"there is an agent {one.name!r} already, in {kept.find(one.name)}")
+        file = home / DOWNLOADS / one.file
+        download(one.address, file, size=one.size, sha256=one.sha256)
+        try:
+            return import_agent(file, one.name, one.known, expected=one.sha256)
+        finally:
+            file.unlink()
 
 
 def results_file(name: str) -> Path:
-    """Where a table of results is that was fetched; ValueError with what to do where it is not."""
-    path = kept.folder() / RESULTS / f"{find(name).name}.csv"
+    """Return where a table of results is that was fetched.
+
+    Raises ValueError, with the remedy, where it is not there or is not what was published.
+    """
+    one = find(name)
+    path = kept.folder() / RESULTS / f"{one.name}.csv"
     if not path.is_file():
         raise ValueError(f"the table {name} is not here; to bring it: astray agents fetch {name}")
+    if one.sha256 is not None and digest_of(path) != one.sha256:
+        raise ValueError(
+            f"{path} is not the table that was published: its SHA-256 is another; remove it, and "
+            f"bring it again: astray agents fetch {name}"
+        )
     return path

@@ -1,4 +1,8 @@
-"""Files from elsewhere: whole and the right ones, or not there; an interrupted one goes on."""
+"""Files from elsewhere: whole and the right ones, or not there; an interrupted one goes on.
+
+Two processes that download the same file do so one after the other, and what is put in place is
+what was checked.
+"""
 
 from __future__ import annotations
 
@@ -17,7 +21,7 @@ from typing import Any
 from urllib.parse import urlsplit
 
 from astray.bounds import shown
-from astray.files import see_own
+from astray.files import hold, read, see_own, write_aside
 
 CHUNK = 1 << 16  # bytes
 WAIT = 30.0  # seconds without a byte, after which it is interrupted
@@ -30,30 +34,39 @@ def download(address: str, to: Path, *, size: int | None, sha256: str | None) ->
     """Download a file to `to`, and see that it is the one with this size and digest.
 
     What arrives is kept in `to`.part, and a later call goes on from there. Without a digest it
-    begins anew, since nobody could tell whether the parts belong together.
+    begins anew, since nobody could tell whether the parts belong together. Where another process
+    downloads to this folder, wait for it; where it brought this very file, that stays.
 
-    Raises OSError where it is interrupted, or where something is at `to`, which stays; ValueError
-    where what comes is another file; that is removed.
+    Raises OSError where it is interrupted, or where something else is at `to`, which stays;
+    ValueError where what comes is another file; that is removed.
     """
     _check_address(address)
-    if os.path.lexists(to):
-        raise OSError(f"{to} is there already, and stays as it is; to download it, remove that")
     to.parent.mkdir(parents=True, exist_ok=True)
-    part = to.with_name(to.name + ".part")
-    see_own(part)
-    if sha256 is None:
-        part.unlink(missing_ok=True)
-    try:
-        _fetch(address, part, size or LARGEST)
-    except (OSError, http.client.HTTPException) as error:
-        arrived = part.stat().st_size if part.exists() else 0
-        of = f" of {size:,}" if size else ""
-        raise OSError(
-            f"{address} could not be downloaded ({shown(str(error))}); {arrived:,}{of} bytes are "
-            "there, and the same command goes on from them"
-        ) from error
-    _check_file(address, part, size, sha256)
-    os.replace(part, to)
+    with hold(to.parent, "downloads to"):
+        if os.path.lexists(to):
+            if sha256 is not None and not to.is_symlink() and digest_of(to) == sha256:
+                return
+            raise OSError(f"{to} is there already, and stays as it is; to download it, remove that")
+        part = to.with_name(to.name + ".part")
+        see_own(part)
+        if sha256 is None:
+            part.unlink(missing_ok=True)
+        try:
+            _fetch(address, part, size or LARGEST)
+        except (OSError, http.client.HTTPException) as error:
+            arrived = part.stat().st_size if part.exists() else 0
+            of = f" of {size:,}" if size else ""
+            raise OSError(
+                f"{address} could not be downloaded ({shown(str(error))}); {arrived:,}{of} bytes "
+                "are there, and the same command goes on from them"
+            ) from error
+        write_aside(to, _checked(address, part, size, sha256))
+        part.unlink()
+
+
+def digest_of(path: Path) -> str:
+    """Return the SHA-256 of a file that was downloaded."""
+    return hashlib.sha256(read(path, LARGEST)).hexdigest()
 
 
 def _fetch(address: str, part: Path, most: int) -> None:
@@ -126,8 +139,10 @@ def _answer(request: urllib.request.Request) -> http.client.HTTPResponse:
         raise OSError(f"no answer came in {WAIT:g} seconds") from None
 
 
-def _check_file(address: str, part: Path, size: int | None, sha256: str | None) -> None:
-    found, digest = part.stat().st_size, hashlib.sha256(part.read_bytes()).hexdigest()
+def _checked(address: str, part: Path, size: int | None, sha256: str | None) -> bytes:
+    """Return what came, if it is the file with this size and digest."""
+    data = read(part, LARGEST)
+    found, digest = len(data), hashlib.sha256(data).hexdigest()
     if sha256 is not None and (size is not None and found < size):
         raise OSError(
             f"{address} ended after {found:,} of {size:,} bytes; the same command goes on from them"
@@ -138,6 +153,7 @@ def _check_file(address: str, part: Path, size: int | None, sha256: str | None) 
             f"{address} is not the file that was published: its SHA-256 is {digest}, not {sha256}; "
             "it was removed, and nothing is imported"
         )
+    return data
 
 
 def _check_address(address: str) -> None:
