@@ -1,8 +1,10 @@
 """The original's pictures are taken from a wheel or a checkout, and nothing else is."""
 
+import contextlib
 import hashlib
 import io
 import sys
+import threading
 import zipfile
 
 import numpy as np
@@ -55,6 +57,40 @@ def bomb(pack, path):
     return wheel_of(path, pack | {"kenney/a.png": b"\0" * 20_000_000})
 
 
+def with_a_member(method):
+    """A wheel with all pictures and a file more, of one byte repeated, compressed by `method`."""
+
+    def make(pack, path):
+        with zipfile.ZipFile(wheel_of(path, pack), "a", method) as archive:
+            archive.writestr("procgen/more.txt", b"\0" * 1_000_000)
+        return path
+
+    return make
+
+
+def by(method):
+    """A wheel with all pictures compressed by `method`."""
+
+    def make(pack, path):
+        with zipfile.ZipFile(path, "w", method) as archive:
+            for name, data in pack.items():
+                archive.writestr(original.INSIDE + name, data)
+        return path
+
+    return make
+
+
+def encrypted(pack, path):
+    """A wheel whose members say that they are encrypted."""
+    data = bytearray(wheel_of(path, pack).read_bytes())
+    for sign, flags in ((b"PK\3\4", 6), (b"PK\1\2", 8)):
+        at = -1
+        while (at := data.find(sign, at + 1)) >= 0:
+            data[at + flags] |= 1
+    path.write_bytes(data)
+    return path
+
+
 def cut(pack, path):
     data = wheel_of(path, pack).read_bytes()
     path.write_bytes(data[: len(data) // 2])
@@ -78,6 +114,10 @@ def plain(text, path):
     "make, said",
     [
         (bomb, "its kenney/a.png is another picture"),
+        (by(zipfile.ZIP_BZIP2), "is refused: its '.*/a.png' is compressed by method 12; wheels"),
+        (by(zipfile.ZIP_LZMA), "is refused: its '.*/a.png' is compressed by method 14; wheels"),
+        (with_a_member(zipfile.ZIP_LZMA), "is refused: its 'procgen/more.txt' is compressed by"),
+        (encrypted, "is refused: its '.*/a.png' is encrypted"),
         (cut, "is no wheel, or not all of one"),
         (spoilt, "is no wheel, or not all of one|is another picture"),
         (lambda pack, path: plain("", path), "is no wheel, or not all of one"),
@@ -105,6 +145,37 @@ def test_a_wheel_that_is_not_there_and_pip_that_cannot_say_so(pack, tmp_path, mo
         OSError, match=f"pip could not download Procgen .*; download {original.WHEEL}"
     ):
         original.take()
+
+
+def test_a_wheel_larger_than_any_of_procgens_is_not_opened(pack, tmp_path, monkeypatch):
+    wheel = wheel_of(tmp_path / "a.whl", pack)
+    monkeypatch.setattr(original, "LARGEST_WHEEL", wheel.stat().st_size - 1)
+    with pytest.raises(ValueError, match=r"must be of at most .* bytes; it has"):
+        original.take(wheel)
+
+
+def test_two_imports_at_once_both_succeed(pack, tmp_path, monkeypatch):
+    wheel, write, found = wheel_of(tmp_path / "a.whl", pack), original.write_aside, []
+    both = threading.Barrier(2)  # each has looked before the other writes, if nobody waits
+
+    def slowly(path, data):
+        with contextlib.suppress(threading.BrokenBarrierError):
+            both.wait(0.2)
+        write(path, data)
+
+    def take():
+        try:
+            found.append(original.take(wheel))
+        except ValueError as error:
+            found.append(error)
+
+    monkeypatch.setattr(original, "write_aside", slowly)
+    threads = [threading.Thread(target=take) for _ in range(2)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert found == [[], []] and not original.missing()
 
 
 def test_pictures_are_premultiplied_and_backgrounds_opaque(pack, tmp_path):

