@@ -5,15 +5,16 @@ import os
 import pickle
 import struct
 
+import msgpack
 import numpy as np
 import pytest
 import torch
 
 from astray.agents.clear import Clear
-from astray.agents.impala import Impala
-from astray.agents.importers import files, jd, plain, pth
+from astray.agents.impala import Impala, SamePool
+from astray.agents.importers import cleanrl, files, jd, plain, pth
 from astray.agents.policy import Architecture, load, weights
-from helpers.foreign import as_pfrl, clarity, joblib_bytes, reference, saved
+from helpers.foreign import as_pfrl, clarity, cleanba, flax_bytes, joblib_bytes, reference, saved
 
 SHAPE = (64, 64, 3)
 IMAGES = torch.from_numpy(np.random.default_rng(0).integers(0, 256, (3, *SHAPE), np.uint8))
@@ -100,6 +101,43 @@ def test_impala_of_any_widths_computes_what_it_did_there(widths, wrap):
     with torch.no_grad():
         for ours, theirs in zip(found.network(IMAGES), forward(IMAGES), strict=True):
             torch.testing.assert_close(ours, theirs, rtol=1e-4, atol=1e-5)
+
+
+@pytest.mark.parametrize("widths", [(16, 32, 32), (2, 3, 4)])
+def test_an_agent_of_cleanba_computes_what_it_did_there(widths):
+    data, forward = cleanba(widths)
+    found = cleanrl.read(data)
+    with torch.no_grad():
+        ours = found.network(IMAGES)
+    for some, theirs in zip(ours, forward(IMAGES.numpy()), strict=True):
+        np.testing.assert_allclose(some, theirs, rtol=1e-4, atol=1e-4)
+    assert found.world == ("coinrun", "hard") and found.settings == {"gamma": 0.999, "seed": 1}
+
+
+def test_pools_of_uneven_sides_are_padded_on_both():
+    x = torch.arange(25.0).reshape(1, 1, 5, 5)
+    assert SamePool()(x).flatten().tolist() == [6, 8, 9, 16, 18, 19, 21, 23, 24]
+
+
+@pytest.mark.parametrize(
+    "data, why",
+    [
+        (b"\xc1", "damaged, or no msgpack"),
+        (b"\x93\x01", "damaged, or no msgpack"),
+        (b"\x91" * 5000, "damaged, or no msgpack"),
+        (flax_bytes({"0": {}, "1": {}}), "no settings and three modules"),
+        (flax_bytes({"0": {}, "1": {"0": {}, "1": {}, "2": {}}}), "without parameters"),
+        (msgpack.packb(msgpack.ExtType(7, b"")), "the extension 7"),
+        (msgpack.packb(msgpack.ExtType(1, msgpack.packb(((1,), "object", b"")))), "'object'"),
+        (msgpack.packb(msgpack.ExtType(1, msgpack.packb(((9,), "uint8", b"")))), "damaged"),
+        (cleanba((2, 2, 2), actions=9)[0], "chooses from 9 actions"),
+        (cleanba((2, 2, 2))[0].replace(b"ConvSequence_2", b"ConvSequence_3"), "does not"),
+        (cleanba((2, 2, 2))[0].replace(b"ResidualBlock_1", b"ResidualBlock_0"), "lacks"),
+    ],
+)  # fmt: skip
+def test_what_is_no_agent_of_cleanba_is_refused(data, why):
+    with pytest.raises(ValueError, match=why):
+        cleanrl.read(data)
 
 
 def test_channels_of_any_widths_are_kept_with_the_weights(tmp_path):
@@ -301,7 +339,9 @@ def test_a_thousand_spoilt_files_are_refused_or_read():
 
 
 def test_a_file_of_another_kind_or_size_is_refused(tmp_path, monkeypatch):
-    with pytest.raises(ValueError, match=r"an agent's file is \.pth, \.pt, \.jd; got \.zip"):
+    with pytest.raises(
+        ValueError, match=r"an agent's file is \.pth, \.pt, \.jd, \.cleanrl_model; got \.zip"
+    ):
         files.read(tmp_path / "agent.zip")
     (tmp_path / "agent.jd").write_bytes(bytes(20))
     monkeypatch.setattr(files, "LARGEST", 10)

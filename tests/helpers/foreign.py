@@ -5,6 +5,7 @@ import itertools
 import pickle
 from collections import OrderedDict, defaultdict
 
+import msgpack
 import numpy as np
 import torch
 from torch import nn
@@ -116,6 +117,70 @@ def as_pfrl(state):
             names[here] = f"{there}.res_block{unit - 1}.conv{conv - 1}"
     parted = {name: name.rpartition(".") for name in state}
     return {f"{names[layer]}.{kind}": state[n] for n, (layer, _, kind) in parted.items()}
+
+
+def cleanba(widths=(16, 32, 32), actions=15, **args):
+    """A file of cleanba with random weights, and a naive forward of these.
+
+    Images [N, 64, 64, 3] -> logits, values. A window of a pool begins at its own first pixel, as
+    "SAME" has it for even sides, and ends with the picture.
+    """
+    random = np.random.default_rng(2)
+
+    def layer(*shape):
+        scale = np.prod(shape[:-1]) ** -0.5
+        return {
+            "kernel": (random.normal(size=shape) * scale).astype(np.float32),
+            "bias": random.normal(size=shape[-1]).astype(np.float32),
+        }
+
+    network = {}
+    for k, (before, after) in enumerate(itertools.pairwise((3, *widths))):
+        units = [{f"Conv_{c}": layer(3, 3, after, after) for c in (0, 1)} for _ in (0, 1)]
+        network[f"ConvSequence_{k}"] = {
+            "Conv_0": layer(3, 3, before, after),
+            **{f"ResidualBlock_{u}": unit for u, unit in enumerate(units)},
+        }
+    network["Dense_0"] = layer(64 * widths[2], 256)
+    actor, critic = {"Dense_0": layer(256, actions)}, {"Dense_0": layer(256, 1)}
+
+    def convolve(x, conv):
+        padded = np.pad(x, ((0, 0), (1, 1), (1, 1), (0, 0)))
+        windows = np.lib.stride_tricks.sliding_window_view(padded, (3, 3), (1, 2))
+        return np.einsum("nyxcij,ijco->nyxo", windows, conv["kernel"], optimize=True) + conv["bias"]
+
+    def pool(x):
+        side = x.shape[1] // 2
+        rows = [x[:, 2 * i : 2 * i + 3].max(1) for i in range(side)]
+        x = np.stack(rows, 1)
+        return np.stack([x[:, :, 2 * j : 2 * j + 3].max(2) for j in range(side)], 2)
+
+    def forward(images):
+        x = images / 255.0
+        for sequence in (network[f"ConvSequence_{k}"] for k in range(3)):
+            x = pool(convolve(x, sequence["Conv_0"]))
+            for unit in (sequence["ResidualBlock_0"], sequence["ResidualBlock_1"]):
+                inner = convolve(np.maximum(x, 0), unit["Conv_0"])
+                x = x + convolve(np.maximum(inner, 0), unit["Conv_1"])
+        x = np.maximum(x, 0).reshape(len(x), -1)
+        dense = [one["Dense_0"] for one in (network, actor, critic)]
+        x = np.maximum(x @ dense[0]["kernel"] + dense[0]["bias"], 0)
+        logits, values = (x @ d["kernel"] + d["bias"] for d in dense[1:])
+        return logits, values[:, 0]
+
+    modules = {str(k): {"params": one} for k, one in enumerate((network, actor, critic))}
+    told = {"env_id": "CoinrunHard-v0", "gamma": 0.999, "seed": 1, "target_kl": None} | args
+    return flax_bytes({"0": told, "1": modules}), forward
+
+
+def flax_bytes(data):
+    """What flax.serialization.to_bytes writes of plain containers and arrays."""
+
+    def packed(value):
+        parts = (value.shape, value.dtype.name, value.tobytes())
+        return msgpack.ExtType(1, msgpack.packb(parts))
+
+    return msgpack.packb(data, default=packed)
 
 
 def saved(data):

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections import OrderedDict
 
+import torch
 from torch import Tensor, nn
 
 from astray.agents.actor_critic import Pixels
@@ -30,12 +31,26 @@ class Residual(nn.Module):
         return x + self.conv2(self.relu2(self.conv1(self.relu1(x))))
 
 
-def block(before: int, after: int) -> nn.Sequential:
-    """Convolution, pooling to half the side, and two residual units."""
+class SamePool(nn.Module):
+    """Max-pooling of 3 x 3 pixels with stride 2, padded as TensorFlow's and JAX's "SAME".
+
+    An even side is padded after its last pixel alone, so the windows of `nn.MaxPool2d(3, 2, 1)`
+    lie one pixel further up and left.
+    """
+
+    def forward(self, x: Tensor) -> Tensor:
+        height, width = x.shape[-2:]
+        before_y, before_x = height % 2, width % 2
+        padded = nn.functional.pad(x, (before_x, 1, before_y, 1), value=-torch.inf)
+        return nn.functional.max_pool2d(padded, 3, stride=2)
+
+
+def block(before: int, after: int, same: bool = False) -> nn.Sequential:
+    """Build a convolution, pooling to half the side, and two residual units."""
     return nn.Sequential(
         OrderedDict(
             conv=nn.Conv2d(before, after, 3, padding=1),
-            pool=nn.MaxPool2d(3, stride=2, padding=1),
+            pool=SamePool() if same else nn.MaxPool2d(3, stride=2, padding=1),
             residual1=Residual(after),
             residual2=Residual(after),
         )
@@ -47,6 +62,7 @@ class Impala(Pixels):
 
     scale   multiplies the channels: 1 in the published code, 4 in the paper's sweeps
     widths  channels of the three blocks, before that
+    same    pool as TensorFlow's and JAX's "SAME" does: see `SamePool`
     """
 
     def __init__(
@@ -55,13 +71,14 @@ class Impala(Pixels):
         actions: int,
         scale: int = 1,
         widths: tuple[int, ...] = WIDTHS,
+        same: bool = False,
     ):
         super().__init__()
         height, width, channels = shape
         widths = tuple(scale * w for w in widths)
-        self.block1 = block(channels, widths[0])
-        self.block2 = block(widths[0], widths[1])
-        self.block3 = block(widths[1], widths[2])
+        self.block1 = block(channels, widths[0], same)
+        self.block2 = block(widths[0], widths[1], same)
+        self.block3 = block(widths[1], widths[2], same)
         for _ in widths:  # each block's pooling halves the picture, rounding up
             height, width = (height + 1) // 2, (width + 1) // 2
         self.features = nn.Sequential(

@@ -8,7 +8,8 @@ from astray import imports
 
 # astray's own; what each builds is in `policy.BUILDERS`.
 NETWORKS = (
-    "impala", "mlp", "clear", "nature", "overlap", "patch", "patch-pooled", "patch-impala",
+    "impala", "impala-same", "mlp", "clear", "nature", "overlap", "patch", "patch-pooled",
+    "patch-impala",
 )  # fmt: skip
 RENAMED = {"small": "mlp"}  # as older files have them, and what they are called now
 

@@ -71,6 +71,9 @@ class Architecture:
 
 BUILDERS: dict[str, Callable[[Architecture], nn.Module]] = {
     "impala": lambda given: Impala(given.shape, given.actions, given.scale, given.widths),
+    "impala-same": lambda given: Impala(
+        given.shape, given.actions, given.scale, given.widths, same=True
+    ),
     "mlp": lambda given: MLP(given.shape, list(given.largest), given.actions, given.width),
     "clear": lambda given: Clear(given.shape, given.actions),
     "nature": lambda given: nature(given.shape, given.actions),

@@ -6,10 +6,10 @@ import hashlib
 from pathlib import Path
 
 from astray import files
-from astray.agents.importers import jd, pth
+from astray.agents.importers import cleanrl, jd, pth
 from astray.agents.importers.imported import Imported
 
-READERS = {".pth": pth.read, ".pt": pth.read, ".jd": jd.read}
+READERS = {".pth": pth.read, ".pt": pth.read, ".jd": jd.read, ".cleanrl_model": cleanrl.read}
 LARGEST = 512_000_000  # bytes; the largest known, with its optimizer's state, is 44 MB
 
 

@@ -1,0 +1,131 @@
+"""Read PPO agents of CleanRL's cleanba on Procgen: IMPALA networks in Flax's msgpack.
+
+A file holds the settings of the training and the parameters of three modules: network, actor and
+critic (`cleanba_ppo_envpool_procgen.py`). Kernels are [height, width, in, out], a dense layer sees
+rows, columns, channels, and max-pooling is padded as "SAME", so the network is "impala-same".
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from astray.agents.importers.imported import ACTIONS, SHAPE, Imported, Plain, build, check_actions
+from astray.agents.policy import Architecture
+
+ARRAY, SCALAR = 1, 3  # Flax's extension types
+KINDS = ("float16", "float32", "float64", "int32", "int64", "uint8", "bool")  # of their numbers
+DENSE = {"0": "features.linear", "1": "policy", "2": "value"}  # by the module that has them
+# Settings of a training: the file's names and ours.
+SETTINGS = {
+    "gamma": "gamma", "gae_lambda": "lam", "learning_rate": "learning_rate", "clip_coef": "clip",
+    "ent_coef": "entropy_weight", "num_steps": "num_steps", "update_epochs": "epochs",
+    "num_minibatches": "minibatches", "total_timesteps": "steps", "seed": "seed",
+}  # fmt: skip
+
+
+def read(data: bytes) -> Imported:
+    """Return the agent in the bytes of a .cleanrl_model file.
+
+    Raises:
+        ValueError: the bytes are damaged, or hold another network, or the package msgpack,
+            which reads them, is missing.
+    """
+    match _unpacked(data):
+        case {"0": dict(told), "1": {"0": network, "1": actor, "2": critic}}:
+            modules = {"0": network, "1": actor, "2": critic}
+        case _:
+            raise ValueError("it holds no settings and three modules, as cleanba's files do")
+    tensors = dict(_tensors(modules))
+    if "policy.bias" not in tensors:
+        raise ValueError("it has no policy, Dense_0 of its second module")
+    check_actions(len(tensors["policy.bias"]))
+    convolutions = [tensors.get(f"block{k}.conv.weight") for k in (1, 2, 3)]
+    widths = tuple(len(c) for c in convolutions if c is not None)
+    architecture = Architecture("impala-same", SHAPE, (), ACTIONS, widths=widths)
+    told = {str(name): value for name, value in told.items() if isinstance(value, Plain)}
+    ours = {here: told[there] for there, here in SETTINGS.items() if told.get(there) is not None}
+    about = f"CleanRL's cleanba: IMPALA, channels {'/'.join(map(str, widths))}"
+    return Imported(
+        build(architecture, tensors), architecture, about, _world(told.get("env_id")), ours, told
+    )
+
+
+def _unpacked(data: bytes) -> Any:
+    try:
+        import msgpack
+    except ImportError:
+        raise ValueError("reading it takes the package msgpack: pip install msgpack") from None
+
+    def extended(code: int, packed: bytes) -> Any:
+        if code not in (ARRAY, SCALAR):
+            raise ValueError(f"it has the extension {code}, which is no array")
+        shape, kind, raw = msgpack.unpackb(packed)
+        if kind not in KINDS:
+            raise ValueError(f"it has an array of {str(kind)[:40]!r}; only numbers are read")
+        array = np.frombuffer(raw, kind).reshape(shape)
+        return array if code == ARRAY else array.item()
+
+    try:
+        return msgpack.unpackb(data, ext_hook=extended)
+    except (ValueError, TypeError, msgpack.UnpackException) as error:
+        why = str(error) or type(error).__name__
+        raise ValueError(f"it is damaged, or no msgpack: {why}") from error
+
+
+def _tensors(modules: Mapping[str, Any]) -> Iterator[tuple[str, Tensor]]:
+    """Yield the parameters by our names, in torch's layout."""
+    for number, module in modules.items():
+        for path, array in _leaves(module.get("params") if isinstance(module, dict) else None):
+            if (layer := _layer(number, path)) is None:
+                raise ValueError(f"it has {'/'.join(path)}, which cleanba's network does not")
+            if path[-1] == "bias":
+                yield f"{layer}.bias", torch.from_numpy(array.copy())
+            elif array.ndim == 4:
+                yield f"{layer}.weight", torch.from_numpy(array.transpose(3, 2, 0, 1).copy())
+            else:
+                yield f"{layer}.weight", torch.from_numpy(_dense(array, number).copy())
+
+
+def _leaves(tree: Any, path: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], np.ndarray]]:
+    if isinstance(tree, dict) and tree:
+        for name, branch in tree.items():
+            yield from _leaves(branch, (*path, str(name)))
+    elif isinstance(tree, np.ndarray) and path:
+        yield path, tree
+    else:
+        raise ValueError(f"it has {'/'.join(path) or 'a module'} without parameters")
+
+
+def _layer(module: str, path: tuple[str, ...]) -> str | None:
+    """Return our name of the layer at `path` of a module, or None if the network has none."""
+    name = "/".join(path)
+    if re.fullmatch("Dense_0/(kernel|bias)", name):
+        return DENSE[module]
+    found = re.fullmatch(
+        r"ConvSequence_([0-2])/(?:ResidualBlock_([01])/)?Conv_([01])/(kernel|bias)", name
+    )
+    if module != "0" or found is None or (found[2] is None and found[3] != "0"):
+        return None
+    unit = "conv" if found[2] is None else f"residual{int(found[2]) + 1}.conv{int(found[3]) + 1}"
+    return f"block{int(found[1]) + 1}.{unit}"
+
+
+def _dense(kernel: np.ndarray, module: str) -> np.ndarray:
+    """Return a dense kernel as [out, in], with the channels of its picture first."""
+    if kernel.ndim != 2:
+        raise ValueError(f"a dense layer has a kernel of {kernel.shape}")
+    if module == "0" and len(kernel) % 64 == 0:  # after three halvings, a picture is 8 x 8
+        kernel = kernel.reshape(8, 8, -1, kernel.shape[1]).transpose(2, 0, 1, 3)
+    return kernel.reshape(-1, kernel.shape[-1]).T
+
+
+def _world(name: Any) -> tuple[str, str] | None:
+    """Return Procgen's name and difficulty of an environment of EnvPool, as CoinrunHard-v0."""
+    found = re.fullmatch(r"([A-Za-z]+)(Easy|Hard|Memory|Extreme)-v0", str(name))
+    return (found[1].lower(), found[2].lower()) if found else None
