@@ -22,12 +22,29 @@ OUTCOMES = (INTENDED, MISGENERALIZED, FAILED)
 
 
 def load_shift(game: str | Game, shift: str) -> Shift:
-    """The shift of that name."""
+    """Return the shift of that name; its variants and goals are the game's.
+
+    Raises ValueError where there is no such shift, variant or goal.
+    """
     game = games.find(game)
     shifts = game.shifts
     if not isinstance(shift, str) or shift not in shifts:
         raise ValueError(f"unknown shift {shift!r} of {game.name}; there are: {', '.join(shifts)}")
-    return shifts[shift]
+    found = shifts[shift]
+    for variant in (found.train, found.test):
+        if variant not in game.variants:
+            there = ", ".join(game.variants)
+            raise ValueError(
+                f"the shift {shift!r} names the variant {variant!r}, which {game.name} does not "
+                f"have; there are: {there}"
+            )
+    for goal in (found.intended, *found.proxies):
+        if goal not in game.goals:
+            raise ValueError(
+                f"the shift {shift!r} names the goal {goal!r}, which {game.name} does not have; "
+                f"there are: {', '.join(game.goals)}"
+            )
+    return found
 
 
 def label(episodes: pl.DataFrame, game: Game, shift: Shift) -> pl.DataFrame:

@@ -31,7 +31,17 @@ def unmet(agents: Iterable[Config], variant: Variant, count: int) -> np.ndarray:
     if len(after) <= SPARED:
         return np.array(after[:count])
     trainings = tuple((c.training_variant(), c.training_levels) for c in agents)
-    return unseen(game, met_in(game, trainings), variant, after, count)
+    try:
+        return unseen(game, met_in(game, trainings), variant, after, count)
+    except ValueError as error:
+        most = max(config.levels for config in agents)
+        raise ValueError(f"{error}; lower `levels` of the training, {most:,}") from error
+
+
+def see_levels(plan: Plan) -> None:
+    """Raise ValueError where a test has too few levels that no training of the plan meets."""
+    for test in (*plan.tests.values(), *plan.visited.values()):
+        levels_of(plan, test)
 
 
 @functools.lru_cache(maxsize=1)

@@ -19,7 +19,7 @@ from astray import imports
 from astray.analysis import kept
 from astray.analysis.runs import open_run, play_all
 from astray.experiments import catalogue, labs, report
-from astray.experiments.levels import levels_of
+from astray.experiments.levels import levels_of, see_levels
 from astray.experiments.report import COMPUTED
 from astray.experiments.spec import (
     PUBLISHED,
@@ -79,6 +79,7 @@ def reproduce(
         raise ValueError(f"unknown size {size!r} of {name}; there are: {', '.join(whole.sizes)}")
     plan, ending = whole.sizes[size].drawn_with(art), "" if art == OWN else f"-{art}"
     folder = root / f"{name}-{size}{ending}"
+    whole.see_installed()
     see_free(folder, PLAN, b'"sources"', report.WRITTEN)
     folder.mkdir(parents=True, exist_ok=True)
     given = experiment if isinstance(experiment, str) else name
@@ -132,6 +133,12 @@ def train_agents(
         name: [run_folder(root, config) for config in configs]
         for name, configs in trainings.items()
     }
+    if not all(
+        checkpoint.finished(run, config)
+        for name, configs in trainings.items()
+        for run, config in zip(runs[name], configs, strict=True)
+    ):
+        see_levels(plan)  # before hours of training, not after
     for students in (False, True):
         if students:
             give_teachers(plan, runs)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import importlib.util
 import io
 import json
 from collections.abc import Callable, Mapping, Sequence
@@ -14,7 +15,8 @@ from typing import Any, Literal, get_args
 import polars as pl
 
 from astray import games
-from astray.analysis.given import Measure
+from astray.analysis.evaluate import COLUMNS
+from astray.analysis.given import Measure, see_measures
 from astray.analysis.outcomes import load_shift
 from astray.analysis.tables import write_table
 from astray.bounds import shown
@@ -83,6 +85,8 @@ class Plan:
             {config.game for config in self.agents.values()}
         ) != 1:
             raise ValueError("what is played in the same tests are agents, and of one game")
+        if self.agents:
+            see_measures(self.measures, (*COLUMNS, *self.game.events))
         for test in (*self.tests.values(), *self.visited.values()):
             load_shift(self.game, test.shift)
             for config in self.agents.values():
@@ -178,8 +182,15 @@ class Experiment:
     question: str
     sizes: Mapping[Size, Plan]
     find: Callable[[Work], Findings]
+    needs: Mapping[str, str] = field(default_factory=dict)  # of `find`: package -> extra of astray
 
     def __post_init__(self) -> None:
         wrong = [size for size in self.sizes if size not in SIZES]
         if wrong or not self.sizes:
             raise ValueError(f"sizes must be some of {', '.join(SIZES)}; got {list(self.sizes)}")
+
+    def see_installed(self) -> None:
+        """Raise ImportError where a package is missing that the findings need."""
+        for package, extra in self.needs.items():
+            if importlib.util.find_spec(package) is None:
+                raise ImportError(f"{self.title!r} needs {package}: pip install 'astray[{extra}]'")

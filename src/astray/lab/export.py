@@ -57,12 +57,31 @@ def export(lab: Lab, folder: Path, levels: int = 50, agents: list[str] | None = 
     if is_there and (folder.is_symlink() or not folder.is_dir() or any(folder.iterdir())):
         raise FileExistsError(f"{folder} must be new, or an empty folder; there is something in it")
     chosen = agents if agents is not None else _chosen(lab)
+    _see_exportable(lab, chosen)
     with folder_aside(folder) as aside:
         _write_page(aside)
         _write_data(lab, aside / "data", levels, chosen)
         if is_there:
             folder.rmdir()
         aside.rename(folder)
+
+
+def _see_exportable(lab: Lab, agents: Sequence[str]) -> None:
+    """Raise ValueError where the page could not play a game or show an agent without Python."""
+    opened = {name: lab.minds.open(name) for name in agents}
+    for game in dict.fromkeys((lab.start["game"], *(config.game for _, config in opened.values()))):
+        if not is_drawn(games.find(game)):
+            drawn = ", ".join(name for name in games.OWN if is_drawn(games.find(name)))
+            raise ValueError(
+                f"{game} must be a game of astray's own to be exported: without Python, a page "
+                f"plays {drawn}; the lab itself shows any game, without --export"
+            )
+    for name, (agent, config) in opened.items():
+        if agent.architecture.name != COMPUTED and config.find_game().real_time:
+            raise ValueError(
+                f"the agent {name!r} sees images of {config.game}, where things move by "
+                "themselves: there is no table of all that it may see"
+            )
 
 
 def _chosen(lab: Lab) -> list[str]:
@@ -98,8 +117,6 @@ def _write_data(lab: Lab, folder: Path, levels: int, agents: list[str]) -> None:
     played = {told["game"] for told in about.values()} | {lab.start["game"]}
     found: dict[str, Any] = {}
     for game in sorted(map(games.find, played), key=lambda game: game.name):
-        if not is_drawn(game):
-            raise ValueError(f"{game.name} must be a game of astray's own to be exported")
         _write(folder / "art" / f"{game.name}.json", {"pictures": drawings(game)})
         variants = _variants(lab, game, about)
         told = about_game(game)
@@ -177,11 +194,6 @@ def _write_agent(
         path.write_bytes(agent.path.read_bytes())
         return
     game = config.find_game()
-    if game.real_time:
-        raise ValueError(
-            f"the agent {name!r} sees images of {game.name}, where things move by themselves: "
-            "there is no table of all that it may see"
-        )
     variant = config.variant_for(told["test"])
     index, data = table(agent, game, variant, levels)
     _write(folder / "agents" / f"{name}.json", index)

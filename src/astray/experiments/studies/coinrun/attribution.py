@@ -203,4 +203,5 @@ EXPERIMENT = Experiment(
         "published": _agents.plan("published", 1, 120, visited=BRIEF),
     },
     find=find,
+    needs={"captum": "insight"},
 )

@@ -141,4 +141,5 @@ EXPERIMENT = Experiment(
         "published": _plans.of_cheese_mouse(1_000, visited={WHERE: ANY_SIZE}),
     },
     find=find,
+    needs={"sklearn": "insight"},
 )

@@ -169,4 +169,5 @@ EXPERIMENT = Experiment(
         "published": _agents.plan("published", 1, 60, visited={WHERE: BRIEF}),
     },
     find=find,
+    needs={"sklearn": "insight"},
 )

@@ -1,0 +1,86 @@
+"""What cannot be done is refused before the work, not after hours of it."""
+
+from dataclasses import replace
+
+import pytest
+
+from astray import games
+from astray.analysis.outcomes import load_shift
+from astray.experiments import run, spec
+from astray.experiments.spec import Experiment, Plan
+from astray.experiments.sweep.settings import Sweep
+from astray.game import Shift
+from astray.lab import export as exporting
+from astray.lab.serving import make_lab
+from helpers.trainings import TINY
+
+MAZE = games.find("maze")
+
+
+@pytest.fixture(autouse=True)
+def _untrained(monkeypatch):
+    def train_all(*_):
+        pytest.fail("it trains")
+
+    monkeypatch.setattr(run, "train_all", train_all)
+
+
+def find(work):
+    raise AssertionError("it looks for findings")
+
+
+def experiment(plan, **more):
+    return Experiment("Early", "nothing", "Is it refused?", {"smoke": plan}, find, **more)
+
+
+def plan(**more):
+    agents = {"mouse": replace(TINY, knobs={"world": 5, "largest": 3}, levels=3000)}
+    tests = {"in training": spec.Test("corner-small", "corner-small")}
+    return Plan(**{"agents": agents, "tests": tests, "levels": 50, "differences": "", **more})
+
+
+def test_too_few_unseen_levels_are_told_before_training_and_what_to_do(tmp_path):
+    said = r"only 0 are not in them; 50 are needed; lower `levels` of the training, 3,000"
+    with pytest.raises(ValueError, match=said):
+        run.reproduce(experiment(plan()), "smoke", tmp_path)
+
+
+def test_a_package_that_findings_need_is_missed_before_training(tmp_path):
+    with pytest.raises(ImportError, match=r"'Early' needs no_such: pip install 'astray\[insight\]"):
+        run.reproduce(experiment(plan(), needs={"no_such": "insight"}), "smoke", tmp_path)
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_measure_with_the_name_of_a_column_is_refused_by_the_plan():
+    with pytest.raises(ValueError, match="measures have the names of other columns: length"):
+        plan(measures={"length": lambda states: states["time"]})
+
+
+@pytest.mark.parametrize(
+    "shift, said",
+    [
+        (Shift("corner-small", "no-such", "cheese", ("corner",)), "the variant 'no-such'"),
+        (Shift("corner-small", "anywhere-small", "cheese", ("no-such",)), "the goal 'no-such'"),
+    ],
+)
+def test_a_shift_to_what_the_game_lacks_is_refused(shift, said, monkeypatch):
+    mine = replace(MAZE, name="mine", shifts={"wrong": shift})
+    with pytest.raises(ValueError, match=rf"'wrong' names {said}, which mine does not have"):
+        load_shift(mine, "wrong")
+    monkeypatch.setattr(games, "_registered", {"mine": mine})
+    with pytest.raises(ValueError, match=said):
+        Sweep(replace(TINY, game="mine"), {"width": [4]}, shift="wrong")
+
+
+def test_a_lab_that_cannot_be_exported_is_refused_before_anything_is_computed(
+    tmp_path, monkeypatch
+):
+    def initial_states(*_):
+        pytest.fail("it computes levels")
+
+    monkeypatch.setattr(exporting, "initial_states", initial_states)
+    monkeypatch.setattr(games, "_registered", {"mine": replace(MAZE, name="mine")})
+    with pytest.raises(ValueError, match=r"mine must be a game of astray's own.*without --export"):
+        exporting.export(make_lab(None, {"game": "mine"}), tmp_path / "site")
+    with pytest.raises(ValueError, match="'coin-end-pixels' sees images of coinrun, where things"):
+        exporting.export(make_lab("coin-end-pixels", {}), tmp_path / "site")
