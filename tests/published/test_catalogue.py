@@ -15,6 +15,7 @@ from astray.analysis.critic import judge, observe
 from astray.analysis.episodes import initial_states
 from astray.analysis.evaluate import evaluate
 from astray.analysis.runs import open_run, shift_of
+from astray.files import LOCK
 from astray.published import catalogue, check, imported
 from astray.published.catalogue import Check, Published
 from astray.published.imported import Known, import_agent
@@ -72,13 +73,13 @@ def test_what_is_published_is_downloaded_checked_and_imported(serve, home, runne
     run = catalogue.fetch(entry(serve(runner), digest(runner)))
     assert run == home / "runner" and (run / "README.md").exists()
     assert open_run(run)[1].variant == "procgen"
-    assert not list((home / "downloads").iterdir())
+    assert os.listdir(home / "downloads") == [LOCK]
 
 
 def test_a_wrong_digest_imports_nothing_and_leaves_nothing(serve, home, runner):
     with pytest.raises(ValueError, match=f"its SHA-256 is {digest(runner)}, not 00"):
         catalogue.fetch(entry(serve(runner), "00" * 32))
-    assert kept.imported() == [] and not list((home / "downloads").iterdir())
+    assert kept.imported() == [] and os.listdir(home / "downloads") == [LOCK]
 
 
 def test_without_a_digest_nothing_is_fetched_unless_asked_for(serve, home, runner):
