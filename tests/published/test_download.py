@@ -32,6 +32,18 @@ def digest(data):
     return hashlib.sha256(data).hexdigest()
 
 
+HELLO = b"hello\n"  # whose blob id `git hash-object` gives
+BLOB = "ce013625030ba8dba906f756967f9e9ca394464a"
+
+
+def test_a_file_can_be_pinned_by_the_id_that_git_gives_it(serve, tmp_path):
+    download(serve(HELLO).address, tmp_path / "a", size=None, digest=BLOB)
+    assert (tmp_path / "a").read_bytes() == HELLO
+    with pytest.raises(ValueError, match=f"its git blob id is [0-9a-f]{{40}}, not {BLOB}"):
+        download(serve(HELLO + b"!").address, tmp_path / "b", size=None, digest=BLOB)
+    assert not (tmp_path / "b").exists()
+
+
 def left(folder):
     """The names of the files in a folder, without that of its lock."""
     return [path.name for path in folder.iterdir() if path.name != LOCK]
@@ -42,7 +54,7 @@ def downloads_at_once(server, to, count):
     code = (
         "import pathlib; from astray.published.download import download\n"
         f"download({server.address!r}, pathlib.Path({str(to)!r}), "
-        f"size={len(DATA)}, sha256={digest(DATA)!r})"
+        f"size={len(DATA)}, digest={digest(DATA)!r})"
     )
     begun = [
         subprocess.Popen([sys.executable, "-c", code], env=environment(), stderr=subprocess.PIPE)
@@ -68,7 +80,7 @@ def test_what_is_checked_is_put_in_place_whatever_is_written_meanwhile(
         "write_aside",
         lambda *given: ((tmp_path / "agent.jd.part").write_bytes(b"more"), put(*given)),
     )
-    download(serve(DATA).address, to, size=len(DATA), sha256=digest(DATA))
+    download(serve(DATA).address, to, size=len(DATA), digest=digest(DATA))
     assert to.read_bytes() == DATA
 
 
@@ -116,7 +128,7 @@ def test_an_agent_fetched_twice_at_once_is_there_once(serve, tmp_path, monkeypat
 @pytest.mark.parametrize("ranges", [True, False], ids=["with ranges", "without"])
 def test_an_interrupted_download_goes_on_where_it_stopped(serve, tmp_path, ranges):
     server, to = serve(DATA, stops=1000, ranges=ranges), tmp_path / "agent.jd"
-    known = dict(size=len(DATA), sha256=digest(DATA))
+    known = dict(size=len(DATA), digest=digest(DATA))
     with pytest.raises(OSError, match=r"1,000 of [\d,]+ bytes are there, and the same command"):
         download(server.address, to, **known)
     assert not to.exists() and (tmp_path / "agent.jd.part").stat().st_size == 1000
@@ -132,14 +144,14 @@ def test_a_download_replaces_nothing(serve, tmp_path, link):
     mine.write_text("mine")
     to.symlink_to(mine) if link else to.write_text("mine")
     with pytest.raises(OSError, match="is there already, and stays"):
-        download(serve(DATA).address, to, size=None, sha256=None)
+        download(serve(DATA).address, to, size=None, digest=None)
     assert to.read_text() == mine.read_text() == "mine" and to.is_symlink() == link
 
 
 def test_what_is_left_of_another_file_is_found_out(serve, tmp_path):
     part = tmp_path / "agent.jd.part"
     part.write_bytes(bytes(1000))
-    server, known = serve(DATA), dict(size=len(DATA), sha256=digest(DATA))
+    server, known = serve(DATA), dict(size=len(DATA), digest=digest(DATA))
     with pytest.raises(ValueError, match="it was removed"):
         download(server.address, tmp_path / "agent.jd", **known)
     download(server.address, tmp_path / "agent.jd", **known)
@@ -149,7 +161,7 @@ def test_what_is_left_of_another_file_is_found_out(serve, tmp_path):
 def test_a_server_that_sends_a_byte_now_and_then_is_not_waited_for(serve, tmp_path, monkeypatch):
     clock = itertools.count(0, 2 * downloads.WAIT)  # so long takes every piece
     monkeypatch.setattr(downloads.time, "monotonic", lambda: next(clock))
-    server, known = serve(bytes(500)), dict(size=1000, sha256="00" * 32)
+    server, known = serve(bytes(500)), dict(size=1000, digest="00" * 32)
     with pytest.raises(OSError, match=r"fewer than 10,000 bytes came in 30 .*; 500 of"):
         download(server.address, tmp_path / "a", **known)
     assert left(tmp_path) == ["a.part"]
@@ -170,7 +182,7 @@ def test_a_server_that_never_comes_to_its_answer_is_not_waited_for(tmp_path, mon
         threading.Thread(target=server.serve_forever, daemon=True).start()
         address = f"http://127.0.0.1:{server.server_port}/a"
         with pytest.raises(OSError, match=r"no answer came in 0\.5 seconds"):
-            download(address, tmp_path / "a", size=1000, sha256="00" * 32)
+            download(address, tmp_path / "a", size=1000, digest="00" * 32)
         assert ended.wait(10)  # nobody listens any more
         server.shutdown()
     assert not left(tmp_path)
@@ -179,7 +191,7 @@ def test_a_server_that_never_comes_to_its_answer_is_not_waited_for(tmp_path, mon
 def test_no_more_is_taken_than_was_published(serve, tmp_path):
     server = serve(bytes(3_000_000))
     with pytest.raises(ValueError, match="is not the file that was published"):
-        download(server.address, tmp_path / "a", size=1000, sha256="00" * 32)
+        download(server.address, tmp_path / "a", size=1000, digest="00" * 32)
     assert not left(tmp_path)
 
 
@@ -188,9 +200,9 @@ def test_no_more_is_taken_than_was_published(serve, tmp_path):
 )
 def test_addresses_that_others_can_tamper_with_are_refused(tmp_path, address):
     with pytest.raises(ValueError, match=f"must be https; got {address}"):
-        download(address, tmp_path / "a", size=None, sha256=None)
+        download(address, tmp_path / "a", size=None, digest=None)
 
 
 def test_a_server_that_is_not_there_is_named(tmp_path):
     with pytest.raises(OSError, match=r"127.0.0.1:9/a.jd could not be downloaded .*; 0 bytes"):
-        download("http://127.0.0.1:9/a.jd", tmp_path / "a", size=None, sha256="00")
+        download("http://127.0.0.1:9/a.jd", tmp_path / "a", size=None, digest="00")

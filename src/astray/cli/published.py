@@ -93,9 +93,9 @@ def _list(json: bool) -> None:
     rows = {
         name: {
             "imported": name in here,
-            "state": _state(name in here, one.tried, one.address, one.sha256),
+            "state": _state(name in here, one.tried, one.address, one.digest),
             "about": one.known.about, "game": one.known.game, "variant": one.known.variant,
-            "address": one.address, "by_hand": one.by_hand, "sha256": one.sha256,
+            "address": one.address, "by_hand": one.by_hand, "sha256": one.sha256, "blob": one.blob,
             "bytes": one.size, "licence": one.known.licence, "source": one.known.source,
         }
         for name, one in catalogue().items()
@@ -113,10 +113,10 @@ def _list(json: bool) -> None:
     print(f"Imported agents are in {kept.folder()}; to get one: astray agents fetch NAME")
 
 
-def _state(imported: bool, tried: bool, address: str, sha256: str | None) -> str:
+def _state(imported: bool, tried: bool, address: str, digest: str | None) -> str:
     if imported:
         return "imported"
-    how = "by hand" if not address else "can be fetched" if sha256 else "can be fetched, unchecked"
+    how = "by hand" if not address else "can be fetched" if digest else "can be fetched, unchecked"
     return how if tried else f"{how}; not tried here"
 
 

@@ -13,8 +13,8 @@ from pathlib import Path
 from typing import Any, Literal
 
 from astray.analysis import kept
-from astray.files import hold
-from astray.published.download import digest_of, download
+from astray.files import hold, read
+from astray.published.download import LARGEST, digest_of, download
 from astray.published.imported import Known, import_agent, known_as
 
 DOWNLOADS, RESULTS = "downloads", "results"  # in the folder of imported agents
@@ -48,7 +48,9 @@ class Published:
 
     file     its name, whose ending tells the format; empty where there is no address
     address  of the file; empty: `by_hand` says how to get it
-    size     bytes; None: not known, as the digest
+    size     bytes; None: not known
+    sha256   of the file; None: it could not be had
+    blob     git's id of the file, which pins it where its repository alone is known
     kind     results: no agent, but a table of what one did; see `published.results`
     tried    it has been imported and checked by the makers of the catalogue
     """
@@ -60,9 +62,15 @@ class Published:
     by_hand: str = ""
     size: int | None = None
     sha256: str | None = None
+    blob: str | None = None
     tried: bool = False
     kind: Literal["agent", "results"] = "agent"
     checks: tuple[Check, ...] = ()
+
+    @property
+    def digest(self) -> str | None:
+        """The digest that the file must have: see `download.digest_of`."""
+        return self.sha256 or self.blob
 
 
 @functools.cache
@@ -78,7 +86,7 @@ def read_entry(name: str, data: dict[str, Any]) -> Published:
         Check(**check | {"shares": tuple((int(k), v) for k, v in check.get("shares", {}).items())})
         for check in data.get("checks", [])
     ]
-    own = ("file", "address", "by_hand", "size", "sha256", "tried", "kind")
+    own = ("file", "address", "by_hand", "size", "sha256", "blob", "tried", "kind")
     return Published(
         name, known_as(data), checks=tuple(checks), **{key: data[key] for key in own if key in data}
     )
@@ -104,7 +112,7 @@ def fetch(one: Published, *, unchecked: bool = False) -> Path:
     """
     if not one.address:
         raise ValueError(f"{one.name} cannot be fetched: {one.by_hand}")
-    if one.sha256 is None and not unchecked:
+    if one.digest is None and not unchecked:
         raise ValueError(
             f"no digest of {one.name} is known, so what comes cannot be checked; to take it as it "
             f"is: astray agents fetch {one.name} --unchecked"
@@ -112,14 +120,14 @@ def fetch(one: Published, *, unchecked: bool = False) -> Path:
     home = kept.folder()
     if one.kind == "results":
         to = home / RESULTS / f"{one.name}.csv"
-        download(one.address, to, size=one.size, sha256=one.sha256)
+        download(one.address, to, size=one.size, digest=one.digest)
         return to
     home.mkdir(parents=True, exist_ok=True)
     with hold(home, "fetches an agent to"):  # also until it is imported: the file is one for all
         if one.name in (*kept.names(), *kept.imported()):
             raise ValueError(f"there is an agent {one.name!r} already, in {kept.find(one.name)}")
         file = home / DOWNLOADS / one.file
-        download(one.address, file, size=one.size, sha256=one.sha256)
+        download(one.address, file, size=one.size, digest=one.digest)
         try:
             return import_agent(file, one.name, one.known, expected=one.sha256)
         finally:
@@ -135,9 +143,9 @@ def results_file(name: str) -> Path:
     path = kept.folder() / RESULTS / f"{one.name}.csv"
     if not path.is_file():
         raise ValueError(f"the table {name} is not here; to bring it: astray agents fetch {name}")
-    if one.sha256 is not None and digest_of(path) != one.sha256:
+    if one.digest and digest_of(read(path, LARGEST), one.digest) != one.digest:
         raise ValueError(
-            f"{path} is not the table that was published: its SHA-256 is another; remove it, and "
+            f"{path} is not the table that was published: its digest is another; remove it, and "
             f"bring it again: astray agents fetch {name}"
         )
     return path

@@ -27,15 +27,18 @@ CHUNK = 1 << 16  # bytes
 WAIT = 30.0  # seconds without a byte, after which it is interrupted
 LEAST = 10_000  # bytes in that time; with fewer it is, too
 LOOPBACK = ("127.0.0.1", "::1", "localhost")
+BLOB = 40  # hexadecimal digits of git's blob id; a SHA-256 has 64
 LARGEST = 512_000_000  # bytes, of a file whose size is not known
 
 
-def download(address: str, to: Path, *, size: int | None, sha256: str | None) -> None:
+def download(address: str, to: Path, *, size: int | None, digest: str | None) -> None:
     """Download a file to `to`, and see that it is the one with this size and digest.
 
     What arrives is kept in `to`.part, and a later call goes on from there. Without a digest it
     begins anew, since nobody could tell whether the parts belong together. Where another process
     downloads to this folder, wait for it; where it brought this very file, that stays.
+
+    digest  SHA-256 (64 hexadecimal digits) or git's blob id (40); None: not known
 
     Raises OSError where it is interrupted, or where something else is at `to`, which stays;
     ValueError where what comes is another file; that is removed.
@@ -44,12 +47,12 @@ def download(address: str, to: Path, *, size: int | None, sha256: str | None) ->
     to.parent.mkdir(parents=True, exist_ok=True)
     with hold(to.parent, "downloads to"):
         if os.path.lexists(to):
-            if sha256 is not None and not to.is_symlink() and digest_of(to) == sha256:
+            if digest and not to.is_symlink() and digest_of(read(to, LARGEST), digest) == digest:
                 return
             raise OSError(f"{to} is there already, and stays as it is; to download it, remove that")
         part = to.with_name(to.name + ".part")
         see_own(part)
-        if sha256 is None:
+        if digest is None:
             part.unlink(missing_ok=True)
         try:
             _fetch(address, part, size or LARGEST)
@@ -60,13 +63,19 @@ def download(address: str, to: Path, *, size: int | None, sha256: str | None) ->
                 f"{address} could not be downloaded ({shown(str(error))}); {arrived:,}{of} bytes "
                 "are there, and the same command goes on from them"
             ) from error
-        write_aside(to, _checked(address, part, size, sha256))
+        write_aside(to, _checked(address, part, size, digest))
         part.unlink()
 
 
-def digest_of(path: Path) -> str:
-    """Return the SHA-256 of a file that was downloaded."""
-    return hashlib.sha256(read(path, LARGEST)).hexdigest()
+def digest_of(data: bytes, like: str) -> str:
+    """Return the digest of a file's bytes that is of the same kind as `like`.
+
+    Git's blob id is the SHA-1 of the file after a header. It pins files of public repositories
+    that nobody here could download; who can forge a SHA-1 could forge such a file.
+    """
+    if len(like) == BLOB:
+        return hashlib.sha1(b"blob %d\0" % len(data) + data, usedforsecurity=False).hexdigest()
+    return hashlib.sha256(data).hexdigest()
 
 
 def _fetch(address: str, part: Path, most: int) -> None:
@@ -139,18 +148,21 @@ def _answer(request: urllib.request.Request) -> http.client.HTTPResponse:
         raise OSError(f"no answer came in {WAIT:g} seconds") from None
 
 
-def _checked(address: str, part: Path, size: int | None, sha256: str | None) -> bytes:
+def _checked(address: str, part: Path, size: int | None, digest: str | None) -> bytes:
     """Return what came, if it is the file with this size and digest."""
     data = read(part, LARGEST)
-    found, digest = len(data), hashlib.sha256(data).hexdigest()
-    if sha256 is not None and (size is not None and found < size):
+    if digest is None:
+        return data
+    if size is not None and len(data) < size:
         raise OSError(
-            f"{address} ended after {found:,} of {size:,} bytes; the same command goes on from them"
+            f"{address} ended after {len(data):,} of {size:,} bytes; the same command goes on from "
+            "them"
         )
-    if sha256 is not None and digest != sha256:
+    if (found := digest_of(data, digest)) != digest:
         part.unlink()
+        kind = "git blob id" if len(digest) == BLOB else "SHA-256"
         raise ValueError(
-            f"{address} is not the file that was published: its SHA-256 is {digest}, not {sha256}; "
+            f"{address} is not the file that was published: its {kind} is {found}, not {digest}; "
             "it was removed, and nothing is imported"
         )
     return data
