@@ -5,16 +5,18 @@ import math
 import numpy as np
 import polars as pl
 
-from astray.analysis.estimates import bootstrap, mean_of
+from astray.analysis.estimates import estimate_mean, mean_of
 from astray.estimate import Estimate
 
 
 def test_words_say_what_was_averaged():
     share = Estimate(0.974, 0.9641, 0.983, agents=1, levels=1000, rows=1000)
-    assert share.percent() == "97.4\u00a0% (95\u00a0% interval 96.4 to 98.3; 1 agent, 1,000 levels)"
+    assert share.percent() == (
+        "97.4\u00a0% (95\u00a0% interval 96.4 to 98.3, over 1,000 levels, of this agent alone)"
+    )
     states = Estimate(-0.5, -1.0, 0.25, agents=2, levels=30, rows=90)
-    assert (
-        states.change() == "-0.50 (95\u00a0% interval -1.00 to +0.25; 2 agents, 30 levels, n = 90)"
+    assert states.change() == (
+        "-0.50 (95\u00a0% interval -1.00 to +0.25, over 2 agents and 30 levels, n = 90)"
     )
     assert Estimate(1234.5, 1.0, 2.0, 1, 2, 2).amount(2).startswith("1.2e+03 (")
 
@@ -27,7 +29,7 @@ def test_of_nothing_nothing_is_said():
 def test_the_mean_of_a_column_is_that_of_the_same_matrix():
     values = np.random.default_rng(1).random((3, 20))
     rows = pl.DataFrame([{"agent": a, "level": k, "x": v} for (a, k), v in np.ndenumerate(values)])
-    whole, column = bootstrap(values), mean_of(rows, 2 * pl.col("x"))
+    whole, column = estimate_mean(values), mean_of(rows, 2 * pl.col("x"))
     assert np.allclose(
         [column.mean, column.low, column.high], [2 * whole.mean, 2 * whole.low, 2 * whole.high]
     )

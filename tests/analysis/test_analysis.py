@@ -5,13 +5,10 @@ from dataclasses import replace
 import numpy as np
 import polars as pl
 import pytest
-import scipy.stats
 import torch
-from scipy.stats import binomtest
 
 from astray import games
 from astray.agents.policy import Architecture, weights
-from astray.analysis.estimates import bootstrap, over_agents
 from astray.analysis.evaluate import evaluate
 from astray.analysis.outcomes import FAILED, INTENDED, MISGENERALIZED, label, load_shift, tell_apart
 from astray.analysis.overlap import met, overlap, unseen
@@ -124,56 +121,6 @@ def test_an_unknown_shift_is_explained():
 def test_no_levels_are_refused():
     with pytest.raises(ValueError, match="no levels"):
         evaluate(Random(), "maze", "corner", [])
-
-
-def test_with_one_agent_the_interval_is_the_binomials():
-    values = np.arange(400) < 120
-    estimate = bootstrap(values)
-    exact = binomtest(120, 400).proportion_ci(method="wilson")
-    assert estimate.mean == 0.3
-    assert (estimate.low, estimate.high) == pytest.approx((exact.low, exact.high), abs=0.006)
-
-
-def test_with_several_agents_the_interval_covers_what_agents_vary():
-    """95 % of intervals hold the truth, when agents differ much and levels little."""
-    random, hits = np.random.default_rng(0), 0
-    for trial in range(100):
-        skill = random.normal(0.5, 0.1, 12)
-        values = np.clip(skill[:, None] + random.normal(0, 0.01, (1, 50)), 0, 1)
-        estimate = bootstrap(values, seed=trial)
-        hits += estimate.low <= 0.5 <= estimate.high
-    assert 85 <= hits <= 99
-
-
-def test_intervals_resample_agents_and_levels():
-    same_agents = np.tile(np.arange(100) < 50, (5, 1)).astype(float)
-    same_levels = np.repeat([[0.0], [1.0], [0.0], [1.0], [1.0]], 100, axis=1)
-    assert bootstrap(same_agents).low < 0.45  # levels vary
-    assert bootstrap(same_levels).low < 0.35  # agents vary
-    assert bootstrap(np.ones((3, 10))).low == 1
-
-
-def test_the_middle_of_agents_is_the_interquartile_mean_with_its_percentiles():
-    values = np.random.default_rng(0).normal([0, 5, 10], 1, (9, 3))
-    values[0] = 1000  # a stray agent
-    middle, low, high = over_agents(values)
-    assert middle == pytest.approx(np.sort(values, 0)[2:7].mean(0))  # the middle 5 of 9
-    for point in range(3):
-        naive = scipy.stats.bootstrap(
-            [values[:, point]],
-            lambda x: np.sort(x)[2:7].mean(),
-            vectorized=False,
-            method="percentile",
-            n_resamples=4000,
-            rng=1,
-        ).confidence_interval
-        assert (low[point], high[point]) == pytest.approx(naive, rel=0.15, abs=0.15)
-
-
-def test_few_agents_have_their_mean_and_one_alone_has_no_interval():
-    middle, low, high = over_agents(np.array([[0.0], [0.0], [3.0]]))
-    assert (middle, low, high) == (1, 0, 3)
-    assert np.isnan(over_agents(np.ones((1, 2)))).tolist() == [[False] * 2, [True] * 2, [True] * 2]
 
 
 def test_levels_that_coincide_are_counted():

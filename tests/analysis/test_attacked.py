@@ -21,7 +21,7 @@ from astray.agents.mlp import MLP
 from astray.agents.policy import Architecture
 from astray.analysis.adapters import Function
 from astray.analysis.critic import visit
-from astray.analysis.estimates import bootstrap, over_agents
+from astray.analysis.estimates import estimate_mean, over_agents
 from astray.analysis.evaluate import evaluate
 from astray.analysis.policies import Random
 from astray.analysis.runs import evaluate_policies, evaluate_runs, load_agent
@@ -272,8 +272,8 @@ def reset(**options):
         (lambda: evaluate_runs("runs/mice"), "runs must be a list of run folders; got 'runs/mice'"),
         (lambda: write_gif([[1]], "a.gif"), "frames must be a ndarray; got"),
         (lambda: write_gif(np.zeros((2, 8, 8, 3), np.uint8), "a.gif", 0), "fps must be an integer"),
-        (lambda: bootstrap([]), "values must be .agents, levels., at least one of each"),
-        (lambda: bootstrap([[1.0, 2.0]], [[-1.0, 1.0]]), "numbers, none below 0"),
+        (lambda: estimate_mean([]), "values must be .agents, levels., at least one of each"),
+        (lambda: estimate_mean([[1.0, 2.0]], [[-1.0, 1.0]]), "numbers, none below 0"),
         (lambda: over_agents(np.zeros(3)), "values must be .agents, points."),
         (lambda: Function(None), "choose must be a function of observations; got None"),
         (lambda: World(None), "a world must be a ndarray; got None"),

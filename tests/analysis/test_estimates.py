@@ -1,10 +1,17 @@
-"""Intervals of groups of steps, that come in episodes."""
+"""Intervals: what they are made of, and of groups of steps, that come in episodes."""
 
 import numpy as np
 import polars as pl
 import pytest
+from scipy import stats
 
-from astray.analysis.estimates import bootstrap, group_means
+from astray.analysis.estimates import (
+    estimate_difference,
+    estimate_mean,
+    estimate_paired,
+    group_means,
+    over_agents,
+)
 
 
 def steps(seed=0, agents=4, levels=15):
@@ -19,33 +26,22 @@ def steps(seed=0, agents=4, levels=15):
     return pl.DataFrame(rows, ["agent", "level", "late", "value", "size"], orient="row")
 
 
-def naive(rows, per, resamples=1000):
-    """The interval, from bags of all rows of the agents drawn in the levels drawn."""
-    random, means = np.random.default_rng(1), []
-    agents, levels = (rows[name].unique().sort().to_list() for name in ("agent", "level"))
-    episodes = {
-        (a, lv): rows.filter(agent=a, level=lv).select("value", per).to_numpy().sum(0)
-        for a in agents
-        for lv in levels
-    }
-    for _ in range(resamples):
-        some, where = random.choice(agents, len(agents)), random.choice(levels, len(levels))
-        value, weight = sum(episodes[a, lv] for a in some for lv in where)
-        means.append(value / weight)
-    return np.quantile(means, [0.025, 0.975])
-
-
 @pytest.mark.parametrize("per", [None, "size"])
-def test_group_means_resample_episodes_whole(per):
+def test_group_means_have_the_interval_of_whole_episodes(per):
     rows = steps().with_columns(one=1.0)
     found = group_means(rows, "value", ["late"], per=per)
     assert found["late"].to_list() == [False, True]
     for row in found.to_dicts():
         group = rows.filter(late=row["late"])
-        mean = group["value"].sum() / (group[per].sum() if per else len(group))
-        low, high = naive(group, per or "one")
-        assert row["mean"] == pytest.approx(mean)
-        assert (row["low"], row["high"]) == pytest.approx((low, high), abs=0.1 * (high - low))
+        episodes = group.group_by("agent", "level").agg(pl.col("value", per or "one").sum())
+        episodes = episodes.sort("agent", "level")
+        dense = episodes.pivot("level", index="agent").fill_null(0).sort("agent")
+        value, weight = (
+            dense.select(f"^{name}_.*$").to_numpy() for name in ("value", per or "one")
+        )
+        whole = estimate_mean(value, weight, share=False)
+        assert row["mean"] == pytest.approx(group["value"].sum() / group[per or "one"].sum())
+        assert (row["low"], row["high"]) == pytest.approx((whole.low, whole.high))
         told = (row["agents"], row["levels"], row["rows"])
         assert told == (4, group["level"].n_unique(), len(group))
 
@@ -71,13 +67,118 @@ def test_what_has_no_value_or_no_weight_is_left_out():
          "area": [1.0, 1.0, 1.0, 0.0]}
     )  # fmt: skip
     a, b = group_means(rows, "value", ["part"], per="area").to_dicts()
-    assert (a["mean"], a["rows"]) == (2, 2) and (a["low"], a["high"]) == (1, 3)
+    assert (a["mean"], a["rows"]) == (2, 2) and a["low"] < 1 and a["high"] > 3
     assert (b["mean"], b["low"], b["high"]) == (None, None, None)
 
 
 def test_equal_weights_change_nothing():
     values = np.random.default_rng(0).random((3, 30))
-    assert bootstrap(values, np.ones((3, 30))) == bootstrap(values)
+    assert estimate_mean(values, np.ones((3, 30))) == estimate_mean(values)
+
+
+def test_with_one_agent_the_interval_of_a_share_is_wilsons():
+    for succeeded in (0, 1, 120, 399, 400):
+        found = estimate_mean(np.arange(400) < succeeded)
+        exact = stats.binomtest(succeeded, 400).proportion_ci(method="wilson")
+        assert found.mean == succeeded / 400
+        assert (found.low, found.high) == pytest.approx((exact.low, exact.high), rel=1e-2, abs=1e-4)
+
+
+def test_what_is_never_less_is_no_share():
+    """Differences of pairs that are all 0 or 1 are not bounded by 0: others might be -1."""
+    one, other = np.arange(1000) < 1, np.zeros(1000, bool)
+    assert estimate_mean(one).low > 0 > estimate_paired(one, other).low
+
+
+def test_of_one_agent_a_mean_has_students_interval_over_levels():
+    values = np.random.default_rng(0).normal(5, 2, 12)
+    exact = stats.t.interval(0.95, 11, values.mean(), values.std(ddof=1) / 12**0.5)
+    found = estimate_mean(values)
+    assert (found.low, found.high) == pytest.approx(exact)
+
+
+def test_where_levels_are_alike_the_interval_is_students_over_agents():
+    """Of means; of a share near the middle nearly so. The level of confidence is in it, too."""
+    means = np.array([0.5, 0.52, 0.55])
+    found = estimate_mean(np.tile(means[:, None], (1, 5000)))
+    exact = stats.t.interval(0.95, 2, means.mean(), means.std(ddof=1) / 3**0.5)
+    assert (found.low, found.high) == pytest.approx(exact, abs=1e-9)
+    assert over_agents(means[:, None])[1:, 0] == pytest.approx(exact)
+    random = np.random.default_rng(0)
+    share = estimate_mean(random.permuted(np.arange(5000) < 5000 * means[:, None], axis=1))
+    assert (share.low, share.high) == pytest.approx(exact, abs=0.01)
+
+
+def test_levels_that_all_agents_find_hard_widen_the_interval():
+    shared = np.tile(np.arange(100) < 50, (5, 1))
+    apart = np.random.default_rng(0).permuted(shared, axis=1)
+    assert estimate_mean(shared).low < 0.45 < estimate_mean(apart).low
+
+
+def test_no_interval_is_without_width():
+    alike = np.ones((3, 10), bool)
+    for values in (alike, alike[0], ~alike, ~alike[:1, :1], np.full((2, 9), 10.0)):
+        found = estimate_mean(values)
+        assert found.low < found.high
+    difference = estimate_difference(alike, alike)
+    assert -1 <= difference.low < 0 < difference.high <= 1
+    paired = estimate_paired(alike, alike[:1])
+    assert paired.low < 0 < paired.high
+
+
+def test_a_difference_of_kinds_does_not_depend_on_the_order_of_seeds():
+    random = np.random.default_rng(0)
+    one, other = random.random((2, 3, 40)) < [[[0.7]], [[0.4]]]
+    assert estimate_difference(one, other) == estimate_difference(one, other[::-1])
+
+
+def test_a_difference_of_kinds_is_welchs():
+    one, other = np.array([[5.0], [6.0], [8.0]]), np.array([[1.0], [1.5], [1.2], [0.9]])
+    found = estimate_difference(one, other)
+    errors = [kind.var(ddof=1) / len(kind) for kind in (one, other)]
+    freedom = sum(errors) ** 2 / (errors[0] ** 2 / 2 + errors[1] ** 2 / 3)
+    half = stats.t.ppf(0.975, freedom) * sum(errors) ** 0.5
+    middle = one.mean() - other.mean()
+    assert (found.low, found.high) == pytest.approx((middle - half, middle + half))
+
+
+def test_what_is_hard_for_both_kinds_cancels_in_their_difference():
+    random = np.random.default_rng(0)
+    hard = random.random(400) < 0.5  # no agent gets these
+    few, many = ((random.random((8, 400)) < p) & ~hard for p in (0.2, 0.8))
+    found = estimate_difference(many, few)
+    assert found.mean == pytest.approx(many.mean() - few.mean())
+    assert 0.28 < found.low < 0.3 < found.high < 0.4
+    others = estimate_difference(many, few[:, random.permutation(400)])
+    assert found.high - found.low < 0.9 * (others.high - others.low)
+
+
+def test_of_other_levels_each_kind_has_its_own_spread():
+    random = np.random.default_rng(0)
+    one, other = random.random(400) < 0.9, random.random(600) < 0.5
+    found = estimate_difference(one, other, same_levels=False)
+    p, q = one.mean(), other.mean()
+    wide = 1.96 * np.sqrt(p * (1 - p) / 400 + q * (1 - q) / 600)
+    assert found.mean == pytest.approx(p - q)
+    assert (found.low, found.high) == pytest.approx((p - q - wide, p - q + wide), abs=0.005)
+    with pytest.raises(ValueError, match="levels must be the same; got 400 and 600"):
+        estimate_difference(one, other)
+
+
+def test_agents_of_other_kinds_tell_how_much_agents_differ():
+    """Two agents tell next to nothing of it; sixteen kinds of two do."""
+    random = np.random.default_rng(0)
+    kinds = list(random.normal(5, 1, (16, 2, 1)))
+    alone, pooled = (estimate_difference(kinds[0], kinds[1], pool=p) for p in ((), kinds))
+    assert pooled.freedom == 16
+    spread = np.sqrt(np.mean([kind.var(ddof=1) for kind in kinds]))
+    own = max(spread, *(kind.std(ddof=1) for kind in kinds[:2]))
+    assert pooled.high - pooled.mean <= stats.t.ppf(0.975, 16) * own * 2**0.5
+    assert pooled.high - pooled.low < alone.high - alone.low
+
+
+def test_one_agent_alone_has_no_interval_over_agents():
+    assert np.isnan(over_agents(np.ones((1, 2)))).tolist() == [[False] * 2, [True] * 2, [True] * 2]
 
 
 def test_columns_that_are_missing_are_named():

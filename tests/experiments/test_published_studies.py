@@ -166,12 +166,6 @@ def test_fates_in_others_results_are_of_what_came_first():
     assert found.filter(test="random")["mean"].to_list() == [0, 0, 1, 0]
 
 
-def test_what_foretells_is_a_difference_of_shares():
-    taken = np.array([1.0, 1, 0, 1, 0, 0])
-    by_script = np.array([True, True, True, False, False, False])
-    assert published_results.difference(taken, by_script).mean == pytest.approx(1 / 3)
-
-
 HEADING = report.Heading(
     name="n", size="published", title="t", reproduces="r", question="q", differences="", command="c"
 )
@@ -237,17 +231,3 @@ def test_others_results_are_joined_with_the_script_level_by_level(tmp_path, monk
     table = pl.read_parquet(page.parent / "tables" / "foretold.parquet")
     assert table.filter(what="taken")["mean"].to_list() == [1, 0]
     assert 0 < took.mean() < 1
-
-
-def test_the_interval_of_a_difference_does_not_tell_how_many_levels_of_each_kind_are_drawn():
-    script = np.arange(1000) % 5 < 2
-    same = published_results.difference(np.ones(1000), script)
-    assert same.mean == same.low == same.high == 0
-    random = np.random.default_rng(0)
-    taken = np.where(script, random.random(1000) < 0.9, random.random(1000) < 0.5).astype(float)
-    found = published_results.difference(taken, script)
-    p, q = taken[script].mean(), taken[~script].mean()
-    wide = 1.96 * np.sqrt(p * (1 - p) / 400 + q * (1 - q) / 600)
-    assert found.mean == pytest.approx(p - q)
-    assert found.high - found.mean == pytest.approx(wide, rel=0.15)
-    assert found.mean - found.low == pytest.approx(wide, rel=0.15)

@@ -20,7 +20,7 @@ from astray.agency.online import measure_online
 from astray.agency.population import pooled, shares
 from astray.analysis import video
 from astray.analysis.episodes import initial_states, steps
-from astray.analysis.estimates import Estimate, bootstrap
+from astray.analysis.estimates import Estimate, estimate_mean
 from astray.analysis.outcomes import load_shift
 from astray.analysis.policies import Policy
 from astray.analysis.runs import Mode, open_run, shift_of
@@ -139,7 +139,7 @@ class Judgement:
     @property
     def agent(self) -> Estimate:
         """Mean nats an episode speaks for agents rather than devices, with its interval."""
-        return bootstrap(self.episodes["log_factor"].to_numpy())
+        return estimate_mean(self.episodes["log_factor"].to_numpy())
 
     def summary(self) -> dict[str, Any]:
         """All but the episodes, as plain data."""

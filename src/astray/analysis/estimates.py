@@ -1,9 +1,25 @@
-"""Intervals. The unit of analysis is the agent: agents are resampled first, then levels."""
+"""Means and their intervals, over what varies by chance: the agent first, then the level.
+
+Values are [agents, levels]: agents of one training that differ by their seed, in the same levels.
+Two things are drawn by chance: an agent differs from another in all levels, and a level is hard
+for all agents. The interval is for the mean over all agents that the training could give, in all
+levels of the variant. Its half-width has a part for each, whose squares add up (Banerjee 1961):
+
+    agents  Student's t of agents - 1 degrees of freedom, times the standard error of their means
+    levels  the normal quantile times what levels add to that: the variance component of a crossed
+            design, as an analysis of variance estimates it
+
+One agent alone speaks for itself: then levels are all that varies. Shares have Wilson's interval,
+for as many independent episodes as would vary as much: it stays within 0 and 1, and has width at
+either. Nothing is drawn at random. `tests/analysis/test_coverage.py` simulates how often intervals
+hold what they are of.
+"""
 
 from __future__ import annotations
 
 import functools
-from collections.abc import Iterable, Iterator, Sequence
+import math
+from collections.abc import Sequence
 
 import numpy as np
 import polars as pl
@@ -11,123 +27,249 @@ import polars as pl
 from astray.bounds import of_kind
 from astray.estimate import Estimate
 
-RESAMPLES = 10_000
-LARGEST_KEPT = 20_000_000  # counts that are drawn once, a byte each
-QUARTILES = 4  # with fewer agents there is nothing to trim
+CONFIDENCE = 0.95
 
 
-def over_agents(values: np.ndarray, *, seed: int = 0) -> np.ndarray:
-    """The middle of `values` [agents, points] at each point and its 95 % interval, [3, points].
+@functools.cache
+def quantile(freedom: float, below: float = (1 + CONFIDENCE) / 2) -> float:
+    """The number that Student's t is below with a probability; the normal one's of no end."""
+    from scipy.special import ndtri, stdtrit  # here, as it takes a second to import
 
-    The middle is the interquartile mean, which a stray agent does not pull (Agarwal et al.,
-    NeurIPS 2021), or of fewer than 4 agents the mean; the interval is its percentiles over
-    resamples of agents. One agent has no interval: NaN.
+    return float(ndtri(below) if math.isinf(freedom) else stdtrit(freedom, below))
+
+
+def over_agents(values: np.ndarray) -> np.ndarray:
+    """The mean of `values` [agents, points] at each point and its 95 % interval, [3, points].
+
+    The interval is Student's, over agents. One agent has none: NaN.
     """
-    from scipy.stats import trim_mean  # here, as it takes a second to import
-
     of_kind("values", values, np.ndarray)
     if values.ndim != 2 or not values.size:
         raise ValueError(
             f"values must be [agents, points], at least one of each; got {values.shape}"
         )
-    agents, points = values.shape
-    cut = 0.25 if agents >= QUARTILES else 0.0
-    middle = trim_mean(values, cut, axis=0)
+    agents, mean = len(values), values.mean(0)
     if agents == 1:
-        return np.stack([middle, *np.full((2, points), np.nan)])
-    drawn = np.random.default_rng(seed).integers(agents, size=(RESAMPLES, agents))
-    ends = [np.quantile(trim_mean(v[drawn], cut, axis=1), [0.025, 0.975]) for v in values.T]
-    return np.column_stack([middle, np.array(ends).reshape(points, 2)]).T
+        return np.stack([mean, *np.full((2, len(mean)), np.nan)])
+    half = quantile(agents - 1) * np.sqrt(values.var(0, ddof=1) / agents)
+    return np.stack([mean, mean - half, mean + half])
 
 
-def bootstrap(values: np.ndarray, weights: np.ndarray | None = None, *, seed: int = 0) -> Estimate:
+def estimate_mean(
+    values: np.ndarray,
+    weights: np.ndarray | None = None,
+    *,
+    share: bool | None = None,
+    pool: Sequence[np.ndarray] = (),
+) -> Estimate:
     """The mean of `values` [agents, levels] and its 95 % interval.
 
-    A resample draws agents with replacement, then levels with replacement, the same for all of
-    them since they share what is hard about a level; the interval is the percentiles of its
-    means. One agent alone speaks for itself: then only levels are resampled.
-
     weights  [agents, levels], not below 0: each value is a sum over so much, and the mean is the
-             sum of values over that of weights; resamples without weight do not count, and
-             where there is no weight at all, all is NaN
+             sum of values over that of weights; where there is no weight at all, all is NaN
+    share    whether the mean is a share of what is counted, from 0 to 1; None: where values are
+             booleans
+    pool     the values of every kind of agents of a study, these among them, whose spread between
+             agents is taken together: few agents of each kind tell little of it
     """
+    share = _is_share(values) if share is None else share
+    values, weights = _checked(values, weights)
+    agents, levels = values.shape
+    total = float(weights.sum())
+    if not total:
+        return Estimate(math.nan, math.nan, math.nan, agents, levels, values.size)
+    mean = float(values.sum() / total)
+    rest = (values - mean * weights) * (values.size / total)  # what varies, in units of the mean
+    among = _among_levels(rest)
+    if agents == 1:
+        between, freedom = 0.0, math.inf
+        of_levels = quantile(math.inf if share or levels == 1 else levels - 1)
+    else:
+        between, freedom = _between_agents(rest, pool, mean if share else None)
+        of_levels = quantile(math.inf)
+    widest = quantile(freedom) if agents > 1 else of_levels
+    if share and levels == 1:  # each agent has one chance, and how much they differ is in the mean
+        widest = of_levels
+    square = max(widest**2 * between + of_levels**2 * among, float(rest.var()) / rest.size)
+    low, high = _ends(mean, square, share, widest**2 / int(np.count_nonzero(weights)))
+    known = _satterthwaite([(between, freedom), (among, levels - 1)])
+    return Estimate(mean, low, high, agents, levels, values.size, known)
+
+
+def estimate_difference(
+    one: np.ndarray, other: np.ndarray, *, pool: Sequence[np.ndarray] = (), same_levels: bool = True
+) -> Estimate:
+    """The mean of `one` less that of `other`, each [agents, levels], and its 95 % interval.
+
+    Agents of two kinds are not paired: that two have a seed in common means nothing. (What the
+    same agents did in the same levels is: see `estimate_paired`.) The interval is Welch's. Of
+    shares it is made of the intervals of both (Newcombe 1998), so that it stays within -1 and 1.
+
+    pool         as of `estimate_mean`
+    same_levels  whether a column is the same level in both: what is hard for all then cancels
+    """
+    share = _is_share(one) and _is_share(other)
+    one, other = kinds = [_checked(kind, None)[0] for kind in (one, other)]
+    levels = [values.shape[1] for values in kinds]
+    if same_levels and levels[0] != levels[1]:
+        raise ValueError(f"levels must be the same; got {levels[0]} and {levels[1]}")
+    if same_levels and len(one) == len(other) == 1:
+        return estimate_paired(one, other)
+    means = [float(values.mean()) for values in kinds]
+    rests = [values - mean for values, mean in zip(kinds, means, strict=True)]
+    spreads = [
+        _between_agents(rest, pool, mean if share else None) if len(rest) > 1 else (0.0, math.inf)
+        for rest, mean in zip(rests, means, strict=True)
+    ]
+    freedom = spreads[0][1] if pool else _satterthwaite(spreads)
+    normal, wide = quantile(math.inf), quantile(freedom)
+    if same_levels:
+        noise = sum(_noise(rest) / rest.size for rest in rests)
+        both = rests[0].mean(0) - rests[1].mean(0)
+        common = max(0.0, float(both.var(ddof=1)) / len(both) - noise) if len(both) > 1 else 0.0
+        among = [0.0, 0.0]
+    else:
+        common, among = 0.0, [_among_levels(rest) for rest in rests]
+    squares = [
+        max(wide**2 * between + normal**2 * levels, float(rest.var()) / rest.size)
+        for (between, _), levels, rest in zip(spreads, among, rests, strict=True)
+    ]
+    (low, high), (its_low, its_high) = (
+        _ends(mean, square, share, wide**2 / rest.size)
+        for mean, square, rest in zip(means, squares, rests, strict=True)
+    )
+    mean = means[0] - means[1]
+    below = math.hypot(means[0] - low, its_high - means[1], normal * math.sqrt(common))
+    above = math.hypot(high - means[0], means[1] - its_low, normal * math.sqrt(common))
+    if share:
+        below, above = min(below, 1 + mean), min(above, 1 - mean)
+    between = (sum(variance for variance, _ in spreads), freedom)
+    known = _satterthwaite([between, (common + sum(among), min(levels) - 1)])
+    agents, least = min(len(one), len(other)), min(levels)
+    return Estimate(mean, mean - below, mean + above, agents, least, agents * least, known)
+
+
+def estimate_paired(one: np.ndarray, other: np.ndarray) -> Estimate:
+    """The mean of `one` less `other`, of the same agents in the same levels, or of pairs of agents.
+
+    Each [agents, levels]; or one of them of a single policy, beside which all agents are put.
+    """
+    (one, _), (other, _) = _checked(one, None), _checked(other, None)
+    return estimate_mean(one - other)
+
+
+def _checked(values: np.ndarray, weights: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
     values = np.atleast_2d(np.asarray(values, float))
     if values.ndim != 2 or not values.size:
         raise ValueError(
             f"values must be [agents, levels], at least one of each; got {values.shape}"
         )
-    agents, levels = values.shape
-    sums, weight = np.empty(RESAMPLES), np.full(RESAMPLES, float(agents * levels))
-    if weights is not None:
-        weights = np.atleast_2d(np.asarray(weights, float))
-        if weights.shape != values.shape or not (weights >= 0).all():
-            raise ValueError(f"weights must be {values.shape} numbers, none below 0; got {weights}")
-    done = 0
-    for drawn in _resamples(agents, levels, seed):
-        part = slice(done, done := done + len(drawn[0]))
-        by_agent, by_level = (counts.astype(float) for counts in drawn)
-        sums[part] = _sums(values, by_agent, by_level)
-        if weights is not None:
-            weight[part] = _sums(weights, by_agent, by_level)
-    if not weight.any():
-        return Estimate(np.nan, np.nan, np.nan, agents, levels, values.size)
-    low, high = np.quantile(sums[weight > 0] / weight[weight > 0], [0.025, 0.975])
-    mean = values.mean() if weights is None else values.sum() / weights.sum()
-    return Estimate(float(mean), float(low), float(high), agents, levels, values.size)
+    if weights is None:
+        return values, np.ones_like(values)
+    weights = np.atleast_2d(np.asarray(weights, float))
+    if weights.shape != values.shape or not (weights >= 0).all():
+        raise ValueError(f"weights must be {values.shape} numbers, none below 0; got {weights}")
+    return values, weights
 
 
-def _resamples(agents: int, levels: int, seed: int) -> Iterable[tuple[np.ndarray, np.ndarray]]:
-    """How often resamples draw each agent and each level, [R, agents] and [R, levels], in parts.
+def _is_share(values: np.ndarray) -> bool:
+    return np.asarray(values).dtype == bool
 
-    A report has many means over as many agents and levels: what they share is drawn once.
+
+def _noise(rest: np.ndarray) -> float:
+    """The variance that neither agents nor levels explain; 0 of one agent, where levels have it."""
+    agents, levels = rest.shape
+    if min(agents, levels) == 1:
+        return 0.0
+    left = rest - rest.mean(1, keepdims=True) - rest.mean(0) + rest.mean()
+    return float((left**2).sum() / ((agents - 1) * (levels - 1)))
+
+
+def _among_levels(rest: np.ndarray) -> float:
+    """What levels add to the variance of the mean of `rest` [agents, levels]."""
+    agents, levels = rest.shape
+    if levels == 1:
+        return 0.0
+    return max(0.0, float(rest.mean(0).var(ddof=1)) / levels - _noise(rest) / (agents * levels))
+
+
+def _between_agents(
+    rest: np.ndarray, pool: Sequence[np.ndarray], share: float | None
+) -> tuple[float, float]:
+    """The variance of the mean of agents' means, and its degrees of freedom.
+
+    Pooled, it is what kinds have in common, of shares as a multiple of p (1 - p), for where nearly
+    all succeed agents cannot differ much; or their own where that is larger.
+
+    share  the share that is estimated; None: no share
     """
-    if RESAMPLES * levels <= LARGEST_KEPT:
-        return _kept_resamples(agents, levels, seed)
-    return _drawn_resamples(agents, levels, seed)
+
+    def unit(share: float | None, count: int) -> float:
+        if share is None:
+            return 1.0
+        share = (share * count + 1) / (count + 2)
+        return share * (1 - share)
+
+    agents = len(rest)
+    variance, freedom = float(rest.mean(1).var(ddof=1)), agents - 1
+    if pool:
+        several = [np.atleast_2d(np.asarray(kind, float)) for kind in pool if len(kind) > 1]
+        freedom = sum(len(kind) - 1 for kind in several)
+        common = sum(
+            (len(kind) - 1)
+            * float(kind.mean(1).var(ddof=1))
+            / unit(None if share is None else float(kind.mean()), kind.size)
+            for kind in several
+        )
+        variance = max(variance, common / freedom * unit(share, rest.size))
+    return variance / agents, freedom
 
 
-@functools.lru_cache(maxsize=4)
-def _kept_resamples(agents: int, levels: int, seed: int) -> list[tuple[np.ndarray, np.ndarray]]:
-    return list(_drawn_resamples(agents, levels, seed))
+def _ends(mean: float, square: float, share: bool, least: float) -> tuple[float, float]:
+    """The ends of an interval whose half-width would be the root of `square` were it symmetrical.
+
+    least  of a mean of values that are all alike, the squared quantile over their number: one that
+           nobody saw may still come
+    """
+    if not share:
+        half = math.sqrt(square) or least / (1 + least) * max(1.0, abs(mean))
+        return mean - half, mean + half
+    variance = mean * (1 - mean)
+    ratio = square / variance if square and variance > 0 else least
+    middle = (mean + ratio / 2) / (1 + ratio)
+    half = math.sqrt(ratio * variance + ratio**2 / 4) / (1 + ratio)
+    return float(max(0.0, middle - half)), float(min(1.0, middle + half))
 
 
-def _drawn_resamples(
-    agents: int, levels: int, seed: int
-) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    rng = np.random.default_rng(seed)
-    by_agent = rng.multinomial(agents, np.full(agents, 1 / agents), RESAMPLES)
-    for part in np.array_split(by_agent, max(1, RESAMPLES * levels // 4_000_000)):
-        by_level = rng.multinomial(levels, np.full(levels, 1 / levels), len(part))
-        yield part.astype(np.int32), by_level.astype(np.min_scalar_type(by_level.max()))
-
-
-def _sums(values: np.ndarray, by_agent: np.ndarray, by_level: np.ndarray) -> np.ndarray:
-    """The sum of `values` [agents, levels] in resamples that draw each so often, [R]."""
-    return np.einsum("ra,al,rl->r", by_agent, values, by_level, optimize=True)
+def _satterthwaite(parts: Sequence[tuple[float, float]]) -> float:
+    """The degrees of freedom of a sum of variances, each with its own."""
+    whole = sum(variance for variance, _ in parts)
+    squares = sum(variance**2 / freedom for variance, freedom in parts if freedom > 0)
+    least = min(freedom for _, freedom in parts)
+    return whole**2 / squares if squares else max(1.0, least)
 
 
 def mean_of(rows: pl.DataFrame, value: str | pl.Expr) -> Estimate:
     """The mean of a column or expression over all of `rows`, as `group_means`; of none, NaN."""
     value = pl.col(value) if isinstance(value, str) else value
-    named = rows.with_columns(all=pl.lit(0), value=value.cast(pl.Float64))
+    named = rows.with_columns(all=pl.lit(0), value=value)
     if named["value"].drop_nulls().is_empty():
         return Estimate.nothing()
     return Estimate.of(group_means(named, "value", ["all"]).row(0, named=True))
 
 
 def group_means(
-    rows: pl.DataFrame, value: str, by: Sequence[str], *, per: str | None = None, seed: int = 0
+    rows: pl.DataFrame, value: str, by: Sequence[str], *, per: str | None = None
 ) -> pl.DataFrame:
     """The mean of the column `value` in each group of `rows`, with 95 % intervals.
 
-    The steps of an episode are alike, so it is not rows that are resampled but, as in
-    `bootstrap`, agents (column "agent"; without it all rows are of one) and levels.
+    The steps of an episode are alike, so it is not rows that vary by chance but, as in
+    `estimate_mean`, agents (column "agent"; without it all rows are of one) and levels.
 
     by   columns; rows that have all of them in common are a group
     per  a column, not below 0: the mean is then the sum of `value` over that of it
 
     Columns: those of `by`, mean, low, high (null where the sum of `per` is 0), agents, levels,
-    rows. Rows where `value` is null do not count.
+    rows, freedom. Rows where `value` is null do not count.
     """
     missing = {value, "level", *by, *([per] if per else [])} - set(rows.columns)
     if missing:
@@ -140,9 +282,10 @@ def group_means(
         codes = [np.unique(group[name], return_inverse=True)[1] for name in (*agent, "level")]
         cell = (codes[0] if agent else np.zeros(len(group), int), codes[-1])
         totals = np.zeros([int(code.max()) + 1 for code in cell])
-        weights = totals.copy()
-        np.add.at(totals, cell, group[value].cast(pl.Float64).to_numpy())
+        weights, values = totals.copy(), group[value].cast(pl.Float64).to_numpy()
+        np.add.at(totals, cell, values)
         np.add.at(weights, cell, group[per].to_numpy() if per else 1.0)
-        estimate = bootstrap(totals, weights, seed=seed)
+        share = not per and group[value].dtype == pl.Boolean
+        estimate = estimate_mean(totals, weights, share=share)
         found.append(dict(zip(by, key, strict=True)) | vars(estimate) | {"rows": len(group)})
     return pl.DataFrame(found).sort(by).with_columns(pl.col("mean", "low", "high").fill_nan(None))

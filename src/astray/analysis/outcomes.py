@@ -9,7 +9,7 @@ import numpy as np
 import polars as pl
 
 from astray import games
-from astray.analysis.estimates import bootstrap
+from astray.analysis.estimates import estimate_mean
 from astray.analysis.policies import Walk
 from astray.bounds import of_kind
 from astray.estimate import Estimate
@@ -110,14 +110,16 @@ def shares(
     rows = []
     for key, part in episodes.group_by(by, maintain_order=True):
         for outcome in outcomes:
-            estimate = bootstrap(matrix(part, pl.col("outcome") == outcome))
+            estimate = estimate_mean(matrix(part, pl.col("outcome") == outcome))
             rows.append(dict(zip(by, key, strict=True)) | {"outcome": outcome} | vars(estimate))
     return pl.DataFrame(rows)
 
 
 def matrix(episodes: pl.DataFrame, value: pl.Expr) -> np.ndarray:
-    """`value` of every episode as [agents, levels], for `bootstrap`."""
+    """`value` of every episode as [agents, levels], booleans or reals, for `estimate_mean`."""
     agent = [name for name in ("run", "checkpoint", "seed") if name in episodes.columns]
-    table = episodes.select(*agent, "level", value=value.cast(pl.Float64)).sort(*agent, "level")
+    table = episodes.select(*agent, "level", value=value).sort(*agent, "level")
+    if table["value"].dtype != pl.Boolean:
+        table = table.with_columns(pl.col("value").cast(pl.Float64))
     agents = table.partition_by(agent, maintain_order=True)
     return np.stack([agent["value"].to_numpy() for agent in agents])

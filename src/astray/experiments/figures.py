@@ -16,7 +16,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.ticker import PercentFormatter
 
-from astray.analysis.estimates import bootstrap
+from astray.analysis.estimates import over_agents
 from astray.analysis.outcomes import FAILED, INTENDED, MISGENERALIZED
 from astray.analysis.style import FAINT, INK, OTHERS, STYLE, WIDTH, save
 
@@ -87,7 +87,7 @@ def _interval(x: list[float], y: list[float], label: str = "") -> Line2D:
 def learning_curves(curves: pl.DataFrame, series: Mapping[str, str], y_label: str) -> Figure:
     """How something went during training: a thin line for each seed, a thick one for their mean.
 
-    The band is the mean's 95 % interval, seeds resampled; of three seeds that is their range.
+    The band is the mean's 95 % interval, Student's over seeds.
     Agents of several names have axes of their own.
 
     curves  columns seed, steps (environment steps), those of `series`, and where there are several
@@ -129,8 +129,7 @@ def _curve(axes: Axes, values: pl.DataFrame, name: str, colour: str) -> None:
     every = values.group_by("steps").agg("value").sort("steps")
     every = every.filter(pl.col("value").list.len() == len(seeds))
     million = every["steps"] / 1e6
-    if len(seeds) > 1:
-        means = [bootstrap(np.array(one)[:, None]) for one in every["value"]]
-        low, high = [mean.low for mean in means], [mean.high for mean in means]
+    if len(seeds) > 1 and len(every):
+        low, high = over_agents(np.array(every["value"].to_list()).T)[1:]
         axes.fill_between(million, low, high, color=colour, alpha=0.2, linewidth=0)
     axes.plot(million, every["value"].list.mean(), color=colour, linewidth=2.4, label=name)

@@ -11,7 +11,7 @@ import numpy as np
 import polars as pl
 
 from astray.analysis import video
-from astray.analysis.estimates import Estimate, bootstrap
+from astray.analysis.estimates import Estimate, estimate_mean
 from astray.analysis.outcomes import MISGENERALIZED, load_shift, matrix, shares
 from astray.analysis.policies import Walk
 from astray.analysis.runs import open_run
@@ -32,7 +32,7 @@ def share(episodes: pl.DataFrame, test: str, outcome: str, *, minus: str | None 
     value = (pl.col("outcome") == outcome).cast(pl.Float64)
     if minus:
         value -= (pl.col("outcome") == minus).cast(pl.Float64)
-    return bootstrap(matrix(part, value))
+    return estimate_mean(matrix(part, value))
 
 
 def first(work: Work, test: str, agent: str, outcome: str) -> np.ndarray:

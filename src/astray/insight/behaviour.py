@@ -20,7 +20,7 @@ import polars as pl
 
 from astray import games, imports
 from astray.analysis.episodes import CHUNK, Levels, initial_states
-from astray.analysis.estimates import bootstrap
+from astray.analysis.estimates import estimate_mean
 from astray.bounds import MOST, bounded, of_kind
 from astray.estimate import Estimate
 from astray.game import Game, Variant
@@ -140,7 +140,7 @@ def predict(
     low, high = np.quantile(again, [0.025, 0.975], axis=0)
     return Prediction(
         levels=len(y),
-        accuracy=bootstrap((chances > 0.5) == y, seed=seed),
+        accuracy=estimate_mean((chances > 0.5) == y),
         always=float(max(y.mean(), 1 - y.mean())),
         auc=_area(y, chances, roc_auc_score, random),
         features=pl.DataFrame(

@@ -22,7 +22,7 @@ import torch
 
 from astray import imports
 from astray.analysis.critic import observe
-from astray.analysis.estimates import bootstrap
+from astray.analysis.estimates import estimate_mean
 from astray.analysis.given import Measure, measured, see_measures
 from astray.analysis.trained import Agent
 from astray.bounds import MOST, bounded, of_kind
@@ -98,7 +98,7 @@ def summary(found: pl.DataFrame) -> pl.DataFrame:
         for name in (*SCORES, "selectivity"):
             values = part[name].drop_nulls().to_numpy()
             if len(values):
-                of = bootstrap(values)
+                of = estimate_mean(values)
                 row |= {name: of.mean, f"{name} low": of.low, f"{name} high": of.high}
         rows.append(row)
     order = {label: k for k, label in enumerate(found["label"].unique(maintain_order=True))}

@@ -22,7 +22,7 @@ import polars as pl
 
 from astray import games
 from astray.analysis.episodes import Levels
-from astray.analysis.estimates import bootstrap
+from astray.analysis.estimates import estimate_mean
 from astray.analysis.outcomes import INTENDED, MISGENERALIZED, label
 from astray.analysis.policies import Policy
 from astray.bounds import finite, of_kind
@@ -154,7 +154,7 @@ def curves(
 
 def _summed(played: pl.DataFrame, trial: Trial, granularity: Granularity) -> dict:
     """What `curve` tells of the episodes with one threshold."""
-    estimate = bootstrap(played["return"].to_numpy())
+    estimate = estimate_mean(played["return"].to_numpy())
     outcome = label(played, games.find(trial.game), trial.shift)["outcome"]
     asked = played.filter(pl.col("queries") > 0)
     queries, steps = (int(played[name].sum()) for name in ("queries", "length"))

@@ -11,7 +11,7 @@ from typing import Any
 
 import polars as pl
 
-from astray.analysis.estimates import bootstrap
+from astray.analysis.estimates import estimate_mean
 from astray.analysis.outcomes import INTENDED, MISGENERALIZED, matrix
 from astray.analysis.runs import LEVELS_PLAYED
 from astray.experiments.outcomes import AGENTS
@@ -93,7 +93,7 @@ def _plots(sweep: Sweep, episodes: pl.DataFrame) -> Iterator[Plot]:
             [
                 dict(zip(pair, key, strict=True))
                 | {"what": what}
-                | vars(bootstrap(matrix(part, pl.col("outcome") == outcome)))
+                | vars(estimate_mean(matrix(part, pl.col("outcome") == outcome)))
                 for what, test, outcome in (
                     (f"{INTENDED}, {TRAINING}", TRAINING, INTENDED),
                     (f"{MISGENERALIZED}, {TEST}", TEST, MISGENERALIZED),

@@ -12,7 +12,7 @@ from astray.agency.generators import TYPES, Setting, wander
 from astray.agency.gridworld import World
 from astray.agency.maps import MAPS
 from astray.agency.measure import PAPER, PRESETS, TRUE, Episode, measure
-from astray.analysis.estimates import bootstrap
+from astray.analysis.estimates import estimate_mean
 from astray.experiments.claims import Claim
 from astray.experiments.report import Findings, Plot, Table
 from astray.experiments.spec import Experiment, Plan, Work
@@ -119,7 +119,7 @@ def summary(measured: pl.DataFrame) -> pl.DataFrame:
     """Means of `measure_types` over trajectories; of the log Bayes factor with its interval."""
     rows = []
     for key, part in measured.group_by(["preset", "map", "type"], maintain_order=True):
-        factor = bootstrap(part["factor"].to_numpy())
+        factor = estimate_mean(part["factor"].to_numpy())
         rows.append(
             dict(zip(("preset", "map", "type"), key, strict=True))
             | {
@@ -183,7 +183,7 @@ def call_agents(settings: Mapping[str, Setting], count: int) -> pl.DataFrame:
                     factors[preset].append(measure(episode, options).log_factor)
         row: dict[str, object] = {"policy": policy, "walks": count * len(settings)}
         for preset, found in factors.items():
-            share = bootstrap(np.array(found) > 0)
+            share = estimate_mean(np.array(found) > 0)
             row |= {preset: share.mean, f"{preset}, low": share.low, f"{preset}, high": share.high}
         rows.append(row)
     return pl.DataFrame(rows)

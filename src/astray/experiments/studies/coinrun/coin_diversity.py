@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import polars as pl
 
-from astray.analysis.estimates import Estimate, bootstrap
+from astray.analysis.estimates import Estimate, estimate_difference, estimate_mean, estimate_paired
 from astray.analysis.outcomes import FAILED, MISGENERALIZED, label, load_shift, matrix
 from astray.analysis.policies import Walk
 from astray.experiments import outcomes
@@ -41,8 +41,8 @@ def find(work: Work) -> Findings:
     tables = outcomes.outcome_tables(work)
     where = next(iter(TESTS))
     astray = {name: astray_of(work, where, name) for name in work.plan.agents}
-    last = list(astray)[-1]
-    without, with_few, with_most = (bootstrap(astray[name]) for name in (NEVER, FIRST, last))
+    last, kinds = list(astray)[-1], list(astray.values())
+    without, with_few, with_most = (estimate_mean(astray[name]) for name in (NEVER, FIRST, last))
     base = missed_invisible(blind.filter(test=where))
     failed = matrix(of(work, where, NEVER), pl.col("outcome") == FAILED)
     return Findings(
@@ -50,21 +50,21 @@ def find(work: Work) -> Findings:
         f"go to the end without it in {rounded(without.mean)} of unseen levels. With random coins "
         f"in {FIRST} of their training levels, they do in {rounded(with_few.mean)}, and with "
         f"{last} in {rounded(with_most.mean)}. To whom the coin is invisible, that happens in "
-        f"{rounded(bootstrap(base).mean)}.",
+        f"{rounded(estimate_mean(base).mean)}.",
         claims=[
             holds_above(
                 "Random coins in just 2\u00a0% of training levels make goal misgeneralization much "
                 "rarer.",
                 "greatly improved (no figure given)",
                 f"{NEVER} less {FIRST}",
-                bootstrap(astray[NEVER] - astray[FIRST]),
+                estimate_difference(astray[NEVER], astray[FIRST], pool=kinds),
                 FALL,
             ),
             holds_above(
                 "More random coins help more.",
                 "more randomization helps (no figure given)",
                 f"{FIRST} less {last}",
-                bootstrap(astray[FIRST] - astray[last]),
+                estimate_difference(astray[FIRST], astray[last], pool=kinds),
                 0.0,
             ),
             holds_above(
@@ -72,7 +72,7 @@ def find(work: Work) -> Findings:
                 "is invisible.",
                 "lower than this baseline",
                 f"base rate less {NEVER}",
-                bootstrap(base - astray[NEVER]),
+                estimate_paired(base, astray[NEVER]),
                 0.0,
             ),
             holds_above(
@@ -80,7 +80,7 @@ def find(work: Work) -> Findings:
                 "reach neither.",
                 "generally proceeds to the end",
                 f"{MISGENERALIZED} less {FAILED}, {NEVER}",
-                bootstrap(astray[NEVER] - failed),
+                estimate_paired(astray[NEVER], failed),
                 0.0,
             ),
         ],
@@ -184,13 +184,13 @@ def curves(work: Work, trained: pl.DataFrame, blind: pl.DataFrame) -> pl.DataFra
                     failed = pl.col("took_coin").is_null()
                 wrong = matrix(played, pl.col("outcome") == MISGENERALIZED)
                 told += [
-                    (share, MISGENERALIZED, bootstrap(wrong)),
-                    (share, FAILED, bootstrap(matrix(own, failed))),
+                    (share, MISGENERALIZED, estimate_mean(wrong)),
+                    (share, FAILED, estimate_mean(matrix(own, failed))),
                 ]
             walk = work.episodes.filter(kept, test=where, policy=Walk("end").name)
             told += [
-                (None, BASE, bootstrap(missed_invisible(here.filter(kept)))),
-                (None, WALK, bootstrap(matrix(walk, pl.col("outcome") == MISGENERALIZED))),
+                (None, BASE, estimate_mean(missed_invisible(here.filter(kept)))),
+                (None, WALK, estimate_mean(matrix(walk, pl.col("outcome") == MISGENERALIZED))),
             ]
             rows += [
                 {"test": where, "levels_counted": counted, "random_coins": share, "what": what}

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import polars as pl
 
-from astray.analysis.estimates import Estimate, bootstrap
+from astray.analysis.estimates import estimate_difference, estimate_mean, estimate_paired
 from astray.analysis.evaluate import evaluate
 from astray.analysis.policies import Random
 from astray.experiments.claims import Claim, holds_above, rounded
@@ -31,15 +29,15 @@ def find(work: Work) -> Findings:
     theirs = read_results(catalogue.results_file(SOURCE)).sort("level").head(work.plan.levels)
     ours = work.keep("scripts", lambda: scripts(theirs["level"].to_numpy()))
     script = ours.filter(policy=SCRIPT).sort("level")
-    taken = theirs["coin"].to_numpy().astype(float)
+    taken = theirs["coin"].to_numpy().astype(bool)
     by_script = script["took_coin"].is_not_null().to_numpy()
-    agent, blind = bootstrap(taken), bootstrap(by_script)
-    gap = bootstrap(taken - by_script)
-    where = {True: bootstrap(taken[by_script]), False: bootstrap(taken[~by_script])}
-    foretold = difference(taken, by_script)
+    agent, blind = estimate_mean(taken), estimate_mean(by_script)
+    gap = estimate_paired(taken, by_script)
+    where = {True: estimate_mean(taken[by_script]), False: estimate_mean(taken[~by_script])}
+    foretold = estimate_difference(taken[by_script], taken[~by_script], same_levels=False)
     near = script["is_near"].to_numpy().astype(bool)
     died = {
-        name: bootstrap(theirs["died"].to_numpy()[which])
+        name: estimate_mean(theirs["died"].to_numpy()[which])
         for name, which in {"the first section": near, "a later one": ~near}.items()
     }
     bars = fates(theirs, ours)
@@ -118,16 +116,6 @@ def scripts(levels: np.ndarray) -> pl.DataFrame:
             for policy in (RIGHT_AND_JUMP, Random())
         ]
     )
-
-
-def difference(taken: np.ndarray, by_script: np.ndarray) -> Estimate:
-    """The share of levels taken where the script takes the coin less that elsewhere."""
-    where, elsewhere = taken[by_script].mean(), taken[~by_script].mean()
-    weight = np.where(by_script, 1 / by_script.mean(), -1 / (1 - by_script.mean()))
-    # Of what is left over: how many levels of each kind are drawn makes no difference.
-    spread = bootstrap((taken - np.where(by_script, where, elsewhere)) * weight)
-    mean = float(where - elsewhere)
-    return replace(spread, mean=mean, low=mean + spread.low, high=mean + spread.high)
 
 
 def fates(theirs: pl.DataFrame, ours: pl.DataFrame) -> pl.DataFrame:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import polars as pl
 
-from astray.analysis.estimates import bootstrap
+from astray.analysis.estimates import estimate_mean
 from astray.analysis.runs import open_run
 from astray.analysis.trained import Agent
 from astray.estimate import Estimate
@@ -86,7 +86,7 @@ def of_levels(rows: pl.DataFrame, value: str, condition: str, minus: str | None 
     if minus is not None:
         other = rows.filter(condition=minus).select("level", pl.col(value).alias("other"))
         one = one.join(other, on="level").with_columns(pl.col(value) - pl.col("other"))
-    return bootstrap(one.sort("level")[value].drop_nulls().to_numpy())
+    return estimate_mean(one.sort("level")[value].drop_nulls().to_numpy())
 
 
 def table_of(rows: Mapping[str, Estimate], heading: str) -> pl.DataFrame:

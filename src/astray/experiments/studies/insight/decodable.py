@@ -10,7 +10,7 @@ import numpy as np
 import polars as pl
 
 from astray.analysis.critic import counterfactual, visit
-from astray.analysis.estimates import bootstrap, group_means
+from astray.analysis.estimates import estimate_mean, group_means
 from astray.analysis.trained import Agent
 from astray.estimate import Estimate
 from astray.experiments.claims import holds_within
@@ -157,7 +157,7 @@ def score(read: pl.DataFrame, label: str, layer: str) -> Estimate:
 
 def over_splits(values: np.ndarray) -> OfSplits:
     """The mean of what was measured in each split."""
-    return OfSplits(**vars(bootstrap(values)))
+    return OfSplits(**vars(estimate_mean(values)))
 
 
 EXPERIMENT = Experiment(

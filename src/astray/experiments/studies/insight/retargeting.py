@@ -9,7 +9,7 @@ from math import inf
 import numpy as np
 import polars as pl
 
-from astray.analysis.estimates import bootstrap
+from astray.analysis.estimates import estimate_mean
 from astray.analysis.trained import Agent
 from astray.estimate import Estimate
 from astray.experiments.claims import Claim, holds_within
@@ -118,7 +118,7 @@ def of_levels(rows: pl.DataFrame, how: str, minus: str | None = None) -> Estimat
             .to_numpy()
         )
 
-    return bootstrap(means(how) - (means(minus) if minus else 0.0))
+    return estimate_mean(means(how) - (means(minus) if minus else 0.0))
 
 
 def by_cell(rows: pl.DataFrame, how: str) -> pl.DataFrame:

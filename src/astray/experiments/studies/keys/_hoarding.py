@@ -11,7 +11,7 @@ import polars as pl
 from matplotlib.figure import Figure
 
 from astray.analysis.episodes import initial_states
-from astray.analysis.estimates import Estimate, bootstrap
+from astray.analysis.estimates import Estimate, estimate_mean, estimate_paired
 from astray.analysis.given import Measure
 from astray.analysis.outcomes import matrix
 from astray.analysis.policies import Walk
@@ -82,7 +82,7 @@ def estimate(episodes: pl.DataFrame, test: str, measure: str, policy: str = AGEN
     part = part.filter(~pl.col("level").is_in(silent.implode()))
     if part.is_empty():
         return Estimate.nothing()
-    return bootstrap(matrix(part, pl.col(measure)))
+    return estimate_mean(matrix(part, pl.col(measure)))
 
 
 def beyond_walker(episodes: pl.DataFrame, test: str, measure: str) -> Estimate:
@@ -91,7 +91,7 @@ def beyond_walker(episodes: pl.DataFrame, test: str, measure: str) -> Estimate:
         matrix(episodes.filter(test=test, policy=policy), pl.col(measure))
         for policy in (AGENTS, NEED)
     )
-    return bootstrap(agents - walker)
+    return estimate_paired(agents, walker)
 
 
 def change(episodes: pl.DataFrame, measure: str, before: str, after: str) -> Estimate:
@@ -107,7 +107,7 @@ def change(episodes: pl.DataFrame, measure: str, before: str, after: str) -> Est
         matrix(agents.filter(pl.col("level").is_in(common), test=test), pl.col(measure))
         for test in (before, after)
     )
-    return bootstrap(two - one)
+    return estimate_paired(two, one)
 
 
 def table(work: Work, episodes: pl.DataFrame) -> Table:

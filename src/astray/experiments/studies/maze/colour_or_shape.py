@@ -6,7 +6,7 @@ import numpy as np
 import polars as pl
 
 from astray.agents.mlp import CircleEmbedding
-from astray.analysis.estimates import Estimate, bootstrap
+from astray.analysis.estimates import Estimate, estimate_mean
 from astray.analysis.evaluate import evaluate
 from astray.analysis.outcomes import FAILED, INTENDED, MISGENERALIZED, label, load_shift, matrix
 from astray.analysis.runs import open_run
@@ -99,7 +99,7 @@ CODES = (
 def keeps_colour(episodes: pl.DataFrame) -> Estimate:
     """The share that goes to the object of the other shape, among those that go to either."""
     went = matrix(episodes, pl.col("outcome") != FAILED)
-    return bootstrap(matrix(episodes, pl.col("outcome") == MISGENERALIZED), went)
+    return estimate_mean(matrix(episodes, pl.col("outcome") == MISGENERALIZED), went)
 
 
 def offer_pairs(work: Work) -> pl.DataFrame:
@@ -198,7 +198,7 @@ def near_codes(work: Work, pairs: pl.DataFrame) -> Claim:
         "one it knows.",
         "not measured",
         "to the nearer, of those that go to either",
-        bootstrap(matrix(went, pl.col("nearer")), matrix(went, pl.col("either"))),
+        estimate_mean(matrix(went, pl.col("nearer")), matrix(went, pl.col("either")), share=True),
         0.5,
     )
 

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import polars as pl
 
-from astray.analysis.estimates import Estimate, bootstrap, over_agents
+from astray.analysis.estimates import Estimate, estimate_difference, estimate_mean, over_agents
 from astray.analysis.outcomes import MISGENERALIZED, OUTCOMES, matrix
 from astray.analysis.policies import Walk
 from astray.experiments import outcomes
@@ -50,7 +50,9 @@ def find(work: Work) -> Findings:
                 "is anywhere.",
                 "performance improves as the region grows (a curve without figures)",
                 f"reached after {sides[largest]} less after {sides[smallest]}",
-                less(success[largest], success[smallest]),
+                estimate_difference(
+                    success[largest], success[smallest], pool=list(success.values())
+                ),
                 0.0,
             ),
             holds_above(
@@ -58,7 +60,7 @@ def find(work: Work) -> Findings:
                 f"more often than one that found it in {sides[largest]}.",
                 "uses location as a proxy until the region is quite large (no figure given)",
                 f"{MISGENERALIZED} after {sides[middle]} less after {sides[largest]}",
-                less(corner[middle], corner[largest]),
+                estimate_difference(corner[middle], corner[largest], pool=list(corner.values())),
                 0.0,
             ),
         ],
@@ -105,24 +107,15 @@ def went_to_corner() -> pl.Expr:
     return pl.col("outcome") == MISGENERALIZED
 
 
-def less(more: np.ndarray, fewer: np.ndarray) -> Estimate:
-    """The difference of two means over the same levels.
-
-    Agents are paired by their seed. They are independent all the same, so that the differences
-    of pairs vary as much as those of means do.
-    """
-    return bootstrap(more.astype(float) - fewer)
-
-
 def success_table(work: Work, regions: Mapping[str, int]) -> pl.DataFrame:
     """How often the cheese is reached: who, region (null: base rate), mean, low, high."""
     rows = [
         {"who": "where it is anywhere", "region": side}
-        | _shares(bootstrap(matrix(of(work.episodes, name), reached())))
+        | _shares(estimate_mean(matrix(of(work.episodes, name), reached())))
         for name, side in regions.items()
     ] + [
         {"who": who, "region": None}
-        | _shares(bootstrap(matrix(work.episodes.filter(policy=policy), reached())))
+        | _shares(estimate_mean(matrix(work.episodes.filter(policy=policy), reached())))
         for policy, who in BASE_RATES.items()
     ]
     return pl.DataFrame(rows)
@@ -133,7 +126,7 @@ def first_table(apart: pl.DataFrame, regions: Mapping[str, int]) -> pl.DataFrame
     return pl.DataFrame(
         [
             {"outcome": outcome, "region": side}
-            | _shares(bootstrap(matrix(of(apart, name), pl.col("outcome") == outcome)))
+            | _shares(estimate_mean(matrix(of(apart, name), pl.col("outcome") == outcome)))
             for outcome in OUTCOMES
             for name, side in regions.items()
         ]
@@ -150,7 +143,8 @@ def at_end_of_training(work: Work, regions: Mapping[str, int]) -> pl.DataFrame:
     for name, side in regions.items():
         seeds = curves.filter(agent=name).partition_by("seed")
         ends = [s.sort("steps")["training/return"].tail(-(-len(s) // LAST)).mean() for s in seeds]
-        middle, low, high = over_agents(np.array(ends, float)[:, None] / REWARD)[:, 0]
+        middle, *between = over_agents(np.array(ends, float)[:, None] / REWARD)[:, 0]
+        low, high = np.clip(between, 0, 1)
         rows.append(
             {"who": "in training", "region": side, "mean": middle, "low": low, "high": high}
         )

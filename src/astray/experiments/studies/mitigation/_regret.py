@@ -12,7 +12,7 @@ import polars as pl
 from matplotlib.figure import Figure
 from matplotlib.ticker import PercentFormatter
 
-from astray.analysis.estimates import Estimate, bootstrap
+from astray.analysis.estimates import Estimate, estimate_difference, estimate_mean
 from astray.analysis.outcomes import INTENDED, MISGENERALIZED, matrix
 from astray.experiments import figures, outcomes
 from astray.experiments.claims import Claim, holds_above, rounded
@@ -129,15 +129,16 @@ def by_share(work: Work) -> pl.DataFrame:
         INTENDED: pl.col("outcome") == INTENDED,
         "return": pl.col("return"),
     }
-    return pl.DataFrame(
-        [
+    rows = []
+    for what, value in values.items():
+        kinds = {name: matrix(telling(work, name), value) for name in work.plan.agents}
+        rows += [
             {"method": method, "share": share, "what": what}
-            | vars(bootstrap(matrix(telling(work, name_of(method, share)), value)))
+            | vars(estimate_mean(kinds[name_of(method, share)], pool=list(kinds.values())))
             for method in METHODS
             for share in SHARES
-            for what, value in values.items()
         ]
-    )
+    return pl.DataFrame(rows)
 
 
 def in_buffers(work: Work) -> pl.DataFrame:
@@ -165,22 +166,27 @@ def in_buffers(work: Work) -> pl.DataFrame:
 
 def claims(work: Work, buffers: pl.DataFrame) -> list[Claim]:
     """The claims of the paper's abstract, with bounds that were set before any run."""
-    dr = {share: outcomes.astray(work, TESTED, name_of(DR, share)) for share in SHARES}
+    wrong = {name: outcomes.astray(work, TESTED, name) for name in work.plan.agents}
+    kinds = list(wrong.values())
+
+    def often(method: str, share: float) -> Estimate:
+        return estimate_mean(wrong[name_of(method, share)], pool=kinds)
 
     def gain(method: str, share: float) -> Estimate:
-        return bootstrap(dr[share] - outcomes.astray(work, TESTED, name_of(method, share)))
+        names = name_of(DR, share), name_of(method, share)
+        return estimate_difference(*(wrong[name] for name in names), pool=kinds)
 
-    seldom = bootstrap(dr[MANY])
+    seldom = often(DR, MANY)
     amplified = buffers.filter(pl.col("method") != DR, share=SOME)["amplified"].to_list()
     least = min(amplified)
-    without = [bootstrap(outcomes.astray(work, TESTED, name_of(method, 0.0))) for method in METHODS]
+    without = [often(method, 0.0) for method in METHODS]
     lowest = min(without, key=lambda estimate: estimate.low)
     percent = f"{100 * FEW:g}\u00a0%", f"{100 * SOME:g}\u00a0%", f"{100 * MANY:g}\u00a0%"
     return [
         holds_above(
             f"Domain randomisation misgeneralizes where {percent[0]} of levels tell the goals "
             "apart.", "fails at small shares (no figure at hand)", name_of(DR, FEW),
-            bootstrap(dr[FEW]), OFTEN,
+            often(DR, FEW), OFTEN,
         ),
         Claim(
             f"Domain randomisation does not where {percent[2]} of levels do.",

@@ -4,8 +4,9 @@ from dataclasses import replace
 
 import polars as pl
 
-from astray.analysis.estimates import bootstrap
+from astray.analysis.estimates import estimate_difference, estimate_mean
 from astray.analysis.outcomes import INTENDED
+from astray.estimate import Estimate
 from astray.experiments import outcomes
 from astray.experiments.claims import Claim, holds_above, rounded
 from astray.experiments.outcomes import share
@@ -26,10 +27,14 @@ def find(work: Work) -> Findings:
     train, test = work.plan.tests
     tables = outcomes.outcome_tables(work)
     wrong = {name: outcomes.astray(work, test, name) for name in work.plan.agents}
-    late, early = bootstrap(wrong[EARLY] - wrong[LATE]), bootstrap(wrong[NEVER] - wrong[EARLY])
+
+    def less(one: str, other: str) -> Estimate:
+        return estimate_difference(wrong[one], wrong[other], pool=list(wrong.values()))
+
+    early = less(NEVER, EARLY)
     right = {name: outcomes.first(work, test, name, INTENDED) for name in work.plan.agents}
     told = ", ".join(
-        " and ".join(rounded(bootstrap(which[name]).mean) for which in (wrong, right))
+        " and ".join(rounded(estimate_mean(which[name]).mean) for which in (wrong, right))
         + f" ({name})"
         for name in wrong
     )
@@ -47,14 +52,14 @@ def find(work: Work) -> Findings:
                 "beginning.",
                 "none",
                 f"{EARLY} less {LATE}",
-                late,
+                less(EARLY, LATE),
                 BETTER,
             ),
             holds_above(
                 "Throughout, they help more than at the beginning.",
                 "none",
                 f"{EARLY} less {THROUGHOUT}",
-                bootstrap(wrong[EARLY] - wrong[THROUGHOUT]),
+                less(EARLY, THROUGHOUT),
                 BETTER,
             ),
             Claim(

@@ -10,7 +10,7 @@ from matplotlib.ticker import PercentFormatter
 
 from astray import games
 from astray.analysis.episodes import initial_states
-from astray.analysis.estimates import Estimate, bootstrap
+from astray.analysis.estimates import Estimate, estimate_mean
 from astray.envs.vector import GameVectorEnv
 from astray.experiments import figures
 from astray.experiments.claims import Claim, rounded
@@ -64,7 +64,7 @@ def find(work: Work) -> Findings:
     table = work.keep("heads", lambda: heads(work.plan.levels))
     held = {kind: holding(table, kind, CHEESE) for kind in KINDS}
     labels = choosing(table)
-    four = bootstrap(of_ensembles(table, MADE, "chosen with 4"))
+    four = estimate_mean(of_ensembles(table, MADE, "chosen with 4"))
     return Findings(
         answer="Of two heads that learned what is rewarded where the cheese is in the corner, one "
         f"holds the cheese in {rounded(held[MADE].mean)} of ensembles that were made to differ on "
@@ -161,7 +161,7 @@ def told(estimate: Estimate) -> str:
 
 def holding(table: pl.DataFrame, kind: str, name: str) -> Estimate:
     """The share of ensembles of which a head holds a hypothesis."""
-    return bootstrap(of_ensembles(table, kind, name) >= HOLDS)
+    return estimate_mean(of_ensembles(table, kind, name) >= HOLDS)
 
 
 def nearest(table: pl.DataFrame, kind: str) -> float:
@@ -173,7 +173,8 @@ def choosing(table: pl.DataFrame) -> pl.DataFrame:
     """Columns labels, mean, low, high: how often so many choose the better head."""
     return pl.DataFrame(
         [
-            {"labels": count} | vars(bootstrap(of_ensembles(table, MADE, f"chosen with {count}")))
+            {"labels": count}
+            | vars(estimate_mean(of_ensembles(table, MADE, f"chosen with {count}")))
             for count in LABELS
         ]
     )

@@ -2,7 +2,7 @@
 
 from dataclasses import replace
 
-from astray.analysis.estimates import bootstrap
+from astray.analysis.estimates import estimate_difference, estimate_mean, estimate_paired
 from astray.analysis.outcomes import INTENDED
 from astray.experiments import outcomes
 from astray.experiments.claims import Claim, holds_above, rounded
@@ -22,12 +22,14 @@ def find(work: Work) -> Findings:
     train, test = work.plan.tests
     tables = outcomes.outcome_tables(work)
     corner = {name: outcomes.astray(work, test, name) for name in work.plan.agents}
-    told = ", ".join(f"{name} {rounded(bootstrap(x).mean)}" for name, x in corner.items())
+    told = ", ".join(f"{name} {rounded(estimate_mean(x).mean)}" for name, x in corner.items())
     poorest = min(
         (share(work.episodes.filter(agent=name), train, INTENDED) for name in TEACHERS),
         key=lambda estimate: estimate.low,
     )
-    same = bootstrap(corner[OF_CORNER] - corner[CORNER])
+    kinds = list(corner.values())
+    # A student has its own teacher: these are pairs.
+    same = estimate_paired(corner[OF_CORNER], corner[CORNER])
     return Findings(
         answer="Students see only levels with the cheese in the corner, and learn what their "
         "teacher would do there. In levels that tell the goals apart, these go to the corner "
@@ -52,7 +54,7 @@ def find(work: Work) -> Findings:
                 "corner more often than its teacher.",
                 "none",
                 f"{OF_CHEESE} less its teacher",
-                bootstrap(corner[OF_CHEESE] - corner[CHEESE]),
+                estimate_paired(corner[OF_CHEESE], corner[CHEESE]),
                 APART,
             ),
             holds_above(
@@ -60,7 +62,7 @@ def find(work: Work) -> Findings:
                 "there more often than that of the cheese.",
                 "none",
                 f"{OF_CORNER} less {OF_CHEESE}",
-                bootstrap(corner[OF_CORNER] - corner[OF_CHEESE]),
+                estimate_difference(corner[OF_CORNER], corner[OF_CHEESE], pool=kinds),
                 0.0,
             ),
         ],

@@ -8,7 +8,7 @@ import numpy as np
 import polars as pl
 from matplotlib.figure import Figure
 
-from astray.analysis.estimates import over_agents
+from astray.analysis.estimates import estimate_difference, over_agents
 from astray.experiments import outcomes
 from astray.experiments.claims import Claim
 from astray.experiments.figures import INK, OTHERS, STYLE, WIDTH
@@ -61,7 +61,7 @@ def find(work: Work) -> Findings:
     return Findings(
         answer=f"In {SECONDS} seconds of one processor, as the benchmark times them, these return "
         f"most throughout training: {told}, of 10.",
-        claims=[sooner(game, ends[game, OURS] - ends[game, PAPER]) for game in GAMES],
+        claims=[sooner(game, ends[game, OURS], ends[game, PAPER]) for game in GAMES],
         plots=[
             Plot(
                 "returns",
@@ -85,15 +85,14 @@ def mean_return(measured: pl.DataFrame, agent: str, share: float) -> np.ndarray:
     return last.group_by("seed").agg(pl.col("return").mean()).sort("seed")["return"].to_numpy()
 
 
-def sooner(game: str, difference: np.ndarray) -> Claim:
+def sooner(game: str, ours: np.ndarray, papers: np.ndarray) -> Claim:
     """Whether our network returns more than the paper's after the same time."""
-    mean, low, high = over_agents(difference[:, None])[:, 0]
+    more = estimate_difference(ours[:, None], papers[:, None])
     return Claim(
         f"{game}: in the same time the network of patches learns more than the paper's.",
         "not measured",
-        f"{OURS} less {PAPER}: {mean:+.2f} (95\u00a0% interval {low:+.2f} to {high:+.2f}; "
-        f"{len(difference)} agents); holds above 0",
-        bool(low > 0),
+        f"{OURS} less {PAPER}: {more.change()}; holds above 0",
+        more.low > 0,
     )
 
 

@@ -2,7 +2,7 @@
 
 from dataclasses import replace
 
-from astray.analysis.estimates import bootstrap
+from astray.analysis.estimates import estimate_difference, estimate_mean
 from astray.analysis.outcomes import FAILED, INTENDED, MISGENERALIZED
 from astray.experiments import outcomes
 from astray.experiments.claims import holds_above, rounded
@@ -26,11 +26,11 @@ def find(work: Work) -> Findings:
     pooled = share(work.episodes.filter(agent=POOLED), train, INTENDED)
     return Findings(
         answer="In levels that tell the goals apart, mice whose last layer sees each place for "
-        f"itself go to the corner first in {rounded(bootstrap(corner[FLAT]).mean)}, mice whose "
+        f"itself go to the corner first in {rounded(estimate_mean(corner[FLAT]).mean)}, mice whose "
         "last layer is given means over all places in "
-        f"{rounded(bootstrap(corner[POOLED]).mean)}; the latter go to the cheese first in "
-        f"{rounded(bootstrap(cheese[POOLED]).mean)}, and come to neither in "
-        f"{rounded(bootstrap(neither[POOLED]).mean)}.",
+        f"{rounded(estimate_mean(corner[POOLED]).mean)}; the latter go to the cheese first in "
+        f"{rounded(estimate_mean(cheese[POOLED]).mean)}, and come to neither in "
+        f"{rounded(estimate_mean(neither[POOLED]).mean)}.",
         claims=[
             holds_above(
                 "A network that pools over places learns to reach the cheese of its training.",
@@ -43,7 +43,7 @@ def find(work: Work) -> Findings:
                 "Pooling over places removes the corner as a goal, at least in part.",
                 "none",
                 f"{FLAT} less {POOLED}",
-                bootstrap(corner[FLAT] - corner[POOLED]),
+                estimate_difference(corner[FLAT], corner[POOLED]),
                 LESS,
             ),
             # Who comes to nothing goes to the corner less often, too.
@@ -51,7 +51,7 @@ def find(work: Work) -> Findings:
                 "They go to the cheese instead.",
                 "none",
                 f"{INTENDED}, {POOLED} less {FLAT}",
-                bootstrap(cheese[POOLED] - cheese[FLAT]),
+                estimate_difference(cheese[POOLED], cheese[FLAT]),
                 LESS,
             ),
         ],

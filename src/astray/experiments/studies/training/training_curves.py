@@ -5,7 +5,7 @@ import numpy as np
 import polars as pl
 from matplotlib.figure import Figure
 
-from astray.analysis.estimates import QUARTILES, over_agents
+from astray.analysis.estimates import over_agents
 from astray.experiments import outcomes
 from astray.experiments.claims import Claim
 from astray.experiments.figures import OTHERS, STYLE, WIDTH
@@ -38,7 +38,6 @@ def find(work: Work) -> Findings:
         f"{row['agent']}: {row[TRAIN]:.1f} and {row[TEST]:.1f}"
         for row in ended.drop_nulls(TEST).to_dicts()
     ]
-    middle = "interquartile mean" if work.plan.seeds >= QUARTILES else "mean"
     return Findings(
         answer="Returns at the end of training, on the training and on the test variant. "
         f"{'; '.join(told)}.",
@@ -48,14 +47,14 @@ def find(work: Work) -> Findings:
         plots=[
             Plot(
                 "curves",
-                f"Return of recent episodes while training: the {middle} of "
+                "Return of recent episodes while training: the mean of "
                 f"{outcomes.settings(work.plan)['seeds']} agents and its 95 % interval over them. "
                 "What there is to get can differ between the variants.",
                 curve_panels(shown),
                 shown,
             )
         ],
-        tables=[Table("ends", f"Returns in the last tenth of training, {middle} of agents", ended)],
+        tables=[Table("ends", "Returns in the last tenth of training, mean of agents", ended)],
         settings=outcomes.settings(work.plan),
     )
 
@@ -73,7 +72,7 @@ def returns(work: Work) -> pl.DataFrame:
 
 
 def curves(measured: pl.DataFrame) -> pl.DataFrame:
-    """The middle of the agents of each name: agent, series, steps, mean, low, high.
+    """The mean of the agents of each name: agent, series, steps, mean, low, high.
 
     Points are where all of them have a value.
     """
@@ -114,7 +113,7 @@ def ends(measured: pl.DataFrame) -> pl.DataFrame:
 
 
 def middle_of(values: pl.Series) -> list[float | None]:
-    """The middle of agents and its interval; None where they were not measured."""
+    """The mean of agents and its interval; None where they were not measured."""
     if values.null_count():
         return [None] * 3
     return over_agents(values.to_numpy()[:, None])[:, 0].tolist()

@@ -1,0 +1,88 @@
+"""95 % intervals hold what they are of in some 95 of 100 experiments, however few the agents."""
+
+import itertools
+
+import numpy as np
+import pytest
+from scipy.special import expit
+
+from astray.analysis.estimates import estimate_difference, estimate_mean
+
+LEVELS, TIMES = 150, 800
+SMALL, LARGE, HUGE = 0.05, 0.65, 1.5  # standard deviations between agents, in logits; at 60 % the
+# second is 15 points, at 95 % it is 3
+HARD = 1.5  # of levels, likewise
+HALF, NEARLY_ALL = 0.4, 3.2  # middle logits
+
+
+def play(random, agents, middle, spread, hard, shared):
+    """Whether episodes succeed, [times, agents, levels], and the chance of each agent's."""
+    agent = random.normal(0, spread, (TIMES, agents, 1))
+    level = random.normal(0, hard, (TIMES, 1 if shared else agents, LEVELS))
+    success = random.random((TIMES, agents, LEVELS)) < expit(middle + agent + level)
+    return success, agent[:, :, 0]
+
+
+def expected(middle, spread):
+    """The mean success of what is normal around `middle`, by Gauss and Hermite."""
+    x, weight = np.polynomial.hermite_e.hermegauss(80)
+    return expit(np.asarray(middle)[..., None] + spread * x) @ weight / weight.sum()
+
+
+def covered(agents, middle, spread, hard, shared, **options):
+    random = np.random.default_rng([agents, int(100 * middle), int(100 * spread), shared])
+    success, agent = play(random, agents, middle, spread, hard, shared)
+    truth = np.full(TIMES, expected(middle, np.hypot(spread, hard)))
+    if agents == 1:  # alone it speaks for itself
+        truth = expected(middle + agent[:, 0], hard)
+    found = [estimate_mean(one, **options) for one in success]
+    assert all(0 <= one.low < one.high <= 1 for one in found)
+    return np.mean([one.low <= true <= one.high for one, true in zip(found, truth, strict=True)])
+
+
+@pytest.mark.parametrize("agents", [1, 2, 3, 5, 8, 10])
+def test_intervals_hold_the_truth_as_often_as_they_say(agents):
+    for middle, spread, shared in itertools.product((HALF, NEARLY_ALL), (SMALL, LARGE), (1, 0)):
+        held = covered(agents, middle, spread, HARD if shared else 0.0, shared)
+        assert 0.92 <= held <= 0.99, (middle, spread, shared, held)
+
+
+def test_an_agent_that_fails_seldom_cannot_be_missed_by_few():
+    """Agents of which most never fail and a rare one often does: its chance to be among 5 is small.
+
+    No interval that is made of what they do can know of it. The coverage is as low as this.
+    """
+    for agents, least in ((2, 0.92), (5, 0.83), (10, 0.83)):
+        assert least <= covered(agents, NEARLY_ALL, HUGE, 0.0, 0) <= 0.99
+
+
+def test_rare_failures_are_covered_too():
+    """Of 99.3 %: a failure in 143 episodes, so that counts are few."""
+    for agents in (1, 2, 5):
+        assert 0.9 <= covered(agents, 5.0, SMALL, 0.0, 0) <= 0.995
+
+
+@pytest.mark.parametrize("agents", [2, 3, 5, 8])
+def test_differences_of_kinds_hold_the_truth_as_often_as_they_say(agents):
+    for middle, spread, pooled in itertools.product((HALF, 2.5), (SMALL, LARGE), (False, True)):
+        random = np.random.default_rng([agents, int(10 * middle), int(100 * spread)])
+        level = random.normal(0, HARD, (TIMES, 1, 1, LEVELS))
+        agent = random.normal(0, spread, (TIMES, 4, agents, 1))
+        kind = np.array([HALF, middle, 1.0, 1.5])[:, None, None]
+        success = random.random((TIMES, 4, agents, LEVELS)) < expit(kind + agent + level)
+        both = expected(np.array([HALF, middle]), np.hypot(spread, HARD))
+        truth = both[0] - both[1]
+        found = [
+            estimate_difference(one[0], one[1], pool=list(one) if pooled else ())
+            for one in success[::2]
+        ]
+        held = np.mean([one.low <= truth <= one.high for one in found])
+        # Welch's degrees of freedom for two and two are told by the data, from 1 to 2: rather wide.
+        most = 0.99 if agents > 2 or pooled else 0.997
+        assert 0.92 <= held <= most, (middle, spread, pooled, held)
+
+
+def test_nine_of_ten_is_not_enough():
+    """An interval of another level than 95 % is noticed: the mean of all cells above is at it."""
+    held = [covered(agents, HALF, LARGE, 0.0, 0) for agents in (2, 3, 5, 8, 10)]
+    assert 0.94 <= np.mean(held) <= 0.965
