@@ -11,7 +11,7 @@ from scipy.special import betainc, betaln
 from astray.agency import devices, maxent
 from astray.agency.agents import of_every_cell
 from astray.agency.generators import Setting, uniform_random, wander
-from astray.agency.gridworld import World
+from astray.agency.gridworld import Trajectory, World
 from astray.agency.maps import MAPS
 from astray.agency.measure import (
     CALIBRATED,
@@ -224,6 +224,14 @@ LEFT = ISLANDS.walk((0, 0), [3])
         (lambda: maxent.log_likelihood(SMALL, SMALL.walk((0, 0), [3]), 1.0), "between 0 and 1"),
         (lambda: maxent.log_likelihood(MAPS["maze"](), MAPS["maze"]().walk((0, 0), [3]), 1e-4),
          "too small"),
+        (lambda: Setting(SMALL, (0, 0), (0, 2), -1), "seed must be an integer from 0 to"),
+        (lambda: Episode(SMALL, by_hand([0, 99], [3])), "cells of a trajectory must be a list of"),
+        (lambda: Episode(SMALL, by_hand([-1, 0], [3])), "cells of a trajectory must be a list of"),
+        (lambda: Episode(SMALL, by_hand([0.0, 1.0], [3])), "trajectory must be integers"),
+        (lambda: Episode(SMALL, by_hand([0, 1], [4])), "actions of a trajectory must be a list of"),
+        (lambda: Episode(SMALL, by_hand([0, 1], [3, 3])), "of 2 actions there are cells one more"),
+        (lambda: Episode(SMALL, by_hand([0, 1, 4], [3, 3])), "step 1 does not lead to the cell"),
+        (lambda: Episode(SMALL, [0, 1]), "a trajectory must be a Trajectory"),  # pyright: ignore
         (lambda: rule(200_000), "too many to measure together"),
         (lambda: shares(np.full((2, 3), -np.inf)), "impossible under every"),
     ],
@@ -232,6 +240,10 @@ def test_what_makes_no_sense_is_refused(wrong, words):
     with pytest.raises(ValueError) as error:
         wrong()
     assert words in str(error.value)
+
+
+def by_hand(cells, actions):
+    return Trajectory(np.array(cells), np.array(actions))
 
 
 def test_cells_out_of_reach_are_no_goals():

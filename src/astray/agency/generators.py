@@ -12,6 +12,7 @@ import numpy as np
 from astray.agency.devices import CLOCKWISE, COMPASS
 from astray.agency.gridworld import ACTIONS, Cell, Trajectory, World
 from astray.agency.measure import Episode
+from astray.bounds import MOST, bounded
 from astray.words import check_word, check_words
 
 Type = Literal["in-distribution", "goal misgeneralization", "capability failure", "robust"]
@@ -40,6 +41,7 @@ class Setting:
 
     def __post_init__(self) -> None:
         check_words(self)
+        bounded("seed", self.seed, 0, MOST)
         if self.horizon < 1:
             raise ValueError(f"horizon must be at least 1 step; got {self.horizon}")
         start, goal = self.world.number(self.start), self.world.number(self.goal)

@@ -11,7 +11,7 @@ import numpy as np
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import dijkstra
 
-from astray.bounds import bounded, of_kind, shown
+from astray.bounds import bounded, integers, of_kind, shown
 
 ACTIONS = ("up", "down", "left", "right")
 MOVES = np.array([(-1, 0), (1, 0), (0, -1), (0, 1)])  # (row, column), row 0 on top
@@ -159,6 +159,23 @@ class World:
                 raise ValueError(f"no move leads from {self.cell(here)} to {self.cell(there)}")
             actions.append(int(ways[0]))
         return self.walk(self.cell(visited[0]), actions)
+
+    def check(self, trajectory: Trajectory) -> None:
+        """Raise ValueError where `trajectory`, which may be made by hand, is none in this world."""
+        of_kind("a trajectory", trajectory, Trajectory)
+        cells = integers(trajectory.cells, "cells of a trajectory")
+        actions = integers(trajectory.actions, "actions of a trajectory")
+        for name, given, count in (("cells", cells, len(self)), ("actions", actions, len(ACTIONS))):
+            if given.ndim != 1 or ((given < 0) | (given >= count)).any():
+                there = f"a list of numbers from 0 to {count - 1}"
+                raise ValueError(f"{name} of a trajectory must be {there}; got {shown(given)}")
+        if len(cells) != len(actions) + 1:
+            raise ValueError(
+                f"of {len(actions)} actions there are cells one more; got {len(cells)}"
+            )
+        wrong = np.flatnonzero(self.after[cells[:-1], actions] != cells[1:])
+        if wrong.size:
+            raise ValueError(f"step {wrong[0]} does not lead to the cell that comes after it")
 
     def moves(self, trajectory: Trajectory) -> Trajectory:
         """`trajectory` without the steps that changed nothing."""

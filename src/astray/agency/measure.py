@@ -94,6 +94,9 @@ class Episode:
     trajectory: Trajectory
     true: Cell | None = None
 
+    def __post_init__(self) -> None:
+        self.world.check(self.trajectory)
+
 
 @dataclass(frozen=True, eq=False)
 class Evidence:

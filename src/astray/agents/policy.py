@@ -95,9 +95,7 @@ def load(path: Path, game: str, device: str = "cpu") -> tuple[nn.Module, Archite
     with _explained(path):
         tensors, architecture = _read(path, game)
         with torch.device("meta"):  # first without memory: a header can promise any size
-            promised = {n: t.shape for n, t in architecture.build().state_dict().items()}
-        if promised != {name: tensor.shape for name, tensor in tensors.items()}:
-            raise ValueError("its weights are not those of its architecture")
+            _see_weights(tensors, architecture.build())
         network = architecture.build()
         network.load_state_dict(tensors)
         return network.to(device).eval(), architecture
@@ -106,7 +104,20 @@ def load(path: Path, game: str, device: str = "cpu") -> tuple[nn.Module, Archite
 def load_into(network: nn.Module, path: Path, game: str) -> None:
     """Give `network` the weights that `weights` wrote to `path`, whoever made it."""
     with _explained(path):
-        network.load_state_dict(_read(path, game)[0])
+        tensors, _ = _read(path, game)
+        _see_weights(tensors, network)
+        network.load_state_dict(tensors)
+
+
+def _see_weights(tensors: dict[str, Tensor], network: nn.Module) -> None:
+    """ValueError where `tensors` are no weights of such a network: of other shapes or kinds."""
+    promised = network.state_dict()
+    if {n: t.shape for n, t in promised.items()} != {n: t.shape for n, t in tensors.items()}:
+        raise ValueError("its weights are not those of its architecture")
+    for name, tensor in tensors.items():  # torch would take integers and booleans for them
+        if tensor.is_floating_point() != promised[name].is_floating_point():
+            kinds = f"{promised[name].dtype}; they are {tensor.dtype}"
+            raise ValueError(f"its weights {name!r} must be {kinds}")
 
 
 def _read(path: Path, game: str) -> tuple[dict[str, Tensor], Architecture]:

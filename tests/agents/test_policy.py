@@ -1,0 +1,20 @@
+"""Files of agents: what is refused of the weights in one."""
+
+from dataclasses import asdict
+
+import pytest
+import torch
+from safetensors.torch import save
+
+from astray.agents import policy
+
+
+@pytest.mark.parametrize("kind", [torch.int64, torch.bool])
+def test_weights_that_are_no_real_numbers_are_refused(kind, tmp_path):
+    architecture = policy.Architecture("mlp", (4, 7, 7), (1, 1, 6, 6), 15, width=8)
+    network, path = architecture.build(), tmp_path / "agent.safetensors"
+    tensors = {name: tensor.to(kind) for name, tensor in network.state_dict().items()}
+    path.write_bytes(save(tensors, policy.header("maze", architecture=asdict(architecture))))
+    for load in (policy.load, lambda *where: policy.load_into(network, *where)):
+        with pytest.raises(ValueError, match=rf"must be torch.float32; they are {kind}"):
+            load(path, "maze")
