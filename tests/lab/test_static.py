@@ -13,6 +13,7 @@ from astray.analysis.critic import judge
 from astray.analysis.episodes import initial_states
 from astray.analysis.replay import replay
 from astray.envs.vector import GameVectorEnv
+from astray.lab import pursuits
 from astray.lab.export import export, file_names
 from astray.lab.link import link
 from astray.lab.minds import Minds
@@ -205,6 +206,17 @@ def test_the_thief_and_the_runner_play_as_in_python(page):
 
 def test_a_splay_is_that_of_python(page):
     here, there = both(page, kind="splay", **MAZE, level=3, thing="goal", draws=2)
+    assert dict(zip(map(tuple, here["cells"]), here["outcomes"], strict=True)) == dict(
+        zip(map(tuple, there["cells"]), there["outcomes"], strict=True)
+    )
+
+
+@pytest.mark.parametrize("together", [5, 7])
+def test_a_page_has_the_constants_that_python_has_now(chrome, tmp_path, monkeypatch, together):
+    monkeypatch.setattr(pursuits, "TOGETHER", together)
+    export(make_lab("maze-corner", {}), tmp_path / "site", levels=4, agents=["maze-corner"])
+    with folder_served(tmp_path / "site") as address, opened(chrome, address) as (page, _):
+        here, there = both(page, kind="splay", **MAZE, level=3, thing="goal", draws=3)
     assert dict(zip(map(tuple, here["cells"]), here["outcomes"], strict=True)) == dict(
         zip(map(tuple, there["cells"]), there["outcomes"], strict=True)
     )

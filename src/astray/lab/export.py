@@ -25,9 +25,9 @@ from astray.bounds import MOST, bounded, of_kind
 from astray.files import folder_aside, write_aside
 from astray.game import Game, Variant
 from astray.lab.minds import Minds, places, put, sees
-from astray.lab.server import TYPES
+from astray.lab.server import files
 from astray.lab.session import FORMAT, Lab, about_game, drawings
-from astray.lab.worlds import PAGE, World, is_drawn
+from astray.lab.worlds import World, is_drawn
 from astray.level import Level
 from astray.training.config import Config
 
@@ -100,15 +100,12 @@ def _playable(minds: Minds, name: str) -> bool:
 
 
 def _write_page(folder: Path) -> None:
-    for path in PAGE.rglob("*"):
-        if path.suffix not in TYPES or path.name == "widget.js":
+    for path, (data, _) in files().items():
+        if path == "widget.js":
             continue
-        to = folder / path.relative_to(PAGE)
+        to = folder / path
         to.parent.mkdir(parents=True, exist_ok=True)
-        data = path.read_bytes()
-        if path.name == "index.html":
-            data = data.replace(b'data-engine="socket"', b'data-engine="static"')
-        to.write_bytes(data)
+        to.write_bytes(data.replace(b'data-engine="socket"', b'data-engine="static"'))
 
 
 def _write_data(lab: Lab, folder: Path, levels: int, agents: list[str]) -> None:
@@ -246,7 +243,8 @@ def table(
     data = np.empty((rows, len(game.actions) + 1), np.uint8)
     data[:, :-1] = np.round(SHARE * policy)
     data[:, -1] = np.round(SHARE * (value - low) / spread)
-    index = {"actions": len(game.actions), "low": low, "high": high, "levels": levels}
+    index = {"actions": len(game.actions), "share": SHARE, "low": low, "high": high}
+    index["levels"] = levels
     return index, data.tobytes()
 
 

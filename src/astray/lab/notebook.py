@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from astray import imports
+from astray.lab.server import files
 from astray.lab.worlds import PAGE
 from astray.level import Level
 
@@ -46,8 +47,8 @@ def show(agent: str | Path | None = None, level: int | str | Level = 0, **start:
 
 def modules() -> dict[str, str]:
     """The page's modules by their paths, for a loader that fetches nothing; and its markup."""
-    files = [*PAGE.rglob("*.js"), PAGE / "index.html"]
-    return {path.relative_to(PAGE).as_posix(): path.read_text("utf-8") for path in files}
+    wanted = (".js", "index.html")
+    return {path: data.decode() for path, (data, _) in files().items() if path.endswith(wanted)}
 
 
 def _name_of(level: Level) -> str:

@@ -26,6 +26,7 @@ from astray.record import NEVER
 NEITHER = "neither"  # of the goals
 OTHER = "another cell"
 PLACES = 400  # at most, that a thing is put to
+TOGETHER = 16  # places that are played at once: a level's draws depend on which of them it is
 
 
 def posterior(episode: Episode, shift: Shift) -> dict[str, Any]:
@@ -83,8 +84,8 @@ def splay(
     if len(levels) > PLACES:
         raise ValueError(f"a splay is of at most {PLACES} places; here are {len(levels)}")
     first, of = agent.seed, len(levels)
-    for begin in range(0, of, 16):
-        some = levels[begin : begin + 16]
+    for begin in range(0, of, TOGETHER):
+        some = levels[begin : begin + TOGETHER]
         outcomes = [dict[str, int]() for _ in some]
         for draw in range(draws):
             agent.seed = first + draw

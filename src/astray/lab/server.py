@@ -20,6 +20,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from astray import imports
+from astray.lab import constants
 from astray.lab.messages import LARGEST, number_of, read
 from astray.lab.session import Lab, Session
 from astray.lab.worlds import PAGE
@@ -54,11 +55,12 @@ class Bucket:
 
 def files() -> dict[str, tuple[bytes, str]]:
     """All that is served, read once: its path and, of that, bytes and type."""
-    return {
+    found = {
         path.relative_to(PAGE).as_posix(): (path.read_bytes(), TYPES[path.suffix])
         for path in sorted(PAGE.rglob("*"))
         if path.suffix in TYPES
     }
+    return found | {constants.PATH: (constants.module(), TYPES[".js"])}
 
 
 def make_app(lab: Lab, token: str, port: int) -> Any:

@@ -1,8 +1,9 @@
 // Where a shift's goals are, and which was reached first.
 
 import { NEVER } from "../rules/common.js";
+import { pursuits } from "../rules/constants.js";
 
-export const NEITHER = "neither";
+const { NEITHER } = pursuits;
 
 export function namedPlaces(game, shift, s) {
   const [places, events] = [{}, new Set()];

@@ -1,13 +1,19 @@
 // Levels as `astray.level` has them: drawn as text, and one for every place of a thing.
 
-import { WALL, cellsOf } from "../rules/common.js";
+import { cellsOf } from "../rules/common.js";
+import { coinrun } from "../rules/constants.js";
 
-const [TOP, PERMEABLE] = [2, 8]; // of CoinRun's cells, beside WALL
+const { WORLD, WALL, TOP, PERMEABLE } = coinrun;
+const ON = "@ on "; // begins a line below a drawing, which says what the agent stands on
 
 // A drawing as cells, rows from the lowest up, in the words of `Level.from_text`.
 export function read(text, legend) {
   const lines = text.replace(/\r/g, "").split("\n").filter((line) => !line.startsWith(";"));
   const rows = lines.map((line) => line.trim()).filter(Boolean).reverse();
+  const beneath = rows[0]?.startsWith(ON) ? rows.shift().slice(ON.length) : ".";
+  if (!(beneath in legend)) {
+    throw new Error(`the agent is on '${beneath}'; there are: ${Object.keys(legend).join(" ")}`);
+  }
   const lengths = new Set(rows.map((row) => row.length));
   if (lengths.size !== 1) {
     throw new Error(`a level's rows are equally long; these have [${rows.map((r) => r.length)}]`);
@@ -15,7 +21,7 @@ export function read(text, legend) {
   const agents = [];
   const grid = rows.map((row, y) => [...row].map((char, x) => {
     if (char === "@") agents.push([x, y]);
-    const code = char === "@" ? legend["."] : legend[char];
+    const code = legend[char === "@" ? beneath : char];
     if (code === undefined) {
       const there = [...Object.keys(legend), "@"].join(" ");
       throw new Error(`unknown '${char}' at cell (${x}, ${y}); there are: ${there}`);
@@ -29,18 +35,21 @@ export function read(text, legend) {
 export function textOf({ grid, agent }, legend) {
   const chars = Object.fromEntries(Object.entries(legend).map(([char, code]) => [code, char]));
   const rows = grid.map((row) => row.map((code) => chars[code]));
-  rows[Math.floor(agent[1])][Math.floor(agent[0])] = "@";
-  return rows.map((row) => row.join("")).reverse().join("\n");
+  const [x, y] = agent.map(Math.floor);
+  const beneath = rows[y][x];
+  rows[y][x] = "@";
+  const drawing = rows.map((row) => row.join("")).reverse().join("\n");
+  return beneath === "." ? drawing : `${drawing}\n${ON}${beneath}`;
 }
 
 // A smaller level of CoinRun in the lower left of the whole world, walls around it.
 export function whole(level) {
-  const [side, wide, high] = [64, level.grid[0].length, level.grid.length];
+  const [side, wide, high] = [WORLD, level.grid[0].length, level.grid.length];
   if (Math.max(wide, high) > side) {
     throw new Error(`the level is ${wide} x ${high} cells; it is at most ${side} a side`);
   }
   const grid = Array.from({ length: side }, (_, y) => Array.from({ length: side }, (_, x) =>
-    level.grid[y]?.[x] ?? 1));
+    level.grid[y]?.[x] ?? WALL));
   const looks = { ...level.looks };
   looks.end ??= endOf(grid);
   looks.permeable ??= grid[looks.end[1]].filter((what) => what === PERMEABLE).length;

@@ -7,16 +7,17 @@ import { readNetwork, softmax } from "../mind/network.js";
 import { noise, sample } from "../mind/noise.js";
 import { readTable } from "../mind/table.js";
 import { NEVER } from "../rules/common.js";
+import { pursuits } from "../rules/constants.js";
 import { rules as coinrun } from "../rules/coinrun.js";
 import { rules as keys } from "../rules/keys.js";
 import { rules as maze } from "../rules/maze.js";
 import { played, snapshot, take, told } from "./episodes.js";
-import { NEITHER, firstGoal, namedPlaces } from "./goals.js";
+import { firstGoal, namedPlaces } from "./goals.js";
 import { read, splayed, textOf, whole } from "./levels.js";
 
 const RULES = { coinrun, keys, maze };
 const AT_ONCE = 16; // places that are computed before the page may draw
-const OTHER = "another cell";
+const { NEITHER, OTHER, TOGETHER } = pursuits;
 
 export class LocalEngine {
   // folder: the address of the exported files, that of the page.
@@ -201,7 +202,7 @@ export class LocalEngine {
       for (let draw = 0; draw < (message.draws ?? 1); draw++) {
         const agent = await this.agentOf({ ...message, seed: (message.seed ?? 0) + draw });
         const begun = await this.world({ ...message, level });
-        begun.s.level = levels.findIndex((one) => one.cell === cell) % 16; // as Python numbers them
+        begun.s.level = levels.findIndex((one) => one.cell === cell) % TOGETHER;
         const episode = played(begun, []);
         const reached = () => firstGoal(episode.states.at(-1), shift, events);
         while (!episode.ended && reached() === NEITHER) {

@@ -1,14 +1,10 @@
 // How the lab draws CoinRun: the whole level, and the part of it that the agent sees.
 
 import { eachCell } from "./common.js";
+import { coinrun } from "../rules/constants.js";
 
-const GROUNDS = ["dirt", "grass", "planet", "sand", "snow", "stone"];
-const RUNNERS = ["beige", "blue", "green", "pink", "yellow"];
-const POSES = ["stand", "walk-0", "walk-1"];
+const { GROUNDS, RUNNERS, POSES, VIEW, TALL, RUNNER_HEIGHT: HIGH } = coinrun;
 const SKY = "#cfe3ea";
-const VIEW = 13; // cells a side that are seen
-const TALL = 0.5787; // half the runner's height, cells
-const HIGH = 88 / 64; // of its pictures, cells
 
 export const look = {
   still, moving, direction, agent: "runner-beige-stand", wall: 1, view: VIEW, proxies, wide,

@@ -1,9 +1,10 @@
 // How the lab draws Keys and Chests.
 
 import { eachCell } from "./common.js";
+import { keys } from "../rules/constants.js";
 
 const FLOORS = "#e9e4dc";
-const KEY = 2;
+const { KEY } = keys;
 
 export const look = { still, moving, direction, agent: "thief-right", wall: 1, proxies: () => ({}) };
 

@@ -1,11 +1,9 @@
 // How the lab draws Maze.
 
 import { eachCell } from "./common.js";
+import { maze } from "../rules/constants.js";
 
-const WALLS = ["sand", "stone", "hedge"];
-const SHAPES = ["none", "cheese", "line", "gem", "star", "ring", "cross"];
-const OTHERS = [...SHAPES, "dish"];
-const COLOURS = ["none", "yellow", "red", "green", "blue", "magenta", "cyan"];
+const { WALLS, SHAPES, OTHERS, COLOURS } = maze;
 const FLOOR = "#ece6d6";
 const UNSEEN = "rgba(60, 60, 60, 0.35)"; // the outline of an object that the agent does not see
 

@@ -6,13 +6,11 @@
 
 import { NEVER, WALL } from "../rules/common.js";
 
-const SHARE = 255;
-
 // file: fetches by path; about: {path, bytes}, of an index and of what it points into.
 export async function readTable(file, about) {
   const index = await file(about.path);
   const bytes = new Uint8Array(await file(about.bytes, "bytes"));
-  const { actions, low, high } = index;
+  const { actions, low, high, share: most } = index; // most: the byte of a probability of 1
   const key = (walls, background, offset, other) => [walls, background, offset, other].join(" ");
   const levels = new Map(index.levels.map(({ walls, looks, other, ...level }) =>
     [key(walls, looks.background, looks.background_offset, other), level]));
@@ -32,9 +30,9 @@ export async function readTable(file, about) {
       throw new Error("this agent's answers were computed beforehand, but not of this place");
     }
     const at = (rows + row) * (actions + 1);
-    const policy = Array.from(bytes.subarray(at, at + actions), (byte) => byte / SHARE);
+    const policy = Array.from(bytes.subarray(at, at + actions), (byte) => byte / most);
     const sum = policy.reduce((a, b) => a + b, 0) || 1;
-    const value = low + ((high - low) * bytes[at + actions]) / SHARE;
+    const value = low + ((high - low) * bytes[at + actions]) / most;
     return { policy: policy.map((share) => share / sum), value };
   };
 }

@@ -4,43 +4,22 @@
 // calculates with 32-bit floats, and so does this.
 
 import { NEVER, checkAgent, push } from "./common.js";
+import { coinrun } from "./constants.js";
 
 const f = Math.fround;
-export const WORLD = 64;
-const PUFFS = 9;
-const REWARD = 10;
-const [EMPTY, WALL, TOP, LAVA, LAVA_TOP, BARRIER, COIN, INVISIBLE, PERMEABLE] =
-  [0, 1, 2, 3, 4, 5, 6, 7, 8];
-const [NOTHING, CRATE, SAW] = [0, 1, 2];
-const [CRATE_HERE, SAW_HERE, WALKER_LEFT, , SAW_AND_LEFT] = [9, 10, 11, 12, 13];
-const CHARS = ".#=w~:oi%cx<>()";
-const HALF = f(0.5);
-const TALL = f(0.5787);
-const CORNER = f(0.98);
-const NEAR = f(0.001);
-const FOOT = f(0.01);
-const GRAVITY = f(0.2);
-const JUMP = f(1.5);
-const FASTEST = f(0.5);
-const MIX_GROUND = f(0.2);
-const MIX_AIR = f(f(0.2) * f(0.15));
-const STROLL = f(0.15);
-const TURN = f(0.01);
-const MOST_WALKERS = 48;
-const VIEW = 13;
-const AROUND = 6;
-const GAUGE = 2 * VIEW;
+const {
+  WORLD, PUFFS, REWARD, EMPTY, WALL, TOP, LAVA, LAVA_TOP, BARRIER, COIN, INVISIBLE, PERMEABLE,
+  NOTHING, CRATE, SAW, CRATE_HERE, SAW_HERE, WALKER_LEFT, SAW_AND_LEFT, HALF, TALL, CORNER, NEAR,
+  FOOT, GRAVITY, JUMP, FASTEST, MIX_GROUND, MIX_AIR, STROLL, TURN, WALKERS, EVENTS, VIEW, AROUND,
+  GAUGE, PLANES,
+} = coinrun;
 const FAR = 9; // cells from the runner to places that arrows are drawn at
-const EVENTS = [
-  "took_coin", "took_invisible", "passed_coin", "reached_end", "touched_wall", "passed_wall",
-  "died", "met_saw", "met_walker", "met_lava", "timed_out",
-];
 
 export const rules = { build, step, planes, copy, problem: () => null, places, put };
 
 function build({ grid, agent, looks = {} }, variant) {
   const cell = agent.map(Math.floor);
-  checkAgent(grid, cell, CHARS);
+  checkAgent(grid, cell, coinrun);
   const s = {
     cell: grid.map((row) => Uint8Array.from(row, (what) => (what < CRATE_HERE ? what : EMPTY))),
     thing: grid.map((row) => Uint8Array.from(row, (what) =>
@@ -64,8 +43,9 @@ function build({ grid, agent, looks = {} }, variant) {
       if (what === COIN && x > s.coin_x) [s.coin_x, s.coin_y] = [x, y]; // the lowest of the last
     }
   }
-  if (s.walkers > MOST_WALKERS) {
-    throw new Error(`a level has at most ${MOST_WALKERS} walkers; this has ${s.walkers}`);
+  for (const walker of looks.walkers ?? []) addWalker(s, ...walker);
+  if (s.walkers > WALKERS) {
+    throw new Error(`a level has at most ${WALKERS} walkers; this has ${s.walkers}`);
   }
   return s;
 }
@@ -335,7 +315,7 @@ function notePlaces(s) {
 // What an agent sees, planes of [C, H, W]: walls, hazards, crates, coins, walkers to the left and
 // to the right, and gauges of how the runner moves.
 function planes(s) {
-  const data = new Uint8Array(7 * VIEW * VIEW);
+  const data = new Uint8Array(PLANES * VIEW * VIEW);
   const [x, y] = [Math.trunc(s.x), Math.trunc(s.y)];
   const mark = (plane, row, column) => { data[(plane * VIEW + row) * VIEW + column] = 1; };
   for (let row = 0; row < VIEW; row++) {
@@ -370,7 +350,7 @@ function planes(s) {
   gauge(4, s.vx + 0.5);
   gauge(6, (s.vy + 1.5) / 3);
   if (isSupported(s)) for (let column = 0; column < VIEW; column++) mark(6, 8, column);
-  return { shape: [7, VIEW, VIEW], data };
+  return { shape: [PLANES, VIEW, VIEW], data };
 }
 
 // Empty cells near the runner; whether it can get there is not known without Python.

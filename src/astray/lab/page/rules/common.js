@@ -1,12 +1,12 @@
 // What the rules of all games share: actions, cells, ways, and sentences about levels.
+// All constants are Python's: `astray.lab.constants` writes the module that has them.
 
-export const ACTIONS = [
-  "left-down", "left", "left-up", "down", "stay", "up", "right-down", "right", "right-up",
-  "d", "a", "w", "s", "q", "e",
-];
-export const NEVER = -1;
-export const WALL = 1;
-const MOVES = 9;
+import { common } from "./constants.js";
+
+export const { NEVER, WALL } = common;
+const { MOVES } = common;
+
+const EMPTY = "."; // in every game's drawings
 
 // The push of an action, [x, y] from -1 to 1.
 export function push(action) {
@@ -31,11 +31,14 @@ export function distances(open, x, y) {
 }
 
 // Throws where no episode can begin in a level, in the words of Python's `Level`.
-export function checkAgent(grid, [x, y], chars) {
+export function checkAgent(grid, [x, y], { LEGEND, STOOD_ON }) {
   if (!(x >= 0 && y >= 0 && y < grid.length && x < grid[0].length)) {
     throw new Error(`the agent is at cell (${x}, ${y}), outside of the level`);
   }
-  if (grid[y][x] !== 0) throw new Error(`cell (${x}, ${y}) holds '${chars[grid[y][x]]}'`);
+  const char = Object.keys(LEGEND).find((one) => LEGEND[one] === grid[y][x]);
+  if (char !== EMPTY && !STOOD_ON.includes(char)) {
+    throw new Error(`cell (${x}, ${y}) holds '${char}'`);
+  }
 }
 
 // The first object that the agent cannot get to, in a sentence; null where there is none.

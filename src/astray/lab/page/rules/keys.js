@@ -3,33 +3,21 @@
 // Lengths are 32-bit floats, as all of the original's; so is all arithmetic on them.
 
 import { NEVER, WALL, checkAgent, distances, push, unreachable } from "./common.js";
+import { common, keys } from "./constants.js";
 import { Twister } from "./twister.js";
 
 const f = Math.fround;
-const [KEY, CHEST] = [2, 3];
-const MOST = 36;
-const HALF = f(0.375);
-const CORNER = f(HALF * f(0.98));
-const KEY_X = f(HALF + f(0.375));
-const KEY_Y = f(HALF + f((0.375 * 13) / 21));
-const CHEST_X = f(HALF + f(0.5));
-const CHEST_Y = CHEST_X;
-const MIX = f(0.5);
-const TOP_SPEED = f(0.75);
-const DECAY = 0.9;
-const PARTS = 4;
-const TIES = 1_000_000;
-const STRIPS = 8;
-const JITTER = f(0.25);
-const CHARS = { 0: ".", 1: "#", 2: "k", 3: "C" };
-const CORNERS = ["upper-right", "upper-left", "lower-right", "lower-left", "hidden"];
-const HIDDEN = 4;
+const {
+  KEY, CHEST, MOST, HALF, CORNER, KEY_X, KEY_Y, CHEST_X, CHEST_Y, MIX, TOP_SPEED, DECAY, PARTS, TIES,
+  REWARD, HIDDEN, STRIPS, PLANES, INVENTORIES, JITTER,
+} = keys;
+const { STAY } = common;
 
 export const rules = { build, step, planes, copy, problem, places, put };
 
 function build({ grid, agent, looks = {} }, variant) {
   const cell = agent.map(Math.floor);
-  checkAgent(grid, cell, CHARS);
+  checkAgent(grid, cell, keys);
   const objects = [];
   for (let x = 0; x < grid.length; x++) {
     for (let y = 0; y < grid.length; y++) if (grid[y][x] > WALL) objects.push([x, y, grid[y][x]]);
@@ -40,9 +28,9 @@ function build({ grid, agent, looks = {} }, variant) {
   const s = {
     cell: grid.map((row) => Uint8Array.from(row, (what) => (what === WALL ? 1 : 0))),
     world: grid.length, window: variant.window, x: cell[0] + 0.5, y: cell[1] + 0.5,
-    vx: 0, vy: 0, facing: 4, objects: 0, what: [], object_x: [], object_y: [], gone: [], had: [],
+    vx: 0, vy: 0, facing: STAY, objects: 0, what: [], object_x: [], object_y: [], gone: [], had: [],
     keys: 0, chests: 0, taken: 0, opened: 0, passed: 0, touched: 0,
-    inventory: CORNERS.indexOf(variant.inventory), key_penalty: variant.key_penalty,
+    inventory: INVENTORIES.indexOf(variant.inventory), key_penalty: variant.key_penalty,
     step_penalty: variant.step_penalty, strict: variant.strict,
     background: looks.background ?? 0, background_offset: looks.background_offset ?? 0,
     first_key: NEVER, all_keys: NEVER, first_chest: NEVER, all_chests: NEVER,
@@ -177,7 +165,7 @@ function unlock(s, k, reward) {
   if (s.first_chest === NEVER) s.first_chest = s.time;
   const done = s.opened === Math.min(s.keys, s.chests);
   if (done) s.all_chests = s.time;
-  return [s.strict ? 1 : f(reward + 1), done];
+  return [s.strict ? REWARD : f(reward + REWARD), done];
 }
 
 // What an agent sees, planes of [C, H, W]: walls, keys, chests, thief, hand, and where in its cell.
@@ -186,7 +174,7 @@ function planes(s) {
   const half = side >> 1;
   let [x, y] = [Math.trunc(s.x), Math.trunc(s.y)];
   const [left, low] = s.window ? [x - half, y - half] : [0, 0];
-  const data = new Uint8Array(7 * side * side);
+  const data = new Uint8Array(PLANES * side * side);
   const mark = (plane, i, j, what) => { data[(plane * side + j) * side + i] = what; };
   for (let j = 0; j < side; j++) {
     for (let i = 0; i < side; i++) mark(0, i, j, isWall(s, left + i, low + j) ? 1 : 0);
@@ -205,7 +193,7 @@ function planes(s) {
     const hand = Math.min(s.taken - s.opened, side * side);
     for (let k = 0; k < hand; k++) mark(4, k % side, Math.floor(k / side), 1);
   }
-  return { shape: [7, side, side], data };
+  return { shape: [PLANES, side, side], data };
 }
 
 function ways(s) {

@@ -3,17 +3,10 @@
 // A test compares thousands of random steps with Python's, state by state.
 
 import { NEVER, WALL, cellsOf, checkAgent, distances, push, unreachable } from "./common.js";
+import { maze } from "./constants.js";
 
-const EMPTY = 0;
-const GOAL = 2;
-const OTHER = 3;
-const BOTH = 4; // the goal on the other object, which is a dish
-const REWARD = 10;
-const SHAPES = ["none", "cheese", "line", "gem", "star", "ring", "cross"];
-const COLOURS = ["none", "yellow", "red", "green", "blue", "magenta", "cyan"];
-const OTHERS = [...SHAPES, "dish"];
+const { EMPTY, GOAL, OTHER, BOTH, REWARD, SHAPES, COLOURS, OTHERS, WALLS } = maze;
 const DISH = OTHERS.indexOf("dish");
-const CHARS = { 0: ".", 1: "#", 2: "G", 3: "o", 4: "O" };
 
 export const rules = { build, step, planes, copy, problem, places, put };
 
@@ -29,7 +22,7 @@ function only(grid, codes, name) {
 function build({ grid, agent, looks = {} }, variant) {
   const world = grid.length;
   const cell = agent.map(Math.floor);
-  checkAgent(grid, cell, CHARS);
+  checkAgent(grid, cell, maze);
   const [goal_x, goal_y] = only(grid, [GOAL, BOTH], "goal");
   const [other_x, other_y] = only(grid, [OTHER, BOTH], "other");
   if (cellsOf(grid, BOTH).length && variant.other_shape !== "dish") {
@@ -48,7 +41,7 @@ function build({ grid, agent, looks = {} }, variant) {
     goal_shape: SHAPES.indexOf(variant.goal_shape), goal_colour: COLOURS.indexOf(variant.goal_colour),
     other_shape: OTHERS.indexOf(variant.other_shape), dish_planes: variant.dish_planes,
     other_colour: COLOURS.indexOf(variant.other_colour),
-    walls: ["sand", "stone", "hedge"].indexOf(variant.walls), background: looks.background ?? 0,
+    walls: WALLS.indexOf(variant.walls), background: looks.background ?? 0,
     background_offset: looks.background_offset ?? 0,
     reached_goal: NEVER, reached_corner: NEVER, reached_other: NEVER,
     time: 0, time_limit: variant.time_limit, ended: false, level: 0,

@@ -1,6 +1,8 @@
 // The Mersenne Twister that decides ties, as `astray.kernel.rng` draws from it.
 
-const WORDS = 624;
+import { common } from "./constants.js";
+
+const { WORDS } = common;
 const MIDDLE = 397;
 
 export class Twister {

@@ -1,0 +1,64 @@
+"""What the page's rules have in common with Python's: a JavaScript module that is never a file."""
+
+from __future__ import annotations
+
+import json
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+
+from astray import record
+from astray.games.coinrun import draw as coinrun_draw
+from astray.games.coinrun import levels as coinrun_levels
+from astray.games.coinrun import rules as coinrun_rules
+from astray.games.keys import draw as keys_draw
+from astray.games.keys import levels as keys_levels
+from astray.games.keys import rules as keys_rules
+from astray.games.keys import variants as keys_variants
+from astray.games.maze import levels as maze_levels
+from astray.games.maze import rules as maze_rules
+from astray.games.maze import variants as maze_variants
+from astray.kernel import grid, maze, rng
+from astray.lab import pursuits
+
+PATH = "rules/constants.js"  # from the page
+# By the name that JavaScript imports: modules, and the names in them.
+TABLES: dict[str, tuple[tuple[ModuleType, str], ...]] = {
+    "common": ((grid, "ACTIONS MOVES STAY"), (maze, "WALL"), (record, "NEVER"), (rng, "WORDS")),
+    "pursuits": ((pursuits, "TOGETHER NEITHER OTHER"),),
+    "maze": (
+        (maze_rules, "EMPTY GOAL OTHER BOTH REWARD"),
+        (maze_variants, "SHAPES OTHERS COLOURS WALLS"),
+        (maze_levels, "LEGEND STOOD_ON"),
+    ),
+    "keys": (
+        (keys_rules, "KEY CHEST MOST HALF CORNER KEY_X KEY_Y CHEST_X CHEST_Y MIX TOP_SPEED DECAY"),
+        (keys_rules, "PARTS TIES REWARD HIDDEN"),
+        (keys_draw, "STRIPS PLANES"),
+        (keys_variants, "INVENTORIES"),
+        (keys_levels, "JITTER LEGEND STOOD_ON"),
+    ),
+    "coinrun": (
+        (coinrun_rules, "WORLD PUFFS REWARD EMPTY WALL TOP LAVA LAVA_TOP BARRIER COIN INVISIBLE"),
+        (coinrun_rules, "PERMEABLE NOTHING CRATE SAW HALF TALL CORNER NEAR FOOT GRAVITY JUMP"),
+        (coinrun_rules, "FASTEST MIX_GROUND MIX_AIR STROLL TURN WALKERS EVENTS"),
+        (coinrun_levels, "CRATE_HERE SAW_HERE WALKER_LEFT SAW_AND_LEFT LEGEND STOOD_ON"),
+        (coinrun_draw, "VIEW AROUND GAUGE PLANES GROUNDS RUNNERS POSES RUNNER_HEIGHT"),
+    ),
+}
+
+
+def module() -> bytes:
+    """The module's text, with the values that Python has now."""
+    lines = []
+    for name, parts in TABLES.items():
+        table = {n: vars(module)[n] for module, names in parts for n in names.split()}
+        lines.append(f"export const {name} = {json.dumps(table, default=_plain)};\n")
+    return "".join(lines).encode()
+
+
+def _plain(value: Any) -> Any:
+    """What JSON does not know: a number of NumPy's; as a double it keeps every bit."""
+    assert isinstance(value, np.generic)
+    return value.item()
