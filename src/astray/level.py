@@ -18,6 +18,7 @@ from astray.game import Game, Variant
 from astray.record import NEVER, is_trusted
 
 AGENT, EMPTY = "@", "."  # in every game's drawings
+ON = f"{AGENT} on "  # begins a line below a drawing, which says what the agent stands on
 BYTE_ORDER_MARK = "\ufeff"  # with which some editors begin a file
 COMMENT = ";"  # begins a line of a drawing that is not part of it
 LARGEST_FILE = 2**26  # bytes; a level as JSON has some 2,000
@@ -64,29 +65,38 @@ class Level:
     def of(game: Game, variant: Variant, s: Any) -> Level:
         """The level that state `s` is in; objects that are gone are not in it.
 
-        ValueError where `s` was changed by hand to what cannot be.
+        ValueError where `s` was changed by hand to what cannot be, or the agent is where none can
+        begin, as in lava.
         """
         of_kind("a state", s, np.void)
         variant = game.variant(variant)
         if s.dtype != game.state or not is_trusted(s):
             game.check(np.array([s]), variant)
         cells, centre = game.editing.grid(s), game.editing.centre(s)
-        return Level(game, variant, cells, _cell(centre), game.editing.describe(s)["looks"])
+        level = Level(game, variant, cells, _cell(centre), game.editing.describe(s)["looks"])
+        level._check_stands()
+        return level
 
     @staticmethod
     def from_text(game: Game, variant: Variant, drawing: str) -> Level:
         """The level that is drawn, a character of the game's legend a cell, the top row first.
+
+        Where the agent stands on something, as "@ on o", a line below the drawing says so.
 
         Raises ValueError, naming the row, where the drawing is none of a level.
         """
         of_kind("a level's drawing", drawing, str)
         drawing = drawing.removeprefix(BYTE_ORDER_MARK)
         rows = textwrap.dedent(drawing).strip("\n").rstrip().splitlines()[::-1]
+        beneath = rows.pop(0)[len(ON) :] if rows and rows[0].startswith(ON) else EMPTY
         if not rows or len({len(row) for row in rows}) != 1:
             raise ValueError(
                 f"a level's rows are equally long; these have {shown([len(r) for r in rows])}"
             )
-        legend = {**game.editing.LEGEND, AGENT: game.editing.LEGEND[EMPTY]}
+        if beneath not in game.editing.LEGEND:
+            there = " ".join(game.editing.LEGEND)
+            raise ValueError(f"the agent is on {shown(beneath)}; there are: {there}")
+        legend = {**game.editing.LEGEND, AGENT: game.editing.LEGEND[beneath]}
         cells = np.empty((len(rows), len(rows[0])), np.uint8)
         for y, row in enumerate(rows):
             for x, char in enumerate(row):
@@ -141,7 +151,7 @@ class Level:
         solvable  see that the agent can reach every object
         """
         game = self.game
-        self._check_free(self.agent)
+        self._check_stands()
         try:
             s = game.editing.build(self.cells, self.agent, self.looks, self.variant)
         except (TypeError, IndexError, OverflowError, ValueError) as error:
@@ -179,8 +189,10 @@ class Level:
         """The drawing, a character a cell, the top row first."""
         self._check_cells()
         rows = [[self._char(x, y) for x in range(len(row))] for y, row in enumerate(self.cells)]
-        rows[self.agent[1]][self.agent[0]] = AGENT
-        return "\n".join("".join(row) for row in reversed(rows))
+        x, y = self.agent
+        beneath, rows[y][x] = rows[y][x], AGENT
+        drawing = "\n".join("".join(row) for row in reversed(rows))
+        return drawing if beneath == EMPTY else f"{drawing}\n{ON}{beneath}"
 
     def where(self, name: str) -> list[Cell]:
         """The cells that hold the object called `name`, or the agent's; ValueError for others."""
@@ -242,6 +254,12 @@ class Level:
     def _is_inside(self, cell: Cell) -> bool:
         x, y = cell
         return 0 <= x < self.cells.shape[1] and 0 <= y < self.cells.shape[0]
+
+    def _check_stands(self) -> None:
+        """See that the agent is on nothing, or on what the game lets it stand on."""
+        x, y = self.agent
+        if self._char(x, y) not in self.game.editing.STOOD_ON:
+            self._check_free(self.agent)
 
     def _check_free(self, cell: Cell) -> None:
         self._check_cells()

@@ -86,6 +86,11 @@ class Editing(Protocol):
         ...
 
     @property
+    def STOOD_ON(self) -> str:
+        """Characters of what the agent may stand on amid an episode; it begins on `level.EMPTY`."""
+        ...
+
+    @property
     def grid(self) -> Callable[[Any], np.ndarray]:
         """(s) -> [H, W] uint8, the codes of what its cells hold, rows from the lowest up."""
         ...

@@ -53,6 +53,56 @@ def test_drawings_are_read_back(game, variant):
         assert {n for n in told if told[n] != theirs[n]} <= {"looks"}
 
 
+@pytest.mark.parametrize(
+    "game, variant, beneath",
+    [
+        ("maze", "dish-apart-small", "o"),
+        ("keys", "many-chests-small", "C"),
+        ("coinrun", "coin-twice", "c"),
+        ("coinrun", "coin-end-permeable", "%"),
+    ],
+)
+def test_an_agent_that_stands_on_something_amid_an_episode_does_so_in_its_level(
+    game, variant, beneath
+):
+    env = GameVectorEnv(game, variant, 64, observation="symbolic", autoreset_mode="SameStep")
+    env.reset(seed=0)
+    random, legend, found = np.random.default_rng(0), env.game.editing.LEGEND, 0
+    for _ in range(60):
+        env.step(random.choice([0, 1, 2, 3, 5, 6, 7, 8, 8, 8, 7], env.num_envs))
+        for s in env.states:
+            x, y = (int(v) for v in env.game.editing.centre(s))
+            if env.game.editing.grid(s)[y, x] != legend[beneath] or found > 20:
+                continue
+            level = Level.of(env.game, env.variant, s)
+            again = Level.from_text(env.game, env.variant, str(level))
+            assert np.array_equal(again.cells, level.cells) and again.agent == level.agent == (x, y)
+            assert str(level).endswith(f"@ on {beneath}")
+            told = Level.from_json(env.game, env.variant, json.loads(json.dumps(level.to_json())))
+            assert told.to_json() == level.to_json()
+            assert level.cells[y, x] == env.game.editing.grid(level.state())[y, x]
+            found += 1
+    assert found > 5
+
+
+def test_a_level_of_a_dead_runner_is_refused():
+    env = begun("coinrun", "coin-end", [0])
+    s = env.states[0]
+    state = env.get_state()
+    state["cell"][0, int(s.y), int(s.x)] = env.game.editing.LEGEND["~"]
+    with pytest.raises(ValueError, match=r"cell \(1, 1\) holds '~'"):
+        Level.of(env.game, env.variant, state[0])
+
+
+def test_no_agent_begins_on_what_it_was_to_get():
+    level = one("maze", "anywhere-small")
+    (goal,) = level.where("goal")
+    with pytest.raises(ValueError, match="holds 'G'"):
+        Level(level.game, level.variant, level.cells, goal, {}).state()
+    with pytest.raises(ValueError, match=r"the agent is on 'x'; there are: # \. G o O"):
+        Level.from_text(level.game, level.variant, f"{level}\n@ on x")
+
+
 @pytest.mark.parametrize("game, variant", FEW)
 def test_a_level_that_is_given_as_data_has_no_number(game, variant):
     level = one(game, variant)

@@ -56,6 +56,7 @@ OBJECTS = {
     "coin": "o", "invisible coin": "i", "crate": "c", "saw": "x", "walker to the left": "<",
     "walker to the right": ">",
 }  # fmt: skip
+STOOD_ON = ":oi%c"
 
 
 @shared
@@ -267,24 +268,34 @@ def put_coins(s, p, random, random_x, random_y):
 
 def grid(s: Any) -> np.ndarray:
     """What every cell holds, [WORLD, WORLD] uint8, with crates, saws and walkers."""
-    cells = s.cell.copy()
+    return _drawn(s)[0]
+
+
+def _drawn(s: Any) -> tuple[np.ndarray, np.ndarray, list[list[int]]]:
+    """What the cells of `s` hold, the looks of that, and the walkers that share theirs.
+
+    Those, [x, y, whether to the left, look] each, came in the episode to what a cell has beside
+    nothing or a saw, as a crate or a coin.
+    """
+    cells, details, sharing = s.cell.copy(), s.detail.copy(), []
     cells[s.thing == CRATE] = CRATE_HERE
     cells[s.thing == SAW] = SAW_HERE
     for k in range(s.walkers):
-        x, y, left = int(s.walker_x[k]), int(s.walker_y[k]), s.walker_vx[k] < 0
-        saw = s.thing[y, x] == SAW
-        cells[y, x] = (SAW_AND_LEFT if saw else WALKER_LEFT) + (not left)
-    return cells
+        x, y, left = int(s.walker_x[k]), int(s.walker_y[k]), bool(s.walker_vx[k] < 0)
+        if cells[y, x] in (EMPTY, SAW_HERE):
+            cells[y, x] = (WALKER_LEFT if cells[y, x] == EMPTY else SAW_AND_LEFT) + (not left)
+            details[y, x] = s.walker_look[k]
+        else:
+            sharing.append([x, y, int(left), int(s.walker_look[k])])
+    return cells, details, sharing
 
 
 def describe(s: Any) -> dict[str, Any]:
     """The level in state `s` as plain data; rows of `grid` from the lowest up."""
-    details = s.detail.copy()
-    for k in range(s.walkers):
-        details[int(s.walker_y[k]), int(s.walker_x[k])] = s.walker_look[k]
+    cells, details, sharing = _drawn(s)
     return {
         "world": WORLD,
-        "grid": grid(s).tolist(),
+        "grid": cells.tolist(),
         "legend": {
             "empty": EMPTY, "wall": WALL, "top of a wall": TOP, "lava": LAVA,
             "top of lava": LAVA_TOP, "barrier": BARRIER, "coin": COIN, "invisible coin": INVISIBLE,
@@ -304,7 +315,7 @@ def describe(s: Any) -> dict[str, Any]:
             "details": [[int(x), int(y), int(details[y, x])] for y, x in np.argwhere(details)],
             "end": [int(s.end_x), int(s.end_y)],
             "permeable": int(s.permeable),
-        },
+        } | ({"walkers": sharing} if sharing else {}),
     }  # fmt: skip
 
 
@@ -372,7 +383,7 @@ def build(cells: np.ndarray, agent: tuple[int, int], looks: Any, variant: Varian
         if not (0 <= x < WORLD and 0 <= y < WORLD and 0 <= which < DETAILS):
             raise ValueError(f"looks: details [{x}, {y}, {which}] are of no cell or no look")
         details[y, x] = which
-    _add_walkers(s, drawn, details)
+    _add_walkers(s, drawn, details, looks.get("walkers", []))
     s.detail[:] = details
     s.end_x, s.end_y = looks.get("end", _guess_end(s.cell))
     s.permeable = looks.get("permeable", int((s.cell[s.end_y] == PERMEABLE).sum()))
@@ -382,14 +393,23 @@ def build(cells: np.ndarray, agent: tuple[int, int], looks: Any, variant: Varian
     return s
 
 
-def _add_walkers(s: Any, drawn: np.ndarray, details: np.ndarray) -> None:
-    """The walkers of a drawn level, in the order in which the original makes them."""
-    found = [(int(x), int(y)) for x, y in np.argwhere(drawn.T >= WALKER_LEFT)]
+def _add_walkers(s: Any, drawn: np.ndarray, details: np.ndarray, sharing: Any) -> None:
+    """The walkers of a drawn level, in the order in which the original makes them.
+
+    sharing  after these, those of `_drawn`
+    """
+    found = [
+        (int(x), int(y), drawn[y, x] in (WALKER_LEFT, SAW_AND_LEFT), details[y, x])
+        for x, y in np.argwhere(drawn.T >= WALKER_LEFT)
+    ]
+    for x, y, left, look in sharing:
+        if not (0 <= x < WORLD and 0 <= y < WORLD and 0 <= look < LOOKS):
+            raise ValueError(f"looks: walkers [{x}, {y}, {left}, {look}] are in no cell or no look")
+        found.append((x, y, left, look))
     if len(found) > WALKERS:
         raise ValueError(f"a level has at most {WALKERS} walkers; this has {len(found)}")
-    for x, y in found:
-        left = drawn[y, x] in (WALKER_LEFT, SAW_AND_LEFT)
-        add_walker(s, x, y, left, details[y, x])
+    for walker in found:
+        add_walker(s, *walker)
 
 
 def _guess_end(cell: np.ndarray) -> tuple[int, int]:

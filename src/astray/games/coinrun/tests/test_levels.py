@@ -145,3 +145,30 @@ def test_a_level_survives_being_drawn_and_edited():
     assert fewer.walkers == 0
     with pytest.raises(ValueError, match="coin at cell"):
         level.moved("coin", (6, 60)).state()
+
+
+@pytest.mark.parametrize("beneath", ["crate", "coin", "invisible coin", "walker to the left"])
+def test_what_a_walker_walked_over_is_still_in_the_level(beneath):
+    env = GameVectorEnv("coinrun", "coin-end", observation="symbolic")
+    level = Level.of(GAME, env.variant, levels(env.variant, 1)[0]).added(beneath, (10, 30))
+    state = np.array([level.state(solvable=False)], GAME.state)
+    k = state["walkers"][0]
+    state["walkers"], state["walker_x"][0, k], state["walker_y"][0, k] = k + 1, 10.3, 30.5
+    state["walker_vx"][0, k], state["walker_look"][0, k] = 0.1, 7
+    met = Level.of(GAME, env.variant, state[0])
+    assert (10, 30) in met.where(beneath)
+    again = met.state(solvable=False)
+    assert again.walkers == k + 1
+    assert (again.walker_x[k], again.walker_y[k], again.walker_look[k]) == (10.5, 30.5, 7)
+    assert (
+        again.walker_vx[k] > 0
+        and again.detail[30, 10] == level.state(solvable=False).detail[30, 10]
+    )
+    assert (
+        Level.from_json(GAME, env.variant, json.loads(json.dumps(met.to_json())))
+        .state(solvable=False)
+        .tobytes()
+        == again.tobytes()
+    )
+    with pytest.raises(ValueError, match=r"walkers \[70, 30, 0, 7\] are in no cell or no look"):
+        Level(GAME, env.variant, level.cells, level.agent, {"walkers": [[70, 30, 0, 7]]}).state()
