@@ -152,6 +152,8 @@ class Looks:
     draw: Callable  # (s, art, scene, image)
     art: Callable[[Variant, int], tuple[np.ndarray, ...]]  # (variant, pixels a side of an image)
     scene_shape: Callable[[Variant, int], tuple[int, ...]]  # likewise
+    check: Callable[[np.ndarray, Variant], None] = lambda states, variant: None
+    # ValueError where there is no picture of what one of states [N] has
 
 
 @dataclass(frozen=True)
@@ -264,6 +266,10 @@ class Game:
             raise ValueError(f"unknown art {shown(art)} of {self.name}; there are: {there}")
         return self.looks[art]
 
-    def check(self, states: np.ndarray, variant: Variant) -> None:
-        """Raise ValueError if one of states [N] is none of `variant`: compiled code trusts them."""
+    def check(self, states: np.ndarray, variant: Variant, art: str = OWN) -> None:
+        """Raise ValueError if one of states [N] is none of `variant`: compiled code trusts them.
+
+        Likewise where it cannot be drawn with the art of that name.
+        """
         check_states(states, self.name, self.rules, lambda s: self.invariants(s, variant))
+        self.drawn(art).check(states, variant)

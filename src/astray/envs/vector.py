@@ -127,12 +127,10 @@ class GameVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
 
     def _bind(self) -> None:
         """Make what is no data of its own: pictures, compiled code, threads, views into arrays."""
-        # Symbols are not drawn: no pictures are needed, whatever the art.
-        art = OWN if self.symbolic else self.art
-        self._loop = compiled_loop(self.game, art)
+        self._loop = compiled_loop(self.game, self._shown)
         self._scene = (
             self.variant.records(),
-            self.game.drawn(art).art(self.variant, 1 if self.symbolic else IMAGE),
+            self.game.drawn(self._shown).art(self.variant, 1 if self.symbolic else IMAGE),
             self.symbolic, self._scenes, self._list, self._first, self._count, self._begins,
         )  # fmt: skip
         over = self._final_states if self._mode == SAME_STEP else self._states
@@ -155,6 +153,11 @@ class GameVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
     def __copy__(self) -> GameVectorEnv:
         """An environment of its own: one that shared the states would be stepped by both."""
         return copy.deepcopy(self)
+
+    @property
+    def _shown(self) -> str:
+        """The art that is needed: symbols are not drawn, and need no pictures."""
+        return OWN if self.symbolic else self.art
 
     @property
     def states(self) -> np.recarray:
@@ -296,7 +299,7 @@ class GameVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
                     f"states to repeat must be {self.num_envs}, one for each environment; got "
                     f"{np.shape(states)}"
                 )
-            self.game.check(states, self.variant)
+            self.game.check(states, self.variant, self._shown)
             if states["ended"].any():
                 raise ValueError(f"the episode of state {states['ended'].argmax()} has ended")
             self._begins = np.array(states, self.game.state)
@@ -311,7 +314,7 @@ class GameVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
                 f"{given.dtype.names and len(given.dtype.names)} fields of shape {given.shape}"
             )
         given = np.broadcast_to(given, self.num_envs)[which]
-        self.game.check(given, self.variant)
+        self.game.check(given, self.variant, self._shown)
         if self._mode == SAME_STEP and given["ended"].any():
             raise ValueError(f"the episode of state {given['ended'].argmax()} has ended")
         kept = {name: self._states[name][which] for name in keep}
@@ -360,7 +363,7 @@ def picture(
     game = games.find(game)
     variant = game.variant(variant)
     bounded("pixels", pixels, *PICTURES)
-    game.check(states, variant)
+    game.check(states, variant, art)
     looks, loop = game.drawn(art), compiled_loop(game, art)
     size = len(states) * 3 * pixels**2 + math.prod(looks.scene_shape(variant, pixels))
     check_memory(size, f"{len(states):,} pictures of {pixels} x {pixels} pixels")

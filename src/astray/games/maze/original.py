@@ -9,11 +9,11 @@ import numpy as np
 
 from astray.art import original
 from astray.game import Looks, Variant
-from astray.games.maze.variants import COLOURS, FLOORS, OTHERS, WALLS
+from astray.games.maze.variants import COLOURS, OTHERS, WALLS
 from astray.kernel.canvas import copy_flat
 from astray.kernel.cells import OPEN, paint_cells
 from astray.kernel.jit import kernel, shared
-from astray.kernel.maze import is_wall
+from astray.kernel.maze import FLOORS, is_wall
 from astray.kernel.qt import GENERIC, SPRITE, around, blit, camera
 from astray.record import NEVER
 
@@ -101,19 +101,49 @@ def art(rule: int, variant: Variant, pixels: int) -> tuple[np.ndarray, ...]:
 
     Of objects by shape and colour there is the number of the picture, NEVER where there is none.
     """
-    needed = set()
     p: Any
     for p in filter(None, (variant, variant.shifted)):
-        needed |= {(p.goal_shape, p.goal_colour), (p.other_shape, p.other_colour)}
         if p.walls != WALLS[0]:
             raise ValueError(f"the original has walls of {WALLS[0]} alone; these are of {p.walls}")
-    for shape, colour in needed:
+    for shape, colour in _needed(variant):
         if shape != "none" and (shape, colour) not in OBJECT_PICTURES:
             there = ", ".join(f"{c} {s}" for s, c in OBJECT_PICTURES)
             raise ValueError(f"the original has no {colour} {shape}; it has: {there}")
-    # The lines may not be there, as only the fork has them.
-    objects = tuple(o for o in OBJECT_PICTURES if o[0] != "line" or needed & {o})
-    return _art(rule, objects)
+    return _art(rule, _objects(variant))
+
+
+def _needed(variant: Variant) -> set[tuple[str, str]]:
+    """Shape and colour of the objects of a variant."""
+    p: Any
+    found = set()
+    for p in filter(None, (variant, variant.shifted)):
+        found |= {(p.goal_shape, p.goal_colour), (p.other_shape, p.other_colour)}
+    return found
+
+
+def _objects(variant: Variant) -> tuple[tuple[str, str], ...]:
+    """Those of the pictures; the lines may not be there, as only the fork has them."""
+    needed = _needed(variant)
+    return tuple(o for o in OBJECT_PICTURES if o[0] != "line" or needed & {o})
+
+
+def check(states: np.ndarray, variant: Variant) -> None:
+    """ValueError where one of states [N], which may be set by hand, has what has no picture."""
+    there = np.zeros((len(OTHERS), len(COLOURS)), bool)
+    there[0] = True
+    for shape, colour in _objects(variant):
+        there[OTHERS.index(shape), COLOURS.index(colour)] = True
+    if (other := states["walls"] != 0).any():
+        raise ValueError(
+            f"the original has walls of {WALLS[0]} alone; state {other.argmax()} has others"
+        )
+    for what in ("goal", "other"):
+        shapes, colours = states[f"{what}_shape"], states[f"{what}_colour"]
+        bare = (states[f"{what}_x"] != NEVER) & ~there[shapes, colours]
+        if bare.any():
+            k = int(bare.argmax())
+            look = f"{COLOURS[colours[k]]} {OTHERS[shapes[k]]}"
+            raise ValueError(f"there is no picture here of a {look}, which state {k} has")
 
 
 @functools.cache
@@ -127,6 +157,6 @@ def _art(rule: int, objects: tuple[tuple[str, str], ...]) -> tuple[np.ndarray, .
 
 
 LOOKS = {
-    name: Looks("original", paint, draw, functools.partial(art, rule), scene_shape)
+    name: Looks("original", paint, draw, functools.partial(art, rule), scene_shape, check)
     for name, rule in {"original": GENERIC, "original-5.12": SPRITE}.items()
 }

@@ -133,3 +133,28 @@ def _invisible(states):
     copy = states.copy()
     copy["goal_shape"] = 0
     return copy
+
+
+@pytest.mark.parametrize(
+    "changes, message",
+    [
+        (
+            {"goal_shape": SHAPES.index("ring"), "goal_colour": COLOURS.index("red")},
+            "of a red ring",
+        ),
+        ({"goal_shape": SHAPES.index("line")}, "of a yellow line, which state 1 has"),
+        ({"walls": 2}, "walls of sand alone; state 1 has others"),
+    ],
+)
+def test_the_originals_art_refuses_a_state_that_it_has_no_picture_for(changes, message):
+    env, _ = begin(VARIANTS["anywhere"], "symbolic")
+    states = np.repeat(env.get_state(), 2)
+    GAME.check(states, env.variant, "original")
+    for name, value in changes.items():
+        states[name][1] = value
+    env.set_state(states[1])
+    picture(GAME, env.variant, states, 16)
+    with pytest.raises(ValueError, match=message):
+        GAME.check(states, env.variant, "original")
+    with pytest.raises(ValueError, match=message):
+        picture(GAME, env.variant, states, 16, "original")
