@@ -9,7 +9,9 @@ import pytest
 from astray import games, load_agent
 from astray.analysis import kept
 from astray.analysis.episodes import initial_states
+from astray.games.coinrun import edits as coin_edits
 from astray.games.coinrun import measures as coin_measures
+from astray.games.coinrun.rules import COIN
 from astray.games.keys import rules
 from astray.games.maze import measures
 from astray.insight import probes
@@ -164,6 +166,17 @@ def test_labels_of_coinrun_are_what_is_in_view():
     assert not coin_measures.hazard_ahead(calm).any()
     assert 0 < coin_measures.hazard_ahead(states).mean() < 1
     assert set(COINRUN.labels) >= {"coin in view", "end wall in view"}
+
+
+def test_a_coin_out_of_view_is_not_where_the_coin_in_view_is():
+    states = coin_edits.without_coin(initial_states("coinrun", "coin-end", [0]))
+    x, y = states["x"][0], states["y"][0]
+    (corner, beside) = (int(x) + 6, int(y) + 6), (int(x) + 8, int(y))  # a window of 13 cells a side
+    for column, row in (corner, beside):
+        states["cell"][0, row, column] = COIN
+    right, up = (coin_measures.coin_offset(states, axis)[0] for axis in "xy")
+    assert np.hypot(right, up) > beside[0] + 0.5 - x  # it is the farther one of the two
+    assert (right, up) == (corner[0] + 0.5 - x, corner[1] + 0.5 - y)
 
 
 def test_the_nearest_key_is_told():

@@ -34,11 +34,16 @@ def coin_in_view(states: np.ndarray) -> np.ndarray:
 
     But for slivers at the window's edge; `analysis.critic.sees` finds them, too.
     """
+    return np.any(_coins_in_view(states), axis=(1, 2))
+
+
+def _coins_in_view(states: np.ndarray) -> np.ndarray:
+    """[N, WORLD, WORLD] bool, the cells of coins of which something is in the window."""
     reach = VIEW / 2 + 0.5 - QUARTER
     centres = np.arange(WORLD) + 0.5
     near_x = abs(centres - states["x"][:, None]) < reach
     near_y = abs(centres - states["y"][:, None]) < reach
-    return ((states["cell"] == COIN) & near_y[:, :, None] & near_x[:, None, :]).any((1, 2))
+    return (states["cell"] == COIN) & near_y[:, :, None] & near_x[:, None, :]
 
 
 def to_wall(states: np.ndarray) -> np.ndarray:
@@ -60,10 +65,10 @@ def wall_in_view(states: np.ndarray) -> np.ndarray:
 def coin_offset(states: np.ndarray, axis: str) -> np.ndarray:
     """Cells to the nearest coin in view along "x" or "y", float64; NaN where none is in view."""
     found = np.full(len(states), np.nan)
-    for k in np.flatnonzero(coin_in_view(states)):
-        s = states[k]
-        rows, columns = np.nonzero(s["cell"] == COIN)
-        away = np.stack([columns + 0.5 - s["x"], rows + 0.5 - s["y"]])
+    seen = _coins_in_view(states)
+    for k in np.flatnonzero(seen.any((1, 2))):
+        rows, columns = np.nonzero(seen[k])
+        away = np.stack([columns + 0.5 - states["x"][k], rows + 0.5 - states["y"][k]])
         found[k] = away["xy".index(axis), np.hypot(*away).argmin()]
     return found
 
