@@ -7,6 +7,8 @@ import pytest
 
 from astray.analysis.episodes import initial_states
 from astray.games.maze import GAME
+from astray.kernel.maze import WALL
+from astray.level import Level
 from astray.record import NEVER
 
 EDITED = replace(GAME.variant("corner-small"), shift_probability=0.3)
@@ -52,6 +54,18 @@ def test_edits_follow_from_their_seeds_and_leave_the_levels_they_came_from():
     before, after = edited("binomial", count=20)
     again, same = edited("binomial", count=20)
     assert before.tobytes() == again.tobytes() and after.tobytes() == same.tobytes()
+
+
+@pytest.mark.parametrize("corner", [".", "#"])
+def test_a_maze_off_the_middle_of_its_world_is_edited_where_it_is(corner):
+    rows = [f"..{corner}####", "..G####", "@..####", *["#######"] * 4]
+    level = Level.from_text(GAME, GAME.variant("anywhere-small"), "\n".join(rows))
+    states = np.repeat(np.array([level.state()], GAME.state), 200)
+    seeds = np.arange(200)
+    after = GAME.mutation.mutate(states, level.variant, seeds, 12, "binomial")
+    changed = (states["cell"] == WALL) != (after["cell"] == WALL)
+    rows, columns = np.nonzero(changed.any(0))
+    assert rows.min() == 4 and columns.max() == 2  # 3 x 3 cells in the upper left
 
 
 def otherwise(name, value):

@@ -1,10 +1,25 @@
-"""Distances on a grid."""
+"""What games on a grid share: the original's actions, and distances."""
 
 import numpy as np
 
-from astray.kernel.jit import entry
+from astray.kernel.jit import entry, kernel
 
 UNREACHABLE = -1
+# The original's 15 actions; those after "right-up" are keys that mean nothing here.
+ACTIONS = (
+    "left-down", "left", "left-up", "down", "stay", "up", "right-down", "right", "right-up",
+    "d", "a", "w", "s", "q", "e",
+)  # fmt: skip
+MOVES = 9  # actions that may move
+STAY = ACTIONS.index("stay")
+
+
+@kernel
+def push(action):
+    """Where an action pushes, along x and y: -1, 0 or 1 each."""
+    if action < MOVES:
+        return action // 3 - 1, action % 3 - 1
+    return 0, 0
 
 
 @entry

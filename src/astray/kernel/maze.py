@@ -1,12 +1,17 @@
 """Mazes: carved as the original does, by Kruskal's algorithm on a shuffled list; and drawn."""
 
+from typing import Any
+
 import numpy as np
 
 from astray.kernel.canvas import pixel, tile
+from astray.kernel.grid import UNREACHABLE, distances
 from astray.kernel.jit import kernel
 from astray.kernel.rng import below
 
 WALL = 1  # in a state's `cell`
+FLOORS = 9  # backgrounds
+AS_NUMBERED = -1  # the background that the level's number decides
 
 
 @kernel
@@ -104,3 +109,19 @@ def paint_walls(s, plane):
     for y in range(s.world + 2 * edge):
         for x in range(s.world + 2 * edge):
             plane[y, x] = is_wall(s, x - edge, y - edge)
+
+
+def cell_pixels(variant: Any, pixels: int) -> float:
+    """Pixels a side of a cell, on an image of `pixels`."""
+    return pixels / (variant.window or variant.world)
+
+
+def scene_cells(variant: Any) -> int:
+    """Cells a side of the scene: the world, and the margin around it."""
+    return variant.world + 2 * (variant.window // 2 + 1 if variant.window else 0)
+
+
+def reachable(s: Any) -> np.ndarray:
+    """The cells that can be walked to from where the agent is, [world, world] bool."""
+    is_open = s.cell[: s.world, : s.world] != WALL
+    return distances(is_open, int(s.x), int(s.y)) != UNREACHABLE

@@ -26,7 +26,7 @@ from astray.games.coinrun.rules import (
     is_supported,
     stops,
 )
-from astray.kernel.canvas import blit, copy_window
+from astray.kernel.canvas import blit, copy_window, pixel
 from astray.kernel.jit import kernel, shared
 
 ART = Path(__file__).parent / "art"
@@ -53,12 +53,6 @@ WALL_PLANE, HAZARD_PLANE, CRATE_PLANE, COIN_PLANE, STILL_PLANES = 0, 1, 2, 3, 4
 LEFT_PLANE, RIGHT_PLANE, GAUGE_PLANE, PLANES = 4, 5, 6, 7
 AROUND = VIEW // 2  # cells seen on each side of the runner's
 GAUGE = 2 * VIEW  # marks of a gauge, over two rows
-
-
-@kernel
-def pixel(cells, scale):
-    """The pixel nearest to a length in cells; `scale` is in pixels per cell."""
-    return int(np.floor(cells * scale + 0.5))
 
 
 @shared

@@ -5,6 +5,8 @@ Numbers and the order of things are the original's, also that it calculates with
 
 import numpy as np
 
+from astray.kernel.grid import ACTIONS as ACTIONS
+from astray.kernel.grid import push
 from astray.kernel.jit import kernel, shared
 from astray.kernel.rng import below
 from astray.record import NEVER, state_dtype
@@ -17,13 +19,6 @@ REWARD = 10.0
 # What is in a cell; a wall's top only looks different. Nobody sees barriers: they turn walkers.
 EMPTY, WALL, TOP, LAVA, LAVA_TOP, BARRIER, COIN, INVISIBLE, PERMEABLE = range(9)
 NOTHING, CRATE, SAW = 0, 1, 2  # what stands there besides
-
-# The original's 15 actions; those after "right-up" are keys that mean nothing here.
-ACTIONS = (
-    "left-down", "left", "left-up", "down", "stay", "up", "right-down", "right", "right-up",
-    "d", "a", "w", "s", "q", "e",
-)  # fmt: skip
-MOVES = 9  # actions that may move
 
 F = np.float32  # of all that meets a coordinate
 ZERO, ONE, TWO = F(0), F(1), F(2)
@@ -86,9 +81,7 @@ def step(s, action):
 @shared
 def act(s, action, horizontal_first):
     """A step but for its draw and trails: all move, then the runner meets what it overlaps."""
-    ax, ay = 0, 0
-    if action < MOVES:
-        ax, ay = action // 3 - 1, action % 3 - 1
+    ax, ay = push(action)
     supported = is_supported(s)
     if ay == 1 and not supported:
         ay = 0

@@ -13,7 +13,6 @@ from astray.games.coinrun import rules
 from astray.games.coinrun.levels import truths
 from astray.games.coinrun.reach import explore
 from astray.games.coinrun.rules import (
-    ACTIONS,
     COIN,
     EMPTY,
     HALF,
@@ -27,11 +26,11 @@ from astray.games.coinrun.rules import (
     step,
 )
 from astray.games.coinrun.variants import GOALS
+from astray.kernel.grid import ACTIONS, STAY
 from astray.kernel.jit import entry, kernel
 from astray.kernel.rng import below
 from astray.record import NEVER, check_record
 
-STAY = ACTIONS.index("stay")
 TRIED = np.array([ACTIONS.index(a) for a in ("right-up", "right", "left-up", "left", "up", "stay",
                                               "down")])  # fmt: skip
 HELD = 3  # steps for which the search holds an action

@@ -11,7 +11,6 @@ import numpy as np
 from astray.art import own
 from astray.game import OWN, Looks, Variant
 from astray.games.keys.rules import (
-    ACTIONS,
     FIRST_SLOT,
     HALF,
     HIDDEN,
@@ -20,13 +19,12 @@ from astray.games.keys.rules import (
     LOWER_RIGHT,
     SLOT,
     SLOT_DOWN,
-    STAY,
     UPPER_LEFT,
 )
-from astray.games.keys.variants import FLOORS
 from astray.kernel.canvas import blit, copy_flat, copy_window, pixel
+from astray.kernel.grid import ACTIONS, STAY
 from astray.kernel.jit import kernel, shared
-from astray.kernel.maze import margin, paint_maze, paint_walls
+from astray.kernel.maze import FLOORS, cell_pixels, margin, paint_maze, paint_walls, scene_cells
 
 ART = Path(__file__).parent / "art"
 FLOOR = 256  # pixels of a floor's height; larger pictures repeat them
@@ -174,11 +172,11 @@ def planes(variant: Variant) -> np.ndarray:
 
 
 def planes_scene_shape(variant: Variant) -> tuple[int, ...]:
-    return (PLANES, _scene_cells(variant), _scene_cells(variant))
+    return (PLANES, scene_cells(variant), scene_cells(variant))
 
 
 def scene_shape(variant: Variant, pixels: int) -> tuple[int, ...]:
-    side = round(_scene_cells(variant) * _scale(variant, pixels))
+    side = round(scene_cells(variant) * cell_pixels(variant, pixels))
     return (2 * side, side, 3)  # with the objects that are left, and below without
 
 
@@ -187,7 +185,7 @@ def art(variant: Variant, pixels: int) -> tuple[np.ndarray, ...]:
 
     S is a cell's side, rounded up; all but floors and wall are [height, width, 4].
     """
-    scale = _scale(variant, pixels)
+    scale = cell_pixels(variant, pixels)
     p: Any = variant
     return _art(scale, min(max(round(p.world * scale), 1), FLOOR), pixels)
 
@@ -219,16 +217,6 @@ def _turned(right: np.ndarray, right_up: np.ndarray) -> np.ndarray:
         turned[ACTIONS.index(straight[quarter])] = np.rot90(right, quarter)
         turned[ACTIONS.index(oblique[quarter])] = np.rot90(right_up, quarter)
     return turned
-
-
-def _scale(variant: Variant, pixels: int) -> float:
-    p: Any = variant
-    return pixels / (p.window or p.world)  # pixels per cell
-
-
-def _scene_cells(variant: Variant) -> int:
-    p: Any = variant
-    return p.world + 2 * (p.window // 2 + 1 if p.window else 0)
 
 
 LOOKS = {OWN: Looks(OWN, paint, draw, art, scene_shape)}

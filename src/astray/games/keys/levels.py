@@ -7,27 +7,16 @@ from typing import Any
 import numpy as np
 
 from astray.game import Variant
-from astray.games.keys.rules import (
-    CHEST,
-    CORNER,
-    EMPTY,
-    HIDDEN,
-    KEY,
-    LARGEST,
-    MOST,
-    MOVES,
-    STATE,
-    STAY,
-    F,
-)
-from astray.games.keys.variants import AS_NUMBERED, FLOORS
+from astray.games.keys.rules import CHEST, CORNER, EMPTY, HIDDEN, KEY, LARGEST, MOST, STATE, F
+from astray.kernel.grid import MOVES, STAY
 from astray.kernel.jit import kernel, shared
-from astray.kernel.maze import WALL, carve
+from astray.kernel.maze import AS_NUMBERED, FLOORS, WALL, carve
 from astray.kernel.rng import WORDS, below, seed_twister, unit
 from astray.record import NEVER, centre, within
 
 LEGEND = {"#": WALL, ".": EMPTY, "k": KEY, "C": CHEST}
 OBJECTS = {"key": "k", "chest": "C"}
+STOOD_ON = "C"
 BY_SIZE = 0  # Keys.fewest: the size of the maze decides
 JITTER = F(0.25)  # cells: keys are up to half of it off their cells' centres
 

@@ -10,11 +10,10 @@ import numpy as np
 from astray.art import original
 from astray.game import Looks, Variant
 from astray.games.keys.rules import CHEST, HALF, HIDDEN, LOWER_LEFT, LOWER_RIGHT, UPPER_LEFT, F
-from astray.games.keys.variants import FLOORS
 from astray.kernel.canvas import copy_flat
 from astray.kernel.cells import OPEN, paint_cells
 from astray.kernel.jit import kernel, shared
-from astray.kernel.maze import is_wall
+from astray.kernel.maze import FLOORS, is_wall
 from astray.kernel.qt import GENERIC, SPRITE, around, blit, blit_turned, camera
 from astray.record import NEVER
 

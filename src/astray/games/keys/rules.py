@@ -2,6 +2,8 @@
 
 import numpy as np
 
+from astray.kernel.grid import ACTIONS as ACTIONS
+from astray.kernel.grid import push
 from astray.kernel.jit import kernel
 from astray.kernel.maze import WALL
 from astray.kernel.rng import below
@@ -30,14 +32,6 @@ TIES = 1_000_000  # what the integer of a step is below
 SLOT, FIRST_SLOT, SLOT_DOWN = 0.06, 0.0375, 0.0597
 HALF_ICON = (0.0186, 0.03)  # half its width and height
 UPPER_RIGHT, UPPER_LEFT, LOWER_RIGHT, LOWER_LEFT, HIDDEN = range(5)  # `inventory`
-
-# The original's 15 actions; those after "right-up" are keys that mean nothing here.
-ACTIONS = (
-    "left-down", "left", "left-up", "down", "stay", "up", "right-down", "right", "right-up",
-    "d", "a", "w", "s", "q", "e",
-)  # fmt: skip
-MOVES = 9  # actions that may move
-STAY = ACTIONS.index("stay")
 
 STATE = state_dtype(
     ("cell", np.uint8, (LARGEST, LARGEST)),  # EMPTY or WALL at [y, x]; world is [:world, :world]
@@ -90,9 +84,7 @@ def move(s, action, tie):
 
     tie  decides which axis is first, where nothing else does
     """
-    ax, ay = 0, 0
-    if action < MOVES:
-        ax, ay = action // 3 - 1, action % 3 - 1
+    ax, ay = push(action)
     if ax != 0 or ay != 0:
         s.facing = action
     vx, vy = pushed(s.vx, ax), pushed(s.vy, ay)

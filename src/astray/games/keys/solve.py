@@ -21,13 +21,13 @@ from astray.games.keys.rules import (
     KEY_Y,
     REWARD,
     STATE,
-    STAY,
     F,
     move,
     step,
 )
 from astray.games.keys.variants import GOALS
-from astray.kernel.grid import UNREACHABLE, distances
+from astray.kernel import maze
+from astray.kernel.grid import STAY, UNREACHABLE, distances
 from astray.kernel.jit import entry, kernel, one_at_a_time, shared
 from astray.kernel.maze import WALL
 from astray.record import NEVER, check_record
@@ -342,8 +342,7 @@ def _played(s: Any, goal: str, gamma: float, plan: float) -> float:
 def reachable(s: Any) -> np.ndarray:
     """The cells that the thief can walk to, [world, world] bool."""
     check(s)
-    is_open = s.cell[: s.world, : s.world] != WALL
-    return distances(is_open, int(s.x), int(s.y)) != UNREACHABLE
+    return maze.reachable(s)
 
 
 @functools.cache

@@ -5,11 +5,10 @@ from typing import Literal, get_args
 
 from astray.game import Shift, Variant
 from astray.games.keys.rules import LARGEST, MOST
+from astray.kernel.maze import AS_NUMBERED, FLOORS
 
 Inventory = Literal["upper-right", "upper-left", "lower-right", "lower-left", "hidden"]
 INVENTORIES = get_args(Inventory)
-FLOORS = 9  # backgrounds
-AS_NUMBERED = -1  # the background that the level's number decides
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -10,10 +10,10 @@ import numpy as np
 
 from astray.art import own
 from astray.game import OWN, Looks, Variant
-from astray.games.maze.variants import COLOURS, FLOORS, OTHERS, SHAPES, WALLS
+from astray.games.maze.variants import COLOURS, OTHERS, SHAPES, WALLS
 from astray.kernel.canvas import blit, copy_flat, copy_window, pixel
 from astray.kernel.jit import kernel
-from astray.kernel.maze import margin, paint_maze, paint_walls
+from astray.kernel.maze import FLOORS, cell_pixels, margin, paint_maze, paint_walls, scene_cells
 from astray.record import NEVER
 
 ART = Path(__file__).parent / "art"
@@ -125,7 +125,7 @@ def planes(variant: Variant) -> np.ndarray:
 
 
 def planes_scene_shape(variant: Variant) -> tuple[int, ...]:
-    return (_planes(variant), _scene_cells(variant), _scene_cells(variant))
+    return (_planes(variant), scene_cells(variant), scene_cells(variant))
 
 
 def _planes(variant: Variant) -> int:
@@ -134,7 +134,7 @@ def _planes(variant: Variant) -> int:
 
 
 def scene_shape(variant: Variant, pixels: int) -> tuple[int, ...]:
-    side = round(_scene_cells(variant) * _scale(variant, pixels))
+    side = round(scene_cells(variant) * cell_pixels(variant, pixels))
     return (side, side, 3)
 
 
@@ -143,7 +143,7 @@ def art(variant: Variant, pixels: int) -> tuple[np.ndarray, ...]:
 
     S is a cell's side, rounded up; objects are by shape and colour; the mouse faces left, right.
     """
-    scale = _scale(variant, pixels)
+    scale = cell_pixels(variant, pixels)
     p: Any = variant
     return _art(int(np.ceil(scale)), min(max(round(p.world * scale), 1), FLOOR))
 
@@ -164,16 +164,6 @@ def _art(side: int, height: int) -> tuple[np.ndarray, ...]:
     pair = [mouse, mouse[:, ::-1]]
     # All contiguous, or compiled code would be compiled anew for another layout.
     return tuple(map(np.ascontiguousarray, (floors, walls, objects, pair)))
-
-
-def _scale(variant: Variant, pixels: int) -> float:
-    p: Any = variant
-    return pixels / (p.window or p.world)  # pixels per cell
-
-
-def _scene_cells(variant: Variant) -> int:
-    p: Any = variant
-    return p.world + 2 * (p.window // 2 + 1 if p.window else 0)
 
 
 LOOKS = {OWN: Looks(OWN, paint, draw, art, scene_shape)}

@@ -8,9 +8,9 @@ import numpy as np
 
 from astray.game import Variant
 from astray.games.maze.rules import BOTH, EMPTY, GOAL, LARGEST, OTHER, STATE, note_arrivals
-from astray.games.maze.variants import AS_NUMBERED, COLOURS, FLOORS, OTHERS, SHAPES, WALLS
+from astray.games.maze.variants import COLOURS, OTHERS, SHAPES, WALLS
 from astray.kernel.jit import kernel, shared
-from astray.kernel.maze import WALL, carve
+from astray.kernel.maze import AS_NUMBERED, FLOORS, WALL, carve
 from astray.kernel.rng import below, share, unit
 from astray.record import NEVER, centre, within
 
@@ -20,6 +20,7 @@ DRAWS_PER_CELL = 100  # of the maze's side, before the original gives up on a re
 START = 0x57A27  # salt of the hash that decides where a mouse starts that starts anywhere
 LEGEND = {"#": WALL, ".": EMPTY, "G": GOAL, "o": OTHER, "O": BOTH}
 OBJECTS = {"goal": "G", "other": "o", "goal on other": "O"}
+STOOD_ON = "o"
 
 
 @shared

@@ -64,24 +64,27 @@ def edit_level(s, params, seed, edits, kind):
     """Make `edits` edits of the level that `s` begins in."""
     seed_twister(s, seed)
     s.level = NEVER
+    left, low = lower_left(s)
     for k in range(edits):
         drawn = below(s, WEIGHTS) if kind == BINOMIAL else edits - 1 - k
         if drawn == 0:
             if kind != IDENTITY:
                 edit_goal(s, params)
         elif drawn == 1:
-            edit_mouse(s, params[0])
+            edit_mouse(s, params[0], left, low)
         else:
-            edit_wall(s)
+            edit_wall(s, left, low)
     s.reached_goal, s.reached_corner, s.reached_other = NEVER, NEVER, NEVER
     note_arrivals(s)
 
 
 @kernel
-def edit_wall(s):
-    """Open a cell of the maze, or close it if nothing is in it and all is still in reach."""
-    low = (s.world - s.maze_size) // 2
-    x, y = low + below(s, s.maze_size), low + below(s, s.maze_size)
+def edit_wall(s, left, low):
+    """Open a cell of the maze, or close it if nothing is in it and all is still in reach.
+
+    left, low  the maze's lower left cell
+    """
+    x, y = left + below(s, s.maze_size), low + below(s, s.maze_size)
     if s.cell[y, x] == WALL:
         s.cell[y, x] = EMPTY
     elif s.cell[y, x] == EMPTY and not is_taken(s, x, y):
@@ -91,12 +94,24 @@ def edit_wall(s):
 
 
 @kernel
-def edit_mouse(s, p):
+def lower_left(s):
+    """The lower left cell of the maze, which may be anywhere in the world where it was drawn."""
+    x, y = s.corner_x, s.corner_y
+    if x == NEVER:  # there is wall
+        for row in range(s.world):
+            for column in range(s.world):
+                if s.cell[row, column] != WALL:
+                    x, y = max(x, column), row
+    return max(x - s.maze_size + 1, 0), max(y - s.maze_size + 1, 0)
+
+
+@kernel
+def edit_mouse(s, p, left, low):
     """Move the mouse, where it may start anywhere, or the other object, or change a wall."""
     moves_mouse, moves_other = p.start != 0, s.other_x != NEVER
     pick = below(s, 1 + moves_mouse + moves_other)
     if pick == 0:
-        edit_wall(s)
+        edit_wall(s, left, low)
         return
     x, y = free_cell(s)
     if x == NEVER:

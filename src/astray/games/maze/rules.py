@@ -2,6 +2,8 @@
 
 import numpy as np
 
+from astray.kernel.grid import ACTIONS as ACTIONS
+from astray.kernel.grid import push
 from astray.kernel.jit import kernel
 from astray.kernel.maze import is_wall
 from astray.record import NEVER, state_dtype
@@ -9,13 +11,6 @@ from astray.record import NEVER, state_dtype
 LARGEST = 31  # cells a side of the largest world
 EMPTY, GOAL, OTHER, BOTH = 0, 2, 3, 4  # what is in a cell, if not WALL; BOTH: goal on other
 REWARD = 10.0
-
-# The original's 15 actions; those after "right-up" are keys that mean nothing here.
-ACTIONS = (
-    "left-down", "left", "left-up", "down", "stay", "up", "right-down", "right", "right-up",
-    "d", "a", "w", "s", "q", "e",
-)  # fmt: skip
-MOVES = 9  # actions that may move
 
 STATE = state_dtype(
     ("cell", np.uint8, (LARGEST, LARGEST)),  # at [y, x]; the world is [:world, :world]
@@ -40,9 +35,7 @@ EVENTS = ("reached_goal", "reached_corner", "reached_other")
 @kernel
 def step(s, action):
     """Move the mouse; return the reward and whether the goal was reached."""
-    dx, dy = 0, 0
-    if action < MOVES:
-        dx, dy = action // 3 - 1, action % 3 - 1
+    dx, dy = push(action)
     if dx != 0:
         dy = 0  # the original steps in x first, and then no more
         s.faces_right = dx > 0

@@ -11,13 +11,12 @@ import numpy as np
 from astray.bounds import finite, one_of
 from astray.games.maze import rules
 from astray.games.maze.levels import truths
-from astray.games.maze.rules import ACTIONS, REWARD
+from astray.games.maze.rules import REWARD
 from astray.games.maze.variants import GOALS
-from astray.kernel.grid import UNREACHABLE, distances
+from astray.kernel import maze
+from astray.kernel.grid import ACTIONS, STAY, UNREACHABLE, distances
 from astray.kernel.maze import WALL
 from astray.record import NEVER, check_record
-
-STAY = ACTIONS.index("stay")
 
 check = functools.partial(check_record, rules=rules, truths=truths)
 
@@ -53,13 +52,16 @@ def routes(s: Any, goal: str) -> np.ndarray:
 
 
 def expert(s: Any, goal: str) -> Callable[[Any], int]:
-    """What leads to `goal` the shortest way, from wherever the mouse is in the maze of `s`."""
+    """What leads to `goal` the shortest way, from wherever the mouse is in the maze of `s`.
+
+    Once it was there, it stays, wherever somebody else leads it.
+    """
     check(s)
-    best = routes(s, goal)
+    best, event = routes(s, goal), GOALS[goal]
 
     def action(now: Any) -> int:
         check(now)
-        return int(best[int(now.y), int(now.x)])
+        return STAY if now[event] != NEVER else int(best[int(now.y), int(now.x)])
 
     return action
 
@@ -67,8 +69,7 @@ def expert(s: Any, goal: str) -> Callable[[Any], int]:
 def reachable(s: Any) -> np.ndarray:
     """The cells that the mouse can walk to, [world, world] bool."""
     check(s)
-    is_open = s.cell[: s.world, : s.world] != WALL
-    return distances(is_open, int(s.x), int(s.y)) != UNREACHABLE
+    return maze.reachable(s)
 
 
 def optimal_return(s: Any, goal: str, gamma: float = 1.0) -> float:

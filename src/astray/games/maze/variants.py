@@ -5,6 +5,7 @@ from typing import Literal, get_args
 
 from astray.game import Shift, Variant
 from astray.games.maze.rules import LARGEST
+from astray.kernel.maze import AS_NUMBERED, FLOORS
 
 Shape = Literal["none", "cheese", "line", "gem", "star", "ring", "cross"]
 Other = Literal["none", "cheese", "line", "gem", "star", "ring", "cross", "dish"]
@@ -13,9 +14,7 @@ Walls = Literal["sand", "stone", "hedge"]
 Placement = Literal["corner", "region", "anywhere", "other"]
 SHAPES, COLOURS, WALLS = get_args(Shape), get_args(Colour), get_args(Walls)
 OTHERS = get_args(Other)
-FLOORS = 9  # backgrounds
 MOST_PLANES = 64  # that show a dish
-AS_NUMBERED = -1  # the background that the level's number decides
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -10,8 +10,8 @@ from astray.envs.vector import GameVectorEnv, picture
 from astray.games.keys import GAME
 from astray.games.keys.draw import ART, STRIPS
 from astray.games.keys.rules import CHEST, KEY
-from astray.games.keys.variants import FLOORS, INVENTORIES, VARIANTS
-from astray.kernel.maze import WALL
+from astray.games.keys.variants import INVENTORIES, VARIANTS
+from astray.kernel.maze import FLOORS, WALL
 
 MANY_KEYS = VARIANTS["many-keys"]
 

@@ -116,6 +116,21 @@ def test_two_objects_are_on_two_free_cells():
     assert apart.all() and not at_start.any()
 
 
+def test_a_guide_stays_once_it_was_there_wherever_it_is_led():
+    env = GameVectorEnv("maze", "anywhere", observation="symbolic", autoreset_mode="Disabled")
+    env.reset(seed=0, options={"level": 1})
+    level = Level.of(GAME, env.variant, env.states[0]).removed("goal")
+    env.reset(options={"level": level})
+    guide = GAME.solver.expert(env.states[0], "corner")
+    while env.states[0].reached_corner == NEVER:
+        env.step(np.array([guide(env.states[0])]))
+    for name in ("left", "down"):  # one of which leads away
+        env.step(np.array([GAME.actions.index(name)]))
+    s = env.states[0]
+    assert (int(s.x), int(s.y)) != (s.corner_x, s.corner_y)
+    assert GAME.actions[guide(s)] == "stay"
+
+
 @pytest.mark.parametrize("goal", ["cheese", "corner"])
 def test_a_guide_takes_the_solvers_steps(goal):
     env = GameVectorEnv("maze", "anywhere", observation="symbolic", autoreset_mode="Disabled")
