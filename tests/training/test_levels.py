@@ -8,10 +8,13 @@ import numpy as np
 import pytest
 
 from astray.envs.loops import SHIFT
+from astray.envs.vector import GameVectorEnv
 from astray.games.maze import GAME
 from astray.kernel.rng import share as share_of
 from astray.training import checkpoint, loop
 from astray.training.levels import (
+    FIRST,
+    Growing,
     Mixed,
     Plan,
     Played,
@@ -27,6 +30,7 @@ from helpers.trainings import PLAIN, TINY, digest, train_to_first_checkpoint
 SHIFTED = {**TINY.knobs, "shift_probability": 0.2}
 MIXED = replace(TINY, sampler="mixed", knobs=SHIFTED)
 PLR = replace(TINY, sampler="plr", knobs=SHIFTED, buffer=64, score="regret")
+GROWING = replace(TINY, sampler="growing", levels=200, knobs={"world": 7, "largest": 7})
 ACCEL = replace(PLR, sampler="accel", score="max-monte-carlo")
 
 
@@ -205,7 +209,9 @@ def test_levels_that_are_only_scored_leave_no_trace_in_learning():
     trainer.close()
 
 
-@pytest.mark.parametrize("config", [MIXED, PLR, ACCEL], ids=["mixed", "plr", "accel"])
+@pytest.mark.parametrize(
+    "config", [MIXED, GROWING, PLR, ACCEL], ids=["mixed", "growing", "plr", "accel"]
+)
 def test_a_resumed_run_is_the_one_that_was_not_stopped(config, tmp_path, monkeypatch):
     train(config, tmp_path / "whole", progress=False)
     train_to_first_checkpoint(config, tmp_path / "parts", monkeypatch)
@@ -215,9 +221,47 @@ def test_a_resumed_run_is_the_one_that_was_not_stopped(config, tmp_path, monkeyp
     counted = checkpoint.metrics(tmp_path / "parts")[-1]
     if config is MIXED:
         assert 0 < counted["levels/shifted_share"] < 0.5
+    elif config is GROWING:
+        assert counted["levels/part"] == 1
     else:
         assert counted["levels/replayed"] == 4 * 16 and counted["levels/generated"] > 0
         assert (counted["levels/mutated"] > 0) == (config is ACCEL)
+
+
+def begun(sampler, steps, count=4000):
+    """The levels that a sampler begins after so many steps."""
+    sampler.plan(steps)
+    return sampler.next(np.arange(count))
+
+
+def side(level):
+    """Cells a side of the maze of a training level."""
+    env = GameVectorEnv("maze", GROWING.training_variant(), 1)
+    env.reset(options={"level": np.array([level])})
+    return int(env.get_state()["maze_size"][0])
+
+
+def test_levels_grow_from_the_smallest_to_those_of_the_variant_itself():
+    sampler, steps = Growing(GROWING), GROWING.steps
+    smallest = set(begun(sampler, 0))
+    assert len(smallest) == round(FIRST * GROWING.levels)
+    sides = {level: side(level) for level in GROWING.training_levels}
+    assert {sides[level] for level in smallest} == {3}
+    middle = set(begun(sampler, steps // 4))
+    assert smallest < middle < set(GROWING.training_levels)
+    assert max(sides[n] for n in middle) <= min(sides[n] for n in sides.keys() - middle)
+    # Then each is as likely as the others.
+    for now in (steps // 2, steps - 1):
+        numbers = begun(sampler, now, 40_000)
+        counts = np.bincount(numbers, minlength=GROWING.levels)
+        assert len(counts) == GROWING.levels
+        assert counts.min() > 120 and counts.max() < 290  # of 200 on average, +-5 deviations
+
+
+def test_how_long_levels_grow_can_be_said():
+    sampler = Growing(replace(GROWING, share=0.25))
+    assert len(set(begun(sampler, GROWING.steps // 8))) == round(0.55 * GROWING.levels)
+    assert len(set(begun(sampler, GROWING.steps // 4))) == GROWING.levels
 
 
 class Numbered:
@@ -288,7 +332,7 @@ def test_what_a_sampler_must_not_do_is_told(method, message, tmp_path, monkeypat
 @pytest.mark.parametrize(
     "change, message",
     [
-        ({"sampler": "best"}, "sampler must be one of uniform, mixed, plr, accel, or module:Class"),
+        ({"sampler": "best"}, "one of uniform, mixed, growing, plr, accel, or module:Class"),
         ({"sampler": "mixed"}, "shift_probability must be between 0 and 1; got 0.0"),
         ({"sampler": "plr", "buffer": 8}, "a level for each of 16 environments; got 8"),
         ({"sampler": "plr", "replay": 0.0}, "replay must be from 0.01 to 1; got 0.0"),

@@ -35,14 +35,18 @@ class Pixels(ActorCritic):
     features: nn.Module
 
     def hidden(self, observations: Tensor) -> Tensor:
-        kind, device = self.policy.weight.dtype, observations.device.type
-        if torch.is_autocast_enabled(device):  # what the first convolution would round to anyway
-            kind = torch.get_autocast_dtype(device)
-        planes = observations.permute(0, 3, 1, 2)
+        kind, planes = self.kind(observations), observations.permute(0, 3, 1, 2)
         # In place where they are a copy: another one of a minibatch leaves the processor's caches.
         whole = planes.dtype == torch.uint8
         planes = planes.to(kind).div_(255) if whole else planes.to(kind) / 255
         return self.features(self.see(planes))
+
+    def kind(self, observations: Tensor) -> torch.dtype:
+        """What planes are of: what the first convolution would round to anyway."""
+        device = observations.device.type
+        if torch.is_autocast_enabled(device):
+            return torch.get_autocast_dtype(device)
+        return self.policy.weight.dtype
 
     def see(self, planes: Tensor) -> Tensor:
         """[B, C, H, W] in 0 to 1 -> [B, D, h, w]"""

@@ -9,7 +9,7 @@ from astray import imports
 # astray's own; what each builds is in `policy.BUILDERS`.
 NETWORKS = (
     "impala", "impala-same", "mlp", "clear", "nature", "overlap", "patch", "patch-pooled",
-    "patch-impala",
+    "patch-impala", "cells",
 )  # fmt: skip
 RENAMED = {"small": "mlp"}  # as older files have them, and what they are called now
 

@@ -16,6 +16,7 @@ from torch import Tensor, nn
 from torch.utils.flop_counter import FlopCounterMode
 
 from astray import imports
+from astray.agents.cells import Cells
 from astray.agents.clear import Clear
 from astray.agents.impala import WIDTHS, Impala
 from astray.agents.mlp import MLP
@@ -81,6 +82,7 @@ BUILDERS: dict[str, Callable[[Architecture], nn.Module]] = {
     "patch": lambda given: patch(given.shape, given.actions, given.scale),
     "patch-pooled": lambda given: patch(given.shape, given.actions, given.scale, pooled=True),
     "patch-impala": lambda given: patch_impala(given.shape, given.actions, given.scale),
+    "cells": lambda given: Cells(given.shape, given.actions, given.scale),
 }
 
 

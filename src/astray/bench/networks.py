@@ -20,7 +20,7 @@ from astray.training.fast.acceleration import torch_settings
 from astray.training.trainer import Trainer
 
 PAPER = "impala"
-NETWORKS = (PAPER, "nature", "patch-impala", "overlap", "patch")
+NETWORKS = (PAPER, "nature", "patch-impala", "overlap", "patch", "cells")
 CONFIG = replace(
     PRESETS["pixels"], variant="corner-small", num_steps=8, minibatches=2, anneal=False
 )

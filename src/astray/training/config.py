@@ -46,9 +46,11 @@ RANGES = (
 )
 
 
-SAMPLERS = ("uniform", "mixed", "plr", "accel")  # of levels, astray's own
+SAMPLERS = ("uniform", "mixed", "growing", "plr", "accel")  # of levels, astray's own
 SCORING = ("plr", "accel")  # those that learn from how an agent did
-SAMPLED = {"share": ("mixed",), "shifted_levels": ("mixed",), "replay": SCORING}  # whose they are
+SAMPLED = {  # whose they are
+    "share": ("mixed", "growing"), "shifted_levels": ("mixed",), "replay": SCORING,
+}  # fmt: skip
 Tracking = Literal["wandb", "trackio"]  # who else is told of a training
 Schedule = Literal["throughout", "early", "late", "annealed"]
 Score = Literal["regret", "max-monte-carlo", "positive-value-loss"]
@@ -75,9 +77,9 @@ class Config:
     levels: int = 100_000  # training levels, from first_level on; validation draws from the rest
     seed: int = 0
 
-    sampler: str = "uniform"  # of levels: or mixed, plr, accel; or your own, module:Class
+    sampler: str = "uniform"  # of levels: or mixed, growing, plr, accel; or your own, module:Class
     # Mixed: the chance of an episode to be in a shifted level, as the mean over environment steps;
-    # None: shift_probability.
+    # None: shift_probability. Growing: the part of the steps after which all levels are played.
     share: float | None = None
     schedule: Schedule = "throughout"  # mixed: when the shifted levels are played
     # Mixed: how many shifted levels are begun in all, `early` and `late` within a `share` of the

@@ -14,11 +14,16 @@ import numpy as np
 
 from astray.bounds import of_kind
 from astray.envs.loops import SHIFT
+from astray.envs.vector import GameVectorEnv
 from astray.kernel.rng import fill_shares
 from astray.memory import check_memory
+from astray.record import trusted
 from astray.training.config import Config, Schedule
 
 SALT = 0x1E7E15  # of a sampler's draws, beside those of actions and minibatches
+FIRST = 0.1  # the part of the levels that is played first, where levels grow
+GROWS = 0.5  # the part of a training in which they do, if nothing else is said
+MEASURED = 1000  # levels at once
 Arrays = Mapping[str, np.ndarray]
 
 
@@ -224,3 +229,54 @@ class Mixed:
         self.turn, self.begun = int(arrays["turn"][0]), arrays["begun"].copy()
         if self.turn < 0 or not 0 <= self.begun[1] <= self.begun[0]:
             raise ValueError(f"its sampler began {self.begun} levels in {self.turn} turns")
+
+
+class Growing:
+    """The smallest levels first, then larger ones too, and at last all of them, all alike.
+
+    A level is as large as the number of cells that its agent can get to. Which part of the training
+    levels is played grows evenly from `FIRST` to all, over `share` of the steps. From then on each
+    is as likely as any other, as without a sampler.
+    """
+
+    def __init__(self, config: Config):
+        self.config, game = config, config.find_game()
+        self.share = GROWS if config.share is None else config.share
+        reachable, numbers = game.solver.reachable, np.array(config.training_levels)
+        check_memory(17 * len(numbers), f"{len(numbers):,} training levels")
+        shown, n = "symbolic" if game.symbols else "image", min(len(numbers), MEASURED)
+        nursery = GameVectorEnv(game, config.training_variant(), n, observation=shown)
+        sizes = np.empty(len(numbers), np.int64)
+        for first in range(0, len(numbers), n):
+            first = min(first, len(numbers) - n)  # as many as environments
+            nursery.reset(options={"level": numbers[first : first + n]})
+            states = trusted(nursery.get_state())
+            sizes[first : first + n] = [reachable(s).sum() for s in states]
+        nursery.close()
+        self.by_size = numbers[np.argsort(sizes, kind="stable")]
+        self.turn, self.count = 0, len(numbers)
+
+    def plan(self, steps: int) -> Plan:
+        progress = steps / self.config.steps
+        part = FIRST + (1 - FIRST) * progress / self.share if progress < self.share else 1.0
+        self.count = max(round(part * len(self.by_size)), 1)
+        return Plan(restart=not self.turn)
+
+    def next(self, places: np.ndarray) -> np.ndarray:
+        random = stream(self.config, self.turn)
+        self.turn += 1
+        return self.by_size[random.integers(self.count, size=len(places))]
+
+    def note(self, played: Played) -> None:
+        """What came of a level does not matter here."""
+
+    def summary(self) -> dict[str, float]:
+        return {"part": self.count / len(self.by_size)}
+
+    def arrays(self) -> dict[str, np.ndarray]:
+        return {"turn": np.array([self.turn])}
+
+    def restore(self, arrays: Arrays) -> None:
+        self.turn = int(arrays["turn"][0])
+        if self.turn < 0:
+            raise ValueError(f"its sampler was asked {self.turn} times")

@@ -20,7 +20,7 @@ from astray.training.fast import acceleration
 from astray.training.fast.acceleration import Loss
 from astray.training.fast.actor import Actor
 from astray.training.fast.graphs import Captured
-from astray.training.levels import MakeSampler, Mixed, Sampler
+from astray.training.levels import Growing, MakeSampler, Mixed, Sampler
 from astray.training.player import RECENT, Player
 from astray.training.replay import Replay
 from astray.training.teacher import Teacher
@@ -221,7 +221,7 @@ def _sampler(config: Config, make: MakeSampler | None) -> Sampler | None:
         return (make or imports.find(config.sampler))(config)
     if config.sampler == "uniform":
         return None
-    return Mixed(config) if config.sampler == "mixed" else Replay(config)
+    return {"mixed": Mixed, "growing": Growing}.get(config.sampler, Replay)(config)
 
 
 @torch.no_grad()

@@ -25,6 +25,7 @@ from torch import Tensor, nn
 from torch.nn.functional import cosine_similarity
 
 from astray.agents.actor_critic import ActorCritic
+from astray.agents.cells import Cells
 from astray.agents.clear import Clear
 from astray.agents.impala import Impala
 from astray.agents.mlp import MLP
@@ -36,9 +37,10 @@ from astray.training.fast import fused, microbatches, sparse
 from astray.training.ppo import Samples
 
 Loss = Callable[[Any, Samples, Config], dict[str, Tensor]]
-OURS = (Clear, Convolutions, Impala, MLP)
+OURS = (Cells, Clear, Convolutions, Impala, MLP)
 # Images whose activations each stay below the 32 MB that a process keeps when they are freed.
-MICROBATCH = {"impala": 128, "clear": 128}
+MICROBATCH = {"impala": 128, "clear": 128, "cells": 128}
+LAYOUT = ("impala", "cells")  # whose weights may be channels-last
 LARGER = 1024  # of networks with fewer places
 NEAR = 1e-3  # that the kernels' loss and gradient may differ by, relative, in float32
 
@@ -109,11 +111,13 @@ def resolve(config: Config, ours: bool = True) -> Acceleration:
     )  # enough for bfloat16 to be worth it on a CPU
     # GPUs from before 2020 only imitate it.
     old = cuda and torch.cuda.is_available() and not torch.cuda.is_bf16_supported(False)
-    layout, compiler = config.network == "impala", compiles(config.device) and not fused_cpu
+    layout, compiler = config.network in LAYOUT, compiles(config.device) and not fused_cpu
     return Acceleration(
         fused_cpu,
         bfloat16=_settled("bfloat16", config, ours, suits=(cuda and not old) or (native and large)),
-        channels_last=_settled("channels_last", config, ours and layout, suits=cuda),
+        channels_last=_settled(
+            "channels_last", config, ours and layout, suits=cuda or config.network == "cells"
+        ),
         compile=_settled("compile", config, ours and compiler, suits=cuda),
         cudagraphs=_settled("cudagraphs", config, of_ppo and cuda),
         microbatch=microbatch(config, ours and cpu and config.network != "mlp"),

@@ -1,0 +1,124 @@
+"""A network for mazes drawn small, whose cells are two or three pixels: it thinks in ticks.
+
+The picture is taken apart into 25 x 25 windows of 3 x 3 pixels, one for each cell of the paper's
+mazes, and those into 13 x 13 places of 2 x 2 cells. That cells are there is all that is built in:
+what is a wall, where the mouse is and what to look for, it learns. The same residual unit is
+applied tick after tick, and shown the picture at each, so that what one place has found reaches the
+next (Schwarzschild et al. 2021, Bansal et al. 2022). What policy and value see of it is what all
+places hold, and what those hold that stand out by their colours.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import torch
+from torch import Tensor, nn
+
+from astray.agents.actor_critic import Pixels
+
+SIDE, WINDOW = 25, 3  # cells a side, and pixels a side of what is seen of each
+BLOCK = 2  # cells a side of a place
+TICKS = 8  # the reach of what a place learns from others: two places a tick
+SPOTS = 4  # that are attended to at once
+HUES = 8  # by which places stand out
+KEPT = 8  # channels of every place that the dense layer sees
+FEATURES = 128
+STEADY = 0.3  # of the unit's last convolution, at first: so that ticks change little
+
+
+def first_pixels(pixels: int) -> list[int]:
+    """Where the windows begin along a side of a picture; each in the middle of its cell."""
+    middles = ((k + 0.5) * pixels / SIDE for k in range(SIDE))
+    return [min(max(int(middle - WINDOW / 2 + 0.5), 0), pixels - WINDOW) for middle in middles]
+
+
+class Unit(nn.Module):
+    """What every tick does: x + conv2(relu(conv1(relu(x)) + what is seen))."""
+
+    def __init__(self, channels: int):
+        super().__init__()
+        self.conv1 = nn.Conv2d(channels, channels, 3, padding=1)
+        self.conv2 = nn.Conv2d(channels, channels, 3, padding=1)
+
+    def forward(self, x: Tensor, seen: Tensor) -> Tensor:
+        return x + self.conv2(torch.relu(self.conv1(torch.relu(x)) + seen))
+
+
+class Attention(nn.Module):
+    """How much of each of `SPOTS` looks is at each place, by the colours of cells alone.
+
+    Colours are compared with the picture's others, so that what is rare in it stands out at once.
+    """
+
+    def __init__(self, channels: int):
+        super().__init__()
+        self.hues = nn.Conv2d(channels, HUES, 1)
+        self.score = nn.Linear(HUES, SPOTS)
+
+    def forward(self, cells: Tensor) -> Tensor:
+        """[B, C, SIDE, SIDE] -> [B, SPOTS, places], which sum up to 1 for each."""
+        hues = self.hues(cells).permute(0, 2, 3, 1).flatten(1, 2).float()  # [B, cells, HUES]
+        mean = hues.mean(1, keepdim=True)
+        hues = hues - mean
+        # var_mean takes ten times as long on this layout.
+        spread = (hues * hues).mean(1, keepdim=True)
+        odd = torch.relu(hues * torch.rsqrt(spread + 1e-5) - 1)
+        weights = self.score(odd).float().transpose(1, 2).softmax(-1).unflatten(2, (SIDE, SIDE))
+        pooled = nn.functional.avg_pool2d(weights, BLOCK, padding=SIDE % BLOCK)
+        return BLOCK**2 * pooled.flatten(2)
+
+
+class Cells(Pixels):
+    """Images [B, H, W, C] uint8 -> logits [B, actions], values [B].
+
+    scale  multiplies the channels of places
+    """
+
+    def __init__(self, shape: tuple[int, int, int], actions: int, scale: int = 1):
+        super().__init__()
+        height, width, colours = shape
+        if min(height, width) < WINDOW:
+            raise ValueError(f"pictures must be at least {WINDOW} pixels a side; got {shape}")
+        channels, inputs = 16 * scale, WINDOW**2 * colours
+        self.stem = nn.Conv2d(inputs, channels, 2 * BLOCK, BLOCK, padding=BLOCK)
+        self.seen = nn.Conv2d(channels, channels, 3, padding=1)
+        self.unit = Unit(channels)
+        self.ticks = nn.ModuleList(nn.Identity() for _ in range(TICKS))  # what each has found
+        self.attention = Attention(inputs)
+        self.kept = nn.Conv2d(channels, KEPT, 1)
+        places = SIDE // BLOCK + 1  # a side
+        self.place = nn.Parameter(torch.zeros(1, channels, places, places))  # where each is
+        self.linear = nn.Linear(2 * SPOTS * channels + KEPT * places**2, FEATURES)
+        self.relu = nn.ReLU()
+        self.rows: Tensor
+        self.columns: Tensor
+        for name, side in (("rows", height), ("columns", width)):
+            self.register_buffer(name, _windows(first_pixels(side)), persistent=False)
+        self.add_heads(FEATURES, actions)
+        nn.init.normal_(self.attention.score.weight)
+        with torch.no_grad():
+            self.unit.conv2.weight.mul_(STEADY)
+
+    def cells(self, observations: Tensor) -> Tensor:
+        """The windows of a picture: [B, H, W, C] -> [B, SIDE, SIDE, their pixels]."""
+        wide = observations.index_select(1, self.rows).index_select(2, self.columns)
+        whole = wide.unflatten(2, (SIDE, -1)).unflatten(1, (SIDE, WINDOW))
+        return whole.transpose(2, 3).flatten(3)
+
+    def hidden(self, observations: Tensor) -> Tensor:
+        cells = self.cells(observations).to(self.kind(observations)).permute(0, 3, 1, 2) / 255
+        stem = torch.relu(self.stem(cells) + self.place)
+        seen = self.seen(stem)
+        state = seen
+        for tick in self.ticks:
+            state = tick(self.unit(state, seen))
+        attention = self.attention(cells)
+        held = torch.cat([state, stem], 1).flatten(2)
+        spots = torch.bmm(attention.to(held.dtype), held.transpose(1, 2)).flatten(1)
+        kept = torch.relu(self.kept(state)).flatten(1)
+        return self.relu(self.linear(torch.cat([spots, kept], 1)))
+
+
+def _windows(first: Sequence[int]) -> Tensor:
+    return torch.tensor([k + offset for k in first for offset in range(WINDOW)])
