@@ -9,7 +9,9 @@ from astray.agents.patch import Convolutions
 from astray.agents.policy import BUILDERS, Architecture
 
 SHAPE = (64, 64, 3)
-NAMES = [name for name in BUILDERS if name not in ("mlp", "impala", "clear")]
+NAMES = [
+    name for name in BUILDERS if name not in ("mlp", "impala", "impala-same", "clear", "cells")
+]
 
 
 def built(name, shape=SHAPE):

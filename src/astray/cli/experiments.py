@@ -77,7 +77,7 @@ def _agent(name: str) -> dict[str, Any]:
 
 
 def reproduce(
-    name: Positional[str],
+    names: Positional[tuple[str, ...]],
     size: Size = "smoke",
     folder: Path = Path("reports"),
     workers: int | None = None,
@@ -88,11 +88,11 @@ def reproduce(
     """Do a figure or table of the paper: train, evaluate, report; go on where it stopped.
 
     Args:
-        name: of the experiment, as `astray list` has them, or all; or your own, module:OBJECT or
-            a Python file that defines EXPERIMENT
+        names: of experiments, as `astray list` has them, or all; or your own, module:OBJECT or
+            a Python file that defines EXPERIMENT; of several, where one fails the next goes on
         size: smoke (minutes on two cores), pixels (of images, an hour or so an agent on two
-            cores), hour (of a GPU), paper, or published: of agents that others published, see
-            `astray agents`
+            cores), night (the paper's own worlds on two cores; how long is said first), hour (of
+            a GPU), paper, or published: of agents that others published, see `astray agents`
         folder: of reports; gets this one in <name>-<size>, and the agents, which are shared
         workers: agents trained at once here; by default one for each processor
         on: train on this machine, or on a Ray cluster whose nodes all see the folder
@@ -103,10 +103,10 @@ def reproduce(
 
     if workers is not None:
         bounded("workers", workers, 1, MOST_WORKERS)
-    if name == "all":
-        print(run.reproduce_all(size, folder, workers=workers, on=on, art=art, track=track))
+    if len(names) == 1 and names[0] != run.ALL:
+        print(run.reproduce(names[0], size, folder, workers=workers, on=on, art=art, track=track))
     else:
-        print(run.reproduce(name, size, folder, workers=workers, on=on, art=art, track=track))
+        print(run.reproduce_each(names, size, folder, workers=workers, on=on, art=art, track=track))
 
 
 def bench(

@@ -7,8 +7,9 @@ import hashlib
 import inspect
 import json
 import re
+import sys
 import uuid
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
 
@@ -18,6 +19,7 @@ import torch
 from astray import imports
 from astray.analysis import kept
 from astray.analysis.runs import open_run, play_all
+from astray.bounds import brief
 from astray.experiments import catalogue, labs, report
 from astray.experiments.levels import levels_of, see_levels
 from astray.experiments.report import COMPUTED
@@ -32,7 +34,7 @@ from astray.experiments.spec import (
     name_of_run,
 )
 from astray.experiments.track import track_report
-from astray.experiments.workers import train_all
+from astray.experiments.workers import expected, train_all
 from astray.files import hold, read, see_free, write_aside
 from astray.game import OWN
 from astray.kernel.jit import source_digest
@@ -41,6 +43,7 @@ from astray.training import checkpoint
 from astray.training.config import Config, Tracking
 from astray.training.teacher import give
 
+ALL = "all"  # experiments of a size
 PLAN = "plan.json"  # what is first written to a report's folder
 TABLE = re.compile(r".+-([0-9a-f]{16})\.parquet")  # the names of tables, which nobody else gives
 # The sources of what agents do, and of what is computed of it.
@@ -74,9 +77,7 @@ def reproduce(
     Raises ValueError where there is no such experiment, size or art, OSError where the report's
     folder holds what astray did not write.
     """
-    name, whole = catalogue.find(experiment)
-    if not isinstance(size, str) or size not in whole.sizes:
-        raise ValueError(f"unknown size {size!r} of {name}; there are: {', '.join(whole.sizes)}")
+    name, whole = sized(experiment, size)
     plan, ending = whole.sizes[size].drawn_with(art), "" if art == OWN else f"-{art}"
     folder = root / f"{name}-{size}{ending}"
     whole.see_installed()
@@ -108,6 +109,14 @@ def reproduce(
         return page
 
 
+def sized(experiment: str | Experiment, size: Size) -> tuple[str, Experiment]:
+    """An experiment and its name, as `catalogue.find` has them; ValueError without that size."""
+    name, whole = catalogue.find(experiment)
+    if not isinstance(size, str) or size not in whole.sizes:
+        raise ValueError(f"unknown size {size!r} of {name}; there are: {', '.join(whole.sizes)}")
+    return name, whole
+
+
 @contextlib.contextmanager
 def threads_for(size: Size) -> Iterator[None]:
     """One of torch's threads for the small networks that are trained here, which more cost time."""
@@ -133,12 +142,15 @@ def train_agents(
         name: [run_folder(root, config) for config in configs]
         for name, configs in trainings.items()
     }
-    if not all(
-        checkpoint.finished(run, config)
+    todo = {
+        run: config
         for name, configs in trainings.items()
         for run, config in zip(runs[name], configs, strict=True)
-    ):
+    }
+    if not all(checkpoint.finished(run, config) for run, config in todo.items()):
         see_levels(plan)  # before hours of training, not after
+        if plan.speed and on == "here":
+            print(expected(todo, plan.speed, workers), file=sys.stderr, flush=True)
     for students in (False, True):
         if students:
             give_teachers(plan, runs)
@@ -173,7 +185,8 @@ def published_run(agent: str) -> Path:
     return kept.find(agent)
 
 
-def reproduce_all(
+def reproduce_each(
+    names: Sequence[str],
     size: Size,
     root: Path,
     *,
@@ -182,11 +195,31 @@ def reproduce_all(
     art: str = OWN,
     track: Tracking | None = None,
 ) -> Path:
-    """Every experiment that has this size, one after the other, and a page that leads to them."""
-    for name in catalogue.NAMES:
-        if size in catalogue.load(name).sizes:
+    """Experiments one after the other, and a page that leads to them; where one fails, the next.
+
+    names  as of `reproduce`; "all": all of the catalogue that have this size
+
+    Raises ValueError before anything is done where one of them does not exist, or not in this
+    size, and RuntimeError at the end where some failed.
+    """
+    chosen: list[str] = []
+    for name in names:
+        of_size = [n for n in catalogue.NAMES if size in catalogue.load(n).sizes]
+        chosen += of_size if name == ALL else [name]
+    for name in chosen:
+        sized(name, size)
+    failed: dict[str, Exception] = {}
+    for name in chosen:
+        try:
             reproduce(name, size, root, workers=workers, on=on, art=art, track=track)
+        except Exception as error:
+            failed[name] = error
+            print(f"{name} failed, and the next goes on: {error}", file=sys.stderr, flush=True)
+        else:
             report.write_index(root)
+    if failed:
+        told = "; ".join(f"{name}: {brief(error)}" for name, error in failed.items())
+        raise RuntimeError(f"{len(failed)} of {len(chosen)} experiments failed: {told}")
     return report.write_index(root)
 
 

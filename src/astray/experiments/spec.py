@@ -25,7 +25,7 @@ from astray.files import read
 from astray.game import OWN, Game, Variant
 from astray.training.config import Config
 
-Size = Literal["smoke", "pixels", "hour", "paper", "published"]
+Size = Literal["smoke", "pixels", "night", "hour", "paper", "published"]
 SIZES: tuple[Size, ...] = get_args(Size)
 PUBLISHED: Size = "published"  # of agents that others trained: nothing is trained
 Place = Literal["here", "ray"]  # where agents are trained
@@ -67,10 +67,13 @@ class Plan:
     levels: int  # of each test, none met in any training under any number
     differences: str  # from the paper, in words; empty where there is none
     measures: Mapping[str, Measure] = field(default_factory=dict)  # of an episode's last state
+    speed: int = 0  # environment steps that a core trains with in a second, as measured; 0: unknown
 
     def __post_init__(self) -> None:
         if self.seeds < 1:
             raise ValueError(f"seeds must be at least 1; got {self.seeds}")
+        if self.speed < 0:
+            raise ValueError(f"speed must be at least 0; got {self.speed}")
         if not set(self.published) <= set(self.agents):
             raise ValueError("what is published are agents of the plan")
         students = set(self.teachers)

@@ -53,6 +53,26 @@ def train_all(
         watch({run: submit(config, run, track) for run, config in missing.items()}, missing)
 
 
+def expected(todo: Mapping[Path, Config], speed: int, workers: int | None = None) -> str:
+    """How long trainings will take here, from how far each is, in words.
+
+    speed  steps a second of one of them, on a core
+    """
+    left = []
+    for run, config in todo.items():
+        steps = checkpoint.steps_saved(run)
+        left.append(max(config.steps - max(steps, default=0), 0))
+    at_once = min(workers or usable_processors(), len(left))
+    # Not less than the longest takes, and all of them share the processors.
+    seconds = max(max(left), sum(left) / at_once) / speed
+    trained = sum(steps == 0 for steps in left)
+    return (
+        f"{len(left)} agents, {trained} of them trained; {sum(left) / 1e6:,.1f} million steps are "
+        f"left, about {seconds / 3600:.1f} hours with {at_once} at once, at {speed:,} steps a "
+        "second and core; stopped, the same command goes on"
+    )
+
+
 @contextlib.contextmanager
 def in_processes(count: int) -> Iterator[Submit]:
     """Trainings wait for one of so many processes of this machine."""

@@ -1,0 +1,79 @@
+"""Several experiments in a row, and how long they will take."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from astray.experiments import catalogue, report, run
+from astray.experiments.workers import expected
+from astray.training import checkpoint
+from astray.training.loop import train
+from helpers.trainings import TINY
+
+
+@pytest.fixture
+def done(monkeypatch):
+    """The names of what is reproduced; "maze-corner" fails."""
+    names = []
+
+    def reproduce(name, size, root, **_):
+        names.append(name)
+        if name == "maze-corner":
+            raise OSError("no space left")
+        return root
+
+    monkeypatch.setattr(run, "reproduce", reproduce)
+    monkeypatch.setattr(report, "write_index", lambda root: root)
+    return names
+
+
+QUEUE = ["maze-region", "maze-corner", "keys-and-chests"]
+
+
+def test_where_one_fails_the_next_goes_on_and_the_end_says_which_failed(done, capsys):
+    with pytest.raises(RuntimeError, match=r"1 of 3 experiments failed: maze-corner: .*no space"):
+        run.reproduce_each(QUEUE, "smoke", Path())
+    assert done == QUEUE
+    assert "maze-corner failed, and the next goes on: no space left" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    "names, message",
+    [
+        ([*QUEUE, "maze-cornr"], "unknown experiment 'maze-cornr'"),
+        ([*QUEUE, "published-results"], "unknown size 'smoke' of published-results"),
+    ],
+)
+def test_a_queue_with_a_mistake_in_it_does_not_begin(names, message, done):
+    with pytest.raises(ValueError, match=message):
+        run.reproduce_each(names, "smoke", Path())
+    assert not done
+
+
+def test_all_are_those_of_the_size(done):
+    with pytest.raises(RuntimeError, match="maze-corner"):
+        run.reproduce_each(["all"], "night", Path())
+    assert done == [n for n in catalogue.NAMES if "night" in catalogue.load(n).sizes]
+    assert len(done) > 5
+
+
+def test_hours_are_of_the_steps_that_are_left(tmp_path):
+    config = replace(TINY, steps=1024, checkpoint_every=2)
+    train(config, tmp_path / "done", progress=False)
+    todo = {tmp_path / "done": config} | {
+        tmp_path / f"{k}": replace(config, steps=36_000_000) for k in range(3)
+    }
+    told = expected(todo, 1000, workers=2)
+    # Three of 10 hours each: one after two.
+    assert "4 agents, 1 of them trained; 108.0 million steps are left, about 15.0 hours" in told
+    assert "about 30.0 hours with 1 at once" in expected(todo, 1000, workers=1)
+    assert "about 10.0 hours" in expected(todo, 1000, workers=9)
+
+
+def test_a_training_under_way_has_less_to_go(tmp_path):
+    config = replace(TINY, steps=10 * 1024)
+    (tmp_path / "checkpoints" / "5120").mkdir(parents=True)
+    assert checkpoint.steps_saved(tmp_path) == [5120]
+    half = expected({tmp_path: config}, 1, workers=1)
+    assert f"about {5120 / 3600:.1f} hours" in half
