@@ -4,8 +4,9 @@ The picture is taken apart into 25 x 25 windows of 3 x 3 pixels, one for each ce
 mazes, and those into 13 x 13 places of 2 x 2 cells. That cells are there is all that is built in:
 what is a wall, where the mouse is and what to look for, it learns. The same residual unit is
 applied tick after tick, and shown the picture at each, so that what one place has found reaches the
-next (Schwarzschild et al. 2021, Bansal et al. 2022). What policy and value see of it is what all
-places hold, and what those hold that stand out by their colours.
+next (Schwarzschild et al. 2021, Bansal et al. 2022). Policy and value see what those places hold
+that stand out by their colours, wherever they are. With a dense layer of all places instead it
+learns as soon what to do in the smallest mazes, and nothing from them for larger ones.
 """
 
 from __future__ import annotations
@@ -22,7 +23,6 @@ BLOCK = 2  # cells a side of a place
 TICKS = 8  # the reach of what a place learns from others: two places a tick
 SPOTS = 4  # that are attended to at once
 HUES = 8  # by which places stand out
-KEPT = 8  # channels of every place that the dense layer sees
 FEATURES = 128
 STEADY = 0.3  # of the unit's last convolution, at first: so that ticks change little
 
@@ -86,10 +86,9 @@ class Cells(Pixels):
         self.unit = Unit(channels)
         self.ticks = nn.ModuleList(nn.Identity() for _ in range(TICKS))  # what each has found
         self.attention = Attention(inputs)
-        self.kept = nn.Conv2d(channels, KEPT, 1)
         places = SIDE // BLOCK + 1  # a side
         self.place = nn.Parameter(torch.zeros(1, channels, places, places))  # where each is
-        self.linear = nn.Linear(2 * SPOTS * channels + KEPT * places**2, FEATURES)
+        self.linear = nn.Linear(2 * SPOTS * channels, FEATURES)
         self.relu = nn.ReLU()
         self.rows: Tensor
         self.columns: Tensor
@@ -116,8 +115,7 @@ class Cells(Pixels):
         attention = self.attention(cells)
         held = torch.cat([state, stem], 1).flatten(2)
         spots = torch.bmm(attention.to(held.dtype), held.transpose(1, 2)).flatten(1)
-        kept = torch.relu(self.kept(state)).flatten(1)
-        return self.relu(self.linear(torch.cat([spots, kept], 1)))
+        return self.relu(self.linear(spots))
 
 
 def _windows(first: Sequence[int]) -> Tensor:
