@@ -16,6 +16,7 @@ from helpers.trainings import TINY
 
 huggingface_hub = pytest.importorskip("huggingface_hub")
 
+from astray.experiments import connection  # noqa: E402
 from astray.experiments import hub as ours  # noqa: E402
 
 # huggingface_hub's own way of uploading bytes, which its HTTP library is about to change.
@@ -169,7 +170,7 @@ def test_a_file_whose_size_nobody_tells_is_not_taken(pushed, tmp_path, monkeypat
 def test_an_answer_that_cannot_be_unpacked_is_told(pushed, tmp_path, monkeypatch):
     class Api(huggingface_hub.HfApi):
         def hf_hub_download(self, *given, **named):
-            raise ours._http().DecodingError("incorrect header check")
+            raise connection.http().DecodingError("incorrect header check")
 
     monkeypatch.setattr(ours, "_api", lambda _: Api(endpoint=pushed.address))
     with pytest.raises(OSError, match=r"the connection failed .incorrect header check"):
@@ -257,7 +258,7 @@ def test_a_full_disk_leaves_nothing(pushed, tmp_path, monkeypatch):
     def full(*_):
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(ours.shutil, "copyfile", full)
+    monkeypatch.setattr(ours, "write_aside", full)
     with pytest.raises(OSError, match="No space left on device"):
         ours.pull("ada/mouse")
     assert nothing_is_left(tmp_path)

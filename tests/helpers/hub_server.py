@@ -41,6 +41,9 @@ class Hub:
     requests: list[str] = field(default_factory=list)
     cut: dict[str, list[int]] = field(default_factory=dict)  # path -> bytes of each next answer
     changed: dict[str, bytes] = field(default_factory=dict)  # path -> what is sent in its place
+    said: list[dict[str, str]] = field(default_factory=list)  # headers of each next file, of HEAD
+    sent: dict[str, str] = field(default_factory=dict)  # headers of what is sent of files
+    missing: dict[str, str] = field(default_factory=dict)  # headers where there is no such file
     no_room: bool = False
     address: str = ""
 
@@ -219,12 +222,16 @@ class Handler(BaseHTTPRequestHandler):
         if sha is None:
             return self.refuse(404, "RevisionNotFound", "Invalid rev id")
         if path not in repository.commits[sha]:
-            return self.refuse(404, "EntryNotFound", "Entry not found")
+            return self.answer(404, X_Error_Code="EntryNotFound", **self.hub.missing)
         whole = repository.commits[sha][path]
         etag = f'"{hashlib.sha256(whole).hexdigest()}"'
         data = self.hub.changed.get(path, whole)
         begin = int((self.headers.get("Range") or "bytes=0-")[6:].split("-")[0])
         told = {"ETag": etag, "X-Repo-Commit": sha, "Accept-Ranges": "bytes"}
+        if self.command == "HEAD" and self.hub.said:
+            told |= self.hub.said.pop(0)
+        elif self.command == "GET":
+            told |= self.hub.sent
         if begin:
             told["Content-Range"] = f"bytes {begin}-{len(data) - 1}/{len(data)}"
         cuts = self.hub.cut.get(path)

@@ -8,10 +8,8 @@ digests.json                           the size and the SHA-256 of each of these
 
 from __future__ import annotations
 
-import contextlib
 import hashlib
 import json
-import logging
 import os
 import re
 import shutil
@@ -26,6 +24,7 @@ from astray.agents import policy
 from astray.analysis import kept
 from astray.bounds import brief, of_kind, shown
 from astray.envs.vector import IMAGE
+from astray.experiments.connection import Wary, reached, unreachable, wary
 from astray.experiments.keep import keep
 from astray.files import folder_aside, holds_only, read, write_aside
 from astray.published.imported import ORIGIN
@@ -38,6 +37,7 @@ if TYPE_CHECKING:
 DIGESTS, HUB, CARD = "digests.json", "hub.json", "README.md"
 PAGE = ("config.json", CARD, "curve.csv", "curve.png", "episode.gif")
 AGENT = re.compile(r"checkpoints/(0|[1-9][0-9]{0,17})/agent\.safetensors")
+REVISION = re.compile(r"[\w.+@#-]+(/[\w.+@#-]+)*")
 REPOSITORY = re.compile(r"[\w.-]+/[\w.-]+")
 DIGEST = re.compile(r"[0-9a-f]{64}")
 FORMAT = 1  # of digests.json
@@ -78,7 +78,7 @@ def push(
     Raises ValueError where the agent is none of yours or the repository no name, PermissionError
     where the Hub says no, OSError where it cannot be reached or has no room.
     """
-    _see_name(repository)
+    _see_name(repository, revision)
     api = _api(endpoint)
     run = kept.run_of(Path(run))
     if (run / ORIGIN).exists() or (run / HUB).exists():
@@ -86,7 +86,7 @@ def push(
     with tempfile.TemporaryDirectory(prefix="astray-") as passing:
         folder = _with_card(run, repository, shift, levels, Path(passing))
         write_aside(folder / DIGESTS, json.dumps(_digests(folder), indent=1).encode())
-        with _told(repository, revision, "pushed"):
+        with reached(repository, revision, "pushed", DIGESTS):
             api.create_repo(repository, private=private, exist_ok=True)
             if revision is not None:
                 api.create_branch(repository, branch=revision, exist_ok=True)
@@ -120,7 +120,7 @@ def pull(
     Raises ValueError where something is not what it should be, FileNotFoundError where there is no
     such repository, PermissionError where the Hub says no, OSError where it cannot be reached.
     """
-    _see_name(repository)
+    _see_name(repository, revision)
     name = name or _slug(repository)
     if not re.fullmatch(r"[a-z0-9]+(-[a-z0-9]+)*", name):
         raise ValueError(f"an agent's name must be of a-z, 0-9 and -, as maze-corner; got {name!r}")
@@ -128,16 +128,16 @@ def pull(
     if name in (*kept.names(), *kept.imported()):
         raise ValueError(f"there is an agent {name!r} already, in {kept.find(name)}; see --as")
     api = _api(endpoint)
-    # The cache has the commit in its paths, and notes by this which one the revision was.
-    digests = _taker(api, repository, revision, offline)(DIGESTS, LARGEST)
-    commit, promised = digests.parent.name, _promised(digests)
-    take = _taker(api, repository, commit, offline)
-    with folder_aside(home / name) as aside:
+    with folder_aside(home / name) as aside, wary() as answers:
+        # The cache has the commit in its paths, and notes by this which one the revision was.
+        digests = _taker(api, answers, repository, revision, offline)(DIGESTS, LARGEST)
+        commit, promised = digests.parent.name, _promised(digests)
+        _see_name(repository, commit)
+        take = _taker(api, answers, repository, commit, offline)
         for path, (size, digest) in promised.items():
             here = take(path, LARGEST_AGENT if AGENT.fullmatch(path) else LARGEST)
-            _see_digest(repository, path, here, size, digest)
             (aside / path).parent.mkdir(parents=True, exist_ok=True)
-            shutil.copyfile(here, aside / path)
+            write_aside(aside / path, _checked(repository, path, here, size, digest))
         _see_agent(repository, aside)
         source = {"repository": repository, "commit": commit, "revision": revision}
         write_aside(aside / HUB, json.dumps(source, indent=1).encode())
@@ -153,9 +153,14 @@ def _api(endpoint: str | None) -> HfApi:
     return HfApi(endpoint=endpoint)
 
 
-def _see_name(repository: str) -> None:
+def _see_name(repository: str, revision: str | None) -> None:
+    """ValueError where these name no repository, or no revision; the cache has paths of both."""
     if not REPOSITORY.fullmatch(repository):
         raise ValueError(f"a repository must be USER/NAME, as ada/mouse; got {shown(repository)}")
+    if revision is not None and (not REVISION.fullmatch(revision) or ".." in revision):
+        raise ValueError(
+            f"a revision must be a branch, a tag or a commit, as main; got {shown(revision)}"
+        )
 
 
 def _slug(repository: str) -> str:
@@ -233,12 +238,13 @@ def _digests(folder: Path) -> dict[str, Any]:
 
 
 def _taker(
-    api: HfApi, repository: str, commit: str | None, offline: bool
+    api: HfApi, answers: Wary, repository: str, commit: str | None, offline: bool
 ) -> Callable[[str, int], Path]:
     """What brings a file of the repository, of at most so many bytes: its place in the cache."""
 
     def take(path: str, most: int) -> Path:
-        with _told(repository, commit, "pulled"):
+        answers.most = most
+        with reached(repository, commit, "pulled", DIGESTS):
             if not offline:
                 _see_size(api, repository, commit, path, most)
             here = api.hf_hub_download(repository, path, revision=commit, local_files_only=offline)
@@ -255,7 +261,7 @@ def _see_size(api: HfApi, repository: str, commit: str | None, path: str, most: 
     url = hf_hub_url(repository, path, revision=commit, endpoint=api.endpoint)
     try:
         size = get_hf_file_metadata(url, endpoint=api.endpoint).size
-    except (OfflineModeIsEnabled, *_unreachable()):
+    except (OfflineModeIsEnabled, *unreachable()):
         return  # then the cache has it, or nobody
     if size is None or size > most:
         told = "its size is not told" if size is None else f"it has {size:,}"
@@ -282,14 +288,18 @@ def _promised(file: Path) -> dict[str, tuple[int, str]]:
     return promised
 
 
-def _see_digest(repository: str, path: str, here: Path, size: int, digest: str) -> None:
-    """ValueError where a file is another than promised, which then leaves the cache."""
+def _checked(repository: str, path: str, here: Path, size: int, digest: str) -> bytes:
+    """Return what is in a file; ValueError where it is not as promised, and leaves the cache."""
+    from huggingface_hub import constants
+
     data = read(here, LARGEST_AGENT)
     found = hashlib.sha256(data).hexdigest()
     if len(data) == size and found == digest:
-        return
+        return data
+    cache = Path(constants.HF_HUB_CACHE).resolve()
     for place in {here, here.resolve()}:
-        place.unlink(missing_ok=True)
+        if place.parent.resolve().is_relative_to(cache):  # a link may lead to any file
+            place.unlink(missing_ok=True)
     raise ValueError(
         f"{repository}: {path} is refused: its SHA-256 is {found}, not {digest} as {DIGESTS} "
         "says; it was removed, and nothing is imported"
@@ -319,73 +329,3 @@ def _observed(config: Config) -> tuple[int, ...]:
     if config.observation == "image":
         return (IMAGE, IMAGE, 3)
     return config.find_game().symbols.planes(config.training_variant()).shape
-
-
-def _unreachable() -> tuple[type[Exception], ...]:
-    """What huggingface_hub's connections raise where nobody answers, or what is no answer."""
-    return (_http().RequestError, ConnectionError)
-
-
-def _http() -> Any:
-    """The library of connections that huggingface_hub uses."""
-    try:
-        import httpx2 as http  # pyright: ignore[reportMissingImports]
-    except ImportError:
-        import httpx as http  # pyright: ignore[reportMissingImports]
-    return http
-
-
-@contextlib.contextmanager
-def _told(repository: str, revision: str | None, what: str) -> Iterator[None]:
-    """Say in a sentence why something of a repository could not be pushed or pulled."""
-    from huggingface_hub import errors
-
-    of = f"{repository} at {revision}" if revision else repository
-    library = logging.getLogger("huggingface_hub")  # tells of every attempt to reach the Hub
-    before = library.level
-    library.setLevel(logging.ERROR)
-    try:
-        with _uncovered():
-            yield
-    except (errors.RevisionNotFoundError, errors.RemoteEntryNotFoundError) as error:
-        raise FileNotFoundError(f"{of} cannot be {what}: it has no {_lacking(error)}") from error
-    except errors.LocalEntryNotFoundError as error:
-        raise OSError(
-            f"{of} cannot be {what}: the Hub cannot be reached, and the cache does not have all of "
-            f"it ({brief(error.__cause__ or error)})"
-        ) from error
-    except errors.RepositoryNotFoundError as error:
-        raise FileNotFoundError(
-            f"{of} cannot be {what}: there is none, or it is private; with the token of somebody "
-            "who may see it: hf auth login, or HF_TOKEN"
-        ) from error
-    except errors.HfHubHTTPError as error:
-        status = error.response.status_code
-        message = f"{of} cannot be {what}: the Hub says {status}: {brief(error).splitlines()[-1]}"
-        if status in (401, 403):
-            raise PermissionError(f"{message}; see hf auth login, or HF_TOKEN") from error
-        raise OSError(message) from error
-    except (errors.OfflineModeIsEnabled, *_unreachable()) as error:
-        raise OSError(
-            f"{of} cannot be {what}: the connection failed ({brief(error)}); the same command "
-            "goes on with what has arrived"
-        ) from error
-    finally:
-        library.setLevel(before)
-
-
-@contextlib.contextmanager
-def _uncovered() -> Iterator[None]:
-    """Raise what the Hub said where huggingface_hub raises RuntimeError because of it."""
-    try:
-        yield
-    except RuntimeError as error:
-        if isinstance(error.__cause__, (OSError, ValueError, *_unreachable())):
-            raise error.__cause__ from error
-        raise
-
-
-def _lacking(error: Exception) -> str:
-    from huggingface_hub import errors
-
-    return "such revision" if isinstance(error, errors.RevisionNotFoundError) else DIGESTS

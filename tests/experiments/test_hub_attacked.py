@@ -1,0 +1,140 @@
+"""A Hub that names paths where digests are expected reaches no file of the user's."""
+
+import json
+import shutil
+
+import pytest
+
+from astray.analysis import kept
+from helpers.hub_server import WRITER, running
+
+huggingface_hub = pytest.importorskip("huggingface_hub")
+
+from astray.experiments import hub as ours  # noqa: E402
+
+pytestmark = pytest.mark.filterwarnings("ignore:Use 'content=<...>':DeprecationWarning")
+
+MINE = "of the user\n"
+
+
+@pytest.fixture
+def hub(monkeypatch, tmp_path):
+    """A hub with an agent on it; `mine` beside the cache is a file of the user's."""
+    from huggingface_hub import constants
+
+    monkeypatch.setenv("HF_TOKEN", WRITER)
+    monkeypatch.setenv("ASTRAY_AGENTS", str(tmp_path / "agents"))
+    monkeypatch.setattr(constants, "HF_HUB_CACHE", str(tmp_path / "cache"))
+    monkeypatch.setattr(constants, "HF_HUB_DISABLE_XET", True)
+    monkeypatch.setattr(constants, "HF_HUB_DOWNLOAD_TIMEOUT", 5)
+    monkeypatch.setattr("time.sleep", lambda _: None)  # of the library's, between its tries
+    (tmp_path / "mine").write_text(MINE)
+    with running() as server:
+        monkeypatch.setattr(ours, "_api", lambda _: huggingface_hub.HfApi(endpoint=server.address))
+        ours.push(kept.find("maze-corner"), "ada/mouse")
+        yield server
+
+
+def outside(tmp_path):
+    """What is in `tmp_path`, but not in the cache."""
+    return sorted(path.name for path in tmp_path.iterdir() if path.name != "cache")
+
+
+def paths(tmp_path):
+    """What a server can name in the place of a digest."""
+    mine = str(tmp_path / "mine")
+    return [
+        mine, f"../../../{tmp_path.name}/mine", "../../../mine", "../" * 9 + mine[1:], "..", "../x",
+        mine.replace("/", "\\"), "a/../../b", f"W/{mine}", "a" * 300, "C:evil", "nul",
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize("header", ["ETag", "X-Linked-Etag", "X-Repo-Commit"])
+@pytest.mark.parametrize("honest", [0, 1, 2, 3], ids="after {} answers".format)
+def test_a_path_in_the_place_of_a_digest_is_refused(hub, tmp_path, header, honest):
+    """Also where the first answers were those of a Hub, and astray has looked at them."""
+    for path in paths(tmp_path):
+        hub.said = [{}] * honest + [{header: path}] * 9
+        with pytest.raises(ValueError, match="has a path, or nothing of the Hub, as its"):
+            ours.pull("ada/mouse")
+        assert (tmp_path / "mine").read_text() == MINE and hub.said != []
+        assert outside(tmp_path) in (["agents", "mine"], ["mine"])
+        shutil.rmtree(tmp_path / "cache", ignore_errors=True)
+
+
+def test_a_file_that_is_not_there_is_noted_in_the_cache_alone(hub, tmp_path):
+    hub.repositories["ada/mouse"].commit("main", {})
+    hub.missing = {"X-Repo-Commit": str(tmp_path / "noted")}
+    with pytest.raises(ValueError, match="as its commit"):
+        ours.pull("ada/mouse")
+    assert not (tmp_path / "noted").exists()
+
+
+def test_a_link_in_the_cache_to_a_file_of_the_users_is_not_followed(hub, tmp_path):
+    """As an older version left it, which believed the server."""
+    ours.pull("ada/mouse", name="first")
+    (entry,) = (tmp_path / "cache").rglob("README.md")
+    entry.unlink()
+    entry.symlink_to(tmp_path / "mine")
+    with pytest.raises(ValueError, match=r"README\.md is refused: its SHA-256"):
+        ours.pull("ada/mouse", name="second")
+    assert (tmp_path / "mine").read_text() == MINE and not entry.is_symlink()
+    assert ours.pull("ada/mouse", name="third").is_dir()
+
+
+@pytest.mark.parametrize("revision", ["/etc/x", "../../x", "a/../b", "", "a//b", "C:\\x", "a\n"])
+def test_a_revision_that_may_be_a_path_is_refused_before_anything_is_asked(hub, revision):
+    hub.requests.clear()
+    for ask in (
+        lambda: ours.pull("ada/mouse", revision=revision),
+        lambda: ours.push(kept.find("maze-corner"), "ada/mouse", revision=revision),
+    ):
+        with pytest.raises(ValueError, match="a revision must be a branch, a tag or a commit"):
+            ask()
+    assert hub.requests == []
+
+
+@pytest.mark.parametrize(
+    "headers, said",
+    [
+        ({"Content-Encoding": "gzip"}, "is compressed by 'gzip', unasked"),
+        (
+            {"Content-Length": str(2**40)},
+            r"must be of at most [\d,]+ bytes; it says '1099511627776'",
+        ),
+    ],
+)
+def test_what_is_sent_is_no_more_than_was_said(hub, tmp_path, headers, said):
+    hub.sent = headers
+    with pytest.raises(ValueError, match=said):
+        ours.pull("ada/mouse")
+    assert outside(tmp_path) in (["agents", "mine"], ["mine"])
+
+
+def test_what_the_user_set_up_of_connections_is_used_and_comes_back(hub, tmp_path):
+    from huggingface_hub import get_session, set_client_factory
+    from huggingface_hub.utils._http import default_client_factory
+
+    made = []
+
+    def make():
+        made.append(default_client_factory())
+        return made[-1]
+
+    set_client_factory(make)
+    try:
+        ours.pull("ada/mouse")
+        assert made, "the user's proxies and certificates are used"
+        assert get_session() is made[-1] and not get_session().event_hooks["response"]
+    finally:
+        set_client_factory(default_client_factory)
+
+
+def test_the_cache_cannot_lead_out_of_a_folder_that_is_made(hub, tmp_path):
+    ours.pull("ada/mouse", name="first")
+    (refs,) = (tmp_path / "cache").rglob("refs/main")
+    refs.write_text("..")
+    with pytest.raises((ValueError, OSError)):
+        ours.pull("ada/mouse", name="second", offline=True)
+    source = json.loads((tmp_path / "agents" / "first" / "hub.json").read_text())
+    assert source["repository"] == "ada/mouse"
