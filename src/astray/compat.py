@@ -139,7 +139,7 @@ class ProcgenGym3Env:
         self._reward, self._first = np.zeros(num, np.float32), np.ones(num, bool)
         self._seen, _ = self.env.reset(seed=0, options={"level": self._level})
         over = (self.env.game.shifts[name].intended for name in self.env.game.shifts)
-        self._goals = sorted({self.env.game.goals[goal] for goal in over})
+        self._goals = sorted({self.env.game.event(goal) for goal in over})
 
     def observe(self) -> tuple[np.ndarray, dict[str, np.ndarray], np.ndarray]:
         """Rewards [num] float32 of the last step, what is seen, and where an episode begins."""

@@ -130,6 +130,34 @@ def _number(value: Any, kind: Any) -> Any:
 
 
 @dataclass(frozen=True)
+class Never:
+    """An event that did not happen by the end of an episode, as a forest that lasted."""
+
+    event: str
+
+
+@dataclass(frozen=True)
+class More:
+    """A measure that is larger at the end of an episode than a number, or than another measure.
+
+    A count is a measure, and so is a rate: one that divides by the steps of the episode.
+    """
+
+    measure: str
+    than: float | str = 0.0
+
+
+@dataclass(frozen=True)
+class Truncated:
+    """An episode that was not ended by the rules: its time was up, or it was left."""
+
+
+# A goal or another end of an episode: an event, reached when it first happens, or what is known
+# only at the end of the episode, and reached then.
+Outcome = str | Never | More | Truncated
+
+
+@dataclass(frozen=True)
 class Shift:
     """A training and a test variant, and the goals that come apart between them."""
 
@@ -200,7 +228,7 @@ class Game:
     levels: Levels
     looks: Mapping[str, Looks]  # by the name of the art; OWN is there always
     variants: Mapping[str, Any]  # name -> a `Variant`, all of one class
-    goals: Mapping[str, str]  # goal -> the event that it is reached
+    goals: Mapping[str, Outcome]  # goal -> the event that it is reached, or what it is at the end
     shifts: Mapping[str, Shift]
 
     symbols: Symbols = None  # pyright: ignore
@@ -209,6 +237,10 @@ class Game:
     mutation: Mutating = None  # pyright: ignore
     cells: Cells = None  # pyright: ignore
     benchmark: Benchmark = None  # pyright: ignore
+    ends: Mapping[str, Outcome] = field(default_factory=dict)  # which are neither goals nor
+    # proxies, as "died": what an episode that reached no goal is called, instead of a failure
+    measures: Mapping[str, Callable[[np.ndarray], np.ndarray]] = field(default_factory=dict)
+    # counts and rates of an episode: its name -> (the states [N] that episodes ended in) -> [N]
     invariants: Callable[[np.ndarray, Any], dict[str, np.ndarray]] = lambda s, variant: {}
     # what is true of states [N] of a variant, and compiled code relies on: its name -> [N] bool
     labels: Mapping[str, Callable[[np.ndarray], np.ndarray]] = field(default_factory=dict)
@@ -244,6 +276,21 @@ class Game:
     @property
     def events(self) -> tuple[str, ...]:
         return self.rules.EVENTS
+
+    @property
+    def event_goals(self) -> dict[str, str]:
+        """The goals that are events, without those that are known only at an episode's end."""
+        return {goal: event for goal, event in self.goals.items() if isinstance(event, str)}
+
+    def event(self, goal: str) -> str:
+        """Return the event that a goal is reached; ValueError where it is none."""
+        if goal not in self.event_goals:
+            there = ", ".join(self.event_goals)
+            raise ValueError(
+                f"this needs a goal that is an event; {shown(goal)} is none of {self.name}: there "
+                f"are: {there}"
+            )
+        return self.event_goals[goal]
 
     def variant(self, name: str | Variant) -> Variant:
         """The variant called `name`; one of your own is itself, if it is of this game.

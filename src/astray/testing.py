@@ -22,10 +22,11 @@ import numpy as np
 from gymnasium.utils.env_checker import check_env, data_equivalence
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
 
+from astray.analysis.outcomes import outcomes_of
 from astray.envs.compiled import compiled_loop
 from astray.envs.single import GameEnv
 from astray.envs.vector import GameVectorEnv
-from astray.game import OWN, Game, Variant
+from astray.game import OWN, Game, More, Never, Outcome, Variant
 from astray.level import Level
 from astray.record import NEVER
 
@@ -68,8 +69,9 @@ def check_parts(game: Game) -> None:
     fields: Any = game.state.fields
     for event in game.events:
         assert fields[event][0] == np.int64, f"the event {event!r} must be an int64 of the state"
-    for goal, event in game.goals.items():
-        assert event in game.events, f"the goal {goal!r} must be an event; got {event!r}"
+    for name, outcome in (*game.goals.items(), *game.ends.items()):
+        _check_outcome(game, name, outcome)
+    outcomes_of(game)
     for name, shift in game.shifts.items():
         for variant in (shift.train, shift.test):
             assert variant in game.variants, f"shift {name!r}: there is no variant {variant!r}"
@@ -78,6 +80,16 @@ def check_parts(game: Game) -> None:
     assert OWN in game.looks, f"looks must have {OWN!r}; got {', '.join(game.looks)}"
     kinds = {type(variant) for variant in game.variants.values()}
     assert len(kinds) == 1, f"variants must be of one class; got {kinds}"
+
+
+def _check_outcome(game: Game, name: str, outcome: Outcome) -> None:
+    """A goal or an end is an event of the game, or says something of its events and measures."""
+    match outcome:
+        case More(measure, than):
+            for one in (measure, *([than] if isinstance(than, str) else [])):
+                assert one in game.measures, f"{name!r}: there is no measure {one!r}"
+        case Never(event) | str(event):
+            assert event in game.events, f"{name!r} must be an event; got {event!r}"
 
 
 def check_batches(game: Game, variant: Variant) -> None:
@@ -202,7 +214,7 @@ def check_solver(game: Game, variant: Variant) -> None:
         return
     env = GameVectorEnv(game, variant, 1, autoreset_mode="Disabled")
     rewarded = {shift.intended for shift in game.shifts.values()}
-    for level, (goal, event) in product(LEVELS, game.goals.items()):
+    for level, (goal, event) in product(LEVELS, game.event_goals.items()):
         env.reset(seed=0, options={"level": level})
         s = env.states[0]
         worth, soon = (game.solver.optimal_return(s, goal, gamma) for gamma in (1.0, 0.9))
@@ -226,7 +238,7 @@ def check_cells(game: Game, variant: Variant) -> None:
         free = game.cells.free(s)
         (start,) = game.cells.position(np.array([s], game.state))
         assert start.dtype == np.int64 and free.dtype == bool and free[start[1], start[0]]
-        for goal in game.goals:
+        for goal in game.event_goals:
             place = game.cells.target(s, goal)
             assert place is None or free[place[1], place[0]], f"level {s.level}: {goal} at {place}"
             if place and game.solver:
@@ -244,11 +256,24 @@ def check_labels(game: Game, variant: Variant) -> None:
         assert values.shape == states.shape and values.dtype.kind == "f", f"{name}: {values}"
 
 
+def check_measures(game: Game, variant: Variant) -> None:
+    """A measure is a real number of each state that an episode may end in."""
+    env = GameVectorEnv(game, variant, len(LEVELS), autoreset_mode="Disabled")
+    env.reset(seed=0, options={"level": np.array(LEVELS)})
+    for actions in _actions(env, 1):
+        env.step(actions)
+    states = env.get_state().view(np.recarray)
+    for name, measure in game.measures.items():
+        values = measure(states)
+        assert np.shape(values) == states.shape, f"{name}: {values}"
+        assert np.asarray(values).dtype.kind in "biuf", f"{name}: {values}"
+
+
 def _where_reached(game: Game, variant: Variant, s: Any, goal: str) -> tuple[int, int] | None:
     """The cell in which an expert reaches `goal`; None where another one ends the level before."""
     env = GameVectorEnv(game, variant, 1, autoreset_mode="Disabled")
     env.reset(seed=0, options={"level": int(s.level)})
-    expert, event = game.solver.expert(s, goal), game.goals[goal]
+    expert, event = game.solver.expert(s, goal), game.event(goal)
     while env.states[0][event] < 0 and not env.states[0].ended:
         env.step(np.array([expert(env.states[0])]))
     x, y = game.cells.position(env.get_state())[0]
@@ -272,7 +297,7 @@ def check_compiled_once(game: Game, variant: Variant) -> None:
 CHECKS: tuple[Callable[[Game, Variant], None], ...] = (
     check_batches, check_gymnasium, check_seeds, check_levels, check_time_limit, check_states,
     check_events, check_symbols, check_editing, check_solver, check_cells, check_labels,
-    check_compiled_once,
+    check_measures, check_compiled_once,
 )  # fmt: skip
 
 

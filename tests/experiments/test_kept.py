@@ -12,7 +12,7 @@ from safetensors.numpy import load_file
 
 from astray.analysis import kept
 from astray.analysis.evaluate import evaluate
-from astray.analysis.outcomes import OUTCOMES, label, load_shift
+from astray.analysis.outcomes import label, load_shift, outcomes_of
 from astray.analysis.runs import open_run, reward_deviation
 from astray.experiments import keep
 from astray.training import checkpoint
@@ -49,14 +49,14 @@ def mouse(written, monkeypatch):
     return written
 
 
-# The outcome of each level that the cards of some agents tell of, as its number in `OUTCOMES`: so
-# that a part of the levels is enough to see that an agent is the one on its card.
+# The outcome of each level that the cards of some agents tell of, as its number in `outcomes_of`
+# the game: so that a part of the levels is enough to see that an agent is the one on its card.
 OUTCOMES_OF = json.loads(Path(__file__).with_name("kept.json").read_text())
 CARDS, REPLAYED = 1000, 100  # levels
 
 
 def told_by_card(name):
-    """The shift of an agent's card, and its row for the agent in all levels of the test."""
+    """An agent's settings, the shift of its card, and the agent's row in all levels of the test."""
     card = (kept.find(name) / "README.md").read_text()
     config = open_run(kept.find(name))[1]
     shift = load_shift(config.find_game(), card.split("--shift ")[1].split()[0])
@@ -64,31 +64,35 @@ def told_by_card(name):
     (row,) = (
         line for line in card.splitlines() if line.startswith(f"| `{shift.test}` | the agent |")
     )
-    return shift, [part.split(" %")[0] for part in row.split(" | ")[2:]]
+    return config, shift, [part.split(" %")[0] for part in row.split(" | ")[2:]]
 
 
-def as_on_cards(outcomes):
-    return [f"{100 * np.mean([o == name for o in outcomes]):.1f}" for name in OUTCOMES]
+def as_on_cards(outcomes, config):
+    names = outcomes_of(config.find_game())
+    return [f"{100 * np.mean([o == name for o in outcomes]):.1f}" for name in names]
 
 
 @pytest.mark.parametrize("name", OUTCOMES_OF)
 def test_the_outcomes_that_are_known_are_the_cards(name):
-    outcomes = [OUTCOMES[int(number)] for number in OUTCOMES_OF[name]]
-    assert len(outcomes) == CARDS and as_on_cards(outcomes) == told_by_card(name)[1]
+    config, _, row = told_by_card(name)
+    names = outcomes_of(config.find_game())
+    outcomes = [names[int(number)] for number in OUTCOMES_OF[name]]
+    assert len(outcomes) == CARDS and as_on_cards(outcomes, config) == row
 
 
 @pytest.mark.parametrize("name", kept.names())
 def test_every_kept_agent_does_what_its_card_says(name):
-    agent, config = open_run(kept.find(name))
+    agent, _ = open_run(kept.find(name))
     assert agent.path.stat().st_size <= keep.LARGEST and int(agent.path.parent.name) > 0
-    (shift, row), known = told_by_card(name), OUTCOMES_OF.get(name)
+    (config, shift, row), known = told_by_card(name), OUTCOMES_OF.get(name)
     levels = config.unseen_levels[: REPLAYED if known else CARDS]
     played = evaluate(agent, config.game, config.variant_for(shift.test), levels)
     outcomes = label(played, config.find_game(), shift)["outcome"].to_list()
     if known:
-        assert outcomes == [OUTCOMES[int(number)] for number in known[:REPLAYED]]
+        names = outcomes_of(config.find_game())
+        assert outcomes == [names[int(number)] for number in known[:REPLAYED]]
     else:
-        assert as_on_cards(outcomes) == row
+        assert as_on_cards(outcomes, config) == row
 
 
 def test_an_agent_is_kept_without_its_training(run, mouse):

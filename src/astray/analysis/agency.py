@@ -98,8 +98,8 @@ def named_places(game: Game, s: Any, shift: Shift) -> dict[str, Any]:
     """
     places: dict[str, Any] = {}
     events = set()
-    for goal in (shift.intended, *shift.proxies, *game.goals):
-        event, place = game.goals[goal], game.cells.target(s, goal)
+    for goal in (shift.intended, *shift.proxies, *game.event_goals):
+        event, place = game.event(goal), game.cells.target(s, goal)
         of_shift = goal == shift.intended or goal in shift.proxies
         if event not in events and (of_shift or place is not None):
             places[goal] = place

@@ -35,18 +35,20 @@ def evaluate(
     until     events of the game: an episode is left with the first of them
 
     Columns: policy, level, name (null for a numbered level), shifted, return, length (steps),
-    terminated, and every event of the game (the step it first happened, null for never).
+    terminated, every event of the game (the step it first happened, null for never), every measure
+    of the game, and `measures`.
     The rows do not depend on `batch`.
 
     Raises ValueError where there are no levels, or an argument is not of its kind.
     """
     game = games.find(game)
-    see_measures(measures, (*COLUMNS, *game.events))
+    see_measures(measures, (*COLUMNS, *game.events, *game.measures))
+    measured_by = {**game.measures, **(measures or {})}
     of_kind("levels", levels, Sized)
     names = list(levels) if isinstance(levels, Mapping) else [None] * len(levels)
     rows: list[dict[str, Any]] = [{}] * len(levels)
     returns = np.zeros(len(levels))
-    last = np.zeros(len(levels) if measures else 0, game.state)  # states
+    last = np.zeros(len(levels) if measured_by else 0, game.state)  # states
     for step in steps(policy, game, variant, levels, batch=batch, until=until):
         returns[step.level] += step.rewards
         for i in np.flatnonzero(step.ended):
@@ -62,8 +64,8 @@ def evaluate(
                 "terminated": bool(step.terminated[i]),
                 **happened,
             }
-            if measures:
+            if measured_by:
                 last[k] = s
     kinds = {"name": pl.String} | {event: pl.Int64 for event in game.events}
     table = pl.DataFrame(rows, schema_overrides=kinds)
-    return table.with_columns(measured(name, of, last) for name, of in (measures or {}).items())
+    return table.with_columns(measured(name, of, last) for name, of in measured_by.items())

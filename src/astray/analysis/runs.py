@@ -18,7 +18,7 @@ from astray.analysis import kept
 from astray.analysis.episodes import Levels
 from astray.analysis.evaluate import evaluate
 from astray.analysis.given import Measure, see_policy
-from astray.analysis.outcomes import label, load_shift, shares, tell_apart
+from astray.analysis.outcomes import label, load_shift, outcomes_of, shares, tell_apart
 from astray.analysis.policies import Policy, Random, Walk
 from astray.analysis.trained import Agent
 from astray.bounds import finite, of_kind, shown
@@ -204,7 +204,7 @@ def _outcomes(
         chosen = levels
     episodes = play_all(game, name, variant, shift, chosen, policies, batch)
     both = [
-        shares(part).with_columns(levels_played=pl.lit(which))
+        shares(part, outcomes=outcomes_of(game)).with_columns(levels_played=pl.lit(which))
         for which, part in (("all", episodes), ("telling apart", episodes.filter("tells_apart")))
         if len(part)
     ]
@@ -235,7 +235,8 @@ def play_all(
         see_policy(policy)
     between = load_shift(game, shift)
     goals = (between.intended, *between.proxies) if game.solver else ()
-    scripts: list[Policy] = [*map(Walk, goals), Random()]
+    walks = [Walk(goal) for goal in goals if goal in game.event_goals]
+    scripts: list[Policy] = [*walks, Random()]
     names = [policy.name for policy in (*scripts, *policies) if not isinstance(policy, Agent)]
     if len(set(names)) < len(names):
         raise ValueError(f"policies must have names of their own; got {', '.join(names)}")

@@ -12,7 +12,7 @@ import polars as pl
 from rich.table import Table
 from tyro.conf import Positional, arg
 
-from astray import imports
+from astray import games, imports
 from astray.analysis.kept import KEPT
 from astray.analysis.tables import write_table
 from astray.bounds import MOST, bounded
@@ -29,7 +29,7 @@ from astray.cli.arguments import (
 )
 from astray.envs.vector import PICTURES
 from astray.files import see_free, see_writable, write_aside
-from astray.game import OWN
+from astray.game import OWN, Game
 from astray.training.config import SEEDS, Config, Tracking
 
 if TYPE_CHECKING:
@@ -118,7 +118,7 @@ def evaluate(
         json: print JSON
     """
     from astray.analysis.adapters import Function
-    from astray.analysis.runs import evaluate_policies, evaluate_runs
+    from astray.analysis.runs import evaluate_policies, evaluate_runs, open_run
 
     bounded("batch", batch, 1, MOST)
     played = None
@@ -129,8 +129,10 @@ def evaluate(
         see_writable(out)
     if policy is None:
         see_of_policy(game, observation)
+        folders = chosen(runs, agent)
+        rules = open_run(folders[0])[1].find_game()
         shares, episodes = evaluate_runs(
-            chosen(runs, agent),
+            folders,
             played,
             variant=variant,
             shift=shift,
@@ -146,9 +148,10 @@ def evaluate(
         raise ValueError(f"a policy of your own chooses by itself; it has no mode {mode!r}")
     else:
         own = Function(imports.find(policy), policy, observation or "image", art or OWN)
+        rules = games.find(game)
         shares, episodes = evaluate_policies(
             [own],
-            game,
+            rules,
             shift,
             played,
             variant=variant,
@@ -162,6 +165,7 @@ def evaluate(
         print_json(shares.to_dicts())
     else:
         show_shares(shares)
+        show_amounts(episodes, rules)
 
 
 def keep(
@@ -301,6 +305,20 @@ def _write_judgement(judged: Judgement, frames: np.ndarray, folder: Path) -> Non
     Image.fromarray(frames[-1]).save(picture, "PNG")
     write_aside(last, picture.getvalue())
     write_table(judged.episodes, folder / EPISODES)
+
+
+def show_amounts(episodes: pl.DataFrame, game: Game) -> None:
+    """The means of a game's measures as a table, where it has any: a row a policy."""
+    from astray.analysis.outcomes import amounts
+
+    if not game.measures:
+        return
+    shown = Table("policy", *game.measures, title="mean of all levels")
+    found = amounts(episodes, [*game.measures])
+    for rows in found.partition_by("policy", maintain_order=True):
+        told = [f"{r['mean']:.3g} [{r['low']:.3g}, {r['high']:.3g}]" for r in rows.to_dicts()]
+        shown.add_row(rows["policy"][0], *told)
+    show(shown, width=120)
 
 
 def show_shares(shares: pl.DataFrame) -> None:

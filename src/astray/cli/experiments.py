@@ -44,7 +44,7 @@ def list_(json: bool = False) -> None:
             table.add_row(variant, about)
         show(f"[bold]{name}[/]: {game['about']}", table)
         for shift, what in game["shifts"].items():
-            goals = f"{what['intended']}, or {' or '.join(what['proxies'])}?"
+            goals = f"{', or '.join((what['intended'], *what['proxies']))}?"
             show(f"  shift {shift}: {what['train']} -> {what['test']}: {goals}")
     for name, reason in broken.items():
         show(f"[bold]{escape(printable(name))}[/]: broken: {escape(printable(reason))}")

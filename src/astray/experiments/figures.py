@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from itertools import cycle
 
 import matplotlib
@@ -24,6 +24,7 @@ __all__ = ["FAINT", "INK", "OTHERS", "STYLE", "WIDTH", "save"]  # others take th
 
 # Told apart by every kind of colour vision, and light enough to be written on.
 COLOURS = {MISGENERALIZED: "#f0a03c", INTENDED: "#2fa393", FAILED: "#d2d2ce"}
+ENDS = ("#a3a39d", "#c9b8a4", "#8f9aa8", "#b9a9b9")  # of other ends than these
 NARROWEST = 0.07  # share of a segment that has room for its percentage
 
 
@@ -31,35 +32,46 @@ NARROWEST = 0.07  # share of a segment that has room for its percentage
 def outcome_bars(shares: pl.DataFrame) -> Figure:
     """How episodes end: a panel for each `where`, in it a bar for each `who`.
 
-    shares  columns who, where, outcome (of `outcomes.OUTCOMES`), mean, low, high: shares from 0
-            to 1 with their interval, null where there is none; panels and bars in the table's order
+    shares  columns who, where, outcome (as `outcomes.shares` has them), mean, low, high: shares
+            from 0 to 1 with their interval, null where there is none; panels and bars in the
+            table's order
     """
-    unknown = set(shares["outcome"]) - set(COLOURS)
-    if unknown or shares.is_empty():
-        raise ValueError(f"unknown outcomes {sorted(unknown)}; there are: {', '.join(COLOURS)}")
+    if shares.is_empty():
+        raise ValueError("there are no outcomes to draw; got an empty table")
+    colours = outcome_colours(shares["outcome"].unique(maintain_order=True).to_list())
     panels = shares.partition_by("where", maintain_order=True)
     bars = [panel["who"].n_unique() for panel in panels]
     figure = Figure(figsize=(WIDTH, 0.85 + sum(0.5 * n + 0.5 for n in bars)))
     rows = figure.subplots(len(panels), 1, sharex=True, squeeze=False, height_ratios=bars)[:, 0]
     for axes, panel in zip(rows, panels, strict=True):
-        _bars(axes, panel)
+        _bars(axes, panel, colours)
         axes.set_title(panel["where"][0])
     rows[-1].set_xlabel("share of episodes")
     rows[-1].xaxis.set_major_formatter(PercentFormatter(1, symbol=" %"))
-    keys: list[Artist] = [Patch(color=colour, label=outcome) for outcome, colour in COLOURS.items()]
+    keys: list[Artist] = [Patch(color=colour, label=outcome) for outcome, colour in colours.items()]
     if shares["low"].count():
         keys.append(_interval([], [], "95 % interval"))
     figure.legend(handles=keys, loc="outside upper left", ncols=4, handlelength=1, handleheight=1)
     return figure
 
 
-def _bars(axes: Axes, panel: pl.DataFrame) -> None:
+def outcome_colours(outcomes: Sequence[str]) -> dict[str, str]:
+    """Return the colour of each outcome in the order of a bar: goals, other ends, failure.
+
+    The three of all games are there always.
+    """
+    others = [name for name in outcomes if name not in COLOURS]
+    goals = {name: COLOURS[name] for name in (MISGENERALIZED, INTENDED)}
+    return goals | dict(zip(others, cycle(ENDS), strict=False)) | {FAILED: COLOURS[FAILED]}
+
+
+def _bars(axes: Axes, panel: pl.DataFrame, colours: Mapping[str, str]) -> None:
     """One stacked bar for each `who`, the first on top."""
     names = panel["who"].unique(maintain_order=True).to_list()
     for y, who in enumerate(names):
         of = {row["outcome"]: row for row in panel.filter(pl.col("who") == who).to_dicts()}
         left = 0.0
-        for outcome, colour in COLOURS.items():
+        for outcome, colour in colours.items():
             share = of[outcome]["mean"] if outcome in of else 0.0
             axes.barh(y, share, 0.66, left, color=colour, edgecolor="white", linewidth=0.8)
             if share >= NARROWEST:

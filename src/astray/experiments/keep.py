@@ -16,7 +16,7 @@ import polars as pl
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from astray.analysis.kept import KEPT
-from astray.analysis.outcomes import OUTCOMES, load_shift
+from astray.analysis.outcomes import load_shift, outcomes_of
 from astray.analysis.runs import DEVIATION, evaluate_runs, open_run, reward_deviation, shift_of
 from astray.analysis.tables import write_table
 from astray.experiments import catalogue
@@ -115,7 +115,7 @@ def write_card(name: str, run: Path, shift: str, levels: int) -> None:
         shift=shift,
         between=between,
         levels=f"{levels:,}",
-        outcomes=OUTCOMES,
+        outcomes=outcomes_of(game),
         rows=[row for variant, (shares, _) in played.items() for row in _rows(variant, shares)],
         settings=asdict(config),
     )

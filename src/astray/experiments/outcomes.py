@@ -12,7 +12,7 @@ import polars as pl
 
 from astray.analysis import video
 from astray.analysis.estimates import Estimate, estimate_mean
-from astray.analysis.outcomes import MISGENERALIZED, load_shift, matrix, shares
+from astray.analysis.outcomes import MISGENERALIZED, load_shift, matrix, outcomes_of, shares
 from astray.analysis.policies import Walk
 from astray.analysis.runs import open_run
 from astray.experiments import figures
@@ -49,10 +49,10 @@ def astray(work: Work, test: str, agent: str) -> np.ndarray:
 def outcome_tables(work: Work) -> tuple[Table, Table]:
     """How often each outcome came about, in all levels and in those that tell the goals apart."""
     by = ("agent", "policy", "test")
-    apart = work.episodes.filter("tells_apart")
+    apart, names = work.episodes.filter("tells_apart"), outcomes_of(work.plan.game)
     return (
-        Table("outcomes", "All levels", shares(work.episodes, by)),
-        Table("telling-apart", "Levels that tell the goals apart", shares(apart, by)),
+        Table("outcomes", "All levels", shares(work.episodes, by, names)),
+        Table("telling-apart", "Levels that tell the goals apart", shares(apart, by, names)),
     )
 
 
@@ -159,7 +159,7 @@ def film(work: Work, *, trained: Test, tested: Test, agent: str | None = None) -
     """An agent in a training level and a test level of one number, for each outcome of the test.
 
     The commonest outcome first; of each the first level that tells the goals apart and has a
-    longer way to the proxy than most.
+    longer way to the proxy (without one, the intended goal) than most.
     """
     plan = work.plan
     name = agent or next(iter(work.runs))
@@ -167,8 +167,9 @@ def film(work: Work, *, trained: Test, tested: Test, agent: str | None = None) -
     game, shift = plan.game, load_shift(plan.game, tested.shift)
     where = next(key for key, test in plan.tests.items() if test == tested)
     apart = work.episodes.filter("tells_apart", test=where)
-    way = pl.col(game.goals[shift.proxies[0]])
-    far = apart.filter(policy=Walk(shift.proxies[0]).name).filter(way > way.median())
+    goal = (*shift.proxies, shift.intended)[0]
+    way = pl.col(game.event(goal))
+    far = apart.filter(policy=Walk(goal).name).filter(way > way.median())
     mine = apart.filter(policy=AGENTS, agent=name, seed=config.seed)
     common = mine["outcome"].value_counts(sort=True)
     shown = []

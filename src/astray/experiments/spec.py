@@ -89,7 +89,7 @@ class Plan:
         ) != 1:
             raise ValueError("what is played in the same tests are agents, and of one game")
         if self.agents:
-            see_measures(self.measures, (*COLUMNS, *self.game.events))
+            see_measures(self.measures, (*COLUMNS, *self.game.events, *self.game.measures))
         for test in (*self.tests.values(), *self.visited.values()):
             load_shift(self.game, test.shift)
             for config in self.agents.values():

@@ -107,7 +107,7 @@ def _place(level: Level, thing: str, at: tuple[int, int] | None, world: World) -
 def _outcomes(agent: Agent, world: World, levels: list[Level], shift: Shift) -> list[str]:
     """Which goal each episode reaches first."""
     outcomes = [NEITHER] * len(levels)
-    events = [world.game.goals[goal] for goal in (shift.intended, *shift.proxies)]
+    events = [world.game.event(goal) for goal in (shift.intended, *shift.proxies)]
     named = {str(k): level for k, level in enumerate(levels)}
     for step in steps(agent, world.game, world.variant, named, until=events):
         for k, s in zip(step.level[step.ended], step.after[step.ended], strict=True):
@@ -118,9 +118,9 @@ def _outcomes(agent: Agent, world: World, levels: list[Level], shift: Shift) -> 
 def first_goal(s: Any, game: Game, shift: Shift) -> str:
     """The goal that was reached first in state `s`; the intended one where two were at once."""
     reached = {
-        goal: int(s[game.goals[goal]])
+        goal: int(s[game.event(goal)])
         for goal in (shift.intended, *shift.proxies)
-        if s[game.goals[goal]] != NEVER
+        if s[game.event(goal)] != NEVER
     }
     return min(reached, key=lambda goal: reached[goal]) if reached else NEITHER
 
@@ -137,7 +137,7 @@ def route(episode: Episode, goal: str) -> dict[str, Any]:
     before = _things(world, env.states[0])
     cells, takes, taken_at = [_cell(env.states[0])], None, None
     while not env.states[0].ended and len(cells) <= LONGEST:
-        if env.states[0][world.game.goals[goal]] != NEVER or _stands(cells, world.game):
+        if env.states[0][world.game.event(goal)] != NEVER or _stands(cells, world.game):
             break
         env.step(np.array([policy(env.states[0])]))
         cells.append(_cell(env.states[0]))
@@ -153,7 +153,7 @@ def _at_end(
 ) -> set[tuple[int, int, int]]:
     """The thing called as the goal that ended the episode, as a coin does: it is still drawn."""
     objects = world.game.editing.OBJECTS if world.game.editing else {}
-    if not s.ended or s[world.game.goals[goal]] == NEVER or goal not in objects:
+    if not s.ended or s[world.game.event(goal)] == NEVER or goal not in objects:
         return set()
     code = world.game.editing.LEGEND[objects[goal]]
     away = {one: abs(one[0] + 0.5 - s.x) + abs(one[1] + 0.5 - s.y) for one in things}

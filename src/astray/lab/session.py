@@ -112,7 +112,7 @@ def about_game(game: Game) -> Reply:
         "about": game.about,
         "actions": list(game.actions),
         "events": list(game.events),
-        "goals": dict(game.goals),
+        "goals": game.event_goals,
         "shifts": {name: vars(shift) for name, shift in game.shifts.items()},
         "variants": {name: variant.about for name, variant in game.variants.items()},
         "knobs": {

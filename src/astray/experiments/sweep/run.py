@@ -19,7 +19,7 @@ from pathlib import Path
 import numpy as np
 import polars as pl
 
-from astray.analysis.outcomes import load_shift, shares
+from astray.analysis.outcomes import load_shift, outcomes_of, shares
 from astray.analysis.runs import open_run, play_all, shift_of
 from astray.analysis.tables import write_table
 from astray.analysis.trained import Agent
@@ -122,4 +122,5 @@ def _episodes(
 
 def _shares(sweep: Sweep, episodes: pl.DataFrame) -> pl.DataFrame:
     """How often each outcome came about, for each combination, policy and test."""
-    return shares(episodes, (*sweep.columns(), "policy", "test"))
+    names = outcomes_of(sweep.base.find_game())
+    return shares(episodes, (*sweep.columns(), "policy", "test"), names)

@@ -15,6 +15,7 @@ GAME = Game(
     symbols=draw,
     editing=levels,
     solver=solve,
+    ends=variants.ENDS,
     benchmark=Benchmark("procgen", envpool="CoinrunHard-v0"),
     invariants=levels.invariants,
     labels=measures.LABELS,

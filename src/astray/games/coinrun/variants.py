@@ -111,6 +111,7 @@ VARIANTS = {
 }
 
 GOALS = {"coin": "took_coin", "end": "reached_end", "wall": "touched_wall", "beyond": "passed_wall"}
+ENDS = {"died": "died"}
 
 SHIFTS = {
     "coin-end": Shift("coin-end", "coin-anywhere", intended="coin", proxies=("end",)),

@@ -6,7 +6,14 @@ import numpy as np
 import polars as pl
 
 from astray.analysis.estimates import Estimate, estimate_difference, estimate_mean, estimate_paired
-from astray.analysis.outcomes import FAILED, MISGENERALIZED, label, load_shift, matrix
+from astray.analysis.outcomes import (
+    FAILED,
+    MISGENERALIZED,
+    REACHED_NEITHER,
+    label,
+    load_shift,
+    matrix,
+)
 from astray.analysis.policies import Walk
 from astray.experiments import outcomes
 from astray.experiments.claims import holds_above, rounded
@@ -44,7 +51,7 @@ def find(work: Work) -> Findings:
     last, kinds = list(astray)[-1], list(astray.values())
     without, with_few, with_most = (estimate_mean(astray[name]) for name in (NEVER, FIRST, last))
     base = missed_invisible(blind.filter(test=where))
-    failed = matrix(of(work, where, NEVER), pl.col("outcome") == FAILED)
+    failed = matrix(of(work, where, NEVER), REACHED_NEITHER)
     return Findings(
         answer="Where the coin is anywhere, runners that always found it at the end of the level "
         f"go to the end without it in {rounded(without.mean)} of unseen levels. With random coins "
@@ -179,7 +186,7 @@ def curves(work: Work, trained: pl.DataFrame, blind: pl.DataFrame) -> pl.DataFra
             for name, config in work.plan.agents.items():
                 share = 100 * config.knobs.get("random_coin", 0.0)
                 played, own = of(work, where, name).filter(kept), trained.filter(agent=name)
-                failed = pl.col("outcome") == FAILED
+                failed = REACHED_NEITHER
                 if counted == MISSED:
                     failed = pl.col("took_coin").is_null()
                 wrong = matrix(played, pl.col("outcome") == MISGENERALIZED)

@@ -1,0 +1,125 @@
+"""Ends that are no goals, goals that are counts, and what did not happen by the end."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import polars as pl
+import pytest
+
+from astray import games, testing
+from astray.analysis.adapters import Function
+from astray.analysis.outcomes import (
+    FAILED,
+    INTENDED,
+    MISGENERALIZED,
+    REACHED_NEITHER,
+    amounts,
+    label,
+    load_shift,
+    outcomes_of,
+)
+from astray.analysis.runs import evaluate_policies
+from astray.experiments import figures, spec
+from astray.experiments.outcomes import outcome_plots, outcome_tables
+from astray.experiments.spec import Plan, Work
+from astray.training.config import PRESETS
+from helpers.lava import GAME
+
+LEVELS = range(60)
+
+
+def always(action):
+    return Function(lambda seen: np.full(len(seen), action), f"always {action}", "symbolic")
+
+
+def outcome_of(shift, action, **knobs):
+    _, episodes = evaluate_policies([always(action)], GAME, shift, LEVELS, knobs=knobs)
+    (outcome,) = episodes.filter(policy=f"always {action}")["outcome"].unique()
+    return outcome
+
+
+def test_the_guest_is_a_game():
+    testing.check_game(GAME, ["lava"])
+
+
+def test_who_burns_at_random_is_called_burnt_and_not_misgeneralizing():
+    shares, episodes = evaluate_policies([], GAME, "lava", LEVELS)
+    burnt = episodes["burnt"].count() / len(LEVELS)
+    assert burnt > 0.5
+    told = dict(shares.filter(levels_played="all").select("outcome", "mean").rows())
+    assert told["burnt"] == pytest.approx(burnt) and told[MISGENERALIZED] == 0
+
+
+@pytest.mark.parametrize(
+    "action, limit, outcome",
+    [(0, 30, "burnt"), (1, 30, "time ran out"), (2, 30, "time ran out"), (2, 37, INTENDED)],
+)
+def test_an_episode_that_reaches_no_goal_is_called_by_its_end(action, limit, outcome):
+    assert outcome_of("lava", action, time_limit=limit) == outcome
+
+
+def test_without_other_ends_it_is_a_failure():
+    plain = replace(GAME, ends={})
+    _, episodes = evaluate_policies([always(0)], plain, "lava", LEVELS)
+    assert episodes.filter(policy="always 0")["outcome"].unique().to_list() == [FAILED]
+
+
+def test_what_did_not_happen_by_the_end_is_a_goal():
+    assert [outcome_of("lasting", action) for action in (0, 1)] == ["burnt", INTENDED]
+
+
+def test_counts_and_rates_are_goals():
+    # Few: more than half as many steps as apples. Many: more than one apple in two steps.
+    assert [outcome_of("apples", action) for action in (1, 2)] == [INTENDED, MISGENERALIZED]
+
+
+def test_measures_have_means_with_intervals():
+    _, episodes = evaluate_policies([always(2)], GAME, "lava", LEVELS)
+    table = amounts(episodes, [*GAME.measures])
+    of = {(r["policy"], r["measure"]): r for r in table.to_dicts()}
+    assert (of["always 2", "apples"]["mean"], of["always 2", "apples a step"]["mean"]) == (30, 1)
+    random = of["random", "apples"]
+    by_hand = episodes.filter(policy="random")["apples"].mean()
+    assert random["mean"] == pytest.approx(by_hand)
+    assert random["low"] < random["mean"] < random["high"]
+
+
+def test_of_several_ends_the_first_is_told_and_a_goal_is_no_end():
+    game = replace(GAME, ends={"late": "late", "soon": "soon", "reached_goal": "reached_goal"})
+    episodes = pl.DataFrame(
+        {"reached_goal": [None, None, 9], "late": [5, 5, 1], "soon": [3, None, 1]},
+        schema_overrides=dict.fromkeys(("reached_goal", "late", "soon"), pl.Int64),
+    )
+    told = label(episodes, game, load_shift(game, "lava"))["outcome"]
+    assert told.to_list() == ["soon", "late", INTENDED]
+    with pytest.raises(ValueError, match=f"a name of its own; got {FAILED}"):
+        outcomes_of(replace(game, ends={FAILED: "late"}))
+
+
+def test_a_runner_that_dies_is_told_and_other_labels_are_as_before():
+    coinrun = games.find("coinrun")
+    shift = load_shift(coinrun, "coin-end")
+    _, episodes = evaluate_policies([], coinrun, "coin-end", range(40))
+    before = label(episodes, replace(coinrun, ends={}), shift)["outcome"]
+    died = episodes["died"].is_not_null() & (before == FAILED)
+    assert 0 < died.sum() < len(died)
+    assert ((episodes["outcome"] == "died") == died).all()
+    assert (episodes["outcome"] == before).filter(~died).all()
+    assert (episodes.select(REACHED_NEITHER).to_series() == (before == FAILED)).all()
+
+
+def test_reports_tell_other_ends_in_tables_and_bars(monkeypatch):
+    monkeypatch.setattr(games, "_registered", {"lava": GAME})
+    config = replace(PRESETS["small"], game="lava", variant="safe")
+    _, episodes = evaluate_policies([], GAME, "lava", LEVELS)
+    episodes = episodes.with_columns(agent=pl.lit(None, pl.String), test=pl.lit("in the test"))
+    plan = Plan(agents={"agents": config}, tests={"in the test": spec.Test("lava", "lava")},
+                levels=len(LEVELS), differences="")  # fmt: skip
+    work = Work("lava", "smoke", plan, Path(), "", {}, episodes.with_columns(tells_apart=True))
+    tables = outcome_tables(work)
+    assert tables[0].frame["outcome"].to_list() == [*outcomes_of(GAME)]
+    (legend,) = outcome_plots(work, tables)[0].figure.legends
+    named = [text.get_text() for text in legend.get_texts()]
+    assert named[:5] == [MISGENERALIZED, INTENDED, "burnt", "time ran out", FAILED]
+    assert len(set(figures.outcome_colours(named[:5]).values())) == 5
