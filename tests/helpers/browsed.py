@@ -44,15 +44,15 @@ def wait(page, expression):
 
 
 @contextmanager
-def opened(browser, address, **options):
-    """A page of the lab, ready; what it writes to the console is in its `told`."""
+def opened(browser, address, ready="lab.fields.size > 0", **options):
+    """A page of the lab, `ready`; what it writes to the console is in its `told`."""
     context = browser.new_context(**options)
     context.set_default_timeout(1000 * PATIENCE)
     page, told = context.new_page(), []
     page.on("console", lambda message: told.append(message.text))
     page.on("pageerror", lambda error: told.append(str(error)))
     page.goto(address)
-    wait(page, "globalThis.lab?.ready && lab.fields.size > 0")
+    wait(page, f"globalThis.lab?.ready && {ready}")
     yield page, told
     context.close()
 

@@ -1,5 +1,7 @@
 """Fields of levels, beside what the environment and the policy say one state at a time."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -109,6 +111,16 @@ def test_a_difference_is_of_the_places_of_both(mouse, level, field):
     assert (change.policy >= 0).all() and (change.policy <= 1).all() and change.policy.max() > 0.01
     same = difference(field, field)
     assert not same.value.any() and not same.policy.any() and not same.arrows.any()
+
+
+def test_actions_that_do_the_same_are_no_difference(field):
+    policy = field.policy.copy()
+    policy[:, [0, 1, 2]] = field.policy[:, [1, 2, 0]]  # names of one move, to the left
+    assert abs(policy - field.policy).max() > 1e-4
+    other = replace(field, policy=policy)
+    assert difference(field, other).policy == pytest.approx(0)
+    policy[:, [0, 6]] = policy[:, [6, 0]]  # to the left for to the right
+    assert difference(field, other).policy.max() > 0.01
 
 
 def test_fields_feel_what_is_changed_in_the_agent(mouse, level, field):

@@ -171,6 +171,61 @@ def test_a_link_holds_level_and_agent(chrome, page, served):
         assert other.evaluate("lab.agent") == "maze-corner" and not told
 
 
+@pytest.mark.parametrize(
+    "change, agent, said",
+    [
+        (("agent=maze-corner", "agent=foo"), "", "The agent 'foo' is not in this lab; no agent"),
+        (("agent=maze-corner", "agent=coin-end"), "", "'coin-end' plays coinrun, not maze"),
+        (("game=maze", "game=chess"), "", "This lab has no game 'chess'."),
+        (("variant=anywhere-small", "variant=nope"), "maze-corner", "no variant 'nope' of maze"),
+        (("level=17", "level=abc"), "maze-corner", "from 0 to 2147483646; the link has 'abc'"),
+        (("agent=maze-corner", "agent="), "", ""),
+    ],
+)
+def test_a_link_that_cannot_be_opened_says_so_and_shows_no_other_agent(
+    chrome, served, change, agent, said
+):
+    link = f"{served}#game=maze&variant=anywhere-small&agent=maze-corner&level=17"
+    with opened(chrome, link.replace(*change), ready="lab.level") as (page, told):
+        assert page.evaluate("lab.agent") == agent and not told
+        problem = page.locator("[data-lab=problem]")
+        assert problem.is_visible() == bool(said) and said in problem.text_content()
+
+
+def test_a_level_that_was_not_exported_is_told_and_another_one_shown(chrome, static):
+    link = f"{static}#game=maze&variant=anywhere-small&agent=maze-corner&level=777"
+    with opened(chrome, link) as (page, told):
+        assert page.evaluate("[lab.agent, lab.number]") == ["maze-corner", 0] and not told
+        assert "levels 0 to 7" in page.locator("[data-lab=problem]").text_content()
+
+
+@pytest.mark.parametrize("way", ["served", "static"])
+def test_two_policies_are_compared_by_what_their_actions_do(chrome, request, way):
+    with opened(chrome, request.getfixturevalue(way)) as (page, told):
+        show(page, ROOM)
+        page.locator("[data-lab=compare]").select_option("level")
+        both = "[...lab.fields.values(), ...lab.others.values()]"
+        wait(page, f"lab.others.size && {both}.every((one) => one.same)")
+        same = {tuple(f["cell"]): f["same"] for f in page.evaluate("[...lab.fields.values()]")}
+        places = expected(page.evaluate("lab.level.grid"), [1, 1]).places
+        assert {cell: same[cell] for cell in places.number} == {
+            cell: places.same[k].tolist() for cell, k in places.number.items()
+        }
+        mixed = """(names) => {
+          for (const one of lab.others.values()) {
+            one.policy = [...one.policy];
+            for (const k of names) one.policy[k] = 0;
+            const own = lab.fields.get(String(one.cell)).policy;
+            one.policy[names.at(-1)] = names.reduce((sum, k) => sum + own[k], 0);
+          }
+          lab.panels.compared();
+          return lab.part("comparison").textContent;
+        }"""
+        left = [0, 1, 2]  # names of one move; 5 and 3 are up and down
+        assert "differ by 0 % on average" in page.evaluate(mixed, left)
+        assert "differ by 0 % on average" not in page.evaluate(mixed, [5, 3]) and not told
+
+
 def test_text_is_read_and_what_is_wrong_with_it_is_told(page):
     page.get_by_text("Take it along").click()
     box = page.locator("[data-lab=text]")

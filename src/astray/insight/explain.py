@@ -182,7 +182,7 @@ def _edits(asked: Asked) -> list[Part]:
                 f"without-{slug(name)}",
                 f"Without the {name} at {where[0]}",
                 f"On the mean over places the value changes by {change.value.mean():+.2f}, and "
-                f"{100 * change.policy.mean():.0f} % of the policy moves to other actions.",
+                f"{100 * change.policy.mean():.0f} % of the policy moves to other effects.",
                 field_figures.draw(
                     {"as it is": plain, f"without the {name}": without, "change": change},
                     art=agent.art,

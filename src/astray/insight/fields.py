@@ -15,6 +15,7 @@ import functools
 from collections import deque
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from hashlib import sha256
 
 import numpy as np
 import polars as pl
@@ -53,6 +54,11 @@ class Places:
     def number(self) -> Mapping[Cell, int]:
         """Which of the places a cell is."""
         return {(x, y): k for k, (x, y) in enumerate(self.cells.tolist())}
+
+    @functools.cached_property
+    def same(self) -> np.ndarray:
+        """[K, A] the first action that has the same effect as each: see `effects`."""
+        return effects(self.level.game, self.level.variant, splay(self.level))
 
     @functools.cached_property
     def leads(self) -> list[list[Cell]]:
@@ -188,7 +194,8 @@ class Change:
     cells   [K, 2] int64
     value   [K] float64, the second's less the first's
     arrows  [K, 2] float64, likewise
-    policy  [K] float64, total variation between the policies: 0 the same, 1 nothing in common
+    policy  [K] float64, total variation between the policies: 0 the same, 1 nothing in common;
+            actions that have the same effect in both are one
     """
 
     level: Level  # the second's
@@ -224,12 +231,17 @@ def difference(one: Field, other: Field) -> Change:
     if not both:
         raise ValueError("fields must have places in common; these have none")
     first, second = np.array(both).T
+    effect = one.places.same[first] * one.policy.shape[1] + other.places.same[second]
+    alike = (effect[:, :, None] == effect[:, None, :]).argmax(2)  # the first action of that effect
+    change = np.zeros(alike.shape)
+    moved = other.policy[second] - one.policy[first]
+    np.add.at(change, (np.arange(len(alike))[:, None], alike), moved)
     return Change(
         other.level,
         other.cells[second],
         other.value[second] - one.value[first],
         other.arrows[second] - one.arrows[first],
-        abs(other.policy[second] - one.policy[first]).sum(1) / 2,
+        abs(change).sum(1) / 2,
     )
 
 
@@ -330,10 +342,7 @@ def outcomes(game: str | Game, variant: str | Variant, states: np.ndarray) -> np
     By the rules themselves: what they draw at random is drawn as the states have it.
     """
     found = games.find(game)
-    shown_as = "symbolic" if found.symbols else "image"  # symbols take less time
-    env = GameVectorEnv(
-        found, variant, len(states), observation=shown_as, autoreset_mode="Disabled"
-    )
+    env = _stepper(found, variant, len(states))
     after = np.empty((len(states), len(found.actions), 2))
     for action in range(len(found.actions)):
         env.set_state(states)
@@ -341,6 +350,30 @@ def outcomes(game: str | Game, variant: str | Variant, states: np.ndarray) -> np
         after[:, action, 0], after[:, action, 1] = env.states["x"], env.states["y"]
     env.close()
     return after
+
+
+def _stepper(game: Game, variant: str | Variant, count: int) -> GameVectorEnv:
+    shown_as = "symbolic" if game.symbols else "image"  # symbols take less time
+    return GameVectorEnv(game, variant, count, observation=shown_as, autoreset_mode="Disabled")
+
+
+def effects(game: str | Game, variant: str | Variant, states: np.ndarray) -> np.ndarray:
+    """Return for each of `states` and actions the first action with the same next state, [N, A].
+
+    Games have names for actions that do the same, and some do the same in one state alone, as two
+    moves into walls.
+    """
+    found = games.find(game)
+    env = _stepper(found, variant, len(states))
+    first = np.empty((len(states), len(found.actions)), np.int64)
+    seen: list[dict[bytes, int]] = [{} for _ in states]
+    for action in range(len(found.actions)):
+        env.set_state(states)
+        env.step(np.full(len(states), action))
+        for k, after in enumerate(env.get_state()):
+            first[k, action] = seen[k].setdefault(sha256(after.tobytes()).digest(), action)
+    env.close()
+    return first
 
 
 def cell_of(level: Level, goal: str) -> Cell | None:

@@ -31,6 +31,7 @@ class Message:
     steps    that the agent goes on for
     thing    whose places are splayed: "agent", or an object at `cell`
     layer    that probes read
+    effects  whether it is told with arrows which actions do the same
     slot     a question is given up when another of its kind and slot comes
     """
 
@@ -51,6 +52,7 @@ class Message:
     layer: str = ""
     slot: str = ""
     draws: int = 1
+    effects: bool = False
     method: Method = "occlusion"
     steering: Mapping[str, Any] = field(default_factory=dict)
 
@@ -69,6 +71,7 @@ class Message:
         of_kind("level", self.level, int | str | Mapping)
         if isinstance(self.level, bool):
             raise ValueError(f"level must be a number, a drawing or an object; got {self.level}")
+        of_kind("effects", self.effects, bool)
         bounded("seed", self.seed, 0, 2**31 - 1)
         bounded("steps", self.steps, 0, LONGEST)
         bounded("draws", self.draws, 1, MOST_DRAWS)

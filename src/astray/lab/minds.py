@@ -16,6 +16,7 @@ from astray.analysis.runs import open_run, reward_deviation, shift_of
 from astray.analysis.trained import Agent
 from astray.game import Game, Shift, Variant, knobs
 from astray.insight.activations import layers
+from astray.insight.fields import effects
 from astray.lab import steering
 from astray.lab.messages import Message
 from astray.lab.worlds import World
@@ -174,13 +175,22 @@ def put(world: World, s: Any, cells: list[tuple[int, int]]) -> np.ndarray:
     return states
 
 
-def arrows(agent: Agent, world: World, s: Any) -> Iterator[dict[str, Any]]:
-    """The policy [A] and the value at all places, some at a time, those near the agent first."""
+def arrows(
+    agent: Agent, world: World, s: Any, with_effects: bool = False
+) -> Iterator[dict[str, Any]]:
+    """The policy [A] and the value at all places, some at a time, those near the agent first.
+
+    With effects, `same` has for each place which actions do the same, as `fields.effects` tells.
+    """
     cells = places(world, s)
     for first in range(0, len(cells), AT_ONCE):
         some = cells[first : first + AT_ONCE]
-        policy, value = judge(agent, observe(agent, world.variant, put(world, s, some)))
-        yield {"cells": some, "policy": rounded(policy), "value": rounded(value), "of": len(cells)}
+        states = put(world, s, some)
+        policy, value = judge(agent, observe(agent, world.variant, states))
+        told = {"cells": some, "policy": rounded(policy), "value": rounded(value)}
+        if with_effects:
+            told["same"] = effects(world.game, world.variant, states).tolist()
+        yield told | {"of": len(cells)}
 
 
 def rounded(numbers: np.ndarray) -> Any:

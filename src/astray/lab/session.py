@@ -149,7 +149,8 @@ def fields(session: Session, message: Message) -> Iterator[Reply]:
     """What the agent would do, and its value, at all places, in the state after the actions."""
     episode = session.episode(message)
     agent = session.lab.minds.of_message(message, episode.world)
-    yield from minds.arrows(agent, episode.world, episode.state.view(np.recarray)[0])
+    state = episode.state.view(np.recarray)[0]
+    yield from minds.arrows(agent, episode.world, state, message.effects)
 
 
 def play(session: Session, message: Message) -> Iterator[Reply]:

@@ -39,17 +39,17 @@ export class Lab {
     this.variant = start.variant;
     this.panels.begin();
     this.panels.status("connected");
-    await this.open(start.level ?? 0);
+    await this.open(start.level ?? 0, start.wrong);
     globalThis.addEventListener("hashchange", () => this.follow());
     this.ready = true;
   }
 
   async follow() {
     if (!this.links || location.hash === this.address) return;
-    const { game, variant, agent, level } = await fromLink(location.hash, this.about);
-    if (game) Object.assign(this, { game, variant, agent });
+    const { wrong, level, ...shown } = await fromLink(location.hash, this.about);
+    Object.assign(this, shown);
     this.panels.choices();
-    await this.open(level ?? 0);
+    await this.open(level ?? 0, wrong);
   }
 
   // What `work` returns; null where it fails, and the page says why.
@@ -100,13 +100,17 @@ export class Lab {
     return Math.min(Math.max(seed || 0, 0), 999);
   }
 
-  // Show a level: a number, a drawing, or an object as `Level.to_json` has it.
-  async open(level) {
+  // Show a level: a number, a drawing, or an object as `Level.to_json` has it. `wrong`: what else
+  // was asked for and cannot be shown.
+  async open(level, wrong = "") {
     await this.#art();
     const question = { ...this.question("level"), level };
     const told = await this.tried(() => this.engine.ask(question));
-    if (!told) return false;
-    this.#take(told);
+    if (!told) { // with nothing shown yet, another level of the same, and what is wrong
+      const said = this.part("problem").textContent;
+      return this.level || level === 0 ? false : this.open(0, `${wrong} ${said}`.trim());
+    }
+    this.#take({ ...told, problem: [wrong, told.problem].filter(Boolean).join(" ") });
     this.original = { level: told.level, number: told.number };
     Object.assign(this, { past: [], future: [] });
     this.panels.level();
@@ -200,7 +204,7 @@ export class Lab {
   // The arrows, in the state that is shown; and those of what is compared with.
   async think() {
     await Promise.all([
-      this.#arrows(this.fields, "own", this.question("fields", { actions: this.actions })),
+      this.#arrows(this.fields, "own", this.#asked()).then(() => this.panels.compared()),
       this.#compare(), this.panels.look(),
     ]);
   }
@@ -217,11 +221,11 @@ export class Lab {
     }
     const begun = performance.now();
     let first = true;
-    const add = ({ cells, policy, value }) => {
+    const add = ({ cells, policy, value, same }) => {
       if (first) fields.clear();
       first = false;
       cells.forEach((cell, k) => {
-        fields.set(String(cell), { cell, policy: policy[k], value: value[k] });
+        fields.set(String(cell), { cell, policy: policy[k], value: value[k], same: same?.[k] });
       });
       this.stage.redraw();
     };
@@ -236,9 +240,15 @@ export class Lab {
     }
   }
 
+  // The question for arrows; where they are compared, it is told which actions do the same.
+  #asked() {
+    const effects = this.part("compare").value !== "";
+    return this.question("fields", { actions: this.actions, ...(effects && { effects }) });
+  }
+
   async #compare() {
     const what = this.part("compare").value;
-    const question = this.question("fields", { actions: this.actions });
+    const question = this.#asked();
     if (what === "level") {
       const { level, number } = this.original;
       Object.assign(question, { level: number ?? plain(level), actions: [] });

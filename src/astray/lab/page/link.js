@@ -2,23 +2,45 @@
 
 import { plain } from "./level.js";
 
+const LEVELS = 2 ** 31 - 1; // numbers of levels are below
 const LONGEST = 200_000; // characters of a level in an address
 
-// What an address says; fields that it lacks, or that cannot be, are left out.
+// What an address says; and in `wrong` what of it this lab cannot show. No other agent is ever put
+// in the place of one that is not here.
 export async function fromLink(hash, about) {
   const words = new URLSearchParams(hash.slice(1));
-  const found = {};
   const game = words.get("game");
-  if (!Object.hasOwn(about.games, game)) return found;
-  found.game = game;
-  const variants = Object.keys(about.games[game].variants);
-  found.variant = variants.includes(words.get("variant")) ? words.get("variant") : variants[0];
-  const agent = words.get("agent");
-  found.agent = about.agents[agent]?.game === game ? agent : firstOf(about, game, found.variant);
-  const number = Number(words.get("level") ?? 0);
-  found.level = Number.isInteger(number) && number >= 0 && number < 2 ** 31 - 1 ? number : 0;
-  if (words.has("drawn")) found.level = (await unpacked(words.get("drawn"))) ?? found.level;
-  return found;
+  if (game === null) return {};
+  if (!Object.hasOwn(about.games, game)) return { agent: "", wrong: `This lab has no game '${game}'.` };
+  const wrong = [];
+  const agent = agentOf(words.get("agent"), game, about, wrong);
+  const { variants } = about.games[game];
+  let variant = words.get("variant");
+  if (!Object.hasOwn(variants, variant)) {
+    if (variant !== null) wrong.push(`This lab has no variant '${variant}' of ${game}.`);
+    variant = about.agents[agent]?.test ?? Object.keys(variants)[0];
+  }
+  const number = words.get("level") ?? 0;
+  let level = Number(number);
+  if (!(Number.isInteger(level) && level >= 0 && level < LEVELS)) {
+    wrong.push(`A level must be a number from 0 to ${LEVELS - 1}; the link has '${number}'.`);
+    level = 0;
+  }
+  if (words.has("drawn")) {
+    const drawn = await unpacked(words.get("drawn"));
+    if (!drawn) wrong.push("The level that was drawn cannot be read from the link.");
+    level = drawn ?? level;
+  }
+  return { game, variant, agent: agent ?? firstOf(about, game, variant), level, wrong: wrong.join(" ") };
+}
+
+// The agent of a link; "" where it is none of this game here, null where the link does not say.
+function agentOf(name, game, { agents, broken }, wrong) {
+  if (!name || agents[name]?.game === game) return name;
+  const why = agents[name] ? `plays ${agents[name].game}, not ${game}`
+    : broken?.[name] ? `cannot be opened: ${broken[name]}` : "is not in this lab";
+  wrong.push(`The agent '${name}' ${why}; no agent is shown.`);
+  return "";
 }
 
 // An agent for levels of a variant; "" where there is none.
@@ -28,8 +50,7 @@ export function firstOf(about, game, variant) {
 }
 
 export async function toLink({ game, variant, agent, level, number }) {
-  const words = new URLSearchParams({ game, variant });
-  if (agent) words.set("agent", agent);
+  const words = new URLSearchParams({ game, variant, agent });
   if (number === null) words.set("drawn", await packed(plain(level)));
   else words.set("level", number);
   return `#${words}`;

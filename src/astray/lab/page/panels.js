@@ -13,6 +13,18 @@ const NAMES = {
   "1,0": "right", "-1,0": "left", "0,1": "up", "0,-1": "down", "0,0": "stays", "1,1": "right and up",
   "-1,1": "left and up", "1,-1": "right and down", "-1,-1": "left and down",
 };
+
+// Total variation between the policies of two agents in a place; actions that do the same in both
+// are one.
+function variation(one, other) {
+  const sums = new Map();
+  one.policy.forEach((chance, k) => {
+    const effect = `${one.same[k]} ${other.same[k]}`;
+    sums.set(effect, (sums.get(effect) ?? 0) + chance - other.policy[k]);
+  });
+  return [...sums.values()].reduce((sum, change) => sum + Math.abs(change) / 2, 0);
+}
+
 export class Panels {
   constructor(lab) {
     this.lab = lab;
@@ -267,21 +279,21 @@ export class Panels {
   compared() {
     const { lab, part } = this;
     const line = part("comparison");
-    const both = [...lab.fields.values()].filter(({ cell }) => lab.others.has(String(cell)));
+    const both = [...lab.fields.values()].filter(({ cell, same }) => same && lab.others.get(String(cell))?.same);
     if (!part("compare").value || !both.length) {
       line.textContent = "";
       return;
     }
     const ways = lab.rules.actions.map((name) => lab.look.direction(name));
     const pairs = both.map((one) => [one, lab.others.get(String(one.cell))]);
-    const varied = pairs.map(([a, b]) => a.policy.reduce((sum, p, k) => sum + Math.abs(p - b.policy[k]) / 2, 0));
+    const varied = pairs.map(([a, b]) => variation(a, b));
     const turned = pairs.filter(([a, b]) => {
       const [one, two] = [meanWay(a.policy, ways), meanWay(b.policy, ways)];
       return one[0] * two[0] + one[1] * two[1] < 0;
     }).length;
     const mean = varied.reduce((a, b) => a + b, 0) / varied.length;
     line.textContent = `Red: what it is compared with. Policies differ by ${percent(mean)} on average ` +
-      `(total variation), and point against each other at ${turned} of ${both.length} places.`;
+      `(total variation; actions that do the same are one), and point against each other at ${turned} of ${both.length} places.`;
   }
 
   played() {

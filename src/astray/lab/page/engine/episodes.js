@@ -18,6 +18,19 @@ export function take(episode, rules, action) {
   Object.assign(episode, { terminated, ended: s.ended });
 }
 
+// For each action the first one with the same next state.
+export function effects(rules, s, count) {
+  const seen = new Map();
+  return Array.from({ length: count }, (_, action) => {
+    const after = rules.copy(s);
+    advance(rules, after, action);
+    const changed = Object.entries(after).filter(([name, what]) => what !== s[name] && name !== "draws");
+    const key = JSON.stringify(changed);
+    if (!seen.has(key)) seen.set(key, action);
+    return seen.get(key);
+  });
+}
+
 export function told(episode, first, agent, rules) {
   const states = episode.states.slice(first);
   const judged = agent ? states.map((s) => agent.judge(s, rules)) : [];

@@ -11,7 +11,7 @@ import { pursuits } from "../rules/constants.js";
 import { rules as coinrun } from "../rules/coinrun.js";
 import { rules as keys } from "../rules/keys.js";
 import { rules as maze } from "../rules/maze.js";
-import { played, snapshot, take, told } from "./episodes.js";
+import { effects, played, snapshot, take, told } from "./episodes.js";
 import { firstGoal, namedPlaces } from "./goals.js";
 import { read, splayed, textOf, whole } from "./levels.js";
 
@@ -84,7 +84,7 @@ export class LocalEngine {
       const own = this.about.agents[agent]?.levels?.[variant]; // of an agent with knobs of its own
       const { levels } = await this.file(own ?? `data/levels/${game}-${variant}.json`);
       const kept = levels.find((one) => one.number === level);
-      if (!kept) throw new Error(`without Python there are levels 0 to ${levels.length - 1} of this`);
+      if (!kept) throw new Error(`This page has levels 0 to ${levels.length - 1} of it; others need Python: astray lab.`);
       number = level;
       given = { ...read(kept.text, about.legend), looks: kept.looks };
     } else if (typeof level === "string") {
@@ -124,6 +124,7 @@ export class LocalEngine {
   async *fields(message) {
     const { rules, judge, s } = await this.at(message);
     const cells = rules.places(s);
+    const count = this.about.games[message.game].actions.length;
     const [x, y] = [Math.floor(s.x), Math.floor(s.y)];
     const away = ([u, v]) => Math.abs(u - x) + Math.abs(v - y);
     cells.sort((one, two) => away(one) - away(two));
@@ -133,6 +134,7 @@ export class LocalEngine {
       yield {
         cells: some, policy: judged.map((one) => one.policy), value: judged.map((one) => one.value),
         of: cells.length,
+        ...(message.effects && { same: some.map((cell) => effects(rules, rules.put(s, cell), count)) }),
       };
     }
   }
