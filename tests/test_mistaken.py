@@ -119,7 +119,7 @@ def begun(count):
 
 def small_training(**change):
     sizes = {"num_envs": 4, "num_steps": 4, "minibatches": 1, "variant": "corner-small"} | change
-    Trainer(replace(PRESETS["small"], **sizes))
+    Trainer(PRESETS["small"].changed(**sizes))
 
 
 def test_numpys_numbers_are_numbers():

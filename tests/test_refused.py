@@ -64,7 +64,7 @@ def _ends():
 @pytest.mark.parametrize("one, other", [("corner-small", "corner"), ("corner", "anywhere-small")])
 @pytest.mark.parametrize("fused_cpu", [True, False])
 def test_a_validation_of_another_size_is_refused_with_both(one, other, fused_cpu, tmp_path):
-    config = replace(TINY, variant=one, validation=other, fused_cpu=fused_cpu)
+    config = TINY.changed(variant=one, validation=other, fused_cpu=fused_cpu)
     with pytest.raises(ValueError, match=rf"{other}' of \(4, .*{one}' of \(4, "):
         train(config, tmp_path)
 
@@ -228,7 +228,7 @@ def test_threads_that_cannot_be_started_are_an_error_and_none_is_left(monkeypatc
 ])  # fmt: skip
 def test_settings_without_measure_are_refused(name, value, tmp_path):
     with pytest.raises(ValueError, match=name):
-        train(replace(TINY, **{name: value}), tmp_path)
+        train(TINY.changed(**{name: value}), tmp_path)
 
 
 def test_a_number_that_python_does_not_write_out_is_refused_all_the_same():

@@ -23,11 +23,14 @@ if TYPE_CHECKING:
     from astray.envs.vector import GameVectorEnv as GameVectorEnv
     from astray.experiments.run import reproduce as reproduce
     from astray.game import Game as Game
+    from astray.game import Shift as Shift
     from astray.game import Variant as Variant
     from astray.level import Level as Level
+    from astray.training.config import PRESETS as PRESETS
     from astray.training.config import Config as Config
     from astray.training.loop import iterate as iterate
     from astray.training.loop import train as train
+    from astray.training.settings import Sampling as Sampling
 
 __version__ = version("astray")
 
@@ -47,6 +50,9 @@ FACE = {
     "load_agent": "astray.analysis.runs:load_agent",
     "reproduce": "astray.experiments.run:reproduce",
     "train": "astray.training.loop:train",
+    "PRESETS": "astray.training.config:PRESETS",
+    "Sampling": "astray.training.settings:Sampling",
+    "Shift": "astray.game:Shift",
     "Variant": "astray.game:Variant",
 }
 

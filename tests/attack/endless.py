@@ -15,6 +15,7 @@ from attack import words
 from attack.core import Attempt, Place
 from attack.files import PLACED
 from attack.readers import READERS
+from helpers.flat import kinds
 
 HUGE = 10**60
 ENDLESS = ("a pipe", "a device without end", "a full device", "a link to itself", "a terabyte")
@@ -49,9 +50,9 @@ def _numbers() -> dict[str, Callable[[Place], Any]]:
 
 def _settings() -> dict[str, Callable[[Place], Any]]:
     """Every whole number among the settings of a training."""
-    from dataclasses import fields, replace
+    from dataclasses import replace
 
-    from astray.training.config import PRESETS, Config
+    from astray.training.config import PRESETS
 
     def act(name: str, value: int, place: Place) -> Any:
         from astray.training.loop import train
@@ -65,12 +66,12 @@ def _settings() -> dict[str, Callable[[Place], Any]]:
             minibatches=1,
             width=4,
         )
-        return train(replace(tiny, **{name: value}), place.work / "there", progress=False)
+        return train(tiny.changed(**{name: value}), place.work / "there", progress=False)
 
     return {
-        f"settings: {field.name} of {title}": functools.partial(act, field.name, value)
-        for field in fields(Config)
-        if str(field.type).split(" |")[0] == "int"
+        f"settings: {setting} of {title}": functools.partial(act, setting, value)
+        for setting, kind in kinds().items()
+        if kind in (int, int | None)
         for title, value in (("60 digits", HUGE), ("10^20,000", 10**20_000))
     }
 

@@ -5,11 +5,11 @@ from __future__ import annotations
 import functools
 import json
 from collections.abc import Iterator
-from dataclasses import fields
 from typing import Any
 
 from attack import words
 from attack.core import Attempt, Place
+from helpers.flat import kinds
 
 # Texts that no setting can have, by what settings are.
 WRONG: dict[str, tuple[str, ...]] = {
@@ -21,22 +21,20 @@ STRANGE: tuple[Any, ...] = ({}, [[]], 1e400)
 
 
 def attempts() -> Iterator[Attempt]:
-    from astray.training.config import Config
-
-    for field in fields(Config):
-        if field.name == "knobs":
+    for setting, hint in kinds().items():
+        if setting == "knobs":
             continue
-        kind = _kind(str(field.type))
+        kind = _kind(hint.__name__ if isinstance(hint, type) else str(hint))
         for value in WRONG[kind]:
             for where, act in (("train", _train), ("sweep", _sweep)):
                 if where == "sweep" and value != WRONG[kind][0]:
                     continue
-                name = f"{where} with {field.name} {value!r}"
-                yield Attempt(4, name, functools.partial(act, field.name, value), "any", seconds=60)
+                name = f"{where} with {setting} {value!r}"
+                yield Attempt(4, name, functools.partial(act, setting, value), "any", seconds=60)
         for value in STRANGE:
-            act = functools.partial(_file, field.name, value)
-            wants = "any" if field.name == "teacher" else "refusal"
-            yield Attempt(4, f"a file with {field.name} {value!r}", act, wants)
+            act = functools.partial(_file, setting, value)
+            wants = "any" if setting == "teacher" else "refusal"
+            yield Attempt(4, f"a file with {setting} {value!r}", act, wants)
 
 
 def _kind(text: str) -> str:

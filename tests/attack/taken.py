@@ -6,12 +6,12 @@ import functools
 import json
 import typing
 from collections.abc import Callable, Iterator
-from dataclasses import fields, replace
 from typing import Any
 
 import numpy as np
 
 from attack.core import Attempt, Place, Wrong
+from helpers.flat import kinds
 
 # Of each type of a setting: values of others, which Python would take for it or convert.
 OTHERS: dict[type, tuple[Any, ...]] = {
@@ -39,18 +39,16 @@ def _kind_of(hint: Any) -> type:
 
 def _settings() -> dict[str, Callable[[Place], Any]]:
     """Every setting of a training, of another type than it has."""
-    from astray.training.config import PRESETS, Config
+    from astray.training.config import PRESETS
 
     def act(name: str, value: Any, _: Place) -> Any:
-        return replace(PRESETS["small"], **{name: value})
+        return PRESETS["small"].changed(**{name: value})
 
-    hints = typing.get_type_hints(Config)
     found = {}
-    for field in fields(Config):
-        kind = _kind_of(hints[field.name])
-        for value in OTHERS.get(kind, ([], "maze")):
-            name = f"settings: {field.name} is {value!r}"
-            found[name] = functools.partial(act, field.name, value)
+    for setting, hint in kinds().items():
+        for value in OTHERS.get(_kind_of(hint), ([], "maze")):
+            name = f"settings: {setting} is {value!r}"
+            found[name] = functools.partial(act, setting, value)
     return found
 
 

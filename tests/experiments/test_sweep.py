@@ -191,7 +191,7 @@ def test_trainings_are_those_of_the_workers():
     [
         Sweep(PRESETS["small"], {"gamma": [0.9, 0.99]}),
         Sweep(BASE, TWO, seeds=3, levels=50, shift="corner"),
-        Sweep(replace(PRESETS["pixels"], anneal=False, fused_cpu=False), {"width": [8]}),
+        Sweep(PRESETS["pixels"].changed(anneal=False, fused_cpu=False), {"width": [8]}),
         Sweep(replace(BASE, variant="corner", knobs={"time_limit": 9}), {"anneal": [True, False]}),
     ],
     ids=["small", "own", "pixels", "knobs"],

@@ -11,8 +11,7 @@ from astray.training.loop import train
 def miniature(plan: Plan, time_limit: int = 25) -> Plan:
     """The plan with two agents of each name, trained for 512 steps in few short levels."""
     agents = {
-        name: replace(
-            config,
+        name: config.changed(
             levels=100,
             steps=512,
             num_envs=16,

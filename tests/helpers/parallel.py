@@ -2,7 +2,6 @@
 
 import sys
 import weakref
-from dataclasses import replace
 from pathlib import Path
 
 import torch
@@ -12,8 +11,7 @@ from astray.training.config import PRESETS
 from astray.training.loop import iterate
 
 # One minibatch an epoch, so that the samples of two processes are those of one.
-CONFIG = replace(
-    PRESETS["small"],
+CONFIG = PRESETS["small"].changed(
     variant="corner-small",
     validation="anywhere-small",
     num_envs=32,

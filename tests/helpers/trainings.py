@@ -24,9 +24,8 @@ TINY = replace(
 )
 OFF = {"fused_cpu": False, "bfloat16": False, "channels_last": False, "compile": False,
        "cudagraphs": False, "groups": 1}  # fmt: skip
-PLAIN = replace(TINY, validation=None, **OFF)
-PICTURES = replace(
-    PRESETS["paper"],
+PLAIN = TINY.changed(validation=None, **OFF)
+PICTURES = PRESETS["paper"].changed(
     game="coinrun",
     variant="coin-end",
     num_envs=4,

@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from astray.bench import train
-from astray.training.config import Config
+from astray.training.config import PRESETS
 from astray.training.loop import collect, update
 from astray.training.ppo import Samples, normalised
 from astray.training.trainer import Trainer
@@ -18,7 +18,7 @@ from stable_baselines3.common.callbacks import BaseCallback
 
 from astray.bench import sb3
 
-CONFIG = Config(
+CONFIG = PRESETS["paper"].changed(
     game="maze",
     variant="corner-small",
     knobs={"world": 5, "largest": 5, "time_limit": 50},
@@ -107,7 +107,7 @@ def test_learning_is_the_same():
     """
     ours, theirs = np.zeros((2, 2, len(ITERATIONS)))
     for seed in range(2):
-        trainer = Trainer(replace(CONFIG, seed=seed, bfloat16=None))
+        trainer = Trainer(CONFIG.changed(seed=seed, bfloat16=None))
         theirs[seed] = sb3.learning_curve(sb3.ppo(trainer.config, trainer.network), ITERATIONS)
         for k in range(1, ITERATIONS[-1] + 1):
             train.iterate(trainer)

@@ -62,7 +62,7 @@ def test_what_is_given_trains_as_it_is_written(own, names):
     with pytest.warns(UserWarning, match=f"the {names}.* as it is written"):
         given, metrics = learned(CONFIG, *own)
     with pytest.warns(UserWarning, match="as it is written"):
-        plain, _ = learned(replace(CONFIG, **OFF), *own)
+        plain, _ = learned(CONFIG.changed(**OFF), *own)
     assert torch.equal(given, plain)
     ours, usual = learned(CONFIG)
     assert given.shape != ours.shape or (given - ours).abs().max() > 1e-3
@@ -98,7 +98,7 @@ def test_an_edit_of_ours_is_seen(edit, monkeypatch):
     edit(monkeypatch)
     with pytest.warns(UserWarning, match="as it is written"):
         edited, _ = learned(CONFIG)
-    plain, _ = learned(replace(CONFIG, **OFF))
+    plain, _ = learned(CONFIG.changed(**OFF))
     assert torch.equal(edited, plain)
 
 
@@ -108,7 +108,7 @@ def test_ours_is_computed_by_the_kernels():
 
 def test_kernels_that_are_asked_for_are_refused_to_others():
     with pytest.raises(ValueError, match=r"fused_cpu must be off with .* this network and"):
-        Trainer(replace(CONFIG, fused_cpu=True), Tanh)
+        Trainer(CONFIG.changed(fused_cpu=True), Tanh)
 
 
 def test_explained_variance_is_a_share_of_the_targets():

@@ -290,7 +290,7 @@ def test_settings_that_are_none_are_refused(run, text):
 )
 def test_bad_settings_are_explained(change, message):
     with pytest.raises(ValueError, match=message):
-        replace(SHORT, **change)
+        SHORT.changed(**change)
 
 
 FORBIDDEN = {"pickle", "joblib", "dill", "marshal", "shelve", "cloudpickle"}  # modules

@@ -18,8 +18,8 @@ from astray.training.trainer import Trainer
 from helpers.fake_cuda import cuda
 from helpers.trainings import OFF, PICTURES, PLAIN, digest
 
-GRAPHS = replace(PLAIN, device="cuda", cudagraphs=True, steps=1024, checkpoint_every=1)
-ALL = replace(PICTURES, device="cuda", **dict.fromkeys(OFF) | {"compile": False})
+GRAPHS = PLAIN.changed(device="cuda", cudagraphs=True, steps=1024, checkpoint_every=1)
+ALL = PICTURES.changed(device="cuda", **dict.fromkeys(OFF) | {"compile": False})
 
 
 def learned(config):
@@ -38,7 +38,7 @@ def learned(config):
 def test_graphs_learn_what_plain_calls_learn(config, monkeypatch):
     plain = learned(config)
     with cuda(monkeypatch) as pretended:
-        replayed = learned(replace(config, device="cuda", cudagraphs=True))
+        replayed = learned(config.changed(device="cuda", cudagraphs=True))
     assert len(pretended.graphs) == 2
     assert all(torch.equal(a, b) for a, b in zip(plain, replayed, strict=True))
 
@@ -46,7 +46,7 @@ def test_graphs_learn_what_plain_calls_learn(config, monkeypatch):
 def test_two_groups_wait_for_their_actions_and_images(monkeypatch):
     plain = learned(replace(PLAIN, num_steps=40))
     with cuda(monkeypatch):
-        late = learned(replace(GRAPHS, num_steps=40, groups=2))
+        late = learned(GRAPHS.changed(num_steps=40, groups=2))
     for a, b in zip(plain, late, strict=True):
         torch.testing.assert_close(a, b, atol=1e-4, rtol=1e-3)
 
@@ -59,7 +59,7 @@ def test_only_what_cuda_pinned_is_copied_later(monkeypatch):
 
 def test_a_gpu_sees_as_many_at_once_as_ever(monkeypatch):
     with cuda(monkeypatch):
-        trainer, seen = Trainer(replace(PLAIN, device="cuda", num_steps=40, groups=2)), set()
+        trainer, seen = Trainer(PLAIN.changed(device="cuda", num_steps=40, groups=2)), set()
         trainer.network.features.register_forward_pre_hook(lambda _, x: seen.add(len(x[0])))
         collect(trainer)
     assert len(trainer.player.recent) and seen == {PLAIN.num_envs // 2}
@@ -101,7 +101,7 @@ def test_a_communicator_ends_after_the_graphs_that_use_it(fails, tmp_path, monke
 
 def test_the_benchmark_runs_on_a_gpu(monkeypatch):
     monkeypatch.setattr(profile, "SIDE", 64)
-    small = replace(ALL, num_envs=2, num_steps=4, bfloat16=False)
+    small = ALL.changed(num_envs=2, num_steps=4, bfloat16=False)
     monkeypatch.setitem(bench.CONFIGS, "cuda", (small,))
     with cuda(monkeypatch):
         rows = bench.measure(seconds=0, rounds=1, device="cuda")
@@ -111,7 +111,7 @@ def test_the_benchmark_runs_on_a_gpu(monkeypatch):
 
 
 def test_a_gpu_learns_without_a_compiler_and_says_so(monkeypatch):
-    config = replace(ALL, compile=None)
+    config = ALL.changed(compile=None)
     monkeypatch.setattr(acceleration, "find_spec", lambda name: True)
     monkeypatch.setenv("CC", "gcc")
     monkeypatch.setattr(acceleration.Path, "exists", lambda path: path.name == "Python.h")
@@ -129,5 +129,5 @@ def test_a_process_compiles_for_more_agents_than_torch_lets_it(monkeypatch):
     monkeypatch.setattr(acceleration, "compiles", lambda name: True)
     monkeypatch.setattr(limits, "recompile_limit", 1)
     for width in (8, 9, 10):
-        trainer = Trainer(replace(PLAIN, compile=True, width=width))
+        trainer = Trainer(PLAIN.changed(compile=True, width=width))
         collect(trainer)

@@ -9,7 +9,7 @@ from torch.nn.functional import cosine_similarity
 
 from astray.agents.mlp import MLP
 from astray.training import ppo
-from astray.training.config import PRESETS, Config
+from astray.training.config import PRESETS
 from astray.training.fast import fused, sparse
 from astray.training.fast.acceleration import resolve
 from astray.training.loop import collect, update
@@ -82,7 +82,7 @@ def test_bfloat16_of_the_kernels_is_torchs():
 
 
 def test_the_fused_loss_is_the_plain_one():
-    g, config = torch.Generator().manual_seed(0), Config()
+    g, config = torch.Generator().manual_seed(0), PRESETS["paper"]
     outputs = (2 * torch.randn(1000, 16, generator=g)).requires_grad_()
     noise = torch.randn(4, 1000, generator=g)
     action = torch.randint(0, 15, (1000,), generator=g)
@@ -107,7 +107,7 @@ def test_an_iteration_with_kernels_is_the_one_without():
     weights, metrics = [], []
     for kernels in (False, True):
         # So sure of its actions that rounding changes none.
-        trainer = Trainer(replace(SMALL, fused_cpu=kernels, bfloat16=False))
+        trainer = Trainer(SMALL.changed(fused_cpu=kernels, bfloat16=False))
         trainer.network.get_parameter("policy.weight").data.mul_(1e6)
         metrics.append(update(trainer, collect(trainer), 1e-3))
         weights.append(torch.cat([p.detach().flatten() for p in trainer.network.parameters()]))
@@ -118,7 +118,7 @@ def test_an_iteration_with_kernels_is_the_one_without():
 
 @pytest.mark.parametrize("change", [{"device": "cuda"}, {"network": "impala"}])
 def test_kernels_are_left_where_there_are_none_and_explained_where_asked_for(change):
-    assert not resolve(replace(SMALL, **change)).fused_cpu
+    assert not resolve(SMALL.changed(**change)).fused_cpu
     with pytest.raises(ValueError, match="fused_cpu must be off with device="):
-        resolve(replace(SMALL, fused_cpu=True, **change))
-    assert resolve(SMALL).fused_cpu and not resolve(replace(SMALL, fused_cpu=False)).fused_cpu
+        resolve(SMALL.changed(fused_cpu=True, **change))
+    assert resolve(SMALL).fused_cpu and not resolve(SMALL.changed(fused_cpu=False)).fused_cpu

@@ -28,10 +28,10 @@ from astray.training.trainer import Trainer
 from helpers.trainings import PLAIN, TINY, digest, train_to_first_checkpoint
 
 SHIFTED = {**TINY.knobs, "shift_probability": 0.2}
-MIXED = replace(TINY, sampler="mixed", knobs=SHIFTED)
-PLR = replace(TINY, sampler="plr", knobs=SHIFTED, buffer=64, score="regret")
-GROWING = replace(TINY, sampler="growing", levels=200, knobs={"world": 7, "largest": 7})
-ACCEL = replace(PLR, sampler="accel", score="max-monte-carlo")
+MIXED = TINY.changed(sampler="mixed", knobs=SHIFTED)
+PLR = TINY.changed(sampler="plr", knobs=SHIFTED, buffer=64, score="regret")
+GROWING = TINY.changed(sampler="growing", levels=200, knobs={"world": 7, "largest": 7})
+ACCEL = PLR.changed(sampler="accel", score="max-monte-carlo")
 
 
 def rollout(steps=12, n=5, seed=0):
@@ -95,7 +95,7 @@ def test_every_schedule_comes_to_the_same_share(schedule):
 
 
 def test_mixed_levels_are_shifted_with_the_share_and_are_the_variants_own_numbers():
-    sampler = Mixed(replace(MIXED, share=0.5, levels=1000))
+    sampler = Mixed(MIXED.changed(share=0.5, levels=1000))
     sampler.plan(0)
     numbers = np.concatenate([sampler.next(np.arange(16)) for _ in range(100)])
     shifted = np.array([share_of(number, SHIFT) < 0.2 for number in numbers])
@@ -106,7 +106,7 @@ def test_mixed_levels_are_shifted_with_the_share_and_are_the_variants_own_number
 def test_early_levels_are_shifted_first_and_late_ones_last():
     shares = {}
     for schedule in ("early", "late"):
-        sampler = Mixed(replace(MIXED, schedule=schedule))
+        sampler = Mixed(MIXED.changed(schedule=schedule))
         for steps in (0, MIXED.steps // 2, MIXED.steps - 1):
             sampler.plan(steps)
             numbers = sampler.next(np.arange(16))
@@ -117,7 +117,7 @@ def test_early_levels_are_shifted_first_and_late_ones_last():
 
 @pytest.mark.parametrize("schedule", ["throughout", "early", "late", "annealed"])
 def test_every_schedule_begins_as_many_shifted_levels_as_were_asked_for(schedule):
-    config = replace(MIXED, schedule=schedule, share=0.25, shifted_levels=40, steps=40 * 256)
+    config = MIXED.changed(schedule=schedule, share=0.25, shifted_levels=40, steps=40 * 256)
     sampler, begun = Mixed(config), []
     for steps in range(0, config.steps, config.batch):
         sampler.plan(steps)
@@ -138,7 +138,7 @@ def test_every_schedule_begins_as_many_shifted_levels_as_were_asked_for(schedule
 
 def test_shifted_levels_need_time_to_come_in():
     with pytest.raises(ValueError, match="shifted_levels needs a share above 0; got 0"):
-        Mixed(replace(MIXED, share=0, shifted_levels=10))
+        Mixed(MIXED.changed(share=0, shifted_levels=10))
 
 
 def test_regret_is_what_the_solver_gets_more_than_the_agent():
@@ -157,7 +157,7 @@ def test_regret_is_what_the_solver_gets_more_than_the_agent():
 
 
 def test_what_scores_higher_takes_the_place_of_what_is_replayed_least():
-    sampler = Replay(replace(PLR, buffer=16, levels=10**6))
+    sampler = Replay(PLR.changed(buffer=16, levels=10**6))
     sampler._fill()
     sampler.score[:] = np.arange(16)
     sampler.kind, sampler.current = 0, sampler._generate(np.arange(500_000, 500_016))
@@ -259,7 +259,7 @@ def test_levels_grow_from_the_smallest_to_those_of_the_variant_itself():
 
 
 def test_how_long_levels_grow_can_be_said():
-    sampler = Growing(replace(GROWING, share=0.25))
+    sampler = Growing(GROWING.changed(share=0.25))
     assert len(set(begun(sampler, GROWING.steps // 8))) == round(0.55 * GROWING.levels)
     assert len(set(begun(sampler, GROWING.steps // 4))) == GROWING.levels
 
@@ -292,7 +292,7 @@ class Numbered:
 
 def test_a_sampler_of_your_own_comes_in_as_a_class_and_by_its_name(tmp_path):
     train(TINY, tmp_path / "class", sampler=Numbered, progress=False)
-    named = replace(TINY, sampler=f"{Numbered.__module__}:Numbered")
+    named = TINY.changed(sampler=f"{Numbered.__module__}:Numbered")
     train(named, tmp_path / "name", progress=False)
     assert digest(tmp_path / "class") == digest(tmp_path / "name")
     assert checkpoint.metrics(tmp_path / "class")[-1]["levels/begun"] > 16
@@ -353,7 +353,7 @@ def test_what_a_sampler_must_not_do_is_told(method, message, tmp_path, monkeypat
 )  # fmt: skip
 def test_settings_that_cannot_be_are_explained(change, message, tmp_path):
     with pytest.raises(ValueError, match=message):
-        train(replace(TINY, **change), tmp_path, progress=False)
+        train(TINY.changed(**change), tmp_path, progress=False)
 
 
 def test_a_buffer_that_was_forged_is_refused():

@@ -51,10 +51,10 @@ def test_outputs_do_not_depend_on_parts(rollout):
 
 def test_only_convolutions_on_a_processor_learn_by_parts():
     assert acceleration.resolve(PICTURES).microbatch == 128
-    assert acceleration.resolve(replace(PICTURES, microbatch=32)).microbatch == 32
+    assert acceleration.resolve(PICTURES.changed(microbatch=32)).microbatch == 32
     assert acceleration.resolve(PICTURES, ours=False).microbatch == 0
     with pytest.raises(ValueError, match="microbatch needs a CPU, a network of convolutions"):
-        acceleration.resolve(replace(PICTURES, network="mlp", observation="symbolic", microbatch=8))
+        acceleration.resolve(PICTURES.changed(network="mlp", observation="symbolic", microbatch=8))
 
 
 def test_images_are_rounded_for_bfloat16_as_the_first_convolution_would():

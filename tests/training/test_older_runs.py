@@ -10,8 +10,9 @@ import torch
 from astray.agents.policy import Architecture, load, weights
 from astray.analysis.runs import open_run
 from astray.training import checkpoint
-from astray.training.config import RENAMED, Config
+from astray.training.config import Config
 from astray.training.loop import train
+from astray.training.older import RENAMED
 from helpers.trainings import TINY, digest
 
 

@@ -35,14 +35,14 @@ def test_what_suits_a_cpu():
     suits = resolve(TINY)
     assert suits.fused_cpu and not (suits.channels_last or suits.compile or suits.cudagraphs)
     assert suits.groups == 1
-    assert not any(vars(resolve(replace(PRESETS["paper"], **OFF)))[name] for name in list(OFF)[:5])
+    assert not any(vars(resolve(PRESETS["paper"].changed(**OFF)))[name] for name in list(OFF)[:5])
 
 
 def test_what_suits_a_gpu():
     suits = resolve(replace(PRESETS["paper"], device="cuda"))
     assert suits.bfloat16 and suits.channels_last and suits.cudagraphs and suits.groups == 2
     assert not suits.fused_cpu
-    off = resolve(replace(PRESETS["paper"], **OFF, device="cuda"))
+    off = resolve(PRESETS["paper"].changed(**OFF, device="cuda"))
     assert not (off.bfloat16 or off.channels_last or off.compile or off.cudagraphs)
 
 
@@ -58,18 +58,18 @@ def test_what_suits_a_gpu():
 )
 def test_what_is_not_there_is_explained(change, message):
     with pytest.raises(ValueError, match=message):
-        Trainer(replace(PLAIN, **change))
+        Trainer(PLAIN.changed(**change))
 
 
 def test_without_a_compiler_nothing_is_compiled(monkeypatch):
     monkeypatch.setattr(shutil, "which", lambda name: None)
     assert not resolve(PLAIN).compile
     with pytest.raises(ValueError, match="compile must be off"):
-        resolve(replace(PLAIN, compile=True))
+        resolve(PLAIN.changed(compile=True))
 
 
 def test_groups_play_what_all_play_together():
-    one, two = (iteration(replace(PLAIN, groups=count, num_steps=40)) for count in (1, 4))
+    one, two = (iteration(PLAIN.changed(groups=count, num_steps=40)) for count in (1, 4))
     for a, b in zip(vars(one[1]).values(), vars(two[1]).values(), strict=True):
         torch.testing.assert_close(a, b, atol=1e-5, rtol=1e-4)
     assert torch.equal(one[1].action, two[1].action)
@@ -91,7 +91,7 @@ def test_the_next_rollout_overwrites_the_last():
 
 @pytest.mark.parametrize("change", [{"bfloat16": True}, {"channels_last": True}], ids=str)
 def test_impalas_gradient_is_near_the_plain_one(change):
-    trainer = Trainer(replace(PICTURES, **change))
+    trainer = Trainer(PICTURES.changed(**change))
     samples, g = collect(trainer).flat(), torch.Generator().manual_seed(0)
     noise = torch.randn(2, len(samples), generator=g)
     samples = replace(samples, advantage=noise[0], target=noise[1])  # as if much had happened
@@ -106,7 +106,7 @@ def test_the_compiled_loss_is_the_plain_one(monkeypatch):
     # All of torch.compile but its last step, machine code, which takes a minute or two.
     monkeypatch.setattr(torch, "compile", functools.partial(torch.compile, backend="aot_eager"))
     monkeypatch.setattr(torch._dynamo.config, "fail_on_recompile_limit_hit", True)
-    plain, compiled = (iteration(replace(PLAIN, compile=on)) for on in (False, True))
+    plain, compiled = (iteration(PLAIN.changed(compile=on)) for on in (False, True))
     assert torch.equal(plain[1].action, compiled[1].action)
     torch.testing.assert_close(plain[2], compiled[2], atol=1e-4, rtol=1e-3)
     trainer, rollout = compiled[:2]
@@ -118,7 +118,7 @@ def test_the_compiled_loss_is_the_plain_one(monkeypatch):
 
 @pytest.mark.parametrize(
     "config",
-    [replace(TINY, groups=2), replace(PICTURES, steps=256, channels_last=True, bfloat16=True)],
+    [TINY.changed(groups=2), PICTURES.changed(steps=256, channels_last=True, bfloat16=True)],
     ids=["groups", "bfloat16, channels last"],
 )
 def test_a_resumed_run_is_the_one_that_was_not_stopped(config, tmp_path, monkeypatch):
@@ -148,7 +148,7 @@ def test_what_a_warm_up_learned_is_undone():
 )
 def test_an_iteration_on_a_gpu_is_the_plain_one(change):
     config = replace(PICTURES, device="cuda", num_envs=32)
-    plain, fast = iteration(config), iteration(replace(config, **change))
+    plain, fast = iteration(config), iteration(config.changed(**change))
     assert (plain[1].action == fast[1].action).float().mean() > 0.99
     torch.testing.assert_close(plain[2], fast[2], atol=1e-3, rtol=1e-2)
 
@@ -156,7 +156,7 @@ def test_an_iteration_on_a_gpu_is_the_plain_one(change):
 @ON_GPU
 @pytest.mark.filterwarnings("ignore:learning is slower")
 def test_all_of_it_together_learns_on_a_gpu():
-    trainer = Trainer(replace(PICTURES, device="cuda", num_envs=32, **dict.fromkeys(OFF)))
+    trainer = Trainer(PICTURES.changed(device="cuda", num_envs=32, **dict.fromkeys(OFF)))
     for _ in range(3):
         metrics = update(trainer, collect(trainer), 1e-3)
     assert np.isfinite(list(metrics.values())).all() and metrics["first_kl"] < 1e-2

@@ -91,7 +91,7 @@ def test_a_table_for_which_there_is_no_room_leaves_nothing(name, tmp_path, full_
 
 @pytest.mark.parametrize("settings", [{"validation": "corner"}, {"width": 10**7}])
 def test_a_training_that_is_refused_leaves_no_folder(tmp_path, settings):
-    config = replace(CONFIG, **settings)
+    config = CONFIG.changed(**settings)
     with pytest.raises((ValueError, MemoryError)):
         train(config, tmp_path / "runs" / "seed-0", progress=False)
     assert not list(tmp_path.iterdir())

@@ -69,7 +69,7 @@ def test_the_teacher_is_asked_about_what_the_student_sees(student, weights):
     "more", [{}, {"observation": "image", "network": "patch", "steps": 1024}], ids=["mlp", "patch"]
 )
 def test_a_student_comes_nearer_to_its_teacher(student, more):
-    train(replace(STUDENT, **more), student, progress=False)
+    train(STUDENT.changed(**more), student, progress=False)
     first, *_, last = checkpoint.metrics(student)
     assert last["update/kl"] < 0.7 * first["update/kl"]
     assert "update/first_kl" not in last
@@ -137,6 +137,6 @@ def test_the_verb_distils_from_an_agent_by_name(tmp_path, monkeypatch):
 def test_a_sampler_that_learns_from_scores_has_no_students():
     for sampler in ("plr", "accel"):
         with pytest.raises(ValueError, match=f"a student is not scored.*{sampler}"):
-            replace(STUDENT, sampler=sampler)
+            STUDENT.changed(sampler=sampler)
     with pytest.raises(ValueError, match="one group; got 2 groups"):
-        replace(STUDENT, groups=2)
+        STUDENT.changed(groups=2)

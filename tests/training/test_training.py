@@ -117,7 +117,7 @@ def test_a_device_that_is_not_there_is_explained(tmp_path):
 )
 def test_bad_settings_are_explained(change, message):
     with pytest.raises(ValueError, match=message):
-        replace(TINY, **change)
+        TINY.changed(**change)
 
 
 def test_a_folder_with_another_run_is_refused(tmp_path):

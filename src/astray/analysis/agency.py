@@ -210,8 +210,8 @@ def judge_run(
     run: Path,
     levels: Sequence[int] | np.ndarray | None = None,
     *,
-    variant: str | None = None,
-    shift: str | None = None,
+    variant: str | Variant | None = None,
+    shift: str | Shift | None = None,
     measure: str = "calibrated",
     mode: Mode = "sampled",
     art: str | None = None,
@@ -225,7 +225,7 @@ def judge_run(
     """
     agent, config = open_run(run, mode, art)
     between = load_shift(config.find_game(), shift or shift_of(config))
-    made = config.variant_for(variant or between.test, knobs)
+    made = config.played_variant(variant or between.test, knobs)
     chosen = config.unseen_levels[:300] if levels is None else levels
     played = play(agent, config.game, made, chosen, between)
     judged = judge(played, PRESETS[measure])

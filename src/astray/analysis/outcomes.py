@@ -37,16 +37,16 @@ class Goals(Protocol):
     def ends(self) -> Mapping[str, Outcome]: ...
 
 
-def load_shift(game: str | Game, shift: str) -> Shift:
-    """Return the shift of that name; its variants and goals are the game's.
+def load_shift(game: str | Game, shift: str | Shift) -> Shift:
+    """Return the shift of that name, or one of your own; its variants and goals are the game's.
 
     Raises ValueError where there is no such shift, variant or goal.
     """
     game = games.find(game)
     shifts = game.shifts
-    if not isinstance(shift, str) or shift not in shifts:
+    if not isinstance(shift, Shift) and (not isinstance(shift, str) or shift not in shifts):
         raise ValueError(f"unknown shift {shift!r} of {game.name}; there are: {', '.join(shifts)}")
-    found = shifts[shift]
+    found = shift if isinstance(shift, Shift) else shifts[shift]
     for variant in (found.train, found.test):
         if variant not in game.variants:
             there = ", ".join(game.variants)

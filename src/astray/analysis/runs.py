@@ -23,7 +23,7 @@ from astray.analysis.policies import Policy, Random, Walk
 from astray.analysis.trained import Agent
 from astray.bounds import finite, of_kind, shown
 from astray.files import read, see_readable
-from astray.game import Game, Variant
+from astray.game import Game, Shift, Variant
 from astray.level import read_levels
 from astray.training import checkpoint
 from astray.training.config import Config
@@ -111,12 +111,17 @@ def shift_of(config: Config) -> str:
     return found[0]
 
 
+def name_of(variant: str | Variant) -> str:
+    """Return what tables call a variant: its name, or what one of your own is about."""
+    return variant if isinstance(variant, str) else variant.about
+
+
 def evaluate_runs(
     runs: Sequence[Path],
     levels: np.ndarray | Path | None = None,
     *,
-    variant: str | None = None,
-    shift: str | None = None,
+    variant: str | Variant | None = None,
+    shift: str | Shift | None = None,
     mode: Mode = "sampled",
     art: str | None = None,
     knobs: dict[str, Any] | None = None,
@@ -127,6 +132,8 @@ def evaluate_runs(
 
     levels    numbers, or a file or folder of levels for `read_levels`; None: the first 1,000
               that no run's training draws from
+    variant   its name, or one of your own; None: the shift's test variant
+    shift     its name, or one of your own; None: the one that the runs trained for
     art       that the agents are shown; None: what they were trained on, which is then alike
     solvable  see that in levels from files every object can be reached
 
@@ -134,7 +141,8 @@ def evaluate_runs(
     "levels_played"), and the episodes.
 
     Raises ValueError where runs are not alike, the same one is given twice, or there are no levels;
-    FileNotFoundError where there is no run.
+    FileNotFoundError where there is no run. Warns (`LeftOut`) of knobs of the training that the
+    variant does not have.
     """
     if isinstance(runs, str) or not isinstance(runs, Sequence):
         raise ValueError(f"runs must be a list of run folders; got {shown(runs)}")
@@ -153,15 +161,15 @@ def evaluate_runs(
             if getattr(other, name) != getattr(config, name):
                 raise ValueError(f"{runs[0]} and {run} were trained with different {name}")
     named, game = shift or shift_of(config), config.find_game()
-    name = variant or load_shift(game, named).test
+    played = variant or load_shift(game, named).test
     if levels is None:
         after = max((other.unseen_levels for _, other in opened), key=lambda left: left.start)
         levels = np.array(after[:LEVELS_PLAYED])
     return _outcomes(
         [agent for agent, _ in opened],
         game,
-        name,
-        config.variant_for(name, knobs),
+        name_of(played),
+        config.played_variant(played, knobs),
         named,
         levels,
         batch,
@@ -172,20 +180,20 @@ def evaluate_runs(
 def evaluate_policies(
     policies: Sequence[Policy],
     game: str | Game,
-    shift: str,
+    shift: str | Shift,
     levels: np.ndarray | range | Path | None = None,
     *,
-    variant: str | None = None,
+    variant: str | Variant | None = None,
     knobs: dict[str, Any] | None = None,
     batch: int = 256,
     solvable: bool = True,
 ) -> tuple[pl.DataFrame, pl.DataFrame]:
     """As `evaluate_runs`, of any policies; `levels` are the first 1,000 where none are given."""
     game = games.find(game)
-    name = variant or load_shift(game, shift).test
+    wanted = variant or load_shift(game, shift).test
     played = range(LEVELS_PLAYED) if levels is None else levels
-    changed = game.variant(name).with_knobs(knobs or {})
-    return _outcomes(policies, game, name, changed, shift, played, batch, solvable)
+    changed = game.variant(wanted).with_knobs(knobs or {})
+    return _outcomes(policies, game, name_of(wanted), changed, shift, played, batch, solvable)
 
 
 def _outcomes(
@@ -193,7 +201,7 @@ def _outcomes(
     game: Game,
     name: str,
     variant: Variant,
-    shift: str,
+    shift: str | Shift,
     levels: np.ndarray | range | Path,
     batch: int,
     solvable: bool,
@@ -215,7 +223,7 @@ def play_all(
     game: Game,
     name: str,
     variant: Variant,
-    shift: str,
+    shift: str | Shift,
     levels: Levels,
     policies: Sequence[Policy],
     batch: int = 256,

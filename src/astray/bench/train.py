@@ -31,7 +31,7 @@ from astray.training.trainer import Trainer
 # The preset as it is, and with the smaller network and more environments, where the network's
 # matrix products leave more to the rest.
 SYMBOLIC = tuple(
-    replace(PRESETS["small"], game="maze", variant="corner-small", anneal=False, **change)
+    PRESETS["small"].changed(game="maze", variant="corner-small", anneal=False, **change)
     for change in ({}, {"width": 64, "num_envs": 1024})
 )
 IMAGES = replace(PRESETS["paper"], game="coinrun", variant="coin-end", anneal=False)
@@ -141,7 +141,7 @@ def _symbolic(config: Config, network: Any) -> dict[str, Made | str]:
 
 def _images(config: Config, network: Any) -> dict[str, Made | str]:
     """Ours without any setting of speed, and the plain loops; or why they are not there."""
-    plain = Trainer(replace(config, **PLAIN))
+    plain = Trainer(config.changed(**PLAIN))
     env = GameVectorEnv(
         config.game,
         config.training_variant(),

@@ -30,7 +30,8 @@ from astray.cli.arguments import (
 from astray.envs.vector import PICTURES
 from astray.files import see_free, see_writable, write_aside
 from astray.game import OWN, Game
-from astray.training.config import SEEDS, Config, Tracking
+from astray.training.config import Config, Tracking
+from astray.training.settings import SEEDS
 
 if TYPE_CHECKING:
     import numpy as np

@@ -11,7 +11,8 @@ from astray.analysis import kept
 from astray.analysis.policies import Observation
 from astray.bounds import MOST, bounded
 from astray.envs.pool import most_threads
-from astray.training.config import MOST_STEPS, PRESETS, SEEDS, Tracking
+from astray.training.config import PRESETS, Tracking
+from astray.training.settings import MOST_STEPS, SEEDS
 
 
 def distil(

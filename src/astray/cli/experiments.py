@@ -71,7 +71,7 @@ def _agent(name: str) -> dict[str, Any]:
     from astray.training import checkpoint
 
     try:
-        return vars(checkpoint.read_config(kept.find(name)))
+        return checkpoint.read_config(kept.find(name)).flat()
     except (ValueError, OSError) as error:
         return {"error": str(error)}
 

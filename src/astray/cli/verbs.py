@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import functools
 import sys
+import warnings
 from collections.abc import Callable
 from importlib import import_module
 from importlib.metadata import version
@@ -43,6 +44,7 @@ VERBS = {
 def run() -> None:
     """Do what the command line says."""
     given = sys.argv[1:]
+    warnings.showwarning = functools.partial(_warn, warnings.showwarning)
     if given == ["--version"]:
         print(version("astray"))
     elif given and given[0] in VERBS:
@@ -53,6 +55,14 @@ def run() -> None:
             prog="astray",
             description="Find out which goal a trained agent really pursues.",
         )
+
+
+def _warn(show: Callable[..., None], message: Any, category: type, *where: Any) -> None:
+    """Tell in a sentence what astray warns of; `show` the warnings of libraries as they are."""
+    if category.__module__.startswith("astray."):
+        print(f"astray: {message}", file=sys.stderr)
+    else:
+        show(message, category, *where)
 
 
 def find(name: str) -> Callable[..., Any]:

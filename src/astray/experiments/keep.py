@@ -7,7 +7,6 @@ import os
 import re
 import shutil
 from collections.abc import Iterator
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -117,7 +116,7 @@ def write_card(name: str, run: Path, shift: str, levels: int) -> None:
         levels=f"{levels:,}",
         outcomes=outcomes_of(game),
         rows=[row for variant, (shares, _) in played.items() for row in _rows(variant, shares)],
-        settings=asdict(config),
+        settings=config.flat(),
     )
     write_aside(run / "README.md", text.encode())
 

@@ -5,8 +5,6 @@ Everywhere the policy "sampled" stands for the agents: as in the original, actio
 
 from __future__ import annotations
 
-from dataclasses import asdict
-
 import numpy as np
 import polars as pl
 
@@ -79,7 +77,7 @@ def _who_and_where(plan: Plan, table: pl.DataFrame) -> pl.DataFrame:
     count = f"{plan.seeds} agents" if plan.seeds > 1 else "one agent"
     named = [f"{name}: {count}" if len(plan.agents) > 1 else count for name in plan.agents]
     order = {**dict(zip(plan.agents, named, strict=True)), **scripts}
-    where = {name: f"{test.variant}: {name}" for name, test in plan.tests.items()}
+    where = {name: f"{test.name}: {name}" for name, test in plan.tests.items()}
     return (
         table.with_columns(
             who=pl.coalesce("agent", "policy").replace(order), where=pl.col("test").replace(where)
@@ -144,9 +142,9 @@ def curve_plot(
 
 def settings(plan: Plan) -> dict[str, str]:
     """The settings of the agents; of those of several names, all that differs with its names."""
-    every = {name: asdict(config) for name, config in plan.agents.items()}
+    every = {name: config.flat() for name, config in plan.agents.items()}
     told = {}
-    for key in asdict(plan.config):
+    for key in plan.config.flat():
         values = {name: str(config[key]) for name, config in every.items()}
         alike = len(set(values.values())) == 1
         told[key] = (
@@ -182,7 +180,7 @@ def film(work: Work, *, trained: Test, tested: Test, agent: str | None = None) -
                 )
                 for test in (trained, tested)
             ]
-            captions = [f"{test.variant} {level}" for test in (trained, tested)]
+            captions = [f"{test.name} {level}" for test in (trained, tested)]
             frames = video.beside(*(episode.frames for episode in pair), captions=captions)
             path = work.folder / "videos" / f"{outcome.replace(' ', '-')}.mp4"
             video.write_mp4(frames, path, fps=8)
@@ -192,7 +190,9 @@ def film(work: Work, *, trained: Test, tested: Test, agent: str | None = None) -
                     f"{outcome.capitalize()}, as in {rounded(count / len(mine))} of the levels "
                     f"that tell the goals apart: level {level} as in training, and in the test.",
                     path,
-                    None if tested.knobs else Scene(work.runs[name][0], tested.variant, level),
+                    None
+                    if tested.knobs or tested.name != tested.variant
+                    else Scene(work.runs[name][0], tested.variant, level),
                 )
             )
     return shown

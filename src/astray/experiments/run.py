@@ -276,7 +276,7 @@ def guests_digest(configs: Iterable[Config]) -> str:
     for config in configs:
         game = config.find_game()
         modules |= {game.rules.step.__module__, game.levels.generate.__module__}
-        named = (config.network, config.loss or "", config.sampler)
+        named = (config.network, config.loss or "", config.sampler.kind)
         modules |= {name.partition(":")[0] for name in named if imports.is_name(name)}
     found = digest_of_modules(sorted(modules))
     return uuid.uuid4().hex if found is None else found
@@ -302,7 +302,7 @@ def play(plan: Plan, runs: Runs) -> pl.DataFrame:
     for name, test in plan.tests.items():
         played = play_all(
             plan.game,
-            test.variant,
+            test.name,
             test.variant_for(plan.config),
             test.shift,
             levels_of(plan, test),

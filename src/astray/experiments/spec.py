@@ -7,7 +7,7 @@ import importlib.util
 import io
 import json
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 from math import inf
 from pathlib import Path
 from typing import Any, Literal, get_args
@@ -18,12 +18,13 @@ from astray import games
 from astray.analysis.evaluate import COLUMNS
 from astray.analysis.given import Measure, see_measures
 from astray.analysis.outcomes import load_shift
+from astray.analysis.runs import name_of
 from astray.analysis.tables import write_table
 from astray.bounds import shown
 from astray.experiments.report import COMPUTED, Findings
 from astray.files import read
 from astray.game import OWN, Game, Variant
-from astray.training.config import Config
+from astray.training.config import PRESETS, Config, Named
 
 Size = Literal["smoke", "pixels", "night", "hour", "paper", "published"]
 SIZES: tuple[Size, ...] = get_args(Size)
@@ -36,9 +37,14 @@ Runs = Mapping[str, Sequence[Path]]  # the run folders of the agents of each nam
 class Test:
     """Levels that agents are played on, and what counts as going astray in them."""
 
-    variant: str
-    shift: str  # of the game: which goal is intended, which are proxies
+    variant: Named
+    shift: Named  # which goal is intended, which are proxies
     knobs: Mapping[str, Any] = field(default_factory=dict)  # of the variant, changed
+
+    @property
+    def name(self) -> str:
+        """What tables call the variant."""
+        return name_of(self.variant)
 
     def variant_for(self, config: Config) -> Variant:
         """The variant for agents of that training: its knobs changed likewise."""
@@ -138,8 +144,8 @@ class Plan:
 
 def name_of_run(config: Config) -> str:
     """What the training of these settings is called, the same in all experiments."""
-    usual = asdict(Config())  # left out, so that a new setting changes no name
-    settings = {k: v for k, v in asdict(config).items() if k != "seed" and v != usual[k]}
+    usual = PRESETS["paper"].flat()  # left out, so that a new setting changes no name
+    settings = {k: v for k, v in config.flat().items() if k != "seed" and v != usual[k]}
     digest = hashlib.sha256(json.dumps(settings, sort_keys=True).encode()).hexdigest()[:8]
     return f"{config.game}-{config.variant}-{digest}/seed-{config.seed}"
 

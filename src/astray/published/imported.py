@@ -29,7 +29,8 @@ from astray.bounds import shown
 from astray.files import folder_aside, read, write_aside
 from astray.record import LEVELS
 from astray.training import checkpoint
-from astray.training.config import RENAMED, Config
+from astray.training.config import PRESETS, Config
+from astray.training.older import RENAMED
 
 ORIGIN, CHECKS, CARD = "origin.json", "checks.json", "README.md"
 NAME = re.compile(r"[a-z0-9]+(-[a-z0-9]+)*")
@@ -194,7 +195,7 @@ def _config(file: Path, found: Imported, known: Known) -> tuple[Config, list[str
         settings["levels"] = LEVELS.stop - SPARED
     base = {"game": game, "variant": variant, "observation": "image", "art": known.art,
             "network": found.architecture.name, "scale": found.architecture.scale}  # fmt: skip
-    return Config(**base | settings), told
+    return PRESETS["paper"].changed(**base | settings), told
 
 
 def _on_all_levels(found: Imported) -> bool:

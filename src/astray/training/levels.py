@@ -18,7 +18,8 @@ from astray.envs.vector import GameVectorEnv
 from astray.kernel.rng import fill_shares
 from astray.memory import check_memory
 from astray.record import trusted
-from astray.training.config import Config, Schedule
+from astray.training.config import Config
+from astray.training.settings import Schedule
 
 SALT = 0x1E7E15  # of a sampler's draws, beside those of actions and minibatches
 FIRST = 0.1  # the part of the levels that is played first, where levels grow
@@ -172,10 +173,13 @@ class Mixed:
                 "sampler 'mixed' needs a variant some of whose levels are shifted: "
                 f"shift_probability must be between 0 and 1; got {stock}"
             )
-        self.config, self.share = config, stock if config.share is None else config.share
-        if not self.share and config.shifted_levels:
+        self.config, self.share = (
+            config,
+            stock if config.sampler.share is None else config.sampler.share,
+        )
+        if not self.share and config.sampler.shifted_levels:
             raise ValueError("shifted_levels needs a share above 0; got 0")
-        if config.schedule == "annealed" and self.share > 0.5:
+        if config.sampler.schedule == "annealed" and self.share > 0.5:
             raise ValueError(f"share must be at most 0.5 to be annealed; got {self.share}")
         check_memory(10 * config.levels, f"{config.levels:,} training levels")
         shares = np.empty(config.levels)
@@ -192,18 +196,18 @@ class Mixed:
 
     def plan(self, steps: int) -> Plan:
         config = self.config
-        if config.shifted_levels is None:
-            self.now = share_at(config.schedule, self.share, steps / config.steps)
+        if config.sampler.shifted_levels is None:
+            self.now = share_at(config.sampler.schedule, self.share, steps / config.steps)
         else:
             progress = min((steps + config.batch) / config.steps, 1.0)
-            part = part_at(config.schedule, self.share, progress)
-            self.due = round(part * config.shifted_levels)
+            part = part_at(config.sampler.schedule, self.share, progress)
+            self.due = round(part * config.sampler.shifted_levels)
         return Plan(restart=not self.begun[0])
 
     def next(self, places: np.ndarray) -> np.ndarray:
         random, first = stream(self.config, self.turn), self.config.first_level
         self.turn += 1
-        if self.config.shifted_levels is None:
+        if self.config.sampler.shifted_levels is None:
             is_shifted = random.random(len(places)) < self.now
         else:
             is_shifted = random.permutation(len(places)) < self.due - self.begun[1]
@@ -241,7 +245,7 @@ class Growing:
 
     def __init__(self, config: Config):
         self.config, game = config, config.find_game()
-        self.share = GROWS if config.share is None else config.share
+        self.share = GROWS if config.sampler.share is None else config.sampler.share
         reachable, numbers = game.solver.reachable, np.array(config.training_levels)
         check_memory(17 * len(numbers), f"{len(numbers):,} training levels")
         shown, n = "symbolic" if game.symbols else "image", min(len(numbers), MEASURED)

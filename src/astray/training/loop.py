@@ -24,7 +24,7 @@ from astray.agents.policy import Architecture
 from astray.bounds import bounded, of_kind, shown
 from astray.envs.pool import most_threads, see_startable
 from astray.training import checkpoint, parallel, ppo
-from astray.training.config import SAMPLED, SAMPLERS, Config
+from astray.training.config import Config
 from astray.training.fast import acceleration, actor
 from astray.training.fast.acceleration import Loss
 from astray.training.levels import MakeSampler
@@ -165,12 +165,8 @@ def checked(config: Config, network: Any, loss: Any, sampler: Any) -> Config:
     if loss is not None and loss is not ppo.loss:
         config = replace(config, loss=imports.name_of(loss))
     if sampler is not None:
-        config = replace(config, sampler=imports.name_of(sampler))
-    for name, kinds in SAMPLED.items():
-        if getattr(config, name) is not None and config.sampler in set(SAMPLERS) - set(kinds):
-            raise ValueError(
-                f"{name} is for the sampler {' or '.join(kinds)}; got {config.sampler!r}"
-            )
+        config = config.changed(sampler=imports.name_of(sampler))
+    config.sampler.check_kind()
     if not policy.usable(config.device):
         raise ValueError(f"there is no device {config.device!r} that torch can use")
     bounded("threads", config.threads, 1, most_threads())

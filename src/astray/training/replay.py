@@ -60,15 +60,15 @@ class Replay:
 
     def __init__(self, config: Config):
         self.config, self.variant, self.game = config, config.training_variant(), config.find_game()
-        self.mutates = config.sampler == "accel"
+        self.mutates = config.sampler.kind == "accel"
         if self.mutates and not self.game.mutation:
             self.game.mutation.mutate  # noqa: B018  # says that there is none
-        n, size = config.num_envs, config.buffer
+        n, size = config.num_envs, config.sampler.buffer
         if size < n:
             raise ValueError(f"buffer must hold a level for each of {n} environments; got {size}")
         check_memory(2 * size * self.game.state.itemsize, f"a buffer of {size:,} levels")
-        self.chance = CHANCES[config.sampler] if config.replay is None else config.replay
-        self.intended = config.intended_goal() if config.score == "regret" else None
+        self.chance = config.sampler.replay or CHANCES[config.sampler.kind]
+        self.intended = config.intended_goal() if config.sampler.score == "regret" else None
         shown = "symbolic" if self.game.symbols else "image"
         self._nursery = GameVectorEnv(self.game, self.variant, n, observation=shown)
         self.states = np.zeros(size, self.game.state)
@@ -91,8 +91,8 @@ class Replay:
                 self.states[self.places],
                 self.variant,
                 seeds,
-                self.config.edits,
-                self.config.mutation,
+                self.config.sampler.edits,
+                self.config.sampler.mutation,
             )
         elif random.random() < self.chance:
             self.kind = REPLAY
@@ -122,7 +122,9 @@ class Replay:
     def chances(self) -> np.ndarray:
         """The chance of each level of the buffer to be replayed next, [B]."""
         age = self.rollouts[REPLAY] - self.visited + 1
-        return probabilities(self.score, age, self.config.temperature, self.config.staleness)
+        return probabilities(
+            self.score, age, self.config.sampler.temperature, self.config.sampler.staleness
+        )
 
     def summary(self) -> dict[str, float]:
         counts = dict(zip(NAMES, (len(self.places) * self.rollouts).tolist(), strict=True))
@@ -219,7 +221,7 @@ class Replay:
             "max-monte-carlo": lambda: best - mean,
             "positive-value-loss": lambda: positive_value_loss(played.advantage),
         }
-        return kinds[self.config.score]()
+        return kinds[self.config.sampler.score]()
 
     def _optimal(self, states: np.ndarray) -> np.ndarray:
         """The discounted return of the best policy in each of states [K], 0 if that is no score."""

@@ -15,7 +15,7 @@ from astray.agents.policy import Architecture
 from astray.bounds import of_kind
 from astray.memory import check_memory
 from astray.training import parallel, ppo
-from astray.training.config import SAMPLERS, Config
+from astray.training.config import Config
 from astray.training.fast import acceleration
 from astray.training.fast.acceleration import Loss
 from astray.training.fast.actor import Actor
@@ -23,6 +23,7 @@ from astray.training.fast.graphs import Captured
 from astray.training.levels import Growing, MakeSampler, Mixed, Sampler
 from astray.training.player import RECENT, Player
 from astray.training.replay import Replay
+from astray.training.settings import SAMPLERS
 from astray.training.teacher import Teacher
 from astray.training.teacher import loss as distilled
 
@@ -217,11 +218,11 @@ class Trainer:
 
 def _sampler(config: Config, make: MakeSampler | None) -> Sampler | None:
     """What chooses the training levels; None where the environments draw them."""
-    if make or config.sampler not in SAMPLERS:
-        return (make or imports.find(config.sampler))(config)
-    if config.sampler == "uniform":
+    if make or config.sampler.kind not in SAMPLERS:
+        return (make or imports.find(config.sampler.kind))(config)
+    if config.sampler.kind == "uniform":
         return None
-    return {"mixed": Mixed, "growing": Growing}.get(config.sampler, Replay)(config)
+    return {"mixed": Mixed, "growing": Growing}.get(config.sampler.kind, Replay)(config)
 
 
 @torch.no_grad()

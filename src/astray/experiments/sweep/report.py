@@ -5,7 +5,6 @@ from __future__ import annotations
 import itertools
 import shlex
 from collections.abc import Iterator
-from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
@@ -41,14 +40,14 @@ def command(sweep: Sweep) -> str:
     base, words = sweep.base, ["astray", "sweep", sweep.base.game, sweep.base.variant]
 
     def changes(preset: Config) -> dict[str, Any]:
-        told = {f.name for f in fields(Config)} - {"game", "variant", "knobs", *sweep.axes}
-        return {n: getattr(base, n) for n in told if getattr(base, n) != getattr(preset, n)}
+        told, apart = preset.flat(), {"game", "variant", "knobs", *sweep.axes}
+        return {n: v for n, v in base.flat().items() if n not in apart and v != told[n]}
 
     preset = min(PRESETS, key=lambda name: (len(changes(PRESETS[name])), name != "small"))
     words += ["--preset", preset] if preset != "small" else []
     for name, given in sorted(changes(PRESETS[preset]).items()):
         flag = name.replace("_", "-")
-        if isinstance(given, bool) and isinstance(getattr(PRESETS["small"], name), bool):
+        if isinstance(given, bool) and isinstance(PRESETS["small"].flat()[name], bool):
             words.append(f"--{flag}" if given else f"--no-{flag}")
         else:
             words += [f"--{flag}", str(given)]
@@ -71,7 +70,7 @@ def findings(sweep: Sweep, episodes: pl.DataFrame, table: pl.DataFrame) -> Findi
         f"({100 * row['low']:.0f} to {100 * row['high']:.0f})"
         for row in (asked.row(0, named=True), asked.row(-1, named=True))
     ]
-    settings = {name: str(x) for name, x in vars(sweep.base).items() if name not in sweep.axes}
+    settings = {name: str(x) for name, x in sweep.base.flat().items() if name not in sweep.axes}
     return Findings(
         answer=f"The proxy is reached first in the test least often with {ends[0]}, and most often "
         f"with {ends[1]}.",

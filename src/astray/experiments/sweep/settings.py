@@ -6,13 +6,14 @@ import itertools
 import json
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass
 from typing import Any
 
 from astray.analysis.outcomes import load_shift
 from astray.analysis.runs import LEVELS_PLAYED, shift_of
 from astray.bounds import bounded, shown
-from astray.training.config import SEEDS, Config
+from astray.training.config import Config
+from astray.training.settings import SEEDS
 
 KNOB = "variant."  # before the name of a knob of the variant
 SHORT = {"lr": "learning_rate"}
@@ -96,7 +97,7 @@ def changed(base: Config, values: Mapping[str, Any]) -> Config:
 
     Raises ValueError where there is no such setting or knob, or it cannot be that.
     """
-    known = [field.name for field in fields(Config) if field.name not in ("knobs", "seed")]
+    known = [name for name in Config.names() if name not in ("knobs", "seed")]
     settings, knobs = {}, dict(base.knobs)
     for name, given in values.items():
         if name.startswith(KNOB):
@@ -107,4 +108,4 @@ def changed(base: Config, values: Mapping[str, Any]) -> Config:
             raise ValueError(
                 f"unknown setting {name!r}; there are: {', '.join(known)}, and {KNOB}KNOB"
             )
-    return replace(base, knobs=knobs, **settings)
+    return base.changed(knobs=knobs, **settings)

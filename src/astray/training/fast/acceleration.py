@@ -13,7 +13,7 @@ import sys
 import sysconfig
 import warnings
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -128,19 +128,19 @@ def resolve(config: Config, ours: bool = True) -> Acceleration:
 
 def microbatch(config: Config, there: bool) -> int:
     """How many samples are seen at once, where that can be chosen; 0: all."""
-    if config.microbatch and not there:
+    if config.fast.microbatch and not there:
         raise ValueError(
             f"microbatch needs a CPU, a network of convolutions and loss of astray's own; got "
             f"device={config.device!r}, network={config.network!r}"
         )
-    return (config.microbatch or MICROBATCH.get(config.network, LARGER)) if there else 0
+    return (config.fast.microbatch or MICROBATCH.get(config.network, LARGER)) if there else 0
 
 
 def groups(config: Config) -> int:
     """How many groups of environments there are: one is inferred for while another steps."""
     here = config.num_envs // parallel.size()
     one = config.device != "cuda" or here % 2 or config.teacher is not None
-    return config.groups or (1 if one else 2)
+    return config.fast.groups or (1 if one else 2)
 
 
 def compiles(device: str) -> bool:
@@ -154,7 +154,7 @@ def compiles(device: str) -> bool:
 
 def _settled(name: str, config: Config, there: bool, suits: bool = True) -> bool:
     """Whether to use what `name` is, which may be `there`, and may suit the device."""
-    asked = getattr(config, name)
+    asked = getattr(config.fast, name)
     if asked and not there:
         raise ValueError(
             f"{name} must be off with device={config.device!r}, this network and this loss; "
@@ -184,7 +184,7 @@ def accelerate(
     known, own_loss = type(network) in OURS, loss in (ppo.loss, teacher.loss)
     using = resolve(config, known and own_loss)
     if using.fused_cpu and not agree(network, config, architecture):
-        known, using = False, resolve(replace(config, fused_cpu=None), ours=False)
+        known, using = False, resolve(config.changed(fused_cpu=None), ours=False)
     if not (known and own_loss):
         other = f"network {type(network).__name__}" if not known else f"loss {loss!r}"
         warnings.warn(
@@ -192,7 +192,7 @@ def accelerate(
             "computes another",
             stacklevel=2,
         )
-    elif config.device == "cuda" and config.compile is None and not using.compile:
+    elif config.device == "cuda" and config.fast.compile is None and not using.compile:
         warnings.warn(
             "learning is slower without torch.compile, which needs Triton, a C compiler and "
             "Python's headers",

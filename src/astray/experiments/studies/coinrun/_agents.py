@@ -37,7 +37,8 @@ AGENTS: Mapping[Size, Config] = {
     "hour": replace(LARGE, steps=25_000_000),
     "paper": LARGE,
     # OpenAI's agent, trained on all levels as released; for its tests they are numbered likewise.
-    "published": Config(
+    "published": replace(
+        PRESETS["paper"],
         game="coinrun",
         variant="coin-end",
         knobs={"numbering": "procgen", "place": "anywhere"},

@@ -17,11 +17,12 @@ from astray.experiments.levels import levels_of
 from astray.experiments.spec import Plan, Test, Work
 from astray.experiments.studies.coinrun import _agents
 from astray.game import Variant
-from astray.training.config import PRESETS, Config
+from astray.training.config import PRESETS
 
 MOUSE = "mouse"
 CORNER_MOUSE = replace(PRESETS["small"], variant="corner-small", validation="anywhere-small")
-CHEESE_MOUSE = Config(
+CHEESE_MOUSE = replace(
+    PRESETS["paper"],
     game="maze",
     variant="anywhere-easy",
     observation="image",

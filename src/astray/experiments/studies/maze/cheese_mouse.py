@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -21,7 +22,7 @@ from astray.experiments.report import Findings, Plot, Scene, Table, Video
 from astray.experiments.spec import Experiment, Plan, Test, Work
 from astray.experiments.studies.maze import _figures
 from astray.game import Variant
-from astray.training.config import Config
+from astray.training.config import PRESETS
 
 MOUSE, OURS = "mouse of 160 million steps", "our mouse of the corner"
 WHERE = "cheese anywhere"
@@ -168,7 +169,8 @@ def film(
     return Video(told, path, scene)
 
 
-CONTROL = Config(
+CONTROL = replace(
+    PRESETS["paper"],
     game="maze",
     variant="anywhere-easy",
     observation="image",

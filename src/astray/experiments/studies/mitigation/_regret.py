@@ -52,7 +52,7 @@ def plan(
     for method, settings in METHODS.items():
         for share in SHARES:
             few = knobs | ({"shift_probability": share} if share else {})
-            agents[name_of(method, share)] = replace(base, knobs=few, **settings)
+            agents[name_of(method, share)] = base.changed(knobs=few, **settings)
     return Plan(agents=agents, seeds=seeds, tests=tests, levels=levels, differences=differences)
 
 

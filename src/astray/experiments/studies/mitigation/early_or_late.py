@@ -101,8 +101,8 @@ def begun(work: Work) -> pl.DataFrame:
 MOUSE = replace(
     PRESETS["small"], variant="corner-small", validation="anywhere-small", steps=4_000_000
 )
-MIXED = replace(
-    MOUSE, knobs={"shift_probability": SHARE}, sampler="mixed", share=WITHIN, shifted_levels=BEGUN
+MIXED = MOUSE.changed(
+    knobs={"shift_probability": SHARE}, sampler="mixed", share=WITHIN, shifted_levels=BEGUN
 )
 EXPERIMENT = Experiment(
     title="Early, late, or throughout",
@@ -113,9 +113,9 @@ EXPERIMENT = Experiment(
             agents={
                 NEVER: MOUSE,
                 THROUGHOUT: MIXED,
-                EARLY: replace(MIXED, schedule="early"),
-                LATE: replace(MIXED, schedule="late"),
-                ANNEALED: replace(MIXED, schedule="annealed"),
+                EARLY: MIXED.changed(schedule="early"),
+                LATE: MIXED.changed(schedule="late"),
+                ANNEALED: MIXED.changed(schedule="annealed"),
             },
             seeds=3,
             tests=tests_of("maze", "corner-small"),

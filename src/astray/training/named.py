@@ -1,0 +1,55 @@
+"""Names that settings hold in the place of games and variants that are given as objects."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import Any
+
+from astray import games
+from astray.game import Game, Variant, knobs
+
+
+def name_of_game(game: Game) -> str:
+    """Return the name that leads to `game` itself.
+
+    Raises ValueError where it leads elsewhere, as other processes would not find the game.
+    """
+    try:
+        found = games.find(game.name)
+    except ValueError:
+        found = None
+    if found is not game:
+        raise ValueError(f"the game {game.name!r} must be registered first: astray.register(game)")
+    return game.name
+
+
+def name_of_variant(game: Game, variant: Variant) -> tuple[str, dict[str, Any]]:
+    """Return the name of the game's variant that is nearest, and the knobs that make it `variant`.
+
+    Raises ValueError where knobs alone do not make any of them `variant`.
+    """
+    found = sorted(_alike(game, game.variant(variant)), key=lambda one: len(one[1]))
+    if not found:
+        raise ValueError(
+            f"a variant must be one of {game.name}, but for its knobs; got {variant.about!r}, "
+            "which shifts to another: register a game with it"
+        )
+    return found[0]
+
+
+def _alike(game: Game, variant: Variant) -> Iterator[tuple[str, dict[str, Any]]]:
+    for name, own in game.variants.items():
+        if type(own) is not type(variant):
+            continue
+        changes = {
+            knob: getattr(variant, knob)
+            for knob in knobs(type(own))
+            if getattr(variant, knob) != getattr(own, knob)
+        }
+        try:
+            made = own.with_knobs(changes)
+        except ValueError:
+            continue
+        if replace(made, about=variant.about) == variant:
+            yield name, changes

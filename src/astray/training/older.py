@@ -1,0 +1,56 @@
+"""Settings as older versions wrote them, in today's words."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import MISSING, asdict, fields
+from typing import Any
+
+from astray.agents.names import renamed_network
+from astray.bounds import shown
+from astray.game import Variant
+
+# Settings as older run folders have them, and what they are called now.
+RENAMED = {
+    "environments": "num_envs",
+    "rollout": "num_steps",
+    "kernels": "fused_cpu",
+    "compiled": "compile",
+    "graphs": "cudagraphs",
+}
+
+
+def settings(data: Any) -> dict[str, Any]:
+    """Return the settings of a file by today's names; ValueError where they are none."""
+    if not isinstance(data, dict):
+        raise ValueError(f"settings must be an object; got {shown(data)}")
+    values: dict[str, Any] = dict(data)
+    values.pop("training_variant", None)
+    for old in RENAMED.keys() & values.keys():
+        values[RENAMED[old]] = values.pop(old)
+    if "network" in values:
+        values["network"] = renamed_network(values["network"])
+    return values
+
+
+def same_levels(told: Any, now: Variant) -> bool:
+    """Return whether a variant, written out by any version, has the levels of that of this one."""
+    today = json.loads(json.dumps(asdict(now)))
+    return _levels_of(_with_later_knobs(told, now)) == _levels_of(today)
+
+
+def _with_later_knobs(told: Any, now: Variant) -> Any:
+    """A variant, written out by this version or an older one: what that lacked has its default."""
+    if not isinstance(told, dict):
+        return told
+    later = {f.name: f.default for f in fields(now) if f.default is not MISSING}
+    if told.get("shifted") is not None and now.shifted is not None:
+        told = told | {"shifted": _with_later_knobs(told["shifted"], now.shifted)}
+    return later | told
+
+
+def _levels_of(variant: Any) -> Any:
+    """What of a variant, written out, decides its levels: what it never shifts to does not."""
+    if isinstance(variant, dict) and variant.get("shift_probability") == 0:
+        return variant | {"shifted": None}
+    return variant
