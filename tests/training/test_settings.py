@@ -47,7 +47,7 @@ def test_files_have_the_settings_of_records_beside_the_others():
     [
         (lambda: Sampling(buffer=0), "buffer must be from 1 to"),
         (lambda: Fast(groups="two"), "groups must be of type int; got 'two'"),
-        (lambda: Config(sampler="nearest"), "sampler must be one of uniform, mixed, plr, accel"),
+        (lambda: Config(sampler="nearest"), "sampler must be one of uniform, mixed, growing, plr"),
         (lambda: Config(fast=3), "fast must be a Fast; got 3"),
         (lambda: Config().changed(squid=1), "unknown setting 'squid'; there are: game, variant"),
         (lambda: Config(game=replace(MAZE, name="mine")), "must be registered first"),
