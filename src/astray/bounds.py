@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 import reprlib
 from collections.abc import Collection, Sequence
@@ -63,8 +64,33 @@ def array_of(given: Any) -> np.ndarray:
 
 def shown(given: Any) -> str:
     """`given` in an error, of which it should not be most."""
-    text = f"a number of {given.bit_length()} bits" if _is_endless(given) else repr(given)
+    text = _Bounded().repr(given)
     return text if len(text) <= 80 else f"{text[:77]}..."
+
+
+class _Bounded(reprlib.Repr):
+    """Writes the first parts of a value, which may be of more than anybody could write."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.maxlevel, self.left = 100, 100  # levels and parts; each is a character at least
+        for kind in ("tuple", "list", "array", "dict", "set", "frozenset", "deque"):
+            setattr(self, f"max{kind}", 100)
+        self.maxstring = self.maxlong = self.maxother = 400
+
+    def repr1(self, x: Any, level: int) -> str:
+        self.left -= 1
+        if _is_endless(x):
+            return f"a number of {x.bit_length()} bits"
+        return super().repr1(x, level) if self.left >= 0 else "..."
+
+    def repr_dict(self, x: dict[Any, Any], level: int) -> str:
+        if level <= 0:
+            return "{...}"
+        parts = itertools.islice(x.items(), self.maxdict)
+        return "{" + ", ".join(
+            f"{self.repr1(key, level - 1)}: {self.repr1(value, level - 1)}" for key, value in parts
+        ) + "}"  # fmt: skip
 
 
 def brief(error: BaseException) -> str:

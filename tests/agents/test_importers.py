@@ -273,6 +273,20 @@ def described(**changes):
     return file.getvalue() + b"b" + bytes(8) + b"."
 
 
+# Instructions of a tuple of itself twice, thirty times over: a billion numbers in 130 bytes.
+SHARED = b"K\x01" + b"q\x00h\x00\x86" * 30
+
+LATIN = b"X\x06\x00\x00\x00latin1"
+
+
+def shared():
+    """The same tuple."""
+    value = 1
+    for _ in range(30):
+        value = (value, value)
+    return value
+
+
 HOSTILE = {
     "a command": (pickle.dumps(Runs(), 3), "posix.system|nt.system"),
     "a command, later protocol": (pickle.dumps(Runs(), 5), "posix.system|nt.system"),
@@ -298,9 +312,35 @@ HOSTILE = {
     "a larger array than the file": (described(shape=(2**50,)), "beyond the end of the file"),
     "a negative array": (described(shape=(-1,)), r"shape is \(-1,\)"),
     "a shape of text": (described(shape="ab"), "shape is 'ab'"),
-    "an entry in a list": (b"\x80\x03]K\x01K\x02s.", "a list where a dict is filled"),
-    "more in a number": (b"\x80\x03K\x05K\x01a.", "a int where a list is filled"),
-    "a key of a list": (b"\x80\x03}]K\x01s.", "unhashable"),
+    "an entry in a list": (b"\x80\x03]K\x01K\x02s.", "a list where a dict belongs"),
+    "more in a number": (b"\x80\x03K\x05K\x01a.", "a int where a list belongs"),
+    "a key of a list": (b"\x80\x03}]K\x01s.", "a list is a key of a dict"),
+    "shared tuples as a key": (b"\x80\x03}" + SHARED + b"K\x01s.", "a tuple is a key of a dict"),
+    "shared tuples as keys": (b"\x80\x03}(" + SHARED + b"K\x01u.", "a tuple is a key of a dict"),
+    "shared tuples as a key of a call": (
+        b"\x80\x03ccollections\nOrderedDict\n](" + SHARED + b"K\x01\x86e\x85R.",
+        "a tuple is a key of a dict"),
+    "a call of shared tuples": (b"\x80\x03" + SHARED + b")R.", r"it calls \(\(\("),
+    "an object of shared tuples": (b"\x80\x03" + SHARED + b")\x81.", r"makes an object of \(\("),
+    "shared tuples encoded": (
+        b"\x80\x03c_codecs\nencode\n" + SHARED + LATIN + b"\x86R.",
+        "a tuple where a str belongs"),
+    "a name of shared tuples": (b"\x80\x04" + 2 * SHARED + b"\x93.", "a tuple where a str belongs"),
+    "numbers of shared tuples": (
+        b"\x80\x03cnumpy\ndtype\n" + SHARED + b"\x85R.", r"a type of numbers is \(\("),
+    "a shape of shared tuples": (described(shape=shared()), r"shape is \(\("),
+    "a class of shared tuples": (described(subclass=shared()), r"array of the class \(\("),
+    "an integer of a million digits": (
+        b"\x80\x03\x8b" + struct.pack("<i", 500_000) + b"\x7f" * 500_000 + b".",
+        "an integer of 3,999,999 bits"),
+    "a million lists": (b"\x80\x03(" + b"]" * 1_000_000 + b"l.", "more than 100,000 parts"),
+    "a list of pairs many times": (
+        b"\x80\x03](" + b"X\x01\x00\x00\x00aK\x01\x86" * 9000 + b"e\x85q\x00"
+        b"ccollections\nOrderedDict\nq\x01" + b"h\x01h\x00R" * 9000 + b".",
+        "more than 100,000 parts"),
+    "a text encoded many times": (
+        b"\x80\x03X" + struct.pack("<I", 10**6) + b"a" * 10**6 + LATIN + b"\x86q\x00"
+        b"c_codecs\nencode\nq\x01" + b"h\x01h\x00R" * 9000 + b".", "more than 100,000 parts"),
     "a memory that is empty": (b"\x80\x03h\x05.", "damaged"),
     "a mark that is not there": (b"\x80\x03t.", "damaged"),
     "nothing on the stack": (b"\x80\x03.", "damaged"),
@@ -317,6 +357,13 @@ def test_a_hostile_file_is_refused_and_nothing_in_it_runs(name, monkeypatch):
     monkeypatch.setattr(os, "system", lambda command: pytest.fail(f"{command} was run"))
     with pytest.raises(ValueError, match=said):
         plain.read(data)
+
+
+def test_a_setting_of_shared_tuples_is_written_in_part():
+    data = b"\x80\x03}(X\x04\x00\x00\x00args}X\x03\x00\x00\x00cnn" + SHARED
+    data += b"sX\x06\x00\x00\x00params}u."
+    with pytest.raises(ValueError, match=r"its network is \(\(\(.*\.\.\."):
+        jd.read(data)
 
 
 def test_a_file_cannot_fill_the_memory_with_its_own_numbering():

@@ -17,6 +17,7 @@ from astray.agents.clear import BLOCKS
 from astray.agents.importers import plain
 from astray.agents.importers.imported import ACTIONS, SHAPE, Imported, Plain, build, check_actions
 from astray.agents.policy import Architecture
+from astray.bounds import shown
 
 SCOPE = "ppo2_model/"
 CONVOLUTIONS = {
@@ -47,7 +48,7 @@ def read(data: bytes) -> Imported:
     settings = found["args"]
     network = settings.get("cnn", settings.get("arch", "clear"))
     if network != "clear":
-        raise ValueError(f"its network is {network!r}; of RL-Clarity's only 'clear' is read")
+        raise ValueError(f"its network is {shown(network)}; of RL-Clarity's only 'clear' is read")
     if settings.get("use_lstm"):
         raise ValueError("it is a recurrent agent; only feed-forward ones are read")
     weights = _weights(found["params"])
@@ -81,11 +82,11 @@ def _weights(params: dict[Any, Any]) -> dict[str, Tensor]:
     weights = {}
     for name, array in params.items():
         if not isinstance(name, str) or not isinstance(array, np.ndarray):
-            raise ValueError(f"its params have {name!r}, which is no array")
+            raise ValueError(f"its params have {shown(name)}, which is no array")
         layer, _, part = name.removeprefix(SCOPE).removesuffix(":0").rpartition("/")
         renamed = (CONVOLUTIONS | DENSE | HEADS).get(layer)
         if renamed is None:
-            raise ValueError(f"its params have {name}, which the clear network does not")
+            raise ValueError(f"its params have {shown(name)}, which the clear network does not")
         if part in ("bias", "b"):
             weights[f"{renamed}.bias"] = torch.from_numpy(array)
         else:

@@ -4,6 +4,9 @@ A pickle is a program for a little machine. Python's own takes its word for what
 call; the one here knows the instructions that build plain data, looks up no name and calls
 nothing that a file names. What it does not know it refuses. It reads files of joblib, whose
 arrays lie between the instructions as bare bytes.
+
+Data may share parts, so that 200 bytes can mean a tuple of 2**60 numbers: nothing here walks
+through a value that a file made, and what it makes is bounded.
 """
 
 from __future__ import annotations
@@ -19,6 +22,8 @@ from typing import Any
 
 import numpy as np
 
+from astray.bounds import brief, shown
+
 WRAPPER = "joblib.numpy_pickle NumpyArrayWrapper"
 NDARRAY, DTYPE = "numpy ndarray", "numpy dtype"
 BYTES = "_codecs encode"  # as protocol 2 has them: text, and "latin1"
@@ -29,6 +34,10 @@ FACTORIES = tuple(
 )
 NAMES = (WRAPPER, NDARRAY, DTYPE, BYTES, *SCALARS, *DICTS, *FACTORIES)  # that a file may mention
 KINDS = re.compile(r"b1|[iu][1248]|f[248]")  # of numbers in arrays
+NODES = 100_000  # that a file may make; those of RL-Clarity take a few hundred
+BITS = 1024  # of an integer
+DIMENSIONS = 32  # of an array
+KEYS = (str, int, float, bool, type(None))  # of a dict: whose hash is soon found
 PUSHED = (  # instructions that carry the value that they push
     "BINUNICODE", "SHORT_BINUNICODE", "BINUNICODE8", "BINBYTES", "SHORT_BINBYTES", "BINBYTES8",
     "BININT", "BININT1", "BININT2", "LONG1", "LONG4", "BINFLOAT",
@@ -40,6 +49,7 @@ def read(data: bytes) -> Any:
     machine = _Machine(io.BytesIO(data), len(data))
     try:
         for instruction, argument, _ in pickletools.genops(machine.file):
+            machine.spend(1)
             if instruction.name == "STOP":
                 return _only(machine.stack)
             machine.do(instruction.name, argument)
@@ -56,7 +66,7 @@ def read(data: bytes) -> Any:
         RecursionError,
         struct.error,
     ) as error:
-        raise ValueError(f"it is damaged, or no pickle: {error}") from error
+        raise ValueError(f"it is damaged, or no pickle: {brief(error)}") from error
     raise AssertionError("pickletools ends with STOP or an error")
 
 
@@ -78,15 +88,21 @@ class _Dtype:
     kind: str
     order: str = "="
 
+    def __post_init__(self) -> None:
+        if type(self.kind) is not str:
+            raise ValueError(f"a type of numbers is {shown(self.kind)}")
+
     def numpy(self) -> np.dtype:
         if not KINDS.fullmatch(self.kind) or self.order not in "<>=|":
-            raise Refused(f"it has an array of {self.kind!r}; only arrays of numbers are read")
+            raise Refused(f"it has an array of {shown(self.kind)}; only arrays of numbers are read")
         return np.dtype(self.order + self.kind)
 
 
 @dataclass
 class _Pending:
     """An array whose bytes follow the instruction that describes it."""
+
+    numbers: list[int] = field(default_factory=list)  # under which it is in the memo
 
 
 @dataclass
@@ -96,12 +112,21 @@ class _Machine:
     stack: list[Any] = field(default_factory=list)
     below: list[list[Any]] = field(default_factory=list)  # stacks under the marks
     memo: dict[int, Any] = field(default_factory=dict)
+    left: int = NODES
+
+    def spend(self, nodes: int) -> None:
+        """Count what the file makes, of which a few bytes could make any number."""
+        self.left -= nodes
+        if self.left < 0:
+            raise Refused(f"it has more than {NODES:,} parts; no agent known has a tenth of that")
 
     def do(self, name: str, argument: Any) -> None:
         if name in PUSHED:
+            if type(argument) is int and argument.bit_length() > BITS:
+                raise Refused(f"it has an integer of {argument.bit_length():,} bits")
             self.stack.append(argument)
         elif name in ("BINPUT", "LONG_BINPUT"):
-            self.memo[argument] = self.stack[-1]
+            self.note(argument)
         elif name in ("BINGET", "LONG_BINGET"):
             self.stack.append(self.memo[argument])
         elif name == "GLOBAL":
@@ -111,6 +136,12 @@ class _Machine:
         elif name not in ("PROTO", "FRAME"):
             raise Refused(f"it has the instruction {name}, which plain data does not need")
 
+    def note(self, number: int) -> None:
+        """Keep the last value under a number, by which the file asks for it again."""
+        value = self.memo[number] = self.stack[-1]
+        if isinstance(value, _Pending):
+            value.numbers.append(number)
+
     def popped_to_mark(self) -> list[Any]:
         popped, self.stack = self.stack, self.below.pop()
         return popped
@@ -119,15 +150,20 @@ class _Machine:
         """The array whose bytes come next in the file."""
         shape, dtype = description["shape"], description["dtype"].numpy()
         if description["subclass"] != _Name(NDARRAY):
-            raise Refused(f"it has an array of the class {description['subclass']!r}")
-        if type(shape) is not tuple or any(type(n) is not int or n < 0 for n in shape):
-            raise ValueError(f"an array's shape is {shape!r}")
+            other = shown(description["subclass"])
+            raise Refused(f"it has an array of the class {other}")
+        if (
+            type(shape) is not tuple
+            or len(shape) > DIMENSIONS
+            or any(type(n) is not int or n < 0 for n in shape)
+        ):
+            raise ValueError(f"an array's shape is {shown(shape)}")
         if description.get("numpy_array_alignment_bytes") is not None:
             self.file.read(self.file.read(1)[0])  # padding, after its length
         count = math.prod(shape)
         data = self.file.read(min(count * dtype.itemsize, self.size))
         if len(data) < count * dtype.itemsize:
-            raise ValueError(f"an array of {shape} goes beyond the end of the file")
+            raise ValueError(f"an array of {shown(shape)} goes beyond the end of the file")
         flat = np.frombuffer(data, dtype).copy()
         if description["order"] == "F":
             return flat.reshape(shape[::-1]).T
@@ -136,9 +172,10 @@ class _Machine:
 
 def _name(argument: str) -> _Name:
     if argument not in NAMES:
+        asked = shown(argument.replace(" ", "."))[1:-1]
         raise Refused(
-            f"it asks for {argument.replace(' ', '.')}; only arrays and plain containers are "
-            "read, and nothing in a file is run"
+            f"it asks for {asked}; only arrays and plain containers are read, and nothing in a "
+            "file is run"
         )
     return _Name(argument)
 
@@ -149,7 +186,7 @@ def _only(stack: list[Any]) -> Any:
 
 
 def _stack_global(m: _Machine) -> None:
-    name, module = m.stack.pop(), m.stack.pop()
+    name, module = _of(str, m.stack.pop()), _of(str, m.stack.pop())
     m.stack.append(_name(f"{module} {name}"))
 
 
@@ -184,17 +221,23 @@ def _appends(m: _Machine) -> None:
 
 def _set_item(m: _Machine) -> None:
     value, key = m.stack.pop(), m.stack.pop()
-    _of(dict, m.stack[-1])[key] = value
+    _of(dict, m.stack[-1])[_key(key)] = value
 
 
 def _set_items(m: _Machine) -> None:
     popped = m.popped_to_mark()
-    _of(dict, m.stack[-1]).update(zip(popped[::2], popped[1::2], strict=True))
+    _of(dict, m.stack[-1]).update(zip(map(_key, popped[::2]), popped[1::2], strict=True))
+
+
+def _key(value: Any) -> Any:
+    if type(value) not in KEYS:
+        raise Refused(f"a {type(value).__name__} is a key of a dict; only text and numbers can be")
+    return value
 
 
 def _of(kind: type, value: Any) -> Any:
     if type(value) is not kind:
-        raise ValueError(f"a {type(value).__name__} where a {kind.__name__} is filled")
+        raise ValueError(f"a {type(value).__name__} where a {kind.__name__} belongs")
     return value
 
 
@@ -204,21 +247,24 @@ def _reduce(m: _Machine) -> None:
     if name == _Name(DTYPE):
         m.stack.append(_Dtype(arguments[0]))
     elif name == _Name(BYTES) and arguments[1:] == ("latin1",):
-        m.stack.append(str(arguments[0]).encode("latin1"))
+        text = _of(str, arguments[0])
+        m.spend(len(text) // 8)  # as many bytes as numbers that are eight each
+        m.stack.append(text.encode("latin1"))
     elif isinstance(name, _Name) and name.path in SCALARS:
         dtype, data = arguments
         m.stack.append(np.frombuffer(data, dtype.numpy())[0].item())
     elif isinstance(name, _Name) and name.path in DICTS:
         pairs = arguments[0] if arguments and type(arguments[0]) is list else []
-        m.stack.append({key: value for key, value in pairs})
+        m.spend(len(pairs))
+        m.stack.append({_key(key): value for key, value in pairs})
     else:
-        raise Refused(f"it calls {getattr(name, 'path', name)!r}")
+        raise Refused(f"it calls {shown(getattr(name, 'path', name))}")
 
 
 def _new(m: _Machine) -> None:
     arguments, name = m.stack.pop(), m.stack.pop()
     if name != _Name(WRAPPER) or arguments != ():
-        raise Refused(f"it makes an object of {getattr(name, 'path', name)!r}")
+        raise Refused(f"it makes an object of {shown(getattr(name, 'path', name))}")
     m.stack.append(_Pending())
 
 
@@ -228,9 +274,9 @@ def _build(m: _Machine) -> None:
         built.order = state[1]
     elif isinstance(built, _Pending):
         m.stack[-1] = m.array(state)
-        for key, value in m.memo.items():
-            if value is built:
-                m.memo[key] = m.stack[-1]
+        for number in built.numbers:
+            if m.memo[number] is built:
+                m.memo[number] = m.stack[-1]
     else:
         raise Refused(f"it sets what is inside a {type(built).__name__}")
 
@@ -238,7 +284,7 @@ def _build(m: _Machine) -> None:
 DONE: dict[str, Callable[[_Machine], None]] = {
     "STACK_GLOBAL": _stack_global,
     "MARK": _mark,
-    "MEMOIZE": lambda m: m.memo.update({len(m.memo): m.stack[-1]}),
+    "MEMOIZE": lambda m: m.note(len(m.memo)),
     "NONE": lambda m: m.stack.append(None),
     "NEWTRUE": lambda m: m.stack.append(True),
     "NEWFALSE": lambda m: m.stack.append(False),

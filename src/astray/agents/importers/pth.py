@@ -20,6 +20,7 @@ from torch import Tensor
 
 from astray.agents.importers.imported import ACTIONS, SHAPE, Imported, build, check_actions
 from astray.agents.policy import Architecture
+from astray.bounds import shown
 
 HOLDS = ("model_state_dict", "state_dict")
 
@@ -117,7 +118,9 @@ def _tensors(found: Any, size: int) -> dict[str, Tensor]:
     tensors = dict(found)
     wrong = [n for n, t in tensors.items() if not (isinstance(n, str) and isinstance(t, Tensor))]
     if wrong:
-        raise ValueError(f"it holds {wrong[0]!r}, which is no weight; {' or '.join(HOLDS)} has all")
+        raise ValueError(
+            f"it holds {shown(wrong[0])}, which is no weight; {' or '.join(HOLDS)} has all"
+        )
     if sum(t.numel() * t.element_size() for t in tensors.values()) > size:
         raise ValueError("its weights are more than the file holds")
     return tensors
