@@ -117,8 +117,8 @@ def test_old_compiled_code_is_removed_and_nothing_else(tmp_path, monkeypatch):
     (strange / "thesis.tex").write_text("mine")
     (tmp_path / "astray" / ("2" * 16)).symlink_to(other)
     monkeypatch.delenv("NUMBA_CACHE_DIR", raising=False)
-    folder = Path(cache.cache_folder(jit.source_digest()))
-    assert folder.name == jit.source_digest() and not old.exists()
+    folder = Path(cache.cache_folder(jit.version_digest()))
+    assert folder.name == jit.version_digest() and not old.exists()
     assert (other / "envs_0/loops.nbi").exists() and (strange / "thesis.tex").exists()
 
 

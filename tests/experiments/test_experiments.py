@@ -1,6 +1,7 @@
 """Every experiment plans, and runs whole in miniature, stopped and repeated."""
 
 import importlib
+import importlib.util
 import json
 import os
 import re
@@ -11,12 +12,12 @@ import sys
 import time
 from dataclasses import replace
 from pathlib import Path
-from types import ModuleType, SimpleNamespace
+from types import SimpleNamespace
 
 import polars as pl
 import pytest
 
-from astray import games
+from astray import games, provenance
 from astray.analysis.outcomes import FAILED, INTENDED, MISGENERALIZED
 from astray.analysis.runs import open_run
 from astray.experiments import catalogue, report, run
@@ -25,6 +26,7 @@ from astray.experiments.outcomes import share
 from astray.experiments.studies.mitigation import asking_for_help, reward_ensembles
 from astray.training import checkpoint
 from astray.training.config import Config
+from helpers.edits import edit
 from helpers.killed import SHORT
 from helpers.miniature import miniature, train_here
 from helpers.processes import environment
@@ -163,7 +165,7 @@ def test_other_agents_and_other_code_compute_anew(reports, monkeypatch):
     shutil.copy(*agents)
     second = computed()
     assert second > first
-    monkeypatch.setattr(run, "source_digest", lambda patterns: "of other sources")
+    edit(monkeypatch, "astray.analysis.evaluate")
     assert computed() > second
 
 
@@ -175,26 +177,68 @@ def test_an_edit_of_a_game_of_ones_own_is_another_plan(tmp_path, monkeypatch):
     maze = games.find("maze")
     game = replace(maze, rules=SimpleNamespace(**vars(maze.rules) | {"step": rules.step}))
     monkeypatch.setattr(Config, "find_game", lambda _: game)
-    before = run.guests_digest([TINY])
-    assert before == run.guests_digest([TINY])
+    before = run.provenance_of([TINY])
+    assert before == run.provenance_of([TINY])
     source.write_text("def step(s, action):\n    return 1.0, False\n")
-    assert run.guests_digest([TINY]) != before
-    monkeypatch.setattr(rules.step, "__module__", "of_no_file")
-    monkeypatch.setitem(sys.modules, "of_no_file", ModuleType("of_no_file"))
-    assert run.guests_digest([TINY]) != run.guests_digest([TINY])
+    assert run.provenance_of([TINY]) != before
+    monkeypatch.delitem(rules.step.__globals__, "__file__")
+    monkeypatch.delitem(rules.step.__globals__, "__spec__")
+    assert run.provenance_of([TINY]) != run.provenance_of([TINY])
+
+
+def digest_of_tables(name, folder):
+    whole = catalogue.load(name)
+    return run.note(next(iter(whole.sizes.values())), {}, folder, whole)
+
+
+@pytest.mark.parametrize(
+    "module, changed",
+    {
+        "astray.training.config": True,  # which variant is played, and which levels: `knobs_for`
+        "astray.experiments.studies.maze.maze_corner": True,
+        "astray.analysis.evaluate": True,
+        "astray.games.maze.solve": True,  # the experts, which are imported by name
+        "astray.games.maze.variants": True,
+        "astray.agents.mlp": True,
+        "astray.games.coinrun.rules": False,
+        "astray.experiments.studies.maze.cheese_mouse": False,  # as a caption there
+        "astray.experiments.workers": False,
+        "astray.experiments.labs": False,
+        "astray.training.loop": False,  # agents count by their digests
+        "astray.lab.server": False,
+        "astray.play": False,
+    }.items(),
+)
+def test_tables_are_computed_anew_after_an_edit_of_code_that_plays_or_measures(
+    module, changed, tmp_path, monkeypatch
+):
+    assert importlib.util.find_spec(module)
+    before = digest_of_tables("maze-corner", tmp_path)
+    edit(monkeypatch, module)
+    assert (digest_of_tables("maze-corner", tmp_path) != before) == changed
+
+
+@pytest.mark.parametrize("name", catalogue.NAMES)
+def test_a_caption_changes_the_tables_of_its_own_study_alone(name, tmp_path, monkeypatch):
+    before = digest_of_tables(name, tmp_path)
+    itself = catalogue.MODULES[name]
+    imported = provenance.sources(catalogue.load(name).find, sys.modules[itself])
+    others = {module for module in catalogue.MODULES.values() if module not in imported}
+    assert len(others) > len(catalogue.NAMES) / 2 and itself not in others
+    with monkeypatch.context() as context:
+        edit(context, *others)
+        assert digest_of_tables(name, tmp_path) == before
+    edit(monkeypatch, itself)
+    assert digest_of_tables(name, tmp_path) != before
+
+
+def test_tables_are_computed_anew_where_a_test_has_another_variant(tmp_path, monkeypatch):
+    before = digest_of_tables("maze-corner", tmp_path)
+    monkeypatch.setattr(Config, "knobs_for", lambda *_: {"time_limit": 7})
+    assert digest_of_tables("maze-corner", tmp_path) != before
 
 
 @pytest.mark.skipif(not hasattr(os, "kill") or os.name == "nt", reason="needs signals")
-def test_tables_are_computed_anew_after_a_change_of_any_code_that_plays_or_measures():
-    """All folders of the package count, but for those that have no part in what comes out."""
-    apart = {"bench", "cli", "lab", "training"}  # agents count by their digests
-    package = Path(run.__file__).parents[1]
-    there = {path for path in package.rglob("*.py") if "tests" not in path.parts}
-    counted = {path for pattern in run.COMPUTING for path in package.glob(pattern)}
-    left_out = {path.relative_to(package).parts[0] for path in there - counted}
-    assert left_out == apart
-
-
 def test_trainings_end_with_the_experiment_that_began_them(tmp_path):
     words = [sys.executable, "-m", "astray", "reproduce", "maze-corner", "--folder", str(tmp_path)]
     process = subprocess.Popen(words, stderr=subprocess.DEVNULL)
@@ -226,6 +270,7 @@ run.reproduce("maze-corner", "smoke", pathlib.Path(sys.argv[1]))
 """
 TRAIN = """
 import pathlib, sys
+from helpers.edits import edit
 from helpers.killed import SHORT
 from astray.training.loop import train
 train(SHORT, pathlib.Path(sys.argv[1]), progress=False, wait=True)
@@ -359,5 +404,5 @@ def test_tables_are_computed_anew_where_a_study_of_ones_own_was_edited(tmp_path)
             f"{text}def find(work):\n    return {number}\n\n"
             "EXPERIMENT = replace(OTHER, find=find)\n"
         )
-        digests.add(run.study_digest(catalogue.find(str(path))[1]))
+        digests.add(run.provenance_of([], catalogue.find(str(path))[1].find))
     assert len(digests) == 2 and "" not in digests

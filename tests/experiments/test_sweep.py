@@ -3,6 +3,7 @@
 import itertools
 import shlex
 from dataclasses import replace
+from functools import wraps
 
 import polars as pl
 import pytest
@@ -114,7 +115,8 @@ def test_a_sweep_goes_on_and_takes_more_values(trained, tmp_path, monkeypatch):
     first = pl.read_parquet(tmp_path / "outcomes.parquet")
     played = []
     play_all = sweeping.play_all
-    monkeypatch.setattr(sweeping, "play_all", lambda *a: played.append(a[-1]) or play_all(*a))
+    noted = wraps(play_all)(lambda *a: played.append(a[-1]) or play_all(*a))
+    monkeypatch.setattr(sweeping, "play_all", noted)
     run_sweep(Sweep(BASE, small, levels=5), tmp_path)
     assert len(trained) == 2 and not played
     assert pl.read_parquet(tmp_path / "outcomes.parquet").equals(first)

@@ -1,5 +1,6 @@
 """Compiled code is taken from where nobody else may write, and only what is whole."""
 
+import importlib
 import json
 import os
 import shutil
@@ -40,7 +41,7 @@ def _alone(tmp_path, monkeypatch):
 @pytest.fixture
 def code(tmp_path):
     """Where the compiled code of this process is."""
-    return tmp_path / "home" / "astray" / jit.IMPORTED
+    return tmp_path / "home" / "astray" / jit.version_digest()
 
 
 def give_away(path, monkeypatch):
@@ -241,12 +242,25 @@ def test_games_compile_at_once_and_one_game_once(monkeypatch):
 
 
 @COMPILED
-def test_code_of_sources_that_were_edited_since_they_were_loaded_is_not_kept(code, monkeypatch):
-    before = numba.config.OPT  # which counts as a source
-    monkeypatch.setattr(numba.config, "OPT", type(before)(1))
-    with pytest.warns(UserWarning, match="sources, or numba's settings, are not those"):
-        assert jit.entry(twice)(3) == 6
-    assert not code.exists() and list(Path(jit.code_folder()).rglob("*.nbc"))
+def test_code_of_sources_that_were_edited_since_they_were_imported_is_not_kept(
+    code, tmp_path, monkeypatch
+):
+    constants, module = tmp_path / "constants_here.py", tmp_path / "kernels_here.py"
+    constants.write_text("ONE = 1\n")
+    module.write_text("import constants_here\n\n\ndef one():\n    return constants_here.ONE\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    one = importlib.import_module("kernels_here").one
+    before = jit.entry(one)
+    constants.write_text("ONE = 2\n")
+    with pytest.warns(UserWarning, match="compiled code of one is not kept: a source of it was"):
+        assert before() == 1
+    assert not list(code.rglob("*.nbc"))
+
+
+def test_other_settings_of_numba_have_another_folder(monkeypatch):
+    before = jit.version_digest()
+    monkeypatch.setattr(numba.config, "OPT", type(numba.config.OPT)(1))
+    assert jit.version_digest() != before
 
 
 # What is there, and what can go
@@ -272,7 +286,7 @@ def a_version(home, digest=OLD, used=0.0):
 
 
 def test_versions_are_told_last_used_first(tmp_path, code):
-    cache.cache_folder(jit.IMPORTED)
+    cache.cache_folder(jit.version_digest())
     a_version(code.parent)
     this, old = versions.versions(code.parent)
     assert this.folder == code and this.files == 1
@@ -338,15 +352,29 @@ def test_a_version_that_a_process_compiles_into_stays(lock, tmp_path):
     assert len(list(folder.rglob("*.nb*"))) == 3
 
 
-def test_code_of_a_guest_before_its_edit_is_outdated(tmp_path):
-    folder = a_version(tmp_path)
+def digested(folder):
+    """The files of three functions, of which one was edited: those before the edit."""
     for day, label in enumerate(("mine_" + "a" * 16, "mine_" + "b" * 16, "yours_" + "a" * 16)):
         for ending in ("nbi", "1.nbc"):
             path = folder / "envs_0" / f"loops.run_{label}-9.py312.{ending}"
             path.write_bytes(b"")
             os.utime(path, (day, day))
-    names = sorted(path.name for path in versions.outdated(folder))
-    assert names == [f"loops.run_mine_{'a' * 16}-9.py312.{end}" for end in ("1.nbc", "nbi")]
+    return [f"loops.run_mine_{'a' * 16}-9.py312.{end}" for end in ("1.nbc", "nbi")]
+
+
+def test_code_of_functions_before_their_edit_is_outdated(tmp_path):
+    folder = a_version(tmp_path)
+    old = digested(folder)
+    assert sorted(path.name for path in versions.outdated(folder)) == old
+
+
+def test_outdated_code_goes_after_a_month(code):
+    cache.cache_folder(code.name)
+    (code / "envs_0").mkdir()
+    old = digested(code)
+    cache.cache_folder(code.name)
+    left = {path.name for path in code.rglob("*.nb?")}
+    assert len(left) == 4 and not left & set(old)
 
 
 def test_the_verb_shows_and_prunes(code, monkeypatch, capsys):
@@ -356,7 +384,7 @@ def test_the_verb_shows_and_prunes(code, monkeypatch, capsys):
         return capsys.readouterr().out
 
     assert json.loads(said("--json"))["versions"] == [] and not code.parent.exists()
-    cache.cache_folder(jit.IMPORTED)
+    cache.cache_folder(jit.version_digest())
     old = a_version(code.parent, used=time.time() - 3600)
     shown = said()
     assert str(code.parent) in shown and "this one" in shown and "numba 0.61.0" in shown

@@ -9,17 +9,17 @@ from rich.table import Table
 
 from astray.cli.arguments import print_json, show
 from astray.kernel.cache import code_home, held
-from astray.kernel.jit import IMPORTED
+from astray.kernel.jit import version_digest
 from astray.kernel.versions import Version, outdated, remove, versions
 
 
 def cache(prune: bool = False, json: bool = False) -> None:
-    """Show where compiled code is kept, by version of the sources; or remove what is not of these.
+    """Show where compiled code is kept, by version of numba; or remove what is outdated.
 
     Args:
-        prune: remove the code of other versions, and that of games of others before they were
-            edited; nothing that astray did not write, nothing through links, and nothing that a
-            process compiles just now
+        prune: remove the code of other versions, and that of functions before they were edited;
+            nothing that astray did not write, nothing through links, and nothing that a process
+            compiles just now
         json: print JSON
     """
     home = code_home()
@@ -64,7 +64,7 @@ def cache(prune: bool = False, json: bool = False) -> None:
 
 
 def _is_this(one: Version) -> bool:
-    return one.folder.name == IMPORTED
+    return one.folder.name == version_digest()
 
 
 def _prune(home: Path) -> int:

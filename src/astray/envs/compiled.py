@@ -12,8 +12,7 @@ from astray.envs.pool import alone
 from astray.game import OWN, Game, Looks
 from astray.kernel import rng
 from astray.kernel.grid import distances
-from astray.kernel.jit import entry, kernel, one_at_a_time, passing, shared, specialise
-from astray.kernel.sources import digest_of
+from astray.kernel.jit import kernel, one_at_a_time, shared, specialise
 
 
 def compiled_loop(game: Game, art: str = OWN) -> Callable:
@@ -32,14 +31,11 @@ def _compiled(game: Game, art: str) -> Callable:
         "paint_planes": game.symbols.paint_planes if game.symbols else loops.paint_no_planes,
         "draw_planes": game.symbols.draw_planes if game.symbols else loops.draw_no_planes,
     }
-    digest = digest_of(functions, len(game.actions))
-    label = "_".join(filter(None, (game.name, "" if art == OWN else art, digest)))
+    label = game.name if art == OWN else f"{game.name}_{art}"
     functions["paint_one"] = specialise(loops.paint_any, label, shared, **functions)
     functions["begin_one"] = specialise(loops.begin, label, shared, **functions)
     functions["observe_one"] = specialise(loops.observe, label, kernel, **functions)
-    # What nobody can tell to be unchanged is compiled by each process.
-    decorate = passing if digest is None else entry
-    run = specialise(loops.run, label, decorate, ACTIONS=len(game.actions), **functions)
+    run = specialise(loops.run, label, ACTIONS=len(game.actions), **functions)
     with one_at_a_time(label):
         _compile(game, looks, run)
     _compile_shared()

@@ -10,9 +10,11 @@ import importlib
 import importlib.util
 import pkgutil
 import re
+import sys
 import traceback
 from collections.abc import Iterator
 from pathlib import Path
+from types import ModuleType
 
 from astray import imports
 from astray.bounds import brief, of_kind
@@ -42,6 +44,11 @@ def load(name: str) -> Experiment:
     if name not in MODULES:
         raise ValueError(f"unknown experiment {name!r}; there are: {', '.join(NAMES)}")
     return importlib.import_module(MODULES[name]).EXPERIMENT
+
+
+def loaded() -> list[ModuleType]:
+    """Return the modules of the studies that have been loaded."""
+    return [sys.modules[module] for module in MODULES.values() if module in sys.modules]
 
 
 def find(experiment: str | Experiment) -> tuple[str, Experiment]:

@@ -1,4 +1,4 @@
-"""The levels that a study plays: none that an agent of its plan met in training."""
+"""The levels that a study plays, none that an agent met in training, and the episodes there."""
 
 from __future__ import annotations
 
@@ -6,9 +6,11 @@ import functools
 from collections.abc import Iterable
 
 import numpy as np
+import polars as pl
 
 from astray.analysis.overlap import met, unseen
-from astray.experiments.spec import Plan, Test
+from astray.analysis.runs import open_run, play_all
+from astray.experiments.spec import Plan, Runs, Test
 from astray.game import Game, Variant
 from astray.published.imported import SPARED
 from astray.training.config import Config
@@ -48,3 +50,28 @@ def see_levels(plan: Plan) -> None:
 def met_in(game: Game, trainings: tuple[tuple[Variant, range], ...]) -> set[bytes]:
     """`overlap.met`, once for all tests of a plan."""
     return met(game, trainings)
+
+
+def play(plan: Plan, runs: Runs) -> pl.DataFrame:
+    """Play the episodes of all agents, and of scripted policies, in all tests.
+
+    As `analysis.runs.play_all`; beside: agent (its name, null for scripts), test (its name),
+    and the plan's measures.
+    """
+    opened = [open_run(run)[0] for made in runs.values() for run in made]
+    owners = pl.DataFrame(
+        [{"run": str(run), "agent": name} for name, made in runs.items() for run in made]
+    )
+    parts = []
+    for name, test in plan.tests.items():
+        played = play_all(
+            plan.game,
+            test.name,
+            test.variant_for(plan.config),
+            test.shift,
+            levels_of(plan, test),
+            opened,
+            measures=plan.measures,
+        )
+        parts.append(played.with_columns(test=pl.lit(name)))
+    return pl.concat(parts).join(owners, on="run", how="left", maintain_order="left")

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
-import inspect
 import json
 import re
 import sys
@@ -12,16 +11,17 @@ import uuid
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
+from typing import Any
 
 import polars as pl
 import torch
 
-from astray import imports
+from astray import provenance
 from astray.analysis import kept
-from astray.analysis.runs import open_run, play_all
+from astray.analysis.outcomes import load_shift
 from astray.bounds import brief
 from astray.experiments import catalogue, labs, report
-from astray.experiments.levels import levels_of, see_levels
+from astray.experiments.levels import play, see_levels
 from astray.experiments.report import COMPUTED
 from astray.experiments.spec import (
     PUBLISHED,
@@ -37,8 +37,6 @@ from astray.experiments.track import track_report
 from astray.experiments.workers import expected, train_all
 from astray.files import hold, read, see_free, write_aside
 from astray.game import OWN
-from astray.kernel.jit import source_digest
-from astray.kernel.sources import digest_of_modules
 from astray.training import checkpoint
 from astray.training.config import Config, Tracking
 from astray.training.teacher import give
@@ -46,12 +44,6 @@ from astray.training.teacher import give
 ALL = "all"  # experiments of a size
 PLAN = "plan.json"  # what is first written to a report's folder
 TABLE = re.compile(r".+-([0-9a-f]{16})\.parquet")  # the names of tables, which nobody else gives
-# The sources of what agents do, and of what is computed of it.
-COMPUTING = (
-    "*.py", "kernel/*.py", "art/*.py", "games/*.py", "games/*/*.py", "envs/*.py",
-    "agents/**/*.py", "agents/kept/**/*.safetensors", "agency/*.py", "training/ppo.py",
-    "analysis/*.py", "insight/*.py", "mitigation/*.py", "published/*.py", "experiments/**/*.py",
-)  # fmt: skip
 
 
 def reproduce(
@@ -234,6 +226,7 @@ def note(plan: Plan, runs: Runs, folder: Path, experiment: Experiment) -> str:
     It is in the names of tables, so that none is taken that was computed of something else. Tables
     of other digests are deleted, and nothing else.
     """
+    study = [module for module in catalogue.loaded() if module.EXPERIMENT is experiment]
     data = {
         "configs": {n: [c.to_json() for c in made] for n, made in plan.trainings().items()},
         "agents": {n: [agent_digest(run) for run in made] for n, made in runs.items()},
@@ -241,9 +234,9 @@ def note(plan: Plan, runs: Runs, folder: Path, experiment: Experiment) -> str:
         "visited": {name: asdict(test) for name, test in plan.visited.items()},
         "levels": plan.levels,
         "measures": list(plan.measures),
-        "sources": source_digest(COMPUTING),
-        "guests": guests_digest(c for made in plan.trainings().values() for c in made),
-        "study": study_digest(experiment),
+        "kept": [agent_digest(kept.find(name)) for name in kept.names()],
+        "resolved": resolved(plan),
+        "sources": provenance_of(plan.agents.values(), play, plan.measures, experiment.find, study),
     }
     text, computed = json.dumps(data, indent=1).encode(), folder / COMPUTED
     if computed.is_symlink():
@@ -259,55 +252,27 @@ def note(plan: Plan, runs: Runs, folder: Path, experiment: Experiment) -> str:
     return digest
 
 
-def study_digest(experiment: Experiment) -> str:
-    """Of the file that an experiment is in, which may be a user's; "" where it has none."""
-    with contextlib.suppress(TypeError, OSError):
-        path = inspect.getsourcefile(inspect.unwrap(experiment.find))
-        return hashlib.sha256(read(Path(path or ""))).hexdigest()[:16]
-    return ""
+def resolved(plan: Plan) -> dict[str, Any]:
+    """Return each test as it is for each of the plan's agents: its levels, and its goals."""
+    return {
+        f"{name} of {agent}": [
+            asdict(test.variant_for(config)),
+            asdict(load_shift(config.find_game(), test.shift)),
+        ]
+        for name, test in {**plan.tests, **plan.visited}.items()
+        for agent, config in plan.agents.items()
+    }
 
 
-def guests_digest(configs: Iterable[Config]) -> str:
-    """Of the sources of games, networks, losses and samplers of others that agents rest on.
+def provenance_of(configs: Iterable[Config], *things: object) -> str:
+    """Return a digest of the sources of `things`, and of all that agents rest on.
 
-    Another every time where nobody can tell, as of what a notebook defines.
+    Another every time if a source cannot be read, as that of a notebook.
     """
-    modules = set()
-    for config in configs:
-        game = config.find_game()
-        modules |= {game.rules.step.__module__, game.levels.generate.__module__}
-        named = (config.network, config.loss or "", config.sampler.kind)
-        modules |= {name.partition(":")[0] for name in named if imports.is_name(name)}
-    found = digest_of_modules(sorted(modules))
-    return uuid.uuid4().hex if found is None else found
+    return provenance.digest(*things, [c.code() for c in configs]) or uuid.uuid4().hex
 
 
 def agent_digest(run: Path) -> str:
     """Of the last agent of a run folder."""
     data = read(checkpoint.latest(run) / checkpoint.AGENT)
     return hashlib.sha256(data).hexdigest()[:16]
-
-
-def play(plan: Plan, runs: Runs) -> pl.DataFrame:
-    """The episodes of all agents, and of scripted policies, in all tests.
-
-    As `analysis.runs.play_all`; beside: agent (its name, null for scripts), test (its name),
-    and the plan's measures.
-    """
-    opened = [open_run(run)[0] for made in runs.values() for run in made]
-    owners = pl.DataFrame(
-        [{"run": str(run), "agent": name} for name, made in runs.items() for run in made]
-    )
-    parts = []
-    for name, test in plan.tests.items():
-        played = play_all(
-            plan.game,
-            test.name,
-            test.variant_for(plan.config),
-            test.shift,
-            levels_of(plan, test),
-            opened,
-            measures=plan.measures,
-        )
-        parts.append(played.with_columns(test=pl.lit(name)))
-    return pl.concat(parts).join(owners, on="run", how="left", maintain_order="left")

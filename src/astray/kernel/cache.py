@@ -16,7 +16,7 @@ from pathlib import Path
 
 from filelock import FileLock, Timeout
 
-from astray.kernel.versions import LOCK, mark, remove, versions
+from astray.kernel.versions import LOCK, mark, outdated, remove, versions
 
 LOG = logging.getLogger("astray")
 KEPT_FOR = 30 * 24 * 3600  # seconds that the compiled code of another version is kept
@@ -30,7 +30,7 @@ def cache_folder(digest: str) -> str:
     """The folder of this version's compiled code: the user's choice, that in the home, or one
     that ends with the process where others could have written to it or it cannot be written.
 
-    digest   of all that compiled code depends on; names the folder
+    digest   of numba's version and settings; names the folder
     returns  "" where there is no folder at all
     """
     try:
@@ -107,10 +107,16 @@ def _raise(error: OSError) -> None:
 
 
 def _remove_old(home: Path) -> None:
-    """Remove the compiled code of versions that were not used for long."""
+    """Remove compiled code of versions not used for long, and of sources edited long ago."""
+    before = time.time() - KEPT_FOR
     for one in versions(home):
-        if one.used < time.time() - KEPT_FOR:
+        if one.used < before:
             remove(one.folder)
+            continue
+        with contextlib.suppress(OSError):
+            for path in outdated(one.folder):
+                if path.lstat().st_mtime < before:
+                    path.unlink()
 
 
 def passing_folder() -> str:

@@ -5,8 +5,9 @@ from __future__ import annotations
 import contextlib
 import functools
 import hashlib
+import inspect
 import warnings
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from types import FunctionType
 from typing import Any
@@ -15,41 +16,54 @@ import numba
 from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import Compiler
 
-from astray.kernel.cache import cache_folder, held, passing_folder
+from astray import provenance
+from astray.kernel.cache import cache_folder, held
 from astray.kernel.stored import Stored
 from astray.kernel.versions import LOCK
 
-PACKAGE = Path(__file__).parents[1]
-KERNELS = ("kernel/*.py", "games/*/*.py", "envs/loops.py", "game.py")  # all that is compiled
 
-
-def source_digest(patterns: Sequence[str] = KERNELS) -> str:
-    """Hash of sources; by default of all that compiled code depends on, numba and flags too."""
+def version_digest() -> str:
+    """Return a digest of numba's version and settings, on which all compiled code depends."""
     flags = (numba.__version__, numba.config.BOUNDSCHECK, numba.config.OPT)  # pyright: ignore
-    digest = hashlib.sha256(repr(flags).encode())
-    for path in sorted(p for pattern in patterns for p in PACKAGE.glob(pattern)):
-        digest.update(path.name.encode() + path.read_bytes())
-    return digest.hexdigest()[:16]
-
-
-IMPORTED = source_digest()  # what is loaded: sources may be edited before any is compiled
+    return hashlib.sha256(repr(flags).encode()).hexdigest()[:16]
 
 
 @functools.cache
 def code_folder() -> str:
-    """Where this process keeps compiled code: chosen, and made, when some is first asked for.
+    """Return the folder of this process's compiled code, made when some is first asked for.
 
-    Numba notices edits to the file a kernel is in, not to the files it calls into; a folder named
-    after all of them does. "" where there is none.
+    "" where there is none.
     """
-    if source_digest() != IMPORTED:
-        warnings.warn(
-            "compiled code is not kept: astray's sources, or numba's settings, are not those that "
-            "it was imported with",
-            stacklevel=2,
-        )
-        return passing_folder()
-    return cache_folder(IMPORTED)
+    return cache_folder(version_digest())
+
+
+def code_digest(function: Any) -> str | None:
+    """Return a digest of a function, of what is bound in it, and of all sources that these import.
+
+    Numba notices edits to the file a kernel is in, not to the files it calls into.
+
+    Returns:
+        16 hexadecimal digits; None where nobody can tell what the code depends on: it has no file,
+        as in a notebook, or was made by another function
+    """
+    told, parts = [], list(_parts("", function))
+    for name, part in parts:
+        if not isinstance(part, FunctionType):
+            told.append((name, part))
+        elif part.__closure__:
+            return None
+        else:
+            code = part.__code__
+            told.append((name, code.co_qualname, code.co_firstlineno, code.co_code))
+    return provenance.digest([part for _, part in parts], data=told)
+
+
+def _parts(name: str, part: Any) -> Iterator[tuple[str, Any]]:
+    """Find a function or a number, and all that `specialise` bound in it, by name."""
+    part = inspect.unwrap(getattr(part, "py_func", part))
+    yield name, part
+    for inner, bound in getattr(part, "bound", {}).items():
+        yield from _parts(inner, bound)
 
 
 class _Part(JITCodeLibrary):
@@ -99,6 +113,7 @@ def _part(compiler: type[Compiler], **options: Any) -> Callable:
     compile_part = numba.njit(**options)
 
     def decorate(function: Any) -> Callable:
+        provenance.see(function)
         compiled = compile_part(function)
         if compiled is not function:  # as it is where nothing is compiled
             function._numba_type_ = compiled._numba_type_
@@ -119,11 +134,25 @@ def passing(function: Callable) -> Any:
     return numba.njit(nogil=True)(function)
 
 
-def entry(function: Callable) -> Any:
+def entry(function: Any) -> Any:
     """A decorator of functions that Python calls; only these are kept in files."""
-    compiled = passing(function)
-    if compiled is not function and Path(function.__code__.co_filename).is_file():
-        compiled._cache = Stored(function, code_folder)
+    provenance.see(function)
+    compiled, digest = passing(function), code_digest(function)
+
+    @functools.cache
+    def folder() -> str:
+        parts = [part for _, part in _parts("", function)]
+        if not provenance.edited(*parts):
+            return code_folder()
+        warnings.warn(
+            f"compiled code of {function.__name__} is not kept: a source of it was edited after "
+            "it was imported",
+            stacklevel=2,
+        )
+        return ""
+
+    if compiled is not function and digest and Path(function.__code__.co_filename).is_file():
+        compiled._cache = Stored(function, digest, folder)
     return compiled
 
 
@@ -133,12 +162,14 @@ def specialise(
     """Compile `template` with some of its global `names` bound to one game's kernels.
 
     Numba can cache neither a closure over a compiled function nor a call that takes one as
-    an argument; a copy of the function with other globals it can. `label` keeps the cache
-    entries of two games apart.
+    an argument; a copy of the function with other globals it can. `label`, and a digest of all
+    sources, keep the cache entries of two games apart.
     """
     assert isinstance(template, FunctionType)
-    clone = FunctionType(template.__code__, {**template.__globals__, **names}, label)
-    clone.__qualname__, clone.__module__ = f"{template.__name__}_{label}", template.__module__
+    clone: Any = FunctionType(template.__code__, {**template.__globals__, **names}, label)
+    clone.__module__, clone.bound = template.__module__, names
+    clone.__qualname__ = f"{template.__name__}_{label}"
+    clone.__qualname__ += f"_{code_digest(clone)}"
     return decorate(clone)
 
 

@@ -46,10 +46,10 @@ class _Locator(UserProvidedCacheLocator):
 class _Implementation(CompileResultCacheImpl):
     """Numba's, which would choose among all folders that it knows of, and check each."""
 
-    def __init__(self, function: Any, folder: str):
-        code = function.__code__
+    def __init__(self, function: Any, digest: str, folder: str):
+        code, ending = function.__code__, f"_{digest}"
         self._lineno, self._locator = code.co_firstlineno, _Locator(function, folder)
-        name = f"{Path(code.co_filename).stem}.{function.__qualname__}"
+        name = f"{Path(code.co_filename).stem}.{function.__qualname__.removesuffix(ending)}{ending}"
         self._filename_base = self.get_filename_base(name, getattr(sys, "abiflags", ""))
 
 
@@ -89,24 +89,24 @@ class Stored(Cache):
     """Compiled code that is read from files, and written while `writes` says so.
 
     function  whose source is the file that it names
+    digest    of the sources that it depends on
     folder    tells where files are, "" where nowhere; it is asked when code is first asked for
     """
 
     writes = True  # of all functions
 
-    def __init__(self, function: Any, folder: Callable[[], str]):
+    def __init__(self, function: Any, digest: str, folder: Callable[[], str]):
         self._name, self._py_func, self._folder = repr(function), function, folder
-        # Now, not when it is compiled: its file may be edited until then.
-        self._stamp = _Locator(function, "").get_source_stamp()
+        self._digest = digest
         self.enable()
 
     @cached_property
     def _impl(self) -> _Implementation:
-        return _Implementation(self._py_func, self._folder())
+        return _Implementation(self._py_func, self._digest, self._folder())
 
     @cached_property
     def _cache_file(self) -> _Files:
-        return _Files(self.cache_path, self._impl.filename_base, self._stamp)
+        return _Files(self.cache_path, self._impl.filename_base, self._digest)
 
     @property
     def cache_path(self) -> str:

@@ -1,4 +1,4 @@
-"""What is kept of compiled code: a folder for each version of the sources, and how it is removed.
+"""What is kept of compiled code: a folder for each of numba's versions, and how it is removed.
 
 A version is removed only where it is a folder of this user's by the name of a digest, with a mark
 in it; and of what is in it only files that numba and we write. No link is followed.
@@ -21,15 +21,15 @@ from filelock import FileLock, Timeout
 DIGEST = re.compile("[0-9a-f]{16}")  # names of folders of compiled code
 # Indices and code, also those that a killed process was writing.
 CODE = re.compile(r"(?P<function>.+?)(\.\d+)?\.nb[ic](\.tmp\.[0-9a-f]+)?")
-# Functions of a game that is not ours, by its own digest: see `envs.compiled`.
-GUEST = re.compile(r"(?P<name>.+)_[0-9a-f]{16}(?P<rest>-\d+\.py\w+)")
+# By the digest of the sources that a function depends on: see `jit.code_digest`.
+DIGESTED = re.compile(r"(?P<name>.+)_[0-9a-f]{16}(?P<rest>-\d+\.py\w+)")
 USED, LOCK = "used", "compile.lock"
 LOCKS = re.compile(r"compile(-.+)?\.lock")  # that of what all use, and one for each game
 
 
 @dataclass(frozen=True)
 class Version:
-    """Compiled code of one version of all sources.
+    """Compiled code of one version and settings of numba.
 
     about  which versions of astray and numba it is of; "" where that was not written
     used   when a process last began to use it, seconds since 1970
@@ -113,13 +113,13 @@ def remove(folder: Path) -> bool:
 
 
 def outdated(folder: Path) -> list[Path]:
-    """The files in `folder` of others' games before their sources were edited."""
+    """The files in `folder` of functions before their sources were edited."""
     files: dict[str, dict[str, list[Path]]] = {}  # by function without digest, then with it
     for path in _files(folder):
         code = CODE.fullmatch(path.name)
-        guest = code and GUEST.fullmatch(code["function"])
-        if code and guest:
-            of = files.setdefault(f"{path.parent} {guest['name']} {guest['rest']}", {})
+        digested = code and DIGESTED.fullmatch(code["function"])
+        if code and digested:
+            of = files.setdefault(f"{path.parent} {digested['name']} {digested['rest']}", {})
             of.setdefault(code["function"], []).append(path)
     return [
         path for of in files.values() for old in sorted(of.values(), key=_last)[:-1] for path in old

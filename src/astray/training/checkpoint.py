@@ -26,6 +26,7 @@ from safetensors import SafetensorError
 from safetensors.torch import load as from_bytes
 from safetensors.torch import save as to_bytes
 
+from astray import provenance
 from astray.agents import policy
 from astray.bounds import brief, shown
 from astray.files import (
@@ -41,7 +42,6 @@ from astray.files import (
     see_own,
     write_aside,
 )
-from astray.kernel.jit import source_digest
 from astray.training import parallel
 from astray.training.config import Config
 from astray.training.log import METRICS, read_metrics
@@ -94,7 +94,7 @@ def claim(folder: Path, config: Config, wait: bool = False) -> Iterator[None]:
                 "numpy": np.__version__,
                 "numba": numba.__version__,
                 "gymnasium": gymnasium.__version__,
-                "sources": source_digest(("**/*.py",)),
+                "sources": provenance.digest(Trainer, config.code()),
             }
             data = {"config": config.to_json(), "versions": versions}
             write_aside(path, json.dumps(data, indent=2).encode())

@@ -185,6 +185,11 @@ class Config:
         """The game that is played."""
         return games.find(self.game)
 
+    def code(self) -> list[object]:
+        """Return what agents of these settings rest on: the game, and others' classes."""
+        named = (self.network, self.loss or "", self.sampler.kind)
+        return [self.find_game(), *(imports.find(name) for name in named if imports.is_name(name))]
+
     def training_variant(self) -> Variant:
         """The variant to train on."""
         return self.variant_for(self.variant)

@@ -24,13 +24,12 @@ from astray.analysis.runs import open_run, play_all, shift_of
 from astray.analysis.tables import write_table
 from astray.analysis.trained import Agent
 from astray.experiments import report
-from astray.experiments.run import COMPUTING, agent_digest, guests_digest, run_folder
+from astray.experiments.run import agent_digest, provenance_of, run_folder
 from astray.experiments.spec import Place, kept
 from astray.experiments.sweep.report import TEST, TRAINING, findings, heading
 from astray.experiments.sweep.settings import Cell, Sweep
 from astray.experiments.workers import train_all
 from astray.files import hold, see_free, write_aside
-from astray.kernel.jit import source_digest
 from astray.training.config import Config, Tracking
 
 SWEPT, OUTCOMES, SHARES = "sweep.json", "outcomes.parquet", "shares.csv"
@@ -99,8 +98,9 @@ def _episodes(
                 sweep.levels,
                 config.to_json(),
                 [agent_digest(run) for run in runs],
-                source_digest(COMPUTING),
-                guests_digest([config]),
+                between,
+                config.variant_for(between.test),
+                provenance_of([config], play_all),
             ]
         ).encode()
     ).hexdigest()[:16]

@@ -2,15 +2,19 @@
 
 import importlib
 import os
+import shutil
 import subprocess
 import sys
 from pathlib import Path
 
+import numba
 import pytest
 
+import astray
+from astray.envs import loops
 from astray.games import maze
 from astray.games.coinrun import rules as others
-from astray.kernel.sources import digest_of
+from astray.kernel.jit import code_digest, specialise
 from helpers.processes import environment
 
 ROOM = Path(__file__).parents[2] / "examples/open-room/src"
@@ -34,27 +38,62 @@ def module(tmp_path, monkeypatch):
     del sys.modules["of_functions"]
 
 
+def digest_with(step, **names):
+    """The digest of a loop in which `step` is bound."""
+    return code_digest(specialise(loops.run, "", lambda clone: clone, step=step, **names))
+
+
 def test_two_functions_of_a_module_are_two(module):
-    assert digest_of({"step": module.step_one}) == digest_of({"step": module.step_one})
+    assert digest_with(module.step_one) == digest_with(module.step_one)
     found = {
-        digest_of({"step": module.step_one}),
-        digest_of({"step": module.step_two}),
-        digest_of({"draw": module.step_one}),
-        digest_of({"step": module.step_one}, 9),
-        digest_of({"step": maze.GAME.rules.step}),
-        digest_of({"step": others.step}),
+        digest_with(module.step_one),
+        digest_with(module.step_two),
+        digest_with(module.step_one, draw=module.step_one),
+        digest_with(module.step_one, ACTIONS=9),
+        digest_with(maze.GAME.rules.step),
+        digest_with(others.step),
     }
     assert len(found) == 6 and None not in found
 
 
-def test_what_another_function_made_is_told_by_nothing(module):
-    assert digest_of({"step": module.made(1)}) is None
+def test_code_that_another_function_made_has_no_digest(module):
+    assert digest_with(module.made(1)) is None
 
 
-def test_an_edit_is_another(module, tmp_path):
-    before = digest_of({"step": module.step_one})
+def test_an_edit_is_another_digest(module, tmp_path):
+    before = digest_with(module.step_one)
     (tmp_path / "of_functions.py").write_text(FUNCTIONS + "# edited\n")
-    assert digest_of({"step": module.step_one}) != before
+    assert digest_with(module.step_one) != before
+
+
+NEVER = """
+from astray.kernel.jit import entry
+from astray.record import NEVER
+
+@entry
+def never():
+    return NEVER
+
+print(never(), sum(never.stats.cache_hits.values()))
+"""
+
+
+@pytest.mark.skipif(numba.config.DISABLE_JIT, reason="nothing is compiled")
+def test_compiled_code_is_new_after_an_edit_of_a_constant_that_it_imports(tmp_path):
+    package, program = tmp_path / "astray", tmp_path / "program.py"
+    leave = shutil.ignore_patterns("__pycache__", "kept", "page", "art", "tests")
+    shutil.copytree(Path(astray.__file__).parent, package, ignore=leave)
+    shutil.copytree(Path(astray.__file__).parent / "art", package / "art")
+    program.write_text(NEVER)
+    known = environment(NUMBA_CACHE_DIR=str(tmp_path / "cache")) | {"PYTHONPATH": str(tmp_path)}
+    told = []
+    for edit in ("", "", "NEVER = -2\n"):
+        with open(package / "record.py", "a") as file:
+            file.write(edit)
+        done = subprocess.run([sys.executable, program], env=known, capture_output=True, text=True)
+        assert done.returncode == 0, done.stderr
+        told.append(done.stdout.split())
+    assert told == [["-1", "0"], ["-1", "1"], ["-2", "0"]]
 
 
 PAID = """

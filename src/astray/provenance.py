@@ -1,0 +1,189 @@
+"""Provenance: a digest of the code and data that something is computed from.
+
+The code is found by following imports, those within functions too, from the functions involved.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import functools
+import hashlib
+import importlib.util
+import re
+import sys
+from collections.abc import Collection, Iterable, Iterator, Mapping
+from importlib.machinery import ModuleSpec
+from pathlib import Path
+from types import FunctionType, MethodType, ModuleType
+from typing import Any
+
+Root = ModuleType | FunctionType | type
+ITSELF = "astray"  # of whose own imports only its own modules are followed
+INSTALLED = {"site-packages", "dist-packages"}  # names of folders
+LIBRARIES = {"gymnasium", "numba", "numpy", "torch"}  # whose objects games and agents consist of
+# A parser takes 100 ms for what a game imports, this 7; with names as a list in parentheses or not.
+IMPORT = re.compile(
+    rb"(?:^|[;:])[ \t]*(?:from[ \t]+([\w.]+)[ \t]+import[ \t]*(\((?:[^()#]|#[^\n]*)*\)|[^\n;(]+)"
+    rb"|import[ \t]+([^\n;]+))",
+    re.MULTILINE,
+)
+_seen: dict[str, str] = {}  # module -> the digest of its source when it was first seen
+
+
+def digest(*things: object, data: object = None) -> str | None:
+    """Return a digest of the sources that `things` come from, and of `data`.
+
+    Args:
+        things: functions, classes and modules, also within mappings, sequences and records
+        data: what has a `repr` that tells all of it
+
+    Returns:
+        16 hexadecimal digits; None where a source cannot be read, as that of a notebook
+    """
+    found = sources(*things)
+    if found is None:
+        return None
+    return hashlib.sha256(repr((data, sorted(found.items()))).encode()).hexdigest()[:16]
+
+
+def sources(*things: object, known: Collection[str] = ()) -> dict[str, str] | None:
+    """Return the digest of each module that `things` come from or that those import.
+
+    Args:
+        things: as `digest` takes them
+        known: modules that are neither read nor followed
+
+    Returns:
+        module -> digest of its source; None where a source cannot be read
+    """
+    found, todo = dict.fromkeys(known, ""), [_module(root) for root in _roots(things, {})]
+    packages = {name.partition(".")[0] for name, _ in todo} - LIBRARIES
+    while todo:
+        name, spec = todo.pop()
+        package = name.partition(".")[0]
+        if name in found or package in sys.stdlib_module_names:
+            continue
+        source = read_source(spec)
+        if source is None:
+            return None
+        found[name] = hashlib.sha256(source).hexdigest()
+        # Installed libraries are read but not followed: there is no end to what they import.
+        if spec and (package in packages or not INSTALLED & {*Path(spec.origin or "").parts}):
+            todo += _imported(source, name, spec)
+    return {name: found[name] for name in found.keys() - set(known)}
+
+
+def see(function: FunctionType) -> None:
+    """Remember the sources of `function` as they are while its module is imported."""
+    if function.__module__ not in _seen:
+        _seen.update(sources(function, known=_seen.keys()) or {})
+
+
+def edited(*things: object) -> bool:
+    """Return whether a source of `things` is no longer what was imported."""
+    found = sources(*things)
+    return found is None or any(_seen.get(name, now) != now for name, now in found.items())
+
+
+def read_source(spec: ModuleSpec | None) -> bytes | None:
+    """Return the file of a module, out of a zip archive too; b"" of a folder without a file."""
+    if spec and spec.submodule_search_locations is not None and not spec.has_location:
+        return b""
+    try:
+        return spec.loader.get_data(spec.origin)  # pyright: ignore
+    except (AttributeError, OSError, TypeError):
+        return None
+
+
+def _roots(thing: Any, passed: dict[int, Any]) -> Iterator[Root]:
+    """Find the functions, classes and modules in a thing, other than those in what was `passed`."""
+    if id(thing) in passed:
+        return
+    passed[id(thing)] = thing
+    parts = _parts(thing)
+    if parts is None:
+        yield thing
+    for part in parts or ():
+        yield from _roots(part, passed)
+
+
+def _parts(thing: Any) -> Iterable[Any] | None:
+    """Return what a thing consists of; None for a function, a class or a module."""
+    own = getattr(thing, "__dict__", {})
+    if isinstance(thing, ModuleType | type):
+        return None
+    if "py_func" in own or "__wrapped__" in own:
+        return [own.get("py_func", own.get("__wrapped__"))]
+    if isinstance(thing, FunctionType):
+        return None
+    if isinstance(thing, functools.partial):
+        return [thing.func, thing.args, thing.keywords]
+    if isinstance(thing, MethodType):
+        return [thing.__func__, thing.__self__]
+    if isinstance(thing, Mapping):
+        return thing.values()
+    if isinstance(thing, tuple | list | set | frozenset):
+        return thing
+    return [type(thing), *own.values()]
+
+
+def _module(root: Root) -> tuple[str, ModuleSpec | None]:
+    """Return the name and place of the module that a root is, or is defined in."""
+    there: Mapping[str, Any]
+    if isinstance(root, FunctionType):
+        there = root.__globals__  # of a file that was run, too, which no name leads to
+    else:
+        name = root.__name__ if isinstance(root, ModuleType) else root.__module__
+        there = vars(sys.modules[name]) if name in sys.modules else {"__name__": name}
+    name, spec, path = there["__name__"], there.get("__spec__"), there.get("__file__")
+    if spec is None and path:
+        spec = importlib.util.spec_from_file_location(name, path)
+    return name, spec
+
+
+def _imported(source: bytes, name: str, spec: ModuleSpec) -> Iterator[tuple[str, ModuleSpec]]:
+    """Find the modules that a source imports; of astray's own sources only astray's own."""
+    package = name if spec.submodule_search_locations is not None else name.rpartition(".")[0]
+    itself = f"{name}.".startswith(f"{ITSELF}.")
+    for module, attribute in _statements(source):
+        if module.startswith("."):
+            try:
+                module = importlib.util.resolve_name(module, package)
+            except ImportError:
+                continue
+        if itself and not f"{module}.".startswith(f"{ITSELF}."):
+            continue
+        for one in (f"{module}.{attribute}", module):
+            if found := _place(one):
+                yield one, found
+                break
+
+
+@functools.lru_cache(1024)
+def _statements(source: bytes) -> frozenset[tuple[str, str]]:
+    """Return each module that is imported, with each name that is imported from it, or ""."""
+    found = set()
+    for module, names, modules in IMPORT.findall(source.replace(b"\\\n", b" ")):
+        listed = re.sub(rb"#[^\n]*", b"", names or modules).strip(b"() \t\r\n").split(b",")
+        for one in (
+            words[0].decode(errors="replace") for words in map(bytes.split, listed) if words
+        ):
+            found.add((module.decode(), one) if module else (one, ""))
+    return frozenset(found)
+
+
+def _place(name: str) -> ModuleSpec | None:
+    """Return where a module is, without importing it or what it is in; None if there is none."""
+    if name in sys.modules:
+        module = sys.modules[name]
+        return getattr(module, "__spec__", None) or ModuleSpec(name, None)
+    within, _, last = name.rpartition(".")
+    above = _place(within) if within else None
+    if not last or (within and (above is None or above.submodule_search_locations is None)):
+        return None
+    for finder in sys.meta_path:
+        # KeyError: a folder without __init__.py is found only in what has been imported.
+        with contextlib.suppress(ImportError, KeyError):
+            if found := finder.find_spec(name, above and above.submodule_search_locations):
+                return found
+    return None

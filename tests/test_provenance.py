@@ -1,0 +1,118 @@
+"""A digest is of all that something is computed from, and of nothing else."""
+
+import ast
+import importlib
+import zipfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import astray
+from astray import games, provenance
+from astray.envs.compiled import compiled_loop
+from astray.kernel.jit import code_digest
+from helpers.edits import edit
+
+PACKAGE = Path(astray.__file__).parent
+SOURCES = sorted(PACKAGE.rglob("*.py"))
+
+
+def parsed(path):
+    """What a source imports, as Python's parser finds it: modules, each with a name from it."""
+    for node in ast.walk(ast.parse(path.read_bytes())):
+        if isinstance(node, ast.Import):
+            yield from ((alias.name, "") for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            yield from (("." * node.level + (node.module or ""), a.name) for a in node.names)
+
+
+@pytest.mark.parametrize("path", SOURCES, ids=lambda path: str(path.relative_to(PACKAGE)))
+def test_no_import_is_missed(path):
+    assert set(parsed(path)) <= provenance._statements(path.read_bytes())
+
+
+STATEMENTS = """
+import one, two.three as four; import five
+from .six import (  # (all)
+    seven as eight,
+    nine,  # of them
+)
+from . import ten
+if True: from eleven import *
+def lazy():
+    from twelve \\
+        import thirteen
+"""
+
+
+def test_imports_are_found_however_they_are_written(tmp_path):
+    (tmp_path / "written.py").write_text(STATEMENTS)
+    found = provenance._statements(STATEMENTS.encode())
+    assert found == set(parsed(tmp_path / "written.py")) and len(found) == 8
+
+
+@pytest.mark.parametrize("game", games.OWN)
+def test_kernels_depend_on_the_constants_that_they_import_and_on_no_more(game, monkeypatch):
+    run = compiled_loop(games.find(game))
+    before = code_digest(run)
+    for module, changes in {
+        "astray.record": True,  # where NEVER is
+        "astray.kernel.rng": True,
+        f"astray.games.{game}.rules": True,
+        f"astray.games.{game}.measures": False,
+        f"astray.games.{'keys' if game == 'maze' else 'maze'}.rules": False,
+        "astray.play": False,
+    }.items():
+        with monkeypatch.context() as context:
+            edit(context, module)
+            assert (code_digest(run) != before) == changes, module
+
+
+def test_imports_within_functions_count_without_being_imported(tmp_path, monkeypatch):
+    (tmp_path / "pack").mkdir()
+    (tmp_path / "pack" / "__init__.py").write_text("raise RuntimeError('imported')\n")
+    (tmp_path / "pack" / "deep.py").write_text("ONE = 1\n")
+    (tmp_path / "lazy_one.py").write_text("def one():\n    from pack.deep import ONE\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    one = importlib.import_module("lazy_one").one
+    assert set(provenance.sources(one) or {}) == {"lazy_one", "pack.deep"}
+
+
+def test_a_package_that_is_installed_is_followed_and_what_it_imports_is_read(tmp_path, monkeypatch):
+    there = tmp_path / "site-packages"
+    for package, text in {
+        "guest_game": "from guest_game import numbers\nimport a_library\n\ndef one(): pass\n",
+        "guest_game/numbers": "",
+        "a_library": "import of_a_library",
+        "of_a_library": "",
+    }.items():
+        (there / package).mkdir(parents=True)
+        (there / package / "__init__.py").write_text(text)
+    monkeypatch.syspath_prepend(there)
+    one = importlib.import_module("guest_game").one
+    found = provenance.sources(one, np.zeros(1).view(np.recarray)) or {}
+    assert {"guest_game", "guest_game.numbers", "a_library"} == {
+        n for n in found if "numpy" not in n
+    }
+    assert len(found) == 4
+
+
+def test_sources_are_read_out_of_an_archive(tmp_path, monkeypatch):
+    with zipfile.ZipFile(tmp_path / "all.zip", "w") as archive:
+        archive.writestr("zipped_one.py", "import zipped_two\n\ndef one():\n    pass\n")
+        archive.writestr("zipped_two.py", "")
+    monkeypatch.syspath_prepend(tmp_path / "all.zip")
+    one = importlib.import_module("zipped_one").one
+    assert set(provenance.sources(one) or {}) == {"zipped_one", "zipped_two"}
+
+
+def test_where_a_source_cannot_be_read_there_is_no_digest():
+    there = {"__name__": "typed_in"}
+    exec("def one(): pass", there)
+    assert provenance.digest(there["one"]) is None
+
+
+def test_data_count():
+    assert provenance.digest(data=[1]) == provenance.digest(data=[1])
+    assert provenance.digest(data=[1]) != provenance.digest(data=[2])
