@@ -5,6 +5,7 @@ import polars as pl
 import pytest
 
 from astray import games
+from astray.acting import steps
 from astray.analysis.adapters import Function, from_sb3
 from astray.analysis.evaluate import evaluate
 from astray.analysis.outcomes import label, load_shift
@@ -13,7 +14,7 @@ from astray.analysis.outcomes import label, load_shift
 class Predictor:
     """As a model of Stable-Baselines3: draws, or always goes right."""
 
-    def predict(self, observation, *, deterministic=False):
+    def predict(self, observation, state=None, episode_start=None, deterministic=False):
         random = np.random.default_rng(0).integers(15, size=len(observation))
         return np.full(len(observation), 7) if deterministic else random, None
 
@@ -29,6 +30,24 @@ def test_a_callable_and_a_model_are_evaluated_as_policies():
     assert not one.drop("policy").equals(three.drop("policy"))
     table = label(one, games.find("maze"), load_shift(games.find("maze"), "corner-small"))
     assert len(table.filter(pl.col("outcome").is_not_null())) == 20
+
+
+class Recurrent:
+    """As a recurrent model of sb3-contrib: a state [layers, environments, numbers]."""
+
+    def predict(self, observation, state=None, episode_start=None, deterministic=False):
+        n = len(observation)
+        (steps,) = (np.zeros((2, n, 1)),) if state is None else state
+        begins = np.zeros(n, bool) if episode_start is None else episode_start
+        steps = np.where(begins[None, :, None], 0, steps) + np.array([[[1]], [[2]]])
+        return steps.sum((0, 2)).astype(int) % 15, (steps,)
+
+
+@pytest.mark.parametrize("batch", [1, 3, 256])
+def test_a_recurrent_model_remembers_its_episode_and_no_other(batch):
+    model = from_sb3(Recurrent(), observation="symbolic")
+    for step in steps(model, "maze", "anywhere-small", range(12), batch=batch):
+        assert (step.actions == 3 * step.after["time"] % 15).all()
 
 
 @pytest.mark.parametrize(

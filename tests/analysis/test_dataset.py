@@ -131,7 +131,7 @@ def test_a_folder_that_is_there_is_left_alone(tmp_path):
 
 def test_an_interrupted_export_leaves_nothing(tmp_path):
     class Interrupted(Random):
-        def actions(self, env, observations):
+        def actions(self, turn):
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):

@@ -10,6 +10,7 @@ import pytest
 from PIL import Image
 
 from astray import games
+from astray.acting import Turn
 from astray.agents.policy import Architecture, weights
 from astray.analysis.runs import open_run
 from astray.analysis.trained import Agent
@@ -145,9 +146,9 @@ def test_an_agent_is_shown_what_it_was_trained_on(tmp_path):
     with pytest.raises(
         ValueError, match="is to see art 'original'; these images are drawn with 'own'"
     ):
-        agent.actions(env, images)
+        agent.actions(Turn.of(env, images))
     agent.art = "own"
-    assert agent.actions(env, images).shape == (2,)
+    assert agent.actions(Turn.of(env, images)).actions.shape == (2,)
 
 
 def test_runs_say_what_they_were_trained_on_and_another_is_shown_where_asked_for(tmp_path):

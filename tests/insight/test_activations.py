@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from astray import games, load_agent
+from astray.acting import initial_states
 from astray.analysis import kept
 from astray.analysis.critic import observe
-from astray.analysis.episodes import initial_states
 from astray.insight.activations import activations, capture, load_activations
 
 MAZE = games.find("maze")

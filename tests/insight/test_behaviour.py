@@ -5,7 +5,7 @@ import polars as pl
 import pytest
 
 from astray import games
-from astray.analysis.episodes import initial_states
+from astray.acting import initial_states
 from astray.insight.behaviour import level_features, predict, variance_inflation
 
 

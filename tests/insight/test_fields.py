@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from astray import games, load_agent
+from astray.acting import initial_states
 from astray.analysis import kept
 from astray.analysis.critic import judge, observe
-from astray.analysis.episodes import initial_states
 from astray.analysis.runs import open_run
 from astray.games.maze import solve
 from astray.insight import field_figures

@@ -7,8 +7,8 @@ import polars as pl
 import pytest
 
 from astray import games, load_agent
+from astray.acting import initial_states
 from astray.analysis import kept
-from astray.analysis.episodes import initial_states
 from astray.games.coinrun import edits as coin_edits
 from astray.games.coinrun import measures as coin_measures
 from astray.games.coinrun.rules import COIN

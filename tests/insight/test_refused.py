@@ -4,9 +4,9 @@ import numpy as np
 import polars as pl
 import pytest
 
+from astray.acting import initial_states
 from astray.analysis.critic import counterfactual, observe
 from astray.analysis.dataset import export, read_trajectories
-from astray.analysis.episodes import initial_states
 from astray.analysis.outcomes import shares
 from astray.analysis.runs import open_run
 from astray.envs.states import load_states

@@ -5,9 +5,9 @@ import torch
 from torch import nn
 
 from astray import games, load_agent
+from astray.acting import initial_states
 from astray.agents.policy import Architecture
 from astray.analysis import kept
-from astray.analysis.episodes import initial_states
 from astray.insight.fields import fields
 from astray.insight.retarget import AS_IS, CLAMPED, MOVED, WAYS, Clamp, following, retarget
 from astray.level import Level

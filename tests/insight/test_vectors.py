@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from astray import games, load_agent
+from astray.acting import initial_states
 from astray.analysis import kept
 from astray.analysis.critic import judge, observe
-from astray.analysis.episodes import initial_states
 from astray.insight.activations import activations, layers
 from astray.insight.fields import cell_of, fields
 from astray.insight.interventions import steer

@@ -9,7 +9,7 @@ import pytest
 from safetensors.numpy import load_file
 
 from astray import games
-from astray.analysis.episodes import initial_states
+from astray.acting import initial_states
 from astray.analysis.replay import replay
 from astray.analysis.runs import load_agent
 from astray.insight.fields import fields

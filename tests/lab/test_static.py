@@ -8,9 +8,9 @@ import pytest
 import torch
 
 from astray import games
+from astray.acting import initial_states
 from astray.agents.policy import Architecture
 from astray.analysis.critic import judge
-from astray.analysis.episodes import initial_states
 from astray.analysis.replay import replay
 from astray.envs.vector import GameVectorEnv
 from astray.lab import pursuits

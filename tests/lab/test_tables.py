@@ -3,9 +3,9 @@
 import numpy as np
 
 from astray import games
+from astray.acting import initial_states
 from astray.agents.policy import Architecture
 from astray.analysis.critic import judge, observe
-from astray.analysis.episodes import initial_states
 from astray.analysis.trained import Agent
 from astray.lab.export import export, table
 from astray.lab.serving import make_lab

@@ -7,7 +7,7 @@ from scipy.special import logsumexp, softmax
 from scipy.stats import entropy
 
 from astray import games
-from astray.analysis.episodes import beginnings, steps
+from astray.acting import Answer, beginnings, steps
 from astray.analysis.outcomes import load_shift
 from astray.analysis.policies import Walk
 from astray.analysis.runs import load_agent
@@ -166,11 +166,9 @@ class Torn(Walk):
         super().__init__("cheese")
         self.corner = Walk("corner")
 
-    def actions(self, env, observations):
-        to_cheese, to_corner = (
-            w(env, observations) for w in (super().actions, self.corner.actions)
-        )
-        return np.where(env.states["level"] % 2, to_cheese, to_corner)
+    def actions(self, turn):
+        to_cheese, to_corner = (w(turn).actions for w in (super().actions, self.corner.actions))
+        return Answer(np.where(turn.env.states["level"] % 2, to_cheese, to_corner))
 
 
 def test_the_entropy_under_a_splay_is_low_for_who_knows_what_it_wants():

@@ -9,6 +9,7 @@ import pytest
 from scipy.stats import norm, sem
 
 from astray import games
+from astray.acting import Answer, Turn
 from astray.agents import policy as trained
 from astray.analysis.evaluate import evaluate
 from astray.analysis.outcomes import load_shift
@@ -125,8 +126,8 @@ class Right:
 
     name, observation, art = "right", "symbolic", "own"
 
-    def actions(self, env, observations):
-        return np.full(len(observations), 7)
+    def actions(self, turn):
+        return Answer(np.full(len(turn.observations), 7))
 
 
 def test_a_walker_is_asked_where_a_level_begins_and_where_it_helps():
@@ -235,7 +236,7 @@ def test_a_network_is_asked_once_a_step_by_all_who_ask_the_agent(mouse, monkeypa
     helped = Helped(agent, Walk("cheese"), OfLogits(agent, "entropy"), 0.5)
     env = GameVectorEnv("maze", ANYWHERE, 5, observation="symbolic")
     shown, _ = env.reset(seed=0)
-    helped.actions(env, shown)
+    helped.actions(Turn.of(env, shown))
     assert len(calls) == 1
     shown[:] = 0  # as an environment does that steps
     first = agent.outputs(shown)[0]

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from astray import games
+from astray.acting import initial_states
 from astray.analysis import kept
 from astray.analysis.critic import judge, observe
-from astray.analysis.episodes import initial_states
 from astray.analysis.evaluate import evaluate
 from astray.analysis.runs import open_run, shift_of
 from astray.files import LOCK

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from astray.analysis.episodes import initial_states
+from astray.acting import initial_states
 from astray.games.maze import GAME
 from astray.kernel.maze import WALL
 from astray.level import Level

@@ -14,11 +14,11 @@ from typing import Any, Literal, Protocol
 import numpy as np
 import torch
 
+from astray.acting import Answer, Turn
 from astray.agents import policy as trained
-from astray.analysis.policies import Observation
 from astray.analysis.trained import AT_ONCE, chosen
 from astray.bounds import shown
-from astray.envs.vector import GameVectorEnv
+from astray.envs.vector import Observation
 from astray.game import OWN
 from astray.training.trainer import Trainer
 from astray.words import check_word
@@ -28,8 +28,12 @@ class Model(Protocol):
     """What there is of a model of Stable-Baselines3 here."""
 
     def predict(
-        self, observation: Any, *, deterministic: bool = False
-    ) -> tuple[np.ndarray, Any]: ...
+        self,
+        observation: Any,
+        state: tuple[np.ndarray, ...] | None = None,
+        episode_start: np.ndarray | None = None,
+        deterministic: bool = False,
+    ) -> tuple[np.ndarray, tuple[np.ndarray, ...] | None]: ...
 
 
 @dataclass
@@ -51,20 +55,48 @@ class Function:
         if not callable(self.choose):
             raise ValueError(f"choose must be a function of observations; got {shown(self.choose)}")
 
-    def actions(self, env: GameVectorEnv, observations: np.ndarray) -> np.ndarray:
-        """An action for each of `observations` [N, ...]; ValueError where there is none."""
-        chosen, count = np.asarray(self.choose(observations)), len(env.game.actions)
-        if chosen.shape != (len(observations),) or not np.issubdtype(chosen.dtype, np.integer):
-            raise ValueError(
-                f"{self.name} must return {len(observations)} integers, an action for each "
-                f"observation; got {chosen.dtype} of shape {chosen.shape}"
-            )
-        if chosen.min() < 0 or chosen.max() >= count:
-            raise ValueError(
-                f"actions of {self.name} must be from 0 to {count - 1}; got {chosen.min()} to "
-                f"{chosen.max()}"
-            )
-        return chosen.astype(np.int64)
+    def actions(self, turn: Turn) -> Answer:
+        return Answer(_actions(self.name, self.choose(turn.observations), turn))
+
+
+@dataclass
+class Predictor:
+    """A model of Stable-Baselines3 as a policy; see `from_sb3`."""
+
+    model: Model
+    name: str
+    greedy: bool
+    observation: Observation
+    art: str
+
+    def actions(self, turn: Turn) -> Answer:
+        chosen, state = self.model.predict(
+            turn.observations,
+            state=_turned(turn.memory),
+            episode_start=turn.begins,
+            deterministic=self.greedy,
+        )
+        return Answer(_actions(self.name, chosen, turn), _turned(state))
+
+
+def _turned(state: tuple[np.ndarray, ...] | None) -> tuple[np.ndarray, ...] | None:
+    """A recurrent model's state, [layers, N, ...], by episode, [N, layers, ...]; or back."""
+    return None if state is None else tuple(np.swapaxes(part, 0, 1) for part in state)
+
+
+def _actions(name: str, chosen: Any, turn: Turn) -> np.ndarray:
+    """The actions [N] that a policy of that name chose; ValueError where they are none."""
+    chosen, n, count = np.asarray(chosen), len(turn.observations), len(turn.env.game.actions)
+    if chosen.shape != (n,) or not np.issubdtype(chosen.dtype, np.integer):
+        raise ValueError(
+            f"{name} must return {n} integers, an action for each observation; got "
+            f"{chosen.dtype} of shape {chosen.shape}"
+        )
+    if chosen.min() < 0 or chosen.max() >= count:
+        raise ValueError(
+            f"actions of {name} must be from 0 to {count - 1}; got {chosen.min()} to {chosen.max()}"
+        )
+    return chosen.astype(np.int64)
 
 
 def from_sb3(
@@ -74,14 +106,14 @@ def from_sb3(
     greedy: bool = False,
     observation: Observation = "image",
     art: str = OWN,
-) -> Function:
+) -> Predictor:
     """A model of Stable-Baselines3 as a policy; its actions are drawn by torch's random state.
+
+    A recurrent one, as of sb3-contrib, begins every episode without memory, and keeps it in it.
 
     greedy  takes its likeliest action instead
     """
-    return Function(
-        lambda shown: model.predict(shown, deterministic=greedy)[0], name, observation, art
-    )
+    return Predictor(model, name, greedy, observation, art)
 
 
 @dataclass
@@ -103,11 +135,11 @@ class Learner:
     def art(self) -> str:
         return self.trainer.config.art
 
-    def actions(self, env: GameVectorEnv, observations: np.ndarray) -> np.ndarray:
+    def actions(self, turn: Turn) -> Answer:
         config = self.trainer.config
-        shown = torch.from_numpy(observations).to(config.device)
+        shown = torch.from_numpy(turn.observations).to(config.device)
         logits, _ = trained.outputs(self.trainer.network, shown, AT_ONCE[self.observation])
-        return chosen(logits, self.mode, config.seed, env)
+        return Answer(chosen(logits, self.mode, config.seed, turn.env))
 
 
 def from_trainer(trainer: Trainer, mode: Literal["sampled", "greedy"] = "sampled") -> Learner:

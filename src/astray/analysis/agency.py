@@ -14,15 +14,14 @@ from PIL import Image
 from scipy.special import softmax
 
 from astray import games
+from astray.acting import Policy, initial_states, steps
 from astray.agency.gridworld import Cell, World
 from astray.agency.measure import CALIBRATED, PRESETS, Episode, Options, decisions, measure_named
 from astray.agency.online import measure_online
 from astray.agency.population import pooled, shares
 from astray.analysis import video
-from astray.analysis.episodes import initial_states, steps
 from astray.analysis.estimates import Estimate, estimate_mean
 from astray.analysis.outcomes import load_shift
-from astray.analysis.policies import Policy
 from astray.analysis.runs import Mode, open_run, shift_of
 from astray.game import Game, Shift, Variant
 

@@ -17,7 +17,7 @@ from collections.abc import Callable, Mapping, Sized
 import numpy as np
 import polars as pl
 
-from astray.analysis.episodes import Levels, steps
+from astray.acting import Levels, steps
 from astray.analysis.given import Measure, measured, see_measures
 from astray.analysis.policies import episode_noise
 from astray.analysis.trained import Agent

@@ -27,9 +27,7 @@ import polars as pl
 from gymnasium import spaces
 
 from astray import games, imports
-from astray.analysis.episodes import Levels, steps
-from astray.analysis.given import see_policy
-from astray.analysis.policies import Policy
+from astray.acting import Levels, Policy, see_policy, steps
 from astray.analysis.tables import write_table
 from astray.bounds import brief, of_kind, shown
 from astray.envs import VERSION

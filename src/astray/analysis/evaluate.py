@@ -9,9 +9,8 @@ import numpy as np
 import polars as pl
 
 from astray import games
-from astray.analysis.episodes import Levels, steps
+from astray.acting import Levels, Policy, steps
 from astray.analysis.given import Measure, measured, see_measures
-from astray.analysis.policies import Policy
 from astray.bounds import of_kind
 from astray.game import Game, Variant
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping
-from typing import Any
 
 import numpy as np
 import polars as pl
@@ -11,17 +10,6 @@ import polars as pl
 from astray.bounds import of_kind, shown
 
 Measure = Callable[[np.ndarray], np.ndarray]  # of states [N], a number each
-POLICY = ("name", "observation", "art", "actions")  # that each has
-
-
-def see_policy(policy: Any) -> None:
-    """ValueError where `policy` is none, as a function of observations is not."""
-    missing = [name for name in POLICY if not hasattr(policy, name)]
-    if missing or isinstance(policy, type):
-        raise ValueError(
-            f"a policy must have {', '.join(POLICY)}: load_agent(...) gives one, and "
-            f"Function(...) makes one of a function; got {shown(policy)}"
-        )
 
 
 def see_measures(measures: Mapping[str, Measure] | None, taken: Collection[str]) -> None:

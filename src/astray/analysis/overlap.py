@@ -11,7 +11,7 @@ import numpy as np
 import polars as pl
 
 from astray import games
-from astray.analysis.episodes import CHUNK, initial_states
+from astray.acting import CHUNK, initial_states
 from astray.game import Game, Variant
 from astray.level import EMPTY
 from astray.record import COMMON, level_numbers

@@ -1,34 +1,19 @@
-"""What a policy is, and scripted ones for base rates; `trained` has those that learned."""
+"""Scripted policies, for base rates; `trained` has those that learned."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Any, Literal, Protocol
+from typing import Any
 
 import numpy as np
 
-from astray.envs.vector import GameVectorEnv
+from astray.acting import Answer, Turn
+from astray.envs.vector import Observation
 from astray.game import OWN, Game
 from astray.kernel.rng import fill_noise
 
-Observation = Literal["image", "symbolic"]
 RANDOM_SALT = 2**32  # no agent has this seed, or a larger one
-
-
-class Policy(Protocol):
-    """Chooses an action [N] int64 for every environment, from what it shows or from its state."""
-
-    @property
-    def name(self) -> str: ...
-
-    @property
-    def observation(self) -> Observation: ...
-
-    @property
-    def art(self) -> str: ...  # that images are drawn with, for it and for films of it
-
-    def actions(self, env: GameVectorEnv, observations: np.ndarray) -> np.ndarray: ...
 
 
 def episode_noise(seed: int, states: np.ndarray, count: int) -> np.ndarray:
@@ -47,8 +32,10 @@ class Random:
     observation: Observation = "symbolic"
     art: str = OWN
 
-    def actions(self, env: GameVectorEnv, observations: np.ndarray) -> np.ndarray:
-        return episode_noise(RANDOM_SALT + self.seed, env.states, len(env.game.actions)).argmax(1)
+    def actions(self, turn: Turn) -> Answer:
+        env = turn.env
+        noise = episode_noise(RANDOM_SALT + self.seed, env.states, len(env.game.actions))
+        return Answer(noise.argmax(1))
 
 
 @dataclass
@@ -68,8 +55,8 @@ class Walk:
     def name(self) -> str:
         return f"walk to {self.goal}"
 
-    def actions(self, env: GameVectorEnv, observations: np.ndarray) -> np.ndarray:
-        return self.ways(env.game, env.states)
+    def actions(self, turn: Turn) -> Answer:
+        return Answer(self.ways(turn.env.game, turn.env.states))
 
     def ways(self, game: Game, states: Any) -> np.ndarray:
         """The actions [n] that lead on from some states [n], of those that it is asked for.

@@ -10,9 +10,8 @@ from typing import Any
 import numpy as np
 
 from astray import games
-from astray.analysis.episodes import initial_states, steps
-from astray.analysis.policies import Observation
-from astray.envs.vector import GameVectorEnv
+from astray.acting import Answer, Turn, initial_states, steps
+from astray.envs.vector import Observation
 from astray.game import OWN, Game, Variant
 from astray.level import Level
 
@@ -26,8 +25,8 @@ class Script:
     observation: Observation = "symbolic"
     art: str = OWN
 
-    def actions(self, env: GameVectorEnv, observations: np.ndarray) -> np.ndarray:
-        return np.array([next(self.actions_left)])
+    def actions(self, turn: Turn) -> Answer:
+        return Answer(np.array([next(self.actions_left)]))
 
 
 def replay(

@@ -13,13 +13,13 @@ import polars as pl
 from safetensors import SafetensorError, safe_open
 
 from astray import games
+from astray.acting import Levels, Policy, see_policy
 from astray.agents.policy import usable
 from astray.analysis import kept
-from astray.analysis.episodes import Levels
 from astray.analysis.evaluate import evaluate
-from astray.analysis.given import Measure, see_policy
+from astray.analysis.given import Measure
 from astray.analysis.outcomes import label, load_shift, outcomes_of, shares, tell_apart
-from astray.analysis.policies import Policy, Random, Walk
+from astray.analysis.policies import Random, Walk
 from astray.analysis.trained import Agent
 from astray.bounds import finite, of_kind, shown
 from astray.files import read, see_readable

@@ -11,11 +11,12 @@ from typing import Any, Literal
 import numpy as np
 import torch
 
+from astray.acting import Answer, Turn
 from astray.agents import policy
 from astray.agents.names import NETWORKS
-from astray.analysis.policies import Observation, episode_noise
+from astray.analysis.policies import episode_noise
 from astray.bounds import of_kind
-from astray.envs.vector import GameVectorEnv
+from astray.envs.vector import GameVectorEnv, Observation
 from astray.game import OWN
 from astray.training import ppo
 from astray.words import check_words
@@ -104,12 +105,13 @@ class Agent:
         finally:
             self._keeps, self._kept = False, None
 
-    def actions(self, env: GameVectorEnv, observations: np.ndarray) -> np.ndarray:
+    def actions(self, turn: Turn) -> Answer:
+        env = turn.env
         if self.observation == "image" and env.art != self.art:
             raise ValueError(
                 f"the agent is to see art {self.art!r}; these images are drawn with {env.art!r}"
             )
-        logits, _ = self.outputs(observations)
+        logits, _ = self.outputs(turn.observations)
         if not logits.isfinite().all():
             raise ValueError(f"the agent at {self.path} gives logits that are not finite")
-        return chosen(logits, self.mode, self.seed, env)
+        return Answer(chosen(logits, self.mode, self.seed, env))

@@ -13,8 +13,7 @@ import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
 from astray import games
-from astray.analysis.episodes import steps
-from astray.analysis.policies import Policy
+from astray.acting import Policy, steps
 from astray.bounds import MOST, bounded, of_kind
 from astray.envs.vector import picture
 from astray.files import write_aside

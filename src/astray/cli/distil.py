@@ -8,9 +8,9 @@ from pathlib import Path
 from tyro.conf import Positional
 
 from astray.analysis import kept
-from astray.analysis.policies import Observation
 from astray.bounds import MOST, bounded
 from astray.envs.pool import most_threads
+from astray.envs.vector import Observation
 from astray.training.config import PRESETS, Tracking
 from astray.training.settings import MOST_STEPS, SEEDS
 

@@ -47,7 +47,7 @@ def explain(
         knobs: of the variant, changed
         out: the folder for explain.html, its figures and tables
     """
-    from astray.analysis.episodes import initial_states
+    from astray.acting import initial_states
     from astray.analysis.outcomes import load_shift
     from astray.analysis.runs import open_run, reward_deviation, shift_of
     from astray.insight.activations import see_layers

@@ -11,7 +11,7 @@ from rich.table import Table
 from tyro.conf import Positional
 
 from astray import games
-from astray.analysis.episodes import CHUNK, initial_states
+from astray.acting import CHUNK, initial_states
 from astray.cli.arguments import (
     Knobs,
     action_numbers,

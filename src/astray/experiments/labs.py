@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from astray.analysis.episodes import initial_states
+from astray.acting import initial_states
 from astray.analysis.runs import open_run
 from astray.experiments.report import Scene
 from astray.files import folder_aside, read, write_aside

@@ -19,7 +19,7 @@ import numpy as np
 import polars as pl
 
 from astray import games, imports
-from astray.analysis.episodes import CHUNK, Levels, initial_states
+from astray.acting import CHUNK, Levels, initial_states
 from astray.analysis.estimates import estimate_mean
 from astray.bounds import MOST, bounded, of_kind
 from astray.estimate import Estimate

@@ -18,8 +18,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from astray import games
+from astray.acting import steps
 from astray.analysis.critic import judge
-from astray.analysis.episodes import steps
 from astray.analysis.given import Measure, measured
 from astray.analysis.style import FAINT, INK, OTHERS, STYLE, WIDTH
 from astray.analysis.trained import Agent

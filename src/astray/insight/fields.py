@@ -21,8 +21,8 @@ import numpy as np
 import polars as pl
 
 from astray import games
+from astray.acting import Levels, initial_states
 from astray.analysis.critic import judge, observe
-from astray.analysis.episodes import Levels, initial_states
 from astray.analysis.trained import Agent
 from astray.bounds import of_kind, shown
 from astray.envs.vector import GameVectorEnv

@@ -17,8 +17,8 @@ import numpy as np
 import polars as pl
 
 from astray import games
+from astray.acting import Levels
 from astray.analysis.critic import judge, observe
-from astray.analysis.episodes import Levels
 from astray.analysis.trained import Agent
 from astray.bounds import MOST, bounded, of_kind, shown
 from astray.game import Variant

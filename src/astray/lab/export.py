@@ -18,8 +18,8 @@ from typing import Any
 import numpy as np
 
 from astray import games
+from astray.acting import initial_states
 from astray.analysis.critic import judge, observe
-from astray.analysis.episodes import initial_states
 from astray.analysis.trained import Agent
 from astray.bounds import MOST, bounded, of_kind
 from astray.files import folder_aside, write_aside

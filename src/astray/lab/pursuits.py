@@ -9,12 +9,12 @@ from typing import Any
 
 import numpy as np
 
+from astray.acting import steps
 from astray.agency import measure
 from astray.agency.gridworld import World as Gridworld
 from astray.agency.measure import CALIBRATED
 from astray.agency.online import Growth, measure_online
 from astray.analysis.agency import named_places
-from astray.analysis.episodes import steps
 from astray.analysis.trained import Agent
 from astray.game import Game, Shift
 from astray.lab.messages import LONGEST

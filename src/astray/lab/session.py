@@ -20,7 +20,7 @@ from astray.game import Game, knobs
 from astray.lab import minds, pursuits
 from astray.lab.messages import Message, number_of, read
 from astray.lab.minds import Minds, rounded
-from astray.lab.worlds import Episode, World, environment, play_on, read_world, snapshot
+from astray.lab.worlds import Episode, World, play_on, read_world, snapshot
 
 FORMAT = 1  # of the messages; goes up when an older page could not read them
 STEPS_AT_ONCE = 8  # of an agent's episode, before a page hears of them
@@ -164,17 +164,11 @@ def play(session: Session, message: Message) -> Iterator[Reply]:
     yield _told(episode, 0, agent)
     if agent is None or not message.steps or episode.ended:
         return
-    env = environment(world, agent.observation, agent.art)
-    seen, told = env.set_state(episode.state), len(episode.states)
-    for k in range(message.steps):
-        action = int(agent.actions(env, seen)[0])
-        seen = episode.take(env, action)
-        if episode.ended or (k + 1) % STEPS_AT_ONCE == 0 or k + 1 == message.steps:
+    told = len(episode.states)
+    for k, _ in enumerate(episode.play(agent, message.steps), 1):
+        if episode.ended or k % STEPS_AT_ONCE == 0 or k == message.steps:
             yield _told(episode, told, agent)
             told = len(episode.states)
-        if episode.ended:
-            break
-    env.close()
 
 
 def _told(episode: Episode, first: int, agent: Any) -> Reply:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -12,7 +12,8 @@ from typing import Any
 import numpy as np
 
 from astray import games
-from astray.analysis.episodes import initial_states
+from astray.acting import Asking, Onward, Policy, Step, initial_states, play
+from astray.analysis.replay import Script
 from astray.bounds import bounded
 from astray.envs.vector import GameVectorEnv
 from astray.game import Game, Variant
@@ -147,18 +148,17 @@ class Episode:
         """The last state, [1]."""
         return self.states[-1]
 
-    def take(self, env: GameVectorEnv, action: int) -> np.ndarray:
-        """Do `action` and return what `env`, of one environment in this state, then shows."""
-        bounded("an action", action, 0, len(self.world.game.actions) - 1)
-        if self.ended:
-            raise ValueError(f"the episode has ended after {len(self.actions)} steps")
-        seen, reward, terminated, truncated, _ = env.step(np.array([action]))
-        self.states.append(env.get_state())
-        self.actions.append(int(action))
-        self.rewards.append(float(reward[0]))
-        self.terminated = bool(terminated[0])
-        self.ended = bool(terminated[0] or truncated[0])
-        return seen
+    def play(self, policy: Policy, steps: int) -> Iterator[Step]:
+        """Go on with a policy's actions, and keep each of at most `steps` steps."""
+        env = environment(self.world, policy.observation, policy.art)
+        onward = Onward(env, env.set_state(self.state))
+        for step in play(Asking(policy), onward, steps):
+            self.states.append(step.after.copy())
+            self.actions.append(int(step.actions[0]))
+            self.rewards.append(float(step.rewards[0]))
+            self.terminated, self.ended = bool(step.terminated[0]), bool(step.ended[0])
+            yield step
+        env.close()
 
     def cut(self, steps: int) -> None:
         """Forget all after the first `steps` steps."""
@@ -177,12 +177,14 @@ def play_on(episode: Episode | None, world: World, actions: Sequence[int]) -> Ep
             break
         same += 1
     episode.cut(same)
-    if same < len(actions):
-        env = environment(world)
-        env.set_state(episode.state)
-        for action in actions[same:]:
-            episode.take(env, action)
-        env.close()
+    left = actions[same:]
+    for action in left:
+        bounded("an action", action, 0, len(world.game.actions) - 1)
+    if left:
+        script = Script(iter(left), observation="symbolic" if world.game.symbols else "image")
+        taken = sum(1 for _ in episode.play(script, len(left)))
+        if taken < len(left):
+            raise ValueError(f"the episode has ended after {same + taken} steps")
     return episode
 
 

@@ -15,11 +15,11 @@ from typing import Any, Literal, Protocol
 import numpy as np
 import torch
 
+from astray.acting import Levels, Policy, steps
 from astray.agents import policy as trained
 from astray.agents.actor_critic import ActorCritic
 from astray.analysis import agency
-from astray.analysis.episodes import Levels, steps
-from astray.analysis.policies import Policy, episode_noise
+from astray.analysis.policies import episode_noise
 from astray.analysis.trained import AT_ONCE, Agent
 from astray.bounds import of_kind, shown
 from astray.envs.vector import GameVectorEnv

@@ -4,18 +4,19 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Callable, Iterator, Sequence, Sized
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 import polars as pl
 
 from astray import games
-from astray.analysis.episodes import Levels, Step, steps
-from astray.analysis.given import Measure, see_policy
-from astray.analysis.policies import Observation, Policy, Walk
+from astray.acting import Answer, Levels, Policy, Step, Turn, see_policy, steps
+from astray.analysis.given import Measure
+from astray.analysis.policies import Walk
 from astray.analysis.trained import Agent
 from astray.bounds import of_kind
+from astray.envs.vector import Observation
 from astray.game import Game, Variant
 from astray.mitigation.doubt import Score
 from astray.words import check_word
@@ -57,6 +58,7 @@ class Helped(_Shown):
 
     granularity  "step": for that step; "level": from then on to the level's end
 
+    Of each step it notes the score, and whether the expert acted ("helped").
     The expert sees what the novice is shown, and the states. One that walks is asked only where it
     helps: it may have to look for a way anew wherever it takes over.
     """
@@ -67,8 +69,6 @@ class Helped(_Shown):
     threshold: float
     granularity: Granularity = "step"
     name: str = "helped"
-    _asked: dict[int, bool] = field(default_factory=dict, repr=False)  # by level, so far
-    _now: dict[int, tuple[float, bool]] = field(default_factory=dict, repr=False)  # score, helped
 
     def __post_init__(self) -> None:
         for policy in (self.novice, self.expert):
@@ -82,44 +82,36 @@ class Helped(_Shown):
                 f"{self.expert.observation!r}"
             )
 
-    def actions(self, env, observations: np.ndarray) -> np.ndarray:
+    def actions(self, turn: Turn) -> Answer:
+        env, n = turn.env, len(turn.begins)
+        novice, expert, before = turn.memory or (None, None, np.zeros(n, bool))
         with _asked_once(self.novice, self.expert):
-            own = self.novice.actions(env, observations)
-            helped = self._who(env, np.asarray(self.score(env, observations), float))
+            own = self.novice.actions(turn._replace(memory=novice))
+            scores = np.asarray(self.score(env, turn.observations), float)
+            helped = scores > self.threshold
+            if self.granularity == "level":
+                helped |= before & ~turn.begins
+            other = own
             if not isinstance(self.expert, Walk):
-                return np.where(helped, self.expert.actions(env, observations), own)
-        asked = helped | (env.states["time"] == 0)  # a level is learned in its first step
-        shown = own.copy()
-        shown[asked] = self.expert.ways(env.game, env.states[asked])
-        return np.where(helped, shown, own)
-
-    def _who(self, env, scores: np.ndarray) -> np.ndarray:
-        """Who is helped in this step, [N] bool, which is noted with the scores."""
-        numbers, begins = env.states["level"].tolist(), (env.states["time"] == 0).tolist()
-        helped = scores > self.threshold
-        if self.granularity == "level":
-            for i, (number, first) in enumerate(zip(numbers, begins, strict=True)):
-                helped[i] |= not first and self._asked[number]
-                self._asked[number] = bool(helped[i])
-        said = zip(scores.tolist(), helped.tolist(), strict=True)
-        self._now = dict(zip(numbers, said, strict=True))
-        return helped
-
-    def last(self, numbers: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Of the last step in the levels of those numbers [n]: the scores, and who was helped."""
-        rows = [self._now[number] for number in numbers.tolist()]
-        scores, helped = zip(*rows, strict=True)
-        return np.array(scores), np.array(helped)
+                other = self.expert.actions(turn._replace(memory=expert))
+        shown = other.actions.copy()
+        if isinstance(self.expert, Walk):
+            asked = helped | turn.begins  # a level is learned in its first step
+            shown[asked] = self.expert.ways(env.game, env.states[asked])
+        return Answer(
+            np.where(helped, shown, own.actions),
+            (own.memory, other.memory, helped),
+            {"score": scores, "helped": helped},
+        )
 
 
 @dataclass(eq=False)
 class Alone(_Shown):
-    """The novice without help, and what scores say of each of its steps."""
+    """The novice without help, which notes what `scores` say of each of its steps, by place."""
 
     novice: Policy
     scores: Sequence[Score]
     name: str = "alone"
-    _now: dict[int, np.ndarray] = field(default_factory=dict, repr=False)  # by level: [scores]
 
     def __post_init__(self) -> None:
         see_policy(self.novice)
@@ -127,16 +119,11 @@ class Alone(_Shown):
         for score in self.scores:
             _see_score(score)
 
-    def actions(self, env, observations: np.ndarray) -> np.ndarray:
+    def actions(self, turn: Turn) -> Answer:
         with _asked_once(self.novice):
-            own = self.novice.actions(env, observations)
-            said = [np.asarray(score(env, observations), float) for score in self.scores]
-        self._now = dict(zip(env.states["level"].tolist(), np.stack(said, 1), strict=True))
-        return own
-
-    def last(self, numbers: np.ndarray) -> np.ndarray:
-        """Of the last step in the levels of those numbers [n]: the scores, [n, scores]."""
-        return np.array([self._now[number] for number in numbers.tolist()])
+            own = self.novice.actions(turn)
+            said = [np.asarray(s(turn.env, turn.observations), float) for s in self.scores]
+        return own._replace(extra={f"{k}": scores for k, scores in enumerate(said)})
 
 
 def _see_score(score: Score) -> None:
@@ -173,8 +160,7 @@ def play(
     highest, seen = np.full(n, -np.inf), np.zeros(n, bool)
 
     def note(step: Step) -> None:
-        where = step.level
-        scores, helped = policy.last(step.before["level"])
+        where, scores, helped = step.level, step.extra["score"], step.extra["helped"]
         if watch:
             seen[where] |= watch.seen(step.before)
             now = np.where(watch.passed(step.before), 2, seen[where])
@@ -205,14 +191,13 @@ def play_alone(
     seen, parts = np.zeros(len(levels), bool), []
 
     def note(step: Step) -> None:
-        where, said = step.level, policy.last(step.before["level"])
+        where = step.level
         moment = np.full(len(where), -1)
         if watch:
             seen[where] |= watch.seen(step.before)
             moment = np.where(watch.passed(step.before), 2, seen[where])
-        columns = {f"{k}": said[:, k] for k in range(said.shape[1])}
         told = {"level": where, "time": step.before["time"].copy(), "moment": moment}
-        parts.append(pl.DataFrame(told | columns))
+        parts.append(pl.DataFrame(told | dict(step.extra)))
 
     played = _episodes(policy, games.find(game), variant, levels, note)
     return played, pl.concat(parts)

@@ -21,10 +21,9 @@ import numpy as np
 import polars as pl
 
 from astray import games
-from astray.analysis.episodes import Levels
+from astray.acting import Levels, Policy
 from astray.analysis.estimates import estimate_mean
 from astray.analysis.outcomes import INTENDED, MISGENERALIZED, label
-from astray.analysis.policies import Policy
 from astray.bounds import finite, of_kind
 from astray.game import Game, Shift, Variant
 from astray.mitigation.doubt import Always, Score

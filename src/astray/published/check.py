@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 import polars as pl
 
+from astray.acting import initial_states
 from astray.analysis.critic import judge, observe
-from astray.analysis.episodes import initial_states
 from astray.analysis.evaluate import evaluate
 from astray.analysis.runs import open_run
 from astray.published.catalogue import Check

@@ -7,10 +7,9 @@ from typing import Any
 import numpy as np
 import polars as pl
 
+from astray.acting import Policy, initial_states, steps
 from astray.analysis import video
-from astray.analysis.episodes import initial_states, steps
 from astray.analysis.estimates import Estimate, group_means, mean_of
-from astray.analysis.policies import Policy
 from astray.analysis.runs import open_run
 from astray.experiments import outcomes
 from astray.experiments.claims import holds_above, rounded

@@ -10,7 +10,7 @@ import numpy as np
 import polars as pl
 from matplotlib.figure import Figure
 
-from astray.analysis.episodes import initial_states
+from astray.acting import initial_states
 from astray.analysis.estimates import Estimate, estimate_mean, estimate_paired
 from astray.analysis.given import Measure
 from astray.analysis.outcomes import matrix

@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import PercentFormatter
 
 from astray import games
-from astray.analysis.episodes import initial_states
+from astray.acting import initial_states
 from astray.analysis.estimates import Estimate, estimate_mean
 from astray.envs.vector import GameVectorEnv
 from astray.experiments import figures

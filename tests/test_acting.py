@@ -1,12 +1,13 @@
-"""The one loop that plays levels, beside an environment stepped by hand."""
+"""The one loop in which policies play, beside an environment stepped by hand."""
 
 from dataclasses import dataclass, field
 
 import numpy as np
 import pytest
+import torch
 
 from astray import games
-from astray.analysis.episodes import initial_states, steps
+from astray.acting import Answer, Asking, Onward, Turn, initial_states, play, steps
 from astray.analysis.evaluate import evaluate
 from astray.analysis.policies import Random, Walk
 from astray.envs.vector import GameVectorEnv
@@ -21,7 +22,7 @@ def by_hand(policy, level):
     seen, _ = env.reset(seed=5, options={"level": int(level)})
     places, over = [], False
     while not over:
-        seen, _, terminated, truncated, _ = env.step(policy.actions(env, seen))
+        seen, _, terminated, truncated, _ = env.step(policy.actions(Turn.of(env, seen)).actions)
         places.append((int(env.states.x[0]), int(env.states.y[0])))
         over = terminated[0] or truncated[0]
     return places
@@ -49,9 +50,9 @@ class Watching:
     shown: list = field(default_factory=list)
     walk: Walk = field(default_factory=lambda: Walk("cheese"))
 
-    def actions(self, env, observations):
-        self.shown.append(len(observations))
-        return self.walk.actions(env, observations)
+    def actions(self, turn):
+        self.shown.append(len(turn.observations))
+        return self.walk.actions(turn)
 
 
 def test_who_goes_on_when_most_have_ended_is_alone():
@@ -76,6 +77,86 @@ def test_an_episode_is_left_with_the_first_event_it_is_played_until():
     assert until["length"].to_list() == first.to_list()
     assert until["reached_corner"].to_list() == whole["reached_corner"].to_list()
     assert until.filter(until["length"] < whole["length"])["terminated"].sum() == 0
+
+
+class Counting:
+    """Goes by how many steps of its episode it remembers; `memory` says in which form."""
+
+    name, observation, art = "counting", "symbolic", "own"
+
+    def __init__(self, form=lambda steps: steps, read=lambda memory: memory):
+        self.form, self.read = form, read
+
+    def actions(self, turn):
+        n = len(turn.begins)
+        before = np.zeros(n, int) if turn.memory is None else self.read(turn.memory)
+        steps = np.where(turn.begins, 0, before) + 1
+        assert (steps == turn.env.states["time"] + 1).all(), "of another episode"
+        return Answer(7 * steps % 15, self.form(steps), {"remembers": steps})
+
+
+@pytest.mark.parametrize("batch", [1, 5, 256])
+@pytest.mark.parametrize(
+    "form, read",
+    [
+        (lambda x: x, lambda x: x),
+        (lambda x: {"a": (None, x)}, lambda x: x["a"][1]),
+        (lambda x: [torch.from_numpy(x)], lambda x: x[0].numpy()),
+    ],
+    ids=["array", "nested", "tensor"],
+)
+def test_memory_follows_its_episode_in_any_batch(form, read, batch):
+    for step in steps(Counting(form, read), GAME, VARIANT, LEVELS, batch=batch):
+        assert (step.extra["remembers"] == step.after["time"]).all()
+        assert (step.actions == 7 * step.extra["remembers"] % 15).all()
+
+
+def test_episodes_go_on_from_where_they_are_until_one_ends():
+    env = GameVectorEnv(GAME, VARIANT, 3, observation="symbolic", autoreset_mode="Disabled")
+    env.reset(seed=0)
+    env.step(np.zeros(3, int))
+    played = list(play(Asking(Random()), Onward(env, env.set_state(env.get_state()))))
+    assert (played[0].before["time"] == 1).all() and played[-1].ended.any()
+    assert not any(step.ended.any() for step in played[:-1])
+    assert not [*play(Asking(Random()), Onward(env, played[-1].seen))]
+
+
+class Groups:
+    """Two groups of one environment, that show how often they were stepped."""
+
+    groups = (0, 1)
+
+    def __init__(self, said):
+        self.said, self.times = said, [0, 0]
+
+    def begin(self, group):
+        return Turn(None, self.times[group], np.zeros(1, bool))
+
+    def step(self, t, group, answer):
+        self.said.append(f"step {t} of {group}")
+        self.times[group] += 1
+        return t, group, answer
+
+
+class Sent:
+    def __init__(self, said):
+        self.said = said
+
+    def send(self, t, group, turn):
+        self.said.append(f"send {t} of {group}")
+        assert turn.observations == t
+
+    def receive(self, group):
+        return Answer(np.zeros(1, int))
+
+
+def test_one_group_is_sent_for_while_another_steps():
+    said = []
+    assert len([*play(Sent(said), Groups(said), 2)]) == 4
+    assert said == [
+        "send 0 of 0", "send 0 of 1", "step 0 of 0", "send 1 of 0", "step 0 of 1", "send 1 of 1",
+        "step 1 of 0", "send 2 of 0", "step 1 of 1", "send 2 of 1",
+    ]  # fmt: skip
 
 
 def test_an_unknown_event_is_told():
