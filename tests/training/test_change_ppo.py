@@ -1,5 +1,6 @@
 """A network or a loss of one's own trains as it is written, and so does an edit of ours."""
 
+import inspect
 from dataclasses import replace
 
 import pytest
@@ -7,9 +8,8 @@ import torch
 from torch import nn
 
 from astray.agents.mlp import MLP
-from astray.training import ppo
+from astray.training import loop, player, ppo
 from astray.training.config import PRESETS
-from astray.training.loop import collect, update
 from astray.training.trainer import Trainer
 
 CONFIG = replace(
@@ -48,7 +48,7 @@ def with_auxiliary(network, batch, config):
 def learned(config, *own):
     """All weights after an iteration, and what was measured."""
     trainer = Trainer(config, *own)
-    metrics = update(trainer, collect(trainer), 1e-2)
+    metrics = loop.update(trainer, loop.collect(trainer), 1e-2)
     return torch.cat([p.detach().flatten() for p in trainer.network.parameters()]), metrics
 
 
@@ -100,6 +100,36 @@ def test_an_edit_of_ours_is_seen(edit, monkeypatch):
         edited, _ = learned(CONFIG)
     plain, _ = learned(CONFIG.changed(**OFF))
     assert torch.equal(edited, plain)
+
+
+EDITS = {  # of `loop.collect`
+    "intrinsic reward": ("player.settle()", "player.settle(); reward[::2] += 1"),
+    "other noise": ("begin(config.num_steps)", "begin(config.num_steps); rollout.noise.mul_(0.5)"),
+}
+
+
+@pytest.mark.parametrize("edit", EDITS)
+def test_an_edit_of_the_loop_is_what_trains_by_default(edit, monkeypatch):
+    usual, _ = learned(CONFIG)
+    before, after = EDITS[edit]
+    source = inspect.getsource(loop.collect)
+    assert before in source
+    names = dict(vars(loop))
+    exec(source.replace(before, after, 1), names)
+    monkeypatch.setattr(loop, "collect", names["collect"])
+    edited, _ = learned(CONFIG)
+    assert (edited - usual).abs().max() > 1e-3
+
+
+def test_another_exploration_is_what_acts_by_default(monkeypatch):
+    act = player.act
+
+    def always_the_third(network, observation, noise):
+        action, *rest = act(network, observation, noise)
+        return torch.full_like(action, 3), *rest
+
+    monkeypatch.setattr(player, "act", always_the_third)
+    assert (loop.collect(Trainer(CONFIG)).action == 3).all()
 
 
 def test_ours_is_computed_by_the_kernels():

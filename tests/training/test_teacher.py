@@ -12,7 +12,7 @@ from astray.agents.policy import Architecture
 from astray.cli.distil import distil
 from astray.training import checkpoint, teacher
 from astray.training.fast import acceleration
-from astray.training.loop import taught, train
+from astray.training.loop import collect, train
 from astray.training.teacher import TEACHER, Taught
 from astray.training.trainer import Trainer
 from helpers.trainings import TINY, digest, train_to_first_checkpoint
@@ -58,7 +58,7 @@ def test_the_loss_is_the_divergence_and_the_error_of_values():
 
 def test_the_teacher_is_asked_about_what_the_student_sees(student, weights):
     with contextlib.closing(Trainer(STUDENT, teacher=student / TEACHER)) as trainer:
-        samples = taught(trainer).flat()
+        samples = collect(trainer).flat()
     known = astray.load_agent(weights.parent)
     logits, values = known.outputs(samples.observation.numpy())
     assert torch.allclose(samples.wanted, logits.log_softmax(-1), atol=1e-5)

@@ -18,20 +18,19 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from astray import imports
+from astray import acting, imports
 from astray.agents import policy
 from astray.agents.policy import Architecture
 from astray.bounds import bounded, of_kind, shown
 from astray.envs.pool import most_threads, see_startable
 from astray.training import checkpoint, parallel, ppo
 from astray.training.config import Config
-from astray.training.fast import acceleration, actor
+from astray.training.fast import acceleration
 from astray.training.fast.acceleration import Loss
 from astray.training.levels import MakeSampler
 from astray.training.log import Log
 from astray.training.ppo import Samples
-from astray.training.rollout import estimate
-from astray.training.teacher import TEACHER, Taught
+from astray.training.teacher import TEACHER
 from astray.training.trainer import Trainer
 
 SPARE = 16  # threads that libraries may start
@@ -250,7 +249,7 @@ def play(trainer: Trainer) -> Samples:
     """A rollout to learn from, after those in which a sampler only has levels scored."""
     for _ in range(SCORED):
         trainer.player.plan(trainer.steps)
-        rollout = taught(trainer) if trainer.teacher else collect(trainer)
+        rollout = collect(trainer)
         if trainer.player.learns:
             return rollout
     raise ValueError(f"a sampler must plan to learn from one of {SCORED:,} rollouts; it does not")
@@ -258,66 +257,40 @@ def play(trainer: Trainer) -> Samples:
 
 @torch.no_grad()
 def collect(trainer: Trainer) -> Samples:
-    """Play `config.num_steps` steps of every environment with sampled actions, [T, N]."""
-    if trainer.actor:
-        return actor.collect(trainer.actor)
-    config, player, network = trainer.config, trainer.player, trainer.fast.network
-    steps, n, device = config.num_steps, len(player.images), config.device
-    observation = torch.empty((steps, *player.images.shape), dtype=torch.uint8, device=device)
-    action = torch.empty((steps, n), dtype=torch.int64, device=device)
-    log_probability = torch.empty((steps, n), device=device)
-    value, last_value = torch.zeros((2, steps + 1, n), device=device)
-    reward, terminated, truncated = np.empty((steps, n)), *np.empty((2, steps, n), bool)
-    noise = player.noise(steps)
-    for t in range(steps):
-        observation[t] = player.images
-        logits, value[t] = network(observation[t])
-        action[t], log_probability[t] = ppo.sample(logits, noise[t])
-        reward[t], terminated[t], truncated[t], info = player.step(t, action[t].numpy(force=True))
-        if (cut := truncated[t]).any():  # of what nobody acts on: the next episode has begun
-            last = torch.from_numpy(np.stack(info["final_obs"][cut])).to(device)
-            last_value[t, torch.from_numpy(cut)] = trainer.fast.any_number(last)[1]
-    value[steps] = network(player.images.to(device))[1]
-    player.settle()
-    next_value = torch.where(torch.from_numpy(truncated).to(device), last_value[:-1], value[1:])
-    value = value[:-1]
-    advantage, target = estimate(player, config, value, next_value, reward, terminated, truncated)
-    return Samples(observation, action, log_probability, value, advantage, target)
+    """Play `config.num_steps` steps of every environment with sampled actions, [T, N].
 
-
-@torch.no_grad()
-def taught(trainer: Trainer) -> Taught:
-    """Play as `collect` does, and ask the teacher about every state."""
-    assert trainer.teacher
-    config, player, network = trainer.config, trainer.player, trainer.fast.network
-    steps, n, device = config.num_steps, len(player.images), config.device
-    observation = torch.empty((steps, *player.images.shape), dtype=torch.uint8, device=device)
-    action = torch.empty((steps, n), dtype=torch.int64, device=device)
-    log_probability, value, target = torch.empty((3, steps, n), device=device)
-    wanted = torch.empty((steps, n, player.actions), device=device)
-    noise = player.noise(steps)
-    for t in range(steps):
-        observation[t] = player.images
-        wanted[t], target[t] = trainer.teacher.says()
-        logits, value[t] = network(observation[t])
-        action[t], log_probability[t] = ppo.sample(logits, noise[t])
-        player.step(t, action[t].numpy(force=True))
+    The next call overwrites what this one returned.
+    """
+    config, player, rollout = trainer.config, trainer.player, trainer.actor.rollout
+    shape = config.num_steps, len(player.images)
+    reward, terminated, truncated = np.empty(shape), *np.empty((2, *shape), bool)
+    cut: list[tuple[np.ndarray, np.ndarray]] = []  # indices of episodes cut off, and what they show
+    rollout.begin(config.num_steps)
+    for step in acting.play(trainer.teacher or trainer.actor, player, config.num_steps):
+        at = step.t, step.where
+        reward[at], terminated[at], truncated[at] = step.reward, step.terminated, step.truncated
+        if step.cut:
+            cut.append(step.cut)
     player.settle()
-    none = torch.zeros_like(value)
-    return Taught(observation, action, log_probability, value, none, target, wanted)
+    if trainer.teacher:
+        return trainer.teacher.samples()
+    next_value = rollout.value[1:].clone()
+    if cut:
+        indices, shown_last = zip(*cut, strict=True)
+        steps, where = torch.from_numpy(np.concatenate(indices, 1))
+        next_value[steps, where] = trainer.fast.values(shown_last)
+    rollout.estimate(config, next_value, reward, terminated, truncated)
+    return rollout.samples()
 
 
 @torch.no_grad()
 def validate(trainer: Trainer) -> None:
     """Play as many steps on the validation variant, and learn nothing from them."""
-    if trainer.validator:
-        return actor.validate(trainer.validator)
-    assert trainer.validation
-    player, noise = trainer.validation, trainer.validation.noise(trainer.config.num_steps)
-    for t in range(trainer.config.num_steps):
-        logits, _ = trainer.fast.network(player.images.to(trainer.config.device))
-        action, _ = ppo.sample(logits, noise[t])
-        player.step(t, action.numpy(force=True))
+    player, actor, steps = trainer.validation, trainer.validator, trainer.config.num_steps
+    assert player and actor
+    actor.rollout.begin(steps)
+    for _ in acting.play(actor, player, steps):
+        pass
     player.settle()
 
 

@@ -1,25 +1,41 @@
-"""Environments of one variant as a training plays them."""
+"""Environments of one variant as a training plays them, and who acts in them."""
 
 from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Mapping
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
 from torch import Tensor
 
+from astray.acting import Answer, Turn
 from astray.bounds import finite, of_kind, shown
 from astray.envs.vector import GameVectorEnv
 from astray.game import Variant
-from astray.training import parallel
+from astray.training import parallel, ppo
 from astray.training.config import Config
 from astray.training.levels import Plan, Played, Sampler
-from astray.training.ppo import RewardNormaliser
+from astray.training.ppo import RewardNormaliser, Samples
 
 LEVELS = "levels."  # before the names of a sampler's arrays, in a checkpoint
 RECENT = 100  # ended episodes that the logged means are over
+
+
+class Stepped(NamedTuple):
+    """Step `t` of the environments `where` [n]: what it led to.
+
+    cut  of episodes that were truncated: steps and environments [2, n], and their last
+         observations, on which nobody acts, as the next episodes have begun
+    """
+
+    t: int
+    where: slice
+    reward: np.ndarray
+    terminated: np.ndarray
+    truncated: np.ndarray
+    cut: tuple[np.ndarray, np.ndarray] | None
 
 
 class Player:
@@ -74,7 +90,7 @@ class Player:
         self.device = config.device
         self.generator = torch.Generator(config.device).manual_seed(config.seed * 16 + salt)
         self.normaliser = RewardNormaliser(config.num_envs, config.reward_gamma)
-        self.running_return = np.zeros(n)
+        self.running_return, self.begins = np.zeros(n), np.ones(n, bool)
         self.events = self.game.events
         self.recent: deque[list[float]] = deque(maxlen=RECENT)  # return, length, events' happening
         self._ended: list[tuple[int, int, list[float]]] = []  # since `settle`: step, environment
@@ -87,17 +103,25 @@ class Player:
         shape = (steps, self.num_envs, self.actions)
         return torch.rand(shape, generator=self.generator, device=self.device)[:, self.here]
 
-    def step(
-        self, t: int, actions: np.ndarray, group: int = 0
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
-        """Take step `t` of a rollout in a group: reward, terminated, truncated [n], and info."""
+    def begin(self, group: int) -> Turn:
+        """What a group shows: episodes have begun in the step in which others ended."""
+        where = self.groups[group]
+        return Turn(self.envs[group], self.images[where], self.begins[where])
+
+    def step(self, t: int, group: int, answer: Answer) -> Stepped:
+        """Take step `t` of a rollout in a group."""
         env, where = self.envs[group], self.groups[group]
-        _, reward, terminated, truncated, info = env.step(actions, self.images[where].numpy())
-        ended = terminated | truncated
+        shown_here = self.images[where].numpy()
+        _, reward, terminated, truncated, info = env.step(answer.actions, shown_here)
+        self.begins[where] = ended = terminated | truncated
         self._note(t, where, reward, ended, info)
         if self.sampler is not None and not self._repeats and ended.any():
             self._begin(self.sampler, group, ended)
-        return reward, terminated, truncated, info
+        cut = None
+        if truncated.any():
+            which = np.flatnonzero(truncated) + where.start
+            cut = np.stack([np.full_like(which, t), which]), np.stack(info["final_obs"][truncated])
+        return Stepped(t, where, reward, terminated, truncated, cut)
 
     def _note(
         self, t: int, where: slice, reward: np.ndarray, ended: np.ndarray, info: dict[str, Any]
@@ -145,6 +169,7 @@ class Player:
         begin[which] = chosen
         images, _ = env.reset(options={option: begin, "reset_mask": which})
         self.images[where] = torch.from_numpy(images)
+        self.begins[where] |= which
 
     def scored(self, played: Callable[[], Played]) -> None:
         """After a rollout: tell the sampler, if there is one, how it went."""
@@ -215,6 +240,7 @@ class Player:
         states = tensors["states"].numpy().view(self.game.state).reshape(-1)[self.here]
         for env, group in zip(self.envs, self.groups, strict=True):
             self.images[group] = torch.from_numpy(env.set_state(states[group]))
+        self.begins = states["time"] == 0
         self.generator.set_state(tensors["generator"])
         normaliser = self.normaliser
         normaliser.mean, normaliser.variance, normaliser.count = tensors["moments"].tolist()
@@ -224,3 +250,92 @@ class Player:
         if self.sampler is not None:
             names = [name for name in tensors if name.startswith(LEVELS)]
             self.sampler.restore({n.removeprefix(LEVELS): tensors[n].numpy() for n in names})
+
+
+class Rollout:
+    """What a player's environments showed and what was done there, [slots + 1, N]: see `Samples`.
+
+    Of the last step there is only what came before it, and the critic's value of that.
+    """
+
+    def __init__(self, player: Player, slots: int):
+        """slots  steps that are kept; then the first is overwritten"""
+        self.player, self.slots, device = player, slots, torch.device(player.device)
+        n, *shape = player.images.shape
+        self.observation = torch.empty((slots + 1, n, *shape), dtype=torch.uint8, device=device)
+        self.action = torch.empty((slots + 1, n), dtype=torch.int64, device=device)
+        self.log_probability, self.value = torch.empty((2, slots + 1, n), device=device)
+        self.advantage, self.target = torch.zeros((2, slots, n), device=device)
+
+    def begin(self, steps: int) -> None:
+        """Draw what the actions of so many steps are drawn with."""
+        self.noise = self.player.noise(steps)
+
+    def estimate(
+        self,
+        config: Config,
+        next_value: Tensor,
+        reward: np.ndarray,
+        terminated: np.ndarray,
+        truncated: np.ndarray,
+    ) -> None:
+        """Make advantages, and targets of the critic, of a rollout's rewards, all [T, N].
+
+        Rewards are normalised by what the player has seen so far, this rollout included;
+        advantages are normalised over all environments. Levels that are only scored leave no trace
+        in what rewards are normalised by.
+        """
+        player, value, given = self.player, self.value[:-1], reward
+        if config.normalise_reward and not player.learns:
+            reward = player.normaliser.scaled(reward)
+        elif config.normalise_reward:  # over the environments of all processes
+            everywhere, ended = (parallel.joined(x, 1) for x in (reward, terminated | truncated))
+            pairs = zip(everywhere, ended, strict=True)
+            reward = np.stack([player.normaliser(*pair)[player.here] for pair in pairs])
+        ends, cuts = (torch.from_numpy(x).to(value.device) for x in (terminated, truncated))
+        if config.timeouts == "terminate":
+            ends = ends | cuts
+        rewarded = torch.from_numpy(reward).float().to(value.device)
+        advantage = ppo.advantages(
+            rewarded, value, next_value, ends, cuts, config.gamma, config.lam
+        )
+        player.scored(lambda: Played(given, advantage.numpy(force=True), terminated, truncated))
+        self.target[:] = advantage + value
+        if config.normalise_advantage:
+            joined = torch.from_numpy(parallel.joined(advantage.numpy(force=True), 1))
+            advantage = ppo.normalised(joined.to(value.device))[:, player.here]
+        self.advantage[:] = advantage
+
+    def samples(self) -> Samples:
+        """What is learned from; the next rollout overwrites it."""
+        seen, action, old, value = (
+            x[:-1] for x in (self.observation, self.action, self.log_probability, self.value)
+        )
+        return Samples(seen, action, old, value, self.advantage, self.target)
+
+
+def act(network: Callable, observation: Tensor, noise: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """Actions drawn from the network's policy, their log-probabilities, and its values, [n]."""
+    logits, value = network(observation)
+    return *ppo.sample(logits, noise), value
+
+
+class Actor:
+    """Acts as the network says, and keeps what it was shown and did."""
+
+    def __init__(self, network: Callable, rollout: Rollout):
+        self.network, self.rollout = network, rollout
+        self._chosen = [np.empty(0, np.int64)] * len(rollout.player.groups)
+
+    @torch.no_grad()
+    def send(self, t: int, group: int, turn: Turn) -> None:
+        kept = self.rollout
+        at = t % (kept.slots + 1), kept.player.groups[group]
+        kept.observation[at] = turn.observations
+        noise = kept.noise[min(t, len(kept.noise) - 1), at[1]]
+        action, log_probability, value = act(self.network, kept.observation[at], noise)
+        kept.action[at], kept.log_probability[at], kept.value[at] = action, log_probability, value
+        self._chosen[group] = action.numpy(force=True)
+
+    def receive(self, group: int) -> Answer:
+        return Answer(self._chosen[group])

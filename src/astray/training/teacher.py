@@ -15,12 +15,13 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from astray.acting import Actor, Answer, Turn
 from astray.agents import policy
 from astray.envs.vector import GameVectorEnv
 from astray.files import make_folder, read, remove_empty, remove_made, see_own, write_aside
 from astray.training import ppo
 from astray.training.config import Config
-from astray.training.player import Player
+from astray.training.player import Rollout
 from astray.training.ppo import Samples
 
 TEACHER = "teacher.safetensors"  # in the run folder of a student
@@ -62,12 +63,12 @@ def give(weights: Path, run: Path) -> None:
 
 
 class Teacher:
-    """An agent that is asked about the states that a player's environments are in.
+    """An agent that is asked about the states in which its student, another actor, acts.
 
     Raises ValueError where it does not know the variant's observations.
     """
 
-    def __init__(self, path: Path, config: Config, player: Player):
+    def __init__(self, path: Path, config: Config, student: Actor, rollout: Rollout):
         try:
             self.network, known = policy.load(path, config.game, config.device)
         except FileNotFoundError:
@@ -75,7 +76,8 @@ class Teacher:
                 f"the teacher {config.teacher} must be at {path}; see `astray distil`"
             ) from None
         symbolic = bool(known.largest)
-        self.config, self.player = config, player
+        self.config, self.student, self.rollout = config, student, rollout
+        player = rollout.player
         self.env = GameVectorEnv(
             config.game,
             config.training_variant(),
@@ -91,9 +93,26 @@ class Teacher:
                 f"{config.variant}; it knows {known.shape}"
             )
 
+        shape = config.num_steps, len(player.images)
+        self._wanted = torch.empty((*shape, player.actions), device=config.device)
+        self._value = torch.empty(shape, device=config.device)
+
+    def send(self, t: int, group: int, turn: Turn) -> None:
+        if t < len(self._value):
+            self._wanted[t], self._value[t] = self.says()
+        self.student.send(t, group, turn)
+
+    def receive(self, group: int) -> Answer:
+        return self.student.receive(group)
+
+    def samples(self) -> Taught:
+        """What the student did in a rollout, and what this would have done."""
+        own = vars(self.rollout.samples())
+        return Taught(**own | {"target": self._value}, wanted=self._wanted)
+
     def says(self) -> tuple[Tensor, Tensor]:
         """Logarithms of its probabilities [N, actions], and its values [N], of what is now."""
-        states = np.concatenate([env.get_state() for env in self.player.envs])
+        states = np.concatenate([env.get_state() for env in self.rollout.player.envs])
         observations = torch.from_numpy(self.env.set_state(states)).to(self.config.device)
         logits, values = self.network(observations)
         return ppo.log_probabilities(logits), values

@@ -18,10 +18,10 @@ from astray.training import parallel, ppo
 from astray.training.config import Config
 from astray.training.fast import acceleration
 from astray.training.fast.acceleration import Loss
-from astray.training.fast.actor import Actor
+from astray.training.fast.actor import Ahead
 from astray.training.fast.graphs import Captured
 from astray.training.levels import Growing, MakeSampler, Mixed, Sampler
-from astray.training.player import RECENT, Player
+from astray.training.player import RECENT, Actor, Player, Rollout
 from astray.training.replay import Replay
 from astray.training.settings import SAMPLERS
 from astray.training.teacher import Teacher
@@ -84,19 +84,16 @@ class Trainer:
             if not own:
                 _see_outputs(self.network, self.architecture, self.player.images.to(config.device))
         self.weights = list(self.network.parameters())
+        usual = ppo.loss if config.teacher is None else distilled
+        what = loss or (imports.find(config.loss) if config.loss else usual)
+        self.fast = acceleration.accelerate(self.network, what, config, self.architecture)
+        self.actor = self._acts(Rollout(self.player, config.num_steps))
+        self.validator = self.validation and self._acts(Rollout(self.validation, 1))
         self.teacher: Teacher | None = None
         if config.teacher is not None:
             if teacher is None:
                 raise ValueError(f"a student of {config.teacher} must have a run folder")
-            self.teacher = Teacher(teacher, config, self.player)
-        usual = ppo.loss if self.teacher is None else distilled
-        what = loss or (imports.find(config.loss) if config.loss else usual)
-        self.fast = acceleration.accelerate(self.network, what, config, self.architecture)
-        self.actor = self.validator = None  # where `loop` plays itself
-        if self.fast.using.of_playing and self.teacher is None:
-            self.actor = Actor(self.fast, self.player, config, config.num_steps)
-            if self.validation:
-                self.validator = Actor(self.fast, self.validation, config, 1)
+            self.teacher = Teacher(teacher, config, self.actor, self.actor.rollout)
         self._captured: Captured | None = None
         graphs, rate = self.fast.using.cudagraphs, config.learning_rate
         self.optimizer = torch.optim.Adam(
@@ -106,6 +103,11 @@ class Trainer:
             fused=True,
             capturable=graphs,
         )
+
+    def _acts(self, rollout: Rollout) -> Actor | Ahead:
+        if self.config.device == "cuda":
+            return Ahead(self.fast.network, rollout, self.fast.using.cudagraphs)
+        return Actor(self.fast.network, rollout)
 
     def _check_memory(self, build: Callable[[Architecture], nn.Module]) -> None:
         """MemoryError where a rollout and the network, on a CPU, need more than there is."""

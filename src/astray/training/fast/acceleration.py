@@ -12,7 +12,7 @@ import shutil
 import sys
 import sysconfig
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
@@ -24,6 +24,7 @@ from llvmlite.binding import get_host_cpu_features
 from torch import Tensor, nn
 from torch.nn.functional import cosine_similarity
 
+from astray.agents import policy
 from astray.agents.actor_critic import ActorCritic
 from astray.agents.cells import Cells
 from astray.agents.clear import Clear
@@ -42,6 +43,7 @@ OURS = (Cells, Clear, Convolutions, Impala, MLP)
 MICROBATCH = {"impala": 128, "clear": 128, "cells": 128}
 LAYOUT = ("impala", "cells")  # whose weights may be channels-last
 LARGER = 1024  # of networks with fewer places
+AT_ONCE = 8192  # images that are valued; the largest layer has fewer than 2**31 outputs then
 NEAR = 1e-3  # that the kernels' loss and gradient may differ by, relative, in float32
 
 
@@ -63,11 +65,6 @@ class Acceleration:
         """Whether the network is computed otherwise than as it is written."""
         by_parts = self.microbatch > 0
         return self.fused_cpu or self.bfloat16 or self.channels_last or self.compile or by_parts
-
-    @property
-    def of_playing(self) -> bool:
-        """Whether `actor.collect` plays, instead of `loop.collect`."""
-        return self.cudagraphs or self.together or self.groups > 1
 
 
 @contextlib.contextmanager
@@ -172,6 +169,18 @@ class Accelerated:
     any_number: Callable  # likewise of any number of observations
     loss: Callable[[Samples], dict[str, Tensor]]
     plain: Loss  # as it is written
+    config: Config
+
+    def values(self, parts: Sequence[np.ndarray]) -> Tensor:
+        """The critic's values of observations in `parts` [n, ...], end to end."""
+        shown = [torch.from_numpy(part).to(self.config.device) for part in parts]
+        if self.config.device == "cuda":  # cuDNN searches anew for every other number at once
+            here = parallel.share(self.config.num_envs)
+            at_once = (here.stop - here.start) // self.using.groups
+            return policy.outputs(self.any_number, torch.cat(shown), at_once)[1]
+        if self.using.together:  # a call for each step took a fifth of playing
+            shown = torch.cat(shown).split(AT_ONCE)
+        return torch.cat([self.any_number(part)[1] for part in shown])
 
 
 def accelerate(
@@ -200,8 +209,9 @@ def accelerate(
         )
     if using.of_network:
         model = Model(network, loss, config, using)
-        return Accelerated(using, model.outputs, model, model.loss, loss)
-    return Accelerated(using, network, network, lambda batch: loss(network, batch, config), loss)
+        return Accelerated(using, model.outputs, model, model.loss, loss, config)
+    plain = lambda batch: loss(network, batch, config)  # noqa: E731
+    return Accelerated(using, network, network, plain, loss, config)
 
 
 def agree(network: nn.Module, config: Config, architecture: Architecture) -> bool:
