@@ -69,6 +69,46 @@ def test_what_is_given_trains_as_it_is_written(own, names):
     assert metrics.keys() - usual.keys() == ({"auxiliary"} if own[-1] is with_auxiliary else set())
 
 
+class Remembers(MLP):
+    """Keeps its memory itself, as long as it is shown as many observations."""
+
+    def __init__(self, a):
+        super().__init__(a.shape, list(a.largest), a.actions, a.width)
+        self.cell, self.state = nn.GRUCell(a.width, a.width), None
+
+    def hidden(self, observation):
+        seen = super().hidden(observation)
+        if self.state is None or len(self.state) != len(seen):
+            self.state = torch.zeros_like(seen)
+        self.state = self.cell(seen, self.state.detach())
+        return self.state
+
+
+class Drops(MLP):
+    """Is another network in learning than in acting, by as much as is usual."""
+
+    def __init__(self, a):
+        super().__init__(a.shape, list(a.largest), a.actions, a.width)
+        self.dropout = nn.Dropout(0.5)
+
+    def hidden(self, observation):
+        return self.dropout(super().hidden(observation))
+
+
+def test_a_network_that_keeps_its_memory_itself_is_refused():
+    with (
+        pytest.warns(UserWarning, match="as it is written"),
+        pytest.raises(ValueError, match="must say the same of an observation whenever"),
+    ):
+        next(loop.iterate(CONFIG, network=Remembers))
+
+
+@pytest.mark.parametrize("network", [Tanh, Drops])
+def test_a_network_without_memory_is_not_refused(network):
+    with pytest.warns(UserWarning, match="as it is written"):
+        assert next(loop.iterate(CONFIG, network=network)).metrics["update/first_kl"] >= 0
+
+
 def double_entropy(monkeypatch):
     entropy = ppo.entropy
     monkeypatch.setattr(ppo, "entropy", lambda of_all: 2 * entropy(of_all))

@@ -39,6 +39,11 @@ SPARE = 16  # threads that libraries may start
 SCORED = 2000
 
 
+# What a network says in acting and in learning may differ by: of its deviation, where rounding is
+# 1e-3, also in TF32, and memory about 1; and of its size, in which float32 is rounded.
+APART, ROUNDED = 0.05, 1e-4
+
+
 class Diverged(RuntimeError):
     """The weights of the network that is trained are no finite numbers any more."""
 
@@ -207,6 +212,8 @@ def improve(trainer: Trainer) -> tuple[dict[str, float], dict[str, float]]:
     rollout = play(trainer)
     played = time.perf_counter()
     metrics = {}
+    if trainer.iteration == 0 and not trainer.fast.using.of_network:
+        see_memoryless(trainer.network, rollout.flat(), config)
     if trainer.iteration == 0 and trainer.fast.using.bfloat16:
         first = torch.arange(config.batch // config.minibatches, device=config.device)
         minibatch = rollout.flat().at(first)
@@ -219,6 +226,27 @@ def improve(trainer: Trainer) -> tuple[dict[str, float], dict[str, float]]:
     seconds = time.perf_counter() - began
     speed = {"steps_per_second": config.batch / seconds, "playing": (played - began) / seconds}
     return metrics | {"update/learning_rate": rate}, speed
+
+
+@torch.no_grad()
+def see_memoryless(network: nn.Module, samples: Samples, config: Config) -> None:
+    """ValueError where a network says something else of observations than when it acted on them.
+
+    As one that keeps a memory of its own, which learning shows them in another order. Others
+    differ by what numbers are rounded by.
+    """
+    some = samples.at(torch.arange(0, len(samples), config.minibatches, device=config.device))
+    logits, value = network(some.observation)
+    of_all = ppo.log_probabilities(logits)
+    log_probability = of_all.gather(-1, some.action[:, None]).squeeze(-1)
+    for now, then in ((log_probability, some.log_probability), (value, some.value)):
+        apart, spread = (now - then).square().mean().sqrt(), then.std()
+        if apart > APART * spread + ROUNDED * then.square().mean().sqrt():
+            raise ValueError(
+                f"a network must say the same of an observation whenever it is shown it; what "
+                f"{type(network).__name__} said in acting and in learning differs by "
+                f"{float(apart / spread):.2g} of its deviation, as with a memory of its own"
+            )
 
 
 def see_losses(losses: Any) -> None:
