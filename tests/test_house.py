@@ -10,8 +10,8 @@ import astray
 TESTS = Path(__file__).parent
 PACKAGE = Path(astray.__file__).parent
 FILES = sorted([*TESTS.rglob("*.py"), *PACKAGE.glob("games/*/tests/*.py")])
-# What is no part of the package: an attack on it, examples, any input at all, what tests share.
-OTHERS = {"attack", "examples", "fuzz", "helpers", "reference"}
+# No part of the package: an attack on it, benchmarks, examples, any input, what tests share.
+OTHERS = {"attack", "benchmarks", "examples", "fuzz", "helpers", "reference"}
 
 
 def imported(path):

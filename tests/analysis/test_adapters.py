@@ -67,7 +67,7 @@ def test_actions_that_are_none_are_refused(chosen, said):
 
 def test_a_model_of_stable_baselines3_is_evaluated():
     stable_baselines3 = pytest.importorskip("stable_baselines3")
-    from astray.bench.sb3 import GameVecEnv
+    from astray.envs.sb3 import GameVecEnv
     from astray.envs.vector import GameVectorEnv
 
     env = GameVectorEnv("maze", "corner-small", 4, autoreset_mode="SameStep")

@@ -23,7 +23,7 @@ def vector(n=8, **options):
 
 def test_stable_baselines3_trains_on_it():
     stable_baselines3 = pytest.importorskip("stable_baselines3")
-    from astray.bench.sb3 import GameVecEnv
+    from astray.envs.sb3 import GameVecEnv
 
     env = GameVecEnv(vector(autoreset_mode="SameStep"))
     options = {"n_steps": 32, "batch_size": 64, "policy_kwargs": {"normalize_images": False}}

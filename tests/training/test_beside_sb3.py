@@ -7,16 +7,16 @@ import numpy as np
 import pytest
 import torch
 
-from astray.bench import train
 from astray.training.config import PRESETS
 from astray.training.loop import collect, update
 from astray.training.ppo import Samples, normalised
 from astray.training.trainer import Trainer
+from benchmarks import train
 
 pytest.importorskip("stable_baselines3")
 from stable_baselines3.common.callbacks import BaseCallback
 
-from astray.bench import sb3
+from benchmarks import sb3
 
 CONFIG = PRESETS["paper"].changed(
     game="maze",

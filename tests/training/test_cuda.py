@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 import torch
 
-from astray.bench import profile
-from astray.bench import train as bench
 from astray.training import checkpoint, parallel
 from astray.training.fast import acceleration
 from astray.training.fast.acceleration import resolve
 from astray.training.loop import collect, train, update
 from astray.training.trainer import Trainer
+from benchmarks import profile
+from benchmarks import train as bench
 from helpers.fake_cuda import cuda
 from helpers.trainings import OFF, PICTURES, PLAIN, digest
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 from typing import Any, Literal
 
@@ -118,21 +119,28 @@ def bench(
 ) -> None:
     """Measure speed, as ratios in one run, and where there are others against them.
 
+    The benchmarks are in a clone of the repository alone.
+
     Args:
         markdown: print the table for benchmarks/README.md
         device: that trains; the environments and the agency measure are a CPU's
     """
     from importlib import import_module
 
+    import astray
     from astray.agents.policy import usable
 
     if not usable(device):
         raise ValueError(f"there is no device {device!r} that torch can use")
     if device != "cpu" and what != "train":
         raise ValueError(f"device is {device!r}; {what} is measured on a CPU")
-    module = import_module(f"astray.bench.{what}")
+    checkout = Path(astray.__file__).parents[2]
+    if not (checkout / "benchmarks" / "tables.py").is_file():
+        raise ValueError("astray bench needs a clone of astray's repository: pip install -e CLONE")
+    sys.path.insert(0, str(checkout))
+    module, tables = import_module(f"benchmarks.{what}"), import_module("benchmarks.tables")
     rows = module.measure(device=device) if what == "train" else module.measure()
     if markdown:
-        print(module.markdown(rows))
+        print(tables.markdown(rows))
     else:
-        show(module.table(rows))
+        show(tables.table(rows))

@@ -14,12 +14,10 @@ import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from statistics import median
-
-from rich.table import Table
+from typing import ClassVar
 
 from astray import games
-from astray.bench import tables
-from astray.bench.tables import decimal
+from benchmarks.tables import decimal
 
 PROGRAM = """
 import sys, time
@@ -36,6 +34,7 @@ print(time.process_time())
 class Row:
     """The starts of one game, in seconds of the clock and of all processors together."""
 
+    title: ClassVar[str] = "Seconds to the first step of 256 environments"
     game: str
     variant: str
     first: float
@@ -77,13 +76,3 @@ def _start(game: str, variant: str, folder: str) -> tuple[float, float]:
         check=True,
     ).stdout
     return time.perf_counter() - began, float(cpu)
-
-
-def table(rows: Sequence[Row]) -> Table:
-    """The rows for a terminal."""
-    return tables.table(rows, "Seconds to the first step of 256 environments")
-
-
-def markdown(rows: Sequence[Row]) -> str:
-    """The rows for a page."""
-    return tables.markdown(rows)

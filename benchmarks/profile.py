@@ -10,22 +10,22 @@ same device; of what is moved, its bytes at the rate of a copy. On a CPU all is 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from statistics import median
+from typing import ClassVar
 
 import numpy as np
 import torch
-from rich.table import Table
 from torch import nn
 from torch.utils.flop_counter import FlopCounterMode
 
-from astray.bench import tables
-from astray.bench.tables import decimal
 from astray.training import ppo
 from astray.training.config import Config
 from astray.training.loop import collect, learn, update
 from astray.training.trainer import Trainer
+from benchmarks import tables
+from benchmarks.tables import decimal
 
 SIDE = 4096  # of the large product on a GPU; a quarter of it on a CPU
 
@@ -34,6 +34,7 @@ SIDE = 4096  # of the large product on a GPU; a quarter of it on a CPU
 class Row:
     """A part of an iteration."""
 
+    title: ClassVar[str] = "Where an iteration spends its time"
     training: str
     part: str
     times: int  # in an iteration
@@ -162,13 +163,3 @@ def _copy_rate(device: str) -> float:
     x = torch.ones(2**27, dtype=torch.uint8, device=device)
     y = torch.empty_like(x)
     return 2 * len(x) / _median(lambda: y.copy_(x), device, 5)
-
-
-def table(rows: Sequence[Row]) -> Table:
-    """The rows for a terminal."""
-    return tables.table(rows, "Where an iteration spends its time")
-
-
-def markdown(rows: Sequence[Row]) -> str:
-    """The rows for a page."""
-    return tables.markdown(rows)

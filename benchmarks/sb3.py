@@ -9,7 +9,6 @@ from typing import Any, cast
 import gymnasium
 import numpy as np
 import torch
-from gymnasium.vector import AutoresetMode
 from stable_baselines3 import PPO
 from stable_baselines3.common.distributions import CategoricalDistribution
 from stable_baselines3.common.logger import Logger
@@ -18,63 +17,9 @@ from stable_baselines3.common.type_aliases import Schedule
 from stable_baselines3.common.vec_env import VecEnv, VecMonitor, VecNormalize
 from torch import Tensor, nn
 
+from astray.envs.sb3 import GameVecEnv
 from astray.envs.vector import GameVectorEnv
 from astray.training.config import Config
-
-
-class GameVecEnv(VecEnv):
-    """A batch of environments that resets in the same step, as Stable-Baselines3 has it.
-
-    `infos` tell what it asks for at the end of an episode: the last observation, and whether
-    the time limit alone ended it, so that PPO adds the critic's value of what was cut off.
-    """
-
-    def __init__(self, env: GameVectorEnv):
-        mode = env.metadata["autoreset_mode"]
-        if mode != AutoresetMode.SAME_STEP:
-            raise ValueError(f"autoreset_mode is {mode}; Stable-Baselines3 needs SAME_STEP")
-        self.env = env
-        self._actions = np.zeros(env.num_envs, np.int64)
-        super().__init__(env.num_envs, env.single_observation_space, env.single_action_space)
-
-    def reset(self) -> np.ndarray:
-        if any(self._options):
-            raise ValueError(f"options are {self._options}; there are none here")
-        # `VecEnv.seed` counts up from the first environment's seed, and so do ours.
-        observations, _ = self.env.reset(seed=self._seeds[0])
-        self._reset_seeds()
-        return observations
-
-    def step_async(self, actions: np.ndarray) -> None:
-        self._actions = actions
-
-    def step_wait(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, list[dict[str, Any]]]:
-        observations, reward, terminated, truncated, info = self.env.step(self._actions)
-        done = terminated | truncated
-        infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
-        for i in np.flatnonzero(done):
-            infos[i]["terminal_observation"] = info["final_obs"][i]
-            infos[i]["TimeLimit.truncated"] = bool(truncated[i] and not terminated[i])
-        return observations, reward.astype(np.float32), done, infos
-
-    def close(self) -> None:
-        self.env.close()
-
-    def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
-        return [getattr(self.env, attr_name) for _ in self._get_indices(indices)]
-
-    def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:
-        raise NotImplementedError("the environments of a batch have no attributes of their own")
-
-    def env_method(
-        self, method_name: str, *method_args: Any, indices: Any = None, **method_kwargs: Any
-    ) -> list[Any]:
-        raise NotImplementedError("the environments of a batch have no methods of their own")
-
-    def env_is_wrapped(
-        self, wrapper_class: type[gymnasium.Wrapper], indices: Any = None
-    ) -> list[bool]:
-        return [False for _ in self._get_indices(indices)]
 
 
 class NetworkPolicy(BasePolicy):

@@ -9,27 +9,26 @@ from __future__ import annotations
 
 import tempfile
 import time
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from statistics import median
+from typing import ClassVar
 
 import torch
-from rich.table import Table
 
 from astray.agents.policy import Architecture, weights
 from astray.analysis import kept
 from astray.analysis.runs import load_agent
 from astray.analysis.trained import Agent
-from astray.bench import tables
-from astray.bench.tables import decimal
 from astray.insight.fields import each_field
+from benchmarks.tables import decimal
 
 
 @dataclass(frozen=True)
 class Row:
     """One agent."""
 
+    title: ClassVar[str] = "Fields: policy and value at every place"
     agent: str
     variant: str
     levels: int
@@ -76,13 +75,3 @@ def _paper(folder: Path) -> Agent:
     path = folder / "agent.safetensors"
     path.write_bytes(weights(architecture.build(), architecture, "maze"))
     return Agent(path, "maze")
-
-
-def table(rows: Sequence[Row]) -> Table:
-    """The rows for a terminal."""
-    return tables.table(rows, "Fields: policy and value at every place")
-
-
-def markdown(rows: Sequence[Row]) -> str:
-    """The rows for a page."""
-    return tables.markdown(rows)

@@ -9,20 +9,17 @@ from __future__ import annotations
 import json
 import tempfile
 import time
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from statistics import median
-
-from rich.table import Table
+from typing import ClassVar
 
 from astray.agents.policy import Architecture, weights
 from astray.analysis import kept
-from astray.bench import tables
-from astray.bench.tables import decimal
 from astray.lab.serving import make_lab
 from astray.lab.session import Session
 from astray.training import checkpoint
+from benchmarks.tables import decimal
 
 IMPALA = "the paper's network"
 # what: agent, game, variant, milliseconds that the last arrow may take
@@ -38,6 +35,7 @@ EDITS = {
 class Row:
     """One kind of edit."""
 
+    title: ClassVar[str] = "The lab: from an edit to its arrows"
     what: str
     places: int
     first: float  # milliseconds until the first arrows, median
@@ -109,13 +107,3 @@ def _measured(
             last.append(times[-1])
             places.append(count)
     return Row(what, round(median(places)), median(first), median(last), limit)
-
-
-def table(rows: Sequence[Row]) -> Table:
-    """The rows for a terminal."""
-    return tables.table(rows, "The lab: from an edit to its arrows")
-
-
-def markdown(rows: Sequence[Row]) -> str:
-    """The rows for a page."""
-    return tables.markdown(rows)

@@ -5,17 +5,19 @@ from dataclasses import replace
 from io import StringIO
 
 import numba
-import numpy as np
 import pytest
 import torch
 from rich.console import Console
+from rich.table import Table
 
+import astray
 from astray import games
 from astray.agents.policy import Architecture
 from astray.art import original
-from astray.bench import agency, environments, insight, profile, start, tables, train
-from astray.bench.plain import Loop
+from astray.cli.experiments import bench
 from astray.envs.vector import GameVectorEnv
+from benchmarks import agency, environments, insight, profile, start, tables, train
+from benchmarks.plain import Loop
 
 TINY = replace(train.SYMBOLIC[0], num_envs=8, num_steps=8, minibatches=2, width=8)
 
@@ -93,7 +95,7 @@ def test_what_is_measured_is_there(name):
 def test_a_first_start_compiles_and_a_later_one_does_not():
     row = start.measure_game("maze", "corner-small", rounds=1)
     assert 0 < 2 * row.later_cpu < row.first_cpu
-    assert f"| maze corner-small | {row.first:.1f} |" in start.markdown([row])
+    assert f"| maze corner-small | {row.first:.1f} |" in tables.markdown([row])
 
 
 def test_training_is_measured_beside_stable_baselines3():
@@ -106,7 +108,7 @@ def test_training_is_measured_beside_stable_baselines3():
 
 
 def test_without_stable_baselines3_the_row_says_how_to_install_it(monkeypatch):
-    monkeypatch.delitem(sys.modules, "astray.bench.sb3", raising=False)
+    monkeypatch.delitem(sys.modules, "benchmarks.sb3", raising=False)
     monkeypatch.setitem(sys.modules, "stable_baselines3", None)
     ours, peer, *_ = train.measure([TINY], seconds=0.02, rounds=2)
     assert speed(ours) > 0 and peer.ratio is None
@@ -121,7 +123,7 @@ def test_training_on_images_is_measured_beside_plain_loops(monkeypatch):
     assert speed(ours) > 0 and "pip install envpool" in missing.note
     assert plain.ratio == speed(ours) / speed(plain) and speed(original) > 0
     assert {type(part) for part in parts} == {profile.Row}
-    assert train.markdown(rows).count("| --- | ---:") == 2
+    assert tables.markdown(rows).count("| --- | ---:") == 2
 
 
 @pytest.fixture
@@ -153,11 +155,11 @@ def test_a_plain_loop_learns():
 
 
 def test_a_table_has_a_line_for_each_row(rows):
-    lines = environments.markdown(rows).partition("\n\n")[0].splitlines()
+    lines = tables.markdown(rows).partition("\n\n")[0].splitlines()
     assert len(lines) == 2 + len(rows)
     assert len({line.count("|") for line in lines}) == 1
     text = StringIO()
-    Console(file=text, width=200).print(environments.table(rows))
+    Console(file=text, width=200).print(tables.table(rows))
     assert text.getvalue().count("maze anywhere-small") == len(rows)
 
 
@@ -166,34 +168,6 @@ def test_a_table_has_a_line_for_each_row(rows):
 )
 def test_rates_are_given_to_three_digits(x, text):
     assert tables.thousands(x) == text
-
-
-def test_the_adapter_passes_everything_on():
-    sb3 = pytest.importorskip("astray.bench.sb3")
-    knobs = replace(games.find("maze").variant("corner-small"), time_limit=9, largest=3)
-    made = [GameVectorEnv("maze", knobs, 8, autoreset_mode="SameStep") for _ in range(2)]
-    env, adapter = made[0], sb3.GameVecEnv(made[1])
-    adapter.seed(7)
-    assert np.array_equal(env.reset(seed=7)[0], adapter.reset())
-    seen = set()
-    for actions in np.random.default_rng(0).integers(len(env.game.actions), size=(60, 8)):
-        images, reward, terminated, truncated, info = env.step(actions)
-        adapted, reward_adapted, done, infos = adapter.step(actions)
-        assert np.array_equal(images, adapted) and np.array_equal(reward, reward_adapted)
-        assert np.array_equal(done, terminated | truncated)
-        for i, told in enumerate(infos):
-            assert bool(told) == done[i]
-            if told:
-                assert np.array_equal(told["terminal_observation"], info["final_obs"][i])
-                assert told["TimeLimit.truncated"] == (truncated[i] and not terminated[i])
-                seen.add(told["TimeLimit.truncated"])
-    assert seen == {False, True}
-
-
-def test_the_adapter_refuses_other_resets():
-    sb3 = pytest.importorskip("astray.bench.sb3")
-    with pytest.raises(ValueError, match="needs SAME_STEP"):
-        sb3.GameVecEnv(GameVectorEnv("maze", "corner-small", 2))
 
 
 def test_the_agency_measure_gets_a_row_for_each_preset_and_number():
@@ -205,11 +179,25 @@ def test_the_agency_measure_gets_a_row_for_each_preset_and_number():
     assert first.to_fewest == 1 and rows[1].to_fewest == pytest.approx(
         rows[1].seconds / first.seconds / 2
     )
-    assert "calibrated" in agency.markdown(rows)
+    assert "calibrated" in tables.markdown(rows)
 
 
 def test_fields_get_a_row_for_each_network():
     rows = insight.measure(levels=(3, 1), rounds=1)
     assert [row.levels for row in rows] == [3, 1] and all(row.seconds > 0 for row in rows)
-    assert rows[0].places > 3 and "places/s" in insight.markdown(rows)
-    assert insight.table(rows).row_count == 2
+    assert rows[0].places > 3 and "places/s" in tables.markdown(rows)
+    (table,) = tables.table(rows).renderables
+    assert isinstance(table, Table) and table.row_count == 2
+
+
+def test_where_there_is_no_clone_the_verb_says_so(tmp_path, monkeypatch):
+    monkeypatch.setattr(astray, "__file__", str(tmp_path / "lib" / "astray" / "__init__.py"))
+    with pytest.raises(ValueError, match="astray bench needs a clone of astray's repository"):
+        bench("agency")
+
+
+def test_in_a_clone_the_verb_finds_the_benchmarks(monkeypatch, capsys):
+    monkeypatch.setattr(agency, "measure", lambda: agency_rows)
+    agency_rows = [agency.Row("paper", 1, 2.0, 1.0)]
+    bench("agency", markdown=True)
+    assert "| paper | 1 | 2.00 | 1.00 |" in capsys.readouterr().out

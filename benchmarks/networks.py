@@ -9,15 +9,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from statistics import median
+from typing import ClassVar
 
-from rich.table import Table
-
-from astray.bench import tables
-from astray.bench.tables import decimal
-from astray.bench.train import iterate, per_second
 from astray.training.config import PRESETS, Config
 from astray.training.fast.acceleration import torch_settings
 from astray.training.trainer import Trainer
+from benchmarks.tables import decimal
+from benchmarks.train import iterate, per_second
 
 PAPER = "impala"
 NETWORKS = (PAPER, "nature", "patch-impala", "overlap", "patch", "cells")
@@ -30,6 +28,7 @@ CONFIG = replace(
 class Row:
     """One network on so many threads."""
 
+    title: ClassVar[str] = "PPO on images, in turns"
     network: str
     threads: int
     weights: int
@@ -87,13 +86,3 @@ def _measure(
         for trainer in trainers.values():
             trainer.close()
     return rows
-
-
-def table(rows: Sequence[Row]) -> Table:
-    """The rows for a terminal."""
-    return tables.table(rows, "PPO on images, in turns")
-
-
-def markdown(rows: Sequence[Row]) -> str:
-    """The rows for a page."""
-    return tables.markdown(rows)

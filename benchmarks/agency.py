@@ -11,22 +11,22 @@ import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from statistics import median
+from typing import ClassVar
 
 import numpy as np
-from rich.table import Table
 
 from astray.agency.generators import uniform_random, wander
 from astray.agency.maps import open_room
 from astray.agency.measure import PRESETS, Episode
 from astray.agency.measure import measure as judge
-from astray.bench import tables
-from astray.bench.tables import decimal
+from benchmarks.tables import decimal
 
 
 @dataclass(frozen=True)
 class Row:
     """One preset, and one number of trajectories."""
 
+    title: ClassVar[str] = "The agency measure: 50 steps, 400 goals"
     preset: str
     trajectories: int
     seconds: float  # median over the rounds
@@ -62,13 +62,3 @@ def measure(numbers: Sequence[int] = (100, 1000), steps: int = 50, rounds: int =
             each = each or taken / number
             rows.append(Row(preset, number, taken, taken / number / each))
     return rows
-
-
-def table(rows: Sequence[Row]) -> Table:
-    """The rows for a terminal."""
-    return tables.table(rows, "The agency measure: 50 steps, 400 goals")
-
-
-def markdown(rows: Sequence[Row]) -> str:
-    """The rows for a page."""
-    return tables.markdown(rows)

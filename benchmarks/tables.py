@@ -7,9 +7,10 @@ import platform
 from collections.abc import Sequence
 from importlib import metadata
 from pathlib import Path
-from typing import Protocol
+from typing import ClassVar, Protocol
 
 from rich import box
+from rich.console import Group
 from rich.table import Table
 
 from astray.training.config import Config
@@ -19,7 +20,9 @@ NOTHING = "-"  # in a cell to which the column does not apply
 
 
 class Row(Protocol):
-    """One line of a table."""
+    """One line of a table, whose rows are of one class."""
+
+    title: ClassVar[str]  # of the table
 
     def cells(self) -> dict[str, str]:
         """Column -> text; the same columns in each row of a table."""
@@ -31,9 +34,14 @@ def network(config: Config) -> str:
     return f"{config.network} {config.width if config.network == 'mlp' else config.scale}"
 
 
-def table(rows: Sequence[Row], title: str) -> Table:
-    """The rows for a terminal, with their circumstances."""
-    result = Table(title=title, caption=circumstances(), box=box.SIMPLE, pad_edge=False, padding=0)
+def table(rows: Sequence[Row]) -> Group:
+    """Return the rows for a terminal, a table for each class of rows, with their circumstances."""
+    return Group(*map(_table, _by_class(rows)))
+
+
+def _table(rows: Sequence[Row]) -> Table:
+    title, caption = rows[0].title, circumstances()
+    result = Table(title=title, caption=caption, box=box.SIMPLE, pad_edge=False, padding=0)
     for column in rows[0].cells():
         texts = [column, *(row.cells()[column] for row in rows)]
         whole = max(len(word) for text in texts for word in text.split())
@@ -47,11 +55,19 @@ def table(rows: Sequence[Row], title: str) -> Table:
 
 
 def markdown(rows: Sequence[Row]) -> str:
-    """The rows for a page, with their circumstances."""
+    """Return the rows for a page, a table for each class of rows, with their circumstances."""
+    return "\n\n".join(map(_markdown, _by_class(rows)))
+
+
+def _markdown(rows: Sequence[Row]) -> str:
     columns = list(rows[0].cells())
     rules = ["---:" if _is_number(rows, column) else "---" for column in columns]
     lines = [columns, rules, *(row.cells().values() for row in rows)]
     return "\n".join([*(f"| {' | '.join(line)} |" for line in lines), "", circumstances()])
+
+
+def _by_class(rows: Sequence[Row]) -> list[list[Row]]:
+    return [[row for row in rows if type(row) is kind] for kind in dict.fromkeys(map(type, rows))]
 
 
 def _is_number(rows: Sequence[Row], column: str) -> bool:

@@ -14,19 +14,18 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from statistics import median
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal
 
 import torch
-from rich.console import Group
 
-from astray.bench import profile, tables
-from astray.bench.plain import Loop
-from astray.bench.tables import decimal, thousands
 from astray.envs.vector import GameVectorEnv
 from astray.training.config import PRESETS, Config
 from astray.training.fast.acceleration import torch_settings
 from astray.training.loop import collect, update
 from astray.training.trainer import Trainer
+from benchmarks import profile, tables
+from benchmarks.plain import Loop
+from benchmarks.tables import decimal, thousands
 
 # The preset as it is, and with the smaller network and more environments, where the network's
 # matrix products leave more to the rest.
@@ -49,6 +48,7 @@ PLAIN = {"fused_cpu": False, "bfloat16": False, "channels_last": False, "compile
 class Row:
     """What one contender did; None where it was not measured."""
 
+    title: ClassVar[str] = "PPO, in turns"
     what: str
     game: str
     variant: str
@@ -131,7 +131,7 @@ Made = tuple[Callable[[], object], Callable[[], object]]  # an iteration, and ho
 def _symbolic(config: Config, network: Any) -> dict[str, Made | str]:
     """Stable-Baselines3, or why it is not there."""
     try:
-        sb3 = importlib.import_module("astray.bench.sb3")
+        sb3 = importlib.import_module("benchmarks.sb3")
     except ImportError:
         return {"Stable-Baselines3": "not installed: pip install stable-baselines3"}
     model = sb3.ppo(config, network)
@@ -184,22 +184,3 @@ def per_second(train: Callable[[], object], turn: float, device: str) -> float:
             torch.cuda.synchronize()
         done += 1
     return done / passed
-
-
-def _both(rows: Sequence[Row | profile.Row]) -> tuple[list[Row], list[profile.Row]]:
-    return (
-        [row for row in rows if isinstance(row, Row)],
-        [row for row in rows if isinstance(row, profile.Row)],
-    )
-
-
-def table(rows: Sequence[Row | profile.Row]) -> Group:
-    """The rows for a terminal."""
-    contenders, parts = _both(rows)
-    return Group(tables.table(contenders, "PPO, in turns"), profile.table(parts))
-
-
-def markdown(rows: Sequence[Row | profile.Row]) -> str:
-    """The rows for a page."""
-    contenders, parts = _both(rows)
-    return f"{tables.markdown(contenders)}\n\n{profile.markdown(parts)}"

@@ -15,16 +15,14 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from statistics import median
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
-from rich.table import Table
 
 from astray import games
-from astray.bench import tables
-from astray.bench.tables import NOTHING, count, decimal, thousands
 from astray.envs.vector import GameVectorEnv
 from astray.game import OWN
+from benchmarks.tables import NOTHING, count, decimal, thousands
 
 ACTIONS = 64  # prepared steps of actions, used again and again
 COPIED = 2**27  # bytes of the plain copy: more than a processor's caches hold
@@ -39,6 +37,7 @@ BUSY = "while True: pass"  # what that process does
 class Row:
     """What one contender did; None where it was not measured or a column does not apply."""
 
+    title: ClassVar[str] = "Environment steps, in turns"
     game: str
     variant: str
     what: str
@@ -247,13 +246,3 @@ def _with_ratios(rows: list[Row]) -> list[Row]:
 
 def _ratio(x: float | None, y: float | None) -> float | None:
     return x / y if x and y else None
-
-
-def table(rows: Sequence[Row]) -> Table:
-    """The rows for a terminal."""
-    return tables.table(rows, "Environment steps, in turns")
-
-
-def markdown(rows: Sequence[Row]) -> str:
-    """The rows for a page."""
-    return tables.markdown(rows)
