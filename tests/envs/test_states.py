@@ -11,6 +11,7 @@ from gymnasium.utils.env_checker import data_equivalence
 from gymnasium.vector import AutoresetMode
 
 from astray import games
+from astray.envs import states as states_in_files
 from astray.envs.states import load_states, save_states
 from astray.envs.vector import GameVectorEnv
 from helpers.cases import FEW, SHAPES
@@ -159,6 +160,15 @@ def test_a_bad_file_of_states_is_explained(game, tmp_path):
         path.write_bytes(whole[:size])
         with pytest.raises(ValueError, match="holds no states"):
             load_states(path, game)
+
+
+def test_states_for_which_there_is_no_memory_say_why(tmp_path, monkeypatch):
+    def short(path):
+        raise MemoryError  # as Python's own has no message
+
+    monkeypatch.setattr(states_in_files, "read", short)
+    with pytest.raises(ValueError, match=r"holds no states: it cannot be read .MemoryError."):
+        load_states(tmp_path / "states.npz", "maze")
 
 
 def test_a_header_that_promises_too_much_takes_no_memory(tmp_path):

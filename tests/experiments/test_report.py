@@ -1,5 +1,6 @@
 """Videos hold their frames, figures are reproducible, and a report says what it was told."""
 
+import json
 import re
 from dataclasses import replace
 from urllib.parse import quote, urljoin
@@ -264,13 +265,30 @@ def test_numbers_are_shown_to_sensible_places(values, shown):
     assert report.cells(pl.Series(values)) == shown
 
 
-@pytest.mark.parametrize("text", ["", "{}", "[]", "[" * 99_999, '{"claims": [1], "answer": ""}'])
-def test_ruined_findings_are_told(tmp_path, text):
+RUINED = r"findings.json (is no JSON|must be the findings)"
+
+
+def without_claims(told, folder, claims):
+    """The text of a report's findings with something else as its claims."""
+    report.write(*told, folder)
+    found = json.loads((folder / "findings.json").read_text())
+    return json.dumps(found | {"claims": claims})
+
+
+@pytest.mark.parametrize(
+    "text", ["", "{}", "[]", "[" * 99_999, '{"claims": [1], "answer": ""}', None, 7, [{"held": 1}]]
+)
+def test_ruined_findings_are_told_and_hide_no_other_report(told, tmp_path, capsys, text):
+    report.write(*told, tmp_path / "whole")
     (tmp_path / "one").mkdir()
+    if not isinstance(text, str):
+        text = without_claims(told, tmp_path / "other", text)
     (tmp_path / "one" / "findings.json").write_text(text)
-    for take in (lambda: report.write_index(tmp_path), lambda: report.of_claims(tmp_path / "one")):
-        with pytest.raises(ValueError, match=r"findings.json (is no JSON|must be the findings)"):
-            take()
+    with pytest.raises(ValueError, match=RUINED):
+        report.of_claims(tmp_path / "one")
+    page = report.write_index(tmp_path).read_text()
+    assert "whole/report.html" in page and "one/report.html" not in page
+    assert re.search(f"left out of the index: .*{RUINED}", capsys.readouterr().err)
 
 
 def test_a_table_that_was_cut_short_is_told(tmp_path):

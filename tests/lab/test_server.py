@@ -8,15 +8,18 @@ pytest.importorskip("starlette", reason="starlette is not installed")
 pytest.importorskip("websockets", reason="websockets is not installed")
 
 import asyncio
+import logging
+import re
+import socket
 import urllib.error
 import urllib.request
 from concurrent.futures import ThreadPoolExecutor
 from urllib.parse import urlsplit
 
 from websockets.asyncio.client import connect
-from websockets.exceptions import InvalidStatus
+from websockets.exceptions import ConnectionClosedError, InvalidStatus
 
-from astray.lab import session
+from astray.lab import server, session
 from astray.lab.server import Bucket, files
 from astray.lab.serving import make_lab
 from helpers.browsed import lab_served
@@ -50,6 +53,48 @@ def test_every_file_of_the_page_is_served_and_nothing_else(served):
     assert all(fetched(served, path)[0] == 200 for path in files())
     for path in ("../server.py", "..%2Fserver.py", "%2e%2e/server.py", "lab.py", "/etc/passwd"):
         assert fetched(served, path)[0] == 404
+
+
+def test_text_that_is_no_utf8_ends_the_page_and_is_logged_in_a_line(served):
+    records = []
+
+    class Kept(logging.Handler):
+        def emit(self, record):
+            records.append(record)
+
+    async def spoilt():
+        parts = urlsplit(served)
+        address = f"ws://{parts.netloc}{parts.path}socket"
+        async with connect(address, origin=f"http://{parts.netloc}") as socket:
+            await socket.send(b"\xff\xfe", text=True)
+            with pytest.raises(ConnectionClosedError, match="1007"):
+                await asyncio.wait_for(socket.recv(), 60)
+
+    logger, kept = logging.getLogger("uvicorn.error"), Kept()
+    logger.addHandler(kept)
+    try:
+        with ThreadPoolExecutor(1) as thread:
+            thread.submit(asyncio.run, spoilt()).result()
+    finally:
+        logger.removeHandler(kept)
+    assert all(record.exc_info is None for record in records)
+    assert fetched(served)[0] == 200
+
+
+def test_the_address_is_told_when_somebody_listens_there(monkeypatch):
+    import uvicorn
+
+    heard = []
+
+    def told(text, **_):
+        address = urlsplit(re.search(r"http\S+", text)[0])
+        with socket.create_connection((address.hostname, address.port), 5):
+            heard.append(address.port)
+
+    monkeypatch.setattr(server, "print", told, raising=False)
+    monkeypatch.setattr(uvicorn.Server, "run", lambda *_, sockets: sockets[0].close())
+    server.serve(make_lab("maze-corner", {}), 0, browse=False)
+    assert len(heard) == 1
 
 
 def test_without_the_token_there_is_nothing(served):

@@ -10,10 +10,13 @@ import numpy as np
 import polars as pl
 import pytest
 
+from astray.analysis import runs
+from astray.analysis.runs import open_run
 from astray.analysis.tables import write_table
 from astray.files import write_aside
 from astray.training import checkpoint
 from astray.training.loop import train
+from astray.training.settings import SEEDS
 from helpers.killed import CONFIG, contents
 from helpers.processes import environment
 
@@ -119,3 +122,33 @@ class as_nobody:
     def __exit__(self, *error):
         if self.root:
             os.seteuid(0)
+
+
+def test_the_largest_seed_trains_and_a_larger_one_is_refused_at_once(tmp_path):
+    config = replace(CONFIG, seed=SEEDS - 1, steps=CONFIG.num_envs * CONFIG.num_steps)
+    train(config, tmp_path / "run", progress=False)
+    assert checkpoint.steps_saved(tmp_path / "run")
+    with pytest.raises(ValueError, match=f"seed must be .* {SEEDS - 1}.*; got {SEEDS}"):
+        replace(CONFIG, seed=SEEDS)
+
+
+def test_a_checkpoint_that_its_training_removes_meanwhile_is_not_missed(tmp_path, monkeypatch):
+    one = replace(CONFIG, seed=3, steps=CONFIG.num_envs * CONFIG.num_steps)
+    run, latest = tmp_path / "run", checkpoint.latest
+    train(one, run, progress=False)
+    last = latest(run)
+    found = iter([last.with_name("7"), last])  # 7 is removed between the look and the opening
+    monkeypatch.setattr(checkpoint, "latest", lambda folder: next(found, last))
+    assert open_run(run)[0].path.parent == last
+    with pytest.raises(FileNotFoundError):
+        open_run(last.with_name("7"))  # which somebody asked for
+
+
+def test_an_agent_whose_file_is_gone_is_told_from_others_all_the_same(tmp_path, monkeypatch):
+    one = replace(CONFIG, seed=3, steps=CONFIG.num_envs * CONFIG.num_steps)
+    train(one, tmp_path / "run", progress=False)
+    opened = runs.open_run(tmp_path / "run")
+    opened[0].path.unlink()
+    monkeypatch.setattr(runs, "open_run", lambda *_: opened)
+    with pytest.raises(ValueError, match="are the same agent"):
+        runs.evaluate_runs([tmp_path / "run", tmp_path / "again"], np.arange(2))

@@ -48,12 +48,19 @@ def open_run(
     folder = run if (run / "config.json").exists() else run.parent.parent
     if not (folder / "config.json").exists():
         raise FileNotFoundError(f"{run} is neither a run folder nor a checkpoint in one")
-    path = checkpoint.latest(folder) if folder == run else run
     config = checkpoint.read_config(folder)
     device = config.device if usable(config.device) else "cpu"
     shown = config.art if art is None else art
     config.find_game().drawn(shown)
-    return Agent(path / checkpoint.AGENT, config.game, mode, config.seed, device, shown), config
+    while True:
+        path = checkpoint.latest(folder) if folder == run else run
+        try:
+            agent = Agent(path / checkpoint.AGENT, config.game, mode, config.seed, device, shown)
+        except FileNotFoundError:  # a training removes those before its last two
+            if folder != run or path == checkpoint.latest(folder):
+                raise
+        else:
+            return agent, config
 
 
 def load_agent(run: str | Path, mode: Mode = "sampled", art: str | None = None) -> Agent:
@@ -92,6 +99,14 @@ def _deviation(path: Path) -> float:
     with safe_open(trainer, "numpy") as file:
         _, variance, _ = file.get_tensor(MOMENTS).tolist()
     return float(1 / RewardNormaliser(1, clip=np.inf, variance=variance).scaled(np.ones(1))[0])
+
+
+def _digest(agent: Agent) -> str:
+    """Return a digest of the weights: those that are played, if their file is gone meanwhile."""
+    digest = hashlib.sha256()
+    for name, tensor in agent.network.state_dict().items():
+        digest.update(name.encode() + tensor.cpu().contiguous().numpy().tobytes())
+    return digest.hexdigest()
 
 
 def shift_of(config: Config) -> str:
@@ -152,7 +167,7 @@ def evaluate_runs(
     config = opened[0][1]
     digests: dict[str, Path] = {}
     for run, (agent, _) in zip(runs, opened, strict=True):
-        digest = hashlib.sha256(agent.path.read_bytes()).hexdigest()
+        digest = _digest(agent)
         if digest in digests:  # counted twice, it would make intervals narrower
             raise ValueError(f"{digests[digest]} and {run} are the same agent")
         digests[digest] = run

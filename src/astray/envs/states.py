@@ -47,7 +47,8 @@ def load_states(path: Path, game: str | Game) -> np.ndarray:
     except FileNotFoundError:
         raise FileNotFoundError(f"there are no states at {path}") from None
     except BROKEN as error:
-        raise ValueError(f"{path} holds no states: {error}") from error
+        why = str(error) or f"it cannot be read ({type(error).__name__})"  # as of a MemoryError
+        raise ValueError(f"{path} holds no states: {why}") from error
     if kept["game"].shape or str(kept["game"]) != game.name:
         raise ValueError(f"{path} holds states of {kept['game']}, not of {game.name}")
     if kept["format"].shape or kept["format"] != FORMAT:

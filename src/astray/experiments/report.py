@@ -6,6 +6,7 @@ import base64
 import json
 import math
 import shlex
+import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
@@ -148,11 +149,16 @@ def of_claims(folder: Path) -> dict[str, str]:
 
 
 def write_index(folder: Path) -> Path:
-    """Write `index.html`, which leads to all reports in folders of `folder`; its path."""
-    found = [
-        _findings(path) | {"folder": path.parent.name}
-        for path in sorted(folder.glob("*/findings.json"))
-    ]
+    """Write `index.html`, which leads to all reports in folders of `folder`; return its path.
+
+    A report whose findings cannot be read is left out, which is said.
+    """
+    found = []
+    for path in sorted(folder.glob("*/findings.json")):
+        try:
+            found.append(_findings(path) | {"folder": path.parent.name})
+        except (ValueError, OSError) as error:  # of an older report, which hides no newer one
+            print(f"left out of the index: {error}", file=sys.stderr, flush=True)
     write_aside(folder / "index.html", _render("index.html", reports=found).encode())
     return folder / "index.html"
 
@@ -165,9 +171,14 @@ def _findings(path: Path) -> dict[str, Any]:
         raise ValueError(f"{path} is no JSON: {error}") from error
     names = ("claims", "answer", *(f.name for f in fields(Heading)))
     missing = [name for name in names if not isinstance(found, dict) or name not in found]
-    if missing or not all(isinstance(claim, dict) and "held" in claim for claim in found["claims"]):
+    claims = [] if missing else found["claims"]
+    if missing or not isinstance(claims, list) or not all(map(_is_claim, claims)):
         raise ValueError(f"{path} must be the findings of a report; got {shown(found)}")
     return found
+
+
+def _is_claim(given: Any) -> bool:
+    return isinstance(given, dict) and all(name in given for name in ("sentence", "ours", "held"))
 
 
 def _render(template: str, **what: Any) -> str:

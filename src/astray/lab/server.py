@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import asyncio
 import json
+import logging
 import secrets
 import sys
 import time
@@ -70,6 +71,7 @@ def make_app(lab: Lab, token: str, port: int) -> Any:
     port   that it is reached by, which Host and Origin must name
     """
     _see_installed()
+    logging.getLogger("uvicorn.error").addFilter(_in_one_line)
     from starlette.applications import Starlette
     from starlette.responses import Response
     from starlette.routing import Route, WebSocketRoute
@@ -113,6 +115,13 @@ def make_app(lab: Lab, token: str, port: int) -> Any:
 
     routes = [WebSocketRoute("/{token}/socket", socket), Route("/{token}/{path:path}", file)]
     return Starlette(routes=routes)
+
+
+def _in_one_line(record: logging.LogRecord) -> bool:
+    """Log text of a page that is no UTF-8 without a traceback: the mistake is not the lab's."""
+    if record.exc_info and isinstance(record.exc_info[1], UnicodeDecodeError):
+        record.exc_info = None
+    return True
 
 
 def _policy(hosts: set[str]) -> str:
@@ -215,6 +224,7 @@ def serve(lab: Lab, port: int, browse: bool) -> None:
     listener = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
     try:
         listener.bind((LOOPBACK, port))
+        listener.listen()  # from here on browsers are heard, if not answered at once
     except OSError as error:
         listener.close()
         raise OSError(f"cannot listen on port {port} of {LOOPBACK}: {error.strerror}") from None

@@ -16,7 +16,7 @@ from astray.game import MOST_EDITS, Mutation
 from astray.record import LEVELS
 
 MOST_STEPS = 10**15  # what the fastest machine does in a century
-SEEDS = 2**28  # every seed has streams of its own for training, validation, ...
+SEEDS = 2**27  # every seed has 2**36 streams of its own, and environments take up to 2**63
 COUNTS = (
     "levels", "steps", "num_envs", "num_steps", "epochs", "minibatches", "scale", "width",
     "validation_every", "checkpoint_every", "threads", "microbatch", "groups", "buffer", "edits",
