@@ -6,11 +6,13 @@ import pytest
 from scipy import stats
 
 from astray.analysis.estimates import (
+    detectable,
     estimate_difference,
     estimate_mean,
     estimate_paired,
     group_means,
     over_agents,
+    quantile,
 )
 
 
@@ -192,3 +194,15 @@ def test_no_rows_have_no_means():
     )
     with pytest.raises(ValueError, match="no row of 1 has a value of 'value'"):
         group_means(rows, "value", ["what"])
+
+
+@pytest.mark.parametrize("agents, kinds", [(3, 1), (8, 1), (3, 4)])
+def test_what_is_detectable_is_found_in_four_of_five_runs(agents, kinds):
+    random, levels, spread = np.random.default_rng(0), 400, 0.1
+    effect = detectable(agents, levels, spread, kinds=kinds)
+    noise = np.sqrt(spread**2 + 0.25 / levels)
+    means = random.normal(0, noise, (2000, kinds, agents))
+    means[:, 0] += effect
+    error = np.sqrt(means.var(2, ddof=1).mean(1) * min(2, kinds) / agents)
+    found = means[:, 0].mean(1) - (means[:, 1].mean(1) if kinds > 1 else 0)
+    assert np.mean(found > quantile(kinds * (agents - 1)) * error) == pytest.approx(0.8, abs=0.03)

@@ -78,8 +78,8 @@ def _page(text: str, place: Place) -> None:
     from matplotlib.figure import Figure
 
     from astray.experiments import report
-    from astray.experiments.claims import Claim
     from astray.experiments.report import Findings, Heading, Plot, Table
+    from astray.report.claims import Claim
 
     words = (text,) * 7
     folder = place.work / "reports" / "one"

@@ -20,10 +20,10 @@ import pytest
 from astray import games, provenance
 from astray.analysis.outcomes import FAILED, INTENDED, MISGENERALIZED
 from astray.analysis.runs import open_run
-from astray.experiments import catalogue, report, run
-from astray.experiments.claims import holds_above
+from astray.experiments import catalogue, register, report, run
 from astray.experiments.outcomes import share
 from astray.experiments.studies.mitigation import asking_for_help, reward_ensembles
+from astray.report.claims import Claim, above
 from astray.training import checkpoint
 from astray.training.config import Config
 from helpers.edits import edit
@@ -52,6 +52,12 @@ TRAINED = [
 ]
 # A network of patches, and one that is distilled from the symbols of another.
 TRAINED.append(("inherited-goals", "pixels"))
+
+
+def of_report(found):
+    """The claims of a report's findings."""
+    told = ({key: one[key] for key in one if key != "beside"} for one in found["claims"])
+    return [Claim(**claim) for claim in told]
 
 
 def in_miniature(name, plan, monkeypatch):
@@ -85,6 +91,7 @@ def test_every_experiment_runs_in_miniature(name, size, tmp_path, monkeypatch):
     assert page == folder / "report.html"
     found = json.loads((folder / "findings.json").read_text())
     assert found["claims"] and all(claim["ours"] for claim in found["claims"])
+    assert not register.unstated(name, of_report(found))
     figures = {path.name for path in (folder / "figures").iterdir()}
     names = {Path(figure).stem for figure in figures}
     assert figures == {f"{n}.{kind}" for n in names for kind in ("png", "svg", "parquet")} != set()
@@ -330,7 +337,7 @@ def test_a_claim_holds_only_where_its_whole_interval_does(misgeneralized, failed
         {"policy": "sampled", "test": "test", "seed": 0, "level": range(100), "outcome": outcomes}
     )
     less = share(episodes, "test", MISGENERALIZED, minus=FAILED)
-    told = holds_above("it goes astray", "often", "share", less, 0.0)
+    told = above("it goes astray", "often", "share", less, 0.0)
     assert told.held == held
     assert f"{misgeneralized - failed}.0" in told.ours
 

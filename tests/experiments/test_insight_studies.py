@@ -3,16 +3,15 @@
 import json
 from dataclasses import replace
 
-import numpy as np
 import polars as pl
 import pytest
 
 from astray.estimate import Estimate
-from astray.experiments import catalogue, run
-from astray.experiments.claims import holds_within
+from astray.experiments import catalogue, register, run
 from astray.experiments.studies.insight import choice, retargeting
 from astray.experiments.studies.insight._plans import of_levels
 from astray.insight.retarget import AS_IS, MOVED
+from astray.report.claims import Claim, above, below, within
 
 LEVELS = {"cheese-vector": 12, "retargeting": 34, "decodable": 24, "choice": 1500}
 
@@ -24,7 +23,9 @@ def test_studies_of_kept_agents_run_in_miniature(name, tmp_path):
     page = run.reproduce(small, "smoke", tmp_path)
     found = json.loads((page.parent / "findings.json").read_text())
     claims = found["claims"]
-    assert claims and all("holds where the interval is" in one["ours"] for one in claims)
+    assert claims and all("; holds " in one["ours"] and "; p = " in one["ours"] for one in claims)
+    told = [Claim(**{k: one[k] for k in one if k != "beside"}) for one in claims]
+    assert not register.unstated(name, told)
     assert "nan" not in found["answer"], found["answer"]
     figures = {path.stem for path in (page.parent / "figures").iterdir()}
     assert figures and (page.parent / "figures" / f"{min(figures)}.png").stat().st_size > 5000
@@ -32,12 +33,12 @@ def test_studies_of_kept_agents_run_in_miniature(name, tmp_path):
 
 
 def test_a_claim_holds_only_where_its_whole_interval_does():
-    low = holds_within("c", "p", "w", estimate(0.2, 0.3), (0.1, 0.25))
-    high = holds_within("c", "p", "w", estimate(0.2, 0.3), (0.1, 0.35))
+    low = within("c", "p", "w", estimate(0.2, 0.3), (0.1, 0.25))
+    high = within("c", "p", "w", estimate(0.2, 0.3), (0.1, 0.35))
     assert (low.held, high.held) == (False, True)
     assert "between 0.1 and 0.35" in high.ours
-    assert holds_within("c", "p", "w", estimate(0.2, 0.3), (0.1, np.inf)).ours.endswith("above 0.1")
-    assert holds_within("c", "p", "w", estimate(0.2, 0.3), (-np.inf, 0.1)).held is False
+    assert above("c", "p", "w", estimate(0.2, 0.3), 0.1).ours.endswith("above 10\u00a0%")
+    assert below("c", "p", "w", estimate(0.2, 0.3), 0.1).held is False
 
 
 def estimate(low, high):

@@ -85,7 +85,7 @@ def test_the_gap_at_the_end_is_judged_by_its_interval():
     assert training_curves.ends_lower(row).held
     assert not training_curves.ends_lower(row | {"low": -0.1}).held
     (row,) = training_curves.ends(measured(seeds=1)).to_dicts()
-    assert row["low"] is None and training_curves.ends_lower(row).held
+    assert row["low"] is None and not training_curves.ends_lower(row).held
     (row,) = training_curves.ends(measured().with_columns(pl.lit(None).alias(TEST))).to_dicts()
     assert not training_curves.ends_lower(row).held
 

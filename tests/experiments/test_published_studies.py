@@ -16,12 +16,12 @@ from astray.analysis.estimates import mean_of
 from astray.analysis.evaluate import evaluate
 from astray.analysis.runs import open_run
 from astray.experiments import catalogue, report, run
-from astray.experiments.claims import Claim
 from astray.experiments.levels import levels_of
 from astray.experiments.studies.coinrun import _agents, critic_value, moved_coin, published_results
 from astray.experiments.studies.maze import cheese_mouse
 from astray.published import catalogue as published
 from astray.published.results import read_results
+from astray.report.claims import Claim
 from astray.training.config import PRESETS
 from helpers.miniature import miniature, train_here
 
@@ -63,6 +63,21 @@ def test_ghosts_are_touched_where_the_rules_say_so():
     assert 50 < touched.sum() < 250
     told = ghost.filter(touched)["after"].unique().sort().to_list()
     assert moved_coin.END in told, "what came after a ghost is told too"
+
+
+@pytest.mark.parametrize(
+    "coin, end, died, fate",
+    [
+        (7, 7, 7, moved_coin.TAKEN),
+        (-1, 7, 7, moved_coin.END),  # in one step: at the end, and touched by a walker
+        (-1, 7, -1, moved_coin.END),
+        (-1, 9, 7, moved_coin.DIED),
+        (-1, -1, 7, moved_coin.DIED),
+        (-1, -1, -1, moved_coin.LATE),
+    ],
+)
+def test_who_is_touched_in_the_step_that_reaches_the_end_has_reached_it(coin, end, died, fate):
+    assert moved_coin.fate({"took_coin": coin, "reached_end": end, "died": died}) == fate
 
 
 def test_what_seeing_adds_is_of_the_same_levels():

@@ -15,9 +15,9 @@ from astray.analysis import video
 from astray.analysis.outcomes import FAILED, INTENDED, MISGENERALIZED
 from astray.analysis.policies import Walk
 from astray.experiments import figures, report, spec
-from astray.experiments.claims import Claim
 from astray.files import aside_of
 from astray.games.maze.solve import steps_to
+from astray.report.claims import Claim
 
 T, H, W = 7, 31, 45  # odd sizes, which yuv420p cannot have
 LEVEL = 8

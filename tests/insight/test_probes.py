@@ -5,6 +5,7 @@ import sys
 import numpy as np
 import polars as pl
 import pytest
+from sklearn.metrics import balanced_accuracy_score, r2_score
 
 from astray import games, load_agent
 from astray.acting import initial_states
@@ -46,7 +47,7 @@ def test_a_linear_truth_is_read_and_noise_is_not():
 def test_a_layer_in_which_nothing_varies_tells_what_is_known_without_looking():
     flat, learn = np.ones((90, 5), np.float32), np.arange(90) % 2 > 0
     assert probes.fit(flat, np.arange(90) % 3, learn, 0) == pytest.approx(1 / 3)
-    assert probes.fit(flat, np.arange(90.0), learn, 0) == 0
+    assert probes.fit(flat, np.arange(90.0), learn, 0) == pytest.approx(0, abs=0.01)
 
 
 def test_no_level_is_in_both_parts_of_a_split():
@@ -64,19 +65,43 @@ def test_probes_find_the_cheese_in_the_observation_and_not_in_shuffled_labels(mo
         "cheese right": MAZE.labels["cheese right"],
         "corner direction": MAZE.labels["corner direction"],
     }
-    found = probes.probe(mouse, SMALL, states, ["features.relu1"], labels, seeds=2)
-    assert found.height == 2 * 2 * 2
-    seen = found.filter(label="cheese right", layer=probes.SEEN)
-    assert (seen["score"] > 0.3).all() and (seen["shuffled"] < 0.15).all()
-    assert seen["untrained"].null_count() == 2
-    inner = found.filter(label="corner direction", layer="features.relu1")
-    assert (inner["score"] > inner["chance"] + 0.2).all()
-    assert (inner["score"] - inner["shuffled"] == inner["selectivity"]).all()
-    table = probes.summary(found)
-    row = table.filter(label="cheese right", layer="features.relu1").row(0, named=True)
-    scores = found.filter(label="cheese right", layer="features.relu1")["score"]
-    assert row["score"] == pytest.approx(scores.mean())
-    assert row["score low"] <= row["score"] <= row["score high"]
+    found = probes.probe(mouse, SMALL, states, ["features.relu1"], labels, folds=2)
+    assert found.height == 2 * 2
+    rows = {(row["label"], row["layer"]): row for row in found.to_dicts()}
+    seen = rows["cheese right", probes.SEEN]
+    assert seen["score low"] > 0.3 and seen["shuffled"] < 0.15
+    assert seen["untrained"] is None and seen["gain high"] is None
+    inner = rows["corner direction", "features.relu1"]
+    assert inner["score low"] > inner["chance"] + 0.2
+    assert inner["selectivity"] == pytest.approx(inner["score"] - inner["shuffled"])
+    assert inner["gain"] == pytest.approx(inner["score"] - inner["untrained"])
+
+
+def test_the_interval_of_a_score_is_over_levels():
+    """As scores of levels that are drawn again vary; here the states of a level go together."""
+    random = np.random.default_rng(0)
+    levels = np.repeat(np.arange(100), 5)
+    y = random.integers(0, 2, 500)
+    told = np.where(random.random(100)[levels] < 0.8, y, 1 - y)
+    values = probes._by_level(y, told, levels)
+    assert values.mean() == pytest.approx(balanced_accuracy_score(y, told))
+    again = []
+    for _ in range(1000):
+        some = np.concatenate([np.flatnonzero(levels == k) for k in random.integers(100, size=100)])
+        again.append(balanced_accuracy_score(y[some], told[some]))
+    assert values.std() / 10 == pytest.approx(np.std(again), rel=0.1)
+    numbers = random.normal(size=500) + levels / 30
+    guess = numbers + random.normal(0, 0.5, 500)
+    values = probes._by_level(numbers, guess, levels)
+    assert values.mean() == pytest.approx(r2_score(numbers, guess))
+
+
+def test_every_level_is_told_by_a_probe_that_did_not_see_it():
+    fold = probes._folds(levels := np.repeat(np.arange(23), 3), 5)
+    assert [len(set(levels[fold == k])) for k in range(5)] in ([5, 5, 5, 4, 4],)
+    assert all(len(set(fold[levels == k])) == 1 for k in range(23))
+    with pytest.raises(ValueError, match="at least 5 levels; got 2"):
+        probes._folds(np.array([1, 1, 2]), 5)
 
 
 def test_an_untrained_network_is_another_of_the_same_shape(mouse):
@@ -100,7 +125,7 @@ def test_what_has_no_label_does_not_count(mouse, states):
         states,
         ["features.relu2"],
         {"sometimes": sometimes, "classes": classes},
-        seeds=1,
+        folds=2,
     )
     told = found.filter(layer="features.relu2")
     assert dict(zip(told["label"], told["states"], strict=True)) == {

@@ -28,6 +28,7 @@ from astray.bounds import of_kind
 from astray.estimate import Estimate
 
 CONFIDENCE = 0.95
+POWER = 0.8
 
 
 @functools.cache
@@ -155,6 +156,39 @@ def estimate_paired(one: np.ndarray, other: np.ndarray) -> Estimate:
     """
     (one, _), (other, _) = _checked(one, None), _checked(other, None)
     return estimate_mean(one - other)
+
+
+def less(one: Estimate, other: Estimate) -> Estimate:
+    """One mean less another that does not depend on it, with the interval that both make.
+
+    Each is told by its own agents and levels; the squares of how far their ends are away add up.
+    """
+    mean = one.mean - other.mean
+    below = math.hypot(one.mean - one.low, other.high - other.mean)
+    above = math.hypot(one.high - one.mean, other.mean - other.low)
+    known = [part.freedom or max(1, part.levels - 1) for part in (one, other)]
+    agents, levels = min(one.agents, other.agents), min(one.levels, other.levels)
+    return Estimate(mean, mean - below, mean + above, agents, levels, agents * levels, min(known))
+
+
+def detectable(
+    agents: int, levels: int, spread: float, *, kinds: int = 1, share: float = 0.5
+) -> float:
+    """Return how far from its bound a share must be to be found beyond it in 80 % of runs.
+
+    Args:
+        agents: Of each kind, that are trained.
+        levels: That each is tested on.
+        spread: The standard deviation of their true shares.
+        kinds: Of agents; of more than one it is the difference of two, their spread pooled.
+        share: Near which they are.
+    """
+    from scipy.special import nctdtrinc  # here, as it takes a second to import
+
+    variance = spread**2 + share * (1 - share) / levels
+    error = math.sqrt(variance * min(2, kinds) / agents)
+    freedom = kinds * (agents - 1) if agents > 1 else levels - 1
+    return float(nctdtrinc(freedom, 1 - POWER, quantile(freedom))) * error
 
 
 def _checked(values: np.ndarray, weights: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:

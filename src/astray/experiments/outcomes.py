@@ -14,9 +14,9 @@ from astray.analysis.outcomes import MISGENERALIZED, load_shift, matrix, outcome
 from astray.analysis.policies import Walk
 from astray.analysis.runs import open_run
 from astray.experiments import figures
-from astray.experiments.claims import rounded
 from astray.experiments.report import Plot, Scene, Table, Video
 from astray.experiments.spec import Plan, Test, Work
+from astray.report.claims import rounded
 from astray.training import checkpoint
 from astray.training.config import Config
 

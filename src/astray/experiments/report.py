@@ -18,8 +18,8 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from astray.analysis import kept
 from astray.analysis.tables import write_table
 from astray.bounds import shown
-from astray.experiments.claims import Claim
 from astray.files import read, remove_left, write_aside
+from astray.report.claims import Claim
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

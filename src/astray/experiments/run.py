@@ -37,6 +37,7 @@ from astray.experiments.track import track_report
 from astray.experiments.workers import expected, train_all
 from astray.files import hold, read, see_free, write_aside
 from astray.game import OWN
+from astray.report.claims import corrected
 from astray.training import checkpoint
 from astray.training.config import Config, Tracking
 from astray.training.teacher import give
@@ -92,6 +93,7 @@ def reproduce(
         if plan.tests:
             work = replace(work, episodes=work.keep("episodes", lambda: play(plan, runs)))
         findings = whole.find(work)
+        findings = replace(findings, claims=corrected(findings.claims))
         # What others' agents do is told beside what those do that are trained here.
         beside = report.of_claims(root / f"{name}-smoke") if size == PUBLISHED else {}
         films = [film.scene for film in findings.videos if film.scene]

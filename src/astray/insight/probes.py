@@ -1,7 +1,8 @@
 """What can be read off a layer: linear probes, with the controls without which they say little.
 
-    found = probe(agent, "coin-anywhere", states, ["block4.pool"], COINRUN.labels)
-    summary(found)  # a row for each label and layer, with intervals over splits
+    probe(agent, "coin-anywhere", states, ["block4.pool"], COINRUN.labels)
+
+returns a row for each label and layer, with intervals over levels.
 
 A score is what a probe reads in levels that it was not fitted on. Beside it stand the score of the
 same probe fitted to labels that were shuffled, that on a network of the same shape that was never
@@ -26,6 +27,7 @@ from astray.analysis.estimates import estimate_mean
 from astray.analysis.given import Measure, measured, see_measures
 from astray.analysis.trained import Agent
 from astray.bounds import MOST, bounded, of_kind
+from astray.estimate import Estimate
 from astray.game import Variant
 from astray.insight.activations import activations
 
@@ -38,7 +40,6 @@ LEAST = 20  # states of a class, and states with a number, below which there is 
 SELDOM = 0.01  # share of states in which something must differ from its median to be shown
 FITS = 400  # steps of the solver, at most
 SCORES = ("score", "shuffled", "untrained")
-FIXED = ("kind", "states", "chance")
 
 
 def probe(
@@ -48,26 +49,29 @@ def probe(
     layers: Sequence[str],
     labels: Mapping[str, Measure],
     *,
-    seeds: int = 5,
+    folds: int = 5,
 ) -> pl.DataFrame:
     """What linear probes of each layer, and of the observation, read of each label.
 
     states  of several episodes; levels are split, so that no level is in both parts
     labels  functions of states, as `game.labels`: booleans and integers are classes, for logistic
             regression; reals are numbers, for ridge regression; states with -1 or NaN do not count
-    seeds   splits, each with its own shuffling and its own untrained network
+    folds   parts of the levels; each is told by a probe that was fitted on the others, with its own
+            shuffling and its own untrained network
 
-    Columns: label, layer, seed, kind ("class" or "number"), states, levels, chance (what is right
-    without looking), score, shuffled (labels), untrained (network; null for the observation),
-    selectivity (score less shuffled). Scores are the mean share of each class that is right
-    (balanced accuracy), or of numbers the share of their variance that is told (R squared, which is
-    below 0 where the mean would tell more).
+    Columns: label, layer, kind ("class" or "number"), states, levels, chance (what is right
+    without looking); score, shuffled (labels), untrained (network; null for the observation),
+    selectivity (score less shuffled), gain (score less untrained), each with its 95 % interval
+    ("score low", "score high"). Scores are the mean share of each class that is right (balanced
+    accuracy), or of numbers the share of their variance that is told (R squared, which is below 0
+    where the mean would tell more), of what was told of all levels. Intervals are over levels, of
+    this agent alone: every level is told once, and those that hold many states count as one.
 
     Labels with too few states, or of one class alone, are left out. Raises ImportError without
     scikit-learn, ValueError where a layer is unknown or no label is left.
     """
     of_kind("states", states, np.ndarray)
-    bounded("seeds", seeds, 1, MOST)
+    bounded("folds", folds, 2, MOST)
     see_measures(labels, ())
     _sklearn()
     shown = observe(agent, variant, states)
@@ -76,34 +80,15 @@ def probe(
     if not known:
         raise ValueError(f"no label of {', '.join(labels)} has two classes of {LEAST} states each")
     given = {SEEN: shown.astype(np.float32)} | activations(agent, shown, layers)
-    rows = []
-    for seed in range(seeds):
-        fresh = activations(untrained(agent, seed), shown, layers)
-        for layer, x in given.items():
-            for label, y in known.items():
-                rows.append(
-                    {"label": label, "layer": layer, "seed": seed}
-                    | _fit_all(x, fresh.get(layer), y, states["level"], seed)
-                )
+    fold = _folds(states["level"], folds)
+    fresh = [activations(untrained(agent, k), shown, layers) for k in range(folds)]
+    rows = [
+        {"label": label, "layer": layer}
+        | _told(x, [one.get(layer) for one in fresh], y, states["level"], fold)
+        for label, y in known.items()
+        for layer, x in given.items()
+    ]
     return pl.DataFrame(rows, infer_schema_length=None)
-
-
-def summary(found: pl.DataFrame) -> pl.DataFrame:
-    """The means over splits of what `probe` found, with 95 % intervals: of each score mean, low and
-    high as "score", "score low", "score high"; rows in the order of labels, then layers."""
-    rows = []
-    for (label, layer), part in found.group_by(["label", "layer"], maintain_order=True):
-        row: dict[str, Any] = {"label": label, "layer": layer}
-        row |= {name: part[name][0] for name in FIXED}
-        for name in (*SCORES, "selectivity"):
-            values = part[name].drop_nulls().to_numpy()
-            if len(values):
-                of = estimate_mean(values)
-                row |= {name: of.mean, f"{name} low": of.low, f"{name} high": of.high}
-        rows.append(row)
-    order = {label: k for k, label in enumerate(found["label"].unique(maintain_order=True))}
-    table = pl.DataFrame(rows, infer_schema_length=None)
-    return table.sort(pl.col("label").replace_strict(order), maintain_order=True)
 
 
 def untrained(agent: Agent, seed: int) -> Agent:
@@ -128,10 +113,25 @@ def _enough(y: np.ndarray) -> bool:
     return bool(np.count_nonzero(counts >= LEAST) >= 2)
 
 
-def _fit_all(
-    x: np.ndarray, fresh: np.ndarray | None, y: np.ndarray, levels: np.ndarray, seed: int
+def _folds(levels: np.ndarray, folds: int) -> np.ndarray:
+    """Which part the level of each state is in, [N] from 0 on: all parts of as many levels."""
+    names, which = np.unique(levels, return_inverse=True)
+    if len(names) < folds:
+        raise ValueError(f"probes need states of at least {folds} levels; got {len(names)}")
+    return np.random.default_rng(0).permutation(np.arange(len(names)) % folds)[which]
+
+
+def _told(
+    x: np.ndarray,
+    fresh: Sequence[np.ndarray | None],
+    y: np.ndarray,
+    levels: np.ndarray,
+    fold: np.ndarray,
 ) -> dict[str, Any]:
-    """The scores of one label at one layer, for one split."""
+    """The scores of one label at one layer, and their intervals.
+
+    fresh  what the same layer of a network that was never trained gives, for each fold
+    """
     if is_class(y):
         y = y.astype(np.int64)
         classes, counts = np.unique(y[y >= 0], return_counts=True)
@@ -139,20 +139,59 @@ def _fit_all(
         chance = 1 / np.count_nonzero(counts >= LEAST)
     else:
         keep, chance = np.isfinite(y), 0.0
-    x, y, levels = x[keep], y[keep], levels[keep]
-    learn = split(levels, seed)
-    shuffled = np.random.default_rng(seed).permutation(y)
-    score, control = fit(x, y, learn, seed), fit(x, shuffled, learn, seed)
-    return {
+    x, y, levels, fold = x[keep], y[keep], levels[keep], fold[keep]
+    told = {name: (y.copy(), np.zeros(len(y))) for name in SCORES}  # the truth, and what is told
+    for k in range(len(fresh)):
+        test, network = fold == k, fresh[k]
+        if not test.any() or test.all():
+            continue
+        shuffled = np.random.default_rng(k).permutation(y)
+        told["shuffled"][0][test] = shuffled[test]
+        told["score"][1][test] = _predicted(x, y, ~test, k)
+        told["shuffled"][1][test] = _predicted(x, shuffled, ~test, k)
+        if network is None:
+            told.pop("untrained", None)
+        else:
+            told["untrained"][1][test] = _predicted(network[keep], y, ~test, k)
+    found = {name: _by_level(*both, levels) for name, both in told.items()}
+    row = {
         "kind": "class" if is_class(y) else "number",
         "states": len(y),
         "levels": len(np.unique(levels)),
         "chance": chance,
-        "score": score,
-        "shuffled": control,
-        "untrained": None if fresh is None else fit(fresh[keep], y, learn, seed),
-        "selectivity": score - control,
     }
+    parts = {name: (parts, is_class(y)) for name, parts in found.items()}
+    parts["selectivity"] = found["score"] - found["shuffled"], False
+    if "untrained" in found:
+        parts["gain"] = found["score"] - found["untrained"], False
+    for name in (*SCORES, "selectivity", "gain"):
+        values, share = parts.get(name, (None, False))
+        one = Estimate.nothing() if values is None else estimate_mean(values, share=share)
+        ends = (one.mean, one.low, one.high)
+        row |= {
+            f"{name}{end}": None if np.isnan(value) else value
+            for end, value in zip(("", " low", " high"), ends, strict=True)
+        }
+    return row
+
+
+def _by_level(y: np.ndarray, told: np.ndarray, levels: np.ndarray) -> np.ndarray:
+    """[levels] numbers whose mean is the score, and that vary as much as the score does by levels:
+    the score and what each level adds to it, to first order."""
+    _, level = np.unique(levels, return_inverse=True)
+    count = level.max() + 1
+
+    def ratio(over: np.ndarray, under: np.ndarray) -> np.ndarray:
+        """The ratio of two sums over states, likewise."""
+        tops, bottoms = (np.bincount(level, part, count) for part in (over, under))
+        whole = tops.sum() / bottoms.sum()
+        return whole + (tops - whole * bottoms) / bottoms.mean()
+
+    if is_class(y):
+        right = told == y
+        parts = [ratio(right & (y == one), (y == one).astype(float)) for one in np.unique(y)]
+        return np.mean(parts, axis=0)
+    return 1 - ratio((y - told) ** 2, (y - y.mean()) ** 2)
 
 
 def split(levels: np.ndarray, seed: int) -> np.ndarray:
@@ -215,18 +254,19 @@ def fit(x: np.ndarray, y: np.ndarray, learn: np.ndarray, seed: int) -> float:
     x  [N, ...] what a layer gave
     y  [N] classes (integers), or numbers
     """
-    _sklearn()
-    from sklearn.metrics import balanced_accuracy_score, r2_score
+    told = _predicted(x, y, learn, seed)
+    return float(_by_level(y[~learn], told, np.zeros(len(told)))[0])
 
-    if not np.ptp(x[learn].reshape(np.count_nonzero(learn), -1), axis=0).any():
-        return 0.0 if not is_class(y) else 1 / len(np.unique(y))  # nothing varies
+
+def _predicted(x: np.ndarray, y: np.ndarray, learn: np.ndarray, seed: int) -> np.ndarray:
+    """What a probe that is fitted on the states in `learn` tells of the others."""
+    _sklearn()
+    if not np.ptp(x[learn].reshape(np.count_nonzero(learn), -1), axis=0).any():  # nothing varies
+        values, counts = np.unique(y[learn], return_counts=True)
+        usual = values[counts.argmax()] if is_class(y) else y[learn].mean()
+        return np.full(np.count_nonzero(~learn), usual)
     model, varies = _fitted(x[learn], y[learn], seed)
-    told = model.predict(x[~learn].reshape(np.count_nonzero(~learn), -1)[:, varies])
-    if not is_class(y):
-        return float(r2_score(y[~learn], told))
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", UserWarning)  # a class may be missing in the test
-        return float(balanced_accuracy_score(y[~learn], told))
+    return model.predict(x[~learn].reshape(np.count_nonzero(~learn), -1)[:, varies])
 
 
 def _fitted(x: np.ndarray, y: np.ndarray, seed: int) -> tuple[Any, np.ndarray]:

@@ -3,10 +3,10 @@
 from dataclasses import replace
 
 from astray.analysis.outcomes import INTENDED, MISGENERALIZED
-from astray.experiments.claims import holds_above
 from astray.experiments.outcomes import settings, share
 from astray.experiments.report import Findings
 from astray.experiments.spec import Experiment, Plan, tests_of
+from astray.report.claims import above
 from astray.training.config import PRESETS
 
 MOUSE = replace(
@@ -29,8 +29,8 @@ def find(work):
         answer=f"It reaches the cheese in {reached.mean:.0%} of levels like those of its training. "
         f"Where the cheese is anywhere, it goes to the corner instead in {astray.mean:.0%}.",
         claims=[
-            holds_above("It learns.", "no figure", INTENDED, reached, 0.95),
-            holds_above("It goes to the corner.", "no figure", MISGENERALIZED, astray, 0.5),
+            above("It learns.", "no figure", INTENDED, reached, 0.95),
+            above("It goes to the corner.", "no figure", MISGENERALIZED, astray, 0.5),
         ],
         settings=settings(work.plan),
     )

@@ -13,10 +13,10 @@ from astray.agency.gridworld import World
 from astray.agency.maps import MAPS
 from astray.agency.measure import PAPER, PRESETS, TRUE, Episode, measure
 from astray.analysis.estimates import estimate_mean
-from astray.experiments.claims import Claim
 from astray.experiments.report import Findings, Plot, Table
 from astray.experiments.spec import Experiment, Plan, Work
 from astray.experiments.studies.agency._figures import draw_factors, draw_types
+from astray.report.claims import Claim
 
 LOST = "capability failure"
 NEVER_ON_WAY = "capability failure, never on its way"

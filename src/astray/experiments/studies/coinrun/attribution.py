@@ -9,12 +9,11 @@ import numpy as np
 import polars as pl
 
 from astray.analysis.critic import observe, visit
-from astray.analysis.estimates import Estimate, group_means, mean_of
+from astray.analysis.estimates import Estimate, group_means, less, mean_of
 from astray.analysis.runs import open_run
 from astray.analysis.trained import Agent
 from astray.envs.vector import picture
 from astray.experiments import outcomes
-from astray.experiments.claims import Claim
 from astray.experiments.levels import levels_of
 from astray.experiments.report import Findings, Plot, Table
 from astray.experiments.spec import Experiment, Test, Work
@@ -22,6 +21,9 @@ from astray.experiments.studies.coinrun import _agents, _figures
 from astray.experiments.studies.coinrun._agents import RUNNER
 from astray.games.coinrun.edits import PARTS
 from astray.insight import attribution
+from astray.insight.probes import untrained
+from astray.report.claims import above
+from astray.report.claims import every as every_one
 
 TESTS = {
     "in training": Test("coin-end", "coin-end"),
@@ -35,20 +37,29 @@ METHODS: dict[str, Callable[[Agent, np.ndarray], np.ndarray]] = {
     "occlusion": attribution.occlusion,
 }
 COIN, WALL = "coin", "end wall"
+TRAINED, UNTRAINED = "trained", "never trained"
+NETWORKS = 6  # that were never trained, at least
+CHANGE = Estimate.change
 DRAWN = 3  # states of each episode
 PIXELS = 208  # a side of a picture for people
 
 
 def find(work: Work) -> Findings:
     """How much of each map is on each part of what is seen, and some maps."""
-    table = work.keep("shares", lambda: shares(work))
+    every = work.keep("shares", lambda: shares(work))
+    table, blanks = (every.filter(network=name) for name in (TRAINED, UNTRAINED))
     bars = group_means(table, "attribution", ["test", "method", "part"])
     by_size = group_means(table, "attribution", ["test", "method", "part"], per="area")
     gaps = {method: gap(table.filter(method=method)) for method in METHODS}
-    walls = {
-        row["test"]: Estimate.of(row)
-        for row in by_size.filter(part=WALL, method="gradient").to_dicts()
-    }
+    dense, chance = (per_area(part.filter(method="gradient")) for part in (table, blanks))
+    ratios = group_means(blanks, "attribution", ["test", "method", "part"], per="area")
+    walls, blank = (
+        {
+            row["test"]: Estimate.of(row)
+            for row in part.filter(part=WALL, method="gradient").to_dicts()
+        }
+        for part in (by_size, ratios)
+    )
     examples = work.keep("maps", lambda: maps_of_some(work))
     return Findings(
         answer="Where both are in view, the end wall has "
@@ -57,29 +68,39 @@ def find(work: Work) -> Findings:
             f"{100 * one.coin.mean:.1f}\u00a0%"
             for method, one in gaps.items()
         )
-        + ".",
+        + f". For its size, by gradient, the wall has {dense.wall.mean:.2f} times what it would "
+        f"have if all places were alike, and the coin {dense.coin.mean:.2f} times (networks that "
+        f"were never trained: {chance.wall.mean:.2f} and {chance.coin.mean:.2f}).",
         claims=[
-            Claim(
-                "The end wall is highlighted at least as much as the coin.",
+            every_one(
+                "For its size the end wall is highlighted at least as much as the coin, and more "
+                "so than by networks that were never trained.",
                 "at least as much (by eye)",
-                "share of the gradient, end wall less coin, where both are in view: "
-                f"{gaps['gradient'].less.percent()}; holds where the interval is not below 0",
-                gaps["gradient"].less.low >= 0,
+                [
+                    above("", "", "per area, end wall less coin", dense.less, told=CHANGE),
+                    above(
+                        "", "", "that, less untrained", less(dense.less, chance.less), told=CHANGE
+                    ),
+                ],
             ),
-            Claim(
+            every_one(
                 "In training and in the test the end wall is assigned a large attribution.",
                 "large (by eye)",
-                "share of the gradient over share of the observation: "
-                + "; ".join(f"{test} {times.amount()}" for test, times in walls.items())
-                + "; holds where both intervals are above 1",
-                len(walls) == len(TESTS) and all(times.low > 1 for times in walls.values()),
+                [
+                    claim
+                    for test, times in walls.items()
+                    for claim in (
+                        above("", "", f"share over size, {test}", times, 1, told=Estimate.amount),
+                        above("", "", "less untrained", less(times, blank[test]), told=CHANGE),
+                    )
+                ],
             ),
         ],
         plots=[
             Plot(
                 "parts",
                 "The share of attribution on each part, by three methods, with 95\u00a0% "
-                "intervals over agents and levels; the mark is the part's share of what is seen, "
+                "intervals; the mark is the part's share of what is seen, "
                 "which it would have if it mattered no more than its size.",
                 _figures.parts(bars, sizes(table)),
                 bars,
@@ -94,6 +115,7 @@ def find(work: Work) -> Findings:
         tables=[
             Table("shares", "Share of attribution on each part", bars),
             Table("by-size", "Share of attribution over share of what is seen", by_size),
+            Table("untrained", "The same of networks that were never trained", ratios),
         ],
         settings=outcomes.settings(work.plan)
         | {
@@ -116,8 +138,11 @@ def visited(work: Work, where: str, seed: int) -> tuple[Agent, pl.DataFrame, np.
 
 
 def shares(work: Work) -> pl.DataFrame:
-    """A row for each state, method and part: agent, test, level, step, method, part, attribution,
-    area."""
+    """A row for each state, method and part: agent, network, test, level, step, method, part,
+    attribution, area.
+
+    Of networks of the same shape that were never trained, too, in the same states, by gradient.
+    """
     parts = []
     for where in work.plan.visited:
         for seed in range(work.plan.seeds):
@@ -127,8 +152,15 @@ def shares(work: Work) -> pl.DataFrame:
             shown = observe(agent, variant, states)
             for method, attribute in METHODS.items():
                 told = attribution.shares(rows, attribute(agent, shown), seen)
-                parts.append(told.with_columns(method=pl.lit(method)))
-    return pl.concat(parts)
+                parts.append(told.with_columns(method=pl.lit(method), network=pl.lit(TRAINED)))
+            for number in range(-(-NETWORKS // work.plan.seeds)):
+                named = rows.with_columns(agent=pl.lit(NETWORKS * seed + number))
+                maps = METHODS["gradient"](untrained(agent, NETWORKS * seed + number), shown)
+                told = attribution.shares(named, maps, seen)
+                parts.append(
+                    told.with_columns(method=pl.lit("gradient"), network=pl.lit(UNTRAINED))
+                )
+    return pl.concat([part.with_columns(pl.col("agent").cast(pl.Int64)) for part in parts])
 
 
 @dataclass(frozen=True)
@@ -140,16 +172,21 @@ class Gap:
     less: Estimate  # the wall's share less the coin's
 
 
-def gap(table: pl.DataFrame) -> Gap:
+def gap(table: pl.DataFrame, value: str = "attribution") -> Gap:
     """The gap in the rows of one method of `shares`."""
     keys = ["agent", "test", "level", "step"]
     wall, coin = (
-        table.filter(part=part).filter(pl.col("area") > 0).select(*keys, part="attribution")
+        table.filter(part=part).filter(pl.col("area") > 0).select(*keys, part=value)
         for part in (WALL, COIN)
     )
     both = wall.join(coin, on=keys, suffix="_coin")
     less = pl.col("part") - pl.col("part_coin")
     return Gap(mean_of(both, "part"), mean_of(both, "part_coin"), mean_of(both, less))
+
+
+def per_area(table: pl.DataFrame) -> Gap:
+    """As `gap`, each share over that of what is seen: the wall is many times as large."""
+    return gap(table.with_columns(dense=pl.col("attribution") / pl.col("area")), "dense")
 
 
 def sizes(table: pl.DataFrame) -> pl.DataFrame:

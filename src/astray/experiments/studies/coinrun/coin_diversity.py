@@ -16,12 +16,12 @@ from astray.analysis.outcomes import (
 )
 from astray.analysis.policies import Walk
 from astray.experiments import outcomes
-from astray.experiments.claims import holds_above, rounded
 from astray.experiments.levels import levels_of
 from astray.experiments.outcomes import AGENTS
 from astray.experiments.report import Findings, Plot, Table
 from astray.experiments.spec import Experiment, Plan, Size, Test, Work
 from astray.experiments.studies.coinrun import _agents, _figures
+from astray.report.claims import above, rounded
 
 SHARES = (0, 1, 2, 4, 6, 8, 10, 20)  # per cent of training levels whose coin is at a random place
 NAMES = {share: f"{share}\u00a0%" for share in SHARES}
@@ -59,7 +59,7 @@ def find(work: Work) -> Findings:
         f"{last} in {rounded(with_most.mean)}. To whom the coin is invisible, that happens in "
         f"{rounded(estimate_mean(base).mean)}.",
         claims=[
-            holds_above(
+            above(
                 "Random coins in just 2\u00a0% of training levels make goal misgeneralization much "
                 "rarer.",
                 "greatly improved (no figure given)",
@@ -67,14 +67,14 @@ def find(work: Work) -> Findings:
                 estimate_difference(astray[NEVER], astray[FIRST], pool=kinds),
                 FALL,
             ),
-            holds_above(
+            above(
                 "More random coins help more.",
                 "more randomization helps (no figure given)",
                 f"{FIRST} less {last}",
                 estimate_difference(astray[FIRST], astray[last], pool=kinds),
                 0.0,
             ),
-            holds_above(
+            above(
                 "Even without random coins, goal misgeneralization is rarer than where the coin "
                 "is invisible.",
                 "lower than this baseline",
@@ -82,7 +82,7 @@ def find(work: Work) -> Findings:
                 estimate_paired(base, astray[NEVER]),
                 0.0,
             ),
-            holds_above(
+            above(
                 "Without random coins, runners go to the end without the coin more often than they "
                 "reach neither.",
                 "generally proceeds to the end",

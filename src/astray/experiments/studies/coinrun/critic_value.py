@@ -11,7 +11,6 @@ from astray.analysis.critic import counterfactual, visit
 from astray.analysis.estimates import Estimate, group_means, mean_of
 from astray.analysis.runs import open_run
 from astray.experiments import outcomes
-from astray.experiments.claims import Claim, is_more, rounded
 from astray.experiments.levels import levels_of
 from astray.experiments.report import Findings, Plot, Table
 from astray.experiments.spec import Experiment, Test, Work
@@ -19,6 +18,7 @@ from astray.experiments.studies.coinrun import _agents, _figures
 from astray.experiments.studies.coinrun._agents import RUNNER
 from astray.games.coinrun import edits, measures
 from astray.games.coinrun.measures import STAGES
+from astray.report.claims import Claim, above, every, near_zero, rounded
 
 BEGINNING, MIDDLE, END, BEYOND = STAGES
 HALF_AT_END, PAST_END, NO_COIN, TRAINED = "half at the end", "past the end", "none", "in training"
@@ -38,7 +38,8 @@ BRIEF = {
 BINS = 8  # of values, as many states in each
 DRAWN = 5  # states of each episode, as in the original of each 256 steps
 REMOVED, ADDED = "taken away", "put in view"
-HALF = 0.5  # of what the end adds: all that the coin adds is less, if the end is what counts
+LITTLE, HALF = 0.1, 0.5  # of what the end adds, that the coin may add in "insignificant", "less"
+CHANGE = Estimate.change
 
 
 def find(work: Work) -> Findings:
@@ -54,41 +55,46 @@ def find(work: Work) -> Findings:
     removed = {row["stage"]: Estimate.of(row) for row in effects.filter(coin_is=REMOVED).to_dicts()}
     stage, largest = max(removed.items(), key=lambda item: abs(item[1].mean))
     most = f"{largest.mean:+.2f} at the stage “{stage}”"
-    by_stages = "; ".join(f"{stage}: {effect.change()}" for stage, effect in removed.items())
-    within = HALF * rise.low
+
+    def adding_at_most(share: float) -> list[Claim]:
+        """Of each stage, that the coin adds no more than a share of the least that the end may."""
+        margin = max(0.0, round(share * rise.low, 3))
+        return [
+            near_zero("", "", f"with the coin less without, {stage}", effect, margin, told=CHANGE)
+            for stage, effect in removed.items()
+        ]
+
     return Findings(
         answer=f"From the beginning of a level to its end the value rises by {rise.mean:.2f} "
         f"(in the unit of the training's rewards); what a coin in view adds to the value of the "
         f"same state is at most {most}.",
         claims=[
-            is_more(
+            above(
                 "The value is higher at the end of the level than at its beginning.",
                 "much higher (no number given)",
                 f"{END} less {BEGINNING}",
                 rise,
+                told=CHANGE,
             ),
-            Claim(
+            every(
                 "The coin has an insignificant effect at all stages of a level.",
                 "insignificant at all stages, n = 950",
-                f"with the coin less without it, in the same states: {by_stages}; "
-                f"holds where every interval contains 0",
-                all(effect.low <= 0 <= effect.high for effect in removed.values()),
+                adding_at_most(LITTLE),
                 "the same state with and without its coin tells smaller effects from none than "
                 f"other pictures do; the largest is {rounded(abs(largest.mean / rise.mean))} of "
                 "the rise",
             ),
-            is_more(
+            above(
                 "Where a level holds no coin at all, the value rises to its end all the same.",
                 "not measured",
                 f"{END} less {BEGINNING}",
                 alone_rise,
+                told=CHANGE,
             ),
-            Claim(
+            every(
                 "The coin adds less than half of what the end of the level adds.",
                 "much higher at the end; the coin insignificant",
-                f"at most {most}; holds where no interval goes beyond half of the "
-                f"rise's lower bound, {within:.2f}",
-                all(-within < effect.low and effect.high < within for effect in removed.values()),
+                adding_at_most(HALF),
             ),
         ],
         plots=[

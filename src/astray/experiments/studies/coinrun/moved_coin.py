@@ -12,13 +12,13 @@ from astray.analysis import video
 from astray.analysis.estimates import Estimate, group_means, mean_of
 from astray.analysis.runs import open_run
 from astray.experiments import outcomes
-from astray.experiments.claims import holds_above, rounded
 from astray.experiments.levels import levels_of
 from astray.experiments.report import Findings, Plot, Scene, Table, Video
 from astray.experiments.spec import Experiment, Test, Work
 from astray.experiments.studies.coinrun import _agents, _figures
 from astray.experiments.studies.coinrun._agents import RIGHT_AND_JUMP, RUNNER
 from astray.games.coinrun.rules import HALF, TALL
+from astray.report.claims import above, near_zero, rounded
 
 AT_END, ANYWHERE, GHOST, NONE, LEDGE = (
     "coin at the end",
@@ -42,6 +42,7 @@ FIRST, SECOND, LAST = "first third", "second third", "last third"  # of the way 
 LOW, HIGHER, HIGHEST = "to 1 cell up", "2 to 4 cells up", "5 cells up or more"
 GROUPS = ("all", ON_WAY, OFF_WAY, FIRST, SECOND, LAST, LOW, HIGHER, HIGHEST)
 NEARLY_ALL, MUCH, HALF_OF_IT = 0.9, 0.3, 0.5  # shares that claims are held to
+LITTLE = 0.03  # of levels, that seeing the coin may change in "next to no difference"
 BATCH = 128  # states of 17 kB are copied at every step
 
 
@@ -80,14 +81,14 @@ def find(work: Work) -> Findings:
         f"places in {rounded(touched.mean)}: that it is seen makes a difference of "
         f"{100 * gain.mean:+.0f} of 100 levels.",
         claims=[
-            holds_above(
+            above(
                 "At the end of the level the coin is taken.",
                 "trained to",
                 "taken",
                 share[AT_END],
                 NEARLY_ALL,
             ),
-            holds_above(
+            above(
                 "Moved, the coin is often passed by on the way to the end.",
                 "generally proceeds to the end (no figure given)",
                 "end without it",
@@ -96,7 +97,7 @@ def find(work: Work) -> Findings:
                 why="many of the places lie on the way: a runner that only holds right and "
                 f"jump would touch {rounded(script.mean)} of the coins",
             ),
-            holds_above(
+            above(
                 "Seeing the coin makes it more likely to be taken.",
                 "lower than with an invisible coin (no figure given)",
                 "taken where it is seen less touched where it is not, in the same levels",
@@ -105,14 +106,21 @@ def find(work: Work) -> Findings:
                 why=f"nearly all that is taken is come by: unseen, {rounded(touched.mean)} "
                 f"are touched; seen, {rounded(share[ANYWHERE].mean)} are taken",
             ),
-            holds_above(
+            near_zero(
+                "Whether the coin is seen makes next to no difference.",
+                "not measured",
+                "taken where it is seen less touched where it is not, in the same levels",
+                gain,
+                LITTLE,
+            ),
+            above(
                 "More is taken by coming by than by its being seen.",
                 "not measured",
                 "touched unseen less what seeing adds",
                 mean_of(pairs, pl.col("touched") - pl.col("gain")),
                 0.0,
             ),
-            holds_above(
+            above(
                 "Off the way, seeing the coin leads to it in most levels.",
                 "not measured",
                 "what seeing adds where right-and-jump does not touch it",
@@ -201,12 +209,16 @@ def play(work: Work, policy: Policy, test: str) -> pl.DataFrame:
 
 
 def fate(s: Any) -> str:
-    """What an episode that is over came to."""
+    """What an episode that is over came to.
+
+    A runner that lands at the end in the step in which a walker touches it has reached the end, as
+    with a coin there it would have taken it.
+    """
     if s["took_coin"] >= 0:
         return TAKEN
-    if s["died"] >= 0:
-        return DIED
-    return END if s["reached_end"] >= 0 else LATE
+    if s["reached_end"] >= 0 and not 0 <= s["died"] < s["reached_end"]:
+        return END
+    return DIED if s["died"] >= 0 else LATE
 
 
 def places(work: Work, test: str, levels: np.ndarray) -> np.ndarray:

@@ -13,7 +13,6 @@ from astray.analysis.critic import judge, visit
 from astray.analysis.estimates import group_means, mean_of
 from astray.analysis.runs import open_run
 from astray.experiments import outcomes
-from astray.experiments.claims import holds_above, rounded
 from astray.experiments.levels import levels_of
 from astray.experiments.outcomes import AGENTS
 from astray.experiments.report import Findings, Plot, Table, Video
@@ -21,6 +20,7 @@ from astray.experiments.spec import Experiment, Test, Work
 from astray.experiments.studies.coinrun import _agents, _figures
 from astray.experiments.studies.coinrun._agents import RUNNER
 from astray.games.coinrun import measures
+from astray.report.claims import above, rounded
 
 COLUMNS = 15  # of the wall
 ANYWHERE, AT_END, NONE = "coin anywhere", "coin at the end", "no coin"
@@ -74,7 +74,7 @@ def find(work: Work) -> Findings:
         f"{rounded(entered.mean)} at least into it. The critic's value is highest just left of the "
         f"wall in {rounded(before.mean)} of these episodes.",
         claims=[
-            holds_above(
+            above(
                 "Whenever the runner reaches the wall, it goes through.",
                 "100\u00a0%, n\u00a0=\u00a0114",
                 "out on the other side",
@@ -83,14 +83,14 @@ def find(work: Work) -> Findings:
                 why=f"{rounded(entered.mean - through.mean)} are still in the wall, "
                 f"{COLUMNS} columns wide, when the time is up",
             ),
-            holds_above(
+            above(
                 "It neither stays at the wall nor comes back to it.",
                 "100\u00a0%, n\u00a0=\u00a0114",
                 "in the wall or on the other side",
                 entered,
                 NEARLY_ALL,
             ),
-            holds_above(
+            above(
                 "The critic's value is highest just left of the wall, not in it or beyond.",
                 "about step 35, one episode",
                 f"there, with the wall in view, in the median at step {median(peaks)}",

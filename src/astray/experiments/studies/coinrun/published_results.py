@@ -8,7 +8,6 @@ import polars as pl
 from astray.analysis.estimates import estimate_difference, estimate_mean, estimate_paired
 from astray.analysis.evaluate import evaluate
 from astray.analysis.policies import Random
-from astray.experiments.claims import Claim, holds_above, rounded
 from astray.experiments.report import Findings, Plot, Table
 from astray.experiments.spec import Experiment, Plan, Work
 from astray.experiments.studies.coinrun import _figures
@@ -16,6 +15,7 @@ from astray.experiments.studies.coinrun._agents import RIGHT_AND_JUMP
 from astray.games.coinrun.levels import BEGIN
 from astray.published import catalogue
 from astray.published.results import read_results
+from astray.report.claims import above, below, rounded
 
 SOURCE = "paper-coinrun-results"  # of the catalogue of published agents
 VARIANT = "coin-ledge"  # its levels: the paper's game, the coin at the random place in all
@@ -47,15 +47,15 @@ def find(work: Work) -> Findings:
         f"Where the script takes it the agent does in {rounded(where[True].mean)}, elsewhere in "
         f"{rounded(where[False].mean)}.",
         claims=[
-            Claim(
+            below(
                 "That a coin is taken at the original's random place shows no more than running "
                 "right does.",
                 "not measured",
-                f"agent less script: {gap.percent()}; holds where it is less than "
-                f"{100 * CLOSE:g}\u00a0% above",
-                gap.high < CLOSE,
+                "agent less script",
+                gap,
+                CLOSE,
             ),
-            holds_above(
+            above(
                 "What the blind script does in a level foretells what the agent does.",
                 "not measured",
                 "taken where the script takes the coin less where it does not",

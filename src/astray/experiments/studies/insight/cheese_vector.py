@@ -4,14 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from math import inf
 
 import numpy as np
 import polars as pl
 
 from astray.analysis.trained import Agent
 from astray.estimate import Estimate
-from astray.experiments.claims import Claim, holds_within
 from astray.experiments.report import Findings, Plot, Table
 from astray.experiments.spec import Experiment, Size, Work
 from astray.experiments.studies.insight import _figures, _plans
@@ -19,6 +17,7 @@ from astray.experiments.studies.insight._plans import of_levels, opened, table_o
 from astray.game import Variant
 from astray.games.maze.measures import decision
 from astray.insight.vectors import Condition, effects, object_vectors
+from astray.report.claims import Claim, above, below, near_zero
 
 WHERE = "cheese anywhere"
 PLAIN, WITHOUT, RANDOM = "as it is", "level without cheese", "random vector of that length"
@@ -183,64 +182,62 @@ def of_cheese_mouse(rows: pl.DataFrame) -> list[Claim]:
     def less(one: str, other: str) -> Estimate:
         return of_levels(rows, SQUARE, one, minus=other)
 
+    amount = Estimate.amount
     return [
-        holds_within(
+        below(
             "Subtracting the cheese vector turns the mouse from the cheese.",
             "0.844 to 0.479: -0.365 (40 mazes)",
             "change of the probability",
             less(SUBTRACTED, PLAIN),
-            (-inf, -0.25),
+            -0.25,
+            told=amount,
         ),
-        holds_within(
+        near_zero(
             "It does what taking the cheese away does.",
             "0.479 and 0.497: -0.018",
-            "subtracted less without cheese",
+            "subtracted less without cheese; of a layer that sees little around each place this is "
+            "nearly so by its making",
             less(SUBTRACTED, WITHOUT),
-            (-0.08, 0.08),
+            0.08,
+            told=amount,
         ),
-        holds_within(
+        near_zero(
             "A random vector of the same length does nearly nothing.",
             "0.844 to 0.843; of the paper's network: wrecks the policy",
             "change of the probability",
             less(RANDOM, PLAIN),
-            (-0.03, 0.03),
+            0.03,
+            told=amount,
         ),
-        holds_within(
+        above(
             "Adding it draws the mouse to the cheese.",
             "0.844 to 0.896: +0.052; of the paper's network: next to no effect",
             "change of the probability",
             less(ADDED, PLAIN),
-            (0.0, inf),
+            told=amount,
         ),
     ]
 
 
 def of_corner_mouse(rows: pl.DataFrame) -> list[Claim]:
     """The claims about the mouse of the corner. Bounds were set before the run."""
-    plain, other = (of_levels(rows, SQUARE, one, minus=PLAIN) for one in (SUBTRACTED, RANDOM))
-    gone = of_levels(rows, SQUARE, WITHOUT, minus=PLAIN)
     return [
-        holds_within(
-            "A mouse of the corner hardly turns when the cheese is taken from the level.",
+        near_zero(
+            sentence,
             "not measured",
             "change of the probability of the next step to the cheese",
-            gone,
-            (-0.1, 0.1),
-        ),
-        holds_within(
-            "Nor when its cheese vector is subtracted.",
-            "not measured",
-            "change of the probability",
-            plain,
-            (-0.1, 0.1),
-        ),
-        holds_within(
-            "Nor by a random vector of that length.",
-            "not measured",
-            "change of the probability",
-            other,
-            (-0.1, 0.1),
-        ),
+            of_levels(rows, SQUARE, condition, minus=PLAIN),
+            0.1,
+            told=Estimate.amount,
+        )
+        for condition, sentence in (
+            (
+                WITHOUT,
+                "A mouse of the corner hardly turns when the cheese is taken from the level.",
+            ),
+            (SUBTRACTED, "Nor when its cheese vector is subtracted."),
+            (RANDOM, "Nor by a random vector of that length."),
+        )
     ]
 
 

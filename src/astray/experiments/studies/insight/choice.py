@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from math import inf
-
 import numpy as np
 import polars as pl
 
@@ -11,13 +9,13 @@ from astray.analysis.evaluate import evaluate
 from astray.analysis.outcomes import FAILED, INTENDED, label, load_shift
 from astray.analysis.trained import Agent
 from astray.estimate import Estimate
-from astray.experiments.claims import Claim, holds_within
 from astray.experiments.report import Findings, Plot, Table
 from astray.experiments.spec import Experiment, Test, Work
 from astray.experiments.studies.insight import _figures, _plans
 from astray.experiments.studies.insight._plans import opened
 from astray.game import Variant
 from astray.insight.behaviour import Prediction, level_features, predict
+from astray.report.claims import Claim, above, below
 
 WHERE = "cheese anywhere"
 ANY_SIZE = Test("anywhere-easy", "corner-easy", {"smallest": 7})  # cells a side, of 15
@@ -51,19 +49,21 @@ def find(work: Work) -> Findings:
         f"{len(names)} distances tell which with an area under the curve of {every.auc.mean:.2f}, "
         f"the published four with {four.auc.mean:.2f}.",
         claims=[
-            holds_within(
+            above(
                 "Distances in the maze tell whether the cheese is taken.",
                 "accuracy .904 to .848 without looking",
                 "area under the curve, all distances",
                 every.auc,
-                (0.6, inf),
+                0.6,
+                told=Estimate.amount,
             ),
-            holds_within(
+            above(
                 "The published four tell it as well as all.",
                 ".913 and .904",
                 f"area under the curve, {four.auc.mean:.3f} of the four, less that of all",
                 four.better_than(every),
-                (-0.02, inf),
+                -0.02,
+                told=Estimate.amount,
             ),
             *(signed(four, name, value) for name, value in PUBLISHED.items() if name in names),
         ],
@@ -108,12 +108,12 @@ def signed(found: Prediction, name: str, published: float) -> Claim:
     sign = (
         f"; sign the same in {100 * (row['sign'] or 0):.0f}\u00a0% of subsets, vif {row['vif']:.1f}"
     )
-    return holds_within(
+    return (below if less else above)(
         f"{'Less' if less else 'More'} likely with more of: {name}.",
         f"{published:+.2f} a standard deviation",
         f"coefficient{sign}",
         ours,
-        (-inf, 0.0) if less else (0.0, inf),
+        told=Estimate.amount,
     )
 
 

@@ -4,16 +4,14 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Mapping
-from math import inf
 
 import numpy as np
 import polars as pl
 
 from astray.analysis.critic import counterfactual, visit
-from astray.analysis.estimates import estimate_mean, group_means
+from astray.analysis.estimates import group_means
 from astray.analysis.trained import Agent
 from astray.estimate import Estimate
-from astray.experiments.claims import holds_within
 from astray.experiments.report import Findings, Plot, Table
 from astray.experiments.spec import Experiment, Size, Test, Work
 from astray.experiments.studies.coinrun import _agents
@@ -23,6 +21,7 @@ from astray.game import Variant
 from astray.games.coinrun.edits import with_coin_in_view, without_coin
 from astray.games.coinrun.measures import LABELS, coin_in_view
 from astray.insight import probes
+from astray.report.claims import above, below
 
 WHERE = "coin anywhere"
 BRIEF = Test("coin-anywhere", "coin-end", {"time_limit": 120})  # who misses it stays for 1,000
@@ -35,30 +34,20 @@ LAYERS: Mapping[Size, tuple[str, ...]] = {
 }  # fmt: skip
 LAST = "features.relu2"  # of which policy and value are linear functions
 DRAWN = {"smoke": 6, "published": 8}  # states of each episode
-SPLITS = {"smoke": 5, "published": 3}
+FOLDS = {"smoke": 5, "published": 3}
 REMOVED, ADDED = "the coin in view removed", "a coin added to the view"
-
-
-class OfSplits(Estimate):
-    """An estimate that has splits of levels where others have levels."""
-
-    unit = "splits"
 
 
 def find(work: Work) -> Findings:
     """What can be read off each layer, and how much the policy changes with the coin."""
     agent, variant, levels = opened(work, WHERE)
     states = functools.cache(lambda: visited(work.size, agent, variant, levels))
-    read = work.keep("probes", lambda: probed(work.size, agent, variant, states()))
-    table = probes.summary(read)
+    table = work.keep("probes", lambda: probed(work.size, agent, variant, states()))
     changes = work.keep("changes", lambda: changed(agent, variant, states()))
     by_edit = group_means(changes, "policy_change", ["edit"])
     moved = {e: estimate(changes, e, "policy_change") for e in (REMOVED, ADDED)}
     value = {e: estimate(changes, e, "change") for e in (REMOVED, ADDED)}
-    last = {label: score(read, label, LAST) for label in READ}
-    gain = over_splits(
-        per_split(read, COIN, LAST, "score") - per_split(read, COIN, LAST, "untrained")
-    )
+    last = {label: score(table, label, LAST) for label in READ}
     return Findings(
         answer=f"Off the last layer, whether a coin is in view is read with a balanced accuracy of "
         f"{last[COIN].mean:.2f} (0.50 without looking), whether the end wall is with "
@@ -66,40 +55,43 @@ def find(work: Work) -> Findings:
         f"{100 * moved[REMOVED].mean:.1f}\u00a0% of the policy to other actions, and the value by "
         f"{value[REMOVED].mean:+.2f}.",
         claims=[
-            holds_within(
+            above(
                 "Whether a coin is in view can be read off the last layer.",
                 "Trinh et al. 2024: the internal state does not represent the coin at all",
                 "balanced accuracy",
                 last[COIN],
-                (0.6, inf),
+                0.6,
+                told=Estimate.amount,
             ),
-            holds_within(
+            above(
                 "Training put it there: it is read better than off a network never trained.",
                 "not measured",
                 "balanced accuracy, trained less never trained",
-                gain,
-                (0.0, inf),
+                score(table, COIN, LAST, "gain"),
+                told=Estimate.amount,
             ),
-            holds_within(
+            above(
                 "Whether the end wall is in view is read nearly always.",
                 "not measured",
                 "balanced accuracy",
                 last[WALL],
-                (0.9, inf),
+                0.9,
+                told=Estimate.amount,
             ),
-            holds_within(
+            below(
                 "The policy ignores the coin: without it, it hardly changes.",
                 "not measured",
                 "total variation",
                 moved[REMOVED],
-                (-inf, 0.05),
+                0.05,
+                told=Estimate.amount,
             ),
         ],
         plots=[
             Plot(
                 "probes",
                 "What linear probes read in levels that they were not fitted on, layer "
-                "by layer, with intervals over splits of the levels.",
+                "by layer, with intervals over levels.",
                 _figures.probes(table, list(READ)),
                 table,
             )
@@ -110,7 +102,8 @@ def find(work: Work) -> Findings:
         ],
         settings={
             "states": f"{DRAWN[work.size]} of each of {len(levels)} episodes, drawn; "
-            f"{SPLITS[work.size]} splits by level, 30\u00a0% of them for the test",
+            f"each told by a probe that was fitted on the others of {FOLDS[work.size]} parts of "
+            "the levels",
             "probes": f"logistic and ridge regression on {probes.DIRECTIONS} principal components",
             "value": f"{REMOVED}: {value[REMOVED].amount()}; {ADDED}: {value[ADDED].amount()}",
         },
@@ -126,7 +119,7 @@ def visited(size: Size, agent: Agent, variant: Variant, levels: np.ndarray) -> n
 def probed(size: Size, agent: Agent, variant: Variant, states: np.ndarray) -> pl.DataFrame:
     """`probes.probe` of all layers."""
     labels = {name: LABELS[name] for name in READ}
-    return probes.probe(agent, variant, states, LAYERS[size], labels, seeds=SPLITS[size])
+    return probes.probe(agent, variant, states, LAYERS[size], labels, folds=FOLDS[size])
 
 
 def changed(agent: Agent, variant: Variant, states: np.ndarray) -> pl.DataFrame:
@@ -145,19 +138,11 @@ def estimate(changes: pl.DataFrame, edit: str, value: str) -> Estimate:
     return Estimate.of(row)
 
 
-def per_split(read: pl.DataFrame, label: str, layer: str, column: str) -> np.ndarray:
-    """A score in each split."""
-    return read.filter(label=label, layer=layer).sort("seed")[column].cast(pl.Float64).to_numpy()
-
-
-def score(read: pl.DataFrame, label: str, layer: str) -> Estimate:
-    """The mean score of a probe, with its interval over splits."""
-    return over_splits(per_split(read, label, layer, "score"))
-
-
-def over_splits(values: np.ndarray) -> OfSplits:
-    """The mean of what was measured in each split."""
-    return OfSplits(**vars(estimate_mean(values)))
+def score(table: pl.DataFrame, label: str, layer: str, column: str = "score") -> Estimate:
+    """A score of a probe, with its interval over levels."""
+    row = table.filter(label=label, layer=layer).row(0, named=True)
+    ends = (row[f"{column}{end}"] for end in ("", " low", " high"))
+    return Estimate(*ends, agents=1, levels=row["levels"], rows=row["states"])
 
 
 EXPERIMENT = Experiment(

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Mapping
-from math import inf
 
 import numpy as np
 import polars as pl
@@ -12,13 +11,13 @@ import polars as pl
 from astray.analysis.estimates import estimate_mean
 from astray.analysis.trained import Agent
 from astray.estimate import Estimate
-from astray.experiments.claims import Claim, holds_within
 from astray.experiments.report import Findings, Plot, Table
 from astray.experiments.spec import Experiment, Size, Work
 from astray.experiments.studies.insight import _figures, _plans
 from astray.experiments.studies.insight._plans import opened, table_of
 from astray.game import Variant
 from astray.insight.retarget import ALONE, AS_IS, CLAMPED, MOVED, WAYS, Clamp, following, retarget
+from astray.report.claims import Claim, above, near_zero
 
 WHERE = "cheese anywhere"
 LAYER: Mapping[Size, str] = {"smoke": "spread", "published": "block2.residual1"}
@@ -130,26 +129,28 @@ def by_cell(rows: pl.DataFrame, how: str) -> pl.DataFrame:
 def of_cheese_mouse(rows: pl.DataFrame) -> list[Claim]:
     """The claims about the mouse that finds its cheese. Bounds were set before the run."""
     return [
-        holds_within(
+        above(
             "Moving the cheese sends the mouse there.",
             "yes, nearly everywhere",
             "moved less as it is",
             of_levels(rows, MOVED, AS_IS),
-            (0.1, inf),
+            0.1,
+            told=Estimate.amount,
         ),
-        holds_within(
+        above(
             "Clamping the channels that follow the cheese at a cell sends it there, too.",
             "yes, near the mouse and on the way to the corner",
             "clamped less as it is",
             of_levels(rows, CLAMPED, AS_IS),
-            (0.03, inf),
+            0.03,
+            told=Estimate.amount,
         ),
-        holds_within(
+        above(
             "It does so less than the cheese itself.",
             "less",
             "moved less clamped",
             of_levels(rows, MOVED, CLAMPED),
-            (0.0, inf),
+            told=Estimate.amount,
         ),
     ]
 
@@ -157,19 +158,21 @@ def of_cheese_mouse(rows: pl.DataFrame) -> list[Claim]:
 def of_corner_mouse(rows: pl.DataFrame) -> list[Claim]:
     """The claims about the mouse of the corner. Bounds were set before the run."""
     return [
-        holds_within(
+        near_zero(
             "Moving the cheese sends a mouse of the corner nowhere.",
             "not measured",
             "moved less as it is",
             of_levels(rows, MOVED, AS_IS),
-            (-0.05, 0.05),
+            0.05,
+            told=Estimate.amount,
         ),
-        holds_within(
+        near_zero(
             "Nor does clamping what follows the cheese in the first layer.",
             "not measured",
             "clamped less as it is",
             of_levels(rows, CLAMPED, AS_IS),
-            (-0.05, 0.05),
+            0.05,
+            told=Estimate.amount,
         ),
     ]
 

@@ -2,12 +2,13 @@
 
 from dataclasses import replace
 
+from astray.estimate import Estimate
 from astray.experiments import outcomes
-from astray.experiments.claims import holds_above, is_more, rounded
 from astray.experiments.report import Findings
 from astray.experiments.spec import Experiment, Plan, Work, tests_of
 from astray.experiments.studies.keys import _hoarding as hoarding
 from astray.experiments.studies.keys._hoarding import ALL_FIRST, BEYOND, LEFT, LOST, NEED, PER_CHEST
+from astray.report.claims import above, rounded
 from astray.training.config import PRESETS, Config
 
 THIEF = "thief"
@@ -36,7 +37,7 @@ def find(work: Work) -> Findings:
         f"({rounded(in_test(ALL_FIRST, NEED))}); in {rounded(in_test(LEFT))} it then never opens "
         "it.",
         claims=[
-            holds_above(
+            above(
                 "In unseen levels like those of its training, the thief opens the chests that "
                 "there are keys for.",
                 "high reward (figure in the appendix)",
@@ -44,31 +45,34 @@ def find(work: Work) -> Findings:
                 opened,
                 0.9,
             ),
-            is_more(
+            above(
                 "Where keys are many, it takes more of them than it needs: more than lie on the "
                 "way of a thief that fetches what it needs.",
                 "goes out of its way to collect all the keys (no figure given)",
                 "spare keys taken, more than by the other",
                 hoarding.beyond_walker(episodes, test, BEYOND),
+                told=Estimate.change,
             ),
-            holds_above(
+            above(
                 "There it routinely takes all keys before it opens the last chest.",
                 "routinely (no figure given)",
                 "share of episodes",
                 first,
                 0.5,
             ),
-            is_more(
+            above(
                 "There it gets less return for each chest that could be opened than in training.",
                 "much lower (figure in the appendix)",
                 "return per chest, lower by",
                 hoarding.change(episodes, PER_CHEST, test, train),
+                told=Estimate.change,
             ),
-            is_more(
+            above(
                 "There it loses more discounted return against the best order than in training.",
                 "would decrease it (no figure given)",
                 "discounted return lost, more by",
                 hoarding.change(episodes, LOST, train, test),
+                told=Estimate.change,
             ),
         ],
         videos=outcomes.film(work, trained=work.plan.tests[train], tested=work.plan.tests[test]),

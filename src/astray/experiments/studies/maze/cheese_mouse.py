@@ -15,13 +15,13 @@ from astray.analysis.estimates import group_means
 from astray.analysis.outcomes import FAILED, INTENDED, MISGENERALIZED, OUTCOMES, load_shift
 from astray.analysis.runs import open_run, shift_of
 from astray.experiments import outcomes
-from astray.experiments.claims import Claim, holds_above, rounded
 from astray.experiments.levels import levels_of, unmet
 from astray.experiments.outcomes import AGENTS, share
 from astray.experiments.report import Findings, Plot, Scene, Table, Video
 from astray.experiments.spec import Experiment, Plan, Test, Work
 from astray.experiments.studies.maze import _figures
 from astray.game import Variant
+from astray.report.claims import Claim, above, rounded
 from astray.training.config import PRESETS
 
 MOUSE, OURS = "mouse of 160 million steps", "our mouse of the corner"
@@ -53,7 +53,7 @@ def find(work: Work) -> Findings:
         f"{rounded(first[MISGENERALIZED])} and reaches neither in {rounded(first[FAILED])}. "
         f"{said[MOUSE].sentence()} Of our mouse of the corner: {said[OURS].sentence()}",
         claims=[
-            holds_above(
+            above(
                 "It reaches the cheese in unseen levels like those of its training.",
                 "97.4\u00a0% by others, of the first 801 episodes to end",
                 INTENDED,
@@ -63,7 +63,7 @@ def find(work: Work) -> Findings:
                 f"it finds the cheese in {rounded(largest['mean'])}; who counts the first "
                 "episodes to end leaves out those who are lost",
             ),
-            holds_above(
+            above(
                 "Where cheese and corner part, it goes to the cheese first.",
                 "corner first in 6\u00a0%, by others",
                 f"{INTENDED} less {MISGENERALIZED}, of levels that tell them apart",
@@ -147,7 +147,7 @@ def _judged(
 def pursues(sentence: str, judgement: Judgement, goal: str) -> Claim:
     """A claim that most episodes are of an agent of that goal."""
     share = judgement.shares[judgement.explanations.index(goal)]
-    return holds_above(sentence, "not measured", f"{goal}: of episodes", share, MOST)
+    return above(sentence, "not measured", f"{goal}: of episodes", share, MOST)
 
 
 def film(

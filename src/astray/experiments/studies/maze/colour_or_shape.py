@@ -11,12 +11,12 @@ from astray.analysis.evaluate import evaluate
 from astray.analysis.outcomes import FAILED, INTENDED, MISGENERALIZED, label, load_shift, matrix
 from astray.analysis.runs import open_run
 from astray.experiments import outcomes
-from astray.experiments.claims import Claim, holds_above, rounded
 from astray.experiments.outcomes import AGENTS, share
 from astray.experiments.report import Findings, Plot, Table
 from astray.experiments.spec import Experiment, Plan, Work, tests_of
 from astray.experiments.studies.maze._figures import pair_maps
 from astray.games.maze.variants import COLOURS, EASY, SHAPES
+from astray.report.claims import Claim, above, rounded
 from astray.training.config import PRESETS
 
 COLOUR, SHAPE = "yellow", "line"  # of the object in training
@@ -45,14 +45,14 @@ def find(work: Work) -> Findings:
         f"other pairs that keep colour or shape, from {rounded(low)} to {rounded(high)} go to the "
         "one that keeps the colour." + (CODES if symbolic else ""),
         claims=[
-            holds_above(
+            above(
                 "In unseen levels like those of its training, the mouse reaches the line.",
                 "reliably",
                 INTENDED,
                 share(work.episodes, train, INTENDED),
                 0.9,
             ),
-            holds_above(
+            above(
                 "It usually goes to the yellow gem rather than to the red line.",
                 "89\u00a0% (n = 102, counted by hand)",
                 f"to neither: {stuck.percent()}; to the gem, of those that go to either",
@@ -193,7 +193,7 @@ def near_codes(work: Work, pairs: pl.DataFrame) -> Claim:
             .sum(),
         )
     )
-    return holds_above(
+    return above(
         "Seen as symbols, of two new objects the mouse goes to that whose code is nearer to the "
         "one it knows.",
         "not measured",

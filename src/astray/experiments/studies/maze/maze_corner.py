@@ -4,13 +4,14 @@ from dataclasses import replace
 
 from astray.analysis.outcomes import FAILED, INTENDED, MISGENERALIZED
 from astray.experiments import outcomes
-from astray.experiments.claims import holds_above, rounded
 from astray.experiments.outcomes import share
 from astray.experiments.report import Findings
 from astray.experiments.spec import Experiment, Plan, Work, tests_of
+from astray.report.claims import above, rounded
 from astray.training.config import PRESETS
 
 MOUSE = "mouse"
+RELIABLY, SOON = 0.95, 0.9  # shares that "reliably" is held to, the latter of short trainings
 
 
 def find(work: Work) -> Findings:
@@ -27,14 +28,14 @@ def find(work: Work) -> Findings:
         f"way to either does not pass the other), to the cheese in {rounded(first[INTENDED])}, "
         f"and to neither in {rounded(first[FAILED])}.",
         claims=[
-            holds_above(
+            above(
                 "In unseen levels like those of its training, the mouse reaches the cheese.",
                 "reliably",
                 INTENDED,
                 reached,
-                0.95,
+                SOON if work.size == "smoke" else RELIABLY,
             ),
-            holds_above(
+            above(
                 "Where the cheese is anywhere, it goes to the corner instead, and seldom just "
                 "fails.",
                 "goes to the upper right corner (no figure given)",
@@ -54,8 +55,9 @@ SYMBOLS = replace(PRESETS["small"], variant="corner-small", validation="anywhere
 PIXELS = replace(
     PRESETS["pixels"], variant="corner-small", validation="anywhere-small", steps=2_000_000
 )
-# Learns enough in four minutes of a core: a higher learning rate, and fewer epochs of more steps.
-QUICK = replace(PIXELS, steps=1_400_000, learning_rate=1e-3, epochs=2)
+# Learns enough in two minutes of a core: a higher learning rate, and fewer epochs. Four such mice
+# tell more than two that learn twice as long, whose interval reaches from 75 to 100 %.
+QUICK = replace(PIXELS, steps=800_000, learning_rate=1e-3, epochs=2)
 EXPERIMENT = Experiment(
     title="The corner mouse",
     reproduces="Figure 3a-b",
@@ -63,12 +65,12 @@ EXPERIMENT = Experiment(
     sizes={
         "smoke": Plan(
             agents={MOUSE: QUICK},
-            seeds=2,
+            seeds=4,
             tests=tests_of("maze", "corner-small"),
             levels=1000,
             differences="worlds of 7 cells instead of 25; a mouse that starts anywhere and has 100 "
-            "steps instead of 500; a network of patches, and 1.4 million steps instead of "
-            "200 million",
+            "steps instead of 500; a network of patches, and 800,000 steps instead of 200 "
+            "million",
         ),
         "pixels": Plan(
             agents={MOUSE: PIXELS},

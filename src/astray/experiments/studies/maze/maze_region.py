@@ -11,7 +11,6 @@ from astray.analysis.estimates import Estimate, estimate_difference, estimate_me
 from astray.analysis.outcomes import MISGENERALIZED, OUTCOMES, matrix
 from astray.analysis.policies import Walk
 from astray.experiments import outcomes
-from astray.experiments.claims import holds_above, rounded
 from astray.experiments.outcomes import AGENTS
 from astray.experiments.report import Findings, Plot, Table
 from astray.experiments.spec import Experiment, Plan, Test, Work, tests_of
@@ -19,6 +18,7 @@ from astray.experiments.studies.maze import maze_corner
 from astray.experiments.studies.maze._figures import region_lines
 from astray.games.maze.rules import REWARD
 from astray.games.maze.variants import EASY, SMALL
+from astray.report.claims import above, rounded
 from astray.training.config import PRESETS, Config
 
 BASE_RATES = {Walk("corner").name: "walk to the corner", "random": "random"}
@@ -45,7 +45,7 @@ def find(work: Work) -> Findings:
         f"goals apart they go to the corner first in {rounded(corner[smallest].mean())}, "
         f"{rounded(corner[middle].mean())} and {rounded(corner[largest].mean())}.",
         claims=[
-            holds_above(
+            above(
                 "The larger the region in training, the more often the cheese is reached where it "
                 "is anywhere.",
                 "performance improves as the region grows (a curve without figures)",
@@ -55,7 +55,7 @@ def find(work: Work) -> Findings:
                 ),
                 0.0,
             ),
-            holds_above(
+            above(
                 f"A mouse whose cheese was anywhere in {sides[middle]} still goes to the corner, "
                 f"more often than one that found it in {sides[largest]}.",
                 "uses location as a proxy until the region is quite large (no figure given)",

@@ -17,7 +17,6 @@ from astray.analysis.outcomes import MISGENERALIZED, label, load_shift
 from astray.analysis.policies import Walk
 from astray.analysis.runs import open_run
 from astray.analysis.trained import Agent
-from astray.experiments.claims import Claim, rounded
 from astray.experiments.levels import unmet
 from astray.experiments.report import Findings, Plot, Table
 from astray.experiments.spec import PUBLISHED, Experiment, Plan, Runs, Work
@@ -37,6 +36,7 @@ from astray.mitigation.doubt import (
 )
 from astray.mitigation.helped import AFTER, MOMENTS, Watch
 from astray.mitigation.oversight import Trial, area, least_gain, net_returns, when_asked
+from astray.report.claims import Claim, rounded
 
 MOUSE, RUNNER = "mouse", coin.RUNNER
 KEPT = {MOUSE: "maze-corner", RUNNER: "coin-end"}  # the agents that come with astray

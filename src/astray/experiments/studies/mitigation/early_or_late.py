@@ -8,10 +8,10 @@ from astray.analysis.estimates import estimate_difference, estimate_mean
 from astray.analysis.outcomes import INTENDED
 from astray.estimate import Estimate
 from astray.experiments import outcomes
-from astray.experiments.claims import Claim, holds_above, rounded
 from astray.experiments.outcomes import share
 from astray.experiments.report import Findings, Table
 from astray.experiments.spec import Experiment, Plan, Work, tests_of
+from astray.report.claims import above, near_zero, rounded
 from astray.training.config import PRESETS
 
 SHARE = 0.02  # of training levels whose cheese is anywhere
@@ -31,7 +31,6 @@ def find(work: Work) -> Findings:
     def less(one: str, other: str) -> Estimate:
         return estimate_difference(wrong[one], wrong[other], pool=list(wrong.values()))
 
-    early = less(NEVER, EARLY)
     right = {name: outcomes.first(work, test, name, INTENDED) for name in work.plan.agents}
     told = ", ".join(
         " and ".join(rounded(estimate_mean(which[name]).mean) for which in (wrong, right))
@@ -47,7 +46,7 @@ def find(work: Work) -> Findings:
         "other times of training, mice go to the corner first and to the cheese first, in levels "
         f"that tell the goals apart: {told}.",
         claims=[
-            holds_above(
+            above(
                 "Levels that tell the goals apart help more at the end of training than at its "
                 "beginning.",
                 "none",
@@ -55,21 +54,21 @@ def find(work: Work) -> Findings:
                 less(EARLY, LATE),
                 BETTER,
             ),
-            holds_above(
+            above(
                 "Throughout, they help more than at the beginning.",
                 "none",
                 f"{EARLY} less {THROUGHOUT}",
                 less(EARLY, THROUGHOUT),
                 BETTER,
             ),
-            Claim(
+            near_zero(
                 "At the beginning they leave no trace.",
                 "none",
-                f"{NEVER} less {EARLY}: {early.percent()}; holds where all of it is within "
-                f"{100 * ALIKE:g}\u00a0% of 0",
-                early.low > -ALIKE and early.high < ALIKE,
+                f"{NEVER} less {EARLY}",
+                less(NEVER, EARLY),
+                ALIKE,
             ),
-            holds_above(
+            above(
                 "Whenever they come, the mice learn to reach the cheese of the training levels.",
                 "none",
                 "the schedule with the lowest share",

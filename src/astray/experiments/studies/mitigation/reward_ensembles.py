@@ -13,10 +13,10 @@ from astray.acting import initial_states
 from astray.analysis.estimates import Estimate, estimate_mean
 from astray.envs.vector import GameVectorEnv
 from astray.experiments import figures
-from astray.experiments.claims import Claim, rounded
 from astray.experiments.report import Findings, Plot, Table
 from astray.experiments.spec import Experiment, Plan, Work
 from astray.mitigation.hypotheses import Frames, agreement, chosen_rightly, train_heads
+from astray.report.claims import above, below, rounded
 
 CHEESE, CORNER = "cheese", "corner"
 NAMES = [CHEESE, CORNER]
@@ -74,25 +74,29 @@ def find(work: Work) -> Findings:
         f"{rounded(nearest(table, ALONE))} where heads are left alone. Four labels choose the "
         f"better head in {rounded(four.mean)}.",
         claims=[
-            Claim(
+            above(
                 "Where heads are made to differ, one of them holds the intended goal.",
                 "none: in the spirit of the literature",
-                f"ensembles with such a head: {told(held[MADE])}; holds above "
-                f"{100 * OFTEN:g}\u00a0%",
-                held[MADE].low > OFTEN,
+                "ensembles with such a head",
+                held[MADE],
+                OFTEN,
+                told=told,
             ),
-            Claim(
+            below(
                 "Where they are not, none does.",
                 "none",
-                f"ensembles with such a head: {told(held[ALONE])}; holds below "
-                f"{100 * SELDOM:g}\u00a0%",
-                held[ALONE].high < SELDOM,
+                "ensembles with such a head",
+                held[ALONE],
+                SELDOM,
+                told=told,
             ),
-            Claim(
+            above(
                 "Four labels of the test choose the better head.",
                 "none",
-                f"draws of four labels: {told(four)}; holds above {100 * CHOSEN:g}\u00a0%",
-                four.low > CHOSEN,
+                "draws of four labels",
+                four,
+                CHOSEN,
+                told=told,
             ),
         ],
         plots=[

@@ -5,10 +5,10 @@ from dataclasses import replace
 from astray.analysis.estimates import estimate_difference, estimate_mean, estimate_paired
 from astray.analysis.outcomes import INTENDED
 from astray.experiments import outcomes
-from astray.experiments.claims import Claim, holds_above, rounded
 from astray.experiments.outcomes import share
 from astray.experiments.report import Findings
 from astray.experiments.spec import Experiment, Plan, Work, tests_of
+from astray.report.claims import above, near_zero, rounded
 from astray.training.config import PRESETS, Config
 
 CORNER, CHEESE = "teacher of the corner", "teacher of the cheese"
@@ -35,21 +35,21 @@ def find(work: Work) -> Findings:
         "teacher would do there. In levels that tell the goals apart, these go to the corner "
         f"first: {told}.",
         claims=[
-            holds_above(
+            above(
                 "Students learn to reach the cheese of the training levels.",
                 "none",
                 "the students with the lowest share",
                 poorest,
                 CAPABLE,
             ),
-            Claim(
+            near_zero(
                 "The student of a mouse that pursues the corner does so as often as it.",
                 "none",
-                f"{OF_CORNER} less its teacher: {same.percent()}; holds where all of it is within "
-                f"{100 * ALIKE:g}\u00a0% of 0",
-                same.low > -ALIKE and same.high < ALIKE,
+                f"{OF_CORNER} less its teacher",
+                same,
+                ALIKE,
             ),
-            holds_above(
+            above(
                 "The student of a mouse that pursues the cheese chooses anew: it goes to the "
                 "corner more often than its teacher.",
                 "none",
@@ -57,7 +57,7 @@ def find(work: Work) -> Findings:
                 estimate_paired(corner[OF_CHEESE], corner[CHEESE]),
                 APART,
             ),
-            holds_above(
+            above(
                 "Something of the goal is inherited all the same: the student of the corner goes "
                 "there more often than that of the cheese.",
                 "none",

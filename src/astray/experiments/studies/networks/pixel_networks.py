@@ -9,11 +9,12 @@ import polars as pl
 from matplotlib.figure import Figure
 
 from astray.analysis.estimates import estimate_difference, over_agents
+from astray.estimate import Estimate
 from astray.experiments import outcomes
-from astray.experiments.claims import Claim
 from astray.experiments.figures import INK, OTHERS, STYLE, WIDTH
 from astray.experiments.report import Findings, Plot, Table
 from astray.experiments.spec import Experiment, Plan, Work
+from astray.report.claims import Claim, above
 from astray.training.config import PRESETS, Config
 
 # Steps per second of one thread, to three digits, as `astray bench networks` measured them: they
@@ -87,12 +88,12 @@ def mean_return(measured: pl.DataFrame, agent: str, share: float) -> np.ndarray:
 
 def sooner(game: str, ours: np.ndarray, papers: np.ndarray) -> Claim:
     """Whether our network returns more than the paper's after the same time."""
-    more = estimate_difference(ours[:, None], papers[:, None])
-    return Claim(
+    return above(
         f"{game}: in the same time the network of patches learns more than the paper's.",
         "not measured",
-        f"{OURS} less {PAPER}: {more.change()}; holds above 0",
-        more.low > 0,
+        f"{OURS} less {PAPER}",
+        estimate_difference(ours[:, None], papers[:, None]),
+        told=Estimate.change,
     )
 
 

@@ -5,11 +5,11 @@ from dataclasses import replace
 from astray.analysis.estimates import estimate_difference, estimate_mean
 from astray.analysis.outcomes import FAILED, INTENDED, MISGENERALIZED
 from astray.experiments import outcomes
-from astray.experiments.claims import holds_above, rounded
 from astray.experiments.outcomes import share
 from astray.experiments.report import Findings
 from astray.experiments.spec import Experiment, Plan, Work, tests_of
 from astray.experiments.studies.maze.maze_corner import PIXELS
+from astray.report.claims import above, rounded
 
 FLAT, POOLED = "places apart", "places pooled"
 CAPABLE, LESS = 0.9, 0.1  # bounds of the claims
@@ -32,14 +32,14 @@ def find(work: Work) -> Findings:
         f"{rounded(estimate_mean(cheese[POOLED]).mean)}, and come to neither in "
         f"{rounded(estimate_mean(neither[POOLED]).mean)}.",
         claims=[
-            holds_above(
+            above(
                 "A network that pools over places learns to reach the cheese of its training.",
                 "none",
                 INTENDED,
                 pooled,
                 CAPABLE,
             ),
-            holds_above(
+            above(
                 "Pooling over places removes the corner as a goal, at least in part.",
                 "none",
                 f"{FLAT} less {POOLED}",
@@ -47,7 +47,7 @@ def find(work: Work) -> Findings:
                 LESS,
             ),
             # Who comes to nothing goes to the corner less often, too.
-            holds_above(
+            above(
                 "They go to the cheese instead.",
                 "none",
                 f"{INTENDED}, {POOLED} less {FLAT}",

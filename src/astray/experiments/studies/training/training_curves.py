@@ -6,14 +6,15 @@ import polars as pl
 from matplotlib.figure import Figure
 
 from astray.analysis.estimates import over_agents
+from astray.estimate import Estimate
 from astray.experiments import outcomes
-from astray.experiments.claims import Claim
 from astray.experiments.figures import OTHERS, STYLE, WIDTH
 from astray.experiments.report import Findings, Plot, Table
 from astray.experiments.spec import PUBLISHED, Experiment, Plan, Size, Work
 from astray.experiments.studies.coinrun import critic_value
 from astray.experiments.studies.keys import keys_and_chests
 from astray.experiments.studies.maze import colour_or_shape, maze_corner, maze_region
+from astray.report.claims import Claim, above
 
 # The other studies of CoinRun have the runners of this one.
 STUDIES = (
@@ -121,23 +122,20 @@ def middle_of(values: pl.Series) -> list[float | None]:
 
 def ends_lower(row: dict) -> Claim:
     """Whether the return ends lower on the test variant than on the training variant."""
-    if row["lower by"] is None:
-        held, ours = False, "too few episodes ended to tell"
-    elif row["low"] is None:
-        held, ours = row["lower by"] > 0, f"lower by {row['lower by']:.2f} (1 agent)"
-    else:
-        held = row["low"] > 0
-        ours = (
-            f"lower by {row['lower by']:.2f} (95\u00a0% interval {row['low']:.2f} to "
-            f"{row['high']:.2f}; {row['agents']} agents)"
-        )
-    return Claim(
+    sentence = (
         f"{row['agent']}: training ends with a lower return on the test variant than on the "
-        "training variant.",
-        "lower (a curve)",
-        f"{ours}; holds above 0",
-        held,
+        "training variant."
     )
+    if row["lower by"] is None:
+        return Claim(
+            sentence, "lower (a curve)", "too few episodes ended to tell; holds above 0", False
+        )
+    if row["low"] is None:
+        one = f"lower by {row['lower by']:.2f}: of one agent there is no interval; holds above 0"
+        return Claim(sentence, "lower (a curve)", one, False)
+    agents = row["agents"]
+    lower = Estimate(row["lower by"], row["low"], row["high"], agents, 1, agents, agents - 1)
+    return above(sentence, "lower (a curve)", "lower by", lower, told=Estimate.change)
 
 
 @matplotlib.rc_context(STYLE)

@@ -1,0 +1,179 @@
+"""Claims: sentences with a bound that was stated before anything was measured.
+
+There are four kinds: what was measured is `above` a bound, `below` one, `within` two, or
+`near_zero`, which is what "no effect" means here. Each holds where the whole 95 % interval does, so
+that each is harder to hold the less was measured. Claims of one page are `corrected` for their
+number.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+from astray.analysis.estimates import CONFIDENCE, quantile
+from astray.estimate import Estimate
+
+ALPHA = (1 - CONFIDENCE) / 2  # each end of an interval is a test of one side
+
+
+@dataclass(frozen=True)
+class Claim:
+    """A claim that was tested."""
+
+    sentence: str
+    paper: str  # what the paper says of it
+    ours: str  # what was measured, its interval, and when the claim holds
+    held: bool
+    why: str = ""  # where it did not hold: what else was measured of the reason
+    chance: float | None = None  # of measuring as much where the bound is just the truth: p; None:
+    # there is no test
+
+
+def above(
+    sentence: str,
+    paper: str,
+    measured: str,
+    estimate: Estimate,
+    bound: float = 0.0,
+    *,
+    told: Callable[[Estimate], str] = Estimate.percent,
+    why: str = "",
+) -> Claim:
+    """Return the claim that what was measured is above `bound`.
+
+    Args:
+        sentence: The claim.
+        paper: What the paper says of it.
+        measured: What was measured, in words.
+        estimate: What was measured.
+        bound: What all of the interval must be above.
+        told: How the estimate is told, a method of it; `Estimate.percent` tells bounds so, too.
+        why: What else was measured of the reason, told where the claim does not hold.
+    """
+    rule = f"holds above {_bound(bound, told)}"
+    return _claim(sentence, paper, measured, estimate, (bound, math.inf), rule, told, why)
+
+
+def below(
+    sentence: str,
+    paper: str,
+    measured: str,
+    estimate: Estimate,
+    bound: float = 0.0,
+    *,
+    told: Callable[[Estimate], str] = Estimate.percent,
+    why: str = "",
+) -> Claim:
+    """Return the claim that what was measured is below `bound`; else as `above`."""
+    rule = f"holds below {_bound(bound, told)}"
+    return _claim(sentence, paper, measured, estimate, (-math.inf, bound), rule, told, why)
+
+
+def within(
+    sentence: str,
+    paper: str,
+    measured: str,
+    estimate: Estimate,
+    bounds: tuple[float, float],
+    *,
+    told: Callable[[Estimate], str] = Estimate.amount,
+    why: str = "",
+) -> Claim:
+    """Return the claim that what was measured is between two bounds; else as `above`."""
+    low, high = (_bound(bound, told) for bound in bounds)
+    rule = f"holds between {low} and {high}"
+    return _claim(sentence, paper, measured, estimate, bounds, rule, told, why)
+
+
+def near_zero(
+    sentence: str,
+    paper: str,
+    measured: str,
+    estimate: Estimate,
+    margin: float,
+    *,
+    told: Callable[[Estimate], str] = Estimate.percent,
+    why: str = "",
+) -> Claim:
+    """Return the claim that there is no effect beyond `margin`; else as `above`.
+
+    It is a test of equivalence (two one-sided tests): that an interval contains 0 shows nothing, as
+    it does so the more surely the less was measured.
+    """
+    rule = f"holds where all of it is within {_bound(margin, told)} of 0"
+    return _claim(sentence, paper, measured, estimate, (-margin, margin), rule, told, why)
+
+
+def every(sentence: str, paper: str, parts: Sequence[Claim], why: str = "") -> Claim:
+    """Return the claim that all `parts` hold, whose own sentences are not told.
+
+    Each part is a test at the whole level: all of them hold by chance no more often than one.
+    """
+    chances = [part.chance for part in parts if part.chance is not None]
+    return Claim(
+        sentence,
+        paper,
+        "; ".join(part.ours for part in parts),
+        bool(parts) and all(part.held for part in parts),
+        why,
+        max(chances, default=1.0),
+    )
+
+
+def corrected(claims: Sequence[Claim]) -> list[Claim]:
+    """Return the claims of one page, held only where they hold among so many (Holm 1979).
+
+    The most certain of N must be as certain as if there were N of the kind, the next as N - 1, and
+    so on; those after the first that is not do not hold. Claims without a test stay as they are.
+    """
+    tested = sorted((claim.chance, k) for k, claim in enumerate(claims) if claim.chance is not None)
+    found, holding = list(claims), True
+    for rank, (chance, k) in enumerate(tested):
+        holding &= chance * (len(tested) - rank) < ALPHA
+        told = f"{claims[k].ours}; p = {chance:.2g}"
+        if len(tested) > 1 and claims[k].held and not holding:
+            told += f", which is not enough among {len(tested)} claims"
+        found[k] = replace(claims[k], ours=told, held=claims[k].held and holding)
+    return found
+
+
+def rounded(share: float) -> str:
+    """Return a share without its interval, for a sentence."""
+    return "none" if math.isnan(share) else f"{100 * share:.0f}\u00a0%"
+
+
+def _bound(bound: float, told: Callable[[Estimate], str]) -> str:
+    return f"{100 * bound:g}\u00a0%" if told is Estimate.percent else f"{bound:g}"
+
+
+def _claim(
+    sentence: str,
+    paper: str,
+    measured: str,
+    estimate: Estimate,
+    bounds: tuple[float, float],
+    rule: str,
+    told: Callable[[Estimate], str],
+    why: str,
+) -> Claim:
+    low, high = bounds
+    ours = f"{measured}: {told(estimate)}; {rule}"
+    held = bool(low < estimate.low and estimate.high < high)
+    chance = max(_chance(estimate, low, 1), _chance(estimate, high, -1))
+    return Claim(sentence, paper, ours, held, why, chance)
+
+
+def _chance(estimate: Estimate, bound: float, sign: int) -> float:
+    """The chance of measuring so much, or more, on one side of a bound that is just the truth."""
+    from scipy.special import stdtr  # here, as it takes a second to import
+
+    if math.isinf(bound) or math.isnan(estimate.mean):
+        return 0.0 if math.isinf(bound) else 1.0
+    freedom = estimate.freedom or max(1, estimate.levels - 1)
+    side = estimate.mean - estimate.low if sign > 0 else estimate.high - estimate.mean
+    away = sign * (estimate.mean - bound)
+    if side <= 0:
+        return 0.0 if away > 0 else 1.0
+    return float(stdtr(freedom, -away / side * quantile(freedom)))
