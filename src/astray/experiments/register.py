@@ -1,0 +1,124 @@
+"""The register of claims: their bounds, when they were set, and what a plan of them can find.
+
+    python -m astray.experiments.register docs/register.md
+
+`register.toml` has the claims, from the history of the repository. A report whose claims are others
+than those is found by the tests, in miniature; what can be found is computed from the plans.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+import sys
+import tomllib
+from collections.abc import Iterable, Iterator, Mapping
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+from astray.analysis.estimates import detectable
+from astray.experiments import catalogue
+from astray.experiments.spec import Plan, Size
+from astray.files import write_aside
+from astray.report.claims import Claim
+
+OPEN = "…"  # in a sentence or rule, for what depends on the size or on what was measured
+SPREADS = 0.03, 0.15  # standard deviations between agents: where all learn alike, where they do not
+
+
+def register() -> dict[str, dict[str, Any]]:
+    """Return what is stated of each study: its claims, and how they came about."""
+    return tomllib.loads(_data("register.toml"))
+
+
+def _data(name: str) -> str:
+    return resources.files("astray.experiments").joinpath(name).read_text("utf-8")
+
+
+def rule_of(claim: Claim) -> str:
+    """Return when a claim holds, in words, as its report tells it; "" where it does not say."""
+    rules = re.findall(r"; holds (.*?)(?=;|, which is not enough|$)", claim.ours)
+    return " and ".join(dict.fromkeys(rules)).replace("\u00a0", " ")
+
+
+def unstated(name: str, claims: Iterable[Claim]) -> list[str]:
+    """Return the claims of a study's report that the register has not, or with another rule."""
+    stated = register().get(name, {}).get("claims", [])
+    return [
+        f"{claim.sentence} Holds {rule_of(claim)}."
+        for claim in claims
+        if not any(
+            _is(one["sentence"], claim.sentence.replace("\u00a0", " "))
+            and _is(one["rule"], rule_of(claim))
+            for one in stated
+        )
+    ]
+
+
+def _is(pattern: str, text: str) -> bool:
+    return bool(re.fullmatch(".*".join(map(re.escape, pattern.split(OPEN))), text))
+
+
+def page() -> str:
+    """Return the register as a page."""
+    lines = [*_data("register.md").splitlines(), ""]
+    for name, study in sorted(register().items()):
+        whole = catalogue.load(name)
+        lines += [f"## `{name}`: {whole.title}", "", _about(study), ""]
+        lines += [f"- {change}" for change in study.get("changes", [])]
+        lines += [""] if study.get("changes") else []
+        lines += ["| claim | holds | set | |", "| --- | --- | --- | --- |"]
+        lines += [
+            f"| {one['sentence']} | {one['rule'] or 'see the report'} | {one['set']} | "
+            f"{one.get('note', '')} |"
+            for one in study["claims"]
+        ]
+        lines += ["", *_plans(whole.sizes), ""]
+    return "\n".join(lines).rstrip() + "\n"
+
+
+def _about(study: dict[str, Any]) -> str:
+    when = {
+        "yes": "Bounds were set before any run.",
+        "no": "Bounds were set after a first agent had been looked at.",
+        "not told": "Whether bounds were set before any run was not written down.",
+    }[study["before"]]
+    if study.get("changes"):
+        return f"*Exploratory.* {when} The design was changed after a first look:"
+    return when if study["before"] == "yes" else f"*Exploratory.* {when}"
+
+
+def _plans(sizes: Mapping[Size, Plan]) -> Iterator[str]:
+    """The lines of a table of what each size finds."""
+    heads = [f"{what}, {_points(spread)}" for what in ("share", "difference") for spread in SPREADS]
+    yield f"| size | seeds | {' | '.join(heads)} |"
+    yield f"| --- | --- |{' ---: |' * len(heads)}"
+    for size, plan in sizes.items():
+        trained = f"0 to {plan.seeds - 1}" if plan.seeds > 1 else "0"
+        seeds = "none" if plan.published or not plan.agents else trained
+        yield f"| `{size}` | {seeds} | {' | '.join(map(_points, power(plan)))} |"
+
+
+def power(plan: Plan) -> list[float]:
+    """Return how far off a plan finds shares and differences of two kinds, for each of `SPREADS`.
+
+    Of one agent it is levels that vary. NaN where there are no two kinds.
+    """
+    alone, kinds = plan.seeds == 1 or bool(plan.published), len(plan.agents)
+    agents, spreads = (1, (0.0, 0.0)) if alone else (plan.seeds, SPREADS)
+    shares = [detectable(agents, plan.levels, spread) for spread in spreads]
+    if kinds < 2:
+        return shares + [math.nan] * len(spreads)
+    return shares + [detectable(agents, plan.levels, s, kinds=kinds) for s in spreads]
+
+
+def _points(share: float) -> str:
+    if math.isnan(share):
+        return ""
+    return "none" if share >= 0.5 else f"{100 * share:.0f} points"
+
+
+if __name__ == "__main__":
+    (target,) = sys.argv[1:]
+    write_aside(Path(target), page().encode())

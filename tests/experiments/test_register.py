@@ -1,0 +1,39 @@
+"""The register says what the studies claim, and its page is current."""
+
+from pathlib import Path
+
+from astray.estimate import Estimate
+from astray.experiments import catalogue, register
+from astray.report.claims import Claim, above, corrected, every, near_zero
+
+PAGE = Path(__file__).parents[2] / "docs" / "register.md"
+ONE = Estimate(0.97, 0.95, 0.98, 3, 100, 300, 2.0)
+
+
+def test_the_page_is_current():
+    assert PAGE.read_text("utf-8") == register.page(), "python -m astray.experiments.register"
+
+
+def test_every_study_is_in_the_register():
+    assert set(register.register()) == set(catalogue.NAMES)
+
+
+def test_a_claim_that_is_not_in_the_register_is_found():
+    known = "In unseen levels like those of its training, the mouse reaches the cheese."
+    assert not register.unstated("maze-corner", corrected([above(known, "", "m", ONE, 0.95)]))
+    assert register.unstated("maze-corner", [above(known, "", "m", ONE, 0.85)])
+    assert register.unstated("maze-corner", [above("It flies.", "", "m", ONE, 0.95)])
+    assert register.unstated("no-such-study", [above(known, "", "m", ONE, 0.95)])
+
+
+def test_the_rule_of_a_claim_is_read_off_its_report():
+    one, other = above("s", "p", "m", ONE, 0.9), near_zero("s", "p", "m", ONE, 0.1)
+    both = every("s", "p", [one, other])
+    rules = [register.rule_of(claim) for claim in (one, other, both, Claim("s", "p", "m", True))]
+    assert rules == [
+        "above 90 %",
+        "where all of it is within 10 % of 0",
+        "above 90 % and where all of it is within 10 % of 0",
+        "",
+    ]
+    assert [register.rule_of(claim) for claim in corrected([one, other])] == rules[:2]
