@@ -77,13 +77,17 @@ def draw_curve(run: Path, config: Config, steps: int, folder: Path) -> None:
     there = {"training/return": config.variant}
     if config.validation:
         there["validation/return"] = config.validation
+    per_step = not {*there} <= {*metrics.columns}  # no episode has ended
+    if per_step:
+        there = {name.replace("/return", "/reward_per_step"): of for name, of in there.items()}
     if missing := [name for name in there if name not in metrics.columns]:
-        raise ValueError(f"no episode of {run} has ended: there is no {missing[0]} to draw")
+        raise ValueError(f"the metrics of {run} have no {missing[0]} to draw")
     data = metrics.filter(pl.col("steps") <= steps).select("steps", *there)
     every = -(-len(data) // POINTS)
     data = data.gather_every(every, (len(data) - 1) % every)  # with the last
     write_table(data, folder / "curve.csv")
-    drawn = figures.learning_curves(data.with_columns(seed=pl.lit(config.seed)), there, "return")
+    label = "reward per step" if per_step else "return"
+    drawn = figures.learning_curves(data.with_columns(seed=pl.lit(config.seed)), there, label)
     drawn.savefig(folder / "curve.png")
 
 

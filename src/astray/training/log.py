@@ -85,6 +85,8 @@ class Log:
         text = f"{steps:,} steps  {speed['steps_per_second']:,.0f}/s"
         if "training/return" in values:
             text += f"  return {values['training/return']:.2f}"
+        elif "training/reward_per_step" in values:
+            text += f"  reward {values['training/reward_per_step']:.3f} a step"
         self._bar.update(self._task, completed=steps, text=text)
 
     def __enter__(self) -> Log:

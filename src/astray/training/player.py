@@ -94,6 +94,8 @@ class Player:
         self.events = self.game.events
         self.recent: deque[list[float]] = deque(maxlen=RECENT)  # return, length, events' happening
         self._ended: list[tuple[int, int, list[float]]] = []  # since `settle`: step, environment
+        self._paid: list[tuple[int, int, np.ndarray]] = []  # likewise, the rewards
+        self._reward: float | None = None  # the mean of a step's in the last rollout
 
     def noise(self, steps: int) -> Tensor:
         """What the actions of a rollout are drawn with, [T, N, actions], uniform in [0, 1).
@@ -129,6 +131,7 @@ class Player:
         """Keep how the episodes that `ended` went, of the environments `where`."""
         running = self.running_return[where]
         running += reward
+        self._paid.append((t, self.here.start + where.start, reward.copy()))
         if not ended.any():
             return
         final = info["final_info"]
@@ -182,18 +185,29 @@ class Player:
         Those of levels that were only scored do not count.
         """
         if not self.learns:
-            self._ended = []
+            self._ended, self._paid = [], []
             return
+        paid = [row for rows in parallel.gathered(self._paid) for row in rows]
+        # In one order, so that a mean depends neither on groups nor on processes.
+        ordered = [reward for *_, reward in sorted(paid, key=lambda row: row[:2])]
+        self._paid, self._reward = [], float(np.concatenate(ordered).mean()) if paid else None
         ended = sorted(row for rows in parallel.gathered(self._ended) for row in rows)
         self.recent.extend(row for *_, row in ended)
         self._ended = []
 
     def summary(self) -> dict[str, float]:
-        """Means over the recent episodes: return, length in steps, share with each event."""
+        """Return means over the recent episodes, and over the last rollout, which is told once.
+
+        Of episodes: return, length in steps, share with each event, where any has ended. Of a
+        rollout: reward_per_step, which there is of a life without end, too.
+        """
+        told = {} if self._reward is None else {"reward_per_step": self._reward}
+        self._reward = None
         if not self.recent:
-            return {}
+            return told
         means = np.mean(self.recent, axis=0)
-        return dict(zip(("return", "length", *self.events), map(float, means), strict=True))
+        names = ("return", "length", *self.events)
+        return dict(zip(names, map(float, means), strict=True)) | told
 
     def sampled(self) -> dict[str, float]:
         """What the sampler says of the levels; nothing without one."""
