@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     from astray.training.loop import iterate as iterate
     from astray.training.loop import train as train
     from astray.training.settings import Sampling as Sampling
+    from astray.world import World as World
 
 __version__ = version("astray")
 
@@ -54,6 +55,7 @@ FACE = {
     "Sampling": "astray.training.settings:Sampling",
     "Shift": "astray.game:Shift",
     "Variant": "astray.game:Variant",
+    "World": "astray.world:World",
 }
 
 

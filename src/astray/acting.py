@@ -13,15 +13,18 @@ from typing import Any, NamedTuple, Protocol, TypeVar
 
 import numpy as np
 
-from astray import games
+from astray import games, world
 from astray.bounds import MOST, bounded, of_kind, shown
 from astray.envs.vector import GameVectorEnv, Observation
+from astray.envs.worlds import WorldVectorEnv
 from astray.game import Game, Variant
 from astray.level import Level
 from astray.record import level_numbers
+from astray.world import World, WorldVariant
 
 Levels = Sequence[int] | np.ndarray | range | Mapping[str, Level]
 CHUNK = 1000  # levels begun at once
+LASTING = 1_000_000  # steps of an episode that may as well never end
 POLICY = ("name", "observation", "art", "actions")  # that each has
 
 
@@ -171,8 +174,7 @@ class Step:
 
     def of(self, which: np.ndarray) -> Step:
         """The same of some of the episodes, `which` [n] bool."""
-        some = {name: x[which] for name, x in vars(self).items() if name != "extra"}
-        return Step(**some, extra={name: x[which] for name, x in self.extra.items()})
+        return Step(**rows(vars(self), which))
 
 
 def _taken(turn: Turn, answer: Answer, level: np.ndarray) -> Step:
@@ -216,14 +218,20 @@ class LevelByLevel:
 
     groups = (slice(None),)
 
-    def __init__(self, env: GameVectorEnv, levels: Levels, until: Sequence[str] = ()):
-        """until  events of the game with which an episode is left, as if it ended there"""
+    def __init__(
+        self,
+        env: GameVectorEnv | WorldVectorEnv,
+        levels: Levels,
+        until: Sequence[str] = (),
+        longest: int | None = None,
+    ):
+        """Begin the first of `levels`; see `steps` for the rest."""
         unknown = [event for event in until if event not in env.game.events]
         if unknown:
             there = ", ".join(env.game.events)
             raise ValueError(f"unknown event {unknown[0]!r} of {env.game.name}; there are: {there}")
         self._option, self._levels = beginnings(levels, env.game.state)
-        self._until, n = until, env.num_envs
+        self._until, self._longest, n = until, longest, env.num_envs
         self._playing = np.arange(n)  # which of the levels each environment plays
         self._following, self._live, self._ended = n, np.ones(n, bool), np.zeros(n, bool)
         observations, _ = env.reset(seed=0, options={self._option: self._levels[:n]})
@@ -243,7 +251,10 @@ class LevelByLevel:
         begin = self._levels[playing]
         observations, _ = env.reset(options={self._option: begin, "reset_mask": ended})
         self._turn = Turn(env, observations, ended)
-        if 2 * live.sum() <= len(live):  # fewer go on, as who sees images takes time for each
+        movable = isinstance(env, GameVectorEnv)
+        if movable and 2 * live.sum() <= len(
+            live
+        ):  # fewer go on, as who sees images takes time for each
             states, kept = env.get_state()[live], np.flatnonzero(live)
             env.close()
             env = _environments(env.game, env.variant, len(kept), env.observation, env.art)
@@ -255,6 +266,10 @@ class LevelByLevel:
         step = _taken(self._turn, answer, self._playing.copy())
         for event in self._until:
             step.ended[:] |= step.after[event] >= 0
+        if self._longest is not None:
+            step.ended[:] |= step.after["time"] >= self._longest
+        elif (step.after["time"] > LASTING).any():
+            raise ValueError(lasting(f"a level has not ended after {LASTING:,} steps"))
         self._ended = step.ended
         self._turn = Turn(self._turn.env, step.seen, np.zeros(len(step.ended), bool))
         return step if self._live.all() else step.of(self._live)
@@ -265,30 +280,52 @@ class LevelByLevel:
 
 def steps(
     policy: Policy,
-    game: str | Game,
-    variant: str | Variant,
+    game: str | Game | World,
+    variant: str | Variant | WorldVariant,
     levels: Levels,
     *,
     batch: int = 256,
     until: Sequence[str] = (),
+    longest: int | None = None,
 ) -> Iterator[Step]:
     """Play each of `levels` once, `batch` at a time, and yield after every step of all of them.
 
-    levels  numbers, or levels that were drawn, by name; those are numbered from 0 on
-    until   events of the game: with the first of them an episode is left, as if it ended there
+    levels   numbers, or levels that were drawn, by name; those are numbered from 0 on
+    until    events of the game: with the first of them an episode is left, as if it ended there
+    longest  steps after which an episode is left, as if it ended there; None: never
 
     What happens in a level depends neither on `batch` nor on the other levels.
+
+    Raises ValueError where episodes may last for ever, and `longest` is not given.
     """
     see_policy(policy)
     of_kind("levels", levels, Sized)
     if not len(levels):
         raise ValueError("no levels to play")
     bounded("batch", batch, 1, MOST)
+    see_ending(game, variant, longest)
     n = min(batch, len(levels))
     env = _environments(game, variant, n, policy.observation, policy.art)
-    stage = LevelByLevel(env, levels, until)
+    stage = LevelByLevel(env, levels, until, longest)
     yield from play(Asking(policy), stage)
     stage.close()
+
+
+def see_ending(
+    game: str | Game | World, variant: str | Variant | WorldVariant, longest: int | None
+) -> None:
+    """Raise ValueError where episodes of a variant may last for ever, and none is left before."""
+    if longest is not None:
+        bounded("longest", longest, 1, MOST)
+        return
+    given: Any = variant
+    limit = world.find(game).variant(given).time_limit
+    if limit > LASTING:
+        raise ValueError(lasting(f"episodes of this variant last up to {limit:,} steps"))
+
+
+def lasting(what: str) -> str:
+    return f"{what}: say `longest`, the steps after which an episode is left (--longest)"
 
 
 def see_policy(policy: Any) -> None:
@@ -332,8 +369,15 @@ def beginnings(levels: Levels, dtype: np.dtype) -> tuple[str, np.ndarray]:
 
 
 def _environments(
-    game: str | Game, variant: str | Variant, n: int, observation: Observation, art: str
-) -> GameVectorEnv:
+    game: str | Game | World,
+    variant: str | Variant | WorldVariant,
+    n: int,
+    observation: Any,
+    art: str,
+) -> Any:
+    if isinstance(game, World):
+        return WorldVectorEnv(game, game.variant(variant), n)
+    assert not isinstance(variant, WorldVariant)
     return GameVectorEnv(
         game, variant, n, observation=observation, art=art, autoreset_mode="Disabled"
     )

@@ -282,6 +282,16 @@ class Game:
         """The goals that are events, without those that are known only at an episode's end."""
         return {goal: event for goal, event in self.goals.items() if isinstance(event, str)}
 
+    @property
+    def walked(self) -> tuple[str, ...]:
+        """The goals that scripts walk to, for base rates."""
+        return tuple(self.event_goals) if self.solver else ()
+
+    @property
+    def of_states(self) -> Mapping[str, Callable[[np.ndarray], np.ndarray]]:
+        """The measures, as functions of the states [N] that episodes ended in."""
+        return self.measures
+
     def event(self, goal: str) -> str:
         """Return the event that a goal is reached; ValueError where it is none."""
         if goal not in self.event_goals:

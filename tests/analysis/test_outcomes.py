@@ -9,6 +9,7 @@ import pytest
 
 from astray import games, testing
 from astray.analysis.adapters import Function
+from astray.analysis.evaluate import evaluate
 from astray.analysis.outcomes import (
     FAILED,
     INTENDED,
@@ -123,3 +124,16 @@ def test_reports_tell_other_ends_in_tables_and_bars(monkeypatch):
     named = [text.get_text() for text in legend.get_texts()]
     assert named[:5] == [MISGENERALIZED, INTENDED, "burnt", "time ran out", FAILED]
     assert len(set(figures.outcome_colours(named[:5]).values())) == 5
+
+
+def test_episodes_that_never_end_are_refused_at_once_or_left_after_the_longest(monkeypatch, astray):
+    with pytest.raises(ValueError, match=r"last up to 1,000,000,000 steps: say `longest`"):
+        evaluate(always(1), GAME, "for-ever", LEVELS)
+    episodes = evaluate(always(2), GAME, "for-ever", LEVELS, longest=20)
+    assert set(episodes["length"]) == set(episodes["apples"]) == {20}
+    monkeypatch.setattr(games, "_registered", {"lava": GAME})
+    words = ("evaluate", "--policy", "helpers.lava:stay", "--game", "lava", "--shift", "lava",
+             "--observation", "symbolic", "--variant", "for-ever", "--levels", "0:5")  # fmt: skip
+    assert "say `longest`" in astray(*words, fails=True)
+    said = astray(*words, "--longest", "9")
+    assert "helpers.lava:stay" in said and "apples a step" in said

@@ -13,6 +13,7 @@ from typing import Any, Literal, Protocol
 
 import numpy as np
 import torch
+from gymnasium.spaces import Discrete
 
 from astray.acting import Answer, Turn
 from astray.agents import policy as trained
@@ -56,6 +57,7 @@ class Function:
             raise ValueError(f"choose must be a function of observations; got {shown(self.choose)}")
 
     def actions(self, turn: Turn) -> Answer:
+        """Return an action for each of what is shown; ValueError where there is none."""
         return Answer(_actions(self.name, self.choose(turn.observations), turn))
 
 
@@ -86,15 +88,19 @@ def _turned(state: tuple[np.ndarray, ...] | None) -> tuple[np.ndarray, ...] | No
 
 def _actions(name: str, chosen: Any, turn: Turn) -> np.ndarray:
     """The actions [N] that a policy of that name chose; ValueError where they are none."""
-    chosen, n, count = np.asarray(chosen), len(turn.observations), len(turn.env.game.actions)
+    chosen, n, space = np.asarray(chosen), turn.env.num_envs, turn.env.single_action_space
+    if not isinstance(space, Discrete):  # of a world, which sees itself what its actions are
+        return chosen
+    first, count = int(space.start), int(space.n)
     if chosen.shape != (n,) or not np.issubdtype(chosen.dtype, np.integer):
         raise ValueError(
             f"{name} must return {n} integers, an action for each observation; got "
             f"{chosen.dtype} of shape {chosen.shape}"
         )
-    if chosen.min() < 0 or chosen.max() >= count:
+    if chosen.min() < first or chosen.max() >= first + count:
         raise ValueError(
-            f"actions of {name} must be from 0 to {count - 1}; got {chosen.min()} to {chosen.max()}"
+            f"actions of {name} must be from {first} to {first + count - 1}; got {chosen.min()} to "
+            f"{chosen.max()}"
         )
     return chosen.astype(np.int64)
 

@@ -8,30 +8,33 @@ from typing import Any
 import numpy as np
 import polars as pl
 
-from astray import games
+from astray import world
 from astray.acting import Levels, Policy, steps
 from astray.analysis.given import Measure, measured, see_measures
 from astray.bounds import of_kind
 from astray.game import Game, Variant
+from astray.world import World, WorldVariant
 
 COLUMNS = ("policy", "level", "name", "shifted", "return", "length", "terminated")
 
 
 def evaluate(
     policy: Policy,
-    game: str | Game,
-    variant: str | Variant,
+    game: str | Game | World,
+    variant: str | Variant | WorldVariant,
     levels: Levels,
     *,
     batch: int = 256,
     measures: Mapping[str, Measure] | None = None,
     until: Sequence[str] = (),
+    longest: int | None = None,
 ) -> pl.DataFrame:
     """A row per level, in the order of `levels`: how the policy's episode in it went.
 
     levels    numbers, or levels that were drawn, by name; those are numbered from 0 on
     measures  further columns, computed of the states that the episodes ended in
     until     events of the game: an episode is left with the first of them
+    longest   steps after which an episode is left; None: never
 
     Columns: policy, level, name (null for a numbered level), shifted, return, length (steps),
     terminated, every event of the game (the step it first happened, null for never), every measure
@@ -40,15 +43,15 @@ def evaluate(
 
     Raises ValueError where there are no levels, or an argument is not of its kind.
     """
-    game = games.find(game)
+    game = world.find(game)
     see_measures(measures, (*COLUMNS, *game.events, *game.measures))
-    measured_by = {**game.measures, **(measures or {})}
+    measured_by = {**game.of_states, **(measures or {})}
     of_kind("levels", levels, Sized)
     names = list(levels) if isinstance(levels, Mapping) else [None] * len(levels)
     rows: list[dict[str, Any]] = [{}] * len(levels)
     returns = np.zeros(len(levels))
     last = np.zeros(len(levels) if measured_by else 0, game.state)  # states
-    for step in steps(policy, game, variant, levels, batch=batch, until=until):
+    for step in steps(policy, game, variant, levels, batch=batch, until=until, longest=longest):
         returns[step.level] += step.rewards
         for i in np.flatnonzero(step.ended):
             s, k = step.after[i], step.level[i]

@@ -13,12 +13,13 @@ from typing import Protocol
 import numpy as np
 import polars as pl
 
-from astray import games
+from astray import world
 from astray.analysis.estimates import estimate_mean
 from astray.analysis.policies import Walk
 from astray.bounds import of_kind
 from astray.estimate import Estimate
 from astray.game import Game, More, Never, Outcome, Shift, Truncated
+from astray.world import World
 
 INTENDED = "intended goal"
 MISGENERALIZED = "goal misgeneralization"
@@ -37,12 +38,12 @@ class Goals(Protocol):
     def ends(self) -> Mapping[str, Outcome]: ...
 
 
-def load_shift(game: str | Game, shift: str | Shift) -> Shift:
+def load_shift(game: str | Game | World, shift: str | Shift) -> Shift:
     """Return the shift of that name, or one of your own; its variants and goals are the game's.
 
     Raises ValueError where there is no such shift, variant or goal.
     """
-    game = games.find(game)
+    game = world.find(game)
     shifts = game.shifts
     if not isinstance(shift, Shift) and (not isinstance(shift, str) or shift not in shifts):
         raise ValueError(f"unknown shift {shift!r} of {game.name}; there are: {', '.join(shifts)}")

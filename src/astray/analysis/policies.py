@@ -7,9 +7,12 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
+from gymnasium import Space
+from gymnasium.spaces import Discrete
 
 from astray.acting import Answer, Turn
 from astray.envs.vector import Observation
+from astray.envs.worlds import WorldVectorEnv
 from astray.game import OWN, Game
 from astray.kernel.rng import fill_noise
 
@@ -33,9 +36,19 @@ class Random:
     art: str = OWN
 
     def actions(self, turn: Turn) -> Answer:
-        env = turn.env
-        noise = episode_noise(RANDOM_SALT + self.seed, env.states, len(env.game.actions))
-        return Answer(noise.argmax(1))
+        env, space = turn.env, turn.env.single_action_space
+        if not isinstance(space, Discrete):
+            pairs = zip(env.states["level"].tolist(), env.states["time"].tolist(), strict=True)
+            return Answer(np.array([_drawn(space, self.seed, *pair) for pair in pairs]))
+        noise = episode_noise(RANDOM_SALT + self.seed, env.states, int(space.n))
+        return Answer(int(space.start) + noise.argmax(1))
+
+
+def _drawn(space: Space, seed: int, level: int, time: int) -> Any:
+    """Any element of a space, which a seed, a level and a step decide."""
+    numbers = np.random.SeedSequence((RANDOM_SALT + seed, level, time)).generate_state(1)
+    space.seed(int(numbers[0]))
+    return space.sample()
 
 
 @dataclass
@@ -56,6 +69,8 @@ class Walk:
         return f"walk to {self.goal}"
 
     def actions(self, turn: Turn) -> Answer:
+        if isinstance(turn.env, WorldVectorEnv):
+            return Answer(turn.env.leads(self.goal))
         return Answer(self.ways(turn.env.game, turn.env.states))
 
     def ways(self, game: Game, states: Any) -> np.ndarray:

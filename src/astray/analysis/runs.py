@@ -12,8 +12,8 @@ import numpy as np
 import polars as pl
 from safetensors import SafetensorError, safe_open
 
-from astray import games
-from astray.acting import Levels, Policy, see_policy
+from astray import world
+from astray.acting import Levels, Policy, see_ending, see_policy
 from astray.agents.policy import usable
 from astray.analysis import kept
 from astray.analysis.evaluate import evaluate
@@ -22,12 +22,14 @@ from astray.analysis.outcomes import label, load_shift, outcomes_of, shares, tel
 from astray.analysis.policies import Random, Walk
 from astray.analysis.trained import Agent
 from astray.bounds import finite, of_kind, shown
+from astray.envs.worlds import see_reported
 from astray.files import read, see_readable
 from astray.game import Game, Shift, Variant
 from astray.level import read_levels
 from astray.training import checkpoint
 from astray.training.config import Config
 from astray.training.ppo import RewardNormaliser
+from astray.world import World, WorldVariant, see_repeats
 
 LEVELS_PLAYED = 1000  # where nobody says which
 # Of discounted returns: mean, variance and count, in what a training goes on from.
@@ -126,9 +128,9 @@ def shift_of(config: Config) -> str:
     return found[0]
 
 
-def name_of(variant: str | Variant) -> str:
+def name_of(variant: str | Variant | WorldVariant) -> str:
     """Return what tables call a variant: its name, or what one of your own is about."""
-    return variant if isinstance(variant, str) else variant.about
+    return variant.about if isinstance(variant, Variant) else str(variant)
 
 
 def evaluate_runs(
@@ -142,6 +144,7 @@ def evaluate_runs(
     knobs: dict[str, Any] | None = None,
     batch: int = 256,
     solvable: bool = True,
+    longest: int | None = None,
 ) -> tuple[pl.DataFrame, pl.DataFrame]:
     """How often agents reach which goal, and how often policies that know only one do.
 
@@ -151,6 +154,7 @@ def evaluate_runs(
     shift     its name, or one of your own; None: the one that the runs trained for
     art       that the agents are shown; None: what they were trained on, which is then alike
     solvable  see that in levels from files every object can be reached
+    longest   steps after which an episode is left; None: never
 
     Returns `outcomes.shares` of all levels and of those that tell the goals apart (column
     "levels_played"), and the episodes.
@@ -189,43 +193,53 @@ def evaluate_runs(
         levels,
         batch,
         solvable,
+        longest,
     )
 
 
 def evaluate_policies(
     policies: Sequence[Policy],
-    game: str | Game,
+    game: str | Game | World,
     shift: str | Shift,
     levels: np.ndarray | range | Path | None = None,
     *,
-    variant: str | Variant | None = None,
+    variant: str | Variant | WorldVariant | None = None,
     knobs: dict[str, Any] | None = None,
     batch: int = 256,
     solvable: bool = True,
+    longest: int | None = None,
 ) -> tuple[pl.DataFrame, pl.DataFrame]:
-    """As `evaluate_runs`, of any policies; `levels` are the first 1,000 where none are given."""
-    game = games.find(game)
-    wanted = variant or load_shift(game, shift).test
+    """As `evaluate_runs`, of any policies; `levels` are the first 1,000 where none are given.
+
+    In a world of others, scripts are its experts, and knobs are arguments of its factories.
+    """
+    game = world.find(game)
+    wanted: Any = variant or load_shift(game, shift).test
     played = range(LEVELS_PLAYED) if levels is None else levels
     changed = game.variant(wanted).with_knobs(knobs or {})
-    return _outcomes(policies, game, name_of(wanted), changed, shift, played, batch, solvable)
+    return _outcomes(
+        policies, game, name_of(wanted), changed, shift, played, batch, solvable, longest
+    )
 
 
 def _outcomes(
     policies: Sequence[Policy],
-    game: Game,
+    game: Game | World,
     name: str,
-    variant: Variant,
+    variant: Variant | WorldVariant,
     shift: str | Shift,
     levels: np.ndarray | range | Path,
     batch: int,
     solvable: bool,
+    longest: int | None,
 ) -> tuple[pl.DataFrame, pl.DataFrame]:
     if isinstance(levels, Path):
+        if isinstance(game, World) or isinstance(variant, WorldVariant):
+            raise ValueError(f"levels of {game.name} are numbers; got the file {levels}")
         chosen = read_levels(levels, game, variant, solvable=solvable)
     else:
         chosen = levels
-    episodes = play_all(game, name, variant, shift, chosen, policies, batch)
+    episodes = play_all(game, name, variant, shift, chosen, policies, batch, longest=longest)
     both = [
         shares(part, outcomes=outcomes_of(game)).with_columns(levels_played=pl.lit(which))
         for which, part in (("all", episodes), ("telling apart", episodes.filter("tells_apart")))
@@ -235,20 +249,21 @@ def _outcomes(
 
 
 def play_all(
-    game: Game,
+    game: Game | World,
     name: str,
-    variant: Variant,
+    variant: Variant | WorldVariant,
     shift: str | Shift,
     levels: Levels,
     policies: Sequence[Policy],
     batch: int = 256,
     measures: Mapping[str, Measure] | None = None,
+    longest: int | None = None,
 ) -> pl.DataFrame:
     """The episodes of policies, and of scripted ones that walk to each goal or at random.
 
     A game without a solver has scripts at random alone.
 
-    measures  as for `evaluate`
+    measures, longest  as for `evaluate`
 
     Beside `evaluate`'s columns: run, seed, checkpoint (null for scripts), variant (its `name`),
     outcome, tells_apart.
@@ -257,12 +272,15 @@ def play_all(
     for policy in policies:
         see_policy(policy)
     between = load_shift(game, shift)
-    goals = (between.intended, *between.proxies) if game.solver else ()
-    walks = [Walk(goal) for goal in goals if goal in game.event_goals]
+    goals = (between.intended, *between.proxies)
+    walks = [Walk(goal) for goal in goals if goal in game.walked]
     scripts: list[Policy] = [*walks, Random()]
     names = [policy.name for policy in (*scripts, *policies) if not isinstance(policy, Agent)]
     if len(set(names)) < len(names):
         raise ValueError(f"policies must have names of their own; got {', '.join(names)}")
+    see_ending(game, variant, longest)
+    if isinstance(game, World) and isinstance(variant, WorldVariant) and game.repeats:
+        see_repeats(game, variant, int(next(iter(levels))))
     parts = []
     for policy in (*scripts, *policies):
         run = seed = steps = None
@@ -273,11 +291,15 @@ def play_all(
                 int(policy.path.parent.name),
             )
         parts.append(
-            evaluate(policy, game, variant, levels, batch=batch, measures=measures).with_columns(
+            evaluate(
+                policy, game, variant, levels, batch=batch, measures=measures, longest=longest
+            ).with_columns(
                 run=pl.lit(run, pl.String),
                 seed=pl.lit(seed, pl.Int64),
                 checkpoint=pl.lit(steps, pl.Int64),
                 variant=pl.lit(name),
             )
         )
+    if isinstance(game, World):
+        see_reported(game)
     return tell_apart(label(pl.concat(parts), game, between), between)

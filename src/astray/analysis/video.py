@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import itertools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,7 +13,7 @@ from PIL import Image, ImageDraw, ImageFont
 
 from astray import games
 from astray.acting import Policy, steps
-from astray.bounds import MOST, bounded, of_kind
+from astray.bounds import bounded, of_kind
 from astray.envs.vector import picture
 from astray.files import write_aside
 from astray.game import Game, Variant
@@ -56,11 +55,9 @@ def play(
     pixels   a side of the frames
     longest  steps after which it is left unfinished; None: never
     """
-    if longest is not None:
-        bounded("longest", longest, 1, MOST)
     of_kind("level", level, int | np.integer | Level)
     chosen = {"": level} if isinstance(level, Level) else [level]
-    played = list(itertools.islice(steps(policy, game, variant, chosen), longest))
+    played = list(steps(policy, game, variant, chosen, longest=longest))
     states = [*(step.before for step in played), played[-1].after]
     observations = [*(step.observations for step in played), played[-1].seen]
     whole, game = np.concatenate(states).view(np.recarray), games.find(game)

@@ -92,6 +92,7 @@ def evaluate(
     art: str | None = None,
     knobs: Knobs = (),
     batch: int = 256,
+    longest: int | None = None,
     out: Path | None = None,
     json: bool = False,
 ) -> None:
@@ -115,6 +116,7 @@ def evaluate(
         art: that images are drawn with, own or original; by default what it was trained on
         knobs: of the variant, changed
         batch: episodes at once; the rows do not depend on it
+        longest: steps after which an episode is left; needed where episodes may last for ever
         out: a Parquet file for the episodes, a row each
         json: print JSON
     """
@@ -142,6 +144,7 @@ def evaluate(
             knobs=pairs(knobs),
             batch=batch,
             solvable=not unsolvable,
+            longest=longest,
         )
     elif runs or agent or game is None or shift is None:
         raise ValueError("--policy needs --game and --shift, and neither runs nor --agent")
@@ -159,6 +162,7 @@ def evaluate(
             knobs=pairs(knobs),
             batch=batch,
             solvable=not unsolvable,
+            longest=longest,
         )
     if out:
         write_table(episodes, out)
@@ -199,6 +203,7 @@ def record(
     art: str | None = None,
     knobs: Knobs = (),
     pixels: int = 512,
+    longest: int | None = None,
     out: Path = Path("episode.mp4"),
 ) -> None:
     """Film an agent in one level.
@@ -214,6 +219,7 @@ def record(
         art: that images are drawn with, own or original; by default what it was trained on
         knobs: of the variant, changed
         pixels: a side of the picture
+        longest: steps after which the episode is left; needed where it may last for ever
         out: an .mp4 or .gif file
     """
     from astray.analysis import video
@@ -229,7 +235,7 @@ def record(
     begun = one_level(config.find_game(), made, level, level_file, unsolvable)
     if begun is None:
         begun = 1_000_000
-    episode = video.play(player, config.game, made, begun, pixels=pixels)
+    episode = video.play(player, config.game, made, begun, pixels=pixels, longest=longest)
     write(episode.frames, out)
     print(out)
 

@@ -1,0 +1,151 @@
+"""Environments of a world of others, stepped together: what `GameVectorEnv` is for a game."""
+
+from __future__ import annotations
+
+import contextlib
+import multiprocessing
+from collections.abc import Iterator, Mapping
+from functools import partial
+from typing import Any
+
+import numpy as np
+from gymnasium import spaces
+from gymnasium.vector import AsyncVectorEnv, AutoresetMode, SyncVectorEnv
+
+from astray.bounds import MOST, bounded, shown
+from astray.game import OWN
+from astray.world import NOTED, World, WorldVariant, witnessed
+
+
+class WorldVectorEnv:
+    """Several environments of a variant; those that ended begin another level when they are told.
+
+    states  [N] records of what was noted of their episodes so far: level, time, events, measures
+
+    Raises ValueError where an environment fails, RuntimeError where its process dies or hangs.
+    """
+
+    observation, art = "image", OWN  # of games; here the factory decides what is shown
+
+    def __init__(self, world: World, variant: str | WorldVariant, num_envs: int):
+        bounded("num_envs", num_envs, 1, MOST)
+        self.game, self.variant, self.num_envs = world, world.variant(variant), num_envs
+        makers = [partial(witnessed, world, self.variant)] * num_envs
+        kind = AsyncVectorEnv if world.workers else SyncVectorEnv
+        self._envs: Any = kind(makers, autoreset_mode=AutoresetMode.DISABLED)
+        self.single_action_space = self._envs.single_action_space
+        self.single_observation_space = self._envs.single_observation_space
+        self.states = np.zeros(num_envs, world.state).view(np.recarray)
+
+    def reset(
+        self, *, seed: int | None = None, options: Mapping[str, Any]
+    ) -> tuple[Any, dict[str, Any]]:
+        """Begin the levels [N] of the option "level" where "reset_mask" [N] is true."""
+        which = options.get("reset_mask", np.ones(self.num_envs, bool))
+        levels = [
+            int(k) if begins else None for k, begins in zip(options["level"], which, strict=True)
+        ]
+        self.states[which] = np.zeros((), self.states.dtype)
+        self.states["level"][which] = np.asarray(options["level"])[which]
+        given = {"reset_mask": which.copy()}
+        if self.game.workers:
+            with self._watched():
+                self._envs.reset_async(seed=levels, options=given)
+                seen, info = self._envs.reset_wait(timeout=self.game.patience)
+        else:
+            seen, info = self._envs.reset(seed=levels, options=given)
+        self._note(info, which)
+        return seen, info
+
+    def step(self, actions: Any) -> tuple[Any, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
+        """Take a step in every environment; ValueError where an action is none."""
+        self._see_actions(actions)
+        if self.game.workers:
+            with self._watched():
+                self._envs.step_async(actions)
+                taken = self._envs.step_wait(timeout=self.game.patience)
+        else:
+            taken = self._envs.step(actions)
+        self.states["time"] += 1
+        self.states["ended"] = taken[2] | taken[3]
+        self._note(taken[4], np.ones(self.num_envs, bool))
+        return taken
+
+    def leads(self, goal: str) -> np.ndarray:
+        """Return the actions [N] of the world's expert for a goal."""
+        if not self.game.workers:
+            return np.array(self._envs.call("leads", goal))
+        with self._watched():
+            self._envs.call_async("leads", goal)
+            return np.array(self._envs.call_wait(timeout=self.game.patience))
+
+    def get_state(self) -> np.ndarray:
+        """Return a copy of `states`, of which no environment can go on."""
+        return self.states.copy().view(np.ndarray)
+
+    def close(self) -> None:
+        """End all environments; their world knows from then on which keys of info there were."""
+        with self._watched():
+            for keys in self._envs.get_attr("reported"):
+                self.game.reported.update(keys)
+        self._envs.close()
+
+    def _note(self, info: Mapping[str, Any], which: np.ndarray) -> None:
+        """Write what the environments noted to their states; it is in info."""
+        columns = (*self.game.events, *self.game.measures)
+        for name, values in zip(columns, info[NOTED].T, strict=True):
+            self.states[name][which] = values[which]
+
+    def _see_actions(self, actions: Any) -> None:
+        space, n = self.single_action_space, self.num_envs
+        if isinstance(space, spaces.Discrete):
+            last = space.start + space.n - 1
+            chosen = np.asarray(actions)
+            if chosen.shape != (n,) or chosen.dtype.kind not in "iu":
+                raise ValueError(
+                    f"a policy must return {n} integers, an action for each environment; got "
+                    f"{chosen.dtype} of shape {chosen.shape}"
+                )
+            if chosen.min() < space.start or chosen.max() > last:
+                raise ValueError(
+                    f"actions in {self.variant} must be from {space.start} to {last}; got "
+                    f"{chosen.min()} to {chosen.max()}"
+                )
+        elif np.shape(actions)[:1] != (n,) or not all(
+            space.contains(np.asarray(one, space.dtype)) for one in actions
+        ):
+            raise ValueError(
+                f"a policy must return {n} actions in {self.variant}, each of {space}; got "
+                f"{shown(actions)}"
+            )
+
+    @contextlib.contextmanager
+    def _watched(self) -> Iterator[None]:
+        """Tell in a sentence that a process died or hangs, and end the others."""
+        try:
+            yield
+        except multiprocessing.TimeoutError as error:
+            self._give_up()
+            raise RuntimeError(
+                f"an environment of {self.variant} did not answer for {self.game.patience:g} s; "
+                "its process was ended. World(patience=...) waits longer"
+            ) from error
+        except (EOFError, ConnectionError) as error:
+            self._give_up()
+            raise RuntimeError(f"the process of an environment of {self.variant} died") from error
+
+    def _give_up(self) -> None:
+        for process in self._envs.processes:
+            process.kill()
+        self._envs.closed = True  # to Gymnasium, which would wait for what is pending
+
+
+def see_reported(world: World) -> None:
+    """Raise ValueError where an event is a key of info that nothing played so far has reported."""
+    for event, key in world.events.items():
+        if isinstance(key, str) and key not in world.reported:
+            there = ", ".join(sorted(world.reported - {NOTED})) or "none"
+            raise ValueError(
+                f"the event {event!r} of {world.name} is the key {key!r} of info, which no step "
+                f"reported; keys were: {there}"
+            )

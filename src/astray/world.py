@@ -1,0 +1,258 @@
+"""Worlds of others: any Gymnasium environments, and what to look for in them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, fields, replace
+from operator import itemgetter
+from typing import Any, ClassVar, cast
+
+import gymnasium
+import numpy as np
+from gymnasium.utils.env_checker import data_equivalence
+
+from astray import games
+from astray.bounds import MOST, bounded, brief, finite, of_kind, one_of, shown
+from astray.game import Game, Missing, Outcome, Shift
+from astray.record import NEVER, record_dtype
+
+Env = gymnasium.Env
+Happened = str | Callable[[Any, Mapping[str, Any]], Any]
+NOTED = "astray"  # the key of info under which events and measures are told
+NOT_OURS = {f.name for f in fields(Game)}  # of which a world has some
+
+
+@dataclass(frozen=True, eq=False)
+class WorldVariant:
+    """A factory of environments, and the keyword arguments that it is called with."""
+
+    world: str
+    name: str
+    factory: Callable[..., Env]
+    knobs: Mapping[str, Any] = field(default_factory=dict)
+    time_limit: ClassVar[int] = 0  # steps; nobody knows that of an environment of others
+
+    def with_knobs(self, changes: Mapping[str, Any]) -> WorldVariant:
+        """Return the variant whose factory is called with these arguments, too."""
+        return replace(self, knobs={**self.knobs, **changes})
+
+    def make(self) -> Env:
+        """Return a new environment; ValueError where the factory fails or makes something else."""
+        try:
+            made = self.factory(**self.knobs)
+        except Exception as error:
+            raise ValueError(f"the factory of {self} fails: {brief(error)}") from error
+        if not isinstance(made, Env):
+            raise ValueError(
+                f"the factory of {self} must return a gymnasium.Env; got {shown(made)}"
+            )
+        return made
+
+    def __str__(self) -> str:
+        told = "".join(f", {name}={value}" for name, value in self.knobs.items())
+        return f"{self.world} {self.name}{told}"
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class World:
+    """Environments of Gymnasium in which goals may be pursued; a `Game` is one that is compiled.
+
+    The number of a level is the seed of the reset that begins it. All environments of a world have
+    the same spaces.
+
+    variants  name -> a function that makes an environment; knobs are its keyword arguments
+    events    name -> a key of info, or a function of the environment (unwrapped) and info, which
+              say whether it happens in the step
+    goals     name -> an event, or what is known at an episode's end, as for a game
+    ends      outcomes that are neither goals nor proxies, as for a game
+    experts   goal -> a function of the environment (unwrapped) that returns the action that leads
+              there, for base rates
+    measures  name -> a function of the environment (unwrapped), a number of the episode so far
+
+    workers   whether each environment has a process of its own
+    patience  seconds after which a process that does not answer is given up
+    repeats   whether an episode is decided by its level and the actions, which is checked
+
+    Raises ValueError where goals, shifts or experts name something that the world lacks.
+    """
+
+    name: str
+    variants: Mapping[str, Callable[..., Env]]
+    events: Mapping[str, Happened]
+    goals: Mapping[str, Outcome]
+    shifts: Mapping[str, Shift]
+    ends: Mapping[str, Outcome] = field(default_factory=dict)
+    experts: Mapping[str, Callable[[Any], Any]] = field(default_factory=dict)
+    measures: Mapping[str, Callable[[Any], float]] = field(default_factory=dict)
+    about: str = ""
+    workers: bool = False
+    patience: float = 60.0
+    repeats: bool = True
+    reported: set[str] = field(default_factory=set, init=False, repr=False)  # keys of info so far
+
+    def __post_init__(self) -> None:
+        for name in ("variants", "events", "goals", "shifts", "ends", "experts", "measures"):
+            of_kind(name, getattr(self, name), Mapping)
+        finite("patience", self.patience, 0.001)
+        for name, happened in self.events.items():
+            if not isinstance(happened, str) and not callable(happened):
+                raise ValueError(
+                    f"the event {name!r} must be a key of info or a function of the environment "
+                    f"and info; got {shown(happened)}"
+                )
+        for goal in self.experts:
+            one_of("goal of an expert", goal, self.goals)
+        for event in self.event_goals.values():
+            one_of("event of a goal", event, self.events)
+        for shift in self.shifts.values():
+            for variant in (shift.train, shift.test):
+                one_of("variant of a shift", variant, self.variants)
+            for goal in (shift.intended, *shift.proxies):
+                one_of("goal of a shift", goal, self.goals)
+
+    def __getattr__(self, name: str) -> Any:
+        if name in NOT_OURS:
+            return Missing(self.name, name)
+        raise AttributeError(f"a World has no {name!r}")
+
+    @property
+    def state(self) -> np.dtype:
+        """The record of what is noted of an episode: its level, its steps, events, measures."""
+        told = [(name, np.int64) for name in ("level", "time", *self.events)]
+        counted = [(name, np.float64) for name in self.measures]
+        return record_dtype([("shifted", np.bool_), ("ended", np.bool_), *told, *counted])
+
+    @property
+    def event_goals(self) -> dict[str, str]:
+        """The goals that are events, without those that are known only at an episode's end."""
+        return {goal: event for goal, event in self.goals.items() if isinstance(event, str)}
+
+    @property
+    def walked(self) -> tuple[str, ...]:
+        """The goals that experts go to."""
+        return tuple(self.experts)
+
+    @property
+    def of_states(self) -> dict[str, Callable[[np.ndarray], np.ndarray]]:
+        """The measures, as functions of what was noted of episodes [N]."""
+        return {name: itemgetter(name) for name in self.measures}
+
+    def variant(self, name: Any) -> WorldVariant:
+        """Return the variant of that name, or one that it is; ValueError where there is none."""
+        if isinstance(name, WorldVariant):
+            return name
+        one_of(f"variant of {self.name}", name, self.variants)
+        return WorldVariant(self.name, name, self.variants[name])
+
+
+def find(game: str | Game | World) -> Game:
+    """Return a world as it is, and a game as `games.find` does, for what takes either.
+
+    A world is typed as a game here: it has the same names, and says so of those that it lacks.
+    """
+    return cast("Game", game) if isinstance(game, World) else games.find(game)
+
+
+class Witness(gymnasium.Wrapper):
+    """Notes in which step each event first happened; it lives where the environment does.
+
+    Errors of the environment and of functions of the world name the level and the step.
+    """
+
+    def __init__(self, env: Env, world: World, variant: WorldVariant):
+        super().__init__(env)
+        self.world, self.variant = world, variant
+        self.level, self.time = NEVER, 0
+        self.reported: set[str] = set()
+
+    def reset(self, *, seed: int | None = None, options: dict | None = None) -> tuple[Any, dict]:
+        """Begin the level whose number is `seed`."""
+        self.level, self.time = NEVER if seed is None else seed, 0
+        self.first = dict.fromkeys(self.world.events, NEVER)
+        seen, info = self._safely("reset", lambda: self.env.reset(seed=seed, options=options))
+        return self._shaped(seen), self._noted(info)
+
+    def step(self, action: Any) -> tuple[Any, float, bool, bool, dict]:
+        """Take a step, and note what happened in it."""
+        self.time += 1
+        seen, reward, terminated, truncated, info = self._safely(
+            "step", lambda: self.env.step(action)
+        )
+        return self._shaped(seen), float(reward), terminated, truncated, self._noted(info)
+
+    def leads(self, goal: str) -> Any:
+        """Return the action of the expert for a goal."""
+        expert = self.world.experts[goal]
+        return self._safely(f"expert of {goal!r}", lambda: expert(self.env.unwrapped))
+
+    def _noted(self, info: Mapping[str, Any]) -> dict[str, Any]:
+        self.reported.update(info)
+        inner = self.env.unwrapped
+        for name, happened in self.world.events.items():
+            if self.first[name] != NEVER:
+                continue
+            if isinstance(happened, str):
+                is_now = bool(info.get(happened, False))
+            else:
+                is_now = self._safely(f"event {name!r}", lambda of=happened: bool(of(inner, info)))
+            if is_now:
+                self.first[name] = self.time
+        counted = [
+            self._safely(f"measure {name!r}", lambda of=of: float(of(inner)))
+            for name, of in self.world.measures.items()
+        ]
+        return {**info, NOTED: np.array([*self.first.values(), *counted], np.float64)}
+
+    def _shaped(self, seen: Any) -> Any:
+        shape = self.observation_space.shape
+        if shape is not None and np.shape(seen) != shape:
+            raise ValueError(
+                f"{self._where()}: the observation is of shape {np.shape(seen)}, where the space "
+                f"says {shape}"
+            )
+        return seen
+
+    def _safely(self, doing: str, do: Callable[[], Any]) -> Any:
+        try:
+            return do()
+        except Exception as error:
+            said = f"{type(error).__name__}: {brief(error)}"
+            raise ValueError(f"{self._where()}: its {doing} fails: {said}") from error
+
+    def _where(self) -> str:
+        return f"{self.variant}, level {self.level}, step {self.time}"
+
+
+def witnessed(world: World, variant: WorldVariant) -> Witness:
+    """Return a new environment of a variant that notes what happens."""
+    return Witness(variant.make(), world, variant)
+
+
+def see_repeats(world: World, variant: WorldVariant, level: int, steps: int = 50) -> None:
+    """Raise ValueError where a level is not the same when it is played twice with the same actions.
+
+    Results of an environment that draws by anything else than its seed cannot be repeated, and
+    nothing can be compared in the same levels.
+    """
+    bounded("steps", steps, 1, MOST)
+    first, again = (_played(world, variant, level, steps) for _ in range(2))
+    for time, (one, other) in enumerate(zip(first, again, strict=False)):
+        if not data_equivalence(one, other, exact=True):
+            raise ValueError(
+                f"{variant}, level {level} is another one when it is played again with the same "
+                f"actions: step {time} differs. Let all that is drawn come from the seed of the "
+                "reset, or say World(repeats=False): results will then differ from run to run"
+            )
+
+
+def _played(world: World, variant: WorldVariant, level: int, steps: int) -> list[Any]:
+    env = witnessed(world, variant)
+    env.action_space.seed(level)
+    told: list[Any] = [env.reset(seed=level)[0]]
+    for _ in range(steps):
+        seen, reward, terminated, truncated, info = env.step(env.action_space.sample())
+        told.append((seen, reward, terminated, truncated, info[NOTED]))
+        if terminated or truncated:
+            break
+    env.close()
+    return told

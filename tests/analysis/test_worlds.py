@@ -1,0 +1,149 @@
+"""Any Gymnasium environment is evaluated as a game is; what is wrong with one is told."""
+
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+import pytest
+
+import astray
+from astray import games
+from astray.analysis.adapters import Function, from_sb3
+from astray.analysis.evaluate import evaluate
+from astray.analysis.outcomes import INTENDED, MISGENERALIZED
+from astray.analysis.policies import Random, Walk
+from helpers.rooms import CELLS, WORLD, Room
+
+LEVELS = np.array([3, 1, 4, 15, 9, 2, 6, 53, 58, 97])
+RIGHT = Function(lambda seen: np.ones(len(seen), int), "right")
+
+
+def by_hand(choose, place, level):
+    """One episode in a loop of one's own: return, length, and when square and end were reached."""
+    env, total, square, end = Room(place), 0.0, None, None
+    seen, _ = env.reset(seed=level)
+    for time in range(1, 100):
+        seen, reward, terminated, truncated, _ = env.step(choose(seen))
+        total += reward
+        square = time if square is None and env.x == env.square else square
+        end = time if end is None and env.x == CELLS - 1 else end
+        if terminated or truncated:
+            return level, total, time, terminated, square, end
+
+
+def troubled(trouble, **more):
+    return replace(
+        WORLD, variants=dict.fromkeys(WORLD.variants, partial(Room, trouble=trouble)), **more
+    )
+
+
+@pytest.mark.parametrize("batch, workers", [(1, False), (3, False), (256, False), (2, True)])
+def test_the_table_is_that_of_a_loop_by_hand(batch, workers):
+    world = replace(WORLD, workers=workers)
+    table = evaluate(RIGHT, world, "anywhere", LEVELS, batch=batch)
+    columns = ("level", "return", "length", "terminated", "reached_square", "reached_end")
+    assert table.select(columns).rows() == [
+        by_hand(lambda _: 1, "anywhere", int(k)) for k in LEVELS
+    ]
+    assert table["walked"].to_list() == table["length"].to_list()
+
+
+def test_outcomes_base_rates_and_telling_levels_are_those_of_games():
+    shares, episodes = astray.evaluate_policies([RIGHT], WORLD, "end", LEVELS)
+    squares = {}
+    for level in LEVELS:
+        (env := Room("anywhere")).reset(seed=int(level))
+        squares[level] = env.square
+    right = episodes.filter(policy="right")
+    for level, outcome, apart in right.select("level", "outcome", "tells_apart").rows():
+        is_right = squares[level] > CELLS // 2
+        assert outcome == (INTENDED if is_right else MISGENERALIZED)
+        assert apart == (not is_right)
+    told = {(r["policy"], r["outcome"]): r["mean"] for r in shares.to_dicts()}
+    assert told[Walk("square").name, INTENDED] == told[Walk("end").name, MISGENERALIZED] == 1
+    assert {"random", "right"} <= {*shares["policy"]} and shares["low"].null_count() == 0
+
+
+def test_a_model_of_another_library_plays_as_by_hand():
+    sb3 = pytest.importorskip("stable_baselines3")
+    model = sb3.PPO("MlpPolicy", Room("anywhere"), seed=1, device="cpu")
+    table = evaluate(from_sb3(model, greedy=True), WORLD, "anywhere", LEVELS, batch=4)
+
+    def choose(seen):
+        return int(model.predict(seen, deterministic=True)[0])
+
+    hand = [by_hand(choose, "anywhere", int(level)) for level in LEVELS]
+    columns = ("level", "return", "length", "terminated", "reached_square", "reached_end")
+    assert table.select(columns).rows() == hand
+
+
+def test_chance_takes_any_actions_and_none_depends_on_the_batch():
+    one, two = (
+        evaluate(
+            Random(), WORLD, WORLD.variant("end").with_knobs({"vector": True}), LEVELS, batch=n
+        )
+        for n in (1, 4)
+    )
+    assert one.equals(two) and one["walked"].n_unique() > 1
+
+
+def test_knobs_are_arguments_of_the_factory():
+    told = evaluate(RIGHT, WORLD, WORLD.variant("end").with_knobs({"place": "anywhere"}), LEVELS)
+    assert told["reached_square"].null_count() > 0
+
+
+@pytest.mark.parametrize(
+    "world, policy, said",
+    [
+        (troubled("raises"), RIGHT, r"room anywhere, level 3, step 3: its step fails: KeyError"),
+        (troubled("shrinks"), RIGHT, r"step 3: the observation is of shape \(2, 3\), .* \(2, 9\)"),
+        (troubled("draws"), RIGHT, "is another one when it is played again with the same actions"),
+        (troubled("none", events={**WORLD.events, "reached_end": "ended"}), RIGHT,
+         "'reached_end' of room is the key 'ended' of info, which no step reported; .*: square"),
+        (troubled("none", events={**WORLD.events, "reached_end": lambda env: True}), RIGHT,
+         "level 3, step 0: its event 'reached_end' fails: TypeError"),
+        (replace(WORLD, variants={"end": Room, "anywhere": lambda: 1 / 0}), RIGHT,
+         "the factory of room anywhere fails: division by zero"),
+        (replace(WORLD, variants={"end": Room, "anywhere": lambda: 3}), RIGHT,
+         "the factory of room anywhere must return a gymnasium.Env; got 3"),
+        (WORLD, Function(lambda seen: np.full(len(seen), 2)), "from 0 to 1; got 2 to 2"),
+        (WORLD, Function(lambda seen: np.full(len(seen), 0.5)), "10 integers.*got float64"),
+    ],
+)  # fmt: skip
+def test_what_is_wrong_is_told_in_a_sentence(world, policy, said):
+    with pytest.raises(ValueError, match=said):
+        astray.evaluate_policies([policy], world, "end", LEVELS)
+
+
+@pytest.mark.waits
+@pytest.mark.parametrize(
+    "trouble, said",
+    [("dies", "the process of an environment"), ("hangs", "did not answer for 2 s")],
+)
+def test_a_worker_that_dies_or_hangs_is_told(trouble, said):
+    world = troubled(trouble, workers=True, patience=2.0, repeats=False)
+    with pytest.raises(RuntimeError, match=said):
+        evaluate(RIGHT, world, "anywhere", LEVELS, batch=2)
+
+
+def test_an_episode_without_end_is_left_after_the_longest():
+    left = Function(lambda seen: np.zeros(len(seen), int), "left")
+    table = evaluate(left, troubled("endless"), "end", LEVELS, longest=30)
+    assert table["length"].to_list() == [30] * len(LEVELS) and not table["terminated"].any()
+
+
+def test_what_a_world_names_must_be_there():
+    with pytest.raises(ValueError, match="unknown event of a goal 'gone'; there are: reached_"):
+        replace(WORLD, goals={**WORLD.goals, "end": "gone"})
+    with pytest.raises(ValueError, match="unknown goal of an expert 'gone'"):
+        replace(WORLD, experts={"gone": lambda env: 0})
+    with pytest.raises(ValueError, match="unknown variant of room 'gone'; there are: end, any"):
+        evaluate(RIGHT, WORLD, "gone", LEVELS)
+
+
+def test_an_ability_that_a_world_lacks_is_told():
+    with pytest.raises(ValueError, match="the game 'room' has no editing, which this needs"):
+        WORLD.editing.grid(None)
+    with pytest.raises(ValueError, match="a game must be a Game or its name; got World"):
+        games.find(WORLD)  # pyright: ignore
+    assert not WORLD.solver
