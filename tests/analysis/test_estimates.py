@@ -125,7 +125,9 @@ def test_no_interval_is_without_width():
     difference = estimate_difference(alike, alike)
     assert -1 <= difference.low < 0 < difference.high <= 1
     paired = estimate_paired(alike, alike[:1])
-    assert paired.low < 0 < paired.high
+    assert -1 <= paired.low < 0 < paired.high <= 1
+    apart = estimate_paired(np.array([[True, True], [False, False]]), np.zeros((2, 2), bool))
+    assert (apart.low, apart.high) == (-1, 1)
 
 
 def test_a_difference_of_kinds_does_not_depend_on_the_order_of_seeds():

@@ -342,6 +342,14 @@ def test_a_claim_holds_only_where_its_whole_interval_does(misgeneralized, failed
     assert f"{misgeneralized - failed}.0" in told.ours
 
 
+def test_a_share_of_all_episodes_has_an_interval_that_ends_at_all():
+    episodes = pl.DataFrame(
+        {"policy": "sampled", "test": "test", "seed": 0, "level": range(100), "outcome": INTENDED}
+    )
+    found = share(episodes, "test", INTENDED)
+    assert 0.95 < found.low < found.mean == found.high == 1
+
+
 @pytest.mark.parametrize("text", ["[" * 1000, "\0", "9" * 10_000, "a b", "#" * 2**21])
 def test_what_is_no_python_is_no_experiment(tmp_path, text):
     (tmp_path / "study.py").write_text(text)

@@ -20,6 +20,7 @@ from __future__ import annotations
 import functools
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 import polars as pl
@@ -114,7 +115,7 @@ def estimate_difference(
     if same_levels and levels[0] != levels[1]:
         raise ValueError(f"levels must be the same; got {levels[0]} and {levels[1]}")
     if same_levels and len(one) == len(other) == 1:
-        return estimate_paired(one, other)
+        return estimate_paired(one > 0, other > 0) if share else estimate_paired(one, other)
     means = [float(values.mean()) for values in kinds]
     rests = [values - mean for values, mean in zip(kinds, means, strict=True)]
     spreads = [
@@ -154,8 +155,12 @@ def estimate_paired(one: np.ndarray, other: np.ndarray) -> Estimate:
 
     Each [agents, levels]; or one of them of a single policy, beside which all agents are put.
     """
+    shares = _is_share(one) and _is_share(other)
     (one, _), (other, _) = _checked(one, None), _checked(other, None)
-    return estimate_mean(one - other)
+    found = estimate_mean(one - other)
+    if shares:
+        found = replace(found, low=max(-1.0, found.low), high=min(1.0, found.high))
+    return found
 
 
 def less(one: Estimate, other: Estimate) -> Estimate:

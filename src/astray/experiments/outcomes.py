@@ -9,7 +9,7 @@ import numpy as np
 import polars as pl
 
 from astray.analysis import video
-from astray.analysis.estimates import Estimate, estimate_mean
+from astray.analysis.estimates import Estimate, estimate_mean, estimate_paired
 from astray.analysis.outcomes import MISGENERALIZED, load_shift, matrix, outcomes_of, shares
 from astray.analysis.policies import Walk
 from astray.analysis.runs import open_run
@@ -27,10 +27,10 @@ LONGEST = 120  # steps of an episode that are filmed
 def share(episodes: pl.DataFrame, test: str, outcome: str, *, minus: str | None = None) -> Estimate:
     """The share of the agents' episodes in a test with an outcome, less that with another."""
     part = episodes.filter(pl.col("test") == test, pl.col("policy") == AGENTS)
-    value = (pl.col("outcome") == outcome).cast(pl.Float64)
+    came = matrix(part, pl.col("outcome") == outcome)
     if minus:
-        value -= (pl.col("outcome") == minus).cast(pl.Float64)
-    return estimate_mean(matrix(part, value))
+        return estimate_paired(came, matrix(part, pl.col("outcome") == minus))
+    return estimate_mean(came)
 
 
 def first(work: Work, test: str, agent: str, outcome: str) -> np.ndarray:

@@ -135,7 +135,7 @@ def find(work: Work) -> Findings:
             "the paper and its code": "There each picture was labelled by hand, and its error bars "
             "are from the 5th to the 95th percentile, which is a 90\u00a0% interval; all pictures "
             "were of one agent and resampled alone. Here stage and coin come from the state, and "
-            "agents and levels are resampled.",
+            "intervals are over agents and levels.",
         },
     )
 

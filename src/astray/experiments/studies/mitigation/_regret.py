@@ -77,7 +77,7 @@ def find(proxy: str, work: Work) -> Findings:
             Plot(
                 "misgeneralization",
                 f"Episodes that reach the {proxy} first, in levels that tell the goals apart, "
-                "with 95\u00a0% intervals over agents, then levels.",
+                "with 95\u00a0% intervals, the spread between agents pooled over all kinds.",
                 by_share_figure(table.filter(what=MISGENERALIZED), "share of episodes"),
                 table.filter(what=MISGENERALIZED),
             ),
