@@ -4,15 +4,17 @@ import contextlib
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 import torch
 
 import astray
+from astray.acting import Answer
 from astray.agents.policy import Architecture
 from astray.cli.distil import distil
-from astray.training import checkpoint, teacher
+from astray.training import checkpoint, ppo, teacher
 from astray.training.fast import acceleration
-from astray.training.loop import collect, train
+from astray.training.loop import collect, improve, train
 from astray.training.teacher import TEACHER, Taught
 from astray.training.trainer import Trainer
 from helpers.trainings import TINY, digest, train_to_first_checkpoint
@@ -140,3 +142,76 @@ def test_a_sampler_that_learns_from_scores_has_no_students():
             STUDENT.changed(sampler=sampler)
     with pytest.raises(ValueError, match="one group; got 2 groups"):
         STUDENT.changed(groups=2)
+
+
+SOLVED = replace(TINY, teacher="solver", steps=4096, epochs=3, learning_rate=3e-3)
+
+
+def test_the_solver_says_the_way_to_the_intended_goal_and_what_it_is_worth():
+    with contextlib.closing(Trainer(SOLVED)) as trainer:
+        player, game = trainer.player, trainer.player.game
+        assert trainer.teacher
+        for t in range(3):
+            states = player.envs[0].get_state()
+            wanted, values = trainer.teacher.says()
+            for i, s in enumerate(states.view(np.recarray)):
+                action = game.actions[int(wanted[i].argmax())]
+                assert game.actions[game.solver.expert(s, "cheese")(s)] == action
+                best = game.solver.optimal_return(s, "cheese", SOLVED.gamma)
+                assert float(values[i]) == pytest.approx(min(best, 10), rel=1e-4)
+            torch.testing.assert_close(wanted.exp().sum(-1), torch.ones(len(states)))
+            right = np.full(len(states), game.actions.index("right"))
+            player.step(t, 0, Answer(right))
+
+
+def test_a_student_of_the_solver_learns_without_reward():
+    with contextlib.closing(Trainer(replace(SOLVED, variant="corner-small"))) as trainer:
+        kl = [improve(trainer)[0]["update/kl"] for _ in range(12)]
+    assert kl[-1] < 0.8 * kl[0]
+
+
+def test_after_its_lessons_rewards_alone_teach_a_student(tmp_path):
+    config = replace(SOLVED, taught=0.5)
+    train(config, tmp_path, progress=False)
+    lines = checkpoint.metrics(tmp_path)
+    assert len(lines) == 16
+    assert ["update/kl" in line for line in lines] == 8 * [True] + 8 * [False]
+    assert ["update/policy_loss" in line for line in lines] == 8 * [False] + 8 * [True]
+
+
+def test_what_follows_the_lessons_is_ppo_to_the_last_digit():
+    with contextlib.closing(Trainer(replace(SOLVED, taught=0.25))) as trainer:
+        while trainer.is_taught:
+            improve(trainer)
+        batch = collect(trainer).flat()
+        got = trainer.fast.loss(batch)["loss"]
+        assert torch.equal(got, ppo.loss(trainer.network, batch, trainer.config)["loss"])
+        # Rewards were taken in on the way, so that the critic's scale is that of its lessons.
+        assert trainer.player.normaliser.count > 1000
+
+
+def test_a_resumed_student_of_the_solver_is_the_one_that_was_not_stopped(tmp_path, monkeypatch):
+    config = replace(SOLVED, steps=2048, taught=0.5, checkpoint_every=3)
+    train(config, tmp_path / "whole", progress=False)
+    train_to_first_checkpoint(config, tmp_path / "parts", monkeypatch)
+    train(config, tmp_path / "parts", progress=False)
+    assert digest(tmp_path / "parts") == digest(tmp_path / "whole")
+
+
+@pytest.mark.parametrize(
+    "change, message",
+    [
+        ({"taught": 0.5, "teacher": None}, "taught is for students, who have a teacher; got 0.5"),
+        ({"taught": 2.0}, "taught must be from 0 to 1; got 2.0"),
+        ({"variant": "region-4", "validation": None}, "a variant of which a shift says the goal"),
+    ],
+)
+def test_lessons_that_nobody_can_give_are_refused(change, message):
+    with pytest.raises(ValueError, match=message):
+        replace(SOLVED, knobs={}, **change)
+
+
+def test_the_validation_says_which_goal_a_region_is_for():
+    assert replace(SOLVED, knobs={}, variant="region-4", validation="anywhere").intended_goal() == (
+        "cheese"
+    )

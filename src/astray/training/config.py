@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     Named = Any  # a name, or the thing that has it; the settings hold the name
 else:
     Named = str
+SOLVER = "solver"  # the teacher that is no agent
 Tracking = Literal["wandb", "trackio"]  # who else is told of a training
 RECORDS = {"sampler": Sampling, "fast": Fast}  # settings that hold several
 
@@ -90,7 +91,11 @@ class Config:
     # Treatment of an episode that the time limit cuts: bootstrap its value, or take it as ended.
     timeouts: Literal["bootstrap", "terminate"] = "bootstrap"
     loss: str | None = None  # Loss of your own, as module:function (default: PPO's).
-    teacher: str | None = None  # Name of the agent that this one is distilled from (default: none).
+    # Name of the agent that this one is distilled from, or "solver": the game's exact one (default:
+    # none).
+    teacher: str | None = None
+    # Part of the steps in which the teacher is asked; after that rewards alone teach.
+    taught: float = 1.0
 
     validation_every: int = 10  # Number of iterations from one validation to the next.
     checkpoint_every: int = 50  # Number of iterations from one checkpoint to the next.
@@ -117,6 +122,11 @@ class Config:
                 f"got {self.first_level} to {self.training_levels.stop - 1}"
             )
         check_network(self.network)
+        if self.teacher is None and self.taught != 1:
+            raise ValueError(f"taught is for students, who have a teacher; got {self.taught}")
+        if self.teacher == SOLVER:
+            self.find_game().solver.expert  # noqa: B018  # says that there is none
+            self.intended_goal()
         if self.teacher is not None and self.sampler.kind in SCORING:
             raise ValueError(
                 f"a student is not scored: its sampler must be another; got {self.sampler.kind!r}"
@@ -195,18 +205,19 @@ class Config:
         return self.variant_for(self.variant)
 
     def intended_goal(self) -> str:
-        """The goal that the shifts of the training variant mean.
+        """The goal that the shifts of the training variant mean, or else of the validation's.
 
-        Raises ValueError where none of the game's shifts has the variant.
+        Raises ValueError where none of the game's shifts has either.
         """
         shifts = self.find_game().shifts.values()
-        for shift in shifts:
-            if self.variant in (shift.train, shift.test):
-                return shift.intended
+        for variant in (self.variant, self.validation):
+            for shift in shifts:
+                if variant in (shift.train, shift.test):
+                    return shift.intended
         known = ", ".join(dict.fromkeys(shift.train for shift in shifts))
         raise ValueError(
-            f"score 'regret' needs a variant of which a shift says the goal; got {self.variant!r}, "
-            f"and there are: {known}"
+            "score 'regret' and a solver as teacher need a variant of which a shift says the goal; "
+            f"got {self.variant!r}, and there are: {known}"
         )
 
     def validation_variant(self) -> Variant:

@@ -290,18 +290,21 @@ def collect(trainer: Trainer) -> Samples:
     The next call overwrites what this one returned.
     """
     config, player, rollout = trainer.config, trainer.player, trainer.actor.rollout
+    teacher = trainer.teacher if trainer.is_taught else None
     shape = config.num_steps, len(player.images)
     reward, terminated, truncated = np.empty(shape), *np.empty((2, *shape), bool)
     cut: list[tuple[np.ndarray, np.ndarray]] = []  # indices of episodes cut off, and what they show
     rollout.begin(config.num_steps)
-    for step in acting.play(trainer.teacher or trainer.actor, player, config.num_steps):
+    for step in acting.play(teacher or trainer.actor, player, config.num_steps):
         at = step.t, step.where
         reward[at], terminated[at], truncated[at] = step.reward, step.terminated, step.truncated
         if step.cut:
             cut.append(step.cut)
     player.settle()
-    if trainer.teacher:
-        return trainer.teacher.samples()
+    if teacher:
+        if config.taught < 1:
+            rollout.take_in(reward, terminated | truncated)
+        return teacher.samples()
     next_value = rollout.value[1:].clone()
     if cut:
         indices, shown_last = zip(*cut, strict=True)

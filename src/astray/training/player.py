@@ -302,10 +302,8 @@ class Rollout:
         player, value, given = self.player, self.value[:-1], reward
         if config.normalise_reward and not player.learns:
             reward = player.normaliser.scaled(reward)
-        elif config.normalise_reward:  # over the environments of all processes
-            everywhere, ended = (parallel.joined(x, 1) for x in (reward, terminated | truncated))
-            pairs = zip(everywhere, ended, strict=True)
-            reward = np.stack([player.normaliser(*pair)[player.here] for pair in pairs])
+        elif config.normalise_reward:
+            reward = self.take_in(reward, terminated | truncated)
         ends, cuts = (torch.from_numpy(x).to(value.device) for x in (terminated, truncated))
         if config.timeouts == "terminate":
             ends = ends | cuts
@@ -319,6 +317,12 @@ class Rollout:
             joined = torch.from_numpy(parallel.joined(advantage.numpy(force=True), 1))
             advantage = ppo.normalised(joined.to(value.device))[:, player.here]
         self.advantage[:] = advantage
+
+    def take_in(self, reward: np.ndarray, ended: np.ndarray) -> np.ndarray:
+        """Rewards [T, N], normalised by what was seen so far, over all processes' environments."""
+        player = self.player
+        pairs = zip(*(parallel.joined(x, 1) for x in (reward, ended)), strict=True)
+        return np.stack([player.normaliser(*pair)[player.here] for pair in pairs])
 
     def samples(self) -> Samples:
         """What is learned from; the next rollout overwrites it."""

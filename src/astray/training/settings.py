@@ -22,7 +22,7 @@ COUNTS = (
     "validation_every", "checkpoint_every", "threads", "microbatch", "groups", "buffer", "edits",
     "shifted_levels",
 )  # fmt: skip
-SHARES = ("gamma", "lam", "reward_gamma", "share", "staleness")
+SHARES = ("gamma", "lam", "reward_gamma", "share", "staleness", "taught")
 AMOUNTS = ("learning_rate", "clip", "value_weight", "entropy_weight", "gradient_norm")
 RANGES = (
     {name: (1, MOST) for name in COUNTS}
@@ -50,8 +50,9 @@ class Sampling:
 
     # Sampler of training levels: uniform, mixed, growing, plr, accel, or your own as module:Class.
     kind: Annotated[str, arg(name="sampler")] = "uniform"
-    # Chance of an episode to be in a shifted level, as the mean over environment steps (mixed
-    # only; default: the variant's shift_probability).
+    # Chance of an episode to be in a shifted level, as the mean over environment steps (mixed;
+    # default: the variant's shift_probability); or the part of the steps after which all levels
+    # are played (growing; default: 0.5).
     share: float | None = None
     schedule: Schedule = "throughout"  # When the shifted levels are played (mixed only).
     # Number of shifted levels that are begun in all, early and late within a share of the steps

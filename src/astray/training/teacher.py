@@ -2,6 +2,7 @@
 
 The student acts, in the training levels alone, so that what these leave open stays open; of every
 state that it comes to, the teacher says how likely it would take each action, and what it values.
+The teacher is an agent, or the game's exact solver; it may fall silent before the training ends.
 """
 
 from __future__ import annotations
@@ -10,6 +11,7 @@ import contextlib
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -19,12 +21,14 @@ from astray.acting import Actor, Answer, Turn
 from astray.agents import policy
 from astray.envs.vector import GameVectorEnv
 from astray.files import make_folder, read, remove_empty, remove_made, see_own, write_aside
+from astray.record import trusted
 from astray.training import ppo
 from astray.training.config import Config
 from astray.training.player import Rollout
 from astray.training.ppo import Samples
 
 TEACHER = "teacher.safetensors"  # in the run folder of a student
+SURE = 0.9  # the chance that a solver gives its action; all others share what is left
 
 
 @dataclass(frozen=True)
@@ -62,39 +66,13 @@ def give(weights: Path, run: Path) -> None:
     write_aside(path, data)
 
 
-class Teacher:
-    """An agent that is asked about the states in which its student, another actor, acts.
+class Lessons:
+    """Somebody is asked about the states in which a student, another actor, acts."""
 
-    Raises ValueError where it does not know the variant's observations.
-    """
-
-    def __init__(self, path: Path, config: Config, student: Actor, rollout: Rollout):
-        try:
-            self.network, known = policy.load(path, config.game, config.device)
-        except FileNotFoundError:
-            raise FileNotFoundError(
-                f"the teacher {config.teacher} must be at {path}; see `astray distil`"
-            ) from None
-        symbolic = bool(known.largest)
+    def __init__(self, config: Config, student: Actor, rollout: Rollout):
         self.config, self.student, self.rollout = config, student, rollout
-        player = rollout.player
-        self.env = GameVectorEnv(
-            config.game,
-            config.training_variant(),
-            len(player.images),
-            observation="symbolic" if symbolic else "image",
-            art=config.art,
-            threads=config.threads,
-        )
-        sees = self.env.single_observation_space.shape
-        if (sees, len(self.env.game.actions)) != (known.shape, known.actions):
-            raise ValueError(
-                f"the teacher {config.teacher} must know observations of {sees}, those of "
-                f"{config.variant}; it knows {known.shape}"
-            )
-
-        shape = config.num_steps, len(player.images)
-        self._wanted = torch.empty((*shape, player.actions), device=config.device)
+        shape = config.num_steps, len(rollout.player.images)
+        self._wanted = torch.empty((*shape, rollout.player.actions), device=config.device)
         self._value = torch.empty(shape, device=config.device)
 
     def send(self, t: int, group: int, turn: Turn) -> None:
@@ -112,19 +90,85 @@ class Teacher:
 
     def says(self) -> tuple[Tensor, Tensor]:
         """Logarithms of its probabilities [N, actions], and its values [N], of what is now."""
+        raise NotImplementedError
+
+
+class Teacher(Lessons):
+    """An agent that is asked.
+
+    Raises ValueError where it does not know the variant's observations.
+    """
+
+    def __init__(self, path: Path, config: Config, student: Actor, rollout: Rollout):
+        super().__init__(config, student, rollout)
+        try:
+            self.network, known = policy.load(path, config.game, config.device)
+        except FileNotFoundError:
+            raise FileNotFoundError(
+                f"the teacher {config.teacher} must be at {path}; see `astray distil`"
+            ) from None
+        symbolic = bool(known.largest)
+        self.env = GameVectorEnv(
+            config.game,
+            config.training_variant(),
+            len(rollout.player.images),
+            observation="symbolic" if symbolic else "image",
+            art=config.art,
+            threads=config.threads,
+        )
+        sees = self.env.single_observation_space.shape
+        if (sees, len(self.env.game.actions)) != (known.shape, known.actions):
+            raise ValueError(
+                f"the teacher {config.teacher} must know observations of {sees}, those of "
+                f"{config.variant}; it knows {known.shape}"
+            )
+
+    def says(self) -> tuple[Tensor, Tensor]:
         states = np.concatenate([env.get_state() for env in self.rollout.player.envs])
         observations = torch.from_numpy(self.env.set_state(states)).to(self.config.device)
         logits, values = self.network(observations)
         return ppo.log_probabilities(logits), values
 
 
+class Solver(Lessons):
+    """The game's exact solver is asked which action leads the shortest way to the intended goal.
+
+    What it values is the best discounted return, normalised as the student's rewards are by then.
+    """
+
+    def __init__(self, config: Config, student: Actor, rollout: Rollout):
+        super().__init__(config, student, rollout)
+        self.goal = config.intended_goal()
+        self.experts: list[Callable[[Any], int] | None] = [None] * len(rollout.player.images)
+
+    def says(self) -> tuple[Tensor, Tensor]:
+        player = self.rollout.player
+        solver, actions = player.game.solver, player.actions
+        states = trusted(np.concatenate([env.get_state() for env in player.envs]))
+        wanted = np.full((len(states), actions), np.log((1 - SURE) / (actions - 1)), np.float32)
+        values = np.empty(len(states))
+        for i, s in enumerate(states):
+            expert = self.experts[i]
+            if expert is None or s.time == 0:  # a level has begun
+                expert = self.experts[i] = solver.expert(s, self.goal)
+            wanted[i, expert(s)] = np.log(SURE)
+            values[i] = solver.optimal_return(s, self.goal, self.config.gamma)
+        if self.config.normalise_reward:
+            values = player.normaliser.scaled(values)
+        device = self.config.device
+        return torch.from_numpy(wanted).to(device), torch.from_numpy(values).float().to(device)
+
+
 def loss(network: Callable, minibatch: Samples, config: Config) -> dict[str, Tensor]:
     """How far a student is from its teacher on a minibatch; the arguments of `ppo.loss`.
+
+    Of samples of which the teacher said nothing, it is `ppo.loss`.
 
     kl     KL(teacher || student) of their policies
     agree  share of samples in which the likeliest action is the same
     """
-    assert isinstance(minibatch, Taught)
+    if not isinstance(minibatch, Taught):
+        return ppo.loss(network, minibatch, config)
     logits, value = network(minibatch.observation)
     of_all = ppo.log_probabilities(logits)
     wanted = minibatch.wanted

@@ -15,7 +15,7 @@ from astray.agents.policy import Architecture
 from astray.bounds import of_kind
 from astray.memory import check_memory
 from astray.training import parallel, ppo
-from astray.training.config import Config
+from astray.training.config import SOLVER, Config
 from astray.training.fast import acceleration
 from astray.training.fast.acceleration import Loss
 from astray.training.fast.actor import Ahead
@@ -24,7 +24,7 @@ from astray.training.levels import Growing, MakeSampler, Mixed, Sampler
 from astray.training.player import RECENT, Actor, Player, Rollout
 from astray.training.replay import Replay
 from astray.training.settings import SAMPLERS
-from astray.training.teacher import Teacher
+from astray.training.teacher import Solver, Teacher
 from astray.training.teacher import loss as distilled
 
 PER_WEIGHT = 16  # bytes: float32 of itself, its gradient, and Adam's two moments
@@ -89,8 +89,10 @@ class Trainer:
         self.fast = acceleration.accelerate(self.network, what, config, self.architecture)
         self.actor = self._acts(Rollout(self.player, config.num_steps))
         self.validator = self.validation and self._acts(Rollout(self.validation, 1))
-        self.teacher: Teacher | None = None
-        if config.teacher is not None:
+        self.teacher: Teacher | Solver | None = None
+        if config.teacher == SOLVER:
+            self.teacher = Solver(config, self.actor, self.actor.rollout)
+        elif config.teacher is not None:
             if teacher is None:
                 raise ValueError(f"a student of {config.teacher} must have a run folder")
             self.teacher = Teacher(teacher, config, self.actor, self.actor.rollout)
@@ -151,6 +153,11 @@ class Trainer:
         """What a step of the optimizer changes: the weights, and their moments once there are."""
         moments = [x for state in self.optimizer.state.values() for x in state.values()]
         return [*self.weights, *moments]
+
+    @property
+    def is_taught(self) -> bool:
+        """Whether the teacher is asked about the next rollout; else rewards teach."""
+        return self.teacher is not None and self.steps < self.config.taught * self.config.steps
 
     @property
     def iteration(self) -> int:
