@@ -40,7 +40,7 @@ if TYPE_CHECKING:
 
 SUMMARY, EPISODES = "agency.json", "episodes.parquet"
 POSTERIOR = ("posterior.mp4", "posterior.gif", "posterior.png")
-Preset = Literal["paper", "small", "pixels"]
+Preset = Literal["paper", "night", "small", "pixels"]
 
 
 def train(

@@ -12,7 +12,7 @@ from astray.experiments.spec import Place
 from astray.training.config import Config, Tracking
 
 MOST_WORKERS = 1024  # processes
-Preset = Literal["paper", "small", "pixels"]
+Preset = Literal["paper", "night", "small", "pixels"]
 Sets = UseAppendAction[Annotated[tuple[str, ...], arg(name="set", metavar="NAME=VALUE,...")]]
 
 MOST_LEVELS = 10**6  # that each agent is evaluated on

@@ -342,19 +342,32 @@ class Config:
 # threads. Many small updates of a wide network learned more in the same minutes than few large
 # ones or convolutions.
 SMALL = Config()
+PAPER = replace(
+    SMALL,
+    observation="image",
+    network="impala",
+    width=64,
+    steps=200_000_000,
+    num_steps=256,
+    minibatches=8,  # of 256 x 256 / 8 = 8,192 samples
+    gamma=0.999,
+    entropy_weight=0.01,
+    validation_every=1,
+    checkpoint_every=25,
+)
 PRESETS = {
-    "paper": replace(
-        SMALL,
-        observation="image",
-        network="impala",
-        width=64,
-        steps=200_000_000,
-        num_steps=256,
-        minibatches=8,  # of 256 x 256 / 8 = 8,192 samples
-        gamma=0.999,
-        entropy_weight=0.01,
-        validation_every=1,
-        checkpoint_every=25,
+    "paper": PAPER,
+    # The paper's worlds on a core, overnight: a network of a fifth of the paper's products, and
+    # updates of as many steps as rare rewards need.
+    "night": replace(
+        PAPER,
+        network="patch-impala",
+        steps=40_000_000,
+        num_steps=64,
+        epochs=2,
+        minibatches=16,
+        validation_every=40,
+        checkpoint_every=20,
     ),
     "small": SMALL,
     # The paper's images, by a network of few products; updates are as large as they need be, and

@@ -34,6 +34,7 @@ AGENTS: Mapping[Size, Config] = {
         entropy_weight=0.01,
         steps=1_000_000,
     ),
+    "night": replace(PRESETS["night"], **ABOUT),
     "hour": replace(LARGE, steps=25_000_000),
     "paper": LARGE,
     # OpenAI's agent, trained on all levels as released; for its tests they are numbered likewise.
@@ -49,12 +50,15 @@ AGENTS: Mapping[Size, Config] = {
         normalise_reward=False,
     ),
 }
+SPEED = {"night": 1500}  # steps a second, where agents take a night
 RUNNER = "runner"  # the name of the agents where there are no others
 DIFFERENCES: Mapping[Size, str] = {
     "smoke": "levels seen as symbols instead of a picture, by a network of two hidden layers, and "
     "10 million steps instead of 200 million",
     "pixels": "levels without hazards, 300 steps an episode; a network of patches, and 1 "
     "million steps instead of 200 million",
+    "night": "a network of patches before the paper's later blocks, and 40 million steps instead "
+    "of 200 million",
     "hour": "25 million steps instead of 200 million",
     "paper": "",
     "published": "the agent is OpenAI's of CoinRun as released, trained by others with "
@@ -78,6 +82,7 @@ def plan(size: Size, seeds: int, levels: int, **more: Any) -> Plan:
         published=AGENT if size == PUBLISHED else {},
         seeds=seeds,
         levels=levels,
+        speed=SPEED.get(size, 0),
         differences=(DIFFERENCES[size] + brief).removeprefix("; "),
         **more,
     )

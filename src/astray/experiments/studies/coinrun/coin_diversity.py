@@ -227,7 +227,14 @@ def plan(size: Size, shares: tuple[int, ...], seeds: int, levels: int, differenc
         )
         for share in shares
     }
-    return Plan(agents=agents, seeds=seeds, tests=TESTS, levels=levels, differences=differences)
+    return Plan(
+        agents=agents,
+        seeds=seeds,
+        tests=TESTS,
+        levels=levels,
+        differences=differences,
+        speed=_agents.SPEED.get(size, 0),
+    )
 
 
 EXPERIMENT = Experiment(
@@ -249,6 +256,13 @@ EXPERIMENT = Experiment(
             3,
             500,
             f"three of the eight shares; {_agents.DIFFERENCES['pixels']}",
+        ),
+        "night": plan(
+            "night",
+            (0, 2, 20),
+            2,
+            1000,
+            f"three of the eight shares; {_agents.DIFFERENCES['night']}",
         ),
         "hour": plan(
             "hour",

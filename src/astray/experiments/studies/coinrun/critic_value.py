@@ -223,6 +223,7 @@ EXPERIMENT = Experiment(
     sizes={
         "smoke": _agents.plan("smoke", 2, 300, visited=TESTS),
         "pixels": _agents.plan("pixels", 3, 300, visited=TESTS),
+        "night": _agents.plan("night", 2, 300, visited=TESTS),
         "hour": _agents.plan("hour", 1, 500, visited=TESTS),
         "paper": _agents.plan("paper", 3, 1000, visited=TESTS),
         "published": _agents.plan("published", 1, 300, visited=BRIEF),

@@ -301,6 +301,7 @@ EXPERIMENT = Experiment(
     sizes={
         "smoke": _agents.plan("smoke", 2, 1000, visited=TESTS),
         "pixels": _agents.plan("pixels", 3, 1000, visited=TESTS),
+        "night": _agents.plan("night", 2, 1000, visited=TESTS),
         "hour": _agents.plan("hour", 1, 1000, visited=TESTS),
         "paper": _agents.plan("paper", 3, 1000, visited=TESTS),
         "published": _agents.plan("published", 1, 1000, visited=TESTS),

@@ -270,6 +270,7 @@ EXPERIMENT = Experiment(
     sizes={
         "smoke": _agents.plan("smoke", 2, 200, **PLAYED),
         "pixels": _agents.plan("pixels", 3, 200, **PLAYED),
+        "night": _agents.plan("night", 2, 200, **PLAYED),
         "hour": _agents.plan("hour", 1, 300, **PLAYED),
         "paper": _agents.plan("paper", 3, 1000, **PLAYED),
         "published": _agents.plan("published", 1, 150, **PLAYED | {"tests": BRIEF}),

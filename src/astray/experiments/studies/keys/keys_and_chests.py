@@ -97,7 +97,9 @@ def find(work: Work) -> Findings:
     )
 
 
-def plan(config: Config, shift: str, *, seeds: int, levels: int, differences: str) -> Plan:
+def plan(
+    config: Config, shift: str, *, seeds: int, levels: int, differences: str, speed: int = 0
+) -> Plan:
     """What all sizes have in common."""
     return Plan(
         agents={THIEF: config},
@@ -106,6 +108,7 @@ def plan(config: Config, shift: str, *, seeds: int, levels: int, differences: st
         levels=levels,
         measures=hoarding.measures(config.gamma),
         differences=differences,
+        speed=speed,
     )
 
 
@@ -145,6 +148,15 @@ EXPERIMENT = Experiment(
             differences="mazes of 5 and 7 cells instead of 5 to 13, with 1 to 3 keys in training "
             "instead of 1 to 6; 200 steps an episode instead of 1000; a network of patches, a "
             "discount of 0.98 instead of 0.999, and 6 million steps instead of 200 million",
+        ),
+        "night": plan(
+            replace(PRESETS["night"], game="keys", variant="many-chests", validation="many-keys"),
+            "many-keys",
+            seeds=2,
+            levels=1000,
+            differences="a network of patches before the paper's later blocks, and 40 million "
+            "steps instead of 200 million",
+            speed=1500,
         ),
         "hour": plan(
             replace(

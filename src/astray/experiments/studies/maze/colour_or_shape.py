@@ -14,6 +14,7 @@ from astray.experiments import outcomes
 from astray.experiments.outcomes import AGENTS, share
 from astray.experiments.report import Findings, Plot, Table
 from astray.experiments.spec import Experiment, Plan, Work, tests_of
+from astray.experiments.studies.maze import maze_corner
 from astray.experiments.studies.maze._figures import pair_maps
 from astray.games.maze.variants import COLOURS, EASY, SHAPES
 from astray.report.claims import Claim, above, rounded
@@ -254,6 +255,18 @@ EXPERIMENT = Experiment(
             differences="worlds of 7 cells instead of 25; a mouse that starts anywhere and has 100 "
             "steps instead of 500; a network of patches, and 2 million steps instead of 200 "
             "million",
+        ),
+        "night": Plan(
+            agents={
+                "mouse": replace(
+                    maze_corner.NIGHT, variant="yellow-line", validation="red-line-yellow-gem"
+                )
+            },
+            seeds=2,
+            tests=tests_of("maze", "colour-or-shape"),
+            levels=1000,
+            differences=maze_corner.BY_NIGHT,
+            speed=maze_corner.SPEED,
         ),
         "hour": Plan(
             agents={

@@ -196,6 +196,14 @@ EXPERIMENT = Experiment(
             "that starts anywhere and has 100 steps instead of 500; a network of patches, and 2 "
             "million steps instead of 80 million",
         ),
+        "night": Plan(
+            agents=sweep(maze_corner.NIGHT, (4, 10)),
+            seeds=2,
+            tests={"in the test": tests_of("maze", "corner")["in the test"]},
+            levels=1000,
+            differences=f"regions of 1, 4 and 10 cells; {maze_corner.BY_NIGHT}",
+            speed=maze_corner.SPEED,
+        ),
         "hour": Plan(
             agents=sweep(HOUR.config, (4, 8, 15), knobs=dict(EASY)),
             tests={"in the test": HOUR.tests["in the test"]},

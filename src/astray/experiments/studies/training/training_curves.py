@@ -179,6 +179,8 @@ def collected(size: Size) -> Plan:
         agents={name: plan.config for name, plan in firsts.items()},
         seeds=min(plan.seeds for plan in firsts.values()),
         levels=1,  # there are no tests
+        # Of all that are trained in turn, the slowest.
+        speed=min(plan.speed for plan in firsts.values()),
         differences="" if size == "paper" else "; ".join(differences),
     )
 

@@ -1,0 +1,80 @@
+"""Size night: the paper's own worlds, played to the end as the paper plays them."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from astray.experiments import catalogue, run
+from astray.experiments.workers import expected
+from astray.training.config import Config
+from astray.training.levels import Growing
+
+NAMES = [name for name in catalogue.NAMES if "night" in catalogue.load(name).sizes]
+PURE = 10_000_000  # steps of rewards alone in the variant's own levels, at least
+
+
+def plans(name):
+    sizes = catalogue.load(name).sizes
+    return sizes["night"], sizes["paper"]
+
+
+def test_the_studies_of_the_paper_have_a_night():
+    assert set(NAMES) >= {
+        "maze-corner", "maze-region", "colour-or-shape", "moved-coin", "coin-diversity",
+        "permeable-wall", "critic-value", "keys-and-chests",
+    }  # fmt: skip
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_night_trains_in_the_papers_worlds_on_a_processor(name):
+    night, paper = plans(name)
+    corner = catalogue.load("maze-corner").sizes["paper"].config  # which is region 1, called so
+    there = {str(config.training_variant()) for config in (*paper.agents.values(), corner)}
+    for config in night.agents.values():
+        assert str(config.training_variant()) in there
+        assert config.device == "cpu" and config.observation == "image"
+        assert config.levels == 100_000
+    assert {name: (t.variant, t.shift) for name, t in night.tests.items()} == {
+        name: (t.variant, t.shift) for name, t in paper.tests.items()
+    }
+    assert night.differences and night.speed and night.seeds >= 2
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_night_ends_with_rewards_alone_in_the_papers_distribution(name):
+    for config in plans(name)[0].agents.values():
+        assert config.sampler.kind in ("uniform", "growing")
+        grown = config.sampler.share or 0
+        assert (1 - max(grown, config.taught if config.teacher else 0)) * config.steps >= PURE
+
+
+def test_the_levels_of_a_night_have_grown_when_its_rewards_alone_teach():
+    config: Config = plans("maze-corner")[0].config
+    few, grown = Growing(replace(config, levels=300)), config.sampler.share
+    assert grown
+    few.plan(int(0.9 * grown * config.steps))
+    assert few.count < 300
+    for part in (grown, config.taught, 1.0):
+        few.plan(int(part * config.steps))
+        assert few.count == 300
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_how_long_a_night_takes_can_be_told(name, tmp_path):
+    night = plans(name)[0]
+    configs = [c for some in night.trainings().values() for c in some]
+    told = expected({run.run_folder(tmp_path, c): c for c in configs}, night.speed, 2)
+    hours = sum(c.steps for c in configs) / night.speed / 2 / 3600
+    assert f"{len(configs)} agents, 0 of them trained" in told
+    assert f"about {max(hours, configs[0].steps / night.speed / 3600):.1f} hours with 2" in told
+
+
+def test_the_hours_are_told_before_the_first_training_begins(tmp_path, monkeypatch, capsys):
+    def stopped(*_):
+        assert "hours with" in capsys.readouterr().err
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(run, "train_all", stopped)
+    with pytest.raises(KeyboardInterrupt):
+        run.reproduce("maze-corner", "night", Path(tmp_path))
