@@ -13,7 +13,7 @@ COPY constraints.txt /wheels/
 COPY --from=build /wheels /wheels
 RUN pip install --no-cache-dir --constraint /wheels/constraints.txt --index-url "$TORCH_INDEX" \
         --extra-index-url https://pypi.org/simple torch \
-    && pip install --no-cache-dir --constraint /wheels/constraints.txt /wheels/*.whl \
+    && pip install --no-cache-dir --constraint /wheels/constraints.txt "$(ls /wheels/*.whl)[train]" \
     && rm -r /wheels
 RUN useradd --create-home mouse
 USER mouse

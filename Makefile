@@ -72,20 +72,23 @@ bench: $(INSTALLED)
 	$(BIN)/astray bench environments
 	$(BIN)/astray bench train
 
-# The wheel and the source archive, checked; then the wheel alone in a bare environment, tried.
+# The wheel and the source archive, checked; then the wheel in a bare environment, tried: its core
+# alone, then what trains.
 wheel: $(INSTALLED)
 	rm -rf dist
 	$(BIN)/python -m build --quiet
 	$(BIN)/twine check --strict dist/*
 	rm -rf .bare && $(PYTHON) -m venv .bare
 	.bare/bin/python -m pip install --quiet --constraint constraints.txt dist/*.whl
+	.bare/bin/python packaging/smoke.py --core
+	.bare/bin/python -m pip install --quiet --constraint constraints.txt "$$(ls dist/*.whl)[train]"
 	.bare/bin/python packaging/smoke.py
 	rm -rf .bare
 
 # What an installation of the newest allowed versions holds: dist/sbom.json, in CycloneDX's format.
 sbom:
 	rm -rf .bare .sbom && $(PYTHON) -m venv .bare && $(PYTHON) -m venv .sbom
-	.bare/bin/python -m pip install --quiet .
+	.bare/bin/python -m pip install --quiet '.[train]'
 	.sbom/bin/python -m pip install --quiet cyclonedx-bom
 	mkdir -p dist
 	.sbom/bin/cyclonedx-py environment --pyproject pyproject.toml --output-file dist/sbom.json \
@@ -99,7 +102,7 @@ notebooks: $(INSTALLED)
 $(INSTALLED): pyproject.toml constraints.txt
 	$(PYTHON) -m venv .venv
 	$(BIN)/python -m pip install --quiet --upgrade 'pip>=25.1'
-	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable . --group dev
+	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[train]' --group dev
 	touch $@
 
 clean:

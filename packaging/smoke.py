@@ -1,11 +1,13 @@
 """Try an installed astray: what a wheel must hold, and a training of some seconds; no test library.
 
-python packaging/smoke.py
+python packaging/smoke.py          of an installation that trains
+python packaging/smoke.py --core   of one for environments alone
 """
 
 from __future__ import annotations
 
 import importlib.metadata
+import importlib.util
 import subprocess
 import sys
 import tempfile
@@ -43,6 +45,11 @@ def main() -> None:
     assert images.shape == (4, 64, 64, 3)
     env.step(env.action_space.sample())
     env.close()
+    if "--core" in sys.argv:
+        heavy = ("torch", "matplotlib", "polars", "scipy")
+        there = [name for name in heavy if importlib.util.find_spec(name)]
+        assert not there, f"environments alone bring {there}"
+        return
     with tempfile.TemporaryDirectory() as folder:
         assert "maze-corner" in astray("list", folder=folder)
         assert "#######" in astray("level", "maze", "corner-small", "--numbers", "7", folder=folder)

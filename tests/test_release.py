@@ -3,15 +3,18 @@
 import os
 import re
 import subprocess
+import sys
 import tomllib
 from pathlib import Path
 
 import pytest
 
 import astray
+from astray import games
 
 ROOT = Path(__file__).parents[1]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())
+EXTRAS = PROJECT["project"]["optional-dependencies"]
 # Trackio wants an older Pillow than the one that the digests of pictures were made with.
 APART = {"trackio"}
 
@@ -69,8 +72,65 @@ def test_what_extras_bring_is_tested():
         for each in PROJECT["project"]["optional-dependencies"].values()
         for one in each
     }
-    dev = {package(one) for one in PROJECT["dependency-groups"]["dev"]}
-    assert extras - dev == APART
+    tested = [*PROJECT["dependency-groups"]["dev"], *EXTRAS["train"]]
+    assert extras - {package(one) for one in tested} == APART | {"astray"}
+
+
+def test_all_is_every_extra():
+    assert {name for name in EXTRAS if name not in ("all", "train")} == set(
+        re.search(r"\[(.*)\]", *EXTRAS["all"])[1].split(",")
+    )
+
+
+BARE = """
+import sys
+
+class Missing:
+    def find_spec(name, path=None, target=None):
+        if name.partition(".")[0] in {names}:
+            raise ModuleNotFoundError(f"No module named {{name!r}}", name=name)
+
+sys.meta_path.insert(0, Missing)
+"""
+STEP = """
+import gymnasium, numpy, astray
+from astray import games
+for game in games.OWN:
+    for variant in games.find(game).variants:
+        gymnasium.spec(f"astray/{game}-{variant}-v0")
+    env = gymnasium.make_vec(f"astray/{game}-{variant}-v0", num_envs=2)
+    env.reset(seed=0)
+    print(env.step(numpy.zeros(2, int))[0].shape)
+"""
+
+
+def without_extras(program):
+    """Run a program where no library of an extra can be imported."""
+    names = {package(one) for each in EXTRAS.values() for one in each} - {"astray"}
+    program = BARE.format(names=names) + program
+    return subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
+
+
+def test_environments_need_no_library_of_an_extra():
+    done = without_extras(STEP)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.splitlines() == ["(2, 64, 64, 3)"] * len(games.OWN)
+
+
+@pytest.mark.parametrize("name", ["Config", "evaluate", "reproduce", "train"])
+def test_what_needs_more_than_environments_says_which_extra(name):
+    done = without_extras(f"import astray; astray.{name}")
+    assert re.fullmatch(
+        rf"ImportError: astray.{name} needs \w+: pip install '.\[train\]' in a clone of astray",
+        done.stderr.splitlines()[-1],
+    )
+
+
+def test_the_command_says_which_extra_it_needs():
+    done = without_extras("from astray import cli; cli.main()")
+    assert done.stderr.splitlines() == [
+        "astray: the command astray needs tyro: pip install '.[train]' in a clone of astray"
+    ]
 
 
 def test_the_version_is_told(astray):

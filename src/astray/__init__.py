@@ -9,7 +9,7 @@ import importlib
 from importlib.metadata import version
 from typing import TYPE_CHECKING, Any
 
-from astray import envs
+from astray import envs, imports
 from astray.envs import register as register
 
 if TYPE_CHECKING:
@@ -63,7 +63,10 @@ def __getattr__(name: str) -> Any:
     if name not in FACE:
         raise AttributeError(f"module 'astray' has no {name!r}; it has: {', '.join(__dir__())}")
     module, _, attribute = FACE[name].partition(":")
-    return getattr(importlib.import_module(module), attribute)
+    try:
+        return getattr(importlib.import_module(module), attribute)
+    except ModuleNotFoundError as error:
+        raise imports.needed_by(f"astray.{name}", error) from None
 
 
 def __dir__() -> list[str]:

@@ -78,6 +78,14 @@ def missing(need: str, extra: str) -> ImportError:
     return ImportError(f"{need}: pip install '.[{extra}]' in a clone of astray")
 
 
+def needed_by(thing: str, error: ModuleNotFoundError) -> ImportError:
+    """Return the error that names the extra of a library that more than environments needs."""
+    library = f"{error.name}".partition(".")[0]
+    if library == "astray":
+        return error
+    return missing(f"{thing} needs {library}", "train")
+
+
 def _attribute(thing: Any, name: str) -> Any:
     for part in name.partition(":")[2].split("."):
         thing = getattr(thing, part)

@@ -46,7 +46,7 @@ def test_too_few_unseen_levels_are_told_before_training_and_what_to_do(tmp_path)
 
 
 def test_a_package_that_findings_need_is_missed_before_training(tmp_path):
-    with pytest.raises(ImportError, match=r"'Early' needs no_such: pip install 'astray\[insight\]"):
+    with pytest.raises(ImportError, match=r"'Early' needs no_such: pip install '.\[insight\]"):
         run.reproduce(experiment(plan(), needs={"no_such": "insight"}), "smoke", tmp_path)
     assert not list(tmp_path.iterdir())
 

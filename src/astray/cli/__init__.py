@@ -9,6 +9,7 @@ import signal
 import sys
 import threading
 
+from astray import imports
 from astray.words import printable
 
 MISTAKE = 2  # exit code, after the mistake was explained
@@ -32,8 +33,10 @@ def main() -> None:
         threading.excepthook = _tell_of_thread
         _see_folder()
         # Imported here: libraries read the environment, and may not like what they find.
-        from astray.cli.verbs import run
-
+        try:
+            from astray.cli.verbs import run
+        except ModuleNotFoundError as error:
+            raise imports.needed_by("the command astray", error) from None
         run()
         if sys.stdout:
             sys.stdout.flush()

@@ -8,12 +8,12 @@ import gymnasium
 import numpy as np
 from gymnasium.vector import AutoresetMode
 
+from astray import imports
+
 try:
     from stable_baselines3.common.vec_env import VecEnv
 except ImportError as error:
-    raise ImportError(
-        "astray.envs.sb3 needs Stable-Baselines3: pip install stable-baselines3"
-    ) from error
+    raise imports.missing("astray.envs.sb3 needs stable_baselines3", "sb3") from error
 
 from astray.envs.vector import GameVectorEnv
 

@@ -14,7 +14,7 @@ from typing import Any, Literal, get_args
 
 import polars as pl
 
-from astray import games
+from astray import games, imports
 from astray.analysis.evaluate import COLUMNS
 from astray.analysis.given import Measure, see_measures
 from astray.analysis.outcomes import load_shift
@@ -202,4 +202,4 @@ class Experiment:
         """Raise ImportError where a package is missing that the findings need."""
         for package, extra in self.needs.items():
             if importlib.util.find_spec(package) is None:
-                raise ImportError(f"{self.title!r} needs {package}: pip install 'astray[{extra}]'")
+                raise imports.missing(f"{self.title!r} needs {package}", extra)
