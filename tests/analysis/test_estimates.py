@@ -83,7 +83,7 @@ def test_with_one_agent_the_interval_of_a_share_is_wilsons():
         found = estimate_mean(np.arange(400) < succeeded)
         exact = stats.binomtest(succeeded, 400).proportion_ci(method="wilson")
         assert found.mean == succeeded / 400
-        assert (found.low, found.high) == pytest.approx((exact.low, exact.high), rel=1e-2, abs=1e-4)
+        assert (found.low, found.high) == pytest.approx((exact.low, exact.high), abs=1e-12)
 
 
 def test_what_is_never_less_is_no_share():

@@ -83,6 +83,8 @@ def estimate_mean(
     rest = (values - mean * weights) * (values.size / total)  # what varies, in units of the mean
     among = _among_levels(rest)
     if agents == 1:
+        if share:
+            among = float(rest.var()) / levels  # by p (1 - p), as Wilson has it
         between, freedom = 0.0, math.inf
         of_levels = quantile(math.inf if share or levels == 1 else levels - 1)
     else:

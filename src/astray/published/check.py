@@ -13,6 +13,7 @@ import polars as pl
 
 from astray.acting import initial_states
 from astray.analysis.critic import judge, observe
+from astray.analysis.estimates import estimate_mean
 from astray.analysis.evaluate import evaluate
 from astray.analysis.runs import open_run
 from astray.published.catalogue import Check
@@ -27,10 +28,8 @@ class Share:
 
     @property
     def interval(self) -> tuple[float, float]:
-        from scipy.stats import binomtest  # here, as it takes a second to import
-
-        found = binomtest(self.succeeded, self.levels).proportion_ci(method="wilson")
-        return float(found.low), float(found.high)
+        found = estimate_mean(np.arange(self.levels) < self.succeeded)
+        return found.low, found.high
 
     def __str__(self) -> str:
         low, high = (100 * end for end in self.interval)
