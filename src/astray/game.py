@@ -12,13 +12,14 @@ from typing import Any, Literal, Self
 import numpy as np
 
 from astray.bounds import MOST, bounded, finite, of_kind, shown
-from astray.protocols import Cells, Editing, Levels, Mutating, Rules, Solver, Symbols
+from astray.protocols import Cells, Editing, Levels, Mutating, Places, Rules, Solver, Symbols
 from astray.record import check_states, record_dtype
 
 OWN = "own"  # the art that is drawn here
 Mutation = Literal["constant", "identity", "binomial"]  # what is edited of a level, and how often
 MUTATIONS: tuple[Mutation, ...] = typing.get_args(Mutation)
 MOST_EDITS = 10_000  # of a level; some 50 ms
+ABILITIES = ("symbols", "editing", "solver", "mutation", "places", "cells", "benchmark")
 KINDS = {int: np.int64, float: np.float64, bool: np.bool_}
 
 
@@ -235,6 +236,7 @@ class Game:
     editing: Editing = None  # pyright: ignore
     solver: Solver = None  # pyright: ignore
     mutation: Mutating = None  # pyright: ignore
+    places: Places = None  # pyright: ignore
     cells: Cells = None  # pyright: ignore
     benchmark: Benchmark = None  # pyright: ignore
     ends: Mapping[str, Outcome] = field(default_factory=dict)  # which are neither goals nor
@@ -252,7 +254,7 @@ class Game:
     real_time: bool = False  # things move while the agent stays; else a person may take time
 
     def __post_init__(self) -> None:
-        for ability in ("symbols", "editing", "solver", "mutation", "cells", "benchmark"):
+        for ability in ABILITIES:
             if getattr(self, ability) is None:
                 object.__setattr__(self, ability, Missing(self.name, ability))
 

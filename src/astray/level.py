@@ -234,9 +234,7 @@ class Level:
         Those are the empty cells that the agent can reach, and the one that it is in now.
         """
         lifted = self if name == "agent" else self.removed(name, at)
-        reachable = self.game.solver.reachable(lifted.state(solvable=False))
-        height, width = lifted.cells.shape  # of a drawing, which may be smaller than a state's
-        free = (lifted.cells == self.game.editing.LEGEND[EMPTY]) & reachable[:height, :width]
+        free = self.game.places.stand(lifted.state(solvable=False))
         free[self.agent[1], self.agent[0]] = name == "agent"
         cells = [(int(x), int(y)) for y, x in np.argwhere(free)]
         if name == "agent":

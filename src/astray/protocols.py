@@ -118,13 +118,33 @@ class Editing(Protocol):
         ...
 
 
-class Cells(Protocol):
-    """Games whose agent goes from cell to cell, (x, y): those the agency measure is for."""
+class Places(Protocol):
+    """Where the agent of a game is, and where else it could be: x to the right, y upward."""
 
     @property
-    def position(self) -> Callable[[np.ndarray], np.ndarray]:
-        """(states [N]) -> [N, 2] int64, the cells of the agents."""
+    def centre(self) -> Callable[[np.ndarray], np.ndarray]:
+        """(states [N]) -> [N, 2] float64, the centres of the agents, in cells."""
         ...
+
+    @property
+    def stand(self) -> Callable[[Any], np.ndarray]:
+        """(s) -> [H, W] bool, the cells that the agent can be put in.
+
+        Those with nothing in them that it can get to, and its own.
+        """
+        ...
+
+    @property
+    def put(self) -> Callable[[np.ndarray, np.ndarray], np.ndarray]:
+        """(states [N], cells [N, 2] int64) -> states [N]: the agents in these cells, at rest.
+
+        All else is as in the states given, which stay as they are.
+        """
+        ...
+
+
+class Cells(Protocol):
+    """Games whose agent goes from cell to cell, (x, y): those the agency measure is for."""
 
     @property
     def free(self) -> Callable[[Any], np.ndarray]:

@@ -143,6 +143,11 @@ def centre(s: Any) -> list[float]:
     return [float(s.x), float(s.y)]
 
 
+def centres(states: np.ndarray) -> np.ndarray:
+    """[N, 2] float64, the centres of the agents in states [N] that have them as x and y."""
+    return np.stack([states["x"], states["y"]], -1).astype(np.float64)
+
+
 def within(numbers: np.ndarray, first: int, after: int | np.ndarray) -> np.ndarray:
     """Which of `numbers` are from `first` on and before `after`."""
     return (numbers >= first) & (numbers < after)

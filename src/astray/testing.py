@@ -230,14 +230,32 @@ def check_solver(game: Game, variant: Variant) -> None:
             assert discounted <= soon + 1e-9, f"level {level}: sooner than is possible"
 
 
+def check_places(game: Game, variant: Variant) -> None:
+    """The agent can be put where it may stand, is there then, and all else is as it was."""
+    if not game.places:
+        return
+    for s in _beginnings(game, variant):
+        begun, stand = np.array([s], game.state), game.places.stand(s)
+        ((x, y),) = np.floor(game.places.centre(begun)).astype(int)
+        assert stand.dtype == bool and stand[y, x], f"level {s.level}: it cannot be at ({x}, {y})"
+        back = game.places.put(begun, np.array([[x, y]]))
+        assert back.tobytes() == begun.tobytes(), "put where it is, it is not as it was"
+        cells = np.argwhere(stand)[:, ::-1]
+        states = np.repeat(begun, len(cells))
+        moved = game.places.put(states, cells)
+        assert (states == begun).all(), "the states given were changed"
+        assert (np.floor(game.places.centre(moved)) == cells).all(), "it is not where it was put"
+        game.check(moved, variant)
+
+
 def check_cells(game: Game, variant: Variant) -> None:
     """The agent stands where it may, and so do goals; where one is reached, the agent is there."""
     if not game.cells:
         return
     for s in _beginnings(game, variant):
         free = game.cells.free(s)
-        (start,) = game.cells.position(np.array([s], game.state))
-        assert start.dtype == np.int64 and free.dtype == bool and free[start[1], start[0]]
+        (start,) = np.floor(game.places.centre(np.array([s], game.state))).astype(int)
+        assert free.dtype == bool and free[start[1], start[0]]
         for goal in game.event_goals:
             place = game.cells.target(s, goal)
             assert place is None or free[place[1], place[0]], f"level {s.level}: {goal} at {place}"
@@ -276,7 +294,7 @@ def _where_reached(game: Game, variant: Variant, s: Any, goal: str) -> tuple[int
     expert, event = game.solver.expert(s, goal), game.event(goal)
     while env.states[0][event] < 0 and not env.states[0].ended:
         env.step(np.array([expert(env.states[0])]))
-    x, y = game.cells.position(env.get_state())[0]
+    x, y = game.places.centre(env.get_state())[0]
     return (int(x), int(y)) if env.states[0][event] >= 0 else None
 
 
@@ -296,8 +314,8 @@ def check_compiled_once(game: Game, variant: Variant) -> None:
 
 CHECKS: tuple[Callable[[Game, Variant], None], ...] = (
     check_batches, check_gymnasium, check_seeds, check_levels, check_time_limit, check_states,
-    check_events, check_symbols, check_editing, check_solver, check_cells, check_labels,
-    check_measures, check_compiled_once,
+    check_events, check_symbols, check_editing, check_solver, check_places, check_cells,
+    check_labels, check_compiled_once,
 )  # fmt: skip
 
 

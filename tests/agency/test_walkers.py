@@ -46,14 +46,14 @@ CALLED = {  # share called agents by the paper's measure and the calibrated one:
     "legal": (legal_random, (0.8, 1.0), (0.0, 0.2)),
     "persistent": (persistent, (0.5, 1.0), (0.0, 0.05)),
     "wall follower": (wall_follower, (0.5, 1.0), (0.0, 0.05)),
-    "agent": (erring((3, 3), 0.2), (0.8, 1.0), (0.8, 1.0)),
+    "agent": (erring((3, 16), 0.2), (0.8, 1.0), (0.8, 1.0)),
 }
 
 
 @pytest.mark.parametrize("name", CALLED)
 def test_the_calibrated_measure_is_not_fooled_by_policies_without_a_goal(name):
     (walker, *bounds), world = CALLED[name], MAPS["four rooms"]()
-    rng, goal, episodes = np.random.default_rng(0), (3, 3), []
+    rng, goal, episodes = np.random.default_rng(0), (3, 16), []
     for begin in rng.choice(np.arange(60, len(world)), 60):
         walked = wander(world, walker, world.cell(begin), 50, rng)
         there = np.flatnonzero(walked.cells == world.number(goal))

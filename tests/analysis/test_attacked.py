@@ -277,7 +277,7 @@ def reset(**options):
         (lambda: over_agents(np.zeros(3)), "values must be .agents, points."),
         (lambda: Function(None), "choose must be a function of observations; got None"),
         (lambda: World(None), "a world must be a ndarray; got None"),
-        (lambda: ROOM.number((0.0, 1)), "a cell must be two integers, row and column; got"),
+        (lambda: ROOM.number((0.0, 1)), "a cell must be two integers, x and y; got"),
         (lambda: ROOM.walk((0, 0), [1.5]), "an action must be an integer from 0 to 3; got 1.5"),
         (lambda: measure.measure([1]), "an episode must be a Episode; got 1"),
         (lambda: measure.Options(beta="x"), "beta must be a Real; got 'x'"),

@@ -164,8 +164,9 @@ def _uses() -> dict[str, Callable[[Any, np.ndarray], Any]]:
             env.game.mutation.mutate(states, env.variant, np.zeros(2, np.uint32), 12, "binomial")
 
     def cells(env: Any, states: np.ndarray) -> None:
+        if env.game.places:
+            env.game.places.centre(states)
         if env.game.cells:
-            env.game.cells.position(states)
             env.game.cells.free(states[0])
 
     return {

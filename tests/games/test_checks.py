@@ -1,10 +1,25 @@
 """What `astray.testing` tells of a game beside what it checks."""
 
 import logging
+from dataclasses import replace
+from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
 from astray import games, testing
+from astray.games.maze import GAME, cells
+from astray.insight.fields import splay
+from astray.lab import minds
+from astray.level import Level
+
+SMALL = GAME.variant("anywhere-small")
+
+
+def with_places(**others):
+    """Maze, where some of what tells where its mouse is or could be is otherwise."""
+    own = {name: getattr(cells, name) for name in ("centre", "stand", "put")}
+    return replace(GAME, places=SimpleNamespace(**own | others))
 
 
 def test_how_long_a_game_compiles_is_logged_and_many_seconds_are_warned_of(monkeypatch, caplog):
@@ -19,3 +34,65 @@ def test_how_long_a_game_compiles_is_logged_and_many_seconds_are_warned_of(monke
         UserWarning, match=r"maze took \d+ s to compile, more than 0: docs/extending"
     ):
         testing.check_game(games.find("maze"), variants=[])
+
+
+def low(s):
+    """The two lowest rows alone."""
+    found = cells.stand(s)
+    found[2:] = False
+    return found
+
+
+def test_a_game_says_where_its_agent_can_be_put():
+    game = with_places(stand=low)
+    level = Level.from_text(game, SMALL, "\n".join(["......G", *["......."] * 5, "@......"]))
+    expected = [(x, y) for y in range(2) for x in range(7)]
+    assert [one.agent for one in level.splay("agent")] == expected
+    states = splay(level)
+    assert np.floor(cells.centre(states)).astype(int).tolist() == list(map(list, expected))
+    assert sorted(map(tuple, minds.places(game, level.state()).tolist())) == sorted(expected)
+
+
+def stays(states, cells_):
+    return states.copy()
+
+
+def moves_what_is_given(states, cells_):
+    states["x"], states["y"] = cells_.T + 0.5
+    return states
+
+
+def loses_the_goal(states, cells_):
+    found = cells.put(states, cells_)
+    found["goal_x"] = 100
+    return found
+
+
+@pytest.mark.parametrize(
+    "wrong, message",
+    [
+        ({"put": stays}, "it is not where it was put"),
+        ({"put": moves_what_is_given}, "the states given were changed"),
+        ({"put": loses_the_goal}, "it is not as it was"),
+        ({"stand": lambda s: np.zeros((7, 7), bool)}, "it cannot be at"),
+        ({"centre": lambda states: cells.centre(states) + 1}, "it cannot be at|it is not"),
+    ],
+)
+def test_what_is_wrong_with_places_is_found(wrong, message):
+    testing.check_places(GAME, SMALL)
+    with pytest.raises(AssertionError, match=message):
+        testing.check_places(with_places(**wrong), SMALL)
+
+
+@pytest.mark.parametrize("game", games.OWN)
+def test_an_agent_is_put_as_a_level_would_begin_with_it_there(game):
+    game = games.find(game)
+    variant = next(iter(game.variants.values()))
+    (begun, *_) = testing._beginnings(game, variant)
+    level = Level.of(game, variant, begun)
+    chosen = np.argwhere(game.places.stand(begun))[::17, ::-1]
+    moved = game.places.put(np.repeat(np.array([level.state()], game.state), len(chosen)), chosen)
+    for state, cell in zip(moved, chosen.tolist(), strict=True):
+        there = Level(game, variant, level.cells, tuple(cell), level.looks).state(solvable=False)
+        events = set(game.events)  # a mouse may begin in its corner
+        assert all(np.array_equal(state[n], there[n]) for n in state.dtype.names if n not in events)

@@ -231,24 +231,6 @@ def test_shares_are_of_absolute_values_and_of_area():
         attribution.shares(rows, maps, {"left": left[:2]})
 
 
-def test_an_overlay_is_the_papers_picture():
-    random = np.random.default_rng(0)
-    image = random.integers(0, 256, (1, 9, 9, 3)).astype(np.uint8)
-    one = np.zeros((1, 9, 9))
-    one[0, 2, 2], one[0, 6, 6], one[0, 0, 8] = 5e-3, -1e-3, 2e-3
-    kernel = np.exp(-(np.arange(-2, 3) ** 2) / 50)
-    kernel = np.outer(kernel, kernel) / kernel.sum() ** 2
-    padded = np.pad(one[0] / 5e-3, 2, mode="reflect")
-    grey = 0.2 * (image[0] @ [0.299, 0.587, 0.114])
-    (picture,) = attribution.overlay(image, one)
-    for y, x in np.ndindex(9, 9):
-        blurred = 9 * 255 * (padded[y : y + 5, x : x + 5] * kernel).sum()
-        red, blue = grey[y, x] + max(-blurred, 0), grey[y, x] + max(blurred, 0)
-        expected = np.clip((red, grey[y, x], blue), 0, 255)
-        assert picture[y, x] == pytest.approx(expected, abs=1.2)
-    assert not attribution.overlay(0 * image, 0 * one).any()
-
-
 def test_many_observations_are_as_one_by_one(images):
     shown = np.repeat(shown_to(images), 33, 0)  # more than a chunk
     maps = attribution.gradients(images, shown)

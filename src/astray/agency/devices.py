@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Literal, get_args
 
 import numpy as np
-from scipy.special import gammaln, logsumexp
+from scipy.special import logsumexp
 
 from astray.agency.gridworld import ACTIONS, Trajectory, World
 from astray.agency.steps import KIND, Rule, log_product
@@ -144,25 +144,3 @@ def table_of(seen: Seen) -> np.ndarray:
     counts = np.zeros((row.max(initial=-1) + 1, A), np.int64)
     np.add.at(counts, row, seen.same)
     return counts
-
-
-def log_dirichlet(seen: Seen) -> float:
-    """log p_dev if devices are random policies, each row uniform on the simplex."""
-    counts = table_of(seen)
-    rows = gammaln(A) + gammaln(counts + 1).sum(1) - gammaln(counts.sum(1) + A)
-    return float(rows.sum())
-
-
-def log_best(seen: Seen) -> float:
-    """The largest log p of any device and any eps: for e-values against all of them at once.
-
-    With n steps as the best table has them and m others, eps (A - 1) / A is m / (n + m), or
-    less where that is more than random.
-    """
-    counts = table_of(seen)
-    steps, best = int(counts.sum()), int(counts.max(1, initial=0).sum())
-    if not steps:
-        return 0.0
-    wrong = min((steps - best) / steps, (A - 1) / A)
-    others = (steps - best) * np.log(wrong / (A - 1)) if best < steps else 0.0
-    return float(best * np.log1p(-wrong) + others)

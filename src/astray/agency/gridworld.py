@@ -14,10 +14,10 @@ from scipy.sparse.csgraph import dijkstra
 from astray.bounds import bounded, integers, of_kind, shown
 
 ACTIONS = ("up", "down", "left", "right")
-MOVES = np.array([(-1, 0), (1, 0), (0, -1), (0, 1)])  # (row, column), row 0 on top
+MOVES = np.array([(0, 1), (0, -1), (-1, 0), (1, 0)])  # (x, y), y upward
 WALL, FREE = "#", "."
 
-Cell = tuple[int, int]  # (row, column)
+Cell = tuple[int, int]  # x to the right, y upward, from the lower left
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,9 +36,10 @@ class Trajectory:
 
 @dataclass(frozen=True, eq=False)
 class World:
-    """A map [H, W] bool, True where it is free; all outside is wall. F free cells are numbered.
+    """A map [H, W] bool, at [y, x] True where it is free; all outside is wall.
 
-    A move into a wall leaves the agent where it is, and still counts as an action.
+    The F free cells are numbered from the top row down, each from the left. A move into a wall
+    leaves the agent where it is, and still counts as an action.
     """
 
     free: np.ndarray
@@ -58,21 +59,23 @@ class World:
         unknown = set("".join(rows)) - {WALL, FREE}
         if unknown:
             raise ValueError(f"a map is drawn with # and .; it has {' '.join(sorted(unknown))}")
-        return cls(np.array([[mark == FREE for mark in row] for row in rows]))
+        return cls(np.array([[mark == FREE for mark in row] for row in reversed(rows)]))
 
     def __str__(self) -> str:
-        return "\n".join("".join(FREE if free else WALL for free in row) for row in self.free)
+        rows = self.free[::-1]
+        return "\n".join("".join(FREE if free else WALL for free in row) for row in rows)
 
     @cached_property
     def cells(self) -> np.ndarray:
-        """[F, 2] int64, row and column of every free cell."""
-        return np.argwhere(self.free)
+        """[F, 2] int64, x and y of every free cell."""
+        down, x = np.nonzero(self.free[::-1])
+        return np.stack([x, len(self.free) - 1 - down], 1)
 
     @cached_property
     def numbers(self) -> np.ndarray:
         """[H, W] int64, the number of every free cell; -1 in walls."""
         numbers = np.full(self.free.shape, -1)
-        numbers[self.free] = np.arange(len(self.cells))
+        numbers[self.cells[:, 1], self.cells[:, 0]] = np.arange(len(self.cells))
         return numbers
 
     @cached_property
@@ -80,7 +83,7 @@ class World:
         """[F, 4] int64, the cell each action leads to."""
         around = np.pad(self.numbers, 1, constant_values=-1)
         there = self.cells[:, None] + MOVES + 1
-        found = around[there[..., 0], there[..., 1]]
+        found = around[there[..., 1], there[..., 0]]
         return np.where(found < 0, np.arange(len(self.cells))[:, None], found)
 
     @cached_property
@@ -101,19 +104,19 @@ class World:
     def number(self, cell: Cell) -> int:
         """The number of a free cell; ValueError for walls and what is outside."""
         if np.shape(cell) != (2,) or np.asarray(cell).dtype.kind not in "iu":
-            raise ValueError(f"a cell must be two integers, row and column; got {shown(cell)}")
-        row, column = cell
+            raise ValueError(f"a cell must be two integers, x and y; got {shown(cell)}")
+        x, y = cell
         height, width = self.free.shape
-        if not (0 <= row < height and 0 <= column < width):
-            raise ValueError(f"cell {cell} is outside of the map of {height} x {width} cells")
-        if not self.free[row, column]:
+        if not (0 <= x < width and 0 <= y < height):
+            raise ValueError(f"cell {cell} is outside of the map of {width} x {height} cells")
+        if not self.free[y, x]:
             raise ValueError(f"cell {cell} is a wall")
-        return int(self.numbers[row, column])
+        return int(self.numbers[y, x])
 
     def cell(self, number: int) -> Cell:
-        """The row and column of a free cell."""
-        row, column = self.cells[number]
-        return int(row), int(column)
+        """The x and y of a free cell."""
+        x, y = self.cells[number]
+        return int(x), int(y)
 
     def accessible(self, cell: int) -> np.ndarray:
         """The numbers of all cells with a way from `cell`, itself among them."""

@@ -1,4 +1,7 @@
-"""Maps of 20 x 20 cells on which the measure is studied; the paper's own is not known."""
+"""Maps of 20 x 20 cells on which the measure is studied; the paper's own is not known.
+
+They are made from the top row down.
+"""
 
 from __future__ import annotations
 
@@ -23,17 +26,17 @@ def four_rooms() -> World:
     free[SIDE // 2] = free[:, SIDE // 2] = False
     for door in (SIDE // 4, 3 * SIDE // 4):
         free[SIDE // 2, door] = free[door, SIDE // 2] = True
-    return World(free)
+    return World(free[::-1])
 
 
 def obstacles(share: float, seed: int) -> World:
     """Walls in a `share` of the cells, at random; what they cut off is wall as well."""
     free = np.random.default_rng(seed).random((SIDE, SIDE)) >= share
-    world = World(free)
+    world = World(free[::-1])
     sizes = np.isfinite(world.distance).sum(1)
     kept = world.cells[world.accessible(int(sizes.argmax()))]
     largest = np.zeros_like(free)
-    largest[kept[:, 0], kept[:, 1]] = True
+    largest[kept[:, 1], kept[:, 0]] = True
     return World(largest)
 
 
@@ -54,7 +57,7 @@ def maze(seed: int) -> World:
         r, c = dug[rng.integers(len(dug))]
         free[r, c] = free[(row + r) // 2, (column + c) // 2] = True
         way.append((r, c))
-    return World(free)
+    return World(free[::-1])
 
 
 MAPS: dict[str, Callable[[], World]] = {

@@ -72,7 +72,7 @@ def play(
 
 def _cells(game: Game, states: np.ndarray) -> list[Cell]:
     """The cells (x, y) of the agents in states [N]."""
-    return [(int(x), int(y)) for x, y in game.cells.position(states)]
+    return [(int(x), int(y)) for x, y in np.floor(game.places.centre(states))]
 
 
 def _played(game: Game, s: Any, way: list[Cell], shift: Shift) -> Played | None:
@@ -80,13 +80,11 @@ def _played(game: Game, s: Any, way: list[Cell], shift: Shift) -> Played | None:
     places = named_places(game, s, shift)
     if any(place is None for place in places.values()):
         return None
-    free = game.cells.free(s)
-    top = len(free) - 1  # of the world, whose rows count from the highest down
-    goals = {name: [(top - y, x)] for name, (x, y) in places.items()}
-    world, cells = World(free[::-1]), [(top - y, x) for x, y in way]
+    goals = {name: [place] for name, place in places.items()}
+    world = World(game.cells.free(s))
     last = max((way.index(place) for place in places.values() if place in way), default=len(way))
     intended = goals[shift.intended][0]
-    cells = cells[: last + 1]
+    cells = way[: last + 1]
     return Played(int(s.level), Episode(world, world.path(cells), intended), cells, goals)
 
 
@@ -268,14 +266,14 @@ def posterior_video(
 
 def heat(world: World, belief: np.ndarray, here: int, pixels: int) -> np.ndarray:
     """`belief` [F] on the map, the likeliest cell the darkest, [pixels, pixels, 3] uint8."""
-    image = np.broadcast_to(STONE, (*world.free.shape, 3)).astype(float)
+    height, width = world.free.shape
+    image = np.broadcast_to(STONE, (height, width, 3)).astype(float)
     share = (belief / belief.max())[:, None]
-    image[world.free] = LEAST + share * (MOST - LEAST)
-    large = np.array(
-        Image.fromarray(image.astype(np.uint8)).resize((pixels, pixels), Image.Resampling.NEAREST)
-    )
-    side = pixels / np.array(world.free.shape)
-    y, x = np.mgrid[:pixels, :pixels] + 0.5
-    row, column = world.cells[here] + 0.5
-    large[np.hypot(y / side[0] - row, x / side[1] - column) < 0.22] = MOUSE
+    image[world.cells[:, 1], world.cells[:, 0]] = LEAST + share * (MOST - LEAST)
+    flipped = Image.fromarray(image[::-1].astype(np.uint8))
+    large = np.array(flipped.resize((pixels, pixels), Image.Resampling.NEAREST))
+    down, right = np.mgrid[:pixels, :pixels] + 0.5
+    x, y = world.cells[here] + 0.5
+    away = np.hypot(down * height / pixels - (height - y), right * width / pixels - x)
+    large[away < 0.22] = MOUSE
     return large

@@ -17,8 +17,6 @@ from typing import Any
 import numpy as np
 import polars as pl
 import torch
-from PIL import Image
-from scipy.ndimage import gaussian_filter
 from torch import Tensor
 
 from astray import imports
@@ -31,10 +29,6 @@ from astray.game import Variant
 
 CHUNK = 64  # observations at a time
 REST, NOTHING = "rest", "nothing"  # parts that are what no other is
-
-# Of the paper's pictures. What is above 255 wraps around in theirs, and is cut off here.
-DIMMED, GAIN = 0.2, 9
-SIGMA, RADIUS = 5.0, 2  # pixels, of the blur; its kernel is 5 a side
 
 
 def gradients(agent: Agent, observations: np.ndarray) -> np.ndarray:
@@ -154,22 +148,6 @@ def shares(rows: pl.DataFrame, maps: np.ndarray, where: Mapping[str, np.ndarray]
         told = {"part": [part] * len(maps), "attribution": share, "area": flat.mean(1)}
         found.append(rows.hstack(pl.DataFrame(told)))
     return pl.concat(found).with_columns(pl.col("attribution").fill_nan(None))
-
-
-def overlay(images: np.ndarray, maps: np.ndarray) -> np.ndarray:
-    """The paper's pictures: maps [N, H, W] laid over images [N, H, W, 3], uint8.
-
-    Each map is divided by its largest absolute value and blurred; blue is where the value rises
-    with brightness, red where it falls. The image beneath is grey and dimmed.
-    """
-    pictures = []
-    for image, one in zip(images, maps, strict=True):
-        scaled = one / max(abs(one).max(), np.finfo(float).tiny)
-        blurred = GAIN * 255 * gaussian_filter(scaled, SIGMA, radius=RADIUS, mode="mirror")
-        grey = DIMMED * np.asarray(Image.fromarray(image).convert("L"), float)
-        red, blue = np.maximum(-blurred, 0), np.maximum(blurred, 0)
-        pictures.append(np.stack([grey + red, grey, grey + blue], -1).clip(0, 255))
-    return np.stack(pictures).astype(np.uint8)
 
 
 def _captum() -> Any:

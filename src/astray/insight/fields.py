@@ -16,6 +16,7 @@ from collections import deque
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from hashlib import sha256
+from typing import Any
 
 import numpy as np
 import polars as pl
@@ -28,7 +29,7 @@ from astray.bounds import of_kind, shown
 from astray.envs.vector import GameVectorEnv
 from astray.game import Game, Variant
 from astray.level import EMPTY, Cell, Level, see_cell
-from astray.record import NEVER, trusted
+from astray.record import trusted
 
 AT_ONCE = 2048  # states; CoinRun's take 17 kB each
 
@@ -251,20 +252,19 @@ def splay(level: Level) -> np.ndarray:
     Places are in the order of `Level.splay("agent")`, from the lowest row up.
     """
     of_kind("level", level, Level)
-    game, begun = level.game, level.state(solvable=False)
-    free = (level.cells == game.editing.LEGEND[EMPTY]) & game.solver.reachable(begun)
-    return states_at(level, [(int(x), int(y)) for y, x in np.argwhere(free)])
+    begun = level.state(solvable=False)
+    return _put(level.game, begun, np.argwhere(level.game.places.stand(begun))[:, ::-1])
 
 
 def states_at(level: Level, cells: Sequence[Cell]) -> np.ndarray:
     """The states that begin in a level with the agent in each of some cells, [K]."""
     of_kind("level", level, Level)
-    game = level.game
-    states = np.zeros(len(cells), game.state)
-    for k, cell in enumerate(cells):
-        states[k] = game.editing.build(level.cells, cell, level.looks, level.variant)
-    states["level"] = NEVER
-    return states
+    return _put(level.game, level.state(solvable=False), np.array(cells).reshape(-1, 2))
+
+
+def _put(game: Game, s: Any, cells: np.ndarray) -> np.ndarray:
+    """States that are as `s`, but for the agent, which is in each of cells [K, 2]."""
+    return game.places.put(np.repeat(np.array([s], game.state), len(cells)), cells)
 
 
 def fields(agent: Agent, variant: str | Variant, levels: Levels) -> list[Field]:
@@ -272,8 +272,7 @@ def fields(agent: Agent, variant: str | Variant, levels: Levels) -> list[Field]:
 
     levels  numbers, or levels that were drawn, by name
 
-    Raises ValueError where the game's states have no place of the agent, or the agent does not
-    see such levels.
+    Raises ValueError where the game has no `places`, or the agent does not see such levels.
     """
     return list(each_field(agent, variant, levels))
 
@@ -283,8 +282,6 @@ def each_field(agent: Agent, variant: str | Variant, levels: Levels) -> Iterator
     of_kind("agent", agent, Agent)
     game = games.find(agent.game)
     variant = game.variant(variant)
-    if not {"x", "y"} <= set(game.state.names or ()):
-        raise ValueError(f"fields need x and y of the agent in a state; {game.name} has none")
     for some in _batches(game, variant, levels):
         places, states = places_of(some)
         policy, value = judge(agent, observe(agent, variant, np.concatenate(states)))
@@ -316,7 +313,7 @@ def places_of(levels: Sequence[Level]) -> tuple[list[Places], list[np.ndarray]]:
     splayed = [splay(level) for level in levels]
     states = np.concatenate(splayed)
     after = outcomes(levels[0].game, levels[0].variant, states)
-    centres = np.stack([states[axis].astype(np.float64) for axis in "xy"], 1)
+    centres = levels[0].game.places.centre(states)
     found, first = [], 0
     for level, some in zip(levels, splayed, strict=True):
         part = slice(first, first + len(some))
@@ -347,7 +344,7 @@ def outcomes(game: str | Game, variant: str | Variant, states: np.ndarray) -> np
     for action in range(len(found.actions)):
         env.set_state(states)
         env.step(np.full(len(states), action))
-        after[:, action, 0], after[:, action, 1] = env.states["x"], env.states["y"]
+        after[:, action] = found.places.centre(env.get_state())
     env.close()
     return after
 

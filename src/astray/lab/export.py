@@ -24,10 +24,11 @@ from astray.analysis.trained import Agent
 from astray.bounds import MOST, bounded, of_kind
 from astray.files import folder_aside, write_aside
 from astray.game import Game, Variant
-from astray.lab.minds import Minds, places, put, sees
+from astray.insight.fields import states_at
+from astray.lab.minds import Minds, places, sees
 from astray.lab.server import files
 from astray.lab.session import FORMAT, Lab, about_game, drawings
-from astray.lab.worlds import World, is_drawn
+from astray.lab.worlds import is_drawn
 from astray.level import Level
 from astray.training.config import Config
 
@@ -213,9 +214,7 @@ def table(
     levels, policies, values, rows = [], [], [], 0
     for s in initial_states(game, variant, range(count)):
         level = Level.of(game, variant, s)
-        begun = level.state(solvable=False)
-        world = World(game, variant, level, begun)
-        cells = places(world, level.removed("goal").state(solvable=False))
+        cells = places(game, level.removed("goal").state(solvable=False)).tolist()
         family = level.splay("goal")
         if len(family) * len(cells) * (len(game.actions) + 1) > most / count:
             family = [level]
@@ -223,8 +222,7 @@ def table(
         for one in family:
             (where,) = one.where("goal")
             goals[f"{where[0]},{where[1]}"] = rows
-            states = put(world, one.state(solvable=False), cells)
-            policy, value = judge(agent, observe(agent, variant, states))
+            policy, value = judge(agent, observe(agent, variant, states_at(one, cells)))
             policies.append(policy)
             values.append(value)
             rows += len(cells)

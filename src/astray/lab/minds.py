@@ -14,7 +14,7 @@ from astray.analysis import kept
 from astray.analysis.critic import judge, observe, visit
 from astray.analysis.runs import open_run, reward_deviation, shift_of
 from astray.analysis.trained import Agent
-from astray.game import Game, Shift, Variant, knobs
+from astray.game import Game, Variant, knobs
 from astray.insight.activations import layers
 from astray.insight.fields import effects
 from astray.lab import steering
@@ -141,38 +141,14 @@ def sees(agent: Agent, game: Game, variant: Variant) -> bool:
     return bool(game.symbols) and game.symbols.planes(variant).shape == agent.architecture.shape
 
 
-def shift_between(game: Game, name: str) -> Shift | None:
-    """The shift of that name; else the game's first, if it has one."""
-    return game.shifts.get(name) or next(iter(game.shifts.values()), None)
-
-
-def places(world: World, s: Any) -> list[tuple[int, int]]:
-    """The cells that the agent could be in, nearest to it first."""
-    game = world.game
-    reachable = game.solver.reachable(s)
-    cells = game.editing.grid(s)
-    height, width = cells.shape
-    free = (cells == game.editing.LEGEND["."]) & reachable[:height, :width]
-    if not {"x", "y"} <= {*(game.state.names or ())}:
-        raise ValueError(f"states of {game.name} must have x and y; they have neither")
-    here = np.array([int(s.x), int(s.y)])
-    if max(height, width) > LARGE:
-        row, column = np.ogrid[:height, :width]
-        free &= (abs(row - here[1]) <= FAR) & (abs(column - here[0]) <= FAR)
-    free[here[1], here[0]] = True
+def places(game: Game, s: Any) -> np.ndarray:
+    """The cells [K, 2] that the agent could be in, nearest to it first."""
+    free = game.places.stand(s)
+    (here,) = np.floor(game.places.centre(np.array([s], game.state))).astype(int)
     found = np.argwhere(free)[:, ::-1]
-    order = np.argsort(abs(found - here).sum(1), kind="stable")
-    return [(int(x), int(y)) for x, y in found[order]]
-
-
-def put(world: World, s: Any, cells: list[tuple[int, int]]) -> np.ndarray:
-    """The states [N] in which all is as in `s`, but the agent is in one of `cells`."""
-    states = np.repeat(np.array([s], world.game.state), len(cells))
-    for axis, where in zip("xy", np.array(cells).T, strict=True):
-        states[axis] = where + float(world.begin[axis]) % 1  # where in its cell an agent begins
-    for speed in {"vx", "vy"} & {*(world.game.state.names or ())}:
-        states[speed] = 0
-    return states
+    if max(free.shape) > LARGE:
+        found = found[(abs(found - here) <= FAR).all(1)]
+    return found[np.argsort(abs(found - here).sum(1), kind="stable")]
 
 
 def arrows(
@@ -182,12 +158,12 @@ def arrows(
 
     With effects, `same` has for each place which actions do the same, as `fields.effects` tells.
     """
-    cells = places(world, s)
+    cells = places(world.game, s)
     for first in range(0, len(cells), AT_ONCE):
         some = cells[first : first + AT_ONCE]
-        states = put(world, s, some)
+        states = world.game.places.put(np.repeat(np.array([s], world.game.state), len(some)), some)
         policy, value = judge(agent, observe(agent, world.variant, states))
-        told = {"cells": some, "policy": rounded(policy), "value": rounded(value)}
+        told = {"cells": some.tolist(), "policy": rounded(policy), "value": rounded(value)}
         if with_effects:
             told["same"] = effects(world.game, world.variant, states).tolist()
         yield told | {"of": len(cells)}

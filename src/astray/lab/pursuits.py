@@ -38,25 +38,20 @@ def posterior(episode: Episode, shift: Shift) -> dict[str, Any]:
     """
     world = episode.world
     named = named_places(world.game, world.begin, shift)
-    free = world.game.cells.free(world.begin)
-    gridworld = Gridworld(free[::-1])
-    way = [tuple(world.game.cells.position(s)[0].tolist()) for s in episode.states]
+    gridworld = Gridworld(world.game.cells.free(world.begin))
+    way = [tuple(np.floor(_centre(world, s)).astype(int).tolist()) for s in episode.states]
     ends = [way.index(tuple(place)) for place in named.values() if place and tuple(place) in way]
     last = max(ends, default=len(way) - 1)
-    top = len(free) - 1  # there, rows count from the uppermost down
-    cells = [(top - y, x) for x, y in way[: last + 1]]
-    true = named[shift.intended]
-    one = measure.Episode(
-        gridworld, gridworld.path(cells), None if true is None else (top - true[1], true[0])
-    )
+    cells = way[: last + 1]
+    one = measure.Episode(gridworld, gridworld.path(cells), named[shift.intended])
     growth = measure_online(one, replace(CALIBRATED, goals="accessible"))
     moved = [here != there for here, there in itertools.pairwise(cells)]
     counted = np.cumsum([0, *moved])  # standing still is no step of a trajectory
-    return _told(growth, counted, named, top)
+    return _told(growth, counted, named)
 
 
-def _told(growth: Growth, counted: np.ndarray, named: dict[str, Any], top: int) -> dict[str, Any]:
-    cells = [(x, top - row) for row, x in growth.goals if not isinstance(row, str)]
+def _told(growth: Growth, counted: np.ndarray, named: dict[str, Any]) -> dict[str, Any]:
+    cells = [cell for cell in growth.goals if not isinstance(cell, str)]
     shares = growth.posterior[counted]
     grown: dict[str, Any] = {}
     rest = np.ones(len(counted))
@@ -135,12 +130,12 @@ def route(episode: Episode, goal: str) -> dict[str, Any]:
     env.set_state(episode.state)
     policy = world.game.solver.expert(env.states[0], goal)
     before = _things(world, env.states[0])
-    cells, takes, taken_at = [_cell(env.states[0])], None, None
+    cells, takes, taken_at = [_centre(world, env.states[0]).round(3).tolist()], None, None
     while not env.states[0].ended and len(cells) <= LONGEST:
         if env.states[0][world.game.event(goal)] != NEVER or _stands(cells, world.game):
             break
         env.step(np.array([policy(env.states[0])]))
-        cells.append(_cell(env.states[0]))
+        cells.append(_centre(world, env.states[0]).round(3).tolist())
         gone = before - _things(world, env.states[0]) or _at_end(world, env.states[0], goal, before)
         if gone and takes is None:
             takes, taken_at = sorted(gone), len(cells) - 1
@@ -156,7 +151,8 @@ def _at_end(
     if not s.ended or s[world.game.event(goal)] == NEVER or goal not in objects:
         return set()
     code = world.game.editing.LEGEND[objects[goal]]
-    away = {one: abs(one[0] + 0.5 - s.x) + abs(one[1] + 0.5 - s.y) for one in things}
+    x, y = _centre(world, s)
+    away = {one: abs(one[0] + 0.5 - x) + abs(one[1] + 0.5 - y) for one in things}
     return set(sorted((one for one in things if one[2] == code), key=away.__getitem__)[:1])
 
 
@@ -166,8 +162,9 @@ def _stands(cells: list[list[float]], game: Game) -> bool:
     return len(cells) > patience and all(cell == cells[-1] for cell in cells[-patience:])
 
 
-def _cell(s: Any) -> list[float]:
-    return [round(float(s.x), 3), round(float(s.y), 3)]
+def _centre(world: World, s: Any) -> np.ndarray:
+    """The agent's, [2], of a state or of states [1]."""
+    return world.game.places.centre(np.array(s, world.game.state).reshape(1))[0]
 
 
 def _things(world: World, s: Any) -> set[tuple[int, int, int]]:

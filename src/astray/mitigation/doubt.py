@@ -293,14 +293,6 @@ def goal_splay(level: Level) -> list[Level]:
             if name == "goal":
                 return level.splay("goal")
             bare = level.removed(name).added("other", at)
-            free = next(cell for cell in _free(bare))
-            return bare.added("goal", free).splay("goal")
+            free = (one.agent for one in bare.splay("agent"))
+            return bare.added("goal", next(at for at in free if at != bare.agent)).splay("goal")
     raise ValueError("the level has no goal that could be moved")
-
-
-def _free(level: Level) -> list[tuple[int, int]]:
-    """Cells with nothing in them that the agent can reach, but for its own."""
-    reachable = level.game.solver.reachable(level.state(solvable=False))
-    free = (level.cells == level.game.editing.LEGEND["."]) & reachable
-    free[level.agent[1], level.agent[0]] = False
-    return [(int(x), int(y)) for y, x in np.argwhere(free)]

@@ -1,7 +1,7 @@
 """CoinRun: a runner jumps over hazards to a coin; in training it lies at the end of the level."""
 
 from astray.game import Benchmark, Game
-from astray.games.coinrun import draw, levels, measures, original, rules, solve, variants
+from astray.games.coinrun import draw, levels, measures, original, places, rules, solve, variants
 
 GAME = Game(
     "coinrun",
@@ -16,6 +16,7 @@ GAME = Game(
     editing=levels,
     solver=solve,
     ends=variants.ENDS,
+    places=places,
     benchmark=Benchmark("procgen", envpool="CoinrunHard-v0"),
     invariants=levels.invariants,
     labels=measures.LABELS,

@@ -39,16 +39,6 @@ def without_coin(states: np.ndarray) -> np.ndarray:
     return edited
 
 
-def with_coin_at_end(states: np.ndarray) -> np.ndarray:
-    """With a coin where it lies in training, unless the runner touches that cell."""
-    edited = states.copy()
-    for s in edited:
-        x, y = int(s["end_x"]), int(s["end_y"])
-        if _free(s)[y, x]:
-            _add_coin(s, x, y)
-    return edited
-
-
 def with_coin_in_view(states: np.ndarray, *, seed: int = 0) -> np.ndarray:
     """With one more coin at a place to stand that is in view, if there is any.
 

@@ -1,7 +1,7 @@
 """Keys and Chests: a thief opens chests with keys; in training there are fewer keys than chests."""
 
 from astray.game import Benchmark, Game
-from astray.games.keys import draw, levels, measures, original, rules, solve, variants
+from astray.games.keys import draw, levels, measures, original, places, rules, solve, variants
 
 GAME = Game(
     "keys",
@@ -15,6 +15,7 @@ GAME = Game(
     symbols=draw,
     editing=levels,
     solver=solve,
+    places=places,
     benchmark=Benchmark("many-chests", envpool="HeistHard-v0"),
     invariants=levels.invariants,
     labels=measures.LABELS,

@@ -5,31 +5,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from typing import Any
+from collections.abc import Callable, Mapping
 
 import numpy as np
 
 from astray.games.keys.rules import CHEST, KEY, MOST
-from astray.games.keys.solve import optimal_return
 from astray.record import NEVER
-
-
-def steps_taken(states: np.ndarray) -> np.ndarray:
-    """The step each key was taken, in the order of steps, [N, MOST] int64; then NEVER."""
-    return _in_order(states, KEY)
-
-
-def steps_opened(states: np.ndarray) -> np.ndarray:
-    """The step each chest was opened, in the order of steps, [N, MOST] int64; then NEVER."""
-    return _in_order(states, CHEST)
-
-
-def _in_order(states: np.ndarray, what: int) -> np.ndarray:
-    later = np.iinfo(np.int64).max
-    chosen = (_objects(states) == what) & (states["gone"] != NEVER)
-    steps = np.sort(np.where(chosen, states["gone"], later), axis=1)
-    return np.where(steps == later, NEVER, steps)
 
 
 def _objects(states: np.ndarray) -> np.ndarray:
@@ -46,39 +27,12 @@ def keys_beyond_need(states: np.ndarray) -> np.ndarray:
     return np.maximum(states["taken"] - states["chests"], 0)
 
 
-def took_all_before_last_chest(states: np.ndarray) -> np.ndarray:
-    """Every key was taken before the last chest that there was a key for was opened, bool."""
-    return states["keys_before_last"] != NEVER
-
-
 def keys_in_hand(states: np.ndarray) -> np.ndarray:
     """The mean number of keys in hand at openings, float64; NaN where no chest was opened."""
     opened = (_objects(states) == CHEST) & (states["gone"] != NEVER)
     total = np.where(opened, states["had"], 0).sum(1).astype(np.float64)
     count = states["opened"]
     return np.divide(total, count, out=np.full(len(states), np.nan), where=count > 0)
-
-
-def return_lost(
-    states: np.ndarray, begun: Sequence[Any] | np.ndarray, returns: np.ndarray, gamma: float
-) -> np.ndarray:
-    """The discounted return lost against the best order of the same levels, float64.
-
-    begun    [N], the states that the episodes began in
-    returns  [N], of the episodes, discounted by `gamma`
-
-    Below 0 where a player was faster than `solve.expert`, which is a few steps from the best.
-    """
-    if not len(states) == len(begun) == len(returns):
-        raise ValueError(
-            f"final states, first states and returns must be as many; got {len(states)}, "
-            f"{len(begun)} and {len(returns)}"
-        )
-    for i, (last, first) in enumerate(zip(states, begun, strict=True)):
-        if last["level"] != first["level"] or first["time"] > last["time"]:
-            raise ValueError(f"episode {i} did not begin in the state given for it")
-    best = np.array([optimal_return(s, "chests", gamma) for s in begun])
-    return best - returns
 
 
 def discounted_return(states: np.ndarray, gamma: float) -> np.ndarray:

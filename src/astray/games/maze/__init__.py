@@ -26,6 +26,7 @@ GAME = Game(
     editing=levels,
     solver=solve,
     mutation=mutate,
+    places=cells,
     cells=cells,
     benchmark=Benchmark("anywhere", envpool="MazeHard-v0"),
     invariants=levels.invariants,

@@ -6,15 +6,28 @@ from typing import Any
 
 import numpy as np
 
+from astray.games.maze import levels, solve
 from astray.games.maze.solve import target as target
 from astray.kernel.maze import WALL
+from astray.record import centres as centre
 
-
-def position(states: np.ndarray) -> np.ndarray:
-    """The cells of the mice of states [N], [N, 2] int64."""
-    return np.stack([states["x"], states["y"]], -1).astype(np.int64)
+__all__ = ["centre", "free", "put", "stand", "target"]
 
 
 def free(s: Any) -> np.ndarray:
     """The cells of the world of state `s` that are no wall, [H, W] bool."""
     return np.asarray(s.cell[: s.world, : s.world] != WALL)
+
+
+def stand(s: Any) -> np.ndarray:
+    """The cells with nothing in them that the mouse can walk to, and its own, [H, W] bool."""
+    found = (levels.grid(s) == levels.EMPTY) & solve.reachable(s)
+    found[int(s.y), int(s.x)] = True
+    return found
+
+
+def put(states: np.ndarray, cells: np.ndarray) -> np.ndarray:
+    """States [N] with the mice in `cells` [N, 2]."""
+    found = states.copy()
+    found["x"], found["y"] = cells.T + 0.5
+    return found

@@ -37,14 +37,14 @@ def draw_types(setting: Setting) -> Figure:
 def _draw(axes: Axes, episode: Episode) -> None:
     """The map, the way, its start (brown) and the goal that is shown (green), as the paper's."""
     world = episode.world
-    axes.imshow(~world.free, cmap="Greys", vmin=0, vmax=1.6)
-    rows, columns = world.cells[episode.trajectory.cells].T
-    shift = np.linspace(-0.12, 0.12, len(rows))  # so that a way back can be seen
-    axes.plot(columns + shift, rows + shift, color=figures.OTHERS[0], linewidth=1.6)
-    axes.plot(columns[0], rows[0], "s", color="#8a5a2b", markersize=9)
+    axes.imshow(~world.free, cmap="Greys", vmin=0, vmax=1.6, origin="lower")
+    x, y = world.cells[episode.trajectory.cells].T
+    shift = np.linspace(-0.12, 0.12, len(x))  # so that a way back can be seen
+    axes.plot(x + shift, y - shift, color=figures.OTHERS[0], linewidth=1.6)
+    axes.plot(x[0], y[0], "s", color="#8a5a2b", markersize=9)
     if episode.true:
-        axes.plot(episode.true[1], episode.true[0], "s", color="#2e9e4f", markersize=9)
-    axes.plot(columns[-1], rows[-1], "o", color=figures.INK, markersize=4)
+        axes.plot(*episode.true, "s", color="#2e9e4f", markersize=9)
+    axes.plot(x[-1], y[-1], "o", color=figures.INK, markersize=4)
     axes.set_xticks([])
     axes.set_yticks([])
     axes.spines[:].set_visible(True)

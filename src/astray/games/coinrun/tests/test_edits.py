@@ -11,7 +11,7 @@ from astray.level import Level
 from astray.record import NEVER
 
 ANYWHERE = VARIANTS["coin-anywhere"]
-EDITS = [*edits.PARTS.values(), edits.with_coin_at_end, edits.with_coin_in_view]
+EDITS = [*edits.PARTS.values(), edits.with_coin_in_view]
 
 
 @pytest.fixture(scope="module")
@@ -38,7 +38,6 @@ def test_an_edit_makes_other_states_that_can_be(states, edit):
     "edit, fields",
     [
         (edits.without_coin, {"cell", "coin_x", "coin_y"}),
-        (edits.with_coin_at_end, {"cell", "coin_x", "coin_y"}),
         (edits.with_coin_in_view, {"cell", "coin_x", "coin_y"}),
         (edits.without_walkers, {"walkers"}),
         (edits.without_saws, {"thing"}),
@@ -79,18 +78,6 @@ def test_where_a_coin_is_added_depends_on_seed_level_and_step_alone(states):
     edited = edits.with_coin_in_view(states)
     assert edits.with_coin_in_view(states[::-1].copy())[::-1].tobytes() == edited.tobytes()
     assert (edits.with_coin_in_view(states, seed=1) != edited).mean() > 0.5
-
-
-def test_a_coin_at_the_end_is_the_training_levels(states):
-    """Unless the runner is there already."""
-    at_end = edits.with_coin_at_end(edits.without_coin(states))
-    k = np.arange(len(states))
-    there = at_end["cell"][k, states["end_y"], states["end_x"]] == COIN
-    here = abs(states["end_x"] + 0.5 - states["x"]) < 1
-    assert there.mean() > 0.5 and (there | here).all()
-    env = GameVectorEnv("coinrun", "coin-end", 100, observation="symbolic")
-    env.reset(seed=0, options={"level": states["level"]})
-    assert ((at_end["cell"] == COIN) == (env.states["cell"] == COIN))[there].all()
 
 
 @pytest.mark.parametrize("wall", ["####", "%%%."])

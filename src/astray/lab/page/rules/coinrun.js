@@ -368,5 +368,5 @@ function places(s) {
 }
 
 function put(s, [x, y]) {
-  return { ...s, x: f(x + HALF), y: f(y + TALL), vx: 0, vy: 0 };
+  return { ...s, x: f(x + HALF), y: f(y + TALL), vx: 0, vy: 0, on_crate: false };
 }
