@@ -21,6 +21,7 @@ AGENT, EMPTY = "@", "."  # in every game's drawings
 ON = f"{AGENT} on "  # begins a line below a drawing, which says what the agent stands on
 BYTE_ORDER_MARK = "\ufeff"  # with which some editors begin a file
 COMMENT = ";"  # begins a line of a drawing that is not part of it
+CLOSE = 1e-5  # a fraction of a cell, in 32 bits beside whole cells
 LARGEST_FILE = 2**26  # bytes; a level as JSON has some 2,000
 Cell = tuple[int, int]  # x to the right, y upward, from the lower left
 
@@ -210,15 +211,15 @@ class Level:
             self._check_free(to)
             return replace(self, agent=to)
         at = self._one(name, at)
-        lifted = self.removed(name, at)
-        return lifted.added(name, to)
+        moved = self.removed(name, at).added(name, to)
+        return replace(moved, looks=self._details(at, to))
 
     def removed(self, name: str, at: Cell | None = None) -> Level:
         """Without an object; `at` says which, where there are several."""
         x, y = self._one(name, at)
         cells = self.cells.copy()
         cells[y, x] = self.game.editing.LEGEND[EMPTY]
-        return replace(self, cells=cells)
+        return replace(self, cells=cells, looks=self._details((x, y)))
 
     def added(self, name: str, at: Cell) -> Level:
         """With one more object."""
@@ -226,20 +227,32 @@ class Level:
         self._check_free(at)
         cells = self.cells.copy()
         cells[at[1], at[0]] = self.game.editing.LEGEND[self.game.editing.OBJECTS[name]]
-        return replace(self, cells=cells)
+        return replace(self, cells=cells, looks=self._details(see_cell(at)))
+
+    def _details(self, at: Cell, to: Cell | None = None) -> Mapping[str, Any]:
+        """The looks without those of the object in cell `at`, or with them in the cell `to`."""
+        details = self.looks.get("details")
+        if not isinstance(details, list) or not all(isinstance(one, list) for one in details):
+            return self.looks  # `state` says what is wrong with them
+        kept = [one for one in details if tuple(one[:2]) not in (at, to)]
+        moved = [[*to, *one[2:]] for one in details if tuple(one[:2]) == at] if to else []
+        return {**self.looks, "details": sorted(kept + moved, key=lambda one: one[1::-1])}
 
     def splay(self, name: str, at: Cell | None = None) -> list[Level]:
         """One level for every cell that "agent" or an object could be in, from the lowest row up.
 
         Those are the empty cells that the agent can reach, and the one that it is in now.
         """
-        lifted = self if name == "agent" else self.removed(name, at)
+        at = None if name == "agent" else self._one(name, at)
+        lifted = self if at is None else self.removed(name, at)
         free = self.game.places.stand(lifted.state(solvable=False))
         free[self.agent[1], self.agent[0]] = name == "agent"
         cells = [(int(x), int(y)) for y, x in np.argwhere(free)]
-        if name == "agent":
+        if at is None:
             return [replace(self, agent=cell) for cell in cells]
-        return [lifted.added(name, cell) for cell in cells]
+        looks = [self._details(at, cell) for cell in cells]
+        others = [lifted.added(name, cell) for cell in cells]
+        return [replace(one, looks=look) for one, look in zip(others, looks, strict=True)]
 
     def _one(self, name: str, at: Cell | None) -> Cell:
         """The cell of the object called `name`: the only one there is, or the one at `at`."""
@@ -289,12 +302,21 @@ def _is_number(value: Any) -> bool:
     return type(value) in (int, float) and abs(value) < 1e9  # neither infinite nor NaN
 
 
+def _is_alike(given: Any, true: Any) -> bool:
+    """Whether plain data are equal, but for what 32 bits lose of a fraction."""
+    if isinstance(given, list) and isinstance(true, list):
+        return len(given) == len(true) and all(map(_is_alike, given, true))
+    if isinstance(true, float) and _is_number(given):
+        return abs(given - true) < CLOSE
+    return given == true
+
+
 def _check_told(given: Mapping[str, Any], true: Mapping[str, Any], what: str) -> None:
     """See that what was `given` of a level, beside what it is built from, is `true` of it."""
     for name, value in given.items():
         if name not in true:
             raise ValueError(f"unknown field {shown(name)} of {what}; there are: {', '.join(true)}")
-        if true[name] != value:
+        if not _is_alike(value, true[name]):
             raise ValueError(f"{name} is {shown(value)}, but in this level {shown(true[name])}")
 
 

@@ -105,7 +105,8 @@ class Editing(Protocol):
         """(s) -> its level as plain, JSON-able data, and what follows from that.
 
         "grid" and "agent" (its centre), as lists; "looks" (all else that `build` needs to build
-        it again).
+        it again). Of these, "details" are lists [x, y, ...] of single cells: they go where the
+        object in that cell is moved to, and are removed with it.
         """
         ...
 

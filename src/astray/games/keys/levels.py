@@ -154,8 +154,9 @@ def grid(s: Any) -> np.ndarray:
 def describe(s: Any) -> dict[str, Any]:
     """The level in state `s` as plain data; rows of `grid` from the lowest up.
 
-    The look "twister" says where keys are off their cells' centres, and with it what ties are
-    decided by: what the twister is seeded with, and how many draws it makes before the keys'.
+    The look "twister" says what ties are decided by: what the twister is seeded with, and how many
+    draws it makes before the keys'. "details" are [x, y, right, up], of keys off their cells'
+    centres: cells from their lower left corner. Without them it is as the twister draws it.
     """
     cells = grid(s)
     off = None if s.twister == NEVER else [int(s.twister), int(s.twister_at)]
@@ -171,8 +172,19 @@ def describe(s: Any) -> dict[str, Any]:
             "background": int(s.background),
             "background_offset": float(s.background_offset),
             "twister": off,
+            "details": _details(s),
         },
     }
+
+
+def _details(s: Any) -> list[list[Any]]:
+    """The look of that name."""
+    found = []
+    for k in range(s.objects):
+        right, up = float(s.object_x[k]) % 1, float(s.object_y[k]) % 1
+        if s.what[k] == KEY and s.gone[k] == NEVER and (right, up) != (0.5, 0.5):
+            found.append([int(s.object_x[k]), int(s.object_y[k]), right, up])
+    return sorted(found, key=lambda one: one[1::-1])
 
 
 def build(cells: np.ndarray, agent: tuple[int, int], looks: Any, variant: Variant) -> Any:
@@ -202,6 +214,12 @@ def build(cells: np.ndarray, agent: tuple[int, int], looks: Any, variant: Varian
         unit(s)
     for x, y in objects:
         put(s, cells[y, x], x, y)
+    if "details" in looks:
+        beside = {(x, y): (right, up) for x, y, right, up in looks["details"]}
+        for k, (x, y) in enumerate(objects):
+            if s.what[k] == KEY:
+                right, up = beside.get((x, y), (0.5, 0.5))
+                s.object_x[k], s.object_y[k] = x + right, y + up
     return s
 
 

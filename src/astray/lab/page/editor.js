@@ -1,6 +1,6 @@
 // Changes to the level by pointer and keyboard, and playing by keys.
 
-import { plain } from "./level.js";
+import { carried, plain } from "./level.js";
 
 const KEYS = {
   ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, 1], ArrowDown: [0, -1],
@@ -92,20 +92,10 @@ export class Editor {
     } else {
       level.grid[held.at[1]][held.at[0]] = legend["."];
       level.grid[cell[1]][cell[0]] = held.code;
-      this.#carryLooks(level, held.at, cell);
+      level.looks = carried(level.looks, held.at, cell);
     }
     this.held = { ...held, at: cell, first: false };
     this.lab.edit(level, held.first);
-  }
-
-  // Looks of single cells go where their objects go.
-  #carryLooks(level, from, to) {
-    if (!Array.isArray(level.looks?.details)) return;
-    const details = level.looks.details
-      .filter(([x, y]) => x !== to[0] || y !== to[1])
-      .map(([x, y, look]) => (x === from[0] && y === from[1] ? [...to, look] : [x, y, look]))
-      .sort((one, two) => one[1] - two[1] || one[0] - two[0]);
-    level.looks = { ...level.looks, details };
   }
 
   #drop() {
@@ -122,6 +112,7 @@ export class Editor {
     const level = this.#copy();
     const code = this.tool === "wall" ? this.#wall() : legend[objects[this.tool]];
     level.grid[cell[1]][cell[0]] = this.painting ? code : legend["."];
+    level.looks = carried(level.looks, cell);
     this.lab.edit(level, first);
   }
 

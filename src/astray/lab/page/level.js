@@ -4,3 +4,13 @@
 export function plain({ grid, agent, looks }) {
   return { grid, agent, looks };
 }
+
+// Looks of single cells go where their objects go: from one cell to another, or away.
+export function carried(looks, from, to = null) {
+  if (!Array.isArray(looks?.details)) return looks;
+  const is = ([x, y], cell) => cell && x === cell[0] && y === cell[1];
+  const details = looks.details.filter((one) => is(one, from) || !is(one, to))
+    .flatMap((one) => (is(one, from) ? (to ? [[...to, ...one.slice(2)]] : []) : [one]))
+    .sort((one, two) => one[1] - two[1] || one[0] - two[0]);
+  return { ...looks, details };
+}

@@ -172,3 +172,17 @@ def test_what_a_walker_walked_over_is_still_in_the_level(beneath):
     )
     with pytest.raises(ValueError, match=r"walkers \[70, 30, 0, 7\] are in no cell or no look"):
         Level(GAME, env.variant, level.cells, level.agent, {"walkers": [[70, 30, 0, 7]]}).state()
+
+
+def test_a_moved_crate_or_walker_looks_as_it_did_and_leaves_no_look_behind():
+    level = Level.of(GAME, VARIANTS["coin-end"], levels(VARIANTS["coin-end"], 1)[0])
+    level = level.added("crate", (6, 30)).added("walker to the left", (8, 30))
+    looks = {**level.looks, "details": [*level.looks["details"], [6, 30, 3], [8, 30, 7]]}
+    level = replace(level, looks=looks)
+    moved = level.moved("crate", (7, 40), (6, 30)).moved("walker to the left", (6, 30), (8, 30))
+    s = moved.state(solvable=False)
+    assert s.detail[40, 7] == 3 and s.detail[30, 8] == 0 and s.detail[30, 6] == 7
+    assert moved.removed("crate", (7, 40)).state(solvable=False).detail[40, 7] == 0
+    for one in level.splay("crate", (6, 30))[:3]:
+        ((x, y),) = set(one.where("crate")) - set(level.removed("crate", (6, 30)).where("crate"))
+        assert one.state(solvable=False).detail[y, x] == 3

@@ -12,6 +12,7 @@ from astray.games.keys.rules import CHEST, EMPTY, KEY
 from astray.games.keys.variants import VARIANTS, Keys
 from astray.kernel.maze import WALL
 from astray.level import Level
+from astray.record import NEVER
 
 N = 500
 
@@ -143,3 +144,55 @@ def test_drawings_are_levels_with_their_keys_in_the_middle_of_cells():
         Level.from_text(
             GAME, replace(five, world=7), "\n".join(["kkkkkkk"] * 6 + ["@kkkkkk"])
         ).state()
+
+
+def beside(s):
+    """Where the keys that are there are in their cells, by cell."""
+    there = (s.what[: s.objects] == KEY) & (s.gone[: s.objects] == NEVER)
+    at = [(float(s.object_x[k]), float(s.object_y[k])) for k in np.flatnonzero(there)]
+    return {(int(x), int(y)): (x % 1, y % 1) for x, y in at}
+
+
+def test_an_edit_of_one_object_leaves_the_others_where_they_are():
+    s = levels(VARIANTS["many-keys"], 3)[2]
+    level, before = Level.of(GAME, VARIANTS["many-keys"], s), beside(s)
+    assert len(set(before.values())) == len(before) > 3
+    for edited in (
+        level.removed("key", min(before)),
+        level.removed("chest", level.where("chest")[0]),
+        level.moved("chest", free_cells(level)[0], level.where("chest")[0]),
+        level.added("key", free_cells(level)[0]),
+    ):
+        after = beside(edited.state(solvable=False))
+        assert all(after[cell] == where for cell, where in before.items() if cell in after)
+    to = free_cells(level)[-1]
+    moved = beside(level.moved("key", to, min(before)).state(solvable=False))
+    assert moved.pop(to) == pytest.approx(before[min(before)], abs=1e-5)
+    assert moved == {cell: where for cell, where in before.items() if cell != min(before)}
+    for one in level.splay("key", min(before))[:5]:
+        (new,) = set(one.where("key")) - set(level.removed("key", min(before)).where("key"))
+        there = beside(one.state(solvable=False))[new]
+        assert there == pytest.approx(before[min(before)], abs=1e-5)
+
+
+def free_cells(level):
+    """The cells with nothing in them, but for the thief's."""
+    found = [(int(x), int(y)) for y, x in np.argwhere(level.cells == EMPTY)]
+    return [cell for cell in found if cell != level.agent]
+
+
+def test_keys_stay_where_they_are_in_the_level_of_an_episode_that_goes_on():
+    env = GameVectorEnv("keys", "many-keys", observation="symbolic", autoreset_mode="Disabled")
+    env.reset(seed=0, options={"level": 1})
+    guide = GAME.solver.expert(env.states[0], "chests")
+    while env.states[0].taken < 2:
+        env.step(np.array([guide(env.states[0])]))
+    level = Level.of(GAME, env.variant, env.states[0])
+    assert beside(level.state(solvable=False)) == beside(env.states[0])
+
+
+def test_levels_that_were_written_without_details_are_as_the_twister_draws_them():
+    s = levels(VARIANTS["many-keys"], 1)[0]
+    data = Level.of(GAME, VARIANTS["many-keys"], s).to_json()
+    data["looks"].pop("details")
+    assert beside(Level.from_json(GAME, VARIANTS["many-keys"], data).state()) == beside(s)

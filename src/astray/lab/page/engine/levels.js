@@ -1,5 +1,6 @@
 // Levels as `astray.level` has them: drawn as text, and one for every place of a thing.
 
+import { carried } from "../level.js";
 import { cellsOf } from "../rules/common.js";
 import { coinrun } from "../rules/constants.js";
 
@@ -73,12 +74,13 @@ export function splayed({ level, s, rules }, thing, at, about) {
   const { grid, agent, looks } = level;
   const lifted = grid.map((row) => [...row]);
   const code = about.legend[about.objects[thing]];
+  let where = null;
   if (thing !== "agent") {
-    const where = at ?? cellsOf(grid, code)[0];
+    where = at ?? cellsOf(grid, code)[0];
     if (!where || grid[where[1]][where[0]] !== code) throw new Error(`which ${thing}?`);
     lifted[where[1]][where[0]] = 0;
   }
-  const state = rules.build({ grid: lifted, agent, looks }, { ...s, ...knobsOf(s) });
+  const state = rules.build({ grid: lifted, agent, looks: carried(looks, where) }, { ...s, ...knobsOf(s) });
   const here = agent.map(Math.floor);
   return rules.places(state).filter((cell) => String(cell) !== String(here) || thing === "agent")
     .filter(([x, y]) => lifted[y][x] === 0)
@@ -87,7 +89,8 @@ export function splayed({ level, s, rules }, thing, at, about) {
       const cells = lifted.map((row) => [...row]);
       if (thing !== "agent") cells[cell[1]][cell[0]] = code;
       const begin = thing === "agent" ? [cell[0] + 0.5, cell[1] + 0.5] : agent;
-      return { cell, level: { grid: cells, agent: begin, looks } };
+      const moved = where ? carried(looks, where, cell) : looks;
+      return { cell, level: { grid: cells, agent: begin, looks: moved } };
     });
 }
 

@@ -41,6 +41,14 @@ function build({ grid, agent, looks = {} }, variant) {
   s.draws = new Twister(Math.max(number, 0));
   for (let k = 0; k < draws; k++) s.draws.word();
   for (const [x, y, what] of objects) addObject(s, what, x, y, number !== NEVER);
+  if (looks.details) { // where keys are in their cells
+    const beside = new Map(looks.details.map(([x, y, ...where]) => [`${x},${y}`, where]));
+    objects.forEach(([x, y, what], k) => {
+      if (what !== KEY) return;
+      const [right, up] = beside.get(`${x},${y}`) ?? [0.5, 0.5];
+      [s.object_x[k], s.object_y[k]] = [f(x + right), f(y + up)];
+    });
+  }
   return s;
 }
 
