@@ -305,7 +305,7 @@ def steps(
     bounded("batch", batch, 1, MOST)
     see_ending(game, variant, longest)
     n = min(batch, len(levels))
-    env = _environments(game, variant, n, policy.observation, policy.art)
+    env = _environments(game, variant, n, policy.observation, policy.art, longest)
     stage = LevelByLevel(env, levels, until, longest)
     yield from play(Asking(policy), stage)
     stage.close()
@@ -374,9 +374,10 @@ def _environments(
     n: int,
     observation: Any,
     art: str,
+    longest: int | None = None,
 ) -> Any:
     if isinstance(game, World):
-        return WorldVectorEnv(game, game.variant(variant), n)
+        return WorldVectorEnv(game, game.variant(variant), n, longest)
     assert not isinstance(variant, WorldVariant)
     return GameVectorEnv(
         game, variant, n, observation=observation, art=art, autoreset_mode="Disabled"

@@ -156,76 +156,98 @@ def find(game: str | Game | World) -> Game:
 class Witness(gymnasium.Wrapper):
     """Notes in which step each event first happened; it lives where the environment does.
 
+    What was noted is told, under a key of info, when an event happens and when the episode ends.
     Errors of the environment and of functions of the world name the level and the step.
+
+    longest  steps after which an episode is left, so that it ends for the one who evaluates
     """
 
-    def __init__(self, env: Env, world: World, variant: WorldVariant):
+    def __init__(self, env: Env, world: World, variant: WorldVariant, longest: int | None):
         super().__init__(env)
-        self.world, self.variant = world, variant
+        self.world, self.variant, self.longest = world, variant, longest
         self.level, self.time = NEVER, 0
         self.reported: set[str] = set()
+        self._inner, self._shape = env.unwrapped, env.observation_space.shape
+        self._waiting: dict[str, Happened] = {}  # events that have not happened
 
     def reset(self, *, seed: int | None = None, options: dict | None = None) -> tuple[Any, dict]:
         """Begin the level whose number is `seed`."""
         self.level, self.time = NEVER if seed is None else seed, 0
         self.first = dict.fromkeys(self.world.events, NEVER)
-        seen, info = self._safely("reset", lambda: self.env.reset(seed=seed, options=options))
-        return self._shaped(seen), self._noted(info)
+        self._waiting = dict(self.world.events)
+        try:
+            seen, info = self.env.reset(seed=seed, options=options)
+        except Exception as error:
+            raise self._failed("reset", error) from error
+        self._see_shape(seen)
+        self._happens(info)
+        return seen, {**info, NOTED: self._told()}
 
     def step(self, action: Any) -> tuple[Any, float, bool, bool, dict]:
         """Take a step, and note what happened in it."""
         self.time += 1
-        seen, reward, terminated, truncated, info = self._safely(
-            "step", lambda: self.env.step(action)
-        )
-        return self._shaped(seen), float(reward), terminated, truncated, self._noted(info)
+        try:
+            seen, reward, terminated, truncated, info = self.env.step(action)
+        except Exception as error:
+            raise self._failed("step", error) from error
+        self._see_shape(seen)
+        if self._happens(info) or terminated or truncated or self.time == self.longest:
+            info = {**info, NOTED: self._told()}
+        return seen, float(reward), terminated, truncated, info
 
     def leads(self, goal: str) -> Any:
         """Return the action of the expert for a goal."""
-        expert = self.world.experts[goal]
-        return self._safely(f"expert of {goal!r}", lambda: expert(self.env.unwrapped))
+        try:
+            return self.world.experts[goal](self._inner)
+        except Exception as error:
+            raise self._failed(f"expert of {goal!r}", error) from error
 
-    def _noted(self, info: Mapping[str, Any]) -> dict[str, Any]:
+    def _happens(self, info: Mapping[str, Any]) -> bool:
+        """Note the events of this step; whether there are any."""
         self.reported.update(info)
-        inner = self.env.unwrapped
-        for name, happened in self.world.events.items():
-            if self.first[name] != NEVER:
-                continue
+        new = []
+        for name, happened in self._waiting.items():
             if isinstance(happened, str):
-                is_now = bool(info.get(happened, False))
+                is_now = happened in info and info[happened]
             else:
-                is_now = self._safely(f"event {name!r}", lambda of=happened: bool(of(inner, info)))
+                try:
+                    is_now = happened(self._inner, info)
+                except Exception as error:
+                    raise self._failed(f"event {name!r}", error) from error
             if is_now:
-                self.first[name] = self.time
-        counted = [
-            self._safely(f"measure {name!r}", lambda of=of: float(of(inner)))
-            for name, of in self.world.measures.items()
-        ]
-        return {**info, NOTED: np.array([*self.first.values(), *counted], np.float64)}
+                new.append(name)
+        for name in new:
+            self.first[name] = self.time
+            del self._waiting[name]
+        return bool(new)
 
-    def _shaped(self, seen: Any) -> Any:
-        shape = self.observation_space.shape
-        if shape is not None and np.shape(seen) != shape:
+    def _told(self) -> np.ndarray:
+        """What was noted so far: the step of each event, and the measures."""
+        told: list[float] = [*self.first.values()]
+        for name, measure in self.world.measures.items():
+            try:
+                told.append(float(measure(self._inner)))
+            except Exception as error:
+                raise self._failed(f"measure {name!r}", error) from error
+        return np.array(told, np.float64)
+
+    def _see_shape(self, seen: Any) -> None:
+        if self._shape is not None and np.shape(seen) != self._shape:
             raise ValueError(
                 f"{self._where()}: the observation is of shape {np.shape(seen)}, where the space "
-                f"says {shape}"
+                f"says {self._shape}"
             )
-        return seen
 
-    def _safely(self, doing: str, do: Callable[[], Any]) -> Any:
-        try:
-            return do()
-        except Exception as error:
-            said = f"{type(error).__name__}: {brief(error)}"
-            raise ValueError(f"{self._where()}: its {doing} fails: {said}") from error
+    def _failed(self, doing: str, error: Exception) -> ValueError:
+        return ValueError(f"{self._where()}: its {doing} fails: {error!r:.300}")
 
     def _where(self) -> str:
         return f"{self.variant}, level {self.level}, step {self.time}"
 
 
-def witnessed(world: World, variant: WorldVariant) -> Witness:
+def witnessed(world: World, variant: WorldVariant, longest: int | None = None) -> Witness:
     """Return a new environment of a variant that notes what happens."""
-    return Witness(variant.make(), world, variant)
+    return Witness(variant.make(), world, variant, longest)
 
 
 def see_repeats(world: World, variant: WorldVariant, level: int, steps: int = 50) -> None:
@@ -251,7 +273,7 @@ def _played(world: World, variant: WorldVariant, level: int, steps: int) -> list
     told: list[Any] = [env.reset(seed=level)[0]]
     for _ in range(steps):
         seen, reward, terminated, truncated, info = env.step(env.action_space.sample())
-        told.append((seen, reward, terminated, truncated, info[NOTED]))
+        told.append((seen, reward, terminated, truncated, info.get(NOTED)))
         if terminated or truncated:
             break
     env.close()

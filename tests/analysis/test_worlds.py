@@ -1,17 +1,18 @@
 """Any Gymnasium environment is evaluated as a game is; what is wrong with one is told."""
 
+import json
 from dataclasses import replace
 from functools import partial
 
 import numpy as np
 import pytest
 
-import astray
 from astray import games
 from astray.analysis.adapters import Function, from_sb3
 from astray.analysis.evaluate import evaluate
 from astray.analysis.outcomes import INTENDED, MISGENERALIZED
 from astray.analysis.policies import Random, Walk
+from astray.analysis.runs import evaluate_policies
 from helpers.rooms import CELLS, WORLD, Room
 
 LEVELS = np.array([3, 1, 4, 15, 9, 2, 6, 53, 58, 97])
@@ -29,6 +30,7 @@ def by_hand(choose, place, level):
         end = time if end is None and env.x == CELLS - 1 else end
         if terminated or truncated:
             return level, total, time, terminated, square, end
+    raise AssertionError("the episode does not end")
 
 
 def troubled(trouble, **more):
@@ -49,7 +51,7 @@ def test_the_table_is_that_of_a_loop_by_hand(batch, workers):
 
 
 def test_outcomes_base_rates_and_telling_levels_are_those_of_games():
-    shares, episodes = astray.evaluate_policies([RIGHT], WORLD, "end", LEVELS)
+    shares, episodes = evaluate_policies([RIGHT], WORLD, "end", LEVELS)
     squares = {}
     for level in LEVELS:
         (env := Room("anywhere")).reset(seed=int(level))
@@ -112,7 +114,7 @@ def test_knobs_are_arguments_of_the_factory():
 )  # fmt: skip
 def test_what_is_wrong_is_told_in_a_sentence(world, policy, said):
     with pytest.raises(ValueError, match=said):
-        astray.evaluate_policies([policy], world, "end", LEVELS)
+        evaluate_policies([policy], world, "end", LEVELS)
 
 
 @pytest.mark.waits
@@ -139,6 +141,18 @@ def test_what_a_world_names_must_be_there():
         replace(WORLD, experts={"gone": lambda env: 0})
     with pytest.raises(ValueError, match="unknown variant of room 'gone'; there are: end, any"):
         evaluate(RIGHT, WORLD, "gone", LEVELS)
+
+
+def test_the_command_line_takes_a_world(astray):
+    words = ("evaluate", "--policy", "helpers.rooms:go_right", "--shift", "end", "--levels", "0:9")
+    shares = json.loads(astray(*words, "--world", "helpers.rooms:WORLD", "--json"))
+    told = {(r["policy"], r["outcome"]): r["mean"] for r in shares if r["levels_played"] == "all"}
+    hand = [by_hand(lambda _: 1, "anywhere", level)[4] is not None for level in range(9)]
+    assert told["helpers.rooms:go_right", INTENDED] == pytest.approx(np.mean(hand))
+    assert "walked" in astray(*words, "--world", "helpers.rooms:WORLD")
+    assert "--world must be a Game or World; got 9" in astray(
+        *words, "--world", "helpers.rooms:CELLS", fails=True
+    )
 
 
 def test_an_ability_that_a_world_lacks_is_told():

@@ -15,7 +15,7 @@ from tyro.conf import Positional, arg
 from astray import games, imports
 from astray.analysis.kept import KEPT
 from astray.analysis.tables import write_table
-from astray.bounds import MOST, bounded
+from astray.bounds import MOST, bounded, of_kind
 from astray.cli.arguments import (
     Knobs,
     Mode,
@@ -32,6 +32,7 @@ from astray.files import see_free, see_writable, write_aside
 from astray.game import OWN, Game
 from astray.training.config import Config, Tracking
 from astray.training.settings import SEEDS
+from astray.world import World
 
 if TYPE_CHECKING:
     import numpy as np
@@ -83,6 +84,7 @@ def evaluate(
     agent: str | None = None,
     policy: str | None = None,
     game: str | None = None,
+    world: str | None = None,
     observation: Literal["image", "symbolic"] | None = None,
     variant: str | None = None,
     shift: str | None = None,
@@ -103,8 +105,9 @@ def evaluate(
             agents of one kind
         agent: instead, the name of a kept or imported one
         policy: instead, a function of your own, module:function, of observations [N, ...] that
-            returns actions [N]; needs --game and --shift
+            returns actions [N]; needs --shift, and --game or --world
         game: that the policy plays
+        world: instead of a game, a World of your own that the policy plays, module:WORLD
         observation: that the policy is shown; by default images
         variant: of the levels; by default the shift's test variant
         shift: which goals are intended and proxies; by default the one that the run trained for
@@ -131,7 +134,7 @@ def evaluate(
     if out:
         see_writable(out)
     if policy is None:
-        see_of_policy(game, observation)
+        see_of_policy(game, observation, world)
         folders = chosen(runs, agent)
         rules = open_run(folders[0])[1].find_game()
         shares, episodes = evaluate_runs(
@@ -146,13 +149,16 @@ def evaluate(
             solvable=not unsolvable,
             longest=longest,
         )
-    elif runs or agent or game is None or shift is None:
-        raise ValueError("--policy needs --game and --shift, and neither runs nor --agent")
+    elif runs or agent or (game is None) == (world is None) or shift is None:
+        raise ValueError(
+            "--policy needs --shift, and --game or --world, and neither runs nor --agent"
+        )
     elif mode != "sampled":
         raise ValueError(f"a policy of your own chooses by itself; it has no mode {mode!r}")
     else:
         own = Function(imports.find(policy), policy, observation or "image", art or OWN)
-        rules = games.find(game)
+        rules = games.find(game) if game else imports.find(world or "")
+        of_kind("--world", rules, Game | World)
         shares, episodes = evaluate_policies(
             [own],
             rules,
@@ -314,7 +320,7 @@ def _write_judgement(judged: Judgement, frames: np.ndarray, folder: Path) -> Non
     write_table(judged.episodes, folder / EPISODES)
 
 
-def show_amounts(episodes: pl.DataFrame, game: Game) -> None:
+def show_amounts(episodes: pl.DataFrame, game: Game | World) -> None:
     """The means of a game's measures as a table, where it has any: a row a policy."""
     from astray.analysis.outcomes import amounts
 

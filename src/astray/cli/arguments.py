@@ -34,9 +34,9 @@ def chosen(runs: Sequence[Path], agent: str | None) -> tuple[Path, ...]:
     return tuple(map(kept.run_of, runs)) if agent is None else (kept.find(agent),)
 
 
-def see_of_policy(game: str | None, observation: str | None) -> None:
+def see_of_policy(game: str | None, observation: str | None, world: str | None = None) -> None:
     """ValueError where what only a policy of one's own needs is given without one."""
-    for name, given in (("game", game), ("observation", observation)):
+    for name, given in (("game", game), ("observation", observation), ("world", world)):
         if given is not None:
             raise ValueError(f"--{name} {given} needs --policy; a run says which it has")
 

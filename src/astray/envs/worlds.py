@@ -27,10 +27,13 @@ class WorldVectorEnv:
 
     observation, art = "image", OWN  # of games; here the factory decides what is shown
 
-    def __init__(self, world: World, variant: str | WorldVariant, num_envs: int):
+    def __init__(
+        self, world: World, variant: str | WorldVariant, num_envs: int, longest: int | None = None
+    ):
+        """longest  steps after which episodes are left by the one who plays them"""
         bounded("num_envs", num_envs, 1, MOST)
         self.game, self.variant, self.num_envs = world, world.variant(variant), num_envs
-        makers = [partial(witnessed, world, self.variant)] * num_envs
+        makers = [partial(witnessed, world, self.variant, longest)] * num_envs
         kind = AsyncVectorEnv if world.workers else SyncVectorEnv
         self._envs: Any = kind(makers, autoreset_mode=AutoresetMode.DISABLED)
         self.single_action_space = self._envs.single_action_space
@@ -54,7 +57,7 @@ class WorldVectorEnv:
                 seen, info = self._envs.reset_wait(timeout=self.game.patience)
         else:
             seen, info = self._envs.reset(seed=levels, options=given)
-        self._note(info, which)
+        self._note(info)
         return seen, info
 
     def step(self, actions: Any) -> tuple[Any, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
@@ -68,7 +71,7 @@ class WorldVectorEnv:
             taken = self._envs.step(actions)
         self.states["time"] += 1
         self.states["ended"] = taken[2] | taken[3]
-        self._note(taken[4], np.ones(self.num_envs, bool))
+        self._note(taken[4])
         return taken
 
     def leads(self, goal: str) -> np.ndarray:
@@ -90,9 +93,11 @@ class WorldVectorEnv:
                 self.game.reported.update(keys)
         self._envs.close()
 
-    def _note(self, info: Mapping[str, Any], which: np.ndarray) -> None:
-        """Write what the environments noted to their states; it is in info."""
-        columns = (*self.game.events, *self.game.measures)
+    def _note(self, info: Mapping[str, Any]) -> None:
+        """Write what the environments noted to their states; it is in info where it is new."""
+        if NOTED not in info:
+            return
+        columns, which = (*self.game.events, *self.game.measures), info[f"_{NOTED}"]
         for name, values in zip(columns, info[NOTED].T, strict=True):
             self.states[name][which] = values[which]
 
