@@ -8,7 +8,12 @@ import pytest
 
 from astray.analysis.outcomes import FAILED, INTENDED, MISGENERALIZED
 from astray.experiments.run import run_folder
-from astray.experiments.studies.coinrun import coin_diversity, critic_value, permeable_wall
+from astray.experiments.studies.coinrun import (
+    attribution,
+    coin_diversity,
+    critic_value,
+    permeable_wall,
+)
 
 
 @pytest.mark.parametrize("size", ["smoke", "hour", "paper"])
@@ -124,3 +129,31 @@ def test_values_rise_within_an_agent_and_level():
          "value": [1.0, 3, 7, 9, 100]},
     )  # fmt: skip
     assert critic_value.rises(table)["rise"].to_list() == [5]
+
+
+def attributed(wall, coin, network):
+    """Rows of shares: what the wall and the coin have of a map, over their areas, in 60 levels."""
+    random, rows = np.random.default_rng(len(network)), []
+    for test in attribution.TESTS:
+        for agent in range(4):
+            for level in range(60):
+                for part, area, times in (("end wall", 0.2, wall), ("coin", 0.002, coin)):
+                    share = area * times * random.lognormal(0, 0.2)
+                    rows.append((agent, test, level, 0, "gradient", part, share, area, network))
+    names = ["agent", "test", "level", "step", "method", "part", "attribution", "area", "network"]
+    return pl.DataFrame(rows, names, orient="row")
+
+
+@pytest.mark.parametrize(
+    "wall, coin, held",
+    [
+        (1.0, 1.2, (False, False)),  # as networks that were never trained: all places are alike
+        (1.5, 4.4, (False, True)),  # most on the wall, and for their size on the coin
+        (2.1, 0.7, (True, True)),
+    ],
+)
+def test_the_wall_is_not_highlighted_for_being_large(wall, coin, held):
+    untrained = attributed(1.0, 1.2, "never trained")
+    told = attribution.claims(attributed(wall, coin, "trained"), untrained)
+    assert tuple(claim.held for claim in told) == held
+    assert not any(claim.held for claim in attribution.claims(untrained, untrained))

@@ -22,7 +22,7 @@ from astray.experiments.studies.coinrun._agents import RUNNER
 from astray.games.coinrun.edits import PARTS
 from astray.insight import attribution
 from astray.insight.probes import untrained
-from astray.report.claims import above
+from astray.report.claims import Claim, above
 from astray.report.claims import every as every_one
 
 TESTS = {
@@ -53,13 +53,6 @@ def find(work: Work) -> Findings:
     gaps = {method: gap(table.filter(method=method)) for method in METHODS}
     dense, chance = (per_area(part.filter(method="gradient")) for part in (table, blanks))
     ratios = group_means(blanks, "attribution", ["test", "method", "part"], per="area")
-    walls, blank = (
-        {
-            row["test"]: Estimate.of(row)
-            for row in part.filter(part=WALL, method="gradient").to_dicts()
-        }
-        for part in (by_size, ratios)
-    )
     examples = work.keep("maps", lambda: maps_of_some(work))
     return Findings(
         answer="Where both are in view, the end wall has "
@@ -71,31 +64,7 @@ def find(work: Work) -> Findings:
         + f". For its size, by gradient, the wall has {dense.wall.mean:.2f} times what it would "
         f"have if all places were alike, and the coin {dense.coin.mean:.2f} times (networks that "
         f"were never trained: {chance.wall.mean:.2f} and {chance.coin.mean:.2f}).",
-        claims=[
-            every_one(
-                "For its size the end wall is highlighted at least as much as the coin, and more "
-                "so than by networks that were never trained.",
-                "at least as much (by eye)",
-                [
-                    above("", "", "per area, end wall less coin", dense.less, told=CHANGE),
-                    above(
-                        "", "", "that, less untrained", less(dense.less, chance.less), told=CHANGE
-                    ),
-                ],
-            ),
-            every_one(
-                "In training and in the test the end wall is assigned a large attribution.",
-                "large (by eye)",
-                [
-                    claim
-                    for test, times in walls.items()
-                    for claim in (
-                        above("", "", f"share over size, {test}", times, 1, told=Estimate.amount),
-                        above("", "", "less untrained", less(times, blank[test]), told=CHANGE),
-                    )
-                ],
-            ),
-        ],
+        claims=claims(table, blanks),
         plots=[
             Plot(
                 "parts",
@@ -125,6 +94,47 @@ def find(work: Work) -> Findings:
             "nothing are a part of their own, for a gradient asks what adding something would do.",
         },
     )
+
+
+def claims(trained: pl.DataFrame, untrained: pl.DataFrame) -> list[Claim]:
+    """The paper's claims, of rows of `shares`: for a part's size, and beside untrained networks.
+
+    The wall has a hundred times the coin's area, so that any network has more of its map there.
+    """
+    rows = [part.filter(method="gradient") for part in (trained, untrained)]
+    own, chance = (per_area(part).less for part in rows)
+    walls, blank = (
+        {
+            row["test"]: Estimate.of(row)
+            for row in group_means(part, "attribution", ["test", "part"], per="area").to_dicts()
+            if row["part"] == WALL
+        }
+        for part in rows
+    )
+    nothing = Estimate.nothing()
+    large = []
+    for test in TESTS:
+        times, by_chance = (found.get(test, nothing) for found in (walls, blank))
+        large += [
+            above("", "", f"share over size, {test}", times, 1, told=Estimate.amount),
+            above("", "", "less untrained", less(times, by_chance), told=CHANGE),
+        ]
+    return [
+        every_one(
+            "For its size the end wall is highlighted at least as much as the coin, and more so "
+            "than by networks that were never trained.",
+            "at least as much (by eye)",
+            [
+                above("", "", "per area, end wall less coin", own, told=CHANGE),
+                above("", "", "that, less untrained", less(own, chance), told=CHANGE),
+            ],
+        ),
+        every_one(
+            "In training and in the test the end wall is assigned a large attribution.",
+            "large (by eye)",
+            large,
+        ),
+    ]
 
 
 def visited(work: Work, where: str, seed: int) -> tuple[Agent, pl.DataFrame, np.ndarray]:
