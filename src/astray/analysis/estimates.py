@@ -285,8 +285,8 @@ def _satterthwaite(parts: Sequence[tuple[float, float]]) -> float:
     """The degrees of freedom of a sum of variances, each with its own."""
     whole = sum(variance for variance, _ in parts)
     squares = sum(variance**2 / freedom for variance, freedom in parts if freedom > 0)
-    least = min(freedom for _, freedom in parts)
-    return whole**2 / squares if squares else max(1.0, least)
+    known = [freedom for _, freedom in parts if 0 < freedom < math.inf]
+    return whole**2 / squares if squares else min(known, default=1.0)
 
 
 def mean_of(rows: pl.DataFrame, value: str | pl.Expr) -> Estimate:
