@@ -1,7 +1,6 @@
 """What would end the process or never end is refused at once, with what was given."""
 
 import functools
-import inspect
 import os
 import signal
 import subprocess
@@ -33,6 +32,7 @@ from astray.training.fast import fused, sparse
 from astray.training.loop import train
 from astray.training.ppo import Samples
 from helpers.cases import SHAPES
+from helpers.flat import kinds, options
 
 TINY = replace(
     PRESETS["small"],
@@ -237,19 +237,19 @@ def test_a_number_that_python_does_not_write_out_is_refused_all_the_same():
 
 
 WORDS = {  # of each verb, so that nothing but the number is wrong
-    "train": ["maze", "corner-small"], "evaluate": ["--agent", "maze-corner"],
-    "record": ["--agent", "maze-corner"], "reproduce": ["maze-corner"],
-    "explain": ["maze-corner"], "export": ["--agent", "maze-corner"],
-    "lab": ["--agent", "maze-corner", "--no-browse"],
+    "train": ["maze", "corner-small"], "evaluate": ["maze-corner"],
+    "record": ["maze-corner"], "reproduce": ["maze-corner"],
+    "explain": ["maze-corner"], "export": ["maze-corner"],
+    "lab": ["maze-corner", "--no-browse"],
     "sweep": ["maze", "corner-small", "--set", "gamma=0.9,0.99"],
     "distil": ["maze-corner"],
     "play": ["maze", "corner-small"], "replay": ["maze", "corner-small", "--actions", __file__],
 }  # fmt: skip
 NUMBERS = [
-    (verb, parameter.name)
+    (verb, name)
     for verb in verbs.VERBS
-    for parameter in inspect.signature(verbs.find(verb)).parameters.values()
-    if "int" in str(parameter.annotation).replace("|", " ").split()
+    for name, kind, _ in options(verb)
+    if kind in (int, int | None) and not (verb in ("train", "sweep") and name in kinds())
 ]
 
 
@@ -341,15 +341,15 @@ def test_actions_without_end_are_refused():
 
 def test_many_listed_levels_are_numbers_and_no_name_of_a_file(monkeypatch, capsys, tmp_path):
     listed = ",".join(str(10**6 + k) for k in range(100))
-    words = ["evaluate", "--agent", "maze-corner", "--levels", listed, "--json"]
+    words = ["evaluate", "maze-corner", "--levels", listed, "--json"]
     monkeypatch.setattr(sys, "argv", ["astray", *words])
     cli.main()
     assert '"levels": 100' in capsys.readouterr().out
 
 
 @pytest.mark.parametrize("words", [
-    ("evaluate", "--agent", "maze-corner"), ("record", "--agent", "maze-corner"),
-    ("agency", "--agent", "maze-corner"),
+    ("evaluate", "maze-corner"), ("record", "maze-corner"),
+    ("agency", "maze-corner"),
 ])  # fmt: skip
 def test_where_results_go_is_tried_before_anything_is_played(words, monkeypatch, capsys, tmp_path):
     (tmp_path / "file").write_text("in the way")

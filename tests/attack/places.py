@@ -249,7 +249,7 @@ def _folders() -> dict[str, tuple[Callable[[Place], Any], tuple[int, ...]]]:
     def closed_work(place: Place) -> Any:
         place.work.chmod(0o555)
         place.watch()
-        return place.astray("record", "--agent", "maze-corner", "--level", "0", "--pixels", "32")
+        return place.astray("record", "maze-corner", "--level", "0", "--pixels", "32")
 
     def memory(size: int, place: Place) -> Any:
         place.copy("run")

@@ -164,7 +164,7 @@ def _swept(file: str) -> Callable[[Place], tuple[Path, Use]]:
 
 
 def _in_lab(place: Place) -> tuple[Path, Use]:
-    words = ("lab", "--agent", "maze-corner", "--level-file", "maze.txt", "--export", "page",
+    words = ("lab", "maze-corner", "--level-file", "maze.txt", "--export", "page",
              "--levels", "1")  # fmt: skip
     return place.copy("maze.txt"), lambda place: place.astray(*words)
 
@@ -176,7 +176,7 @@ def _imported(file: str) -> Callable[[Place], tuple[Path, Use]]:
         import os
 
         os.environ["ASTRAY_AGENTS"] = str(place.copy("agents"))
-        words = ("evaluate", "--agent", "other", "--levels", "0:2")
+        words = ("evaluate", "other", "--levels", "0:2")
         return place.work / "agents" / "other" / file, lambda place: place.astray(*words)
 
     return make

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import inspect
 from pathlib import Path
 from typing import Any
 
 from attack.core import Place
 from attack.material import TINY, sweep_words
+from helpers.flat import kinds, options
 
 PLAY = ("--levels", "0:2")
 
@@ -17,10 +17,10 @@ def words_of(verb: str, place: Place) -> list[Any]:
     for name in ("run", "maze.txt", "actions.txt", "experiment.py", "agent.pth"):
         if not (place.work / name).exists():
             place.copy(name)
-    maze, agent = ["maze", "corner-small"], ["--agent", "maze-corner"]
+    maze, agent = ["maze", "corner-small"], ["maze-corner"]
     return {
         "list": [], "play": [*maze, "--level", "0"],
-        "lab": ["--agent", "maze-corner", "--no-browse", "--export", "page", "--levels", "1"],
+        "lab": ["maze-corner", "--no-browse", "--export", "page", "--levels", "1"],
         "train": [*TINY, "--folder", "trained"],
         "distil": ["run", "--observation", "symbolic", "--steps", "16384", "--folder", "students"],
         "evaluate": ["run", *PLAY], "reproduce": ["experiment.py", "--workers", "1"],
@@ -40,18 +40,16 @@ def words_of(verb: str, place: Place) -> list[Any]:
 
 def options_of(verb: str) -> list[tuple[str, str, bool]]:
     """The options of a verb: name on the command line, its type in words, whether positional."""
-    from astray.cli.verbs import VERBS, find
-
-    function = find(verb)
-    function = getattr(function, "func", function)
-    assert verb in VERBS
+    apart = kinds() if verb in ("train", "sweep") else ()  # they are tried by themselves
     found = []
-    for parameter in inspect.signature(function).parameters.values():
-        kind = str(parameter.annotation)
-        name = {"knobs": "set", "axes": "set", "name": "as"}.get(parameter.name, parameter.name)
-        if parameter.name == "name" and "arg(" not in kind:
-            name = "name"
-        found.append((name.replace("_", "-"), kind, kind.startswith("Positional")))
+    for name, kind, positional in options(verb):
+        if name in apart and not positional:
+            continue
+        told = kind.__name__ if isinstance(kind, type) else str(kind)
+        told = {"set": "Knobs", "axes": "Sets"}.get(name, told)
+        if verb == "sweep" and name == "set":
+            told = "Sets"
+        found.append((name.replace("_", "-"), told, positional))
     return found
 
 

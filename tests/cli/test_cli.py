@@ -87,6 +87,11 @@ def test_agents_are_trained_resumed_and_evaluated(astray, run_folder, tmp_path):
     assert "walk to corner" in astray(*words[:-1])
 
 
+def test_the_table_of_an_evaluation_names_the_agent(astray, run_folder):
+    told = " ".join(astray("evaluate", "maze-corner", "--levels", "0:3").split())
+    assert "maze-corner" in told and "│ sampled │" not in told
+
+
 def test_levels_from_files_are_edited_and_played(astray, run_folder, tmp_path):
     drawn = astray("level", "maze", "anywhere-small", "--numbers", "5:8", "--text")
     assert ";" not in drawn
@@ -153,8 +158,11 @@ def test_an_evaluation_that_finds_no_room_leaves_nothing(run_folder, tmp_path):
         ("level maze corner --numbers 0:99999999999", "from 0 to 2147483646"),
         ("level maze corner --numbers 0:2000000000", "at most 10000000 are taken at once"),
         ("level maze corner --set region=5", "need placement 'region'"),
-        ("train maze corner --seeds 0", "seeds must be an integer from 1 to 268435456; got 0"),
-        ("train maze corner --share 0.5", "share is for the sampler mixed; got 'uniform'"),
+        ("train maze corner --seeds 0", "seeds must be an integer from 1 to 134217728; got 0"),
+        (
+            "train maze corner --share 0.5",
+            "share is for the sampler mixed or growing; got 'uniform'",
+        ),
         ("train maze corner --replay 0.5", "replay is for the sampler plr or accel; got 'uniform'"),
         ("lab --levels 5", "--levels says how many are exported: it needs --export FOLDER"),
         (
@@ -166,7 +174,10 @@ def test_an_evaluation_that_finds_no_room_leaves_nothing(run_folder, tmp_path):
         ("level maze corner --set squid=5", "unknown knob 'squid'; there are: time_limit"),
         ("level maze corner --set region=5.5", "region must be of type int; got 5.5"),
         ("reproduce maze-cornr", "unknown experiment 'maze-cornr'; there are: agency, "),
-        ("evaluate nowhere", "nowhere is neither a run folder nor a checkpoint in one"),
+        (
+            "evaluate nowhere",
+            "unknown agent 'nowhere', which is neither a run folder nor a checkpoint",
+        ),
         ("replay maze corner --level 1 --actions nowhere.txt", "nowhere.txt"),
     ],
 )

@@ -117,7 +117,7 @@ def test_an_agent_is_kept_without_its_training(run, mouse):
 
 
 def test_a_card_says_what_an_evaluation_finds(astray, mouse):
-    said = json.loads(astray("evaluate", "--agent", "mouse", "--levels", "100000:100040", "--json"))
+    said = json.loads(astray("evaluate", "mouse", "--levels", "100000:100040", "--json"))
     found = {
         row["outcome"]: row
         for row in said
@@ -134,9 +134,9 @@ def test_a_card_says_what_an_evaluation_finds(astray, mouse):
 
 def test_a_kept_agent_stands_for_its_run_folder(astray, run, mouse, tmp_path):
     words = ("--levels", "100000:100012", "--json")
-    assert astray("agency", "--agent", "mouse", *words) == astray("agency", run, *words)
+    assert astray("agency", "mouse", *words) == astray("agency", run, *words)
     films = [tmp_path / f"{name}.gif" for name in ("kept", "run")]
-    astray("record", "--agent", "mouse", "--pixels", "64", "--out", films[0])
+    astray("record", "mouse", "--pixels", "64", "--out", films[0])
     astray("record", run, "--pixels", "64", "--out", films[1])
     assert films[0].read_bytes() == films[1].read_bytes()
     assert json.loads(astray("list", "--json"))["agents"]["mouse"]["variant"] == SHORT.variant
@@ -171,10 +171,9 @@ def test_what_is_too_large_is_not_kept(run, tmp_path):
 @pytest.mark.parametrize(
     "words, message",
     [
-        ("evaluate", "name a run folder, or an --agent"),
-        ("record", "name a run folder, or an --agent"),
-        ("evaluate runs/seed-0 --agent mouse", "not both"),
-        ("agency --agent squid", "unknown agent 'squid'; there are: mouse"),
+        ("evaluate", "name an agent or a run folder"),
+        ("record", "AGENT"),
+        ("agency squid", "unknown agent 'squid', which is neither"),
     ],
 )
 def test_mistakes_are_explained(astray, mouse, words, message):

@@ -1,8 +1,14 @@
-"""The settings of a training with their types, those of its records beside the others."""
+"""Settings of a training and options of verbs with their types, those of groups beside others."""
 
 import typing
+from dataclasses import is_dataclass
 
+from tyro.conf import Positional
+
+from astray.cli import verbs
 from astray.training.config import RECORDS, Config
+
+_POSITIONAL = typing.get_args(Positional[int])[-1]
 
 
 def kinds():
@@ -14,3 +20,23 @@ def kinds():
         else:
             found[name] = kind
     return found
+
+
+def options(verb):
+    """The options of a verb and its groups: name in the code, type, whether positional."""
+    function = verbs.find(verb)
+    function = getattr(function, "func", function)
+    yield from _fields(typing.get_type_hints(function, include_extras=True))
+
+
+def _fields(hints):
+    for name, hint in hints.items():
+        kind = typing.get_args(hint)[0] if hasattr(hint, "__metadata__") else hint
+        if name == "return":
+            continue
+        if is_dataclass(kind):
+            yield from _fields(typing.get_type_hints(kind, include_extras=True))
+            continue
+        marks = getattr(hint, "__metadata__", ())
+        given = [mark.name for mark in marks if getattr(mark, "name", None)]
+        yield given[0] if given else name, kind, _POSITIONAL in marks

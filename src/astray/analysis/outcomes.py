@@ -18,8 +18,8 @@ from astray.analysis.estimates import estimate_mean
 from astray.analysis.policies import Walk
 from astray.bounds import of_kind
 from astray.estimate import Estimate
-from astray.game import Game, More, Never, Outcome, Shift, Truncated
-from astray.world import World
+from astray.game import Game, More, Never, Outcome, Shift, Truncated, Variant
+from astray.world import World, WorldVariant
 
 INTENDED = "intended goal"
 MISGENERALIZED = "goal misgeneralization"
@@ -72,6 +72,11 @@ def outcomes_of(game: Goals) -> tuple[str, ...]:
     if taken := {*game.ends} & {*OUTCOMES}:
         raise ValueError(f"an end must have a name of its own; got {', '.join(sorted(taken))}")
     return (INTENDED, MISGENERALIZED, *game.ends, FAILED)
+
+
+def name_of(variant: str | Variant | WorldVariant) -> str:
+    """Return what tables call a variant: its name, or what one of your own is about."""
+    return variant.about if isinstance(variant, Variant) else str(variant)
 
 
 def label(episodes: pl.DataFrame, game: Goals, shift: Shift) -> pl.DataFrame:

@@ -18,7 +18,7 @@ from astray.agents.policy import usable
 from astray.analysis import kept
 from astray.analysis.evaluate import evaluate
 from astray.analysis.given import Measure
-from astray.analysis.outcomes import label, load_shift, outcomes_of, shares, tell_apart
+from astray.analysis.outcomes import label, load_shift, name_of, outcomes_of, shares, tell_apart
 from astray.analysis.policies import Random, Walk
 from astray.analysis.trained import Agent
 from astray.bounds import finite, of_kind, shown
@@ -126,11 +126,6 @@ def shift_of(config: Config) -> str:
             f"name one of: {', '.join(game.shifts)}"
         )
     return found[0]
-
-
-def name_of(variant: str | Variant | WorldVariant) -> str:
-    """Return what tables call a variant: its name, or what one of your own is about."""
-    return variant.about if isinstance(variant, Variant) else str(variant)
 
 
 def evaluate_runs(

@@ -5,9 +5,11 @@ from __future__ import annotations
 import contextlib
 import io
 import os
+import re
 import signal
 import sys
 import threading
+from difflib import get_close_matches
 
 from astray import imports
 from astray.words import printable
@@ -98,7 +100,14 @@ def _tell(what: str) -> None:
     line = printable(next(iter(what.strip().splitlines()), ""))
     if sys.stderr:
         with contextlib.suppress(OSError):
-            print(f"astray: {shortened(line)}", file=sys.stderr)
+            print(f"astray: {shortened(line)}{guess(line)}", file=sys.stderr)
+
+
+def guess(line: str) -> str:
+    """Return the question whether another name was meant, which a mistake's list of names has."""
+    found = re.match(r"unknown [^']*'([^']+)'.*; there are: (.*)", line)
+    near = get_close_matches(found[1], re.split(r",? (?:and )?", found[2]), 1) if found else []
+    return f"; did you mean {near[0]!r}?" if near else ""
 
 
 def _tell_of_thread(what: threading.ExceptHookArgs) -> None:

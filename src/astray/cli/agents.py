@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import json
 import os
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -12,26 +13,34 @@ import polars as pl
 from rich.table import Table
 from tyro.conf import Positional, arg
 
-from astray import games, imports
-from astray.analysis.kept import KEPT
+from astray.analysis.kept import KEPT, name_of
 from astray.analysis.tables import write_table
-from astray.bounds import MOST, bounded, of_kind
+from astray.bounds import MOST, bounded
 from astray.cli.arguments import (
+    NUMBERS,
+    Acting,
+    Agent,
+    Json,
     Knobs,
-    Mode,
-    chosen,
+    Longest,
+    OwnPolicy,
+    PlayedLevel,
+    Preset,
+    Settings,
+    Shift,
+    TestVariant,
+    TrainingVariant,
     level_numbers,
-    one_level,
     pairs,
     print_json,
-    see_of_policy,
+    run_of,
     show,
 )
 from astray.envs.vector import PICTURES
 from astray.files import see_free, see_writable, write_aside
-from astray.game import OWN, Game
+from astray.game import Game
 from astray.training.config import Config, Tracking
-from astray.training.settings import SEEDS
+from astray.training.settings import SEEDS, otherwise
 from astray.world import World
 
 if TYPE_CHECKING:
@@ -41,38 +50,40 @@ if TYPE_CHECKING:
 
 SUMMARY, EPISODES = "agency.json", "episodes.parquet"
 POSTERIOR = ("posterior.mp4", "posterior.gif", "posterior.png")
-Preset = Literal["paper", "night", "small", "pixels"]
+NAMED = 3  # agents of a row in a table that are named one by one
 
 
 def train(
-    config: Annotated[Config, arg(name="")],
+    settings: Annotated[Config, arg(help="Settings of the training.")],
     preset: Preset = "small",
-    knobs: Knobs = (),
+    knobs: Settings = (),
     seeds: int = 1,
-    folder: Path | None = None,
-    track: Tracking | None = None,
+    folder: Annotated[Path | None, otherwise("runs/<game>-<variant>")] = None,
+    track: Annotated[Tracking | None, otherwise("nobody")] = None,
 ) -> None:
     """Train agents, or go on where they stopped.
 
+    Example: astray train maze corner-small --validation anywhere-small --folder runs/mice
+
     Args:
-        preset: whose settings are the defaults of all others
-        knobs: of the variant, changed
-        seeds: agents to train one after the other, with this seed, the next, ...
-        folder: of the runs; by default runs/<game>-<variant>
-        track: tell wandb or trackio, too, of the training, and at its end of what the agent does
+        preset: Preset whose settings are the defaults of all others.
+        seeds: Number of agents, trained one after the other with this seed, the next, ...
+        folder: Folder of the run folders seed-0, seed-1, ...
+        track: Tracker that is told of the training and, at its end, of what the agent does.
     """
     from dataclasses import replace
 
+    from astray.experiments.sweep.settings import changed
     from astray.experiments.track import track_outcomes
     from astray.training import parallel
     from astray.training.track import train_tracked
 
+    config = changed(settings, pairs(knobs))
     bounded("seeds", seeds, 1, SEEDS - config.seed)
-    changed = replace(config, knobs=pairs(knobs))
     there = folder or Path("runs") / f"{config.game}-{config.variant}"
     for seed in range(config.seed, config.seed + seeds):
         run = there / f"seed-{seed}"
-        last = train_tracked(replace(changed, seed=seed), run, track)
+        last = train_tracked(replace(config, seed=seed), run, track)
         if parallel.first():
             if track:
                 track_outcomes(run, track)
@@ -80,51 +91,45 @@ def train(
 
 
 def evaluate(
-    runs: Positional[tuple[Path, ...]] = (),
-    agent: str | None = None,
-    policy: str | None = None,
-    game: str | None = None,
-    world: str | None = None,
-    observation: Literal["image", "symbolic"] | None = None,
-    variant: str | None = None,
-    shift: str | None = None,
-    levels: str | None = None,
+    agents: Positional[
+        Annotated[
+            tuple[Path, ...],
+            otherwise(
+                "none",
+                "Run folders, checkpoints in them, or names of pretrained or imported agents; "
+                "several are pooled as agents of one kind.",
+            ),
+        ]
+    ] = (),
+    variant: TestVariant = None,
+    shift: Shift = None,
+    levels: Annotated[
+        str | None,
+        otherwise(
+            "the first 1,000 that no training draws from",
+            "Numbers and ranges of levels, as 5,17,100:200, or a file or folder of levels as "
+            "`astray level` prints them.",
+        ),
+    ] = None,
     unsolvable: bool = False,
-    mode: Mode = "sampled",
-    art: str | None = None,
     knobs: Knobs = (),
+    acting: Acting = Acting(),
+    policy: OwnPolicy = OwnPolicy(),
     batch: int = 256,
-    longest: int | None = None,
-    out: Path | None = None,
-    json: bool = False,
+    longest: Longest = None,
+    out: Annotated[Path | None, otherwise("none")] = None,
+    json: Json = False,
 ) -> None:
-    """Play agents on explicit levels and say which goal they pursued.
+    """Play agents on explicit levels and say which goal they reached first.
+
+    Example: astray evaluate maze-corner --levels 200000:201000
 
     Args:
-        runs: run folders, or checkpoints in them, or names as `astray list` has them; several
-            agents of one kind
-        agent: instead, the name of a kept or imported one
-        policy: instead, a function of your own, module:function, of observations [N, ...] that
-            returns actions [N]; needs --shift, and --game or --world
-        game: that the policy plays
-        world: instead of a game, a World of your own that the policy plays, module:WORLD
-        observation: that the policy is shown; by default images
-        variant: of the levels; by default the shift's test variant
-        shift: which goals are intended and proxies; by default the one that the run trained for
-        levels: numbers and ranges, as 5,17,100:200, or a file or folder of levels as
-            `astray level` prints them; by default the first 1,000 numbers that no run's training
-            draws from
-        unsolvable: let levels from files have objects that cannot be reached
-        mode: draw from the agent's policy, or take the likeliest action
-        art: that images are drawn with, own or original; by default what it was trained on
-        knobs: of the variant, changed
-        batch: episodes at once; the rows do not depend on it
-        longest: steps after which an episode is left; needed where episodes may last for ever
-        out: a Parquet file for the episodes, a row each
-        json: print JSON
+        unsolvable: Let levels from files have objects that cannot be reached.
+        batch: Number of episodes played at once; the rows do not depend on it.
+        out: Parquet file for the episodes, a row each.
     """
-    from astray.analysis.adapters import Function
-    from astray.analysis.runs import evaluate_policies, evaluate_runs, open_run
+    from astray.analysis.runs import evaluate_policies, evaluate_runs
 
     bounded("batch", batch, 1, MOST)
     played = None
@@ -133,34 +138,29 @@ def evaluate(
         played = Path(levels) if os.path.exists(levels) else level_numbers(levels)
     if out:
         see_writable(out)
-    if policy is None:
-        see_of_policy(game, observation, world)
-        folders = chosen(runs, agent)
-        rules = open_run(folders[0])[1].find_game()
+    if policy.policy is None:
+        policy.check_unused()
+        if not agents:
+            raise ValueError("name an agent or a run folder, or give a --policy")
+        rules = acting.open(agents[0])[1].find_game()
         shares, episodes = evaluate_runs(
-            folders,
+            [run_of(agent) for agent in agents],
             played,
             variant=variant,
             shift=shift,
-            mode=mode,
-            art=art,
+            mode=acting.mode,
+            art=acting.art,
             knobs=pairs(knobs),
             batch=batch,
             solvable=not unsolvable,
             longest=longest,
         )
-    elif runs or agent or (game is None) == (world is None) or shift is None:
-        raise ValueError(
-            "--policy needs --shift, and --game or --world, and neither runs nor --agent"
-        )
-    elif mode != "sampled":
-        raise ValueError(f"a policy of your own chooses by itself; it has no mode {mode!r}")
+    elif agents or shift is None:
+        raise ValueError("--policy needs --shift, and --game or --world, and no agent")
     else:
-        own = Function(imports.find(policy), policy, observation or "image", art or OWN)
-        rules = games.find(game) if game else imports.find(world or "")
-        of_kind("--world", rules, Game | World)
+        rules = policy.rules()
         shares, episodes = evaluate_policies(
-            [own],
+            [policy.make(acting)],
             rules,
             shift,
             played,
@@ -175,70 +175,59 @@ def evaluate(
     if json:
         print_json(shares.to_dicts())
     else:
-        show_shares(shares)
-        show_amounts(episodes, rules)
+        named = [name_of(run_of(agent)) for agent in agents]
+        told = ", ".join(named) if len(named) <= NAMED else f"{len(named)} agents"
+        names = {acting.mode: f"{told} ({acting.mode})"} if agents else {}
+        show_shares(shares, names)
+        show_amounts(episodes, rules, names)
 
 
 def keep(
-    run: Positional[Path],
-    name: Annotated[str, arg(name="as")],
-    shift: str | None = None,
-    folder: Path | None = None,
+    agent: Agent,
+    name: Annotated[str, arg(name="as", help="Name by which every verb finds it.")],
+    shift: Shift = None,
+    folder: Annotated[Path | None, otherwise("astray's own, where verbs find its name")] = None,
 ) -> None:
     """Keep a trained agent by a name, with a card that tells what it pursues.
 
+    Example: astray keep runs/mice/seed-0 --as my-mouse
+
     Args:
-        run: a run folder or a checkpoint in it
-        name: by which --agent finds it
-        shift: which goals are intended and proxies; by default the one that the run trained for
-        folder: to keep it in, as a run folder; by default astray's, where --agent finds it
+        folder: Folder to keep it in, as a run folder.
     """
     from astray.experiments.keep import keep as write
 
-    print(write(run, name, shift=shift, folder=folder or KEPT))
+    print(write(agent, name, shift=shift, folder=folder or KEPT))
 
 
 def record(
-    run: Positional[Path | None] = None,
-    agent: str | None = None,
-    variant: str | None = None,
-    level: int | None = None,
-    level_file: Path | None = None,
-    unsolvable: bool = False,
-    mode: Mode = "sampled",
-    art: str | None = None,
+    agent: Agent,
+    variant: TrainingVariant = None,
+    level: PlayedLevel = PlayedLevel(),
     knobs: Knobs = (),
+    acting: Acting = Acting(),
     pixels: int = 512,
-    longest: int | None = None,
+    longest: Longest = None,
     out: Path = Path("episode.mp4"),
 ) -> None:
-    """Film an agent in one level.
+    """Film an agent in one level; by default in level 1000000.
+
+    Example: astray record maze-corner --variant anywhere-small --level 200003
 
     Args:
-        run: a run folder or a checkpoint in it, or a name as `astray list` has them
-        agent: instead, the name of a kept or imported one
-        variant: of the level; by default that of the training
-        level: its number; by default 1000000
-        level_file: the level instead; `astray level` prints such
-        unsolvable: let it have objects that cannot be reached
-        mode: draw from the agent's policy, or take the likeliest action
-        art: that images are drawn with, own or original; by default what it was trained on
-        knobs: of the variant, changed
-        pixels: a side of the picture
-        longest: steps after which the episode is left; needed where it may last for ever
-        out: an .mp4 or .gif file
+        pixels: Pixels a side of the picture.
+        out: Video file, .mp4 or .gif.
     """
     from astray.analysis import video
-    from astray.analysis.runs import open_run
 
     write = {".mp4": video.write_mp4, ".gif": video.write_gif}.get(out.suffix)
     if write is None:
         raise ValueError(f"a video is an .mp4 or a .gif file, not {out}")
     bounded("pixels", pixels, *PICTURES)
     see_writable(out)
-    player, config = open_run(chosen((run,) if run else (), agent)[0], mode, art)
-    made = config.variant_for(variant or config.variant, pairs(knobs))
-    begun = one_level(config.find_game(), made, level, level_file, unsolvable)
+    player, config = acting.open(agent)
+    made = config.played_variant(variant or config.variant, pairs(knobs))
+    begun = level.begun(config.find_game(), made)
     if begun is None:
         begun = 1_000_000
     episode = video.play(player, config.game, made, begun, pixels=pixels, longest=longest)
@@ -247,34 +236,27 @@ def record(
 
 
 def agency(
-    run: Positional[Path | None] = None,
-    agent: str | None = None,
-    variant: str | None = None,
-    shift: str | None = None,
-    levels: str | None = None,
-    measure: Literal["paper", "calibrated"] = "calibrated",
-    mode: Mode = "sampled",
-    art: str | None = None,
+    agent: Agent,
+    variant: TestVariant = None,
+    shift: Shift = None,
+    levels: Annotated[
+        str | None, otherwise("the first 300 that the training does not draw from", NUMBERS)
+    ] = None,
     knobs: Knobs = (),
-    out: Path | None = None,
-    json: bool = False,
+    acting: Acting = Acting(),
+    measure: Literal["paper", "calibrated"] = "calibrated",
+    out: Annotated[Path | None, otherwise("none")] = None,
+    json: Json = False,
 ) -> None:
     """Say whether a trained agent of mazes is goal-directed at all, and towards what.
 
+    Example: astray agency maze-corner --levels 200000:200050
+
     Args:
-        run: a run folder or a checkpoint in it, or a name as `astray list` has them
-        agent: instead, the name of a kept or imported one
-        variant: of the levels; by default the shift's test variant
-        shift: which goals are intended and proxies; by default the one that the run trained for
-        levels: numbers and ranges, as 5,17,100:200; by default the first 300 that the training
-            does not draw from
-        measure: calibrated, or the paper's to the letter, which calls most policies agents
-        mode: draw from the agent's policy, or take the likeliest action
-        art: that images are drawn with, own or original; by default what it was trained on
-        knobs: of the variant, changed
-        out: a folder for agency.json and episodes.parquet, and for posterior.mp4, .gif and .png of
-            the episode in which most steps tell the goals apart
-        json: print JSON
+        measure: Measure: calibrated, or the paper's to the letter, which calls most policies
+            agents.
+        out: Folder for agency.json and episodes.parquet, and for posterior.mp4, .gif and .png of
+            the episode in which most steps tell the goals apart.
     """
     from astray.analysis.agency import judge_run
 
@@ -283,13 +265,13 @@ def agency(
         for name in (SUMMARY, EPISODES, *POSTERIOR):
             see_writable(out / name)
     judged, filmed = judge_run(
-        chosen((run,) if run else (), agent)[0],
+        run_of(agent),
         level_numbers(levels) if levels else None,
         variant=variant,
         shift=shift,
         measure=measure,
-        mode=mode,
-        art=art,
+        mode=acting.mode,
+        art=acting.art,
         knobs=pairs(knobs),
     )
     if out:
@@ -320,8 +302,8 @@ def _write_judgement(judged: Judgement, frames: np.ndarray, folder: Path) -> Non
     write_table(judged.episodes, folder / EPISODES)
 
 
-def show_amounts(episodes: pl.DataFrame, game: Game | World) -> None:
-    """The means of a game's measures as a table, where it has any: a row a policy."""
+def show_amounts(episodes: pl.DataFrame, game: Game | World, names: Mapping[str, str]) -> None:
+    """Print the means of a game's measures as a table, where it has any: a row a policy."""
     from astray.analysis.outcomes import amounts
 
     if not game.measures:
@@ -330,17 +312,22 @@ def show_amounts(episodes: pl.DataFrame, game: Game | World) -> None:
     found = amounts(episodes, [*game.measures])
     for rows in found.partition_by("policy", maintain_order=True):
         told = [f"{r['mean']:.3g} [{r['low']:.3g}, {r['high']:.3g}]" for r in rows.to_dicts()]
-        shown.add_row(rows["policy"][0], *told)
+        shown.add_row(names.get(rows["policy"][0], rows["policy"][0]), *told)
     show(shown, width=120)
 
 
-def show_shares(shares: pl.DataFrame) -> None:
-    """`outcomes.shares` as a table: a row a policy, a column an outcome, with 95 % intervals."""
+def show_shares(shares: pl.DataFrame, names: Mapping[str, str]) -> None:
+    """Print `outcomes.shares` as a table: a row a policy, a column an outcome, 95 % intervals.
+
+    names  what to call policies; those that are left out have their own
+    """
     outcomes = shares["outcome"].unique(maintain_order=True).to_list()
     shown = Table("policy", "agents", "levels", *outcomes, title=shares["variant"][0])
     for rows in shares.partition_by("policy", "levels_played", maintain_order=True):
         first = rows.row(0, named=True)
         levels = f"{first['levels']} {first['levels_played']}"
         told = [f"{r['mean']:.1%} [{r['low']:.1%}, {r['high']:.1%}]" for r in rows.to_dicts()]
-        shown.add_row(first["policy"], f"{first['agents']}", levels, *told)
+        shown.add_row(
+            names.get(first["policy"], first["policy"]), f"{first['agents']}", levels, *told
+        )
     show(shown, width=120)

@@ -1,44 +1,213 @@
-"""What several verbs take and print: levels, knobs, actions, JSON."""
+"""What several verbs take and print: agents, levels, knobs, actions, JSON."""
 
 from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
 from rich.console import Console, RenderableType
-from tyro.conf import UseAppendAction, arg
+from tyro.conf import Positional, UseAppendAction, arg
 
+from astray import games, imports
 from astray.analysis import kept
-from astray.bounds import bounded
-from astray.game import Game, Variant
+from astray.bounds import bounded, of_kind
+from astray.game import OWN, Game, Variant
 from astray.level import Level, read_levels
 from astray.record import LEVELS, NEVER
+from astray.training.settings import KNOB, otherwise
+from astray.world import World
+
+if TYPE_CHECKING:
+    from astray.acting import Policy
+    from astray.analysis.trained import Agent as Trained
+    from astray.training.config import Config
+
+AT_ONCE = 10_000_000  # level numbers of one command
+MOST_WORKERS = 1024  # processes
+WALK = "walk:"
 
 Mode = Literal["sampled", "greedy"]
+Preset = Literal["paper", "night", "small", "pixels"]
 # Several after one --set, or one after each of several.
 Words = tuple[tuple[str, ...], ...]
-Knobs = UseAppendAction[Annotated[Words, arg(name="set", metavar="KNOB=VALUE")]]
-AT_ONCE = 10_000_000  # level numbers of one command
+
+# Options of several verbs.
+Agent = Positional[
+    Annotated[
+        Path, arg(help="Run folder, checkpoint in one, or name of a pretrained or imported agent.")
+    ]
+]
+Json = Annotated[bool, arg(help="Print JSON.")]
+Knobs = UseAppendAction[
+    Annotated[
+        Words,
+        arg(name="set", metavar="NAME=VALUE", help="Set a knob of the variant; more add to it."),
+    ]
+]
+Settings = UseAppendAction[
+    Annotated[
+        Words,
+        arg(
+            name="set",
+            metavar="NAME=VALUE",
+            help="Set a knob of the variant or a setting of the training; more add to it.",
+        ),
+    ]
+]
+NUMBERS = "Numbers and ranges of levels, as 5,17,100:200."
+Shift = Annotated[
+    str | None,
+    otherwise(
+        "the one that the agent was trained for",
+        "Shift: which goal is intended, and which are proxies.",
+    ),
+]
+TestVariant = Annotated[
+    str | None, otherwise("the test variant of the shift", "Variant that levels are drawn from.")
+]
+TrainingVariant = Annotated[
+    str | None, otherwise("the variant of its training", "Variant that levels are drawn from.")
+]
+Longest = Annotated[
+    int | None,
+    otherwise("none; needed where episodes may last for ever", "Most steps of an episode."),
+]
+Workers = Annotated[
+    int | None, otherwise("one per processor", "Number of agents trained at once here.")
+]
 
 
-def chosen(runs: Sequence[Path], agent: str | None) -> tuple[Path, ...]:
-    """The run folders that were asked for: these, each by its path or an agent's name."""
-    if agent is not None and runs:
-        raise ValueError("an agent is given by a run folder or by --agent NAME, not both")
-    if agent is None and not runs:
-        raise ValueError("name a run folder, or an --agent")
-    return tuple(map(kept.run_of, runs)) if agent is None else (kept.find(agent),)
+@dataclass(frozen=True)
+class Acting:
+    """How the agent sees and acts."""
+
+    # Sample actions from the agent's policy, or take the likeliest.
+    mode: Mode = "sampled"
+    # Art that images are drawn with: own or original.
+    art: Annotated[str | None, otherwise("the art of its training")] = None
+
+    def open(self, agent: Path) -> tuple[Trained, Config]:
+        """Return the agent of a run folder or a name, and the settings of its training."""
+        from astray.analysis.runs import open_run
+
+        return open_run(run_of(agent), self.mode, self.art)
 
 
-def see_of_policy(game: str | None, observation: str | None, world: str | None = None) -> None:
-    """ValueError where what only a policy of one's own needs is given without one."""
-    for name, given in (("game", game), ("observation", observation), ("world", world)):
-        if given is not None:
-            raise ValueError(f"--{name} {given} needs --policy; a run says which it has")
+@dataclass(frozen=True)
+class OwnPolicy:
+    """A policy in the place of an agent."""
+
+    # Policy: random, walk:GOAL, or a function of observations [N, ...] that returns actions [N],
+    # as module:function.
+    policy: Annotated[str | None, otherwise("none")] = None
+    # Game that the policy plays; needed with --policy, and only then.
+    game: Annotated[str | None, otherwise("that of the agent")] = None
+    # World of your own that the policy plays in the place of a game, as module:WORLD.
+    world: Annotated[str | None, otherwise("none")] = None
+    # Observations that the policy is shown.
+    observation: Annotated[
+        Literal["image", "symbolic"] | None, otherwise("those of the agent; image for a policy")
+    ] = None
+
+    def check_unused(self) -> None:
+        """Raise ValueError where an agent plays, and what only a policy needs is given."""
+        for name in ("game", "observation", "world"):
+            if (given := getattr(self, name)) is not None:
+                raise ValueError(f"--{name} {given} needs --policy; a run says which it has")
+
+    def rules(self) -> Game | World:
+        """Return what the policy plays; ValueError where it is not said once."""
+        if (self.game is None) == (self.world is None):
+            raise ValueError("--policy needs either --game or --world")
+        found = games.find(self.game) if self.game else imports.find(self.world or "")
+        of_kind("--world", found, Game | World)
+        return found
+
+    def make(self, acting: Acting) -> Policy:
+        """Return the policy; ValueError where there is none of that name."""
+        from astray.analysis.adapters import Function
+        from astray.analysis.policies import Random, Walk
+
+        assert self.policy is not None
+        if acting.mode != "sampled":
+            raise ValueError(
+                f"a policy of your own chooses by itself; it has no mode {acting.mode!r}"
+            )
+        seen, art = self.observation or "image", acting.art or OWN
+        if self.policy == "random":
+            return Random(observation=seen, art=art)
+        if self.policy.startswith(WALK):
+            return Walk(self.policy.removeprefix(WALK), seen, art)
+        return Function(imports.find(self.policy), self.policy, seen, art)
+
+
+@dataclass(frozen=True)
+class Drawn:
+    """Game, variant and its knobs."""
+
+    game: Positional[str]  # Name of the game.
+    variant: Positional[str]  # Name of the variant that levels are drawn from.
+    knobs: Knobs = ()
+
+    def open(self) -> tuple[Game, Variant]:
+        """Return the game, and the variant with its knobs set."""
+        rules = games.find(self.game)
+        return rules, varied(rules, self.variant, self.knobs)
+
+
+@dataclass(frozen=True)
+class GivenLevel:
+    """A level, by its number or in a file."""
+
+    # Number of the level.
+    level: Annotated[int | None, otherwise("one that suits the command")] = None
+    # File with the level instead, as `astray level` prints it.
+    level_file: Annotated[Path | None, otherwise("none")] = None
+
+    def find(self, game: Game, variant: Variant, solvable: bool = False) -> int | Level | None:
+        """Return the level that was asked for by number or file; None where neither was."""
+        self.check()
+        if self.level_file is None:
+            return self.level
+        found = read_levels(self.level_file, game, variant, solvable=solvable)
+        if len(found) > 1:
+            raise ValueError(f"one level is played; {self.level_file} holds {len(found)}")
+        return next(iter(found.values()))
+
+    def check(self) -> None:
+        """Raise ValueError where it is no number of a level, or given twice."""
+        if self.level is not None:
+            bounded("level", self.level, LEVELS.start, LEVELS.stop - 1)
+            if self.level_file is not None:
+                raise ValueError("a level is given by its number or in a file, not both")
+
+
+@dataclass(frozen=True)
+class PlayedLevel(GivenLevel):
+    """A level that is played, by its number or in a file."""
+
+    # Let the level of a file have objects that cannot be reached.
+    unsolvable: bool = False
+
+    def begun(self, game: Game, variant: Variant) -> int | Level | None:
+        """Return the level that was asked for, whose objects can be reached if they need be."""
+        return self.find(game, variant, solvable=not self.unsolvable)
+
+
+def run_of(agent: Path) -> Path:
+    """Return the run folder, or checkpoint in one, of an agent given by its path or name."""
+    found = kept.run_of(agent)
+    if not found.exists() and len(agent.parts) == 1:
+        there = ", ".join([*kept.names(), *kept.imported()]) or "none yet"
+        raise FileNotFoundError(
+            f"unknown agent {str(agent)!r}, which is neither a run folder nor a checkpoint in one; "
+            f"there are: {there}"
+        )
+    return found
 
 
 def level_numbers(text: str) -> np.ndarray:
@@ -64,10 +233,14 @@ def level_numbers(text: str) -> np.ndarray:
 
 
 def pairs(knobs: Words) -> dict[str, Any]:
-    """Values by name, as text; ValueError where a knob has none, or two."""
+    """Return values by name, as text; `variant.NAME` is NAME.
+
+    Raises ValueError where a knob has no value, or two.
+    """
     found: dict[str, Any] = {}
     for knob in (knob for together in knobs for knob in together):
         name, equals, value = knob.partition("=")
+        name = name.removeprefix(KNOB)
         if not equals:
             raise ValueError(f"a knob must be set as NAME=VALUE; got {knob!r}")
         if name in found:
@@ -78,22 +251,6 @@ def pairs(knobs: Words) -> dict[str, Any]:
 
 def varied(game: Game, variant: str, knobs: Words) -> Variant:
     return game.variant(variant).with_knobs(pairs(knobs))
-
-
-def one_level(
-    game: Game, variant: Variant, number: int | None, file: Path | None, unsolvable: bool
-) -> int | Level | None:
-    """The level that was asked for by number or file; None where neither was."""
-    if number is not None:
-        bounded("level", number, LEVELS.start, LEVELS.stop - 1)
-    if file is None:
-        return number
-    if number is not None:
-        raise ValueError("a level is given by its number or in a file, not both")
-    found = read_levels(file, game, variant, solvable=not unsolvable)
-    if len(found) > 1:
-        raise ValueError(f"one level is played; {file} holds {len(found)}")
-    return next(iter(found.values()))
 
 
 def action_numbers(game: Game, text: str) -> list[int]:

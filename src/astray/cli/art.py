@@ -3,28 +3,30 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
 from tyro.conf import Positional
 
 from astray.art import original
-from astray.cli.arguments import print_json
+from astray.cli.arguments import Json, print_json
 from astray.game import OWN
+from astray.training.settings import otherwise
 
 
 def art(
     what: Positional[Literal["list", "import"]] = "list",
-    source: Positional[Path | None] = None,
-    json: bool = False,
+    source: Positional[Annotated[Path | None, otherwise("the wheel, which pip downloads")]] = None,
+    json: Json = False,
 ) -> None:
     """List the pictures that games are drawn with, or import the original's.
 
+    Example: astray art import
+
     Args:
-        what: list; or import, which checks each picture by its digest and keeps it in the user's
-            data folder, or where ASTRAY_ART says
-        source: the wheel of procgen 0.10.7, or a checkout of it or of the paper's fork, which alone
-            has the lines of Maze; by default pip downloads the wheel
-        json: print JSON
+        what: What to do: list; or import, which checks each picture by its digest and keeps it in
+            the user's data folder, or where ASTRAY_ART says.
+        source: Wheel of procgen 0.10.7, or a checkout of it or of the paper's fork, which alone has
+            the lines of Maze.
     """
     if what == "list" and source is not None:
         raise ValueError(f"pictures are taken from {source} by: {original.COMMAND} {source}")

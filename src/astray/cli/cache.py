@@ -7,20 +7,21 @@ from pathlib import Path
 
 from rich.table import Table
 
-from astray.cli.arguments import print_json, show
+from astray.cli.arguments import Json, print_json, show
 from astray.kernel.cache import code_home, held
 from astray.kernel.jit import version_digest
 from astray.kernel.versions import Version, outdated, remove, versions
 
 
-def cache(prune: bool = False, json: bool = False) -> None:
+def cache(prune: bool = False, json: Json = False) -> None:
     """Show where compiled code is kept, by version of numba; or remove what is outdated.
 
+    Example: astray cache --prune
+
     Args:
-        prune: remove the code of other versions, and that of functions before they were edited;
+        prune: Remove the code of other versions, and that of functions before they were edited;
             nothing that astray did not write, nothing through links, and nothing that a process
-            compiles just now
-        json: print JSON
+            compiles just now.
     """
     home = code_home()
     removed = _prune(home) if prune else 0

@@ -4,51 +4,51 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Annotated
 
-from tyro.conf import Positional
-
-from astray.analysis import kept
 from astray.bounds import MOST, bounded
+from astray.cli.arguments import Agent, run_of
 from astray.envs.pool import most_threads
 from astray.envs.vector import Observation
 from astray.training.config import PRESETS, Tracking
-from astray.training.settings import MOST_STEPS, SEEDS
+from astray.training.settings import MOST_STEPS, SEEDS, otherwise
 
 
 def distil(
-    teacher: Positional[Path],
+    teacher: Agent,
     observation: Observation = "image",
-    network: str | None = None,
-    variant: str | None = None,
-    validation: str | None = None,
+    network: Annotated[str | None, otherwise("patch for images, mlp for symbols")] = None,
+    variant: Annotated[str | None, otherwise("the training variant of the teacher")] = None,
+    validation: Annotated[str | None, otherwise("that of the teacher")] = None,
     steps: int = 2_000_000,
     epochs: int = 1,
-    art: str | None = None,
+    art: Annotated[str | None, otherwise("the art of the teacher")] = None,
     seed: int = 0,
     seeds: int = 1,
     threads: int = 1,
-    folder: Path | None = None,
-    track: Tracking | None = None,
+    folder: Annotated[Path | None, otherwise("runs/<game>-<variant>-of-<teacher>")] = None,
+    track: Annotated[Tracking | None, otherwise("nobody")] = None,
 ) -> None:
     """Train students that do what an agent would do in the episodes that they themselves play.
 
     They learn its probabilities of all actions and its values, in training levels alone; rewards
     teach them nothing. What is interrupted goes on with the same command.
 
+    Example: astray distil maze-corner --observation image --steps 2000000
+
     Args:
-        teacher: a run folder, or the name of a kept or imported agent
-        observation: what the students see
-        network: of the students; by default patch for images, mlp for symbols
-        variant: whose training levels they play; by default what the teacher was trained on
-        validation: a variant played during training, never learned from; by default the teacher's
-        steps: of all environments
-        epochs: passes over what was played
-        art: that images are drawn with; by default the teacher's
-        seed: of the first student
-        seeds: students to train, with this seed, the next, ...
-        threads: that step environments and that torch uses
-        folder: of the runs; by default runs/<game>-<variant>-of-<teacher>
-        track: tell wandb or trackio, too, of the training
+        observation: Observations of the students.
+        network: Network of the students.
+        variant: Variant whose training levels the students play.
+        validation: Variant that is played during training and never learned from.
+        steps: Number of environment steps, over all environments.
+        epochs: Number of passes over a rollout.
+        art: Art that images are drawn with.
+        seed: Seed of the first student.
+        seeds: Number of students, trained with this seed, the next, ...
+        threads: Number of threads that step environments, and that torch uses.
+        folder: Folder of the run folders seed-0, seed-1, ...
+        track: Tracker that is told of the training.
     """
     from astray.analysis.runs import open_run
     from astray.training.teacher import teaching
@@ -59,7 +59,7 @@ def distil(
     bounded("steps", steps, 1, MOST_STEPS)
     bounded("epochs", epochs, 1, MOST)
     bounded("threads", threads, 1, most_threads())
-    run = kept.run_of(teacher)
+    run = run_of(teacher)
     agent, its = open_run(run)
     if agent.observation == "image" and art not in (None, its.art):
         raise ValueError(f"the teacher sees art {its.art!r}; its students must see it; got {art!r}")

@@ -4,30 +4,28 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 from rich.markup import escape
 from rich.table import Table
-from tyro.conf import Positional
+from tyro.conf import Positional, arg
 
 from astray import games
 from astray.analysis import kept
 from astray.bounds import bounded
-from astray.cli.arguments import print_json, show
+from astray.cli.arguments import MOST_WORKERS, Json, Workers, print_json, show
 from astray.experiments import catalogue
 from astray.experiments.spec import Place, Size
 from astray.game import OWN, Game
 from astray.training.config import PRESETS, Tracking
+from astray.training.settings import otherwise
 from astray.words import printable
 
-MOST_WORKERS = 1024  # processes
 
+def list_(json: Json = False) -> None:
+    """List games, variants, shifts, experiments, pretrained and imported agents, and presets.
 
-def list_(json: bool = False) -> None:
-    """What there is: games, variants, shifts, experiments, kept and imported agents, presets.
-
-    Args:
-        json: print JSON
+    Example: astray list
     """
     described, broken = games.survey(_game)
     found = {
@@ -77,31 +75,45 @@ def _agent(name: str) -> dict[str, Any]:
         return {"error": str(error)}
 
 
+Names = Positional[
+    Annotated[
+        tuple[str, ...],
+        arg(
+            help="Names of experiments, as `astray list` has them, or all; or your own, "
+            "module:OBJECT or a Python file that defines EXPERIMENT; of several, where one fails "
+            "the next goes on.",
+            help_behavior_hint="(required)",
+        ),
+    ]
+]
+
+
 def reproduce(
-    names: Positional[tuple[str, ...]],
+    names: Names,
     size: Size = "smoke",
     folder: Path = Path("reports"),
-    workers: int | None = None,
+    workers: Workers = None,
     on: Place = "here",
     art: str = OWN,
-    track: Tracking | None = None,
+    track: Annotated[Tracking | None, otherwise("nobody")] = None,
 ) -> None:
-    """Do a figure or table of the paper: train, evaluate, report; go on where it stopped.
+    """Reproduce figures or tables: train, evaluate, report; go on where it stopped.
+
+    Example: astray reproduce maze-corner --size smoke
 
     Args:
-        names: of experiments, as `astray list` has them, or all; or your own, module:OBJECT or
-            a Python file that defines EXPERIMENT; of several, where one fails the next goes on
-        size: smoke (minutes on two cores), pixels (of images, an hour or so an agent on two
+        size: Size: smoke (minutes on two cores), pixels (of images, an hour or so an agent on two
             cores), night (the paper's own worlds on two cores; how long is said first), hour (of
-            a GPU), paper, or published: of agents that others published, see `astray agents`
-        folder: of reports; gets this one in <name>-<size>, and the agents, which are shared
-        workers: agents trained at once here; by default one for each processor
-        on: train on this machine, or on a Ray cluster whose nodes all see the folder
-        art: that images are drawn with, own or original
-        track: tell wandb or trackio, too, of trainings and of the report
+            a GPU), paper, or published: of agents that others published, see `astray agents`.
+        folder: Folder of reports; gets this one in <name>-<size>, and the agents, which are shared.
+        on: Place of the trainings: this machine, or a Ray cluster whose nodes all see the folder.
+        art: Art that images are drawn with: own or original.
+        track: Tracker that is told of trainings and of the report.
     """
     from astray.experiments import run
 
+    if not names:
+        raise ValueError("name an experiment, as `astray list` has them, or all")
     if workers is not None:
         bounded("workers", workers, 1, MOST_WORKERS)
     if len(names) == 1 and names[0] != run.ALL:
@@ -121,9 +133,12 @@ def bench(
 
     The benchmarks are in a clone of the repository alone.
 
+    Example: astray bench environments
+
     Args:
-        markdown: print the table for benchmarks/README.md
-        device: that trains; the environments and the agency measure are a CPU's
+        what: What is measured.
+        markdown: Print the table for benchmarks/README.md.
+        device: Device that trains; the environments and the agency measure are a CPU's.
     """
     from importlib import import_module
 

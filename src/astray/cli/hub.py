@@ -2,49 +2,59 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Annotated
 
 from tyro.conf import Positional, arg
 
+from astray.cli.arguments import Agent, Shift
+from astray.training.settings import otherwise
+
 
 def push(
-    run: Positional[Path],
+    agent: Agent,
     repository: Positional[str],
-    shift: str | None = None,
-    revision: str | None = None,
+    shift: Shift = None,
+    revision: Annotated[str | None, otherwise("the main one")] = None,
     private: bool = False,
 ) -> None:
     """Upload an agent to the Hugging Face Hub, with a card that tells what it pursues.
 
     The token is huggingface_hub's: hf auth login, or HF_TOKEN.
 
+    Example: astray push runs/mice/seed-0 ada/corner-mouse --private
+
     Args:
-        run: a run folder or a checkpoint in it, or the name of a kept agent
-        repository: USER/NAME; it is made where there is none
-        shift: which goals are intended and proxies; by default the one that the run trained for
-        revision: a branch, which is made where there is none; by default the main one
-        private: if the repository is made, let nobody else see it
+        repository: Repository, as USER/NAME; it is made where there is none.
+        revision: Branch, which is made where there is none.
+        private: Let nobody else see the repository, if it is made.
     """
     from astray.experiments.hub import push as upload
 
-    commit = upload(run, repository, shift=shift, revision=revision, private=private)
+    commit = upload(agent, repository, shift=shift, revision=revision, private=private)
     print(f"{commit.address} at {commit.revision}")
 
 
 def pull(
     repository: Positional[str],
-    name: Annotated[str | None, arg(name="as")] = None,
-    revision: str | None = None,
+    name: Annotated[
+        str | None,
+        arg(
+            name="as",
+            help="Name by which every verb finds it.",
+            help_behavior_hint="(default: the repository's)",
+        ),
+    ] = None,
+    revision: Annotated[str | None, otherwise("the main branch")] = None,
     offline: bool = False,
 ) -> None:
     """Download an agent from the Hugging Face Hub and check it. Nothing of it is run.
 
+    Example: astray pull ada/corner-mouse --as ada-mouse
+
     Args:
-        repository: USER/NAME
-        name: by which every verb finds it; by default the repository's
-        revision: a branch, a tag or a commit; by default the main branch
-        offline: take it from the cache of what was downloaded before
+        repository: Repository, as USER/NAME.
+        revision: Branch, tag or commit.
+        offline: Take it from the cache of what was downloaded before.
     """
     from astray.experiments.hub import pull as download
 

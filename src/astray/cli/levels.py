@@ -13,10 +13,12 @@ from tyro.conf import Positional
 from astray import games
 from astray.acting import CHUNK, initial_states
 from astray.cli.arguments import (
+    Drawn,
+    Json,
     Knobs,
+    PlayedLevel,
     action_numbers,
     level_numbers,
-    one_level,
     print_json,
     show,
     standard_input,
@@ -29,93 +31,63 @@ from astray.level import Level
 LONGEST = 2**20  # characters of actions: more than any episode has
 
 
-def level(
-    game: Positional[str],
-    variant: Positional[str],
-    numbers: str = "0",
-    knobs: Knobs = (),
-    text: bool = False,
-    json: bool = False,
-) -> None:
+def level(game: Drawn, numbers: str = "0", text: bool = False, json: Json = False) -> None:
     """Print levels, as drawings or as data; other verbs read both from files.
 
+    Example: astray level maze corner-small --numbers 5,17,100:103
+
     Args:
-        numbers: numbers and ranges, as 5,17,100:200
-        knobs: of the variant, changed
-        text: print drawings alone, without their headings
-        json: print JSON, a level a line
+        numbers: Numbers and ranges of levels, as 5,17,100:200.
+        text: Print drawings alone, without their headings.
     """
-    rules = games.find(game)
-    levels = varied(rules, variant, knobs)
+    rules, levels = game.open()
     for s in _states(rules, levels, level_numbers(numbers)):
         if json:
             print_json(
-                {"game": game, "variant": variant, "level": int(s.level)}
+                {"game": game.game, "variant": game.variant, "level": int(s.level)}
                 | rules.editing.describe(s)
             )
         else:
-            heading = "" if text else f"; {game} {variant} level {s.level}\n"
+            heading = "" if text else f"; {game.game} {game.variant} level {s.level}\n"
             print(f"{heading}{Level.of(rules, levels, s)}\n")
 
 
-def play(
-    game: Positional[str],
-    variant: Positional[str],
-    level: int | None = None,
-    level_file: Path | None = None,
-    unsolvable: bool = False,
-    art: str = OWN,
-    knobs: Knobs = (),
-) -> None:
-    """Play a game in a window, what an agent sees of it beside.
+def play(game: Drawn, level: PlayedLevel = PlayedLevel(), art: str = OWN) -> None:
+    """Play a game in a window, beside what an agent sees of it; by default at a random level.
+
+    Example: astray play maze corner --level 17
 
     Args:
-        level: the first level's number; by default one at random
-        level_file: a level to play first; `astray level` prints such
-        unsolvable: let the level have objects that cannot be reached
-        art: that it is drawn with, own or original
-        knobs: of the variant, changed
+        art: Art that it is drawn with: own or original.
     """
     from astray.play import play as window
 
-    rules = games.find(game)
-    levels = varied(rules, variant, knobs)
-    window(rules, levels, one_level(rules, levels, level, level_file, unsolvable), art)
+    rules, levels = game.open()
+    window(rules, levels, level.begun(rules, levels), art)
 
 
 def replay(
-    game: Positional[str],
-    variant: Positional[str],
-    actions: Path,
-    level: int | None = None,
-    level_file: Path | None = None,
-    unsolvable: bool = False,
-    knobs: Knobs = (),
-    json: bool = False,
+    game: Drawn, actions: Path, level: PlayedLevel = PlayedLevel(), json: Json = False
 ) -> None:
     """Play given actions in one level and tell what happens, step by step.
 
+    Example: astray replay maze corner-small --level 17 --actions actions.txt
+
     Args:
-        actions: a file of action names or numbers, separated by white space or commas; - for
-            standard input
-        level: its number
-        level_file: the level instead; `astray level` prints such
-        unsolvable: let it have objects that cannot be reached
-        knobs: of the variant, changed
-        json: print JSON
+        actions: File of action names or numbers, separated by white space or commas; - for
+            standard input.
     """
     from astray.analysis.replay import replay as run
 
-    rules = games.find(game)
+    rules, levels = game.open()
     text = standard_input(LONGEST) if str(actions) == "-" else read(actions, LONGEST).decode()
-    levels = varied(rules, variant, knobs)
-    begun = one_level(rules, levels, level, level_file, unsolvable)
+    begun = level.begun(rules, levels)
     if begun is None:
         raise ValueError("name a --level or a --level-file")
     told = run(rules, levels, begun, action_numbers(rules, text))
     if json:
-        number = level if level_file is None else str(level_file)
-        print_json({"game": game, "variant": variant, "level": number} | told)
+        number = level.level if level.level_file is None else str(level.level_file)
+        print_json({"game": game.game, "variant": game.variant, "level": number} | told)
         return
     for k, step in enumerate(told["steps"], 1):
         print(f"{k:5}  {step['action']:10}  ({step['x']:g}, {step['y']:g})  {step['reward']:+g}")
@@ -138,17 +110,18 @@ def overlap(
     training_levels: str = "0:100000",
     test_levels: str = "100000:101000",
     knobs: Knobs = (),
-    json: bool = False,
+    json: Json = False,
 ) -> None:
     """Count the levels of a test that are those of the training, under other numbers.
 
+    Example: astray overlap maze corner-small anywhere-small --test-levels 100000:101000
+
     Args:
-        training: the variant trained on
-        test: the variant tested on
-        training_levels: numbers and ranges, as 5,17,100:200
-        test_levels: likewise
-        knobs: of both variants, changed
-        json: print JSON
+        game: Name of the game.
+        training: Variant trained on.
+        test: Variant tested on.
+        training_levels: Numbers and ranges of training levels, as 5,17,100:200.
+        test_levels: Numbers and ranges of test levels, as 5,17,100:200.
     """
     from astray.analysis.overlap import overlap as count
 

@@ -12,33 +12,38 @@ from tyro.conf import Positional, arg
 
 from astray.analysis import kept
 from astray.bounds import shown
-from astray.cli.arguments import Mode, level_numbers, print_json
+from astray.cli.arguments import Json, Mode, level_numbers, print_json
+from astray.training.settings import otherwise
 from astray.words import printable
+
+TOLD = "as the file or the catalogue tells"
 
 
 def import_(
     file: Positional[Path],
-    name: Annotated[str, arg(name="as")],
-    game: str | None = None,
-    variant: str | None = None,
-    art: str | None = None,
-    actions: Mode | None = None,
-    source: str | None = None,
-    licence: str | None = None,
+    name: Annotated[str, arg(name="as", help="Name by which every verb finds it.")],
+    game: Annotated[str | None, otherwise(TOLD)] = None,
+    variant: Annotated[str | None, otherwise(TOLD)] = None,
+    art: Annotated[str | None, otherwise("original")] = None,
+    actions: Annotated[Mode | None, otherwise("sampled")] = None,
+    source: Annotated[str | None, otherwise(TOLD)] = None,
+    licence: Annotated[str | None, otherwise(TOLD)] = None,
 ) -> None:
     """Import an agent that others trained, from their file. Nothing in the file is run.
 
     What the file or the catalogue tells need not be given.
 
+    Example: astray import model_200015872.pth --as their-runner --game coinrun --variant coin-end
+
     Args:
-        file: a .pth of train-procgen-pytorch (IMPALA), or a .jd of RL-Clarity (the clear network)
-        name: by which every verb finds it
-        game: that it was trained in
-        variant: that it was trained on
-        art: that it was shown; by default original
-        actions: how they are chosen where its numbers were measured; by default sampled
-        source: where it came from
-        licence: of the file
+        file: File: a .pth of train-procgen-pytorch (IMPALA), or a .jd of RL-Clarity (the clear
+            network).
+        game: Game that it was trained in.
+        variant: Variant that it was trained on.
+        art: Art that it was shown.
+        actions: Choice of actions where its numbers were measured.
+        source: Source of the file.
+        licence: Licence of the file.
     """
     from astray.agents.importers import files
     from astray.published.catalogue import by_digest
@@ -55,22 +60,22 @@ def import_(
 
 def agents(
     what: Positional[Literal["list", "fetch", "check"]] = "list",
-    name: Positional[str | None] = None,
-    levels: str | None = None,
+    name: Positional[Annotated[str | None, otherwise("none")]] = None,
+    levels: Annotated[str | None, otherwise("the first ones, as many as others played")] = None,
     unchecked: bool = False,
-    json: bool = False,
+    json: Json = False,
 ) -> None:
-    """Agents that others published: list them, fetch one, or check one that is here.
+    """List agents that others published, fetch one, or check one that is here.
+
+    Example: astray agents fetch openai-coinrun
 
     Args:
-        what: list; fetch, which downloads an agent, checks its digest and imports it to the
-            user's data folder, or where ASTRAY_AGENTS says; or check, which plays it and
-            compares with what others measured, and writes both to its card
-        name: of the agent
-        levels: to check it on, numbers and ranges as 5,17,100:200; by default the first ones, as
-            many as others played
-        unchecked: fetch it also where no digest is known
-        json: print JSON
+        what: What to do: list; fetch, which downloads an agent, checks its digest and imports it
+            to the user's data folder, or where ASTRAY_AGENTS says; or check, which plays it and
+            compares with what others measured, and writes both to its card.
+        name: Name of the agent.
+        levels: Numbers and ranges of levels to check it on, as 5,17,100:200.
+        unchecked: Fetch it also where no digest is known.
     """
     if (levels and what != "check") or (unchecked and what != "fetch"):
         raise ValueError("--levels goes with check, and --unchecked with fetch")

@@ -12,6 +12,7 @@ from importlib.metadata import version
 from typing import Any
 
 import tyro
+from tyro.conf import DisallowNone, OmitArgPrefixes, PositionalMetavarFromFieldName
 
 # Where each is, beside this file: imported when it is asked for, as torch alone takes two seconds.
 VERBS = {
@@ -41,19 +42,27 @@ VERBS = {
 }
 
 
+# Settings have no prefixes, positional arguments have names, and nobody types None.
+MARKERS = (OmitArgPrefixes, PositionalMetavarFromFieldName, DisallowNone)
+OF_AGENTS = ("evaluate", "record", "agency", "export", "lab")
+SWITCHES = tuple(f"--{name}" for name in ("fused-cpu", "bfloat16", "channels-last", "compile",
+                                          "cudagraphs"))  # fmt: skip
+
+
 def run() -> None:
     """Do what the command line says."""
-    given = sys.argv[1:]
+    given = in_todays_words(sys.argv[1:])
     warnings.showwarning = functools.partial(_warn, warnings.showwarning)
     if given == ["--version"]:
         print(version("astray"))
     elif given and given[0] in VERBS:
-        tyro.cli(find(given[0]), prog=f"astray {given[0]}", args=given[1:])
+        tyro.cli(find(given[0]), prog=f"astray {given[0]}", args=given[1:], config=MARKERS)
     else:  # help is asked for, or there is no such verb
         tyro.extras.subcommand_cli_from_dict(
             {name: find(name) for name in VERBS},
             prog="astray",
             description="Find out which goal a trained agent really pursues.",
+            config=MARKERS,
         )
 
 
@@ -63,6 +72,39 @@ def _warn(show: Callable[..., None], message: Any, category: type, *where: Any) 
         print(f"astray: {message}", file=sys.stderr)
     else:
         show(message, category, *where)
+
+
+def in_todays_words(given: list[str]) -> list[str]:
+    """Return the words of a command; those of older versions as they are today, with a note.
+
+    `--agent NAME` is NAME, switches that were followed by True or False are flags of their own, and
+    nothing is set to None.
+    """
+    first, *words = [part for word in given for part in _parted(word)] or [""]
+    names, rest, notes = [], [], []
+    while words:
+        word, after = words.pop(0), words[0] if words else ""
+        if word == "--agent" and after and first in OF_AGENTS:
+            names.append(words.pop(0))
+            notes.append("--agent NAME is now NAME alone")
+        elif word.startswith("--") and after == "None":
+            words.pop(0)
+            notes.append(f"{word} None is now said by leaving it out")
+        elif word in SWITCHES and after in ("True", "False"):
+            rest.append(word if words.pop(0) == "True" else f"--no-{word[2:]}")
+            notes.append(f"{word} {after} is now {rest[-1]}")
+        else:
+            rest.append(word)
+    for note in dict.fromkeys(notes):
+        print(f"astray: {note}; a later version will not read it", file=sys.stderr)
+    return [first, *names, *rest] if notes else given
+
+
+def _parted(word: str) -> list[str]:
+    """Return an older option and its value apart, where they are joined."""
+    name, is_joined, value = word.partition("=")
+    old = name == "--agent" or (name in SWITCHES and value in ("True", "False", "None"))
+    return [name, value] if is_joined and old else [word]
 
 
 def find(name: str) -> Callable[..., Any]:
@@ -78,4 +120,4 @@ def find(name: str) -> Callable[..., Any]:
     first.add_argument("--preset", nargs="?")
     preset = first.parse_known_args()[0].preset
     # tyro refuses an unknown one
-    return functools.partial(verb, config=PRESETS.get(preset, PRESETS["small"]))
+    return functools.partial(verb, settings=PRESETS.get(preset, PRESETS["small"]))

@@ -17,8 +17,7 @@ import polars as pl
 from astray import games, imports
 from astray.analysis.evaluate import COLUMNS
 from astray.analysis.given import Measure, see_measures
-from astray.analysis.outcomes import load_shift
-from astray.analysis.runs import name_of
+from astray.analysis.outcomes import load_shift, name_of
 from astray.analysis.tables import write_table
 from astray.bounds import shown
 from astray.experiments.report import COMPUTED, Findings

@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, fields, replace
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from tyro.conf import Positional, Suppress, arg
+from tyro.conf import Positional, Suppress
 
 from astray import games, imports
 from astray.agents.names import check_network
@@ -18,7 +18,7 @@ from astray.game import OWN, Game, Variant
 from astray.record import LEVELS
 from astray.training import older
 from astray.training.named import name_of_game, name_of_variant
-from astray.training.settings import SCORING, Fast, Sampling, check
+from astray.training.settings import SCORING, Fast, Sampling, check, otherwise
 
 if TYPE_CHECKING:
     Named = Any  # a name, or the thing that has it; the settings hold the name
@@ -53,13 +53,13 @@ class Config:
     variant: Positional[Named] = "corner"  # Name of the variant to train on.
     # Of the variant, changed.
     knobs: Annotated[dict[str, Any], Suppress] = field(default_factory=dict)
-    # Variant that is played during training and never learned from (default: none).
-    validation: Named | None = None
+    # Variant that is played during training and never learned from.
+    validation: Annotated[Named | None, otherwise("none")] = None
     first_level: int = 0  # Number of the first training level.
     levels: int = 100_000  # Number of training levels; validation draws from the rest.
     seed: int = 0  # Seed of the weights, the levels' order and all actions.
 
-    sampler: Annotated[Sampling, arg(name="")] = Sampling()  # noqa: RUF009
+    sampler: Sampling = Sampling()  # Sampler of training levels.
 
     # Observations of the agent: images, or symbolic planes.
     observation: Literal["image", "symbolic"] = "symbolic"
@@ -90,10 +90,10 @@ class Config:
     normalise_advantage: bool = True  # Normalise advantages over the whole rollout.
     # Treatment of an episode that the time limit cuts: bootstrap its value, or take it as ended.
     timeouts: Literal["bootstrap", "terminate"] = "bootstrap"
-    loss: str | None = None  # Loss of your own, as module:function (default: PPO's).
-    # Name of the agent that this one is distilled from, or "solver": the game's exact one (default:
-    # none).
-    teacher: str | None = None
+    # Loss of your own, as module:function.
+    loss: Annotated[str | None, otherwise("PPO's")] = None
+    # Name of the agent that this one is distilled from, or "solver": the game's exact one.
+    teacher: Annotated[str | None, otherwise("none")] = None
     # Part of the steps in which the teacher is asked; after that rewards alone teach.
     taught: float = 1.0
 
@@ -102,7 +102,7 @@ class Config:
     device: Literal["cpu", "cuda", "mps"] = "cpu"  # Device that the network is on.
     threads: int = 1  # Number of threads that step environments and, on a CPU, that torch uses.
 
-    fast: Annotated[Fast, arg(name="")] = Fast()  # noqa: RUF009
+    fast: Fast = Fast()  # Acceleration.
 
     def __post_init__(self) -> None:
         self._take_objects()

@@ -15,6 +15,7 @@ from astray.bounds import MOST, shown
 from astray.game import MOST_EDITS, Mutation
 from astray.record import LEVELS
 
+KNOB = "variant."  # may stand before the name of a knob, which is not a setting then
 MOST_STEPS = 10**15  # what the fastest machine does in a century
 SEEDS = 2**27  # every seed has 2**36 streams of its own, and environments take up to 2**63
 COUNTS = (
@@ -41,6 +42,11 @@ Schedule = Literal["throughout", "early", "late", "annealed"]
 Score = Literal["regret", "max-monte-carlo", "positive-value-loss"]
 
 
+def otherwise(default: str, text: str | None = None) -> Any:
+    """Return how help tells the `default` of an option that is None, and the `text` of its help."""
+    return arg(help=text, help_behavior_hint=f"(default: {default})")
+
+
 @dataclass(frozen=True)
 class Sampling:
     """Sampler of training levels.
@@ -48,26 +54,24 @@ class Sampling:
     Raises ValueError where a setting is of another type, out of its bounds, or of another sampler.
     """
 
-    # Sampler of training levels: uniform, mixed, growing, plr, accel, or your own as module:Class.
+    # Sampler: uniform, mixed, growing, plr, accel, or your own as module:Class.
     kind: Annotated[str, arg(name="sampler")] = "uniform"
-    # Chance of an episode to be in a shifted level, as the mean over environment steps (mixed;
-    # default: the variant's shift_probability); or the part of the steps after which all levels
-    # are played (growing; default: 0.5).
-    share: float | None = None
-    schedule: Schedule = "throughout"  # When the shifted levels are played (mixed only).
-    # Number of shifted levels that are begun in all, early and late within a share of the steps
-    # (mixed only; default: as many as the chance comes to).
-    shifted_levels: int | None = None
-    buffer: int = 4096  # Number of levels that are kept to be replayed (plr and accel only).
-    # Chance that a rollout replays levels (default: 1/3 for plr, 1/2 for accel).
-    replay: float | None = None
+    # Chance of an episode to be in a shifted level, as the mean over steps (mixed); part of the
+    # steps after which all levels are played (growing).
+    share: Annotated[float | None, otherwise("shift_probability; 0.5 for growing")] = None
+    schedule: Schedule = "throughout"  # When the shifted levels are played (mixed).
+    # Number of shifted levels begun in all, early and late within a share of the steps (mixed).
+    shifted_levels: Annotated[int | None, otherwise("as many as the chance comes to")] = None
+    buffer: int = 4096  # Number of levels that are kept to be replayed (plr, accel).
+    # Chance that a rollout replays levels (plr, accel).
+    replay: Annotated[float | None, otherwise("1/3 for plr, 1/2 for accel")] = None
     # Temperature of replay: a level's chance is (1 / rank) ** (1 / temperature) (plr, accel).
     temperature: float = 0.1
-    # Part of the chance that is of levels not replayed lately (plr and accel only).
+    # Part of the chance that is of levels not replayed lately (plr, accel).
     staleness: float = 0.1
-    score: Score = "max-monte-carlo"  # Score by which levels are ranked (plr and accel only).
-    mutation: Mutation = "constant"  # Edits of a level, and how often each is made (accel only).
-    edits: int = 12  # Number of edits of a level that make another (accel only).
+    score: Score = "max-monte-carlo"  # Score by which levels are ranked (plr, accel).
+    mutation: Mutation = "constant"  # Edits of a level, and how often each is made (accel).
+    edits: int = 12  # Number of edits of a level that make another (accel).
 
     def __post_init__(self) -> None:
         check(self)
@@ -84,25 +88,27 @@ class Sampling:
                 )
 
 
+SUITS = otherwise("what suits the device")
+
+
 @dataclass(frozen=True)
 class Fast:
     """Acceleration: None is what suits the device, as `training.fast` resolves it."""
 
-    # Compute the mlp and its loss by astray's own kernels (CPU only; default: where they suit).
-    fused_cpu: bool | None = None
-    # Compute large products in bfloat16; weights and losses stay float32 (default: where it suits).
-    bfloat16: bool | None = None
-    # Lay impala's weights and activations out channels last (default: where it suits).
-    channels_last: bool | None = None
-    # Compile the network by torch.compile, which fuses small operations (default: where it suits).
-    compile: bool | None = None
-    # Run acting and learning as CUDA graphs (default: where it suits).
-    cudagraphs: bool | None = None
-    # Number of samples that a network of convolutions sees at once (default: what suits it).
-    microbatch: int | None = None
-    # Number of groups of environments: one steps while the device infers for another (default:
-    # what suits the device).
-    groups: int | None = None
+    # Compute the mlp and its loss by astray's own kernels.
+    fused_cpu: Annotated[bool | None, SUITS] = None
+    # Compute large products in bfloat16; weights and losses stay float32.
+    bfloat16: Annotated[bool | None, SUITS] = None
+    # Lay impala's weights and activations out channels last.
+    channels_last: Annotated[bool | None, SUITS] = None
+    # Compile the network by torch.compile, which fuses small operations.
+    compile: Annotated[bool | None, SUITS] = None
+    # Run acting and learning as CUDA graphs.
+    cudagraphs: Annotated[bool | None, SUITS] = None
+    # Number of samples that a network of convolutions sees at once.
+    microbatch: Annotated[int | None, SUITS] = None
+    # Number of groups of environments: one steps while the device infers for another.
+    groups: Annotated[int | None, SUITS] = None
 
     def __post_init__(self) -> None:
         check(self)

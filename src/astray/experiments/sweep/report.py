@@ -16,8 +16,9 @@ from astray.analysis.runs import LEVELS_PLAYED
 from astray.experiments.outcomes import AGENTS
 from astray.experiments.report import Findings, Heading, Plot, Table
 from astray.experiments.sweep.figures import grid, line
-from astray.experiments.sweep.settings import KNOB, Sweep
+from astray.experiments.sweep.settings import Sweep
 from astray.training.config import PRESETS, Config
+from astray.training.settings import KNOB
 
 TRAINING, TEST = "in training", "in the test"
 
@@ -47,13 +48,13 @@ def command(sweep: Sweep) -> str:
     words += ["--preset", preset] if preset != "small" else []
     for name, given in sorted(changes(PRESETS[preset]).items()):
         flag = name.replace("_", "-")
-        if isinstance(given, bool) and isinstance(PRESETS["small"].flat()[name], bool):
+        if isinstance(given, bool):
             words.append(f"--{flag}" if given else f"--no-{flag}")
         else:
             words += [f"--{flag}", str(given)]
     alone = {f"{KNOB}{name}": [given] for name, given in base.knobs.items()}
     for name, values in (alone | dict(sweep.axes)).items():
-        words += ["--set", f"{name}={','.join(map(str, values))}"]
+        words += ["--set", f"{name.removeprefix(KNOB)}={','.join(map(str, values))}"]
     words += ["--seeds", str(sweep.seeds)]
     words += [] if sweep.levels == LEVELS_PLAYED else ["--test-levels", str(sweep.levels)]
     words += [] if sweep.shift is None else ["--shift", sweep.shift]

@@ -12,10 +12,10 @@ from typing import Any
 from astray.analysis.outcomes import load_shift
 from astray.analysis.runs import LEVELS_PLAYED, shift_of
 from astray.bounds import bounded, shown
+from astray.game import knobs
 from astray.training.config import Config
-from astray.training.settings import SEEDS
+from astray.training.settings import KNOB, SEEDS
 
-KNOB = "variant."  # before the name of a knob of the variant
 SHORT = {"lr": "learning_rate"}
 MOST = 10_000  # agents of a sweep
 Cell = tuple[Any, ...]  # a value of each axis
@@ -67,7 +67,9 @@ class Sweep:
 
 
 def axes(texts: Sequence[str]) -> dict[str, list[Any]]:
-    """Settings and their values from texts as lr=1e-4,5e-4 and variant.region=1,3,5.
+    """Return settings and knobs, and their values, from texts as lr=1e-4,5e-4 and region=1,3,5.
+
+    A knob is called variant.NAME in what is returned, and may be so in the texts.
 
     Raises ValueError where one is none.
     """
@@ -75,6 +77,8 @@ def axes(texts: Sequence[str]) -> dict[str, list[Any]]:
     for text in texts:
         name, is_set, values = text.partition("=")
         name = SHORT.get(name, name)
+        if name and name not in Config.names() and not name.startswith(KNOB):
+            name = f"{KNOB}{name}"
         if not is_set or not values or name in found:
             raise ValueError(
                 f"a sweep must set NAME=VALUE,VALUE,... once for each name; got {text!r}"
@@ -93,19 +97,23 @@ def value(text: str) -> Any:
 
 
 def changed(base: Config, values: Mapping[str, Any]) -> Config:
-    """The settings with some of them, and some knobs of the variant, changed.
+    """Return the settings with some of them, and some knobs of the variant, changed.
+
+    What text says is the same as the number or truth itself.
 
     Raises ValueError where there is no such setting or knob, or it cannot be that.
     """
     known = [name for name in Config.names() if name not in ("knobs", "seed")]
-    settings, knobs = {}, dict(base.knobs)
-    for name, given in values.items():
-        if name.startswith(KNOB):
-            knobs[name.removeprefix(KNOB)] = given
-        elif name in known:
-            settings[name] = given
+    there = list(knobs(type(base.training_variant())))
+    settings, changes = {}, dict(base.knobs)
+    for word, given in values.items():
+        name, knob = SHORT.get(word, word), word.removeprefix(KNOB)
+        if name in known:
+            settings[name] = value(given) if isinstance(given, str) else given
+        elif knob in there:
+            changes[knob] = given
         else:
             raise ValueError(
-                f"unknown setting {name!r}; there are: {', '.join(known)}, and {KNOB}KNOB"
+                f"unknown setting or knob {knob!r}; there are: {', '.join((*known, *there))}"
             )
-    return base.changed(knobs=knobs, **settings)
+    return base.changed(knobs=changes, **settings)

@@ -1,0 +1,97 @@
+"""What words of the command line mean, and that each can be read alone."""
+
+import functools
+import inspect
+import re
+import shlex
+
+import pytest
+import tyro
+
+from astray.cli import guess, verbs
+from astray.cli.arguments import pairs
+from astray.experiments.sweep.settings import axes, changed
+from astray.training.config import PRESETS
+from helpers.flat import options
+
+
+def silent(verb):
+    """A function with the arguments of a verb, which does nothing."""
+    function = verbs.find(verb)
+    plain = getattr(function, "func", function)
+    nothing = functools.wraps(plain)(lambda *_, **__: None)
+    given = getattr(function, "keywords", {})
+    return functools.partial(nothing, **given) if given else nothing
+
+
+@pytest.mark.parametrize("verb", verbs.VERBS)
+def test_every_verb_has_a_sentence_and_an_example_that_can_be_typed(verb):
+    function = verbs.find(verb)
+    text = inspect.getdoc(getattr(function, "func", function))
+    assert re.match(r"[A-Z][^\n]*\.\n", text)
+    (example,) = re.findall(r"^Example: astray (.*)$", text, re.MULTILINE)
+    name, *words = shlex.split(example)
+    assert name == verb
+    tyro.cli(silent(verb), args=words, config=verbs.MARKERS)
+
+
+@pytest.mark.parametrize("verb", verbs.VERBS)
+def test_the_help_of_every_option_is_a_sentence_with_its_default(verb, capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "100")  # wider, groups stand beside each other
+    with pytest.raises(SystemExit):
+        tyro.cli(silent(verb), args=["--help"], config=verbs.MARKERS)
+    text = re.sub(r" *\n {9,}(?=\S)", "  ", capsys.readouterr().out)  # an entry is a line now
+    told = re.findall(r"^  ((?:-|\[?[A-Z]+\]?  ).*?) {2,}(.*\)) *$", text, re.MULTILINE)
+    hidden = verb in ("train", "sweep")  # knobs, which are --set
+    assert len(told) == len(list(options(verb))) - hidden
+    for option, sentence in told:
+        ends = r"(default: .+|required|repeatable)"
+        assert re.fullmatch(rf"[A-Z].*\. +\({ends}\)", sentence), (option, sentence)
+        assert "(default: None)" not in sentence
+
+
+def test_no_word_is_an_option_and_a_number_of_things_at_once():
+    """--set, --shift, --mode, --art, --variant: each has one type in all verbs that have it."""
+    for name in ("set", "shift", "mode", "folder", "track", "seeds", "workers", "level_file"):
+        kinds = {
+            str(kind).replace(" | None", "").removeprefix("typing.Optional[").rstrip("]")
+            for verb in verbs.VERBS
+            for own, kind, _ in options(verb)
+            if own == name and verb != "sweep"
+        }
+        assert len(kinds - {"<class 'pathlib.Path'>"}) == 1, (name, kinds)
+
+
+def test_set_means_knobs_and_settings_by_their_names():
+    base = PRESETS["small"]
+    both = changed(base, pairs((("lr=1e-4", "world=5"), ("largest=5",))))
+    assert (both.learning_rate, both.knobs) == (1e-4, {"world": 5, "largest": 5})
+    assert pairs((("variant.world=5",),)) == {"world": "5"}
+    assert changed(base, pairs((("variant.largest=5", "anneal=false"),))).knobs == {"largest": 5}
+    assert axes(["lr=1e-4,5e-4", "largest=3,5"]) == axes(["lr=1e-4,5e-4", "variant.largest=3,5"])
+    with pytest.raises(ValueError, match="unknown setting or knob 'squid'; there are: game"):
+        changed(base, {"squid": 3})
+
+
+@pytest.mark.parametrize(
+    "older, today",
+    [
+        ("evaluate --agent m --json", "evaluate m --json"),
+        ("record --level 3 --agent=m", "record m --level 3"),
+        ("train maze corner --fused-cpu False", "train maze corner --no-fused-cpu"),
+        ("train maze corner --compile=True --share None", "train maze corner --compile"),
+    ],
+)
+def test_words_of_older_versions_are_read_with_a_note(capsys, older, today):
+    assert verbs.in_todays_words(older.split()) == today.split()
+    assert "a later version will not read it" in capsys.readouterr().err
+    assert verbs.in_todays_words(today.split()) == today.split()
+    assert not capsys.readouterr().err
+
+
+def test_what_was_meant_is_guessed():
+    assert guess("unknown variant 'cornr' of maze; there are: corner, anywhere").endswith(
+        "; did you mean 'corner'?"
+    )
+    assert not guess("unknown variant 'xyz' of maze; there are: corner, anywhere")
+    assert not guess("no space is left")
