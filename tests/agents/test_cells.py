@@ -9,8 +9,10 @@ import torch
 
 from astray import games
 from astray.agents.cells import SIDE, WINDOW, Cells, first_pixels
-from astray.agents.policy import Architecture
+from astray.agents.policy import Architecture, weights
+from astray.analysis.trained import Agent
 from astray.envs.vector import GameVectorEnv
+from astray.insight.activations import layers
 from astray.training.fast.acceleration import agreement
 from astray.training.loop import collect
 from astray.training.ppo import Samples
@@ -70,7 +72,7 @@ def test_what_stands_out_by_its_colour_is_looked_at_before_anything_is_learned()
 
 @pytest.mark.parametrize("change", [{"bfloat16": True}, {"channels_last": True}], ids=str)
 def test_the_fast_path_computes_what_is_written(change):
-    trainer = Trainer(replace(PICTURES, network="cells", microbatch=8, **change))
+    trainer = Trainer(PICTURES.changed(network="cells", microbatch=8, **change))
     samples, g = collect(trainer).flat(), torch.Generator().manual_seed(0)
     noise = torch.randn(2, len(samples), generator=g)
     samples: Samples = replace(samples, advantage=noise[0], target=noise[1])
@@ -83,3 +85,20 @@ def test_the_fast_path_computes_what_is_written(change):
 def test_a_picture_too_small_for_a_window_is_refused():
     with pytest.raises(ValueError, match="at least 3 pixels a side"):
         Architecture("cells", (2, 64, 3), (), 15).build()
+
+
+def test_what_every_tick_has_found_can_be_read_and_changed(tmp_path):
+    architecture = Architecture("cells", SHAPE, (), 15)
+    path = tmp_path / "agent.safetensors"
+    path.write_bytes(weights(architecture.build(), architecture, "maze"))
+    agent = Agent(path, "maze")
+    there = layers(agent)
+    assert there["ticks.0"] == there["ticks.7"] == there["stem"] == (16, 13, 13)
+    assert there["features.relu"] == (128,) and "unit" not in there  # which is used eight times
+    pictures = torch.randint(0, 256, (2, *SHAPE), dtype=torch.uint8)
+    before = agent.network(pictures)[0]
+    tick = agent.network.get_submodule("ticks.3")
+    handle = tick.register_forward_hook(lambda *a: torch.zeros_like(a[2]))
+    assert not torch.equal(agent.network(pictures)[0], before)
+    handle.remove()
+    assert torch.equal(agent.network(pictures)[0], before)

@@ -11,6 +11,7 @@ learns as soon what to do in the smallest mazes, and nothing from them for large
 
 from __future__ import annotations
 
+from collections import OrderedDict
 from collections.abc import Sequence
 
 import torch
@@ -88,8 +89,9 @@ class Cells(Pixels):
         self.attention = Attention(inputs)
         places = SIDE // BLOCK + 1  # a side
         self.place = nn.Parameter(torch.zeros(1, channels, places, places))  # where each is
-        self.linear = nn.Linear(2 * SPOTS * channels, FEATURES)
-        self.relu = nn.ReLU()
+        self.features = nn.Sequential(
+            OrderedDict(linear=nn.Linear(2 * SPOTS * channels, FEATURES), relu=nn.ReLU())
+        )
         self.rows: Tensor
         self.columns: Tensor
         for name, side in (("rows", height), ("columns", width)):
@@ -106,7 +108,8 @@ class Cells(Pixels):
         return whole.transpose(2, 3).flatten(3)
 
     def hidden(self, observations: Tensor) -> Tensor:
-        cells = self.cells(observations).to(self.kind(observations)).permute(0, 3, 1, 2) / 255
+        # In place, as what is divided is a copy.
+        cells = self.cells(observations).to(self.kind(observations)).div_(255).permute(0, 3, 1, 2)
         stem = torch.relu(self.stem(cells) + self.place)
         seen = self.seen(stem)
         state = seen
@@ -115,7 +118,7 @@ class Cells(Pixels):
         attention = self.attention(cells)
         held = torch.cat([state, stem], 1).flatten(2)
         spots = torch.bmm(attention.to(held.dtype), held.transpose(1, 2)).flatten(1)
-        return self.relu(self.linear(spots))
+        return self.features(spots)
 
 
 def _windows(first: Sequence[int]) -> Tensor:
