@@ -325,7 +325,10 @@ def see_ending(
 
 
 def lasting(what: str) -> str:
-    return f"{what}: say `longest`, the steps after which an episode is left (--longest)"
+    return (
+        f"{what}: say `longest`, the steps after which an episode is left (--longest), or lower "
+        "the variant's time_limit (--set time_limit=N)"
+    )
 
 
 def see_policy(policy: Any) -> None:

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import polars as pl
@@ -9,6 +10,7 @@ import pytest
 
 from astray import games, testing
 from astray.analysis.adapters import Function
+from astray.analysis.dataset import export, read_trajectories
 from astray.analysis.evaluate import evaluate
 from astray.analysis.outcomes import (
     FAILED,
@@ -20,12 +22,13 @@ from astray.analysis.outcomes import (
     load_shift,
     outcomes_of,
 )
+from astray.analysis.replay import replay
 from astray.analysis.runs import evaluate_policies
 from astray.experiments import figures, spec
 from astray.experiments.outcomes import outcome_plots, outcome_tables
 from astray.experiments.spec import Plan, Work
 from astray.training.config import PRESETS
-from helpers.lava import GAME
+from helpers.lava import GAME, START
 
 LEVELS = range(60)
 
@@ -124,6 +127,19 @@ def test_reports_tell_other_ends_in_tables_and_bars(monkeypatch):
     named = [text.get_text() for text in legend.get_texts()]
     assert named[:5] == [MISGENERALIZED, INTENDED, "burnt", "time ran out", FAILED]
     assert len(set(figures.outcome_colours(named[:5]).values())) == 5
+
+
+def test_a_data_set_and_a_replay_are_of_lives_without_end_too(tmp_path, monkeypatch):
+    monkeypatch.setattr(games, "_registered", {"lava": GAME})
+    with pytest.raises(ValueError, match=r"say `longest`.*or lower the variant's time_limit"):
+        export(always(2), GAME, "for-ever", [0], tmp_path / "set")
+    export(always(2), GAME, "for-ever", [0], tmp_path / "set", longest=7)
+    (one,) = read_trajectories(tmp_path / "set")
+    assert one.actions.tolist() == [2] * 7 and not one.terminated
+    game = replace(GAME, editing=SimpleNamespace(centre=lambda s: [float(s["x"]), 0.0]))
+    told = replay(game, game.variants["for-ever"], 0, [2, 2, 1])
+    assert told["steps"][-1]["x"] == START + 2
+    assert told["length"] == 3 and not told["terminated"] and not told["truncated"]
 
 
 def test_episodes_that_never_end_are_refused_at_once_or_left_after_the_longest(monkeypatch, astray):

@@ -64,14 +64,21 @@ class Trajectory:
 
 
 def trajectories(
-    policy: Policy, game: str | Game, variant: str | Variant, levels: Levels, *, batch: int = BATCH
+    policy: Policy,
+    game: str | Game,
+    variant: str | Variant,
+    levels: Levels,
+    *,
+    batch: int = BATCH,
+    longest: int | None = None,
 ) -> Iterator[Trajectory]:
     """The episode of a policy in each of `levels`, as they end; each as it would be alone.
 
-    batch  episodes at once, which are in memory until they end
+    batch    episodes at once, which are in memory until they end
+    longest  steps after which an episode is left; None: never
     """
     parts: dict[int, list[tuple]] = {}
-    for step in steps(policy, game, variant, levels, batch=batch):
+    for step in steps(policy, game, variant, levels, batch=batch, longest=longest):
         for i, level in enumerate(step.level.tolist()):
             parts.setdefault(level, []).append(
                 (
@@ -105,8 +112,11 @@ def export(
     *,
     form: Format = "parquet",
     batch: int = BATCH,
+    longest: int | None = None,
 ) -> Path:
     """Play a policy in `levels` and write all of it to a new folder; that folder.
+
+    longest  steps after which an episode is left; None: never
 
     The folder is there once it is whole, and not before.
 
@@ -129,7 +139,8 @@ def export(
         "state": [list(map(_plain, one)) for one in np.dtype(game.state.descr).descr],
     }  # fmt: skip
     with folder_aside(folder) as aside:
-        write(trajectories(policy, game, of, levels, batch=batch), game, of, about, aside)
+        played = trajectories(policy, game, of, levels, batch=batch, longest=longest)
+        write(played, game, of, about, aside)
         os.replace(aside, folder)
     return folder
 

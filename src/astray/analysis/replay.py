@@ -40,8 +40,9 @@ def replay(
     s = initial_states(game, variant, chosen)[0]
     start, moves, total = game.editing.centre(s), [], 0.0
     ended = {"terminated": False, "truncated": False}
-    policy = Script(iter(actions))
-    for step in islice(steps(policy, game, variant, chosen), len(actions)):
+    policy, longest = Script(iter(actions)), len(actions) + 1  # never reached
+    played = steps(policy, game, variant, chosen, longest=longest)
+    for step in islice(played, len(actions)):
         s, reward = step.after[0].copy(), float(step.rewards[0])
         total += reward
         x, y = game.editing.centre(s)

@@ -14,6 +14,7 @@ from astray.cli.arguments import (
     NUMBERS,
     Acting,
     Knobs,
+    Longest,
     OwnPolicy,
     TrainingVariant,
     level_numbers,
@@ -39,6 +40,7 @@ def export(
     policy: OwnPolicy = OwnPolicy(),
     form: Format = "parquet",
     batch: int = 32,
+    longest: Longest = None,
     out: Path = Path("dataset"),
 ) -> None:
     """Write trajectories of any policy as a data set: Parquet, or Minari's layout.
@@ -69,4 +71,4 @@ def export(
         of = played.variant(variant).with_knobs(pairs(knobs))
         numbers = level_numbers(levels or LEVELS)
         player = policy.make(acting)
-    print(write(player, played, of, numbers, out, form=form, batch=batch))
+    print(write(player, played, of, numbers, out, form=form, batch=batch, longest=longest))
