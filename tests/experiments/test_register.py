@@ -1,5 +1,6 @@
 """The register says what the studies claim, and its page is current."""
 
+from dataclasses import replace
 from pathlib import Path
 
 from astray.estimate import Estimate
@@ -37,3 +38,12 @@ def test_the_rule_of_a_claim_is_read_off_its_report():
         "",
     ]
     assert [register.rule_of(claim) for claim in corrected([one, other])] == rules[:2]
+
+
+def test_a_plan_finds_more_with_more_agents():
+    plan = catalogue.load("maze-corner").sizes["smoke"]
+    few, many = (replace(plan, seeds=seeds).power() for seeds in (2, 10))
+    assert few[0] > 2 * many[0] and few[1] > 2 * many[1] > 0.2
+    assert few[2] != few[2], "there are no two kinds"
+    kinds = catalogue.load("minimax-regret").sizes["smoke"].power()
+    assert kinds[3] < kinds[1], "sixteen kinds tell together how much agents differ"

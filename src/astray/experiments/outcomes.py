@@ -15,7 +15,7 @@ from astray.analysis.policies import Walk
 from astray.analysis.runs import open_run
 from astray.experiments import figures
 from astray.experiments.report import Plot, Scene, Table, Video
-from astray.experiments.spec import Plan, Test, Work
+from astray.experiments.spec import SPREADS, Plan, Test, Work
 from astray.report.claims import rounded
 from astray.training import checkpoint
 from astray.training.config import Config
@@ -150,7 +150,13 @@ def settings(plan: Plan) -> dict[str, str]:
         told[key] = (
             values.popitem()[1] if alike else ", ".join(f"{n}: {v}" for n, v in values.items())
         )
-    return told | {"seeds": str(plan.seeds), "levels evaluated": str(plan.levels)}
+    near, far = (f"{100 * effect:.0f}\u00a0%" for effect in plan.power()[: len(SPREADS)])
+    return told | {
+        "seeds": str(plan.seeds),
+        "levels evaluated": str(plan.levels),
+        "found with a power of 80\u00a0%": f"shares {near} from their bound, or {far} where agents "
+        f"differ most, by a standard deviation of {100 * max(SPREADS):g}\u00a0%",
+    }
 
 
 def film(work: Work, *, trained: Test, tested: Test, agent: str | None = None) -> list[Video]:

@@ -17,14 +17,12 @@ from importlib import resources
 from pathlib import Path
 from typing import Any
 
-from astray.analysis.estimates import detectable
 from astray.experiments import catalogue
-from astray.experiments.spec import Plan, Size
+from astray.experiments.spec import SPREADS, Plan, Size
 from astray.files import write_aside
 from astray.report.claims import Claim
 
 OPEN = "…"  # in a sentence or rule, for what depends on the size or on what was measured
-SPREADS = 0.03, 0.15  # standard deviations between agents: where all learn alike, where they do not
 
 
 def register() -> dict[str, dict[str, Any]]:
@@ -97,20 +95,7 @@ def _plans(sizes: Mapping[Size, Plan]) -> Iterator[str]:
     for size, plan in sizes.items():
         trained = f"0 to {plan.seeds - 1}" if plan.seeds > 1 else "0"
         seeds = "none" if plan.published or not plan.agents else trained
-        yield f"| `{size}` | {seeds} | {' | '.join(map(_points, power(plan)))} |"
-
-
-def power(plan: Plan) -> list[float]:
-    """Return how far off a plan finds shares and differences of two kinds, for each of `SPREADS`.
-
-    Of one agent it is levels that vary. NaN where there are no two kinds.
-    """
-    alone, kinds = plan.seeds == 1 or bool(plan.published), len(plan.agents)
-    agents, spreads = (1, (0.0, 0.0)) if alone else (plan.seeds, SPREADS)
-    shares = [detectable(agents, plan.levels, spread) for spread in spreads]
-    if kinds < 2:
-        return shares + [math.nan] * len(spreads)
-    return shares + [detectable(agents, plan.levels, s, kinds=kinds) for s in spreads]
+        yield f"| `{size}` | {seeds} | {' | '.join(map(_points, plan.power()))} |"
 
 
 def _points(share: float) -> str:

@@ -6,15 +6,16 @@ import hashlib
 import importlib.util
 import io
 import json
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from math import inf
 from pathlib import Path
 from typing import Any, Literal, get_args
 
 import polars as pl
 
 from astray import games, imports
+from astray.analysis.estimates import detectable
 from astray.analysis.evaluate import COLUMNS
 from astray.analysis.given import Measure, see_measures
 from astray.analysis.outcomes import load_shift, name_of
@@ -27,6 +28,7 @@ from astray.training.config import PRESETS, Config, Named
 
 Size = Literal["smoke", "pixels", "night", "hour", "paper", "published"]
 SIZES: tuple[Size, ...] = get_args(Size)
+SPREADS = 0.03, 0.15  # standard deviations between agents: all learn alike, and they do not
 PUBLISHED: Size = "published"  # of agents that others trained: nothing is trained
 Place = Literal["here", "ray"]  # where agents are trained
 Runs = Mapping[str, Sequence[Path]]  # the run folders of the agents of each name
@@ -86,7 +88,9 @@ class Plan:
             raise ValueError("teachers and students are agents of the plan")
         if students & {*self.published, *self.teachers.values()}:
             raise ValueError("a student must be trained here, and teach nobody")
-        fewest = min((len(config.unseen_levels) for config in self.agents.values()), default=inf)
+        fewest = min(
+            (len(config.unseen_levels) for config in self.agents.values()), default=math.inf
+        )
         if not 1 <= self.levels <= fewest:
             raise ValueError(f"levels must be from 1 to {fewest}; got {self.levels}")
         if (self.tests or self.visited) and len(
@@ -99,6 +103,19 @@ class Plan:
             load_shift(self.game, test.shift)
             for config in self.agents.values():
                 test.variant_for(config)
+
+    def power(self) -> list[float]:
+        """Return how far off shares and differences must be to be found in 80 % of runs.
+
+        Of shares, how far from their bound; each for `SPREADS`, and before any correction for the
+        number of claims. Of one agent it is levels that vary. NaN where there are no two kinds.
+        """
+        alone, kinds = self.seeds == 1 or bool(self.published), len(self.agents)
+        agents, spreads = (1, (0.0, 0.0)) if alone else (self.seeds, SPREADS)
+        shares = [detectable(agents, self.levels, spread) for spread in spreads]
+        if kinds < 2:
+            return shares + [math.nan] * len(spreads)
+        return shares + [detectable(agents, self.levels, s, kinds=kinds) for s in spreads]
 
     @property
     def config(self) -> Config:
