@@ -1,6 +1,8 @@
 """The tests' own order: folders as in the package, helpers apart, and no test imports a test."""
 
 import ast
+import re
+import tomllib
 from pathlib import Path
 
 import pytest
@@ -50,3 +52,21 @@ def test_helpers_hold_no_tests():
         tree = ast.parse(path.read_text())
         names = [node.name for node in ast.walk(tree) if isinstance(node, ast.FunctionDef)]
         assert not [name for name in names if name.startswith("test_")], path
+
+
+LAYERS = tomllib.loads((TESTS.parent / "pyproject.toml").read_text())["tool"]["importlinter"]
+FLOORS = [
+    {name.removeprefix("astray.") for name in floor.split(" | ")}
+    for floor in LAYERS["contracts"][0]["layers"]
+]
+
+
+def test_each_module_of_the_package_stands_on_a_floor():
+    modules = {path.stem for path in PACKAGE.iterdir() if path.suffix == ".py" or path.is_dir()}
+    assert set().union(*FLOORS) == {name for name in modules if not name.startswith("__")}
+
+
+def test_the_map_has_the_floors_that_the_linter_checks():
+    page = (TESTS.parent / "docs" / "architecture.md").read_text()
+    rows = re.findall(r"^\| (`\w+`(?:, `\w+`)*) \|", page.partition("## One mechanism")[0], re.M)
+    assert [set(re.findall(r"`(\w+)`", row)) for row in rows] == FLOORS
