@@ -16,20 +16,13 @@ from typing import Any, Literal
 import numpy as np
 from gymnasium import spaces
 
+from astray import games
 from astray.bounds import MOST, bounded, integers, of_kind
 from astray.envs.vector import GameVectorEnv
 from astray.record import LEVELS
 from astray.words import check_word
 
 Mode = Literal["easy", "hard", "memory", "exploration"]
-# Procgen's games and difficulties, and our variants.
-WORLDS = {
-    ("coinrun", "hard"): ("coinrun", "procgen"),
-    ("coinrun", "easy"): ("coinrun", "procgen-easy"),
-    ("maze", "hard"): ("maze", "anywhere"),
-    ("maze", "easy"): ("maze", "anywhere-easy"),
-    ("maze", "memory"): ("maze", "anywhere-memory"),
-}
 EXPLORATION = {"coinrun": 1949448038, "maze": 158988835}  # the one level of that mode
 COMBOS = [
     ("LEFT", "DOWN"), ("LEFT",), ("LEFT", "UP"), ("DOWN",), (), ("UP",), ("RIGHT", "DOWN"),
@@ -263,9 +256,9 @@ def world(env_name: str, mode: Mode) -> tuple[str, str]:
         if mode != "hard":
             raise ValueError(f"{env_name} is one difficulty; distribution_mode must be left out")
         return game, variant
-    known = WORLDS.get((env_name, "hard" if mode == "exploration" else mode))
+    known = games.PROCGEN.get((env_name, "hard" if mode == "exploration" else mode))
     if known is None:
-        there = ", ".join(f"{name} {of}" for name, of in WORLDS)
+        there = ", ".join(f"{name} {of}" for name, of in games.PROCGEN)
         raise ValueError(
             f"{env_name} {mode} of Procgen is not here; there are: {there}; and astray's own, as "
             "maze/corner"

@@ -284,7 +284,7 @@ def test_without_a_network_the_cache_is_enough(pushed, monkeypatch, tmp_path, ca
 def test_a_name_that_is_taken_is_told_before_anything_is_asked(pushed):
     ours.pull("ada/mouse")
     pushed.requests.clear()
-    with pytest.raises(ValueError, match=r"there is an agent 'mouse' already, .* see --as"):
+    with pytest.raises(ValueError, match=r"there is an agent 'mouse' already, in .*mouse"):
         ours.pull("ada/mouse")
     with pytest.raises(ValueError, match="an agent's name must be of a-z"):
         ours.pull("ada/mouse", name="../x")

@@ -11,6 +11,7 @@ import pytest
 
 from astray import games
 from astray.acting import initial_states
+from astray.agents.folder import NAME
 from astray.analysis import kept
 from astray.analysis.critic import judge, observe
 from astray.analysis.evaluate import evaluate
@@ -94,7 +95,7 @@ def test_without_a_digest_nothing_is_fetched_unless_asked_for(serve, home, runne
 
 @pytest.mark.parametrize("one", catalogue.catalogue().values(), ids=lambda one: one.name)
 def test_every_entry_of_the_catalogue_can_be_acted_on(one):
-    assert imported.NAME.fullmatch(one.name) and one.name not in kept.names()
+    assert NAME.fullmatch(one.name) and one.name not in kept.names()
     assert one.known.about and one.known.source
     assert bool(one.address) != bool(one.by_hand)
     assert not one.address or (one.address.startswith("https://") and one.known.variant)

@@ -10,6 +10,7 @@ import numpy as np
 import polars as pl
 import pytest
 
+from astray.agents import folder
 from astray.analysis import runs
 from astray.analysis.runs import open_run
 from astray.analysis.tables import write_table
@@ -134,11 +135,11 @@ def test_the_largest_seed_trains_and_a_larger_one_is_refused_at_once(tmp_path):
 
 def test_a_checkpoint_that_its_training_removes_meanwhile_is_not_missed(tmp_path, monkeypatch):
     one = replace(CONFIG, seed=3, steps=CONFIG.num_envs * CONFIG.num_steps)
-    run, latest = tmp_path / "run", checkpoint.latest
+    run = tmp_path / "run"
     train(one, run, progress=False)
-    last = latest(run)
+    last = checkpoint.latest(run)
     found = iter([last.with_name("7"), last])  # 7 is removed between the look and the opening
-    monkeypatch.setattr(checkpoint, "latest", lambda folder: next(found, last))
+    monkeypatch.setattr(folder, "latest", lambda folder: next(found, last))
     assert open_run(run)[0].path.parent == last
     with pytest.raises(FileNotFoundError):
         open_run(last.with_name("7"))  # which somebody asked for

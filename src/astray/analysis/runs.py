@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal
@@ -14,6 +13,7 @@ from safetensors import SafetensorError, safe_open
 
 from astray import world
 from astray.acting import Levels, Policy, see_ending, see_policy
+from astray.agents.folder import DEVIATION, TRAINER, AgentFolder
 from astray.agents.policy import usable
 from astray.analysis import kept
 from astray.analysis.evaluate import evaluate
@@ -23,7 +23,7 @@ from astray.analysis.policies import Random, Walk
 from astray.analysis.trained import Agent
 from astray.bounds import finite, of_kind, shown
 from astray.envs.worlds import see_reported
-from astray.files import read, see_readable
+from astray.files import see_readable
 from astray.game import Game, Shift, Variant
 from astray.level import read_levels
 from astray.training import checkpoint
@@ -34,7 +34,6 @@ from astray.world import World, WorldVariant, see_repeats
 LEVELS_PLAYED = 1000  # where nobody says which
 # Of discounted returns: mean, variance and count, in what a training goes on from.
 MOMENTS = "training.moments"
-DEVIATION = "reward_deviation"  # beside the settings of an agent that was kept
 Mode = Literal["sampled", "greedy"]
 
 
@@ -46,20 +45,16 @@ def open_run(
     art  that it is shown; None: what it was trained on
     """
     of_kind("run", run, str | Path)
-    run = Path(run)
-    folder = run if (run / "config.json").exists() else run.parent.parent
-    if not (folder / "config.json").exists():
-        raise FileNotFoundError(f"{run} is neither a run folder nor a checkpoint in one")
-    config = checkpoint.read_config(folder)
+    found = AgentFolder.open(run)
+    config = checkpoint.read_config(found.path)
     device = config.device if usable(config.device) else "cpu"
     shown = config.art if art is None else art
     config.find_game().drawn(shown)
     while True:
-        path = checkpoint.latest(folder) if folder == run else run
         try:
-            agent = Agent(path / checkpoint.AGENT, config.game, mode, config.seed, device, shown)
+            agent = Agent(found.weights, config.game, mode, config.seed, device, shown)
         except FileNotFoundError:  # a training removes those before its last two
-            if folder != run or path == checkpoint.latest(folder):
+            if found == (found := AgentFolder.open(run)):
                 raise
         else:
             return agent, config
@@ -93,10 +88,9 @@ def reward_deviation(agent: Agent, config: Config) -> float | None:
 
 
 def _deviation(path: Path) -> float:
-    trainer = path.with_name(checkpoint.TRAINER)
+    trainer = path.with_name(TRAINER)
     if not trainer.exists():
-        settings = json.loads(read(path.parents[2] / "config.json", checkpoint.LARGEST_CONFIG))
-        return settings[DEVIATION]
+        return AgentFolder.of(path).settings()[DEVIATION]
     see_readable(trainer)
     with safe_open(trainer, "numpy") as file:
         _, variance, _ = file.get_tensor(MOMENTS).tolist()

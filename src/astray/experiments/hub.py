@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import os
 import re
 import shutil
 import tempfile
@@ -21,28 +20,28 @@ from typing import TYPE_CHECKING, Any
 
 from astray import imports
 from astray.agents import policy
+from astray.agents.folder import CARD, CONFIG, HUB, AgentFolder, made, see_new
 from astray.analysis import kept
 from astray.bounds import brief, of_kind, shown
 from astray.envs.vector import IMAGE
 from astray.experiments.connection import Wary, reached, unreachable, wary
 from astray.experiments.keep import keep
-from astray.files import folder_aside, holds_only, read, write_aside
-from astray.published.imported import ORIGIN
+from astray.files import holds_only, read, write_aside
 from astray.training import checkpoint
 from astray.training.config import Config
 
 if TYPE_CHECKING:
     from huggingface_hub import HfApi
 
-DIGESTS, HUB, CARD = "digests.json", "hub.json", "README.md"
-PAGE = ("config.json", CARD, "curve.csv", "curve.png", "episode.gif")
+DIGESTS = "digests.json"
+PAGE = (CONFIG, CARD, "curve.csv", "curve.png", "episode.gif")
 AGENT = re.compile(r"checkpoints/(0|[1-9][0-9]{0,17})/agent\.safetensors")
 REVISION = re.compile(r"[\w.+@#-]+(/[\w.+@#-]+)*")
 REPOSITORY = re.compile(r"[\w.-]+/[\w.-]+")
 DIGEST = re.compile(r"[0-9a-f]{64}")
 FORMAT = 1  # of digests.json
 LARGEST, LARGEST_AGENT = 2**25, 2**31  # bytes of a file, and of one with weights
-NEEDED = ("config.json", CARD)
+NEEDED = (CONFIG, CARD)
 PURSUES = "## What it pursues"  # which every card says
 
 
@@ -81,7 +80,7 @@ def push(
     _see_name(repository, revision)
     api = _api(endpoint)
     run = kept.run_of(Path(run))
-    if (run / ORIGIN).exists() or (run / HUB).exists():
+    if AgentFolder.open(run).is_foreign:
         raise ValueError(f"{run} was brought from elsewhere; only agents of your own are pushed")
     with tempfile.TemporaryDirectory(prefix="astray-") as passing:
         folder = _with_card(run, repository, shift, levels, Path(passing))
@@ -122,13 +121,10 @@ def pull(
     """
     _see_name(repository, revision)
     name = name or _slug(repository)
-    if not re.fullmatch(r"[a-z0-9]+(-[a-z0-9]+)*", name):
-        raise ValueError(f"an agent's name must be of a-z, 0-9 and -, as maze-corner; got {name!r}")
     home = kept.folder()
-    if name in (*kept.names(), *kept.imported()):
-        raise ValueError(f"there is an agent {name!r} already, in {kept.find(name)}; see --as")
+    see_new(name, kept.KEPT, home)
     api = _api(endpoint)
-    with folder_aside(home / name) as aside, wary() as answers:
+    with made(home, name) as aside, wary() as answers:
         # The cache has the commit in its paths, and notes by this which one the revision was.
         digests = _taker(api, answers, repository, revision, offline)(DIGESTS, LARGEST)
         commit, promised = digests.parent.name, _promised(digests)
@@ -141,7 +137,6 @@ def pull(
         _see_agent(repository, aside)
         source = {"repository": repository, "commit": commit, "revision": revision}
         write_aside(aside / HUB, json.dumps(source, indent=1).encode())
-        os.replace(aside, home / name)
     return home / name
 
 
@@ -225,7 +220,7 @@ astray pull {repository}
 def _own_files(run: Path) -> Iterator[str]:
     """The paths of what is shared of an agent: the page, and the last checkpoint's network."""
     yield from (name for name in PAGE if (run / name).is_file())
-    yield (checkpoint.latest(run) / checkpoint.AGENT).relative_to(run).as_posix()
+    yield AgentFolder.open(run).weights.relative_to(run).as_posix()
 
 
 def _digests(folder: Path) -> dict[str, Any]:
@@ -310,13 +305,13 @@ def _see_agent(repository: str, folder: Path) -> None:
     """ValueError where the network is not one that plays the game of the settings."""
     try:
         config = checkpoint.read_config(folder)
-        path = checkpoint.latest(folder) / checkpoint.AGENT
+        path = AgentFolder.open(folder).weights
         _, architecture = policy.load(path, config.game)
     except (ValueError, OSError) as error:
         raise ValueError(f"{repository} holds no agent that can be used: {brief(error)}") from error
     wanted = (_observed(config), len(config.find_game().actions))
     if (architecture.shape, architecture.actions) != wanted or not holds_only(
-        path.parent, (checkpoint.AGENT,)
+        path.parent, (path.name,)
     ):
         raise ValueError(
             f"{repository}: its network must see {wanted[0]} and have {wanted[1]} actions; got "

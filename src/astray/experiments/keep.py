@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
-import re
 import shutil
 from collections.abc import Iterator
 from pathlib import Path
@@ -12,16 +10,17 @@ from typing import Any
 
 import numpy as np
 import polars as pl
-from jinja2 import Environment, PackageLoader, StrictUndefined
 
+from astray.agents.folder import AGENT, CARD, CONFIG, DEVIATION, AgentFolder, made, see_new
 from astray.analysis.kept import KEPT
 from astray.analysis.outcomes import load_shift, outcomes_of
-from astray.analysis.runs import DEVIATION, evaluate_runs, open_run, reward_deviation, shift_of
+from astray.analysis.pages import templates
+from astray.analysis.runs import evaluate_runs, open_run, reward_deviation, shift_of
 from astray.analysis.tables import write_table
 from astray.experiments import catalogue
 from astray.experiments.films import film
 from astray.experiments.outcomes import AGENTS
-from astray.files import folder_aside, read, write_aside
+from astray.files import write_aside
 from astray.training import checkpoint
 from astray.training.config import Config
 
@@ -44,28 +43,24 @@ def keep(
     levels   that it is evaluated on, the first that its training does not draw from
     largest  bytes of its weights
     """
-    if not re.fullmatch(r"[a-z0-9]+(-[a-z0-9]+)*", name):
-        raise ValueError(f"an agent's name must be of a-z, 0-9 and -, as maze-corner; got {name!r}")
-    run, folder = Path(run), Path(folder)
-    if (folder / name).exists():
-        raise ValueError(f"there is an agent {name!r} in {folder} already")
+    folder = Path(folder)
+    see_new(name, folder)
     agent, config = open_run(run)
     if (size := agent.path.stat().st_size) > largest:
         raise ValueError(
             f"the agent is {size / 1e6:.1f} MB; one that is kept is at most {largest / 1e6:g} MB"
         )
-    source, named = agent.path.parents[2], shift or shift_of(config)
-    with folder_aside(folder / name) as aside:
-        there = aside / "checkpoints" / agent.path.parent.name
+    source, named = AgentFolder.of(agent.path), shift or shift_of(config)
+    with made(folder, name) as aside:
+        there = aside / "checkpoints" / f"{source.steps}"
         there.mkdir(parents=True, exist_ok=True)
-        shutil.copyfile(agent.path, there / checkpoint.AGENT)
-        settings = json.loads(read(source / "config.json", checkpoint.LARGEST_CONFIG))
+        shutil.copyfile(agent.path, there / AGENT)
+        settings = source.settings()
         if (deviation := reward_deviation(agent, config)) is not None:
             settings[DEVIATION] = deviation
-        write_aside(aside / "config.json", json.dumps(settings, indent=2).encode())
-        draw_curve(source, config, int(there.name), aside)
+        write_aside(aside / CONFIG, json.dumps(settings, indent=2).encode())
+        draw_curve(source.path, config, source.steps, aside)
         write_card(name, aside, named, levels)
-        os.replace(aside, folder / name)
     return folder / name
 
 
@@ -101,18 +96,12 @@ def write_card(name: str, run: Path, shift: str, levels: int) -> None:
         for variant in (config.variant, between.test)
     }
     film(agent, config, between, played[between.test][1], run / "episode.gif")
-    environment = Environment(
-        loader=PackageLoader("astray.experiments", ""),
-        lstrip_blocks=True,
-        trim_blocks=True,
-        keep_trailing_newline=True,
-        undefined=StrictUndefined,
-    )
-    text = environment.get_template("card.md").render(
+    card = templates("astray.experiments", markdown=True).get_template("card.md")
+    text = card.render(
         name=name,
         about=game.about,
         config=config,
-        steps=int(agent.path.parent.name),
+        steps=AgentFolder.of(agent.path).steps,
         trained_on=config.training_variant().about,
         commands=commands(config),
         shift=shift,
@@ -122,7 +111,7 @@ def write_card(name: str, run: Path, shift: str, levels: int) -> None:
         rows=[row for variant, (shares, _) in played.items() for row in _rows(variant, shares)],
         settings=config.flat(),
     )
-    write_aside(run / "README.md", text.encode())
+    write_aside(run / CARD, text.encode())
 
 
 def commands(config: Config) -> list[str]:

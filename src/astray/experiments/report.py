@@ -13,9 +13,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import polars as pl
-from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from astray.analysis import kept
+from astray.analysis.pages import templates
 from astray.analysis.tables import write_table
 from astray.bounds import shown
 from astray.files import read, remove_left, write_aside
@@ -182,13 +182,7 @@ def _is_claim(given: Any) -> bool:
 
 
 def _render(template: str, **what: Any) -> str:
-    environment = Environment(
-        loader=PackageLoader("astray.experiments", ""),
-        autoescape=True,
-        lstrip_blocks=True,
-        trim_blocks=True,
-        undefined=StrictUndefined,
-    )
+    environment = templates("astray.experiments")
     environment.filters |= {"embedded": embedded, "columns": columns}
     return environment.get_template(template).render(**what)
 

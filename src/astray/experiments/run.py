@@ -17,6 +17,7 @@ import polars as pl
 import torch
 
 from astray import provenance
+from astray.agents.folder import AgentFolder
 from astray.analysis import kept
 from astray.analysis.outcomes import load_shift
 from astray.bounds import brief
@@ -35,7 +36,7 @@ from astray.experiments.spec import (
 )
 from astray.experiments.track import track_report
 from astray.experiments.workers import expected, train_all
-from astray.files import hold, read, see_free, write_aside
+from astray.files import hold, see_free, write_aside
 from astray.game import OWN
 from astray.report.claims import corrected
 from astray.training import checkpoint
@@ -163,7 +164,7 @@ def give_teachers(plan: Plan, runs: Runs) -> None:
     for student, teacher in plan.teachers.items():
         for number, run in enumerate(runs[student]):
             its = runs[teacher][number % len(runs[teacher])]  # a published one teaches all
-            give(checkpoint.latest(its) / checkpoint.AGENT, run)
+            give(AgentFolder.open(its).weights, run)
 
 
 def published_run(agent: str) -> Path:
@@ -276,5 +277,4 @@ def provenance_of(configs: Iterable[Config], *things: object) -> str:
 
 def agent_digest(run: Path) -> str:
     """Of the last agent of a run folder."""
-    data = read(checkpoint.latest(run) / checkpoint.AGENT)
-    return hashlib.sha256(data).hexdigest()[:16]
+    return AgentFolder.open(run).digest()[:16]

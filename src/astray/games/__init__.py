@@ -19,6 +19,14 @@ from astray.game import Game
 
 OWN = tuple(sorted(module.name for module in pkgutil.iter_modules(__path__) if module.ispkg))
 GROUP = "astray.games"
+# Our variants of what Procgen calls its games and difficulties.
+PROCGEN = {
+    ("coinrun", "hard"): ("coinrun", "procgen"),
+    ("coinrun", "easy"): ("coinrun", "procgen-easy"),
+    ("maze", "hard"): ("maze", "anywhere"),
+    ("maze", "easy"): ("maze", "anywhere-easy"),
+    ("maze", "memory"): ("maze", "anywhere-memory"),
+}
 _registered: dict[str, Game] = {}
 
 

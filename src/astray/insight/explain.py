@@ -12,7 +12,6 @@ from typing import Any
 import matplotlib
 import numpy as np
 import polars as pl
-from jinja2 import Environment, PackageLoader, StrictUndefined
 from matplotlib.colors import TwoSlopeNorm
 from matplotlib.figure import Figure
 
@@ -20,6 +19,7 @@ from astray.analysis import agency
 from astray.analysis.critic import judge, observe, visit
 from astray.analysis.evaluate import evaluate
 from astray.analysis.outcomes import label, load_shift
+from astray.analysis.pages import templates
 from astray.analysis.style import STYLE, save
 from astray.analysis.tables import write_table
 from astray.analysis.trained import Agent
@@ -99,19 +99,16 @@ def explain(asked: Asked, folder: Path, heading: str) -> Path:
             save(part.figure, folder, part.name)
         if part.table is not None:
             write_table(part.table, folder / f"{part.name}.parquet")
-    environment = Environment(
-        loader=PackageLoader("astray.insight", ""),
-        autoescape=True,
-        lstrip_blocks=True,
-        trim_blocks=True,
-        undefined=StrictUndefined,
-    )
-    html = environment.get_template("page.html").render(
-        heading=heading,
-        parts=parts,
-        images={p.name: _embedded(folder, p) for p in parts},
-        drawing=str(asked.level),
-        rows=_cells,
+    html = (
+        templates("astray.insight")
+        .get_template("page.html")
+        .render(
+            heading=heading,
+            parts=parts,
+            images={p.name: _embedded(folder, p) for p in parts},
+            drawing=str(asked.level),
+            rows=_cells,
+        )
     )
     write_aside(folder / PAGE, html.encode())
     return folder / PAGE

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
+from astray.agents.folder import see_new
 from astray.analysis import kept
 from astray.files import hold, read
 from astray.published.download import LARGEST, digest_of, download
@@ -124,8 +125,7 @@ def fetch(one: Published, *, unchecked: bool = False) -> Path:
         return to
     home.mkdir(parents=True, exist_ok=True)
     with hold(home, "fetches an agent to"):  # also until it is imported: the file is one for all
-        if one.name in (*kept.names(), *kept.imported()):
-            raise ValueError(f"there is an agent {one.name!r} already, in {kept.find(one.name)}")
+        see_new(one.name, kept.KEPT, home)
         file = home / DOWNLOADS / one.file
         download(one.address, file, size=one.size, digest=one.digest)
         try:

@@ -12,38 +12,30 @@ from __future__ import annotations
 
 import json
 import os
-import re
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Literal
 
-from jinja2 import Environment, PackageLoader, StrictUndefined, TemplateError
+from jinja2 import TemplateError
 
 from astray import games
 from astray.agents import policy
+from astray.agents.folder import AGENT, CARD, CONFIG, ORIGIN, AgentFolder, made, see_new
 from astray.agents.importers import files
 from astray.agents.importers.imported import Imported
 from astray.analysis import kept
+from astray.analysis.pages import templates
 from astray.bounds import shown
-from astray.files import folder_aside, read, write_aside
+from astray.files import read, write_aside
 from astray.record import LEVELS
 from astray.training import checkpoint
 from astray.training.config import PRESETS, Config
 from astray.training.older import RENAMED
 
-ORIGIN, CHECKS, CARD = "origin.json", "checks.json", "README.md"
-NAME = re.compile(r"[a-z0-9]+(-[a-z0-9]+)*")
+CHECKS = "checks.json"
 LARGEST = 2**20  # bytes of each of these
 SPARED = 1_000_000  # numbers after the training levels, where all levels were trained on
-# Our variants of what Procgen calls its games and difficulties.
-WORLDS = {
-    ("coinrun", "hard"): ("coinrun", "procgen"),
-    ("coinrun", "easy"): ("coinrun", "procgen-easy"),
-    ("maze", "hard"): ("maze", "anywhere"),
-    ("maze", "easy"): ("maze", "anywhere-easy"),
-    ("maze", "memory"): ("maze", "anywhere-memory"),
-}
 
 
 @dataclass(frozen=True)
@@ -76,11 +68,7 @@ def import_agent(file: Path, name: str, known: Known, *, expected: str | None = 
     Raises ValueError where the file is refused, the name is none or taken, or it is not known
     what the agent was trained on.
     """
-    if not NAME.fullmatch(name):
-        raise ValueError(f"an agent's name must be of a-z, 0-9 and -, as maze-corner; got {name!r}")
-    for home in (kept.KEPT, kept.folder()):
-        if (home / name).exists():
-            raise ValueError(f"there is an agent {name!r} in {home} already")
+    see_new(name, kept.KEPT, kept.folder())
     digest = files.digest(file)
     if expected and digest != expected:
         raise ValueError(f"{file} is refused: its SHA-256 is {digest}, not {expected}")
@@ -93,17 +81,15 @@ def import_agent(file: Path, name: str, known: Known, *, expected: str | None = 
         "source": known.source, "licence": known.licence, "about": known.about,
         "facts": known.facts, "file_says": dict(found.told),
     }  # fmt: skip
-    to = kept.folder() / name
-    with folder_aside(to) as aside:
+    with made(kept.folder(), name) as aside:
         there = aside / "checkpoints" / f"{known.steps or 0}"
         there.mkdir(parents=True)
         weights = policy.weights(found.network, found.architecture, config.game)
-        write_aside(there / checkpoint.AGENT, weights)
-        _write(aside / "config.json", {"config": config.to_json()})
+        write_aside(there / AGENT, weights)
+        _write(aside / CONFIG, {"config": config.to_json()})
         _write(aside / ORIGIN, origin)
         write_card(aside, name)
-        os.replace(aside, to)
-    return to
+    return kept.folder() / name
 
 
 def origin(run: Path) -> dict[str, Any]:
@@ -137,15 +123,9 @@ def write_checks(run: Path, checks: list[dict[str, Any]]) -> None:
 def write_card(run: Path, name: str) -> None:
     """Write `README.md` of the agent in `run`."""
     config = checkpoint.read_config(run)
-    network, architecture = policy.load(checkpoint.latest(run) / checkpoint.AGENT, config.game)
+    network, architecture = policy.load(AgentFolder.open(run).weights, config.game)
     checks = run / CHECKS
-    environment = Environment(
-        loader=PackageLoader("astray.published", ""),
-        lstrip_blocks=True,
-        trim_blocks=True,
-        keep_trailing_newline=True,
-        undefined=StrictUndefined,
-    )
+    environment = templates("astray.published", markdown=True)
     environment.filters["cell"] = _cell
     said = origin(run)
     try:
@@ -174,13 +154,13 @@ def _config(file: Path, found: Imported, known: Known) -> tuple[Config, list[str
     """The settings of its training, and which of them were told."""
     game, variant = known.game, known.variant
     if found.world and not game and not variant:
-        if found.world not in WORLDS:
-            there = ", ".join(" ".join(world) for world in WORLDS)
+        if found.world not in games.PROCGEN:
+            there = ", ".join(" ".join(world) for world in games.PROCGEN)
             raise ValueError(
                 f"{file} is refused: it was trained in {shown(' '.join(found.world))} of Procgen, "
                 f"which is none of the games here; there are: {there}"
             )
-        game, variant = WORLDS[found.world]
+        game, variant = games.PROCGEN[found.world]
     if not game or not variant:
         missing = "a game and a variant" if not game else f"a variant of {game}"
         raise ValueError(

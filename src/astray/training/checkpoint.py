@@ -12,7 +12,6 @@ import contextlib
 import json
 import os
 import platform
-import re
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -28,6 +27,7 @@ from safetensors.torch import save as to_bytes
 
 from astray import provenance
 from astray.agents import policy
+from astray.agents.folder import AGENT, LARGEST_CONFIG, TRAINER, latest, steps_saved
 from astray.bounds import brief, shown
 from astray.files import (
     aside_of,
@@ -46,12 +46,6 @@ from astray.training import parallel
 from astray.training.config import Config
 from astray.training.log import METRICS, read_metrics
 from astray.training.trainer import Trainer
-
-AGENT, TRAINER = "agent.safetensors", "trainer.safetensors"
-
-STEPS = re.compile(r"0|[1-9][0-9]{0,17}")  # names of checkpoints
-
-LARGEST_CONFIG = 2**20  # bytes
 
 
 class Claimed(RuntimeError):
@@ -167,20 +161,6 @@ def save(folder: Path, trainer: Trainer) -> None:
             gone = aside_of(place)  # first out of sight: a kill may leave half of it
             os.replace(place, gone)
             remove_left(there, (AGENT, TRAINER))
-
-
-def steps_saved(folder: Path) -> list[int]:
-    """The steps of all checkpoints, ascending."""
-    found = (path for path in (folder / "checkpoints").glob("[0-9]*") if path.is_dir())
-    return sorted(int(path.name) for path in found if STEPS.fullmatch(path.name))
-
-
-def latest(folder: Path) -> Path:
-    """The last checkpoint of the run in `folder`."""
-    steps = steps_saved(folder)
-    if not steps:
-        raise FileNotFoundError(f"{folder} has no checkpoint")
-    return folder / "checkpoints" / f"{steps[-1]}"
 
 
 def restore(folder: Path, trainer: Trainer) -> None:

@@ -1,0 +1,17 @@
+"""Pages and cards, written from templates that lie beside the code that fills them."""
+
+from __future__ import annotations
+
+from jinja2 import Environment, PackageLoader, StrictUndefined
+
+
+def templates(package: str, *, markdown: bool = False) -> Environment:
+    """Return the templates of a package; values on pages are escaped, those in `markdown` not."""
+    return Environment(
+        loader=PackageLoader(package, ""),
+        autoescape=not markdown,
+        keep_trailing_newline=markdown,
+        lstrip_blocks=True,
+        trim_blocks=True,
+        undefined=StrictUndefined,
+    )
