@@ -65,6 +65,15 @@ def test_a_resumed_run_is_the_one_that_was_not_stopped(tmp_path, monkeypatch):
     assert checkpoint.metrics(tmp_path / "parts") == checkpoint.metrics(tmp_path / "whole")
 
 
+def test_progress_is_told_in_lines_where_nobody_sees_a_bar(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr("astray.training.log.EVERY", 0)
+    train(TINY, tmp_path)
+    told = capsys.readouterr()
+    lines = [line for line in told.err.splitlines() if line.startswith("maze corner-small seed 0:")]
+    assert [line.split()[4] for line in lines] == ["256", "512", "768", "1,024"]
+    assert not told.out and told.err.count("\n") == len(lines)
+
+
 def test_validation_never_touches_learning(tmp_path):
     train(TINY, tmp_path / "with", progress=False)
     train(replace(TINY, validation=None), tmp_path / "without", progress=False)

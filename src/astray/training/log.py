@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import reprlib
+import sys
+import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -15,6 +17,7 @@ from astray.files import read, write_aside
 from astray.training.config import Config
 
 METRICS = "metrics.jsonl"  # of a run's folder
+EVERY = 30  # seconds between lines on a standard error that is no terminal
 BEGINNING = '{"steps": '  # of each of its lines
 
 
@@ -69,10 +72,13 @@ class Log:
             TextColumn("{task.fields[text]}"),
             TimeRemainingColumn(),
         )
-        self._bar = Progress(*columns, console=Console(stderr=True), disable=not progress)
-        name = f"{config.game} {config.variant} seed {config.seed}"
+        console = Console(stderr=True)
+        self._in_lines, self._told = progress and not console.is_terminal, time.monotonic()
+        shown = progress and console.is_terminal
+        self._bar = Progress(*columns, console=console, disable=not shown)
+        self._name = f"{config.game} {config.variant} seed {config.seed}"
         self._task = self._bar.add_task(
-            name, total=config.iterations * config.batch, completed=steps, text=""
+            self._name, total=config.iterations * config.batch, completed=steps, text=""
         )
         self._bar.start()
 
@@ -88,6 +94,9 @@ class Log:
         elif "training/reward_per_step" in values:
             text += f"  reward {values['training/reward_per_step']:.3f} a step"
         self._bar.update(self._task, completed=steps, text=text)
+        if self._in_lines and time.monotonic() - self._told >= EVERY:
+            self._told = time.monotonic()
+            print(f"{self._name}: {text}", file=sys.stderr, flush=True)
 
     def __enter__(self) -> Log:
         return self
