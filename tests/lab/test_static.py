@@ -211,12 +211,15 @@ def test_a_splay_is_that_of_python(page):
     )
 
 
-@pytest.mark.parametrize("together", [5, 7])
-def test_a_page_has_the_constants_that_python_has_now(chrome, tmp_path, monkeypatch, together):
-    monkeypatch.setattr(pursuits, "TOGETHER", together)
-    export(make_lab("maze-corner", {}), tmp_path / "site", levels=4, agents=["maze-corner"])
+def test_a_page_has_the_constants_that_python_has_now(chrome, untrained, tmp_path, monkeypatch):
+    monkeypatch.setattr(pursuits, "TOGETHER", 5)
+    architecture = Architecture("mlp", (4, 7, 7), (1, 1, 6, 6), 15, width=8)
+    untrained(tmp_path / "run", architecture, variant="anywhere-small", width=8)
+    asked = {"game": "maze", "variant": "anywhere-small", "agent": "mouse"}
+    lab = Lab(Minds.of({"mouse": tmp_path / "run"}), asked | {"level": 0})
+    export(lab, tmp_path / "site", levels=2, agents=["mouse"])
     with folder_served(tmp_path / "site") as address, opened(chrome, address) as (page, _):
-        here, there = both(page, kind="splay", **MAZE, level=3, thing="goal", draws=3)
+        here, there = both(page, lab, kind="splay", **asked, level=1, thing="goal", draws=3)
     assert dict(zip(map(tuple, here["cells"]), here["outcomes"], strict=True)) == dict(
         zip(map(tuple, there["cells"]), there["outcomes"], strict=True)
     )
