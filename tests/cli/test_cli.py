@@ -175,6 +175,10 @@ def test_an_evaluation_that_finds_no_room_leaves_nothing(run_folder, tmp_path):
         ("level maze corner --set region=5.5", "region must be of type int; got 5.5"),
         ("reproduce maze-cornr", "unknown experiment 'maze-cornr'; there are: agency, "),
         (
+            "reproduce maze-corner maze-cornr",
+            "unknown experiment 'maze-cornr'; there are: agency, ",
+        ),
+        (
             "evaluate nowhere",
             "unknown agent 'nowhere', which is neither a run folder nor a checkpoint",
         ),

@@ -199,8 +199,8 @@ def reproduce_each(
     """
     chosen: list[str] = []
     for name in names:
-        of_size = [n for n in catalogue.NAMES if size in catalogue.load(n).sizes]
-        chosen += of_size if name == ALL else [name]
+        there = catalogue.NAMES if name == ALL else ()
+        chosen += [n for n in there if size in catalogue.load(n).sizes] or [name]
     for name in chosen:
         sized(name, size)
     failed: dict[str, Exception] = {}
