@@ -60,7 +60,8 @@ def on_config(config: MkDocsConfig) -> MkDocsConfig:
         for part in ("games", "experiments", "agents", "api")
     }
     named = [{name.capitalize(): made} for name, made in parts.items() if name != "api"]
-    first, rest = config.nav[:FOUND], config.nav[FOUND:]
+    nav = config.nav or []
+    first, rest = nav[:FOUND], nav[FOUND:]
     config.nav = [*first, *named, *rest, "cli.md", {"API": parts["api"]}]
     return config
 

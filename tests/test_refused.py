@@ -141,7 +141,8 @@ def test_states_of_bytes_are_checked_though_nobody_can_write_to_them(game):
     env = GameVectorEnv(found, variant, 1)
     env.reset(seed=0)
     live, states = env.states[0], env.get_state()
-    found.solver.reachable(live), Level.of(found, variant, live)
+    found.solver.reachable(live)
+    Level.of(found, variant, live)
     states["mt_next"] = 10**9
     (forged,) = np.frombuffer(states.tobytes(), found.state)
     assert not forged.flags.writeable

@@ -329,10 +329,10 @@ def _threads() -> dict[str, tuple[Callable[[Place], Any], Any]]:
         if how == "closed":
             env.close()
         elif how == "reset":
-            for _ in range(20):
+            for _again in range(20):
                 env.reset()
         elif how == "set":
-            for _ in range(20):
+            for _again in range(20):
                 env.set_state(alone.get_state())
         for thread in threads:
             thread.join()

@@ -243,7 +243,7 @@ def _others() -> dict[str, tuple[Callable[[Place], Any], Any]]:
             "pickle": lambda x: pickle.loads(pickle.dumps(x)),
         }[how](env)
         before = env.get_state().tobytes()
-        for _ in range(5):
+        for _again in range(5):
             other.step(np.zeros(2, int))
         if env.get_state().tobytes() != before:
             raise Wrong("a copy's steps were its original's")

@@ -4,6 +4,7 @@ import io
 import itertools
 import pickle
 from collections import OrderedDict, defaultdict
+from typing import Any
 
 import msgpack
 import numpy as np
@@ -85,7 +86,7 @@ def reference(widths):
         f"block{k}": block(*pair) for k, pair in enumerate(itertools.pairwise((3, *widths)), 1)
     }
     embedder["fc"] = nn.Linear(64 * widths[2], 256)
-    network = nn.ModuleDict(
+    network: Any = nn.ModuleDict(
         {
             "embedder": nn.ModuleDict(embedder),
             "fc_policy": nn.Linear(256, 15),

@@ -40,7 +40,7 @@ def trainer(run: Path) -> int | None:
 
 def kill(run: Path, node: bool) -> dict[str, int]:
     """Kill what trains `run` some iterations after a checkpoint: the process, or its whole node."""
-    saved = done = process = None
+    saved, done, process = 0, 0, None
     while not saved or process is None or done < saved + 2 * LONG.batch:
         time.sleep(0.005)
         steps = checkpoint.steps_saved(run)

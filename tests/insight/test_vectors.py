@@ -52,7 +52,7 @@ def test_a_cheese_vector_is_with_less_without(mouse, cheese):
 def test_a_corner_vector_is_with_the_corner_open_less_walled_up(mouse):
     s = initial_states("maze", SMALL, [200_003])[0]
     level = Level.of(MAZE, SMALL, s)
-    x, y = cell_of(level, "corner")
+    x, y = cell_of(level, "corner")  # pyright: ignore
     cells = {char: level.cells.copy() for char in ".#"}
     for char, made in cells.items():
         made[y, x] = MAZE.editing.LEGEND[char]

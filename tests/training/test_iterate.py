@@ -21,7 +21,8 @@ VARIANT = TINY.validation_variant()
 
 def looked_at(iteration):
     """All that a curious caller may do between two iterations."""
-    torch.rand(3), np.random.rand(3)  # noqa: NPY002
+    torch.rand(3)
+    np.random.rand(3)  # noqa: NPY002
     torch.set_num_threads(2)
     iteration.trainer.network(iteration.trainer.player.images[:4])
     astray.evaluate(from_trainer(iteration.trainer), "maze", VARIANT, LEVELS)
