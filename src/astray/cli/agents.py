@@ -322,7 +322,14 @@ def show_shares(shares: pl.DataFrame, names: Mapping[str, str]) -> None:
     names  what to call policies; those that are left out have their own
     """
     outcomes = shares["outcome"].unique(maintain_order=True).to_list()
-    shown = Table("policy", "agents", "levels", *outcomes, title=shares["variant"][0])
+    shown = Table(
+        "policy",
+        "agents",
+        "levels",
+        *outcomes,
+        title=shares["variant"][0],
+        caption="95 % intervals over agents and levels; of one agent over levels, of it alone",
+    )
     for rows in shares.partition_by("policy", "levels_played", maintain_order=True):
         first = rows.row(0, named=True)
         levels = f"{first['levels']} {first['levels_played']}"
