@@ -133,7 +133,8 @@ class Teacher(Lessons):
 class Solver(Lessons):
     """The game's exact solver is asked which action leads the shortest way to the intended goal.
 
-    What it values is the best discounted return, normalised as the student's rewards are by then.
+    What it values is the best discounted return; a student is told that normalised, as its rewards
+    are once the rollout is over.
     """
 
     def __init__(self, config: Config, student: Actor, rollout: Rollout):
@@ -153,10 +154,14 @@ class Solver(Lessons):
                 expert = self.experts[i] = solver.expert(s, self.goal)
             wanted[i, expert(s)] = np.log(SURE)
             values[i] = solver.optimal_return(s, self.goal, self.config.gamma)
-        if self.config.normalise_reward:
-            values = player.normaliser.scaled(values)
         device = self.config.device
         return torch.from_numpy(wanted).to(device), torch.from_numpy(values).float().to(device)
+
+    def samples(self) -> Taught:
+        if self.config.normalise_reward:
+            values = self._value.numpy(force=True)
+            self._value[:] = torch.from_numpy(self.rollout.player.normaliser.scaled(values))
+        return super().samples()
 
 
 def loss(network: Callable, minibatch: Samples, config: Config) -> dict[str, Tensor]:
