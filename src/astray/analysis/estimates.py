@@ -286,7 +286,7 @@ def _satterthwaite(parts: Sequence[tuple[float, float]]) -> float:
     whole = sum(variance for variance, _ in parts)
     squares = sum(variance**2 / freedom for variance, freedom in parts if freedom > 0)
     known = [freedom for _, freedom in parts if 0 < freedom < math.inf]
-    return whole**2 / squares if squares else min(known, default=1.0)
+    return whole**2 / squares if squares else float(min(known, default=1.0))
 
 
 def mean_of(rows: pl.DataFrame, value: str | pl.Expr) -> Estimate:
