@@ -52,9 +52,9 @@ def test_texts_are_settings_and_their_values():
         (["lr"], "a sweep must set NAME=VALUE"),
         (["lr="], "a sweep must set NAME=VALUE"),
         (["lr=1", "learning_rate=2"], "once for each name"),
-        (["seed=1,2"], "unknown setting 'seed'; there are: game, variant"),
-        (["colour=red"], "unknown setting 'colour'"),
-        (["variant.colour=1"], "unknown knob 'colour'; there are"),
+        (["seed=1,2"], "unknown setting or knob 'seed'; there are: game, variant"),
+        (["colour=red"], "unknown setting or knob 'colour'"),
+        (["variant.colour=1"], "unknown setting or knob 'colour'; there are"),
         (["variant=nowhere"], "unknown variant 'nowhere'"),
         (["width=8,8"], "width must take each value once"),
         (["teacher=ada"], "a sweep has no teachers; got teacher 'ada'"),
@@ -181,7 +181,7 @@ def test_the_verb_trains_in_processes(astray, tmp_path):
     ]  # fmt: skip
     assert astray(*words).strip() == str(tmp_path / "sweep" / "report.html")
     assert len(list((tmp_path / "sweep" / "agents").glob("*/seed-0/config.json"))) == 2
-    assert "unknown setting 'colour'" in astray(*words, "--set", "colour=1", fails=True)
+    assert "unknown setting or knob 'colour'" in astray(*words, "--set", "colour=1", fails=True)
 
 
 def test_trainings_are_those_of_the_workers():

@@ -126,7 +126,10 @@ def test_the_list_says_what_is_here_and_what_was_not_tried(astray, home, tmp_pat
         ("agents fetch yrc-bench", "cannot be fetched: download the archive"),
         ("agents check maze-corner", "comes with astray; its card"),
         ("agents check squid", "unknown agent 'squid'"),
-        ("evaluate squid", "squid is neither a run folder nor a checkpoint in one"),
+        (
+            "evaluate squid",
+            "unknown agent 'squid', which is neither a run folder nor a checkpoint in one",
+        ),
     ],
 )
 def test_mistakes_are_explained(astray, home, words, message):
