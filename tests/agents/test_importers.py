@@ -4,6 +4,7 @@ import io
 import os
 import pickle
 import struct
+import zipfile
 
 import msgpack
 import numpy as np
@@ -138,6 +139,36 @@ def test_pools_of_uneven_sides_are_padded_on_both():
 def test_what_is_no_agent_of_cleanba_is_refused(data, why):
     with pytest.raises(ValueError, match=why):
         cleanrl.read(data)
+
+
+def doubled(depth, zipped):
+    """A file whose dictionary has a key of `depth` tuples, each of the last one twice."""
+    pairs = [b"h" + bytes([i]) + b"\x86q" + bytes([i + 1]) for i in range(1, depth + 1)]
+    data = b"\x80\x02}q\x00K\x01\x85q\x01" + b"".join(pairs) + b"K\x01s."
+    file = io.BytesIO()
+    with zipfile.ZipFile(file, "w") as archive:
+        for name, text in (("data.pkl", data), ("version", b"3\n"), ("byteorder", b"little")):
+            archive.writestr(f"archive/{name}", text)
+    return file.getvalue() if zipped else data
+
+
+@pytest.mark.parametrize("zipped", [True, False])
+def test_a_key_of_shared_tuples_is_refused_before_it_is_hashed(zipped):
+    assert pickle.loads(doubled(10, zipped=False))  # it is a pickle; of 60 it would take years
+    with pytest.raises(ValueError, match="the same tuple many times"):
+        pth.read(doubled(60, zipped))
+
+
+@pytest.mark.parametrize("old", [True, False])
+def test_files_with_an_optimizer_share_no_tuples(old):
+    network = torch.nn.Linear(3, 3)
+    optimizer = torch.optim.Adam(network.parameters())
+    network(torch.ones(3)).sum().backward()
+    optimizer.step()
+    file = io.BytesIO()
+    held = {"state_dict": network.state_dict(), "optimizer_state_dict": optimizer.state_dict()}
+    torch.save(held, file, _use_new_zipfile_serialization=not old)
+    pth.see_unshared(file.getvalue())
 
 
 def test_channels_of_any_widths_are_kept_with_the_weights(tmp_path):

@@ -7,10 +7,14 @@ different names: images are divided by 255, actions are sampled from the policy.
 
 from __future__ import annotations
 
+import contextlib
 import io
 import pickle
+import pickletools
 import re
 import warnings
+import zipfile
+import zlib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -22,6 +26,14 @@ from astray.agents.importers.imported import ACTIONS, SHAPE, Imported, build, ch
 from astray.agents.policy import Architecture
 from astray.bounds import shown
 
+MOST_AGAIN = 16  # times that a file takes a tuple out of its memo; those of torch never do
+# Instructions after which what is on top is no tuple.
+MAKES_OTHERS = {
+    "BINUNICODE", "SHORT_BINUNICODE", "GLOBAL", "STACK_GLOBAL", "EMPTY_DICT", "EMPTY_LIST",
+    "BINPERSID", "REDUCE", "NEWOBJ", "BUILD", "SETITEM", "SETITEMS", "APPEND", "APPENDS",
+    "SHORT_BINBYTES", "BINBYTES", "LONG1",
+}  # fmt: skip
+LARGEST_PICKLE = 64_000_000  # bytes; the names and shapes of weights take some 10,000
 HOLDS = ("model_state_dict", "state_dict")
 
 
@@ -93,6 +105,7 @@ def read(data: bytes) -> Imported:
 
 
 def _load(data: bytes) -> Any:
+    see_unshared(data)
     try:
         with warnings.catch_warnings(action="ignore"):  # of a format that it then refuses
             return torch.load(io.BytesIO(data), map_location="cpu", weights_only=True)
@@ -106,6 +119,40 @@ def _load(data: bytes) -> Any:
     except Exception as error:  # torch raises nearly anything for what is no file of its own
         first = (str(error).strip().splitlines() or [type(error).__name__])[0]
         raise ValueError(f"it is damaged, or no file of torch: {first}") from error
+
+
+def see_unshared(data: bytes) -> None:
+    """Raise ValueError if the pickles in a file's bytes use a tuple again and again.
+
+    A tuple of two that are the same, of two that are the same, and so on, is short to write and
+    takes 2 to the power of its depth to hash, so as a key it would keep torch busy for ever.
+    """
+    try:
+        with zipfile.ZipFile(io.BytesIO(data)) as archive:
+            inside = [one for one in archive.infolist() if one.filename.endswith("data.pkl")]
+            if sum(one.file_size for one in inside) > LARGEST_PICKLE:
+                raise ValueError(f"its data.pkl has more than {LARGEST_PICKLE:,} bytes")
+            pickles = [archive.read(one) for one in inside]
+    except (zipfile.BadZipFile, NotImplementedError, RuntimeError, zlib.error, EOFError):
+        pickles = [data]  # as torch wrote them before 1.6; else torch says what is wrong
+    for raw in pickles:
+        again, is_tuple = 0, {}  # the latter as the memo's entries
+        with contextlib.suppress(Exception):  # what is no pickle torch refuses
+            file = io.BytesIO(raw)
+            while file.tell() < len(raw):
+                before = ""
+                for instruction, argument, _ in pickletools.genops(file):
+                    name = instruction.name
+                    if name in ("BINPUT", "LONG_BINPUT", "PUT", "MEMOIZE"):
+                        entry = len(is_tuple) if name == "MEMOIZE" else argument
+                        is_tuple[entry] = before not in MAKES_OTHERS
+                    elif name in ("BINGET", "LONG_BINGET", "GET"):
+                        again += is_tuple.get(argument, False)
+                    elif name == "DUP":
+                        again += MOST_AGAIN + 1
+                    before = name
+        if again > MOST_AGAIN:
+            raise ValueError("it uses the same tuple many times, which weights do not need")
 
 
 def _tensors(found: Any, size: int) -> dict[str, Tensor]:
