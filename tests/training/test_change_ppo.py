@@ -143,7 +143,7 @@ def test_an_edit_of_ours_is_seen(edit, monkeypatch):
 
 
 EDITS = {  # of `loop.collect`
-    "intrinsic reward": ("player.settle()", "player.settle(); reward[::2] += 1"),
+    "intrinsic reward": ("player.settle()", "player.settle(); rollout.reward[::2] += 1"),
     "other noise": ("begin(config.num_steps)", "begin(config.num_steps); rollout.noise.mul_(0.5)"),
 }
 
@@ -164,8 +164,8 @@ def test_an_edit_of_the_loop_is_what_trains_by_default(edit, monkeypatch):
 def test_another_exploration_is_what_acts_by_default(monkeypatch):
     act = player.act
 
-    def always_the_third(network, observation, noise):
-        action, *rest = act(network, observation, noise)
+    def always_the_third(*given):
+        action, *rest = act(*given)
         return torch.full_like(action, 3), *rest
 
     monkeypatch.setattr(player, "act", always_the_third)

@@ -11,6 +11,7 @@ NETWORKS = (
     "impala", "impala-same", "mlp", "clear", "nature", "overlap", "patch", "patch-pooled",
     "patch-impala", "cells",
 )  # fmt: skip
+CELLS = ("gru", "lstm")  # that any of them can have on top, as in "mlp+gru"
 RENAMED = {"small": "mlp"}  # as older files have them, and what they are called now
 
 
@@ -19,8 +20,17 @@ def renamed_network(name: Any) -> Any:
     return RENAMED.get(name, name) if isinstance(name, str) else name
 
 
+def is_own(name: str) -> bool:
+    """Whether a network of that name is one of astray's own."""
+    body, plus, cell = name.partition("+")
+    return body in NETWORKS and (cell in CELLS if plus else True)
+
+
 def check_network(name: str) -> None:
     """ValueError where no network can have that name."""
-    if name not in NETWORKS and not imports.is_name(name):
-        there = ", ".join(NETWORKS)
-        raise ValueError(f"unknown network {name!r}; there are: {there}, and module:Class")
+    if not is_own(name) and not imports.is_name(name):
+        there, cells = ", ".join(NETWORKS), " or ".join(f"+{cell}" for cell in CELLS)
+        raise ValueError(
+            f"unknown network {name!r}; there are: {there}, each with {cells} for memory, and "
+            "module:Class"
+        )

@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import json
 from collections.abc import Callable, Iterator
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -20,8 +20,9 @@ from astray.agents.cells import Cells
 from astray.agents.clear import Clear
 from astray.agents.impala import WIDTHS, Impala
 from astray.agents.mlp import MLP
-from astray.agents.names import NETWORKS, check_network, renamed_network
+from astray.agents.names import check_network, is_own, renamed_network
 from astray.agents.patch import nature, overlap, patch, patch_impala
+from astray.agents.recurrent import WithCell
 from astray.bounds import brief
 from astray.files import see_readable
 
@@ -62,8 +63,11 @@ class Architecture:
 
         Raises ValueError where it is neither astray's own nor known: see `imports.known`.
         """
-        if self.name not in NETWORKS:
+        if not is_own(self.name):
             return imports.known(self.name, GROUP, nn.Module)(self)
+        name, _, cell = self.name.partition("+")
+        if cell:
+            return WithCell(replace(self, name=name).build(), cell)  # pyright: ignore
         if (self.name != "mlp") != (not self.largest):
             seen = "symbolic planes" if self.largest else "images"
             raise ValueError(f"network {self.name!r} does not see {seen}")
@@ -195,17 +199,22 @@ def products(network: nn.Module, shape: tuple[int, ...], device: str = "cpu") ->
 
 @torch.no_grad()
 def outputs(
-    network: Callable[[Tensor], tuple[Tensor, Tensor]], observations: Tensor, chunk: int = 64
-) -> tuple[Tensor, Tensor]:
+    network: Callable[..., tuple[Tensor, ...]],
+    observations: Tensor,
+    chunk: int = 64,
+    *memory: Tensor,
+) -> tuple[Tensor, ...]:
     """Logits [B, A] and values [B], the same for an observation whatever stands beside it.
+
+    memory  of a network that has one: its states, and the episodes that begin; then the next
+            states [B, ...] are returned, too
 
     A matrix product of another size may round differently, so the network always sees exactly
     `chunk` observations, the last ones padded with zeros.
     """
-    logits, values = [], []
-    for part in observations.split(chunk):
-        padding = part.new_zeros((chunk - len(part), *part.shape[1:]))
-        some_logits, some_values = network(torch.cat([part, padding]))
-        logits.append(some_logits[: len(part)])
-        values.append(some_values[: len(part)])
-    return torch.cat(logits), torch.cat(values)
+    found = []
+    for parts in zip(*(x.split(chunk) for x in (observations, *memory)), strict=True):
+        n = len(parts[0])
+        padded = (torch.cat([x, x.new_zeros((chunk - n, *x.shape[1:]))]) for x in parts)
+        found.append([x[:n] for x in network(*padded)])
+    return tuple(torch.cat(column) for column in zip(*found, strict=True))

@@ -17,7 +17,8 @@ from gymnasium.spaces import Discrete
 
 from astray.acting import Answer, Turn
 from astray.agents import policy as trained
-from astray.analysis.trained import AT_ONCE, chosen
+from astray.agents.recurrent import Recurrent
+from astray.analysis.trained import AT_ONCE, chosen, recalled
 from astray.bounds import shown
 from astray.envs.vector import Observation
 from astray.game import OWN
@@ -142,10 +143,14 @@ class Learner:
         return self.trainer.config.art
 
     def actions(self, turn: Turn) -> Answer:
-        config = self.trainer.config
-        shown = torch.from_numpy(turn.observations).to(config.device)
-        logits, _ = trained.outputs(self.trainer.network, shown, AT_ONCE[self.observation])
-        return Answer(chosen(logits, self.mode, config.seed, turn.env))
+        config, network, memory = self.trainer.config, self.trainer.network, None
+        chunk = AT_ONCE[self.observation]
+        if isinstance(network, Recurrent):
+            logits, memory = recalled(network, turn, config.device, chunk)
+        else:
+            shown = torch.from_numpy(turn.observations).to(config.device)
+            logits = trained.outputs(network, shown, chunk)[0]
+        return Answer(chosen(logits, self.mode, config.seed, turn.env), memory)
 
 
 def from_trainer(trainer: Trainer, mode: Literal["sampled", "greedy"] = "sampled") -> Learner:

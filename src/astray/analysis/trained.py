@@ -13,7 +13,8 @@ import torch
 
 from astray.acting import Answer, Turn
 from astray.agents import policy
-from astray.agents.names import NETWORKS
+from astray.agents.names import is_own
+from astray.agents.recurrent import Recurrent
 from astray.analysis.policies import episode_noise
 from astray.bounds import of_kind
 from astray.envs.vector import GameVectorEnv, Observation
@@ -39,6 +40,18 @@ def chosen(
     return ppo.sample(logits, uniform.to(logits.device))[0].numpy(force=True)
 
 
+def recalled(
+    network: Recurrent, turn: Turn, device: str, chunk: int
+) -> tuple[torch.Tensor, torch.Tensor]:
+    """The logits [N, A] of a network with memory in a turn, and its states then."""
+    shown, begins = (torch.from_numpy(x).to(device) for x in (turn.observations, turn.begins))
+    state = turn.memory
+    if state is None:
+        state = torch.zeros((len(shown), network.memory), device=device)
+    logits, _, state = policy.outputs(network.recall, shown, chunk, state, begins)
+    return logits, state
+
+
 @dataclass
 class Agent:
     """A trained network; `mode` "sampled" draws from its policy, "greedy" takes the likeliest."""
@@ -60,7 +73,7 @@ class Agent:
         check_words(self)
         self.network, self.architecture = policy.load(self.path, self.game, self.device)
         self.threads = torch.get_num_threads()
-        if self.architecture.name in NETWORKS:  # others may not bear to be tried
+        if is_own(self.architecture.name):  # others may not bear to be tried
             each = policy.products(self.network, self.architecture.shape, self.device)
             if each * AT_ONCE[self.observation] < FEW:
                 self.threads = 1
@@ -74,8 +87,16 @@ class Agent:
         return "symbolic" if self.architecture.largest else "image"
 
     def outputs(self, observations: np.ndarray) -> tuple[torch.Tensor, torch.Tensor]:
-        """Logits [N, A] and values [N] on `observations` [N, ...]."""
+        """Logits [N, A] and values [N] on `observations` [N, ...].
+
+        Raises ValueError where the agent has a memory: what it says depends on what was before.
+        """
         of_kind("observations", observations, np.ndarray)
+        if isinstance(self.network, Recurrent):
+            raise ValueError(
+                f"the agent at {self.path} has a memory: it can be played, and not yet be asked "
+                "about observations out of their episodes"
+            )
         if self._kept and self._kept[0] is observations:
             return self._kept[1]
         shown, known = observations.shape[1:], self.architecture.shape
@@ -86,12 +107,12 @@ class Agent:
         before = torch.get_num_threads()
         torch.set_num_threads(self.threads)
         try:
-            found = policy.outputs(self.network, shown_here, chunk)
+            logits, values = policy.outputs(self.network, shown_here, chunk)
         finally:
             torch.set_num_threads(before)
         if self._keeps:
-            self._kept = observations, found
-        return found
+            self._kept = observations, (logits, values)
+        return logits, values
 
     @contextlib.contextmanager
     def asked_once(self) -> Iterator[None]:
@@ -111,7 +132,12 @@ class Agent:
             raise ValueError(
                 f"the agent is to see art {self.art!r}; these images are drawn with {env.art!r}"
             )
-        logits, _ = self.outputs(turn.observations)
+        memory = None
+        if isinstance(self.network, Recurrent):
+            chunk = AT_ONCE[self.observation]
+            logits, memory = recalled(self.network, turn, self.device, chunk)
+        else:
+            logits, _ = self.outputs(turn.observations)
         if not logits.isfinite().all():
             raise ValueError(f"the agent at {self.path} gives logits that are not finite")
-        return Answer(chosen(logits, self.mode, self.seed, env))
+        return Answer(chosen(logits, self.mode, self.seed, env), memory)

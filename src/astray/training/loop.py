@@ -212,7 +212,7 @@ def improve(trainer: Trainer) -> tuple[dict[str, float], dict[str, float]]:
     rollout = play(trainer)
     played = time.perf_counter()
     metrics = {}
-    if trainer.iteration == 0 and not trainer.fast.using.of_network:
+    if trainer.iteration == 0 and not (trainer.fast.using.of_network or trainer.memory):
         see_memoryless(trainer.network, rollout.flat(), config)
     if trainer.iteration == 0 and trainer.fast.using.bfloat16:
         first = torch.arange(config.batch // config.minibatches, device=config.device)
@@ -291,26 +291,23 @@ def collect(trainer: Trainer) -> Samples:
     """
     config, player, rollout = trainer.config, trainer.player, trainer.actor.rollout
     teacher = trainer.teacher if trainer.is_taught else None
-    shape = config.num_steps, len(player.images)
-    reward, terminated, truncated = np.empty(shape), *np.empty((2, *shape), bool)
-    cut: list[tuple[np.ndarray, np.ndarray]] = []  # indices of episodes cut off, and what they show
+    cut: list[tuple[Any, ...]] = []  # indices of episodes cut off, what they show, and the memory
     rollout.begin(config.num_steps)
     for step in acting.play(teacher or trainer.actor, player, config.num_steps):
-        at = step.t, step.where
-        reward[at], terminated[at], truncated[at] = step.reward, step.terminated, step.truncated
+        rollout.note(step)
         if step.cut:
-            cut.append(step.cut)
+            cut.append((*step.cut, rollout.after[step.cut[0][1]]))
     player.settle()
     if teacher:
         if config.taught < 1:
-            rollout.take_in(reward, terminated | truncated)
+            rollout.take_in()
         return teacher.samples()
     next_value = rollout.value[1:].clone()
     if cut:
-        indices, shown_last = zip(*cut, strict=True)
+        indices, shown_last, memory = zip(*cut, strict=True)
         steps, where = torch.from_numpy(np.concatenate(indices, 1))
-        next_value[steps, where] = trainer.fast.values(shown_last)
-    rollout.estimate(config, next_value, reward, terminated, truncated)
+        next_value[steps, where] = trainer.fast.values(shown_last, memory)
+    rollout.estimate(config, next_value)
     return rollout.samples()
 
 
@@ -336,9 +333,9 @@ def update(trainer: Trainer, rollout: Samples, rate: float) -> dict[str, float]:
     names, sums, first_kl = [], None, None
     for _ in range(config.epochs):
         order = torch.randperm(
-            config.batch, generator=trainer.player.generator, device=config.device
+            len(samples) * parallel.size(), generator=trainer.player.generator, device=config.device
         )
-        if len(samples) < config.batch:  # of several processes, which draw alike
+        if parallel.size() > 1:  # which draw alike
             order = order[order < len(samples)]
         for indices in order.split(len(samples) // config.minibatches):
             measured = step(indices)

@@ -17,7 +17,7 @@ from astray.game import Variant
 from astray.training import parallel, ppo
 from astray.training.config import Config
 from astray.training.levels import Plan, Played, Sampler
-from astray.training.ppo import RewardNormaliser, Samples
+from astray.training.ppo import RewardNormaliser, Samples, Sequences
 
 LEVELS = "levels."  # before the names of a sampler's arrays, in a checkpoint
 RECENT = 100  # ended episodes that the logged means are over
@@ -272,38 +272,57 @@ class Rollout:
     Of the last step there is only what came before it, and the critic's value of that.
     """
 
-    def __init__(self, player: Player, slots: int):
-        """slots  steps that are kept; then the first is overwritten"""
+    def __init__(self, player: Player, slots: int, memory: int = 0):
+        """slots  steps that are kept; then the first is overwritten
+
+        memory  numbers of the network's state, 0 without one
+        """
         self.player, self.slots, device = player, slots, torch.device(player.device)
         n, *shape = player.images.shape
         self.observation = torch.empty((slots + 1, n, *shape), dtype=torch.uint8, device=device)
         self.action = torch.empty((slots + 1, n), dtype=torch.int64, device=device)
         self.log_probability, self.value = torch.empty((2, slots + 1, n), device=device)
         self.advantage, self.target = torch.zeros((2, slots, n), device=device)
+        self.begins = torch.zeros((slots + 1, n), dtype=torch.bool, device=device)
+        # The network's state before what is shown now, after it, and at the rollout's beginning.
+        self.state, self.after, self._first = torch.zeros((3, n, memory), device=device)
 
     def begin(self, steps: int) -> None:
-        """Draw what the actions of so many steps are drawn with."""
-        self.noise = self.player.noise(steps)
+        """Draw what the actions of so many steps are drawn with, and forget what was noted."""
+        self.noise, self._first = self.player.noise(steps), self.state.clone()
+        shape = steps, len(self.state)
+        self.reward, ends = np.empty(shape), np.empty((2, *shape), bool)
+        self.terminated, self.truncated = ends
 
-    def estimate(
-        self,
-        config: Config,
-        next_value: Tensor,
-        reward: np.ndarray,
-        terminated: np.ndarray,
-        truncated: np.ndarray,
-    ) -> None:
+    def recalled(self, t: int, group: int, begins: np.ndarray) -> tuple[Tensor, ...]:
+        """What a network with memory is given beside observations: states, and who begins."""
+        if not self.state.shape[1]:
+            return ()
+        slot, where = t % (self.slots + 1), self.player.groups[group]
+        if t:  # else a rollout begins with what the last one ended with
+            self.state[where] = self.after[where]
+        self.begins[slot, where] = torch.from_numpy(begins).to(self.begins.device)
+        return self.state[where], self.begins[slot, where]
+
+    def note(self, step: Stepped) -> None:
+        """Keep what a step led to."""
+        at = step.t, step.where
+        self.reward[at], self.terminated[at] = step.reward, step.terminated
+        self.truncated[at] = step.truncated
+
+    def estimate(self, config: Config, next_value: Tensor) -> None:
         """Make advantages, and targets of the critic, of a rollout's rewards, all [T, N].
 
         Rewards are normalised by what the player has seen so far, this rollout included;
         advantages are normalised over all environments. Levels that are only scored leave no trace
         in what rewards are normalised by.
         """
-        player, value, given = self.player, self.value[:-1], reward
+        player, value, reward, given = self.player, self.value[:-1], self.reward, self.reward
+        terminated, truncated = self.terminated, self.truncated
         if config.normalise_reward and not player.learns:
             reward = player.normaliser.scaled(reward)
         elif config.normalise_reward:
-            reward = self.take_in(reward, terminated | truncated)
+            reward = self.take_in()
         ends, cuts = (torch.from_numpy(x).to(value.device) for x in (terminated, truncated))
         if config.timeouts == "terminate":
             ends = ends | cuts
@@ -318,24 +337,31 @@ class Rollout:
             advantage = ppo.normalised(joined.to(value.device))[:, player.here]
         self.advantage[:] = advantage
 
-    def take_in(self, reward: np.ndarray, ended: np.ndarray) -> np.ndarray:
+    def take_in(self) -> np.ndarray:
         """Rewards [T, N], normalised by what was seen so far, over all processes' environments."""
-        player = self.player
-        pairs = zip(*(parallel.joined(x, 1) for x in (reward, ended)), strict=True)
+        player, both = self.player, (self.reward, self.terminated | self.truncated)
+        pairs = zip(*(parallel.joined(x, 1) for x in both), strict=True)
         return np.stack([player.normaliser(*pair)[player.here] for pair in pairs])
 
     def samples(self) -> Samples:
         """What is learned from; the next rollout overwrites it."""
-        seen, action, old, value = (
-            x[:-1] for x in (self.observation, self.action, self.log_probability, self.value)
+        seen, action, old, value, begins = (
+            x[:-1]
+            for x in (self.observation, self.action, self.log_probability, self.value, self.begins)
         )
-        return Samples(seen, action, old, value, self.advantage, self.target)
+        whole = seen, action, old, value, self.advantage, self.target
+        if self.state.shape[1]:
+            return Sequences(*whole, begins, self._first)
+        return Samples(*whole)
 
 
-def act(network: Callable, observation: Tensor, noise: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """Actions drawn from the network's policy, their log-probabilities, and its values, [n]."""
-    logits, value = network(observation)
-    return *ppo.sample(logits, noise), value
+def act(network: Callable, noise: Tensor, *shown_here: Tensor) -> tuple[Tensor, ...]:
+    """Actions drawn from the network's policy, their log-probabilities, and its values, [n].
+
+    A network with memory also returns the states that it is in then.
+    """
+    logits, value, *state = network(*shown_here)
+    return *ppo.sample(logits, noise), value, *state
 
 
 class Actor:
@@ -351,8 +377,11 @@ class Actor:
         at = t % (kept.slots + 1), kept.player.groups[group]
         kept.observation[at] = turn.observations
         noise = kept.noise[min(t, len(kept.noise) - 1), at[1]]
-        action, log_probability, value = act(self.network, kept.observation[at], noise)
-        kept.action[at], kept.log_probability[at], kept.value[at] = action, log_probability, value
+        memory = kept.recalled(t, group, turn.begins)
+        action, old, value, *state = act(self.network, noise, kept.observation[at], *memory)
+        kept.action[at], kept.log_probability[at], kept.value[at] = action, old, value
+        if state:
+            kept.after[at[1]] = state[0]
         self._chosen[group] = action.numpy(force=True)
 
     def receive(self, group: int) -> Answer:

@@ -12,6 +12,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from astray.agents.recurrent import Recurrent
 from astray.training.config import Config
 
 
@@ -42,6 +43,34 @@ class Samples:
 
     def __len__(self) -> int:
         return len(self.action)
+
+
+@dataclass(frozen=True)
+class Sequences(Samples):
+    """Samples of a network with memory: a minibatch is whole sequences of environments."""
+
+    begins: Tensor  # [T, N] bool, or [T * B] of a minibatch: an episode's first step
+    state: Tensor  # [N, memory], before the first step
+
+    def flat(self) -> Sequences:
+        return self
+
+    def at(self, indices: Tensor) -> Sequences:
+        """Those of the environments at `indices` [B], [T * B], step by step."""
+        steps = {k: x.index_select(1, indices).flatten(0, 1) for k, x in self._by_step().items()}
+        return Sequences(**steps, state=self.state.index_select(0, indices))
+
+    def said(self, network: Recurrent) -> tuple[Tensor, Tensor]:
+        """Logits [T * B, actions] and values [T * B] of a minibatch, from its states on."""
+        shown, begins = (x.unflatten(0, (-1, len(self))) for x in (self.observation, self.begins))
+        logits, values, _ = network.unroll(shown, self.state, begins)
+        return logits.flatten(0, 1), values.flatten()
+
+    def _by_step(self) -> dict[str, Tensor]:
+        return {name: x for name, x in vars(self).items() if name != "state"}
+
+    def __len__(self) -> int:
+        return len(self.state)
 
 
 def loss(network: Callable, minibatch: Samples, config: Config) -> dict[str, Tensor]:

@@ -19,6 +19,7 @@ from torch import Tensor
 
 from astray.acting import Actor, Answer, Turn
 from astray.agents import policy
+from astray.agents.recurrent import Recurrent
 from astray.envs.vector import GameVectorEnv
 from astray.files import make_folder, read, remove_empty, remove_made, see_own, write_aside
 from astray.record import trusted
@@ -107,6 +108,8 @@ class Teacher(Lessons):
             raise FileNotFoundError(
                 f"the teacher {config.teacher} must be at {path}; see `astray distil`"
             ) from None
+        if isinstance(self.network, Recurrent):
+            raise ValueError(f"the teacher {config.teacher} must have no memory; got {known.name}")
         symbolic = bool(known.largest)
         self.env = GameVectorEnv(
             config.game,

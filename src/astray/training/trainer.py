@@ -10,8 +10,9 @@ import torch
 from torch import Tensor, nn
 
 from astray import imports
-from astray.agents.names import NETWORKS
+from astray.agents.names import is_own
 from astray.agents.policy import Architecture
+from astray.agents.recurrent import Recurrent
 from astray.bounds import of_kind
 from astray.memory import check_memory
 from astray.training import parallel, ppo
@@ -75,7 +76,7 @@ class Trainer:
             config.width,
         )
         # The user's own words: what they name may be imported.
-        own = config.network in NETWORKS
+        own = is_own(config.network)
         build = network or (Architecture.build if own else imports.find(config.network))
         self._check_memory(build)
         with torch.random.fork_rng(devices=[]):
@@ -84,11 +85,14 @@ class Trainer:
             if not own:
                 _see_outputs(self.network, self.architecture, self.player.images.to(config.device))
         self.weights = list(self.network.parameters())
+        self.memory = self.network.memory if isinstance(self.network, Recurrent) else 0
+        if self.memory:
+            _see_sequences(config)
         usual = ppo.loss if config.teacher is None else distilled
         what = loss or (imports.find(config.loss) if config.loss else usual)
         self.fast = acceleration.accelerate(self.network, what, config, self.architecture)
-        self.actor = self._acts(Rollout(self.player, config.num_steps))
-        self.validator = self.validation and self._acts(Rollout(self.validation, 1))
+        self.actor = self._acts(self.player, config.num_steps)
+        self.validator = self.validation and self._acts(self.validation, 1)
         self.teacher: Teacher | Solver | None = None
         if config.teacher == SOLVER:
             self.teacher = Solver(config, self.actor, self.actor.rollout)
@@ -106,8 +110,9 @@ class Trainer:
             capturable=graphs,
         )
 
-    def _acts(self, rollout: Rollout) -> Actor | Ahead:
-        if self.config.device == "cuda":
+    def _acts(self, player: Player, slots: int) -> Actor | Ahead:
+        rollout = Rollout(player, slots, self.memory)
+        if self.config.device == "cuda" and not self.memory:
             return Ahead(self.fast.network, rollout, self.fast.using.cudagraphs)
         return Actor(self.fast.network, rollout)
 
@@ -172,9 +177,17 @@ class Trainer:
         result = {"steps": torch.tensor([self.steps])}
         for name, player in self.players().items():
             result |= {f"{name}.{key}": value for key, value in player.tensors().items()}
+        for name, rollout in self._remembers():
+            states = parallel.joined(rollout.state.numpy(force=True))
+            result[f"{name}.memory"] = torch.from_numpy(states)
         for k, moments in self.optimizer.state_dict()["state"].items():
             result |= {f"adam.{k}.{key}": value.cpu() for key, value in moments.items()}
         return result
+
+    def _remembers(self) -> list[tuple[str, Rollout]]:
+        """The rollouts whose states a checkpoint must hold, by the players' names."""
+        actors = {"training": self.actor, "validation": self.validator}
+        return [(name, a.rollout) for name, a in actors.items() if a and self.memory]
 
     def _check(self, tensors: dict[str, Tensor]) -> None:
         """See that `tensors` are, by name, type and shape, what this training's would be.
@@ -208,6 +221,8 @@ class Trainer:
         self.steps = int(tensors["steps"])
         for name, player in self.players().items():
             player.restore(_below(tensors, f"{name}."))
+        for name, rollout in self._remembers():
+            rollout.state = tensors[f"{name}.memory"][self.player.here].to(self.config.device)
         adam = self.optimizer.state_dict()
         count = len(adam["param_groups"][0]["params"])
         adam["state"] = {k: _below(tensors, f"adam.{k}.") for k in range(count)}
@@ -245,6 +260,17 @@ def _see_outputs(network: nn.Module, architecture: Architecture, shown: Tensor) 
         raise ValueError(
             f"a network must return logits {wanted[0]} and values {wanted[1]}; got {got}"
         )
+
+
+def _see_sequences(config: Config) -> None:
+    """ValueError where a network with memory cannot be trained so."""
+    if config.num_envs // parallel.size() % config.minibatches:
+        raise ValueError(
+            f"a minibatch of a network with memory has whole environments: {config.num_envs} of "
+            f"{parallel.size()} processes are not divided by {config.minibatches} minibatches"
+        )
+    if config.teacher is not None:
+        raise ValueError(f"a student must have no memory; got network={config.network!r}")
 
 
 def _see_alike(config: Config, trained: tuple | None, validated: tuple | None) -> None:

@@ -32,10 +32,11 @@ from astray.agents.impala import Impala
 from astray.agents.mlp import MLP
 from astray.agents.patch import Convolutions
 from astray.agents.policy import Architecture
+from astray.agents.recurrent import Recurrent
 from astray.training import parallel, ppo, teacher
 from astray.training.config import Config
 from astray.training.fast import fused, microbatches, sparse
-from astray.training.ppo import Samples
+from astray.training.ppo import Samples, Sequences
 
 Loss = Callable[[Any, Samples, Config], dict[str, Tensor]]
 OURS = (Cells, Clear, Convolutions, Impala, MLP)
@@ -171,9 +172,14 @@ class Accelerated:
     plain: Loss  # as it is written
     config: Config
 
-    def values(self, parts: Sequence[np.ndarray]) -> Tensor:
-        """The critic's values of observations in `parts` [n, ...], end to end."""
+    def values(self, parts: Sequence[np.ndarray], memory: Sequence[Tensor]) -> Tensor:
+        """The critic's values of observations in `parts` [n, ...], end to end.
+
+        memory  the network's states before them, [n, memory], of one that has it
+        """
         shown = [torch.from_numpy(part).to(self.config.device) for part in parts]
+        if memory[0].shape[1]:
+            return torch.cat([self._recalled(*part) for part in zip(shown, memory, strict=True)])
         if self.config.device == "cuda":  # cuDNN searches anew for every other number at once
             here = parallel.share(self.config.num_envs)
             at_once = (here.stop - here.start) // self.using.groups
@@ -181,6 +187,10 @@ class Accelerated:
         if self.using.together:  # a call for each step took a fifth of playing
             shown = torch.cat(shown).split(AT_ONCE)
         return torch.cat([self.any_number(part)[1] for part in shown])
+
+    def _recalled(self, shown: Tensor, state: Tensor) -> Tensor:
+        goes_on = torch.zeros(len(shown), dtype=torch.bool, device=shown.device)
+        return self.any_number(shown, state, goes_on)[1]
 
 
 def accelerate(
@@ -190,6 +200,10 @@ def accelerate(
 
     Then it says so: a warning names which of the two is not what `training.fast` computes.
     """
+    if isinstance(network, Recurrent):
+        whole = lambda batch: loss(_told(network, batch), batch, config)  # noqa: E731
+        using = resolve(config, ours=False)
+        return Accelerated(using, network.recall, network.recall, whole, loss, config)
     known, own_loss = type(network) in OURS, loss in (ppo.loss, teacher.loss)
     using = resolve(config, known and own_loss)
     if using.fused_cpu and not agree(network, config, architecture):
@@ -212,6 +226,18 @@ def accelerate(
         return Accelerated(using, model.outputs, model, model.loss, loss, config)
     plain = lambda batch: loss(network, batch, config)  # noqa: E731
     return Accelerated(using, network, network, plain, loss, config)
+
+
+def _told(network: Recurrent, batch: Samples) -> Callable:
+    """What a network with memory says of the observations of a minibatch of sequences."""
+    assert isinstance(batch, Sequences)
+
+    def outputs(observation: Tensor) -> tuple[Tensor, Tensor]:
+        if observation is not batch.observation:
+            raise ValueError("a loss must ask a network with memory about the whole minibatch")
+        return batch.said(network)
+
+    return outputs
 
 
 def agree(network: nn.Module, config: Config, architecture: Architecture) -> bool:

@@ -34,16 +34,16 @@ class Ahead:
         seen.copy_(turn.observations, non_blocking=True)
         noise = kept.noise[min(t, len(kept.noise) - 1), where]
         if self._act is None:
-            self._act = Captured(self._infer, seen, noise) if self._graphs else self._infer
-        action, log_probability, value = self._act(seen, noise)
+            self._act = Captured(self._infer, noise, seen) if self._graphs else self._infer
+        action, log_probability, value = self._act(noise, seen)
         kept.action[slot, where] = action
         kept.log_probability[slot, where] = log_probability
         kept.value[slot, where] = value
         self.chosen[where].copy_(action, non_blocking=True)
         self._sent[group].record()
 
-    def _infer(self, *shown: torch.Tensor) -> tuple[torch.Tensor, ...]:
-        return player.act(self.network, *shown)
+    def _infer(self, noise: torch.Tensor, seen: torch.Tensor) -> tuple[torch.Tensor, ...]:
+        return player.act(self.network, noise, seen)
 
     def receive(self, group: int) -> Answer:
         self._sent[group].synchronize()

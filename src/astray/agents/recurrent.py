@@ -1,0 +1,84 @@
+"""Networks with memory: the interface, and a recurrent cell on top of any of astray's bodies."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor, nn
+
+from astray.agents.actor_critic import ActorCritic
+
+CELLS = {"gru": nn.GRUCell, "lstm": nn.LSTMCell}
+
+
+class Recurrent(nn.Module):
+    """A network whose answers depend on what it was shown since the episode began.
+
+    One of your own sets `memory`, the number of numbers in its state, and defines `recall`.
+    """
+
+    memory: int
+
+    def recall(
+        self, observation: Tensor, state: Tensor, begins: Tensor
+    ) -> tuple[Tensor, Tensor, Tensor]:
+        """Return logits [N, actions], values [N] and the next state [N, memory].
+
+        Args:
+            observation: What N episodes show.
+            state: Their states before, [N, memory] float32.
+            begins: Whether this is the first step, [N] bool: then the state is to be taken as 0.
+        """
+        raise NotImplementedError
+
+    def unroll(
+        self, observation: Tensor, state: Tensor, begins: Tensor
+    ) -> tuple[Tensor, Tensor, Tensor]:
+        """Recall step by step: observations [T, N, ...] -> logits [T, N, actions], values [T, N].
+
+        The last of what is returned is the state after all steps, [N, memory].
+        """
+        said = []
+        for shown, first in zip(observation, begins, strict=True):
+            logits, value, state = self.recall(shown, state, first)
+            said.append((logits, value))
+        logits, values = (torch.stack(parts) for parts in zip(*said, strict=True))
+        return logits, values, state
+
+    def forward(self, observation: Tensor) -> tuple[Tensor, Tensor]:
+        """Return what it says of observations with which episodes begin."""
+        state = torch.zeros((len(observation), self.memory), device=observation.device)
+        return self.recall(observation, state, torch.ones_like(state[:, 0], dtype=torch.bool))[:2]
+
+
+class WithCell(Recurrent):
+    """One of astray's networks, with a recurrent cell between its hidden layer and its heads."""
+
+    def __init__(self, body: ActorCritic, cell: str):
+        super().__init__()
+        self.body, self.width = body, body.policy.in_features
+        self.cell = CELLS[cell](self.width, self.width)
+        self.memory = self.width * (2 if cell == "lstm" else 1)  # an LSTM's cells, too
+        for name, weight in self.cell.named_parameters():
+            nn.init.zeros_(weight) if "bias" in name else nn.init.orthogonal_(weight)
+
+    def recall(
+        self, observation: Tensor, state: Tensor, begins: Tensor
+    ) -> tuple[Tensor, Tensor, Tensor]:
+        state = self._next(self.body.hidden(observation), state, begins)
+        return *self.body.heads(state[:, : self.width]), state
+
+    def unroll(
+        self, observation: Tensor, state: Tensor, begins: Tensor
+    ) -> tuple[Tensor, Tensor, Tensor]:
+        seen = self.body.hidden(observation.flatten(0, 1)).unflatten(0, observation.shape[:2])
+        states = []
+        for features, first in zip(seen, begins, strict=True):
+            state = self._next(features, state, first)
+            states.append(state[:, : self.width])
+        return *self.body.heads(torch.stack(states)), state
+
+    def _next(self, features: Tensor, state: Tensor, begins: Tensor) -> Tensor:
+        state = state * ~begins[:, None]
+        if isinstance(self.cell, nn.LSTMCell):
+            return torch.cat(self.cell(features, tuple(state.chunk(2, 1))), 1)
+        return self.cell(features, state)
