@@ -1,1 +1,1 @@
-"""How fast the environments and the training are, beside libraries that do the same."""
+"""How fast environments and training are, beside libraries that do the same; what eyes learn."""

@@ -124,12 +124,14 @@ def reproduce(
 
 def bench(
     what: Positional[
-        Literal["environments", "train", "networks", "agency", "insight", "lab", "start"]
+        Literal["environments", "train", "networks", "eyes", "agency", "insight", "lab", "start"]
     ] = "environments",
     markdown: bool = False,
     device: Literal["cpu", "cuda", "mps"] = "cpu",
 ) -> None:
     """Measure speed, as ratios in one run, and where there are others against them.
+
+    "eyes" measures what networks learn to see in equal times.
 
     The benchmarks are in a clone of the repository alone.
 
