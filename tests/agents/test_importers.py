@@ -120,6 +120,17 @@ def test_pools_of_uneven_sides_are_padded_on_both():
     assert SamePool()(x).flatten().tolist() == [6, 8, 9, 16, 18, 19, 21, 23, 24]
 
 
+def other(module, *path, weights):
+    """A file of cleanba with other weights in one place."""
+    data = msgpack.unpackb(cleanba((2, 2, 2))[0], ext_hook=msgpack.ExtType)
+    *ways, last = path
+    there = data["1"][module]["params"]
+    for way in ways:
+        there = there[way]
+    there[last] = weights
+    return flax_bytes(data)
+
+
 @pytest.mark.parametrize(
     "data, why",
     [
@@ -132,6 +143,12 @@ def test_pools_of_uneven_sides_are_padded_on_both():
         (msgpack.packb(msgpack.ExtType(1, msgpack.packb(((1,), "object", b"")))), "'object'"),
         (msgpack.packb(msgpack.ExtType(1, msgpack.packb(((9,), "uint8", b"")))), "damaged"),
         (cleanba((2, 2, 2), actions=9)[0], "chooses from 9 actions"),
+        (other("1", "Dense_0", "bias", weights=np.float32(1)), "chooses from 0 actions"),
+        (other("1", "Dense_0", "bias", weights=np.full(15, 1e300)), "not all finite"),
+        (other("0", "ConvSequence_0", "Conv_0", "kernel", weights=np.empty((0, 3, 3, 2**33), "f4")),
+         "as wide as"),
+        (b"\x82\xa10\x80\xa11\x83\xa10\x81\xa6params" + b"\x81\xa1a" * 1000
+         + b"\x01\xa11\x80\xa12\x80", "without parameters"),
         (cleanba((2, 2, 2))[0].replace(b"ConvSequence_2", b"ConvSequence_3"), "does not"),
         (cleanba((2, 2, 2))[0].replace(b"ResidualBlock_1", b"ResidualBlock_0"), "lacks"),
     ],
@@ -141,15 +158,20 @@ def test_what_is_no_agent_of_cleanba_is_refused(data, why):
         cleanrl.read(data)
 
 
+def archived(data, compression=zipfile.ZIP_STORED):
+    """A file of torch with this pickle in it."""
+    file = io.BytesIO()
+    with zipfile.ZipFile(file, "w", compression) as archive:
+        for name, text in (("data.pkl", data), ("version", b"3\n"), ("byteorder", b"little")):
+            archive.writestr(f"archive/{name}", text)
+    return file.getvalue()
+
+
 def doubled(depth, zipped):
     """A file whose dictionary has a key of `depth` tuples, each of the last one twice."""
     pairs = [b"h" + bytes([i]) + b"\x86q" + bytes([i + 1]) for i in range(1, depth + 1)]
     data = b"\x80\x02}q\x00K\x01\x85q\x01" + b"".join(pairs) + b"K\x01s."
-    file = io.BytesIO()
-    with zipfile.ZipFile(file, "w") as archive:
-        for name, text in (("data.pkl", data), ("version", b"3\n"), ("byteorder", b"little")):
-            archive.writestr(f"archive/{name}", text)
-    return file.getvalue() if zipped else data
+    return archived(data) if zipped else data
 
 
 @pytest.mark.parametrize("zipped", [True, False])
@@ -168,7 +190,7 @@ def test_files_with_an_optimizer_share_no_tuples(old):
     file = io.BytesIO()
     held = {"state_dict": network.state_dict(), "optimizer_state_dict": optimizer.state_dict()}
     torch.save(held, file, _use_new_zipfile_serialization=not old)
-    pth.see_unshared(file.getvalue())
+    pth.see_plain(file.getvalue())
 
 
 def test_channels_of_any_widths_are_kept_with_the_weights(tmp_path):
@@ -195,6 +217,10 @@ class Runs:
         return os.system, ("echo ran >> /dev/null",)
 
 
+BYTEARRAY = (
+    b"\x80\x02c__builtin__\nbytearray\n\x8a\x04\x00\xe4\x0b\x04\x85R."  # of 68 million bytes
+)
+DEEP = b"\x80\x02})" + b"\x85" * 15_000 + b"K\x01s."
 HUGE = torch.zeros(1).expand(2**40, 256)
 
 REFUSED_PTH = {
@@ -214,6 +240,26 @@ REFUSED_PTH = {
     "no number": (lambda: changed(fc_value__bias=torch.full((1,), torch.nan)), "not all finite"),
     "a whole number": (lambda: changed(fc_value__bias=torch.ones(1, dtype=int)), "not all finite"),
     "more than the file": (lambda: changed(embedder__fc__weight=HUGE), "more than the file holds"),
+    "no dimension": (lambda: changed(fc_policy__weight=torch.tensor(1.0)), "from 0 actions"),
+    "no number in 32 bits": (
+        lambda: changed(fc_value__bias=torch.full((1,), 1e300, dtype=torch.float64)),
+        "not all finite"),
+    "a width without numbers": (
+        lambda: changed(embedder__block1__conv__weight=torch.empty(2**33, 0, 3, 3)), "as wide as"),
+    "a layer twice": (lambda: saved({**reference((2, 2, 2))[0], "policy.bias": torch.ones(15)}),
+                      "two weights of the same layer"),
+    "sparse weights": (lambda: changed(fc_value__bias=torch.zeros(1).to_sparse()), "more than w"),
+    "no memory": (lambda: changed(fc_value__bias=torch.zeros(1, device="meta")), "more than weig"),
+    "eight bits": (
+        lambda: changed(fc_value__bias=torch.zeros(1).to(torch.float8_e4m3fn)), "more than w"),
+    "a wide bytearray": (lambda: archived(BYTEARRAY), "asks for __builtin__.bytearray"),
+    "a wide bytearray, as of old": (lambda: BYTEARRAY, "asks for __builtin__.bytearray"),
+    "deep tuples as a key": (lambda: archived(DEEP), "more than 10,000 tuples"),
+    "deep tuples as a key, as of old": (lambda: DEEP, "more than 10,000 tuples"),
+    "a compressed pickle": (lambda: archived(BYTEARRAY, zipfile.ZIP_BZIP2), "it is compressed"),
+    "compressed weights": (lambda: archived(b"\x80\x02}.", zipfile.ZIP_DEFLATED), "compressed"),
+    "a wrong checksum": (
+        lambda: archived(BYTEARRAY).replace(BYTEARRAY, BYTEARRAY[:-1] + b" "), "is damaged, or no"),
 }  # fmt: skip
 
 
@@ -222,6 +268,12 @@ def test_a_pth_that_is_refused_says_why(name):
     make, said = REFUSED_PTH[name]
     with pytest.raises(ValueError, match=f"(?s){said}"):
         pth.read(make())
+
+
+def wrong(name, shape):
+    data, _ = clarity()
+    data["params"][f"ppo2_model/{name}:0"] = np.zeros(shape, np.float32)
+    return joblib_bytes(data)
 
 
 def without(part, name):
@@ -242,6 +294,7 @@ REFUSED_JD = {
         "which the clear network does not",
     ),
     "no array": (lambda: joblib_bytes({"args": {}, "params": {"a": 3}}), "'a', which is no array"),
+    "no dimension": (lambda: wrong("pi/b", ()), "chooses from 0 actions"),
 }  # fmt: skip
 
 

@@ -19,6 +19,7 @@ from astray.agents.importers.imported import ACTIONS, SHAPE, Imported, Plain, bu
 from astray.agents.policy import Architecture
 
 ARRAY, SCALAR = 1, 3  # Flax's extension types
+DEEPEST = 8  # names on the way to a parameter; the network's have 4
 KINDS = ("float16", "float32", "float64", "int32", "int64", "uint8", "bool")  # of their numbers
 DENSE = {"0": "features.linear", "1": "policy", "2": "value"}  # by the module that has them
 # Settings of a training: the file's names and ours.
@@ -44,7 +45,7 @@ def read(data: bytes) -> Imported:
     tensors = dict(_tensors(modules))
     if "policy.bias" not in tensors:
         raise ValueError("it has no policy, Dense_0 of its second module")
-    check_actions(len(tensors["policy.bias"]))
+    check_actions(tensors["policy.bias"])
     convolutions = [tensors.get(f"block{k}.conv.weight") for k in (1, 2, 3)]
     widths = tuple(len(c) for c in convolutions if c is not None)
     architecture = Architecture("impala-same", SHAPE, (), ACTIONS, widths=widths)
@@ -93,7 +94,7 @@ def _tensors(modules: Mapping[str, Any]) -> Iterator[tuple[str, Tensor]]:
 
 
 def _leaves(tree: Any, path: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], np.ndarray]]:
-    if isinstance(tree, dict) and tree:
+    if isinstance(tree, dict) and tree and len(path) < DEEPEST:
         for name, branch in tree.items():
             yield from _leaves(branch, (*path, str(name)))
     elif isinstance(tree, np.ndarray) and path:

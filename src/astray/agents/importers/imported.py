@@ -9,6 +9,7 @@ import torch
 from torch import Tensor, nn
 
 from astray.agents.policy import Architecture
+from astray.bounds import brief
 
 Plain = int | float | str | bool | None
 SHAPE = (64, 64, 3)  # what Procgen shows
@@ -35,8 +36,11 @@ class Imported:
 
 def build(architecture: Architecture, tensors: Mapping[str, Tensor]) -> nn.Module:
     """The network with these weights; ValueError where they are not all of it, or no numbers."""
-    with torch.device("meta"):  # first without memory: a file can promise any size
-        wanted = {name: t.shape for name, t in architecture.build().state_dict().items()}
+    try:
+        with torch.device("meta"):  # first without memory: a file can promise any size
+            wanted = {name: t.shape for name, t in architecture.build().state_dict().items()}
+    except (RuntimeError, OverflowError) as error:  # widths of weights without a number in them
+        raise ValueError(f"no network is as wide as it is: {brief(error)}") from error
     for name in (*tensors, *wanted):
         if name not in wanted:
             raise ValueError(f"it has {name}, which its network does not")
@@ -45,7 +49,8 @@ def build(architecture: Architecture, tensors: Mapping[str, Tensor]) -> nn.Modul
         if tensors[name].shape != wanted[name]:
             shapes = tuple(tensors[name].shape), tuple(wanted[name])
             raise ValueError("{} is {}; it would be {}".format(name, *shapes))
-        if not tensors[name].is_floating_point() or not tensors[name].isfinite().all():
+        # As the network will have them: numbers of 64 bits may be none in 32.
+        if not tensors[name].is_floating_point() or not tensors[name].float().isfinite().all():
             raise ValueError(f"{name} is not all finite numbers")
     with torch.random.fork_rng(devices=[]):
         network = architecture.build()
@@ -53,8 +58,9 @@ def build(architecture: Architecture, tensors: Mapping[str, Tensor]) -> nn.Modul
     return network
 
 
-def check_actions(count: int) -> None:
-    """ValueError where a policy is not of Procgen's 15 actions."""
+def check_actions(policy: Tensor) -> None:
+    """ValueError where a policy's weights or biases [actions, ...] are not of Procgen's 15."""
+    count = len(policy) if policy.ndim else 0
     if count != ACTIONS:
         why = ", of CoinRun as it was before Procgen" if count in (7, 9) else ""
         raise ValueError(f"its policy chooses from {count} actions{why}; Procgen has {ACTIONS}")

@@ -54,7 +54,7 @@ def read(data: bytes) -> Imported:
     weights = _weights(found["params"])
     if "policy.bias" not in weights:
         raise ValueError(f"it has no policy, {SCOPE}pi/b")
-    check_actions(len(weights["policy.bias"]))
+    check_actions(weights["policy.bias"])
     architecture = Architecture("clear", SHAPE, (), ACTIONS)
     told = {
         name: value

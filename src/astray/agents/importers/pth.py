@@ -12,9 +12,9 @@ import io
 import pickle
 import pickletools
 import re
+import struct
 import warnings
 import zipfile
-import zlib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -27,6 +27,11 @@ from astray.agents.policy import Architecture
 from astray.bounds import shown
 
 MOST_AGAIN = 16  # times that a file takes a tuple out of its memo; those of torch never do
+MOST_TUPLES = 10_000  # of a file; those of IMPALA and its optimizer take some hundreds
+# What weights are made of. Torch itself lets a file make empty memory of any size, as bytearrays.
+MADE_OF = re.compile(
+    r"collections OrderedDict|torch \w+Storage|torch\._utils _rebuild_(tensor(_v2)?|parameter)"
+)
 # Instructions after which what is on top is no tuple.
 MAKES_OTHERS = {
     "BINUNICODE", "SHORT_BINUNICODE", "GLOBAL", "STACK_GLOBAL", "EMPTY_DICT", "EMPTY_LIST",
@@ -34,6 +39,7 @@ MAKES_OTHERS = {
     "SHORT_BINBYTES", "BINBYTES", "LONG1",
 }  # fmt: skip
 LARGEST_PICKLE = 64_000_000  # bytes; the names and shapes of weights take some 10,000
+BROKEN = (NotImplementedError, RuntimeError, EOFError, OverflowError, struct.error)  # of an archive
 HOLDS = ("model_state_dict", "state_dict")
 
 
@@ -95,8 +101,10 @@ def read(data: bytes) -> Imported:
         there = ", ".join(list(tensors)[:3])
         programs = " or ".join(one.program for one in PROGRAMS)
         raise ValueError(f"it is no IMPALA of {programs}: its weights are {there}, ...")
-    check_actions(len(tensors[names.heads[1]]))
+    check_actions(tensors[names.heads[1]])
     renamed = {_rename(name, names): tensor for name, tensor in tensors.items()}
+    if len(renamed) < len(tensors):
+        raise ValueError("it has two weights of the same layer, under two names")
     convolutions = [renamed.get(f"block{k}.conv.weight") for k in (1, 2, 3)]
     widths = tuple(len(c) for c in convolutions if c is not None and c.ndim == 4)
     architecture = Architecture("impala", SHAPE, (), ACTIONS, widths=widths)
@@ -105,44 +113,54 @@ def read(data: bytes) -> Imported:
 
 
 def _load(data: bytes) -> Any:
-    see_unshared(data)
+    see_plain(data)
     try:
         with warnings.catch_warnings(action="ignore"):  # of a format that it then refuses
             return torch.load(io.BytesIO(data), map_location="cpu", weights_only=True)
     except pickle.UnpicklingError as error:
         # What torch says besides is how to run the file all the same.
         why = re.search(r"GLOBAL (\S+)", str(error))
-        raise ValueError(
-            "it holds more than weights, or is damaged, and nothing in a file is run"
-            + (f": it asks for {why[1]}" if why else "")
-        ) from error
+        raise ValueError(_more(why[1] if why else "")) from error
     except Exception as error:  # torch raises nearly anything for what is no file of its own
         first = (str(error).strip().splitlines() or [type(error).__name__])[0]
         raise ValueError(f"it is damaged, or no file of torch: {first}") from error
 
 
-def see_unshared(data: bytes) -> None:
-    """Raise ValueError if the pickles in a file's bytes use a tuple again and again.
+def _more(asked: str) -> str:
+    """Return the reason to refuse a file that asks for a class or a function, where it is known."""
+    more = "it holds more than weights, or is damaged, and nothing in a file is run"
+    return f"{more}: it asks for {asked}" if asked else more
+
+
+def see_plain(data: bytes) -> None:
+    """Raise ValueError if the pickles in a file's bytes are more than weights are made of.
 
     A tuple of two that are the same, of two that are the same, and so on, is short to write and
-    takes 2 to the power of its depth to hash, so as a key it would keep torch busy for ever.
+    takes 2 to the power of its depth to hash, so as a key it would keep torch busy for ever; one
+    that is nested a hundred thousand times would crash it.
     """
     try:
         with zipfile.ZipFile(io.BytesIO(data)) as archive:
+            if any(one.compress_type != zipfile.ZIP_STORED for one in archive.infolist()):
+                raise ValueError("it is compressed, which files of torch are not")
             inside = [one for one in archive.infolist() if one.filename.endswith("data.pkl")]
             if sum(one.file_size for one in inside) > LARGEST_PICKLE:
                 raise ValueError(f"its data.pkl has more than {LARGEST_PICKLE:,} bytes")
             pickles = [archive.read(one) for one in inside]
-    except (zipfile.BadZipFile, NotImplementedError, RuntimeError, zlib.error, EOFError):
-        pickles = [data]  # as torch wrote them before 1.6; else torch says what is wrong
+    except (*BROKEN, zipfile.BadZipFile) as error:
+        if data.startswith(b"PK"):  # to torch it may be a whole one
+            raise ValueError(f"it is damaged, or no file of torch: {error}") from error
+        pickles = [data]  # as torch wrote them before 1.6
     for raw in pickles:
-        again, is_tuple = 0, {}  # the latter as the memo's entries
+        again, tuples, is_tuple = 0, 0, {}  # the latter as the memo's entries
+        asked: list[str] = []
         with contextlib.suppress(Exception):  # what is no pickle torch refuses
             file = io.BytesIO(raw)
             while file.tell() < len(raw):
                 before = ""
                 for instruction, argument, _ in pickletools.genops(file):
                     name = instruction.name
+                    tuples += name.startswith("TUPLE")
                     if name in ("BINPUT", "LONG_BINPUT", "PUT", "MEMOIZE"):
                         entry = len(is_tuple) if name == "MEMOIZE" else argument
                         is_tuple[entry] = before not in MAKES_OTHERS
@@ -150,9 +168,15 @@ def see_unshared(data: bytes) -> None:
                         again += is_tuple.get(argument, False)
                     elif name == "DUP":
                         again += MOST_AGAIN + 1
+                    elif name == "GLOBAL" and not MADE_OF.fullmatch(str(argument)):
+                        asked.append(str(argument).replace(" ", "."))
                     before = name
+        if asked:
+            raise ValueError(_more(shown(asked[0])[1:-1]))
         if again > MOST_AGAIN:
             raise ValueError("it uses the same tuple many times, which weights do not need")
+        if tuples > MOST_TUPLES:
+            raise ValueError(f"it has more than {MOST_TUPLES:,} tuples, which weights do not need")
 
 
 def _tensors(found: Any, size: int) -> dict[str, Tensor]:
