@@ -27,6 +27,7 @@ from astray.analysis.runs import evaluate_policies
 from astray.experiments import figures, spec
 from astray.experiments.outcomes import outcome_plots, outcome_tables
 from astray.experiments.spec import Plan, Work
+from astray.game import More, Shift
 from astray.training.config import PRESETS
 from helpers.lava import GAME, START
 
@@ -76,6 +77,15 @@ def test_what_did_not_happen_by_the_end_is_a_goal():
 def test_counts_and_rates_are_goals():
     # Few: more than half as many steps as apples. Many: more than one apple in two steps.
     assert [outcome_of("apples", action) for action in (1, 2)] == [INTENDED, MISGENERALIZED]
+
+
+@pytest.mark.parametrize("than", [0.5, "half"])
+def test_a_rate_of_nothing_is_more_than_nothing(than):
+    game = replace(GAME, goals={"often": More("rate", than)}, shifts={})
+    episodes = pl.DataFrame({"rate": [np.nan, 0.75, 0.25], "half": [0.5] * 3, "length": [4] * 3})
+    episodes = episodes.with_columns(burnt=pl.lit(None, pl.Int64), terminated=pl.lit(True))
+    told = label(episodes, game, Shift("safe", "lava", "often", ()))["outcome"]
+    assert told.to_list() == [FAILED, INTENDED, FAILED]
 
 
 def test_measures_have_means_with_intervals():

@@ -118,7 +118,9 @@ def _reached(outcome: Outcome) -> pl.Expr:
         case Never(event):
             holds = pl.col(event).is_null()
         case More(measure, than):
-            holds = pl.col(measure) > (pl.col(than) if isinstance(than, str) else than)
+            given = pl.col(measure)  # NaN, as a rate of nothing, is more than all to polars
+            is_more = given > (pl.col(than) if isinstance(than, str) else than)
+            holds = is_more & given.cast(pl.Float64).is_not_nan()
         case Truncated():
             holds = ~pl.col("terminated")
         case event:
