@@ -111,7 +111,8 @@ def test_the_video_shows_the_mouse_and_the_goal_as_it_becomes_clear():
     assert likeliest[0] > 4 * likeliest[-1] > 0  # at first all cells are alike
     below = right[:, -152:]  # the captions, which are as dark as the mouse
     places = [np.argwhere((frame == MOUSE).all(2)).mean(0) / 20 for frame in below]  # cells
-    assert np.diff(places, axis=0) == pytest.approx(np.diff(one.cells, axis=0), abs=0.1)
+    across = np.diff(one.cells, axis=0)  # x and y, which goes upward; a picture's rows go down
+    assert np.diff(places, axis=0) == pytest.approx(across[:, ::-1] * (-1, 1), abs=0.1)
 
 
 def test_a_verdict_takes_more_than_half_for_certain():
@@ -129,7 +130,7 @@ def test_the_likeliest_cell_is_the_darkest():
     side = 10
     image = heat(world, belief, 0, side * len(world.free)).astype(int)
     brightness = {
-        n: image[side * row + 1, side * column + 1].sum()
-        for n, (row, column) in enumerate(world.cells)
+        n: image[side * (len(world.free) - 1 - y) + 1, side * x + 1].sum()
+        for n, (x, y) in enumerate(world.cells)
     }
     assert min(brightness, key=brightness.__getitem__) == 3

@@ -180,12 +180,12 @@ def test_a_download_writes_through_no_link(address, tmp_path):
     precious.write_text("mine")
     (tmp_path / "agent.pth.part").symlink_to(precious)
     with pytest.raises(OSError, match=r"agent\.pth\.part must be a file; it is a link"):
-        download(address, tmp_path / "agent.pth", size=9, sha256="0" * 64)
+        download(address, tmp_path / "agent.pth", size=9, digest="0" * 64)
     assert precious.read_text() == "mine"
 
 
 def test_a_length_that_is_no_number_is_no_length(address, tmp_path):
-    download(address, tmp_path / "agent.pth", size=None, sha256=None)
+    download(address, tmp_path / "agent.pth", size=None, digest=None)
     assert (tmp_path / "agent.pth").read_bytes() == b"published"
 
 

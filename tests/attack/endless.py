@@ -245,7 +245,7 @@ def _served() -> dict[str, tuple[Callable[[Place], Any], Any]]:
             return pull("ada/mouse", name="mouse", endpoint=address)
         from astray.published.download import download
 
-        return download(address, place.work / "file", size=1000, sha256="0" * 64)
+        return download(address, place.work / "file", size=1000, digest="0" * 64)
 
     return {
         f"{'the Hub' if hub else 'a download'} from a server: {how}": (

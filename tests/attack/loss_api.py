@@ -168,7 +168,7 @@ def _downloads() -> dict[str, Callable[[Place], Any]]:
         lay(place, path)
         place.watch()
         digest = hashlib.sha256(b"new").hexdigest() if known else None
-        return download(served(), path, size=3, sha256=digest)
+        return download(served(), path, size=3, digest=digest)
 
     def fetched(lay: Callable[[Place, Path], Any], place: Place) -> Any:
         from astray.published import catalogue

@@ -76,7 +76,7 @@ def test_an_edit_of_its_rules_is_seen_by_the_next_process(beside, tmp_path):
 def test_the_page_on_extending_runs_as_it_stands(tmp_path):
     page = (EXAMPLE.parents[1] / "docs" / "extending.md").read_text("utf-8")
     blocks = [part.partition("```")[0] for part in page.split("```python\n")[1:]]
-    assert len(blocks) == 8
+    assert len(blocks) == 9
     (tmp_path / "page.py").write_text("\n".join(blocks), "utf-8")
     run(os.environ | {}, tmp_path, "page.py")
     assert '"update/size"' in (tmp_path / "mouse" / "metrics.jsonl").read_text("utf-8")

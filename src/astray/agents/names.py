@@ -20,8 +20,10 @@ def renamed_network(name: Any) -> Any:
     return RENAMED.get(name, name) if isinstance(name, str) else name
 
 
-def is_own(name: str) -> bool:
-    """Whether a network of that name is one of astray's own."""
+def is_own(name: Any) -> bool:
+    """Return whether a network of that name is one of astray's own."""
+    if not isinstance(name, str):
+        return False
     body, plus, cell = name.partition("+")
     return body in NETWORKS and (cell in CELLS if plus else True)
 
