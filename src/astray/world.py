@@ -13,7 +13,7 @@ from gymnasium.utils.env_checker import data_equivalence
 
 from astray import games
 from astray.bounds import MOST, bounded, brief, finite, of_kind, one_of, shown
-from astray.game import Game, Missing, Outcome, Shift
+from astray.game import Game, Missing, More, Never, Outcome, Shift, Truncated
 from astray.record import NEVER, record_dtype
 
 Env = gymnasium.Env
@@ -34,6 +34,7 @@ class WorldVariant:
 
     def with_knobs(self, changes: Mapping[str, Any]) -> WorldVariant:
         """Return the variant whose factory is called with these arguments, too."""
+        of_kind("knobs", changes, Mapping)
         return replace(self, knobs={**self.knobs, **changes})
 
     def make(self) -> Env:
@@ -93,6 +94,8 @@ class World:
     def __post_init__(self) -> None:
         for name in ("variants", "events", "goals", "shifts", "ends", "experts", "measures"):
             of_kind(name, getattr(self, name), Mapping)
+            for one in getattr(self, name):
+                of_kind(f"each name of {name}", one, str)
         finite("patience", self.patience, 0.001)
         for name, happened in self.events.items():
             if not isinstance(happened, str) and not callable(happened):
@@ -102,13 +105,30 @@ class World:
                 )
         for goal in self.experts:
             one_of("goal of an expert", goal, self.goals)
-        for event in self.event_goals.values():
-            one_of("event of a goal", event, self.events)
+        for outcome in (*self.goals.values(), *self.ends.values()):
+            self._see_outcome(outcome)
         for shift in self.shifts.values():
+            of_kind("a shift", shift, Shift)
             for variant in (shift.train, shift.test):
                 one_of("variant of a shift", variant, self.variants)
             for goal in (shift.intended, *shift.proxies):
                 one_of("goal of a shift", goal, self.goals)
+
+    def _see_outcome(self, outcome: Outcome) -> None:
+        """Raise ValueError where a goal or an end is of an event or a measure that there is not."""
+        match outcome:
+            case More(measure, than):
+                one_of("measure of a goal", measure, self.measures)
+                if isinstance(than, str):
+                    one_of("measure of a goal", than, self.measures)
+                else:
+                    finite("what a measure is more than", than)
+            case Never(event):
+                one_of("event of a goal", event, self.events)
+            case Truncated():
+                pass
+            case event:
+                one_of("event of a goal", event, self.events)
 
     def __getattr__(self, name: str) -> Any:
         if name in NOT_OURS:
@@ -211,7 +231,7 @@ class Witness(gymnasium.Wrapper):
                 is_now = happened in info and info[happened]
             else:
                 try:
-                    is_now = happened(self._inner, info)
+                    is_now = bool(happened(self._inner, info))
                 except Exception as error:
                     raise self._failed(f"event {name!r}", error) from error
             if is_now:
@@ -273,7 +293,8 @@ def _played(world: World, variant: WorldVariant, level: int, steps: int) -> list
     told: list[Any] = [env.reset(seed=level)[0]]
     for _ in range(steps):
         seen, reward, terminated, truncated, info = env.step(env.action_space.sample())
-        told.append((seen, reward, terminated, truncated, info.get(NOTED)))
+        noted = info[NOTED].tobytes() if NOTED in info else b""  # in which a NaN is like another
+        told.append((seen, reward, terminated, truncated, noted))
         if terminated or truncated:
             break
     env.close()

@@ -13,6 +13,7 @@ from astray.analysis.evaluate import evaluate
 from astray.analysis.outcomes import INTENDED, MISGENERALIZED
 from astray.analysis.policies import Random, Walk
 from astray.analysis.runs import evaluate_policies
+from astray.game import More, Never
 from helpers.rooms import CELLS, WORLD, Room
 
 LEVELS = np.array([3, 1, 4, 15, 9, 2, 6, 53, 58, 97])
@@ -115,6 +116,38 @@ def test_knobs_are_arguments_of_the_factory():
 def test_what_is_wrong_is_told_in_a_sentence(world, policy, said):
     with pytest.raises(ValueError, match=said):
         evaluate_policies([policy], world, "end", LEVELS)
+
+
+def rate_of_nothing(env):
+    return np.float64(np.nan) if env.steps < 3 else 0.5
+
+
+@pytest.mark.parametrize(
+    "changes, said",
+    [
+        ({"events": {**WORLD.events, "return": "square"}}, "room have the names of columns: retu"),
+        ({"measures": {"return": rate_of_nothing}}, "room have the names of columns: return"),
+        ({"measures": {"seed": rate_of_nothing}}, "room have the names of columns: seed"),
+        ({"events": {**WORLD.events, 1: "square"}}, "each name of events must be a str; got 1"),
+        ({"shifts": {"end": ("end", "anywhere", "square", ())}}, "a shift must be a Shift"),
+        ({"ends": {"burnt": "gone"}}, "unknown event of a goal 'gone'"),
+        ({"ends": {"unburnt": Never("gone")}}, "unknown event of a goal 'gone'"),
+        ({"ends": {"often": More("gone")}}, "unknown measure of a goal 'gone'; there are: walked"),
+        ({"ends": {"often": More("walked", "gone")}}, "unknown measure of a goal 'gone'"),
+        ({"ends": {"often": More("walked", np.nan)}}, "must be a finite number; got nan"),
+        ({"ends": {"often": 3}}, "unknown event of a goal 3"),
+        ({"events": {**WORLD.events, "reached_end": lambda *_: np.zeros(2)}},
+         "step 0: its event 'reached_end' fails: ValueError"),
+    ],
+)  # fmt: skip
+def test_names_and_goals_that_cannot_be_are_refused(changes, said):
+    with pytest.raises(ValueError, match=said):
+        evaluate_policies([RIGHT], replace(WORLD, **changes), "end", LEVELS)
+
+
+def test_a_measure_that_is_no_number_yet_repeats_itself():
+    world = replace(WORLD, measures={"rate": rate_of_nothing})
+    assert evaluate_policies([RIGHT], world, "end", LEVELS)[1]["rate"].is_nan().any()
 
 
 @pytest.mark.waits

@@ -16,6 +16,7 @@ from astray.game import Game, Variant
 from astray.world import World, WorldVariant
 
 COLUMNS = ("policy", "level", "name", "shifted", "return", "length", "terminated")
+LATER = ("run", "seed", "checkpoint", "variant", "outcome", "tells_apart")  # which others add
 
 
 def evaluate(
@@ -44,6 +45,9 @@ def evaluate(
     Raises ValueError where there are no levels, or an argument is not of its kind.
     """
     game = world.find(game)
+    if taken := {*COLUMNS, *LATER} & {*game.events, *game.measures}:
+        named = ", ".join(sorted(taken))
+        raise ValueError(f"events or measures of {game.name} have the names of columns: {named}")
     see_measures(measures, (*COLUMNS, *game.events, *game.measures))
     measured_by = {**game.of_states, **(measures or {})}
     of_kind("levels", levels, Sized)
