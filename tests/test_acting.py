@@ -1,5 +1,6 @@
 """The one loop in which policies play, beside an environment stepped by hand."""
 
+from collections import namedtuple
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -95,6 +96,9 @@ class Counting:
         return Answer(7 * steps % 15, self.form(steps), {"remembers": steps})
 
 
+Memory = namedtuple("Memory", "steps other")
+
+
 @pytest.mark.parametrize("batch", [1, 5, 256])
 @pytest.mark.parametrize(
     "form, read",
@@ -102,13 +106,29 @@ class Counting:
         (lambda x: x, lambda x: x),
         (lambda x: {"a": (None, x)}, lambda x: x["a"][1]),
         (lambda x: [torch.from_numpy(x)], lambda x: x[0].numpy()),
+        (lambda x: Memory(x, None), lambda x: x.steps),
     ],
-    ids=["array", "nested", "tensor"],
+    ids=["array", "nested", "tensor", "named"],
 )
 def test_memory_follows_its_episode_in_any_batch(form, read, batch):
     for step in steps(Counting(form, read), GAME, VARIANT, LEVELS, batch=batch):
         assert (step.extra["remembers"] == step.after["time"]).all()
         assert (step.actions == 7 * step.extra["remembers"] % 15).all()
+
+
+@pytest.mark.parametrize(
+    "form",
+    [
+        lambda x: np.stack([x, x]),  # by layer, as torch's LSTM has it
+        lambda x: (x, np.append(x, 0)),
+        lambda x: x.tolist(),
+        lambda x: {"steps": x, "layers": 3},
+    ],
+    ids=["layers first", "too long", "list", "number"],
+)
+def test_memory_that_is_not_a_row_for_each_episode_is_refused(form):
+    with pytest.raises(ValueError, match="memory must be arrays or tensors of 5 rows, one per"):
+        list(steps(Counting(form), GAME, VARIANT, LEVELS, batch=5))
 
 
 def test_episodes_go_on_from_where_they_are_until_one_ends():

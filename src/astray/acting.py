@@ -136,6 +136,7 @@ class Asking:
 
     def receive(self, group: int) -> Answer:
         answer = self.policy.actions(self._turn)  # not before: nobody may ask for the last turn's
+        see_rows(answer.memory, len(self._turn.begins))
         self._memory = answer.memory
         return answer
 
@@ -145,8 +146,21 @@ def rows(memory: Any, kept: np.ndarray) -> Any:
     if isinstance(memory, Mapping):
         return {name: rows(part, kept) for name, part in memory.items()}
     if isinstance(memory, tuple | list):
-        return type(memory)([rows(part, kept) for part in memory])
+        parts = [rows(part, kept) for part in memory]
+        return type(memory)(*parts) if hasattr(memory, "_fields") else type(memory)(parts)
     return None if memory is None else memory[kept]
+
+
+def see_rows(memory: Any, n: int) -> None:
+    """ValueError where a policy's memory of `n` episodes is not of a row for each."""
+    if isinstance(memory, Mapping | tuple | list):
+        for part in memory.values() if isinstance(memory, Mapping) else memory:
+            see_rows(part, n)
+    elif memory is not None and tuple(getattr(memory, "shape", ()))[:1] != (n,):
+        raise ValueError(
+            f"a policy's memory must be arrays or tensors of {n} rows, one per episode; got "
+            f"{getattr(memory, 'shape', shown(memory))}"
+        )
 
 
 @dataclass(frozen=True, eq=False)
