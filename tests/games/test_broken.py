@@ -13,6 +13,12 @@ SOURCES = {
     "raises": "raise RuntimeError('it lacks a file')",
     "leaves": "import sys; sys.exit(0)",
     "is_none": "GAME = 3",
+    "ends": "class End(BaseException): pass\nraise End('for good')",
+    "leaves_late": "import dataclasses, sys\nfrom astray import games\n"
+    "class Variants(dict):\n    items = sys.exit\n"
+    "GAME = dataclasses.replace(games.find('maze'), name='leaves_late', variants=Variants())",
+    "is_no_text": "import dataclasses\nfrom astray import games\n"
+    "GAME = dataclasses.replace(games.find('maze'), name='is_no_text', about=b'maze')",
     "is_hollow": "import dataclasses\nfrom astray import games\n"
     "GAME = dataclasses.replace(games.find('maze'), name='is_hollow', variants={'one': 3})",
 }
@@ -20,6 +26,9 @@ REASONS = {
     "raises": "RuntimeError('it lacks a file')",
     "leaves": "SystemExit(0)",
     "is_none": "must be a Game called 'is_none'; got 3",
+    "ends": "End('for good')",
+    "leaves_late": "SystemExit()",
+    "is_no_text": "type bytes is not JSON",
     "is_hollow": "no attribute 'about'",
 }
 

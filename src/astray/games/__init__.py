@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import functools
 import importlib
+import json
 import pkgutil
 import re
 from collections.abc import Callable
@@ -81,10 +82,14 @@ def survey(describe: Callable[[Game], Any]) -> tuple[dict[str, Any], dict[str, s
     found, broken = {}, {}
     for name in names():
         try:
-            found[name] = describe(find(name))
-        except Exception as error:
+            described = describe(find(name))
+            json.dumps(described)  # which is how it is sent and printed
+            found[name] = described
+        except KeyboardInterrupt:
+            raise
+        except BaseException as error:  # also of an exit
             is_told = isinstance(error, ValueError)
-            broken[name] = brief(error) if is_told else f"the game {name!r} fails: {error!r}"
+            broken[name] = brief(error) if is_told else f"the game {name!r} fails: {shown(error)}"
     return found, broken
 
 
@@ -98,7 +103,9 @@ def _offered() -> dict[str, EntryPoint]:
 def _load(point: EntryPoint) -> Game:
     try:
         game = point.load()
-    except (Exception, SystemExit) as error:  # else a module that exits would end every verb
+    except KeyboardInterrupt:
+        raise
+    except BaseException as error:  # else a module that exits would end every verb
         raise ValueError(f"the game {point.name!r}, {point.value}, fails: {error!r}") from error
     if not isinstance(game, Game) or game.name != point.name:
         raise ValueError(f"{point.value} must be a Game called {point.name!r}; got {game!r}")
