@@ -70,6 +70,11 @@ def test_a_file_of_rl_clarity_tells_what_it_was_trained_on():
     assert found.told["cnn"] == "clear"
 
 
+def test_a_setting_of_zero_is_told_and_no_levels_are_all_of_them():
+    found = jd.read(joblib_bytes(clarity(entropy_coeff=0.0, num_levels=0, start_level=0)[0]))
+    assert found.settings == {"gamma": 0.999, "entropy_weight": 0.0, "first_level": 0}
+
+
 def test_every_activation_of_the_clear_network_is_named():
     names = {
         name for name, module in Clear(SHAPE, 15).named_modules() if not list(module.children())

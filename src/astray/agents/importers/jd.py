@@ -61,8 +61,9 @@ def read(data: bytes) -> Imported:
         for name, value in settings.items()
         if isinstance(name, str) and isinstance(value, Plain)
     }
-    # Procgen's 0, and what is not set, mean: all levels there are, from 0 on.
-    ours = {here: told[there] for there, here in SETTINGS.items() if told.get(there)}
+    ours = {here: told[there] for there, here in SETTINGS.items() if told.get(there) is not None}
+    if not ours.get("levels"):  # Procgen's 0, and what is not set, mean: all levels there are
+        ours.pop("levels", None)
     if told.get("reward_processing") == "none":
         ours["normalise_reward"] = False
     mode = told.get("distribution_mode") or "hard"
