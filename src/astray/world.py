@@ -228,12 +228,17 @@ class Witness(gymnasium.Wrapper):
         new = []
         for name, happened in self._waiting.items():
             if isinstance(happened, str):
-                is_now = happened in info and info[happened]
+                is_now = info.get(happened, False)
             else:
                 try:
-                    is_now = bool(happened(self._inner, info))
+                    is_now = happened(self._inner, info)
                 except Exception as error:
                     raise self._failed(f"event {name!r}", error) from error
+            if np.ndim(is_now) or is_now not in (0, 1):  # as NaN, which is true, or text
+                raise ValueError(
+                    f"{self._where()}: its event {name!r} must be True or False; got "
+                    f"{shown(is_now)}"
+                )
             if is_now:
                 new.append(name)
         for name in new:

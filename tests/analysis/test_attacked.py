@@ -155,14 +155,14 @@ def test_a_folder_in_place_of_a_file_is_named_and_not_left_open(tmp_path):
     assert not before or len(os.listdir("/dev/fd")) == before
 
 
-@pytest.fixture
-def address():
-    """Of a server that gives a few bytes, and their length in words."""
+@pytest.fixture(params=["many", "9" * 5000])
+def address(request):
+    """Of a server that gives a few bytes, and a length that nothing can have."""
 
     class Answer(http.server.BaseHTTPRequestHandler):
         def do_GET(self):
             self.send_response(200)
-            self.send_header("Content-Length", "many")
+            self.send_header("Content-Length", request.param)
             self.end_headers()
             self.wfile.write(b"published")
 

@@ -137,7 +137,9 @@ def rate_of_nothing(env):
         ({"ends": {"often": More("walked", np.nan)}}, "must be a finite number; got nan"),
         ({"ends": {"often": 3}}, "unknown event of a goal 3"),
         ({"events": {**WORLD.events, "reached_end": lambda *_: np.zeros(2)}},
-         "step 0: its event 'reached_end' fails: ValueError"),
+         "step 0: its event 'reached_end' must be True or False; got"),
+        ({"events": {**WORLD.events, "reached_end": lambda *_: np.nan}}, "True or False; got nan"),
+        ({"events": {**WORLD.events, "reached_end": lambda *_: "no"}}, "True or False; got 'no'"),
     ],
 )  # fmt: skip
 def test_names_and_goals_that_cannot_be_are_refused(changes, said):

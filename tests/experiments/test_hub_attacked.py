@@ -138,3 +138,12 @@ def test_the_cache_cannot_lead_out_of_a_folder_that_is_made(hub, tmp_path):
         ours.pull("ada/mouse", name="second", offline=True)
     source = json.loads((tmp_path / "agents" / "first" / "hub.json").read_text())
     assert source["repository"] == "ada/mouse"
+
+
+def test_an_agent_that_has_moved_to_no_address_is_not_reached(hub, tmp_path):
+    hub.said = [{"Location": "http://127.0.0.1/\x7f"}] * 9
+    with pytest.raises((OSError, ValueError), match="ada/mouse"):
+        ours.pull("ada/mouse")
+    with pytest.raises(ValueError, match="an agent's name must be of a-z"):
+        ours.pull("ada/mouse", name=3)
+    assert (tmp_path / "mine").read_text() == MINE

@@ -236,7 +236,8 @@ class Handler(BaseHTTPRequestHandler):
             told["Content-Range"] = f"bytes {begin}-{len(data) - 1}/{len(data)}"
         cuts = self.hub.cut.get(path)
         if self.command == "HEAD" or not cuts:
-            return self.answer(206 if begin else 200, data[begin:], **told)
+            moved = 302 if "Location" in told else 206 if begin else 200
+            return self.answer(moved, data[begin:], **told)
         self.answer(
             206 if begin else 200,
             data[begin : begin + cuts.pop(0)],

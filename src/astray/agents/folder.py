@@ -93,7 +93,7 @@ def latest(folder: Path) -> Path:
 
 def see_new(name: str, *homes: Path) -> None:
     """ValueError where this is no name of an agent, or one of `homes` has an agent of that name."""
-    if not NAME.fullmatch(name):
+    if not isinstance(name, str) or not NAME.fullmatch(name):
         raise ValueError(
             f"an agent's name must be of a-z, 0-9 and -, as maze-corner; got {shown(name)}"
         )

@@ -88,8 +88,8 @@ def wary() -> Iterator[Wary]:
 
 
 def unreachable() -> tuple[type[Exception], ...]:
-    """What huggingface_hub's connections raise where nobody answers, or what is no answer."""
-    return (http().RequestError, ConnectionError)
+    """Return what huggingface_hub's connections raise if nobody answers, or an answer is none."""
+    return (http().RequestError, http().InvalidURL, ConnectionError)
 
 
 def http() -> Any:

@@ -28,6 +28,7 @@ WAIT = 30.0  # seconds without a byte, after which it is interrupted
 LEAST = 10_000  # bytes in that time; with fewer it is, too
 LOOPBACK = ("127.0.0.1", "::1", "localhost")
 BLOB = 40  # hexadecimal digits of git's blob id; a SHA-256 has 64
+MOST_DIGITS = 20  # of a length that a server tells
 LARGEST = 512_000_000  # bytes, of a file whose size is not known
 
 
@@ -103,7 +104,7 @@ def _fetch(address: str, part: Path, most: int) -> None:
                         raise OSError(f"fewer than {LEAST:,} bytes came in {WAIT:g} seconds")
                     since, before = time.monotonic(), left
         length = answer.headers["Content-Length"] or "0"
-        promised = begun + (int(length) if length.isdecimal() else 0)
+        promised = begun + (int(length) if length.isdecimal() and len(length) < MOST_DIGITS else 0)
         if left and promised > most - left:
             raise OSError(f"the connection ended {promised - most + left:,} bytes early")
 
