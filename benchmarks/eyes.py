@@ -42,7 +42,7 @@ GUESS = "none: always the commonest direction"
 
 @dataclass(frozen=True)
 class Row:
-    """What one network sees in unseen levels."""
+    """Results of one network in unseen levels."""
 
     title: ClassVar[str] = "Directions learned from labelled pictures"
     network: str

@@ -247,7 +247,7 @@ class Witness(gymnasium.Wrapper):
         return bool(new)
 
     def _told(self) -> np.ndarray:
-        """What was noted so far: the step of each event, and the measures."""
+        """Return what was noted so far: the step of each event, and the measures."""
         told: list[float] = [*self.first.values()]
         for name, measure in self.world.measures.items():
             try:

@@ -42,7 +42,7 @@ class Pixels(ActorCritic):
         return self.features(self.see(planes))
 
     def kind(self, observations: Tensor) -> torch.dtype:
-        """What planes are of: what the first convolution would round to anyway."""
+        """Return the type of planes: the one that the first convolution would round to anyway."""
         device = observations.device.type
         if torch.is_autocast_enabled(device):
             return torch.get_autocast_dtype(device)

@@ -29,7 +29,7 @@ STEADY = 0.3  # of the unit's last convolution, at first: so that ticks change l
 
 
 def first_pixels(pixels: int) -> list[int]:
-    """Where the windows begin along a side of a picture; each in the middle of its cell."""
+    """Return where windows begin along a side of a picture, each in the middle of its cell."""
     middles = ((k + 0.5) * pixels / SIDE for k in range(SIDE))
     return [min(max(int(middle - WINDOW / 2 + 0.5), 0), pixels - WINDOW) for middle in middles]
 

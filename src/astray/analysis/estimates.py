@@ -226,7 +226,7 @@ def _noise(rest: np.ndarray) -> float:
 
 
 def _among_levels(rest: np.ndarray) -> float:
-    """What levels add to the variance of the mean of `rest` [agents, levels]."""
+    """Return how much levels add to the variance of the mean of `rest` [agents, levels]."""
     agents, levels = rest.shape
     if levels == 1:
         return 0.0

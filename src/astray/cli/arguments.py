@@ -1,4 +1,4 @@
-"""What several verbs take and print: agents, levels, knobs, actions, JSON."""
+"""Options and output that several verbs share: agents, levels, knobs, actions, JSON."""
 
 from __future__ import annotations
 
@@ -83,7 +83,7 @@ Workers = Annotated[
 
 @dataclass(frozen=True)
 class Acting:
-    """How the agent sees and acts."""
+    """Options for how the agent sees and acts."""
 
     # Sample actions from the agent's policy, or take the likeliest.
     mode: Mode = "sampled"

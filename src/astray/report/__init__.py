@@ -1,1 +1,1 @@
-"""What is reported of what was measured: claims, below the studies that make them."""
+"""Claims about what was measured, below the studies that make them."""

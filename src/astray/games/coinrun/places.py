@@ -1,4 +1,4 @@
-"""Where the runner is, and where it could be: cells (x, y), x to the right, y upward."""
+"""Places of the runner: cells (x, y) where it is and could be, x to the right, y upward."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Where the thief is, and where it could be: cells (x, y), x to the right, y upward."""
+"""Places of the thief: cells (x, y) where it is and could be, x to the right, y upward."""
 
 from __future__ import annotations
 

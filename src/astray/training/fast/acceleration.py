@@ -229,7 +229,7 @@ def accelerate(
 
 
 def _told(network: Recurrent, batch: Samples) -> Callable:
-    """What a network with memory says of the observations of a minibatch of sequences."""
+    """Return the logits and values of a network with memory for a minibatch of sequences."""
     assert isinstance(batch, Sequences)
 
     def outputs(observation: Tensor) -> tuple[Tensor, Tensor]:
