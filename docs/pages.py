@@ -120,13 +120,13 @@ def with_lab(text: str) -> str:
 
 
 def card(name: str) -> str:
-    """The card of a kept agent, with a link to the level of its film in the lab."""
+    """The card of a kept agent, with a link to the level of its video in the lab."""
     text = (kept.find(name) / "README.md").read_text()
     about = make_lab(name, {}).start
     address = f"../../lab/index.html#game={about['game']}&variant={about['variant']}&agent={name}"
-    film = "(episode.gif)\n"
+    picture = "(episode.gif)\n"
     return text.replace(
-        film, film + f'\n<a href="{address}">Play it in the lab</a>, and move things.\n', 1
+        picture, picture + f'\n<a href="{address}">Play it in the lab</a>, and move things.\n', 1
     )
 
 

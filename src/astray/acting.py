@@ -73,7 +73,7 @@ class Policy(Protocol):
     def observation(self) -> Observation: ...
 
     @property
-    def art(self) -> str: ...  # that images are drawn with, for it and for films of it
+    def art(self) -> str: ...  # that images are drawn with, for it and for videos of it
 
     def actions(self, turn: Turn) -> Answer: ...
 

@@ -192,7 +192,7 @@ CALLS: dict[str, tuple[dict[str, str], Callable[..., Any]]] = {
                             edit=lambda states: states)),
     "beginnings": (_kinds("game", "variant", "levels"),
                    _of("acting", "initial_states", "game", "variant", "levels")),
-    "a film": (_kinds("agent", "game", "variant", level="levels", pixels="number"),
+    "a video": (_kinds("agent", "game", "variant", level="levels", pixels="number"),
                _of("analysis.video", "play", "agent", "game", "variant", level=0, pixels=32)),
     **{f"doubt: {name}": ({"logits": "logits"}, _plain("mitigation.doubt", name))
        for name in ("max_probability", "margin", "entropy", "energy", "max_logit")},

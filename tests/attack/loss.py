@@ -193,7 +193,7 @@ def _refused() -> dict[str, Callable[[Place], Told]]:
             ("import", "run/config.json", "--as", "mine"), ("art", "import", "pictures.whl"),
             ("art", "import", "there"), ("agents", "fetch", "nobody"), ("pull", "ada/mouse"),
             ("push", "run", "ada/mouse"), ("evaluate", "run", "--levels", "x", "--out", "a/b"),
-            ("record", "run", "--variant", "none", "--out", "new/film.mp4"),
+            ("record", "run", "--variant", "none", "--out", "new/video.mp4"),
             ("agency", "run", "--variant", "none", "--out", "new"),
             ("explain", "run", "--layers", "none", "--out", "new"),
             ("export", "run", "--levels", "0:2", "--out", "there"),

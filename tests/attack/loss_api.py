@@ -40,7 +40,7 @@ def _table(path: Path, place: Place) -> None:
     write_table(pl.DataFrame({"a": [1]}), path)
 
 
-def _film(path: Path, place: Place) -> None:
+def _video(path: Path, place: Place) -> None:
     from astray.analysis.video import write_gif
 
     write_gif(np.zeros((2, 32, 32, 3), np.uint8), path)
@@ -70,7 +70,7 @@ def _bytes(path: Path, place: Place) -> None:
 
 FUNCTIONS: dict[str, tuple[str, Callable[[Path, Place], None]]] = {
     "states": ("there.npz", _save), "a table": ("there.parquet", _table),
-    "a table as text": ("there.csv", _table), "a film": ("there.gif", _film),
+    "a table as text": ("there.csv", _table), "a video": ("there.gif", _video),
     "activations": ("there.npz", _activations), "a figure": ("there.png", _figure),
     "bytes": ("there", _bytes),
 }  # fmt: skip
@@ -128,7 +128,7 @@ def _killed() -> dict[str, Callable[[Place], Any]]:
         _, status = os.waitpid(child, 0)
         if not os.WIFSIGNALED(status):
             raise Wrong(f"{step} was not called")
-        if path.read_bytes() != old and name not in ("a figure", "a film"):
+        if path.read_bytes() != old and name not in ("a figure", "a video"):
             raise Wrong("the file is neither the old one nor the new one")
 
     return {

@@ -206,7 +206,7 @@ def _variables() -> dict[str, tuple[Callable[[Place], Any], tuple[int, ...]]]:
         return place.process(*given, env=env)
 
     level = ("level", "maze", "corner-small", "--json")
-    film = ("record", "run", "--level", "0", "--pixels", "32")
+    video = ("record", "run", "--level", "0", "--pixels", "32")
     list_ = ("list", "--json")
     cases: list[tuple[dict[str, str | None], tuple[str, ...]]] = [
         ({"NUMBA_NUM_THREADS": "x"}, level), ({"NUMBA_NUM_THREADS": "0"}, level),
@@ -226,9 +226,9 @@ def _variables() -> dict[str, tuple[Callable[[Place], Any], tuple[int, ...]]]:
         ({"XDG_CACHE_HOME": "/dev/null", "NUMBA_CACHE_DIR": None}, ("cache",)),
         ({"NUMBA_CACHE_DIR": "/dev/null"}, ("cache",)),
         ({"NUMBA_CACHE_DIR": "x" * 5000}, ("cache",)),
-        ({"RANK": "x", "WORLD_SIZE": "2"}, film), ({"WORLD_SIZE": "-1"}, film),
-        ({"OMP_NUM_THREADS": "x"}, film), ({"OMP_NUM_THREADS": "-3"}, film),
-        ({"CUDA_VISIBLE_DEVICES": "x"}, film), ({"FORCE_COLOR": "1", "NO_COLOR": "1"}, ("list",)),
+        ({"RANK": "x", "WORLD_SIZE": "2"}, video), ({"WORLD_SIZE": "-1"}, video),
+        ({"OMP_NUM_THREADS": "x"}, video), ({"OMP_NUM_THREADS": "-3"}, video),
+        ({"CUDA_VISIBLE_DEVICES": "x"}, video), ({"FORCE_COLOR": "1", "NO_COLOR": "1"}, ("list",)),
     ]  # fmt: skip
     return {
         f"variables: {', '.join(f'{k}={str(v)[:12]}' for k, v in env.items())} {given[0]}": (

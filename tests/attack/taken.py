@@ -214,7 +214,7 @@ def _commands() -> dict[str, tuple[Callable[[Place], Any], Any]]:
             ("sweep", "maze", "corner-small", "--set", "width="),
             ("export", "run", "--policy", "random", "--game", "maze", "--variant", "corner"),
             ("export", "run", "--form", "Parquet", *level),
-            ("record", "run", "--level", "1.0"), ("record", "run", "--out", "film.MP4"),
+            ("record", "run", "--level", "1.0"), ("record", "run", "--out", "video.MP4"),
             ("agency", "run", "--measure", "Paper"), ("agency", "run", "--levels", "0-5"),
             ("agency", "run", "--agent", "maze-corner"), ("lab", "run", "--agent", "maze-corner"),
             ("cache", "prune"), ("agents", "Fetch"), ("agents", "check"),

@@ -61,8 +61,8 @@ WORKS = {
     "lab": Work(("lab", "run", "--export", "page", "--levels", "2"), "page", ("run",), leaves=True),
     "evaluate": Work(("evaluate", "run", "--levels", "0:200", "--out", "told/e.parquet"), "told",
                      ("run",), (0,)),
-    "record": Work(("record", "run", "--level", "0", "--pixels", "64", "--out", "film/f.gif"),
-                   "film", ("run",), (0,)),
+    "record": Work(("record", "run", "--level", "0", "--pixels", "64", "--out", "video/f.gif"),
+                   "video", ("run",), (0,)),
 }  # fmt: skip
 # What may be done at once in one folder, by different commands.
 MIXED = (

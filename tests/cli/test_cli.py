@@ -118,13 +118,13 @@ def test_levels_from_files_are_edited_and_played(astray, run_folder, tmp_path):
     assert "not both" in astray(*words, folder / "0.txt", "--level", "3", fails=True)
     (folder / "2.txt").write_text(drawn)
     assert "holds 3" in astray(*words, folder / "2.txt", fails=True)
-    film = tmp_path / "film.gif"
-    astray("record", run_folder, "--level-file", folder / "0.txt", "--pixels", "64", "--out", film)
-    assert film.stat().st_size > 1000
+    video = tmp_path / "video.gif"
+    astray("record", run_folder, "--level-file", folder / "0.txt", "--pixels", "64", "--out", video)
+    assert video.stat().st_size > 1000
 
 
-def test_an_agent_is_filmed(astray, run_folder, tmp_path):
-    out = tmp_path / "film.gif"
+def test_an_agent_is_recorded_as_a_video(astray, run_folder, tmp_path):
+    out = tmp_path / "video.gif"
     astray("record", run_folder, "--pixels", "64", "--out", out)
     assert out.stat().st_size > 1000
     assert "a video is an .mp4 or a .gif" in astray(

@@ -149,8 +149,8 @@ def test_rewards_are_normalised():
 
 
 @pytest.fixture
-def films(monkeypatch):
-    """The frames of the films that Gymnasium writes; in place of moviepy, which is not needed."""
+def videos(monkeypatch):
+    """The frames of the videos that Gymnasium writes; in place of moviepy, which is not needed."""
     written = []
 
     class ImageSequenceClip:
@@ -168,23 +168,23 @@ def films(monkeypatch):
     return written
 
 
-def test_videos_are_recorded(films, tmp_path):
-    env = RecordVideo(gymnasium.make(ID, render_mode="rgb_array"), str(tmp_path / "films"))
+def test_videos_are_recorded(videos, tmp_path):
+    env = RecordVideo(gymnasium.make(ID, render_mode="rgb_array"), str(tmp_path / "videos"))
     env.reset(seed=0)
     ended = False
     while not ended:
         _, _, terminated, truncated, _ = env.step(4)
         ended = terminated or truncated
     env.close()
-    assert [film.shape for film in films] == [(101, 512, 512, 3)]  # the beginning, and 100 steps
+    assert [video.shape for video in videos] == [(101, 512, 512, 3)]  # the beginning, and 100 steps
 
 
-def test_frames_of_a_batch_are_recorded(films, tmp_path):
+def test_frames_of_a_batch_are_recorded(videos, tmp_path):
     env = wrappers.RecordVideo(
-        vector(4, render_mode="rgb_array"), str(tmp_path / "films"), video_length=10
+        vector(4, render_mode="rgb_array"), str(tmp_path / "videos"), video_length=10
     )
     env.reset(seed=0)
     for _ in range(12):
         env.step(np.full(4, 4))
     env.close()
-    assert [len(film) for film in films] == [11]  # the beginning, and 10 steps
+    assert [len(video) for video in videos] == [11]  # the beginning, and 10 steps

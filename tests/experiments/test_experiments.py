@@ -125,7 +125,7 @@ def reports(trained, tmp_path):
     return shutil.copytree(trained, tmp_path / "reports")
 
 
-def test_films_are_of_outcomes_that_came_about(reports, monkeypatch):
+def test_videos_are_of_outcomes_that_came_about(reports, monkeypatch):
     whole = catalogue.load("maze-corner")
     plan = replace(miniature(whole.sizes["smoke"]), levels=60)
     monkeypatch.setattr(catalogue, "load", lambda _: replace(whole, sizes={"smoke": plan}))
@@ -135,8 +135,8 @@ def test_films_are_of_outcomes_that_came_about(reports, monkeypatch):
     )
     played = pl.read_parquet(*page.parent.glob("computed/episodes-*.parquet"))
     mine = played.filter(policy="sampled", seed=0, variant="anywhere-small")
-    films = {path.stem for path in reports.rglob("videos/*.mp4")}
-    assert films == {outcome.lower().replace(" ", "-") for outcome, _ in told} != set()
+    videos = {path.stem for path in reports.rglob("videos/*.mp4")}
+    assert videos == {outcome.lower().replace(" ", "-") for outcome, _ in told} != set()
     for outcome, level in told:
         assert mine.filter(level=int(level))["outcome"].to_list() == [outcome.lower()]
 

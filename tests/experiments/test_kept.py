@@ -135,10 +135,10 @@ def test_a_card_says_what_an_evaluation_finds(astray, mouse):
 def test_a_kept_agent_stands_for_its_run_folder(astray, run, mouse, tmp_path):
     words = ("--levels", "100000:100012", "--json")
     assert astray("agency", "mouse", *words) == astray("agency", run, *words)
-    films = [tmp_path / f"{name}.gif" for name in ("kept", "run")]
-    astray("record", "mouse", "--pixels", "64", "--out", films[0])
-    astray("record", run, "--pixels", "64", "--out", films[1])
-    assert films[0].read_bytes() == films[1].read_bytes()
+    videos = [tmp_path / f"{name}.gif" for name in ("kept", "run")]
+    astray("record", "mouse", "--pixels", "64", "--out", videos[0])
+    astray("record", run, "--pixels", "64", "--out", videos[1])
+    assert videos[0].read_bytes() == videos[1].read_bytes()
     assert json.loads(astray("list", "--json"))["agents"]["mouse"]["variant"] == SHORT.variant
     assert "mouse: maze, trained on corner-small" in astray("list")
 

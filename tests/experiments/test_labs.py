@@ -1,4 +1,4 @@
-"""Labs beside reports, to which their films lead."""
+"""Labs beside reports, to which their videos lead."""
 
 import json
 from dataclasses import replace
@@ -52,13 +52,13 @@ def test_an_agent_that_a_page_cannot_compute_has_no_lab(tmp_path, monkeypatch):
 
 @pytest.mark.parametrize("links", [{}, {SCENE: f"{LAB}#game=maze"}])
 def test_a_report_has_the_command_and_the_link(links, tmp_path):
-    film = tmp_path / "film.mp4"
-    film.write_bytes(b"")
+    video = tmp_path / "video.mp4"
+    video.write_bytes(b"")
     heading = report.Heading(
         name="a", size="smoke", title="", reproduces="", question="", differences="", command=""
     )
     findings = report.Findings(
-        answer="", claims=[], settings={}, videos=[report.Video("A walk.", film, SCENE)]
+        answer="", claims=[], settings={}, videos=[report.Video("A walk.", video, SCENE)]
     )
     page = report.write(heading, findings, tmp_path, links=links).read_text()
     assert "--variant anywhere-small --level 200007</code>" in page

@@ -221,9 +221,9 @@ def test_every_verb_takes_an_imported_agent_by_its_name(astray, home, tmp_path, 
     assert said == astray("evaluate", "m", *words) == astray("evaluate", home / "m", *words)
     assert json.loads(said)[0]["variant"] == "anywhere-easy"
     assert json.loads(astray("agency", "m", *words))["episodes"] == 3
-    film = tmp_path / "m.gif"
-    astray("record", "m", "--pixels", "64", "--set", "time_limit=5", "--out", film)
-    assert film.stat().st_size > 1000
+    video = tmp_path / "m.gif"
+    astray("record", "m", "--pixels", "64", "--set", "time_limit=5", "--out", video)
+    assert video.stat().st_size > 1000
     assert json.loads(astray("list", "--json"))["agents"]["m"]["variant"] == "anywhere-easy"
 
 

@@ -115,7 +115,7 @@ def trained_with(by, folder, **variables):
 
 
 @pytest.mark.skipif(not find_spec("wandb"), reason="wandb is not installed")
-def test_wandb_offline_has_settings_metrics_outcomes_and_a_film(tmp_path):
+def test_wandb_offline_has_settings_metrics_outcomes_and_a_video(tmp_path):
     run, said = trained_with("wandb", tmp_path, WANDB_MODE="offline", WANDB_DIR=str(tmp_path))
     assert "did not take" not in said
     logs = sorted(run.glob("wandb/offline-run-*/run-*.wandb"))
@@ -127,7 +127,7 @@ def test_wandb_offline_has_settings_metrics_outcomes_and_a_film(tmp_path):
     ]
     names = {name for row in rows for name in row}
     assert {"outcome/goal misgeneralization", "steps"} <= names
-    assert {"film", "outcomes"} <= {name.partition("/")[0] for name in names}
+    assert {"video", "outcomes"} <= {name.partition("/")[0] for name in names}
     assert len(list(run.glob("wandb/offline-run-*/files/media/videos/*.gif"))) == 1
     assert len(list(run.glob("wandb/offline-run-*/files/media/table/*.json"))) == 1
 
@@ -162,14 +162,14 @@ def records(data, block=32_768, head=7):
 
 
 @pytest.mark.skipif(not find_spec("trackio"), reason="trackio is not installed")
-def test_trackio_has_metrics_outcomes_and_a_film(tmp_path):
+def test_trackio_has_metrics_outcomes_and_a_video(tmp_path):
     kept = tmp_path / "trackio"
     run, said = trained_with("trackio", tmp_path, TRACKIO_DIR=str(kept))
     assert "did not take" not in said
     with sqlite3.connect(next(kept.glob("astray*.db"))) as base:
         rows = [json.loads(text) for (text,) in base.execute("select metrics from metrics")]
     names = {name for row in rows for name in row}
-    assert {"training/return", "speed/steps_per_second", "outcomes", "film"} <= names
+    assert {"training/return", "speed/steps_per_second", "outcomes", "video"} <= names
     returns = [row["training/return"] for row in rows if "training/return" in row]
     assert returns == [
         line["training/return"] for line in checkpoint.metrics(run) if "training/return" in line

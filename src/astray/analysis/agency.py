@@ -214,7 +214,7 @@ def judge_run(
     art: str | None = None,
     knobs: dict[str, Any] | None = None,
 ) -> tuple[Judgement, Callable[[], np.ndarray]]:
-    """Judge a trained agent; also a function that films its most telling episode.
+    """Judge a trained agent; also a function that records a video of its most telling episode.
 
     levels   numbers; None: the first 300 that the training does not draw from
     measure  of `PRESETS`

@@ -1,4 +1,4 @@
-"""Verbs for agents: train, evaluate, film, judge them."""
+"""Verbs for agents: train, evaluate, record, judge them."""
 
 from __future__ import annotations
 
@@ -210,7 +210,7 @@ def record(
     longest: Longest = None,
     out: Path = Path("episode.mp4"),
 ) -> None:
-    """Film an agent in one level; by default in level 1000000.
+    """Record a video of an agent in one level; by default in level 1000000.
 
     Example: astray record maze-corner --variant anywhere-small --level 200003
 
@@ -264,7 +264,7 @@ def agency(
         see_free(out, SUMMARY, b'"explanations"', (EPISODES, *POSTERIOR))
         for name in (SUMMARY, EPISODES, *POSTERIOR):
             see_writable(out / name)
-    judged, filmed = judge_run(
+    judged, recorded = judge_run(
         run_of(agent),
         level_numbers(levels) if levels else None,
         variant=variant,
@@ -275,7 +275,7 @@ def agency(
         knobs=pairs(knobs),
     )
     if out:
-        _write_judgement(judged, filmed(), out)
+        _write_judgement(judged, recorded(), out)
     if json:
         print_json(judged.summary())
         return
@@ -293,8 +293,8 @@ def _write_judgement(judged: Judgement, frames: np.ndarray, folder: Path) -> Non
 
     folder.mkdir(parents=True, exist_ok=True)
     write_aside(folder / SUMMARY, json.dumps(judged.summary()).encode())
-    film, loop, last = (folder / name for name in POSTERIOR)
-    video.write_mp4(frames, film, fps=4)
+    movie, loop, last = (folder / name for name in POSTERIOR)
+    video.write_mp4(frames, movie, fps=4)
     video.write_gif(frames, loop, fps=4)
     picture = io.BytesIO()
     Image.fromarray(frames[-1]).save(picture, "PNG")

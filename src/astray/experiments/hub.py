@@ -196,7 +196,7 @@ def _has_card(run: Path) -> bool:
     return True
 
 
-# What the Hub finds a model by; then the film first, as it says most.
+# What the Hub finds a model by; then the video first, as it says most.
 _FRONT = """---
 library_name: astray
 pipeline_tag: reinforcement-learning

@@ -18,8 +18,8 @@ from astray.analysis.pages import templates
 from astray.analysis.runs import evaluate_runs, open_run, reward_deviation, shift_of
 from astray.analysis.tables import write_table
 from astray.experiments import catalogue
-from astray.experiments.films import film
 from astray.experiments.outcomes import AGENTS
+from astray.experiments.videos import write_video
 from astray.files import write_aside
 from astray.training import checkpoint
 from astray.training.config import Config
@@ -95,7 +95,7 @@ def write_card(name: str, run: Path, shift: str, levels: int) -> None:
         variant: evaluate_runs([run], numbers, variant=variant, shift=shift)
         for variant in (config.variant, between.test)
     }
-    film(agent, config, between, played[between.test][1], run / "episode.gif")
+    write_video(agent, config, between, played[between.test][1], run / "episode.gif")
     card = templates("astray.experiments", markdown=True).get_template("card.md")
     text = card.render(
         name=name,

@@ -1,4 +1,4 @@
-"""A lab beside a report: the levels of its films, to be changed and played in a browser."""
+"""A lab beside a report: the levels of its videos, to be changed and played in a browser."""
 
 from __future__ import annotations
 

@@ -21,7 +21,7 @@ from astray.training import checkpoint
 from astray.training.config import Config
 
 AGENTS = "sampled"
-LONGEST = 120  # steps of an episode that are filmed
+LONGEST = 120  # steps of an episode that are recorded
 
 
 def share(episodes: pl.DataFrame, test: str, outcome: str, *, minus: str | None = None) -> Estimate:
@@ -159,7 +159,7 @@ def settings(plan: Plan) -> dict[str, str]:
     }
 
 
-def film(work: Work, *, trained: Test, tested: Test, agent: str | None = None) -> list[Video]:
+def videos(work: Work, *, trained: Test, tested: Test, agent: str | None = None) -> list[Video]:
     """An agent in a training level and a test level of one number, for each outcome of the test.
 
     The commonest outcome first; of each the first level that tells the goals apart and has a

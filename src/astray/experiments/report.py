@@ -109,7 +109,7 @@ def write(
     """Write tables, figures and `report.html`, which needs none of them, to `folder`; its path.
 
     beside  what other agents' report says of some of the claims, as `of_claims` reads it
-    links   to scenes of films in a lab, from the report's folder
+    links   to scenes of videos in a lab, from the report's folder
     """
     from astray.experiments.figures import save  # here, as matplotlib takes a second to import
 

@@ -97,8 +97,8 @@ def reproduce(
         findings = replace(findings, claims=corrected(findings.claims))
         # What others' agents do is told beside what those do that are trained here.
         beside = report.of_claims(root / f"{name}-smoke") if size == PUBLISHED else {}
-        films = [film.scene for film in findings.videos if film.scene]
-        page = report.write(heading, findings, folder, beside, labs.write(films, folder))
+        videos = [video.scene for video in findings.videos if video.scene]
+        page = report.write(heading, findings, folder, beside, labs.write(videos, folder))
         if track:
             track_report(heading, findings, folder, track)
         return page

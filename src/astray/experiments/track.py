@@ -9,17 +9,17 @@ import polars as pl
 
 from astray.analysis.outcomes import load_shift
 from astray.analysis.runs import evaluate_runs, open_run, shift_of
-from astray.experiments.films import film
 from astray.experiments.report import Findings, Heading
+from astray.experiments.videos import write_video
 from astray.training.config import Tracking
 from astray.training.track import Tracker, label
 
 LEVELS = 200  # that an agent is evaluated on for its tracker
-FILM = "episode.gif"
+VIDEO = "episode.gif"
 
 
 def track_outcomes(run: Path, by: Tracking, levels: int = LEVELS) -> None:
-    """Tell a tracker which goals the last agent of a run pursues: a table, and a film.
+    """Tell a tracker which goals the last agent of a run pursues: a table, and a video.
 
     Nothing is told of an agent that no shift of its game says the goals of.
     """
@@ -30,9 +30,9 @@ def track_outcomes(run: Path, by: Tracking, levels: int = LEVELS) -> None:
         return
     numbers, steps = np.array(config.unseen_levels[:levels]), int(agent.path.parent.name)
     shares, episodes = evaluate_runs([run], numbers, variant=between.test)
-    film(agent, config, between, episodes, run / FILM)
+    write_video(agent, config, between, episodes, run / VIDEO)
     tracker = Tracker(by, label(config), run, config.to_json())
-    tracker.film(steps, "film", run / FILM)
+    tracker.video(steps, "video", run / VIDEO)
     _table(tracker, steps, "outcomes", shares)
     mine = shares.filter(policy=agent.name, levels_played="all")
     tracker.log(steps, {f"outcome/{row['outcome']}": row["mean"] for row in mine.to_dicts()})
@@ -40,7 +40,7 @@ def track_outcomes(run: Path, by: Tracking, levels: int = LEVELS) -> None:
 
 
 def track_report(heading: Heading, findings: Findings, folder: Path, by: Tracking) -> None:
-    """Tell a tracker what a report in a folder says: claims, tables, figures, films."""
+    """Tell a tracker what a report in a folder says: claims, tables, figures, videos."""
     settings = {"answer": findings.answer, **vars(heading), **findings.settings}
     tracker = Tracker(by, f"{heading.name}-{heading.size}", folder, settings)
     claims = [[claim.sentence, claim.paper, claim.ours, claim.held] for claim in findings.claims]
@@ -50,7 +50,7 @@ def track_report(heading: Heading, findings: Findings, folder: Path, by: Trackin
     for plot in findings.plots:
         tracker.picture(0, f"figures/{plot.name}", folder / "figures" / f"{plot.name}.png")
     for video in findings.videos:
-        tracker.film(0, f"films/{video.path.stem}", video.path)
+        tracker.video(0, f"videos/{video.path.stem}", video.path)
     tracker.finish()
 
 

@@ -1,6 +1,6 @@
 """Trackers of others, beside TensorBoard: Weights & Biases (wandb), and Trackio.
 
-They are told the settings, a line of metrics an iteration, and at the end films and tables. Where
+They are told the settings, a line of metrics an iteration, and at the end videos and tables. Where
 they keep them, and whether they send them anywhere, is their own setting: `WANDB_MODE=offline`;
 Trackio stays on this machine unless it is given a Space.
 """
@@ -56,8 +56,8 @@ class Tracker:
 
         self._safely(tell)
 
-    def film(self, steps: int, name: str, path: Path) -> None:
-        """Tell a film, an .mp4 or .gif file."""
+    def video(self, steps: int, name: str, path: Path) -> None:
+        """Log a video, an .mp4 or .gif file."""
         self._media(steps, name, lambda: self._library.Video(str(path), format=path.suffix[1:]))
 
     def picture(self, steps: int, name: str, path: Path) -> None:

@@ -91,7 +91,7 @@ def find(work: Work) -> Findings:
                 0.0,
             ),
         ],
-        videos=outcomes.film(work, trained=BLIND[where], tested=TESTS[where], agent=NEVER),
+        videos=outcomes.videos(work, trained=BLIND[where], tested=TESTS[where], agent=NEVER),
         plots=[
             Plot(
                 "diversity",

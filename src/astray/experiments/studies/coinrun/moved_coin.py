@@ -130,7 +130,7 @@ def find(work: Work) -> Findings:
                 f"{rounded(share_of(table, NONE, END).mean)} of levels that have none",
             ),
         ],
-        videos=films(work, pairs),
+        videos=videos(work, pairs),
         plots=[
             Plot(
                 "fates",
@@ -259,7 +259,7 @@ def share_of(table: pl.DataFrame, test: str, fate: str) -> Estimate:
     return mean_of(table.filter(test=test), pl.col("fate") == fate)
 
 
-def films(work: Work, pairs: pl.DataFrame) -> list[Video]:
+def videos(work: Work, pairs: pl.DataFrame) -> list[Video]:
     """A level in which the coin is passed by, and one in which it is gone to, where there are."""
     agent, config = open_run(work.runs[RUNNER][0])
     mine = pairs.filter(agent=config.seed, way=OFF_WAY).filter(pl.col("end_x") > 20)

@@ -35,7 +35,7 @@ THROUGH, INSIDE, BEFORE, DIED = "went through", "stayed in it", "stayed before i
 FATES = (THROUGH, INSIDE, BEFORE, DIED)
 NEARLY_ALL, MOST = 0.9, 0.5  # shares that claims are held to
 JUST_LEFT = -1, 6  # cells from the runner's front to the wall: not all in it, and it is in view
-FOLLOWED = 60  # steps of a film after the wall was touched
+FOLLOWED = 60  # steps of a video after the wall was touched
 LONGEST = 300  # steps of an episode whose values are kept
 AT_ONCE = 20  # levels whose states are held: 20 x 300 steps of 17 kB
 PICTURES = 6
@@ -98,7 +98,7 @@ def find(work: Work) -> Findings:
                 MOST,
             ),
         ],
-        videos=[film for film, _ in shown],
+        videos=[video for video, _ in shown],
         plots=[
             *[plot for _, plot in shown],
             Plot(
@@ -210,7 +210,7 @@ def pick(peaks: pl.DataFrame) -> dict[str, Any] | None:
 
 
 def show(work: Work, typical: dict[str, Any]) -> tuple[Video, Plot]:
-    """One episode: a film with the critic's value, and its curve with pictures above."""
+    """One episode: a video with the critic's value, and its curve with pictures above."""
     run = next(run for run in work.runs[RUNNER] if open_run(run)[1].seed == typical["agent"])
     player, config = open_run(run)
     variant = work.plan.tests[ANYWHERE].variant_for(work.plan.config)

@@ -81,7 +81,7 @@ def find(work: Work) -> Findings:
                 "corner",
             ),
         ],
-        videos=[film(work, name, made, *rest) for name, (made, rest) in judged.items()],
+        videos=[shown(work, name, made, *rest) for name, (made, rest) in judged.items()],
         plots=[
             Plot(
                 "sizes",
@@ -120,7 +120,7 @@ def by_size(episodes: pl.DataFrame) -> pl.DataFrame:
 
 
 def judge_control(work: Work) -> tuple[Judgement, tuple[Any, ...]]:
-    """What the published mouse's episodes say; and what a film of one needs."""
+    """What the published mouse's episodes say; and what a video of one needs."""
     agent, _ = open_run(work.runs[MOUSE][0])
     levels = levels_of(work.plan, TEST)[:JUDGED]
     return _judged(agent, TEST.variant, TEST.variant_for(work.plan.config), levels, TEST.shift)
@@ -150,7 +150,7 @@ def pursues(sentence: str, judgement: Judgement, goal: str) -> Claim:
     return above(sentence, "not measured", f"{goal}: of episodes", share, MOST)
 
 
-def film(
+def shown(
     work: Work,
     name: str,
     judgement: Judgement,

@@ -44,7 +44,7 @@ def find(work: Work) -> Findings:
                 0.0,
             ),
         ],
-        videos=outcomes.film(work, trained=work.plan.tests[train], tested=work.plan.tests[test]),
+        videos=outcomes.videos(work, trained=work.plan.tests[train], tested=work.plan.tests[test]),
         plots=[*outcomes.outcome_plots(work, tables), outcomes.curve_plot(work)],
         tables=tables,
         settings=outcomes.settings(work.plan),

@@ -64,7 +64,7 @@ def find(work: Work) -> Findings:
                 0.0,
             ),
         ],
-        videos=outcomes.film(
+        videos=outcomes.videos(
             work,
             trained=Test(work.plan.agents[middle].variant, tested.shift),
             tested=tested,

@@ -96,7 +96,7 @@ def find(proxy: str, work: Work) -> Findings:
                 buffers,
             ),
         ],
-        videos=outcomes.film(
+        videos=outcomes.videos(
             work,
             trained=work.plan.tests["in training"],
             tested=work.plan.tests[TESTED],

@@ -77,7 +77,7 @@ def find(work: Work) -> Findings:
             ),
         ],
         plots=[*outcomes.outcome_plots(work, tables), outcomes.curve_plot(work)],
-        videos=outcomes.film(
+        videos=outcomes.videos(
             work, trained=work.plan.tests[train], tested=work.plan.tests[test], agent=EARLY
         ),
         tables=[*tables, Table("begun", "Levels that were begun in training", begun(work))],

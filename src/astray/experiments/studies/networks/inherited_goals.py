@@ -66,7 +66,7 @@ def find(work: Work) -> Findings:
                 0.0,
             ),
         ],
-        videos=outcomes.film(
+        videos=outcomes.videos(
             work, trained=work.plan.tests[train], tested=work.plan.tests[test], agent=OF_CHEESE
         ),
         plots=[*outcomes.outcome_plots(work, tables), outcomes.curve_plot(work)],

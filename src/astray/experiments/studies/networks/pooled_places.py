@@ -55,7 +55,7 @@ def find(work: Work) -> Findings:
                 LESS,
             ),
         ],
-        videos=outcomes.film(
+        videos=outcomes.videos(
             work, trained=work.plan.tests[train], tested=work.plan.tests[test], agent=POOLED
         ),
         plots=[*outcomes.outcome_plots(work, tables), outcomes.curve_plot(work)],

@@ -1,4 +1,4 @@
-"""One film of an agent, for its card and for those who follow its training."""
+"""One video of an agent, for its card and for those who follow its training."""
 
 from __future__ import annotations
 
@@ -14,8 +14,10 @@ from astray.training.config import Config
 SIDE, LONGEST = 224, 100  # pixels, steps
 
 
-def film(agent: Agent, config: Config, between: Shift, episodes: pl.DataFrame, path: Path) -> None:
-    """Film the agent in one level, as in training and in the test that `episodes` are of.
+def write_video(
+    agent: Agent, config: Config, between: Shift, episodes: pl.DataFrame, path: Path
+) -> None:
+    """Record the agent in one level, as in training and in the test that `episodes` are of.
 
     The level's outcome is the commonest, it tells the goals apart if one does, and is not short.
     """
