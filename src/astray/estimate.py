@@ -37,6 +37,11 @@ class Estimate:
         mean, low, high = (f"{100 * x:.1f}" for x in (self.mean, self.low, self.high))
         return f"{mean}\u00a0% ({self._interval(low, high)})" if self.rows else "none of none"
 
+    def short(self) -> str:
+        """Return a rate and its interval in figures, for a table that names the interval's kind."""
+        mean, low, high = (f"{100 * x:.1f}" for x in (self.mean, self.low, self.high))
+        return f"{mean} % ({low} to {high})" if self.rows else "none of none"
+
     def amount(self, digits: int = 3) -> str:
         """Return a number and its interval, in words, to so many digits."""
         mean, low, high = (f"{x:.{digits}g}" for x in (self.mean, self.low, self.high))

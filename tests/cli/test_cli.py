@@ -79,11 +79,12 @@ def test_agents_are_trained_resumed_and_evaluated(astray, run_folder, tmp_path):
     out = tmp_path / "episodes.parquet"
     words = ("evaluate", run_folder, "--levels", "1000000:1000020", "--out", out, "--json")
     shares = json.loads(astray(*words))
-    agents = [row for row in shares if row["policy"] == "sampled" and row["levels_played"] == "all"]
+    name = str(run_folder)
+    agents = [row for row in shares if row["policy"] == name and row["levels_played"] == "all"]
     assert sum(row["mean"] for row in agents) == pytest.approx(1)
-    episodes = pl.read_parquet(out)
-    assert episodes.filter(policy="sampled")["level"].to_list() == list(range(1000000, 1000020))
-    assert episodes.filter(policy="sampled")["seed"].unique().to_list() == [0]
+    episodes = pl.read_parquet(out).filter(policy=name)
+    assert episodes["level"].to_list() == list(range(1000000, 1000020))
+    assert episodes["seed"].unique().to_list() == [0]
     assert "walk to corner" in astray(*words[:-1])
 
 

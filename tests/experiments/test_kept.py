@@ -121,7 +121,7 @@ def test_a_card_says_what_an_evaluation_finds(astray, mouse):
     found = {
         row["outcome"]: row
         for row in said
-        if row["policy"] == "sampled" and row["levels_played"] == "all"
+        if row["policy"] == "mouse" and row["levels_played"] == "all"
     }
     told = " | ".join(
         f"{100 * row['mean']:.1f} % ({100 * row['low']:.1f} to {100 * row['high']:.1f})"

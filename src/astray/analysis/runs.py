@@ -20,6 +20,7 @@ from astray.analysis.evaluate import evaluate
 from astray.analysis.given import Measure
 from astray.analysis.outcomes import label, load_shift, name_of, outcomes_of, shares, tell_apart
 from astray.analysis.policies import Random, Walk
+from astray.analysis.results import ALL, APART, Result
 from astray.analysis.trained import Agent
 from astray.bounds import finite, of_kind, shown
 from astray.envs.worlds import see_reported
@@ -32,6 +33,7 @@ from astray.training.ppo import RewardNormaliser
 from astray.world import World, WorldVariant, see_repeats
 
 LEVELS_PLAYED = 1000  # where nobody says which
+NAMED = 3  # agents of a pooled row that are named one by one
 # Of discounted returns: mean, variance and count, in what a training goes on from.
 MOMENTS = "training.moments"
 Mode = Literal["sampled", "greedy"]
@@ -123,7 +125,7 @@ def shift_of(config: Config) -> str:
 
 
 def evaluate_runs(
-    runs: Sequence[Path],
+    runs: Sequence[str | Path],
     levels: np.ndarray | Path | None = None,
     *,
     variant: str | Variant | None = None,
@@ -134,9 +136,11 @@ def evaluate_runs(
     batch: int = 256,
     solvable: bool = True,
     longest: int | None = None,
-) -> tuple[pl.DataFrame, pl.DataFrame]:
-    """How often agents reach which goal, and how often policies that know only one do.
+    pool: bool = False,
+) -> Result:
+    """Evaluate agents beside scripted policies that know only one goal, or none.
 
+    runs      run folders, checkpoints in them, or names of pretrained or imported agents
     levels    numbers, or a file or folder of levels for `read_levels`; None: the first 1,000
               that no run's training draws from
     variant   its name, or one of your own; None: the shift's test variant
@@ -144,9 +148,7 @@ def evaluate_runs(
     art       that the agents are shown; None: what they were trained on, which is then alike
     solvable  see that in levels from files every object can be reached
     longest   steps after which an episode is left; None: never
-
-    Returns `outcomes.shares` of all levels and of those that tell the goals apart (column
-    "levels_played"), and the episodes.
+    pool      whether agents are one row, as agents of one kind; otherwise each has its own
 
     Raises ValueError where runs are not alike, the same one is given twice, or there are no levels;
     FileNotFoundError where there is no run. Warns (`LeftOut`) of knobs of the training that the
@@ -156,9 +158,9 @@ def evaluate_runs(
         raise ValueError(f"runs must be a list of run folders; got {shown(runs)}")
     if not runs:
         raise ValueError("no run is given to evaluate")
-    opened = [open_run(run, mode, art) for run in runs]
+    opened = [open_run(kept.run_of(Path(run)), mode, art) for run in runs]
     config = opened[0][1]
-    digests: dict[str, Path] = {}
+    digests: dict[str, str | Path] = {}
     for run, (agent, _) in zip(runs, opened, strict=True):
         digest = _digest(agent)
         if digest in digests:  # counted twice, it would make intervals narrower
@@ -173,8 +175,9 @@ def evaluate_runs(
     if levels is None:
         after = max((other.unseen_levels for _, other in opened), key=lambda left: left.start)
         levels = np.array(after[:LEVELS_PLAYED])
+    agents = [agent for agent, _ in opened]
     return _outcomes(
-        [agent for agent, _ in opened],
+        agents,
         game,
         name_of(played),
         config.played_variant(played, knobs),
@@ -183,7 +186,18 @@ def evaluate_runs(
         batch,
         solvable,
         longest,
+        names_of(agents, pool),
     )
+
+
+def names_of(agents: Sequence[Agent], pool: bool) -> dict[str, str]:
+    """Return what tables call each agent, by its run folder."""
+    runs = [agent.path.parents[2] for agent in agents]
+    names = [kept.name_of(run) for run in runs]
+    if pool and len(runs) > 1:
+        names = [", ".join(names) if len(runs) <= NAMED else f"{len(runs)} agents"] * len(runs)
+    greedy = " (greedy)" if agents[0].mode == "greedy" else ""
+    return {str(run): name + greedy for run, name in zip(runs, names, strict=True)}
 
 
 def evaluate_policies(
@@ -197,9 +211,10 @@ def evaluate_policies(
     batch: int = 256,
     solvable: bool = True,
     longest: int | None = None,
-) -> tuple[pl.DataFrame, pl.DataFrame]:
-    """As `evaluate_runs`, of any policies; `levels` are the first 1,000 where none are given.
+) -> Result:
+    """Evaluate any policies as `evaluate_runs` does agents.
 
+    If no levels are given, the first 1,000 are played.
     In a world of others, scripts are its experts, and knobs are arguments of its factories.
     """
     game = world.find(game)
@@ -221,7 +236,8 @@ def _outcomes(
     batch: int,
     solvable: bool,
     longest: int | None,
-) -> tuple[pl.DataFrame, pl.DataFrame]:
+    names: Mapping[str, str] | None = None,
+) -> Result:
     if isinstance(levels, Path):
         if isinstance(game, World) or isinstance(variant, WorldVariant):
             raise ValueError(f"levels of {game.name} are numbers; got the file {levels}")
@@ -229,12 +245,16 @@ def _outcomes(
     else:
         chosen = levels
     episodes = play_all(game, name, variant, shift, chosen, policies, batch, longest=longest)
+    if names:
+        of_run = pl.col("run").replace_strict(names, default=None)
+        episodes = episodes.with_columns(policy=pl.coalesce(of_run, "policy"))
     both = [
         shares(part, outcomes=outcomes_of(game)).with_columns(levels_played=pl.lit(which))
-        for which, part in (("all", episodes), ("telling apart", episodes.filter("tells_apart")))
+        for which, part in ((ALL, episodes), (APART, episodes.filter("tells_apart")))
         if len(part)
     ]
-    return pl.concat(both), episodes
+    played = dict.fromkeys(names.values() if names else (policy.name for policy in policies))
+    return Result(pl.concat(both), episodes, (*played,), load_shift(game, shift))
 
 
 def play_all(

@@ -5,7 +5,6 @@ from __future__ import annotations
 import io
 import json
 import os
-from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -13,7 +12,7 @@ import polars as pl
 from rich.table import Table
 from tyro.conf import Positional, arg
 
-from astray.analysis.kept import KEPT, name_of
+from astray.analysis.kept import KEPT
 from astray.analysis.tables import write_table
 from astray.bounds import MOST, bounded
 from astray.cli.arguments import (
@@ -50,7 +49,6 @@ if TYPE_CHECKING:
 
 SUMMARY, EPISODES = "agency.json", "episodes.parquet"
 POSTERIOR = ("posterior.mp4", "posterior.gif", "posterior.png")
-NAMED = 3  # agents of a row in a table that are named one by one
 
 
 def train(
@@ -96,8 +94,7 @@ def evaluate(
             tuple[Path, ...],
             otherwise(
                 "none",
-                "Run folders, checkpoints in them, or names of pretrained or imported agents; "
-                "several are pooled as agents of one kind.",
+                "Run folders, checkpoints in them, or names of pretrained or imported agents.",
             ),
         ]
     ] = (),
@@ -117,6 +114,7 @@ def evaluate(
     policy: OwnPolicy = OwnPolicy(),
     batch: int = 256,
     longest: Longest = None,
+    pool: bool = False,
     out: Annotated[Path | None, otherwise("none")] = None,
     json: Json = False,
 ) -> None:
@@ -127,6 +125,7 @@ def evaluate(
     Args:
         unsolvable: Let levels from files have objects that cannot be reached.
         batch: Number of episodes played at once; the rows do not depend on it.
+        pool: Show several agents as one row, as agents of one kind; otherwise each has its row.
         out: Parquet file for the episodes, a row each.
     """
     from astray.analysis.runs import evaluate_policies, evaluate_runs
@@ -143,8 +142,8 @@ def evaluate(
         if not agents:
             raise ValueError("name an agent or a run folder, or give a --policy")
         rules = acting.open(agents[0])[1].find_game()
-        shares, episodes = evaluate_runs(
-            [run_of(agent) for agent in agents],
+        result = evaluate_runs(
+            agents,
             played,
             variant=variant,
             shift=shift,
@@ -154,12 +153,13 @@ def evaluate(
             batch=batch,
             solvable=not unsolvable,
             longest=longest,
+            pool=pool,
         )
     elif agents or shift is None:
         raise ValueError("--policy needs --shift, and --game or --world, and no agent")
     else:
         rules = policy.rules()
-        shares, episodes = evaluate_policies(
+        result = evaluate_policies(
             [policy.make(acting)],
             rules,
             shift,
@@ -171,15 +171,13 @@ def evaluate(
             longest=longest,
         )
     if out:
-        write_table(episodes, out)
+        write_table(result.episodes, out)
     if json:
-        print_json(shares.to_dicts())
+        print_json(result.rates.to_dicts())
     else:
-        named = [name_of(run_of(agent)) for agent in agents]
-        told = ", ".join(named) if len(named) <= NAMED else f"{len(named)} agents"
-        names = {acting.mode: f"{told} ({acting.mode})"} if agents else {}
-        show_shares(shares, names)
-        show_amounts(episodes, rules, names)
+        show_shares(result.rates)
+        show_amounts(result.episodes, rules)
+        print(result.verdict)
 
 
 def keep(
@@ -302,7 +300,7 @@ def _write_judgement(judged: Judgement, frames: np.ndarray, folder: Path) -> Non
     write_table(judged.episodes, folder / EPISODES)
 
 
-def show_amounts(episodes: pl.DataFrame, game: Game | World, names: Mapping[str, str]) -> None:
+def show_amounts(episodes: pl.DataFrame, game: Game | World) -> None:
     """Print the means of a game's measures as a table, where it has any: a row a policy."""
     from astray.analysis.outcomes import amounts
 
@@ -312,15 +310,12 @@ def show_amounts(episodes: pl.DataFrame, game: Game | World, names: Mapping[str,
     found = amounts(episodes, [*game.measures])
     for rows in found.partition_by("policy", maintain_order=True):
         told = [f"{r['mean']:.3g} [{r['low']:.3g}, {r['high']:.3g}]" for r in rows.to_dicts()]
-        shown.add_row(names.get(rows["policy"][0], rows["policy"][0]), *told)
+        shown.add_row(rows["policy"][0], *told)
     show(shown, width=120)
 
 
-def show_shares(shares: pl.DataFrame, names: Mapping[str, str]) -> None:
-    """Print `outcomes.shares` as a table: a row a policy, a column an outcome, 95 % intervals.
-
-    names  what to call policies; those that are left out have their own
-    """
+def show_shares(shares: pl.DataFrame) -> None:
+    """Print `outcomes.shares` as a table: a row a policy, a column an outcome, 95 % intervals."""
     outcomes = shares["outcome"].unique(maintain_order=True).to_list()
     shown = Table(
         "policy",
@@ -334,7 +329,5 @@ def show_shares(shares: pl.DataFrame, names: Mapping[str, str]) -> None:
         first = rows.row(0, named=True)
         levels = f"{first['levels']} {first['levels_played']}"
         told = [f"{r['mean']:.1%} [{r['low']:.1%}, {r['high']:.1%}]" for r in rows.to_dicts()]
-        shown.add_row(
-            names.get(first["policy"], first["policy"]), f"{first['agents']}", levels, *told
-        )
+        shown.add_row(first["policy"], f"{first['agents']}", levels, *told)
     show(shown, width=120)

@@ -15,10 +15,11 @@ from astray.agents.folder import AGENT, CARD, CONFIG, DEVIATION, AgentFolder, ma
 from astray.analysis.kept import KEPT
 from astray.analysis.outcomes import load_shift, outcomes_of
 from astray.analysis.pages import templates
+from astray.analysis.results import Result
 from astray.analysis.runs import evaluate_runs, open_run, reward_deviation, shift_of
 from astray.analysis.tables import write_table
+from astray.estimate import Estimate
 from astray.experiments import catalogue
-from astray.experiments.outcomes import AGENTS
 from astray.experiments.videos import write_video
 from astray.files import write_aside
 from astray.training import checkpoint
@@ -95,7 +96,7 @@ def write_card(name: str, run: Path, shift: str, levels: int) -> None:
         variant: evaluate_runs([run], numbers, variant=variant, shift=shift)
         for variant in (config.variant, between.test)
     }
-    write_video(agent, config, between, played[between.test][1], run / "episode.gif")
+    write_video(agent, config, between, played[between.test].episodes, run / "episode.gif")
     card = templates("astray.experiments", markdown=True).get_template("card.md")
     text = card.render(
         name=name,
@@ -108,7 +109,7 @@ def write_card(name: str, run: Path, shift: str, levels: int) -> None:
         between=between,
         levels=f"{levels:,}",
         outcomes=outcomes_of(game),
-        rows=[row for variant, (shares, _) in played.items() for row in _rows(variant, shares)],
+        rows=[row for variant, result in played.items() for row in _rows(variant, result)],
         settings=config.flat(),
     )
     write_aside(run / CARD, text.encode())
@@ -124,20 +125,16 @@ def commands(config: Config) -> list[str]:
     ]
 
 
-def _rows(variant: str, shares: pl.DataFrame) -> Iterator[list[Any]]:
+def _rows(variant: str, result: Result) -> Iterator[list[Any]]:
     """A row for each policy, the agent's first: its levels, its name, its outcomes."""
-    order = shares.sort(
-        pl.col("levels_played") != "all", pl.col("policy") != AGENTS, maintain_order=True
+    (agent,) = result.agents
+    order = result.rates.sort(
+        pl.col("levels_played") != "all", pl.col("policy") != agent, maintain_order=True
     )
     for part in order.partition_by("levels_played", "policy", maintain_order=True):
         first = part.row(0, named=True)
         where = f"`{variant}`"
         if first["levels_played"] != "all":
             where += f", the {first['levels']} that tell the goals apart"
-        who = "the agent" if first["policy"] == AGENTS else first["policy"]
-        yield [where, who, *(_told(row) for row in part.to_dicts())]
-
-
-def _told(share: dict[str, Any]) -> str:
-    mean, low, high = (f"{100 * share[key]:.1f}" for key in ("mean", "low", "high"))
-    return f"{mean} % ({low} to {high})"
+        who = "the agent" if first["policy"] == agent else first["policy"]
+        yield [where, who, *(Estimate.of(row).short() for row in part.to_dicts())]

@@ -29,12 +29,12 @@ def track_outcomes(run: Path, by: Tracking, levels: int = LEVELS) -> None:
     except ValueError:
         return
     numbers, steps = np.array(config.unseen_levels[:levels]), int(agent.path.parent.name)
-    shares, episodes = evaluate_runs([run], numbers, variant=between.test)
-    write_video(agent, config, between, episodes, run / VIDEO)
+    result = evaluate_runs([run], numbers, variant=between.test)
+    write_video(agent, config, between, result.episodes, run / VIDEO)
     tracker = Tracker(by, label(config), run, config.to_json())
     tracker.video(steps, "video", run / VIDEO)
-    _table(tracker, steps, "outcomes", shares)
-    mine = shares.filter(policy=agent.name, levels_played="all")
+    _table(tracker, steps, "outcomes", result.rates)
+    mine = result.rates.filter(policy=result.agents[0], levels_played="all")
     tracker.log(steps, {f"outcome/{row['outcome']}": row["mean"] for row in mine.to_dicts()})
     tracker.finish()
 

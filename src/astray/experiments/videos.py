@@ -21,7 +21,7 @@ def write_video(
 
     The level's outcome is the commonest, it tells the goals apart if one does, and is not short.
     """
-    mine = episodes.filter(policy=agent.name)
+    mine = episodes.drop_nulls("run")  # scripts are of no run
     apart = mine.filter("tells_apart")
     mine = apart if len(apart) else mine
     mine = mine.filter(outcome=mine["outcome"].mode().sort()[0])
