@@ -1,8 +1,8 @@
 """Fields per second: policy and value of an agent at every place of many levels.
 
-Of the kept mouse, which sees symbols, in mazes of 3 to 7 cells; and of the paper's network, which
-sees images, in mazes of 3 to 15 cells: untrained, for that takes as long. Everything counts from
-the levels' numbers on: levels, observations, the network, where each action leads.
+The pretrained mouse sees symbols, in mazes of 3 to 7 cells. The network of the paper sees images,
+in mazes of 3 to 15 cells; it is untrained, which takes equally long. Everything counts from the
+numbers of the levels on: levels, observations, the network, where each action leads.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from typing import ClassVar
 import torch
 
 from astray.agents.policy import Architecture, weights
-from astray.analysis import kept
+from astray.analysis import pretrained
 from astray.analysis.runs import load_agent
 from astray.analysis.trained import Agent
 from astray.insight.fields import each_field
@@ -48,10 +48,10 @@ class Row:
 
 
 def measure(levels: tuple[int, int] = (1000, 100), rounds: int = 3) -> list[Row]:
-    """Measure the fields of so many levels of the kept mouse, and of the paper's network."""
+    """Measure the fields of so many levels of the pretrained mouse, and of the paper's network."""
     with tempfile.TemporaryDirectory() as folder:
         agents = {
-            "maze-corner, symbols": (load_agent(kept.find("maze-corner")), "anywhere-small"),
+            "maze-corner, symbols": (load_agent(pretrained.find("maze-corner")), "anywhere-small"),
             "the paper's network, images": (_paper(Path(folder)), "anywhere-easy"),
         }
         return [

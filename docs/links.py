@@ -22,7 +22,7 @@ MADE = {  # pages of the site that are made of files elsewhere in the repository
     "CHANGELOG.md": "changelog.md",
     "SECURITY.md": "security.md",
     "benchmarks/README.md": "speed.md",
-    "src/astray/agents/kept/README.md": "agents/index.md",
+    "src/astray/agents/pretrained/README.md": "agents/index.md",
 }
 LINK = re.compile(r"(?<!!)\[([^\[\]]+)\]\((?!\w+:)([^)\s#]+)(#[^)\s]*)?\)")
 STUDY = re.compile(r"src/astray/experiments/studies/\w+/([a-z]\w*)\.py")

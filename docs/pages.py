@@ -29,7 +29,7 @@ from PIL import Image
 
 import astray
 from astray import cli, games
-from astray.analysis import kept
+from astray.analysis import pretrained
 from astray.cli import verbs
 from astray.envs.vector import GameVectorEnv
 from astray.experiments import catalogue
@@ -72,8 +72,10 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
     for game in map(games.find, games.OWN):
         for name, image in pictures(game):
             files.append(File.generated(config, name, content=image))
-    for name in kept.names():
-        for path in (p for p in kept.find(name).iterdir() if p.suffix in (".png", ".gif", ".csv")):
+    for name in pretrained.names():
+        for path in (
+            p for p in pretrained.find(name).iterdir() if p.suffix in (".png", ".gif", ".csv")
+        ):
             files.append(
                 File.generated(config, f"agents/{name}/{path.name}", abs_src_path=str(path))
             )
@@ -99,7 +101,7 @@ def pages() -> dict[str, str]:
         **{f"games/{name}.md": game_page(games.find(name)) for name in games.OWN},
         **{f"experiments/{name}.md": experiment_page(name) for name in catalogue.NAMES},
         "agents/index.md": kept_page(),
-        **{f"agents/{name}/card.md": card(name) for name in kept.names()},
+        **{f"agents/{name}/card.md": card(name) for name in pretrained.names()},
         "cli.md": verbs_page(),
         **dict(api_pages()),
     }
@@ -120,8 +122,8 @@ def with_lab(text: str) -> str:
 
 
 def card(name: str) -> str:
-    """The card of a kept agent, with a link to the level of its video in the lab."""
-    text = (kept.find(name) / "README.md").read_text()
+    """The card of a pretrained agent, with a link to the level of its video in the lab."""
+    text = (pretrained.find(name) / "README.md").read_text()
     about = make_lab(name, {}).start
     address = f"../../lab/index.html#game={about['game']}&variant={about['variant']}&agent={name}"
     picture = "(episode.gif)\n"
@@ -131,9 +133,9 @@ def card(name: str) -> str:
 
 
 def in_lab(plan: Plan) -> str:
-    """A link to the lab with an experiment's test levels, where a kept agent sees such."""
+    """A link to the lab with an experiment's test levels, where a pretrained agent sees such."""
     lab = make_lab(None, {})
-    for name in kept.names():
+    for name in pretrained.names():
         about = lab.minds.about(name)
         for test in plan.tests.values():
             if about["game"] == plan.game.name and test.variant in (
@@ -144,7 +146,7 @@ def in_lab(plan: Plan) -> str:
                 link = (
                     f'<a href="../lab/index.html#{words}">Levels of this experiment in the lab</a>'
                 )
-                return f"{link}, with the kept agent `{name}`."
+                return f"{link}, with the pretrained agent `{name}`."
     return ""
 
 
@@ -329,13 +331,13 @@ def link(game: str, variant: str) -> str:
 def kept_page() -> str:
     rows = [
         (f"[{name}]({name}/card.md)", text.split("\n\n")[1].replace("\n", " "))
-        for name in kept.names()
-        for text in [(kept.find(name) / "README.md").read_text()]
+        for name in pretrained.names()
+        for text in [(pretrained.find(name) / "README.md").read_text()]
     ]
     return (
-        (kept.KEPT / "README.md").read_text()
+        (pretrained.PRETRAINED / "README.md").read_text()
         + "\n\n"
-        + (table(("agent", "what it is"), rows) if rows else "None is kept yet.")
+        + (table(("agent", "what it is"), rows) if rows else "There is none yet.")
     )
 
 

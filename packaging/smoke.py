@@ -36,7 +36,7 @@ def main() -> None:
         "games/maze/art/cheese.png",
         "experiments/report.html",
         "experiments/card.md",
-        "agents/kept/maze-corner/config.json",
+        "agents/pretrained/maze-corner/config.json",
         "published/catalogue.toml",
     ):
         assert (home / part).is_file(), f"the wheel lacks {part}"

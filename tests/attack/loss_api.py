@@ -211,7 +211,7 @@ def _downloads() -> dict[str, Callable[[Place], Any]]:
 
 
 def _homes() -> dict[str, Callable[[Place], Any]]:
-    """Agents kept and imported beside what is hidden in a home, and folders that are links."""
+    """Agents of both kinds beside what is hidden in a home, and folders that are links."""
 
     def kept(name: str, place: Place) -> Any:
         for hidden in (f".{name}", f".{name}.{HEX}", f".{name}.bak"):

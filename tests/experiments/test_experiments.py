@@ -74,7 +74,7 @@ def in_miniature(name, plan, monkeypatch):
 
 
 def open_for_short(folder):
-    """A kept agent, and its settings with few levels and episodes of a few steps."""
+    """A pretrained agent, and its settings with few levels and episodes of a few steps."""
     agent, config = open_run(folder)
     return agent, replace(config, levels=1000, knobs={**config.knobs, "time_limit": 40})
 

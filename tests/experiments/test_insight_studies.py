@@ -1,4 +1,4 @@
-"""Studies that look into agents run whole on the kept ones, in miniature."""
+"""Studies that look into agents run whole on the pretrained ones, in miniature."""
 
 import json
 from dataclasses import replace

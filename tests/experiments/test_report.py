@@ -292,12 +292,12 @@ def test_ruined_findings_are_told_and_hide_no_other_report(told, tmp_path, capsy
 
 
 def test_a_table_that_was_cut_short_is_told(tmp_path):
-    whole = spec.kept(tmp_path, "a", lambda: pl.DataFrame({"x": range(99)}))
+    whole = spec.cached(tmp_path, "a", lambda: pl.DataFrame({"x": range(99)}))
     path = tmp_path / "computed" / "a.parquet"
-    assert spec.kept(tmp_path, "a", whole.clear).equals(whole)
+    assert spec.cached(tmp_path, "a", whole.clear).equals(whole)
     path.write_bytes(path.read_bytes()[:-9])
     with pytest.raises(ValueError, match=r"a.parquet is no table of astray's.* it is made anew"):
-        spec.kept(tmp_path, "a", whole.clear)
+        spec.cached(tmp_path, "a", whole.clear)
 
 
 def test_agents_of_several_names_have_curves_of_their_own():

@@ -7,7 +7,7 @@ import pytest
 
 from astray import games, load_agent
 from astray.acting import initial_states
-from astray.analysis import kept
+from astray.analysis import pretrained
 from astray.analysis.critic import observe
 from astray.insight.activations import activations, capture, load_activations
 
@@ -18,7 +18,7 @@ LAYERS = ["features.relu1", "spread"]
 
 @pytest.fixture(scope="module")
 def mouse():
-    return load_agent(kept.find("maze-corner"))
+    return load_agent(pretrained.find("maze-corner"))
 
 
 @pytest.fixture(scope="module")

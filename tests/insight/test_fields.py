@@ -7,7 +7,7 @@ import pytest
 
 from astray import games, load_agent
 from astray.acting import initial_states
-from astray.analysis import kept
+from astray.analysis import pretrained
 from astray.analysis.critic import judge, observe
 from astray.analysis.runs import open_run
 from astray.games.maze import solve
@@ -24,7 +24,7 @@ SMALL = MAZE.variant("anywhere-small")
 
 @pytest.fixture(scope="module")
 def mouse():
-    return load_agent(kept.find("maze-corner"))
+    return load_agent(pretrained.find("maze-corner"))
 
 
 @pytest.fixture(scope="module")
@@ -169,7 +169,7 @@ def test_pictures_show_as_many_arrows_as_places(mouse, level, field, tmp_path):
 @pytest.mark.parametrize("game", ["keys", "coinrun"])  # most of it is compiling these games
 def test_other_games_have_fields_too(game, tmp_path):
     name = {"keys": "many-chests", "coinrun": "coin-end"}[game]
-    agent, config = open_run(kept.find(name))
+    agent, config = open_run(pretrained.find(name))
     found = fields(agent, config.training_variant(), [3])[0]
     assert len(found.cells) > 10 and np.isfinite(found.value).all()
     assert (abs(found.arrows) <= 1.5).all() and abs(found.arrows).max() > 0.05

@@ -9,7 +9,7 @@ from sklearn.metrics import balanced_accuracy_score, r2_score
 
 from astray import games, load_agent
 from astray.acting import initial_states
-from astray.analysis import kept
+from astray.analysis import pretrained
 from astray.games.coinrun import edits as coin_edits
 from astray.games.coinrun import measures as coin_measures
 from astray.games.coinrun.rules import COIN
@@ -26,7 +26,7 @@ SMALL = MAZE.variant("anywhere-small")
 
 @pytest.fixture(scope="module")
 def mouse():
-    return load_agent(kept.find("maze-corner"))
+    return load_agent(pretrained.find("maze-corner"))
 
 
 @pytest.fixture(scope="module")

@@ -5,7 +5,7 @@ import pytest
 
 from astray import games, load_agent
 from astray.acting import initial_states
-from astray.analysis import kept
+from astray.analysis import pretrained
 from astray.analysis.critic import judge, observe
 from astray.insight.activations import activations, layers
 from astray.insight.fields import cell_of, fields
@@ -29,7 +29,7 @@ LAYER = "features.relu1"
 
 @pytest.fixture(scope="module")
 def mouse():
-    return load_agent(kept.find("maze-corner"))
+    return load_agent(pretrained.find("maze-corner"))
 
 
 @pytest.fixture(scope="module")

@@ -81,7 +81,7 @@ print(never(), sum(never.stats.cache_hits.values()))
 @pytest.mark.skipif(numba.config.DISABLE_JIT, reason="nothing is compiled")
 def test_compiled_code_is_new_after_an_edit_of_a_constant_that_it_imports(tmp_path):
     package, program = tmp_path / "astray", tmp_path / "program.py"
-    leave = shutil.ignore_patterns("__pycache__", "kept", "page", "art", "tests")
+    leave = shutil.ignore_patterns("__pycache__", "pretrained", "page", "art", "tests")
     shutil.copytree(Path(astray.__file__).parent, package, ignore=leave)
     shutil.copytree(Path(astray.__file__).parent / "art", package / "art")
     program.write_text(NEVER)

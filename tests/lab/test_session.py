@@ -79,7 +79,9 @@ def test_what_rewards_were_divided_by_is_told_where_it_was_kept(tmp_path, monkey
     assert 3 / told == pytest.approx(normaliser.scaled(np.array([3.0]))[0])
     assert named.about("whole")["reward_deviation"] is None
     named.open("divided")[0].path.with_name("trainer.safetensors").write_bytes(b"half of it")
-    assert named.about("divided")["reward_deviation"] is None  # as of kept agents, which have none
+    assert (
+        named.about("divided")["reward_deviation"] is None
+    )  # as of pretrained agents, which have none
     assert named.about("maze-corner")["reward_deviation"] is None
 
 

@@ -12,7 +12,7 @@ import pytest
 from astray import games
 from astray.acting import initial_states
 from astray.agents.folder import NAME
-from astray.analysis import kept
+from astray.analysis import pretrained
 from astray.analysis.critic import judge, observe
 from astray.analysis.evaluate import evaluate
 from astray.analysis.runs import open_run, shift_of
@@ -80,7 +80,7 @@ def test_what_is_published_is_downloaded_checked_and_imported(serve, home, runne
 def test_a_wrong_digest_imports_nothing_and_leaves_nothing(serve, home, runner):
     with pytest.raises(ValueError, match=f"its SHA-256 is {digest(runner)}, not 00"):
         catalogue.fetch(entry(serve(runner), "00" * 32))
-    assert kept.imported() == [] and os.listdir(home / "downloads") == [LOCK]
+    assert pretrained.imported() == [] and os.listdir(home / "downloads") == [LOCK]
 
 
 def test_without_a_digest_nothing_is_fetched_unless_asked_for(serve, home, runner):
@@ -95,7 +95,7 @@ def test_without_a_digest_nothing_is_fetched_unless_asked_for(serve, home, runne
 
 @pytest.mark.parametrize("one", catalogue.catalogue().values(), ids=lambda one: one.name)
 def test_every_entry_of_the_catalogue_can_be_acted_on(one):
-    assert NAME.fullmatch(one.name) and one.name not in kept.names()
+    assert NAME.fullmatch(one.name) and one.name not in pretrained.names()
     assert one.known.about and one.known.source
     assert bool(one.address) != bool(one.by_hand)
     assert not one.address or (one.address.startswith("https://") and one.known.variant)
@@ -229,9 +229,9 @@ def test_every_verb_takes_an_imported_agent_by_its_name(astray, home, tmp_path, 
 
 def test_a_folder_of_that_name_comes_before_an_agent(home, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    assert kept.run_of(Path("maze-corner")) == kept.KEPT / "maze-corner"
+    assert pretrained.run_of(Path("maze-corner")) == pretrained.PRETRAINED / "maze-corner"
     (tmp_path / "maze-corner").mkdir()
-    assert kept.run_of(Path("maze-corner")) == Path("maze-corner")
+    assert pretrained.run_of(Path("maze-corner")) == Path("maze-corner")
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,4 @@
-"""The folder of an agent, whether trained here, kept, imported or pulled.
+"""The folder of an agent, whether trained here, pretrained, imported or pulled.
 
 config.json                             the settings of its training
 README.md                               its card, of an agent that was kept, imported or pulled

@@ -15,7 +15,7 @@ from astray import world
 from astray.acting import Levels, Policy, see_ending, see_policy
 from astray.agents.folder import DEVIATION, TRAINER, AgentFolder
 from astray.agents.policy import usable
-from astray.analysis import kept
+from astray.analysis import pretrained
 from astray.analysis.evaluate import evaluate
 from astray.analysis.given import Measure
 from astray.analysis.outcomes import label, load_shift, name_of, outcomes_of, shares, tell_apart
@@ -63,14 +63,14 @@ def open_run(
 
 
 def load_agent(run: str | Path, mode: Mode = "sampled", art: str | None = None) -> Agent:
-    """The agent of a run folder or of a checkpoint in it, or the kept or imported one of that name.
+    """Load the agent of a run folder or checkpoint, or a pretrained or imported one by name.
 
     mode  "sampled" draws its actions from its policy, "greedy" takes the likeliest
     art   that it is shown; None: what it was trained on
 
     Raises FileNotFoundError or ValueError where there is none, or not one that can be used.
     """
-    return open_run(kept.run_of(Path(run)), mode, art)[0]
+    return open_run(pretrained.run_of(Path(run)), mode, art)[0]
 
 
 def reward_deviation(agent: Agent, config: Config) -> float | None:
@@ -158,7 +158,7 @@ def evaluate_runs(
         raise ValueError(f"runs must be a list of run folders; got {shown(runs)}")
     if not runs:
         raise ValueError("no run is given to evaluate")
-    opened = [open_run(kept.run_of(Path(run)), mode, art) for run in runs]
+    opened = [open_run(pretrained.run_of(Path(run)), mode, art) for run in runs]
     config = opened[0][1]
     digests: dict[str, str | Path] = {}
     for run, (agent, _) in zip(runs, opened, strict=True):
@@ -193,7 +193,7 @@ def evaluate_runs(
 def names_of(agents: Sequence[Agent], pool: bool) -> dict[str, str]:
     """Return what tables call each agent, by its run folder."""
     runs = [agent.path.parents[2] for agent in agents]
-    names = [kept.name_of(run) for run in runs]
+    names = [pretrained.name_of(run) for run in runs]
     if pool and len(runs) > 1:
         names = [", ".join(names) if len(runs) <= NAMED else f"{len(runs)} agents"] * len(runs)
     greedy = " (greedy)" if agents[0].mode == "greedy" else ""

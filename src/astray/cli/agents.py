@@ -12,7 +12,7 @@ import polars as pl
 from rich.table import Table
 from tyro.conf import Positional, arg
 
-from astray.analysis.kept import KEPT
+from astray.analysis.pretrained import PRETRAINED
 from astray.analysis.tables import write_table
 from astray.bounds import MOST, bounded
 from astray.cli.arguments import (
@@ -195,7 +195,7 @@ def keep(
     """
     from astray.experiments.keep import keep as write
 
-    print(write(agent, name, shift=shift, folder=folder or KEPT))
+    print(write(agent, name, shift=shift, folder=folder or PRETRAINED))
 
 
 def record(

@@ -13,7 +13,7 @@ from rich.console import Console, RenderableType
 from tyro.conf import Positional, UseAppendAction, arg
 
 from astray import games, imports
-from astray.analysis import kept
+from astray.analysis import pretrained
 from astray.bounds import bounded, of_kind
 from astray.game import OWN, Game, Variant
 from astray.level import Level, read_levels
@@ -200,9 +200,9 @@ class PlayedLevel(GivenLevel):
 
 def run_of(agent: Path) -> Path:
     """Return the run folder, or checkpoint in one, of an agent given by its path or name."""
-    found = kept.run_of(agent)
+    found = pretrained.run_of(agent)
     if not found.exists() and len(agent.parts) == 1:
-        there = ", ".join([*kept.names(), *kept.imported()]) or "none yet"
+        there = ", ".join([*pretrained.names(), *pretrained.imported()]) or "none yet"
         raise FileNotFoundError(
             f"unknown agent {str(agent)!r}, which is neither a run folder nor a checkpoint in one; "
             f"there are: {there}"

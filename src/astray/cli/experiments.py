@@ -11,7 +11,7 @@ from rich.table import Table
 from tyro.conf import Positional, arg
 
 from astray import games
-from astray.analysis import kept
+from astray.analysis import pretrained
 from astray.bounds import bounded
 from astray.cli.arguments import MOST_WORKERS, Json, Workers, print_json, show
 from astray.experiments import catalogue
@@ -31,7 +31,7 @@ def list_(json: Json = False) -> None:
     found = {
         "games": described | {name: {"error": reason} for name, reason in broken.items()},
         "experiments": {name: catalogue.load(name).title for name in catalogue.NAMES},
-        "agents": {name: _agent(name) for name in (*kept.names(), *kept.imported())},
+        "agents": {name: _agent(name) for name in (*pretrained.names(), *pretrained.imported())},
         "presets": list(PRESETS),
     }
     if json:
@@ -70,7 +70,7 @@ def _agent(name: str) -> dict[str, Any]:
     from astray.training import checkpoint
 
     try:
-        return checkpoint.read_config(kept.find(name)).flat()
+        return checkpoint.read_config(pretrained.find(name)).flat()
     except (ValueError, OSError) as error:
         return {"error": str(error)}
 

@@ -10,7 +10,7 @@ from rich.console import Console
 from rich.table import Table
 from tyro.conf import Positional, arg
 
-from astray.analysis import kept
+from astray.analysis import pretrained
 from astray.bounds import shown
 from astray.cli.arguments import Json, Mode, level_numbers, print_json
 from astray.training.settings import otherwise
@@ -94,7 +94,7 @@ def agents(
 def _list(json: bool) -> None:
     from astray.published.catalogue import catalogue
 
-    here = kept.imported()
+    here = pretrained.imported()
     rows = {
         name: {
             "imported": name in here,
@@ -107,7 +107,7 @@ def _list(json: bool) -> None:
     }  # fmt: skip
     others = [name for name in here if name not in rows]
     if json:
-        print_json({"folder": str(kept.folder()), "published": rows, "others": others})
+        print_json({"folder": str(pretrained.folder()), "published": rows, "others": others})
         return
     table = Table("agent", "state", "licence", "what it is", box=None, padding=(0, 2, 1, 0))
     for name, row in rows.items():
@@ -115,7 +115,7 @@ def _list(json: bool) -> None:
     Console(width=120).print(table)
     if others:
         print(f"imported beside these: {printable(', '.join(others))}")
-    print(f"Imported agents are in {kept.folder()}; to get one: astray agents fetch NAME")
+    print(f"Imported agents are in {pretrained.folder()}; to get one: astray agents fetch NAME")
 
 
 def _state(imported: bool, tried: bool, address: str, digest: str | None) -> str:
@@ -142,8 +142,8 @@ def _check(name: str, levels: str | None, json: bool) -> None:
     from astray.published.check import check
     from astray.published.imported import origin, write_checks
 
-    run = kept.find(name)
-    if name not in kept.imported():
+    run = pretrained.find(name)
+    if name not in pretrained.imported():
         raise ValueError(f"{name!r} comes with astray; its card has what was measured: {run}")
     entry = by_digest(origin(run)["sha256"])
     if entry is None or not entry.checks:

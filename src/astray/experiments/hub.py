@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Any
 from astray import imports
 from astray.agents import policy
 from astray.agents.folder import CARD, CONFIG, HUB, AgentFolder, made, see_new
-from astray.analysis import kept
+from astray.analysis import pretrained
 from astray.bounds import brief, of_kind, shown
 from astray.envs.vector import IMAGE
 from astray.experiments.connection import Wary, reached, unreachable, wary
@@ -64,7 +64,7 @@ def push(
     levels: int = 1000,
     endpoint: str | None = None,
 ) -> Commit:
-    """Upload the agent of a run, or a kept one, with its card; the commit that this made.
+    """Upload the agent of a run, or a pretrained one, with its card; the commit that this made.
 
     The repository is made where there is none. What was in it of an earlier agent is replaced.
 
@@ -79,7 +79,7 @@ def push(
     """
     _see_name(repository, revision)
     api = _api(endpoint)
-    run = kept.run_of(Path(run))
+    run = pretrained.run_of(Path(run))
     if AgentFolder.open(run).is_foreign:
         raise ValueError(f"{run} was brought from elsewhere; only agents of your own are pushed")
     with tempfile.TemporaryDirectory(prefix="astray-") as passing:
@@ -121,8 +121,8 @@ def pull(
     """
     _see_name(repository, revision)
     name = name or _slug(repository)
-    home = kept.folder()
-    see_new(name, kept.KEPT, home)
+    home = pretrained.folder()
+    see_new(name, pretrained.PRETRAINED, home)
     api = _api(endpoint)
     with made(home, name) as aside, wary() as answers:
         # The cache has the commit in its paths, and notes by this which one the revision was.

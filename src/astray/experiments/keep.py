@@ -12,9 +12,9 @@ import numpy as np
 import polars as pl
 
 from astray.agents.folder import AGENT, CARD, CONFIG, DEVIATION, AgentFolder, made, see_new
-from astray.analysis.kept import KEPT
 from astray.analysis.outcomes import load_shift, outcomes_of
 from astray.analysis.pages import templates
+from astray.analysis.pretrained import PRETRAINED
 from astray.analysis.results import Result
 from astray.analysis.runs import evaluate_runs, open_run, reward_deviation, shift_of
 from astray.analysis.tables import write_table
@@ -34,7 +34,7 @@ def keep(
     name: str,
     *,
     shift: str | None = None,
-    folder: Path = KEPT,
+    folder: Path = PRETRAINED,
     levels: int = 1000,
     largest: int = LARGEST,
 ) -> Path:

@@ -18,7 +18,7 @@ import torch
 
 from astray import provenance
 from astray.agents.folder import AgentFolder
-from astray.analysis import kept
+from astray.analysis import pretrained
 from astray.analysis.outcomes import load_shift
 from astray.bounds import brief
 from astray.experiments import catalogue, labs, report
@@ -172,12 +172,12 @@ def published_run(agent: str) -> Path:
 
     ValueError with what to do where it is not here.
     """
-    if agent not in (*kept.names(), *kept.imported()):
+    if agent not in (*pretrained.names(), *pretrained.imported()):
         raise ValueError(
             f"the published agent {agent} is not here; to bring it: astray agents fetch {agent}, "
             f"and the pictures that it sees: astray art import"
         )
-    return kept.find(agent)
+    return pretrained.find(agent)
 
 
 def reproduce_each(
@@ -237,7 +237,7 @@ def note(plan: Plan, runs: Runs, folder: Path, experiment: Experiment) -> str:
         "visited": {name: asdict(test) for name, test in plan.visited.items()},
         "levels": plan.levels,
         "measures": list(plan.measures),
-        "kept": [agent_digest(kept.find(name)) for name in kept.names()],
+        "pretrained": [agent_digest(pretrained.find(name)) for name in pretrained.names()],
         "resolved": resolved(plan),
         "sources": provenance_of(plan.agents.values(), play, plan.measures, experiment.find, study),
     }

@@ -180,10 +180,10 @@ class Work:
 
     def keep(self, name: str, compute: Callable[[], pl.DataFrame]) -> pl.DataFrame:
         """The table that `compute` makes, from a file once it was made."""
-        return kept(self.folder, f"{name}-{self.digest}", compute)
+        return cached(self.folder, f"{name}-{self.digest}", compute)
 
 
-def kept(folder: Path, name: str, compute: Callable[[], pl.DataFrame]) -> pl.DataFrame:
+def cached(folder: Path, name: str, compute: Callable[[], pl.DataFrame]) -> pl.DataFrame:
     """The table `name` of a report's folder, made by `compute` where there is none."""
     path = folder / COMPUTED / f"{name}.parquet"
     if path.exists():

@@ -47,7 +47,7 @@ def export(lab: Lab, folder: Path, levels: int = 50, agents: list[str] | None = 
     """Write the lab to `folder`, which is new or empty.
 
     levels  how many of each variant that the agents see, from number 0 on
-    agents  by name; None: the one that the lab begins with, and all kept ones
+    agents  by name; None: the one that the lab begins with, and all pretrained ones
 
     Raises FileExistsError where the folder holds anything: nothing of the user's is removed.
     """

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from astray.analysis import kept
+from astray.analysis import pretrained
 from astray.analysis.critic import judge, observe, visit
 from astray.analysis.runs import open_run, reward_deviation, shift_of
 from astray.analysis.trained import Agent
@@ -30,7 +30,7 @@ LARGE = 32  # cells a side of such a world
 
 @dataclass(eq=False)
 class Minds:
-    """The agents that a page may name: kept, imported, and those that it was started with.
+    """The agents that a page may name: pretrained, imported, and those that it was started with.
 
     paths  of run folders, by name
     """
@@ -43,7 +43,9 @@ class Minds:
     @classmethod
     def of(cls, runs: Mapping[str, Path]) -> Minds:
         """`runs` by name, and all agents that have a name."""
-        named = {name: kept.find(name) for name in (*kept.names(), *kept.imported())}
+        named = {
+            name: pretrained.find(name) for name in (*pretrained.names(), *pretrained.imported())
+        }
         return cls(named | dict(runs))
 
     def open(self, name: str) -> tuple[Agent, Config]:

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from astray import games
-from astray.analysis import kept
+from astray.analysis import pretrained
 from astray.bounds import of_kind
 from astray.lab.minds import Minds
 from astray.lab.session import Lab
@@ -24,8 +24,8 @@ def make_lab(agent: str | Path | None, start: Mapping[str, Any]) -> Lab:
     runs: dict[str, Path] = {}
     name = ""
     if agent is not None:
-        path = kept.run_of(Path(agent))
-        named = {kept.find(n): n for n in (*kept.names(), *kept.imported())}
+        path = pretrained.run_of(Path(agent))
+        named = {pretrained.find(n): n for n in (*pretrained.names(), *pretrained.imported())}
         name = named.get(path, str(agent))
         if path not in named:
             runs[name] = path

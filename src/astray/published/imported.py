@@ -24,7 +24,7 @@ from astray.agents import policy
 from astray.agents.folder import AGENT, CARD, CONFIG, ORIGIN, AgentFolder, made, see_new
 from astray.agents.importers import files
 from astray.agents.importers.imported import Imported
-from astray.analysis import kept
+from astray.analysis import pretrained
 from astray.analysis.pages import templates
 from astray.bounds import shown
 from astray.files import read, write_aside
@@ -68,7 +68,7 @@ def import_agent(file: Path, name: str, known: Known, *, expected: str | None = 
     Raises ValueError where the file is refused, the name is none or taken, or it is not known
     what the agent was trained on.
     """
-    see_new(name, kept.KEPT, kept.folder())
+    see_new(name, pretrained.PRETRAINED, pretrained.folder())
     digest = files.digest(file)
     if expected and digest != expected:
         raise ValueError(f"{file} is refused: its SHA-256 is {digest}, not {expected}")
@@ -81,7 +81,7 @@ def import_agent(file: Path, name: str, known: Known, *, expected: str | None = 
         "source": known.source, "licence": known.licence, "about": known.about,
         "facts": known.facts, "file_says": dict(found.told),
     }  # fmt: skip
-    with made(kept.folder(), name) as aside:
+    with made(pretrained.folder(), name) as aside:
         there = aside / "checkpoints" / f"{known.steps or 0}"
         there.mkdir(parents=True)
         weights = policy.weights(found.network, found.architecture, config.game)
@@ -89,7 +89,7 @@ def import_agent(file: Path, name: str, known: Known, *, expected: str | None = 
         _write(aside / CONFIG, {"config": config.to_json()})
         _write(aside / ORIGIN, origin)
         write_card(aside, name)
-    return kept.folder() / name
+    return pretrained.folder() / name
 
 
 def origin(run: Path) -> dict[str, Any]:

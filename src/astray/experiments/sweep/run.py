@@ -25,7 +25,7 @@ from astray.analysis.tables import write_table
 from astray.analysis.trained import Agent
 from astray.experiments import report
 from astray.experiments.run import agent_digest, provenance_of, run_folder
-from astray.experiments.spec import Place, kept
+from astray.experiments.spec import Place, cached
 from astray.experiments.sweep.report import TEST, TRAINING, findings, heading
 from astray.experiments.sweep.settings import Cell, Sweep
 from astray.experiments.workers import train_all
@@ -115,7 +115,7 @@ def _episodes(
         ]
         return pl.concat(played)
 
-    table = kept(folder, digest, play)
+    table = cached(folder, digest, play)
     axes = zip(sweep.columns(), cell, strict=True)
     return table.with_columns(pl.lit(given).alias(name) for name, given in axes)
 

@@ -37,7 +37,7 @@ CHEESE = "a mouse that others trained with cheese anywhere, in mazes of 11 to 15
 
 
 def of_corner_mouse(levels: int, **more: Any) -> Plan:
-    """A plan with the kept mouse whose cheese always lay in the corner."""
+    """A plan with the pretrained mouse whose cheese always lay in the corner."""
     return Plan(
         agents={MOUSE: CORNER_MOUSE},
         published={MOUSE: "maze-corner"},
@@ -59,7 +59,7 @@ def of_cheese_mouse(levels: int, **more: Any) -> Plan:
 
 
 def of_kept_runner(levels: int, **more: Any) -> Plan:
-    """A plan with the kept runner whose coin always lay at the end."""
+    """A plan with the pretrained runner whose coin always lay at the end."""
     name, smoke = _agents.RUNNER, "smoke"
     return Plan(
         agents={name: _agents.AGENTS[smoke]},

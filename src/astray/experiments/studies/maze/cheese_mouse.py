@@ -9,7 +9,7 @@ import numpy as np
 import polars as pl
 
 from astray.agency.measure import CALIBRATED
-from astray.analysis import kept, video
+from astray.analysis import pretrained, video
 from astray.analysis.agency import Judgement, judge, play, posterior_video
 from astray.analysis.estimates import group_means
 from astray.analysis.outcomes import FAILED, INTENDED, MISGENERALIZED, OUTCOMES, load_shift
@@ -36,7 +36,7 @@ def find(work: Work) -> Findings:
     tables = outcomes.outcome_tables(work)
     reached = share(work.episodes, WHERE, INTENDED)
     sizes = by_size(work.episodes)
-    judged = {MOUSE: judge_control(work), OURS: judge_kept()}
+    judged = {MOUSE: judge_control(work), OURS: judge_pretrained()}
     said = {name: judgement for name, (judgement, _) in judged.items()}
     goals = pl.DataFrame(
         [
@@ -126,9 +126,9 @@ def judge_control(work: Work) -> tuple[Judgement, tuple[Any, ...]]:
     return _judged(agent, TEST.variant, TEST.variant_for(work.plan.config), levels, TEST.shift)
 
 
-def judge_kept() -> tuple[Judgement, tuple[Any, ...]]:
+def judge_pretrained() -> tuple[Judgement, tuple[Any, ...]]:
     """As `judge_control`, of the mouse of the corner that comes with astray."""
-    agent, config = open_run(kept.find("maze-corner"))
+    agent, config = open_run(pretrained.find("maze-corner"))
     shift = shift_of(config)
     test = load_shift("maze", shift).test
     variant = config.variant_for(test)

@@ -11,7 +11,7 @@ import numpy as np
 import polars as pl
 
 from astray import games
-from astray.analysis import kept
+from astray.analysis import pretrained
 from astray.analysis.evaluate import evaluate
 from astray.analysis.outcomes import MISGENERALIZED, label, load_shift
 from astray.analysis.policies import Walk
@@ -39,7 +39,7 @@ from astray.mitigation.oversight import Trial, area, least_gain, net_returns, wh
 from astray.report.claims import Claim, rounded
 
 MOUSE, RUNNER = "mouse", coin.RUNNER
-KEPT = {MOUSE: "maze-corner", RUNNER: "coin-end"}  # the agents that come with astray
+PRETRAINED = {MOUSE: "maze-corner", RUNNER: "coin-end"}  # the agents that come with astray
 SHIFTS = {MOUSE: "corner-small", RUNNER: "coin-end"}
 WATCHES = {
     MOUSE: Watch(lambda s: np.ones(len(s), bool), lambda s: s["reached_corner"] >= 0),
@@ -65,7 +65,7 @@ class Novice:
 
 def novice_runs(work: Work) -> Runs:
     """The run folders of the novices: published agents, or those that come with astray."""
-    return work.runs or {name: [kept.find(agent)] for name, agent in KEPT.items()}
+    return work.runs or {name: [pretrained.find(agent)] for name, agent in PRETRAINED.items()}
 
 
 def novices(work: Work, name: str) -> list[Novice]:

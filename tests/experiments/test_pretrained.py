@@ -1,4 +1,4 @@
-"""Kept agents: small, whole without their training, and what their cards say is so."""
+"""Pretrained agents: small, whole without their training, and what their cards say is so."""
 
 import json
 import sys
@@ -10,7 +10,7 @@ import polars as pl
 import pytest
 from safetensors.numpy import load_file
 
-from astray.analysis import kept
+from astray.analysis import pretrained
 from astray.analysis.evaluate import evaluate
 from astray.analysis.outcomes import label, load_shift, outcomes_of
 from astray.analysis.runs import open_run, reward_deviation
@@ -45,20 +45,20 @@ def test_a_folder_whose_name_is_no_text_is_told_and_not_left(run, tmp_path):
 @pytest.fixture
 def mouse(written, monkeypatch):
     """An agent that is kept by the name "mouse"."""
-    monkeypatch.setattr(kept, "KEPT", written.parent)
+    monkeypatch.setattr(pretrained, "PRETRAINED", written.parent)
     return written
 
 
 # The outcome of each level that the cards of some agents tell of, as its number in `outcomes_of`
 # the game: so that a part of the levels is enough to see that an agent is the one on its card.
-OUTCOMES_OF = json.loads(Path(__file__).with_name("kept.json").read_text())
+OUTCOMES_OF = json.loads(Path(__file__).with_name("pretrained.json").read_text())
 CARDS, REPLAYED = 1000, 100  # levels
 
 
 def told_by_card(name):
     """An agent's settings, the shift of its card, and the agent's row in all levels of the test."""
-    card = (kept.find(name) / "README.md").read_text()
-    config = open_run(kept.find(name))[1]
+    card = (pretrained.find(name) / "README.md").read_text()
+    config = open_run(pretrained.find(name))[1]
     shift = load_shift(config.find_game(), card.split("--shift ")[1].split()[0])
     assert f"in {CARDS:,} levels" in card
     (row,) = (
@@ -80,9 +80,9 @@ def test_the_outcomes_that_are_known_are_the_cards(name):
     assert len(outcomes) == CARDS and as_on_cards(outcomes, config) == row
 
 
-@pytest.mark.parametrize("name", kept.names())
+@pytest.mark.parametrize("name", pretrained.names())
 def test_every_kept_agent_does_what_its_card_says(name):
-    agent, _ = open_run(kept.find(name))
+    agent, _ = open_run(pretrained.find(name))
     assert agent.path.stat().st_size <= keep.LARGEST and int(agent.path.parent.name) > 0
     (config, shift, row), known = told_by_card(name), OUTCOMES_OF.get(name)
     levels = config.unseen_levels[: REPLAYED if known else CARDS]
@@ -163,7 +163,7 @@ def test_a_name_is_one_and_new(run, mouse, name, message):
 
 
 def test_what_is_too_large_is_not_kept(run, tmp_path):
-    with pytest.raises(ValueError, match=r"one that is kept is at most 0\.01 MB"):
+    with pytest.raises(ValueError, match=r"a pretrained one is at most 0\.01 MB"):
         keep.keep(run, "mouse", folder=tmp_path, levels=10, largest=10_000)
     assert not list(tmp_path.iterdir())
 

@@ -12,7 +12,7 @@ import platformdirs
 
 from astray import agents
 
-KEPT = Path(agents.__path__[0]) / "kept"  # in the package, so that checkouts and wheels have it
+PRETRAINED = Path(agents.__path__[0]) / "pretrained"  # also in wheels
 
 
 def folder() -> Path:
@@ -22,8 +22,8 @@ def folder() -> Path:
 
 
 def names() -> list[str]:
-    """The names of all kept agents."""
-    return _names(KEPT)
+    """The names of all pretrained agents."""
+    return _names(PRETRAINED)
 
 
 def imported() -> list[str]:
@@ -32,8 +32,8 @@ def imported() -> list[str]:
 
 
 def find(name: str) -> Path:
-    """The run folder of a kept or imported agent."""
-    for home in (KEPT, folder()):
+    """Return the run folder of a pretrained or imported agent."""
+    for home in (PRETRAINED, folder()):
         if name in _names(home):
             return home / name
     there = ", ".join([*names(), *imported()]) or "none yet"
@@ -41,7 +41,7 @@ def find(name: str) -> Path:
 
 
 def name_of(run: Path) -> str:
-    """What verbs know a run folder by: the name of a kept or imported agent, else its path."""
+    """Return the name of a pretrained or imported agent if `run` is one, else the path."""
     there = run.name in (*names(), *imported()) and find(run.name) == run
     return run.name if there else str(run)
 
