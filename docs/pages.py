@@ -44,7 +44,6 @@ SIDE = 256  # pixels of a level's picture
 WIDTH = "90"  # characters of a help text
 LAB_LEVELS, FIRST_LEVEL = 100, 17  # of the lab that is shown on the site
 FIRST = f"game=maze&variant=anywhere-small&agent=maze-corner&level={FIRST_LEVEL}"
-FOUND = 3  # parts of the navigation, up to what was found
 MOST = 40  # rows of settings; a sweep may have more agents
 
 
@@ -54,15 +53,16 @@ FETCHED = re.compile(
 
 
 def on_config(config: MkDocsConfig) -> MkDocsConfig:
-    """Let the navigation lead to the pages that are made."""
+    """Add the pages that are made from the code to the reference, the navigation's last part."""
     parts = {
         part: [page for page in pages() if page.startswith(part + "/")]
         for part in ("games", "experiments", "agents", "api")
     }
-    named = [{name.capitalize(): made} for name, made in parts.items() if name != "api"]
-    nav = config.nav or []
-    first, rest = nav[:FOUND], nav[FOUND:]
-    config.nav = [*first, *named, *rest, "cli.md", {"API": parts["api"]}]
+    titles = {"games": "Games", "experiments": "Studies", "agents": "Agents", "api": "API"}
+    made = [{titles[part]: paths} for part, paths in parts.items()]
+    *first, reference = config.nav or []
+    (title,) = reference
+    config.nav = [*first, {title: ["cli.md", *made, *reference[title]]}]
     return config
 
 
@@ -108,15 +108,14 @@ def pages() -> dict[str, str]:
 
 
 def with_lab(text: str) -> str:
-    """A page with the lab as the first thing below its heading."""
-    heading, _, rest = text.partition("\n")
+    """Return a page with the lab below its heading and its first sentence."""
+    heading, about, rest = text.split("\n\n", 2)
     return "\n".join([
-        heading, "",
+        heading, "", about, "",
         f'<iframe class="lab" src="lab/index.html?embedded#{FIRST}" '
         'title="The lab: drag the cheese, and see where the mouse would go"></iframe>',
         "", "*A mouse that was trained with its cheese in the upper right corner, live in your "
-        "browser: drag the cheese, and see where it would go from everywhere. "
-        "[More of the lab](lab.md).*",
+        "browser. Drag the cheese: the arrows are what the mouse would do. [More of the lab](lab.md).*",
         "", rest,
     ])  # fmt: skip
 
