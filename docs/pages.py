@@ -115,7 +115,8 @@ def with_lab(text: str) -> str:
         f'<iframe class="lab" src="lab/index.html?embedded#{FIRST}" '
         'title="The lab: drag the cheese, and see where the mouse would go"></iframe>',
         "", "*A mouse that was trained with its cheese in the upper right corner, live in your "
-        "browser. Drag the cheese: the arrows are what the mouse would do. [More of the lab](lab.md).*",
+        "browser. Drag the cheese: the arrows are what the mouse would do. "
+        "[More of the lab](lab.md).*",
         "", rest,
     ])  # fmt: skip
 
