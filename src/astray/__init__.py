@@ -1,6 +1,6 @@
 """astray finds out which goal a trained agent really pursues.
 
-What is imported from here is what most need; all else is in the modules that it comes from.
+This package exports the names that most users need; the submodules hold the rest.
 """
 
 from __future__ import annotations

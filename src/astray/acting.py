@@ -1,7 +1,8 @@
-"""A policy plays: the one loop that all episodes come from, in training and after it.
+"""The one loop in which a policy plays, in training and afterwards.
 
-for step in steps(policy, "maze", "anywhere", range(1000)):
-    lengths[step.level[step.ended]] = step.after["time"][step.ended]
+Examples:
+    for step in steps(policy, "maze", "anywhere", range(1000)):
+        lengths[step.level[step.ended]] = step.after["time"][step.ended]
 """
 
 from __future__ import annotations
@@ -24,18 +25,20 @@ from astray.world import World, WorldVariant
 
 Levels = Sequence[int] | np.ndarray | range | Mapping[str, Level]
 CHUNK = 1000  # levels begun at once
-LASTING = 1_000_000  # steps of an episode that may as well never end
-POLICY = ("name", "observation", "art", "actions")  # that each has
+LASTING = 1_000_000  # steps; longer episodes count as endless
+POLICY = ("name", "observation", "art", "actions")  # required attributes of a policy
 
 
 class Turn(NamedTuple):
     """Episodes [n] that wait for their next actions.
 
-    env           the environments that they are played in
-    observations  [n, ...], what these show
-    begins        [n] bool, the episodes of which this is the first step
-    memory        what the policy returned in its last answer, a row per episode; None at first
-    kept          [n] the rows of the last turn that these were, where episodes were moved
+    Attributes:
+        env: Vector environment in which they are played.
+        observations: [n, ...], current observations.
+        begins: [n] bool, whether this is the episode's first step.
+        memory: Memory that the policy returned in its last answer, one row per episode; None at
+            first.
+        kept: [n] int64, rows of the last turn that these episodes had, if episodes were moved.
     """
 
     env: Any
@@ -46,16 +49,18 @@ class Turn(NamedTuple):
 
     @classmethod
     def of(cls, env: GameVectorEnv, observations: np.ndarray) -> Turn:
-        """The turn of `env`'s episodes in the states that they are in, of which it shows this."""
+        """Return the turn of `env`'s episodes in their current states, given their observations."""
         return cls(env, observations, env.states["time"] == 0)
 
 
 class Answer(NamedTuple):
-    """The actions [n] of a turn.
+    """The actions [n] for a turn.
 
-    memory  what is to come back with the next turn: arrays or tensors of a row per episode, alone
-            or in tuples, lists and dictionaries; it is the policy's to forget where one begins
-    extra   what else is to be noted of the steps, arrays [n] by name
+    Attributes:
+        memory: Memory to pass with the next turn: arrays or tensors with one row per episode,
+            alone or in tuples, lists and dictionaries. The policy clears it when an episode
+            begins.
+        extra: Further arrays [n] to record with the step, by name.
     """
 
     actions: np.ndarray
@@ -64,7 +69,17 @@ class Answer(NamedTuple):
 
 
 class Policy(Protocol):
-    """Answers with an action for every episode, from what is shown or from the state."""
+    """Policy that chooses an action for every episode, from its observation or its state.
+
+    Examples:
+        >>> class Right:
+        ...     name, observation, art = "right", "symbolic", "own"
+        ...
+        ...     def actions(self, turn):
+        ...         return astray.acting.Answer(np.full(len(turn.observations), 7))
+        >>> astray.evaluate(Right(), "maze", "corner-small", range(3)).height
+        3
+    """
 
     @property
     def name(self) -> str: ...
@@ -73,19 +88,28 @@ class Policy(Protocol):
     def observation(self) -> Observation: ...
 
     @property
-    def art(self) -> str: ...  # that images are drawn with, for it and for videos of it
+    def art(self) -> str: ...  # art of its images and videos
 
     def actions(self, turn: Turn) -> Answer: ...
 
 
 class Actor(Protocol):
-    """Chooses actions for groups of environments; it may do so for one while another steps."""
+    """Chooser of actions for groups of environments: it can compute for one while another steps.
+
+    Examples:
+        >>> from astray.analysis.policies import Random
+        >>> env = astray.GameVectorEnv("maze", "corner-small", 2)
+        >>> actor = astray.acting.Asking(Random())
+        >>> stage = astray.acting.LevelByLevel(env, range(3))
+        >>> next(astray.acting.play(actor, stage)).level
+        array([0, 1])
+    """
 
     def send(self, t: int, group: int, turn: Turn) -> None:
         """Begin to choose the actions of step `t`."""
 
     def receive(self, group: int) -> Answer:
-        """Return the actions that were last sent for."""
+        """Return the actions that were last requested by `send`."""
         ...
 
 
@@ -93,24 +117,31 @@ Taken = TypeVar("Taken", covariant=True)
 
 
 class Stage(Protocol[Taken]):
-    """Groups of environments, and the rule by which episodes begin in them."""
+    """Groups of environments, with a rule for which episodes begin in them.
+
+    Examples:
+        >>> env = astray.GameVectorEnv("maze", "corner-small", 2)
+        >>> stage = astray.acting.LevelByLevel(env, range(3))
+        >>> stage.begin(0).begins
+        array([ True,  True])
+    """
 
     @property
     def groups(self) -> Sequence[Any]: ...
 
     def begin(self, group: int) -> Turn | None:
-        """Begin the episodes that are to begin now; None ends the play."""
+        """Begin the episodes that are due and return their turn; None ends the play."""
         ...
 
     def step(self, t: int, group: int, answer: Answer) -> Taken:
-        """Take step `t`, and return what it led to."""
+        """Take step `t` and return its result."""
         ...
 
 
 def play(actor: Actor, stage: Stage[Taken], steps: int | None = None) -> Iterator[Taken]:
-    """Play `steps` steps of every group, or until the stage ends it; yield after each of them.
+    """Play `steps` steps of every group, or until the stage ends; yield the result of each.
 
-    The actor also sees what the last step led to.
+    The actor also sees the observations after the last step.
     """
     for group in range(len(stage.groups)):
         if (turn := stage.begin(group)) is None:
@@ -125,7 +156,7 @@ def play(actor: Actor, stage: Stage[Taken], steps: int | None = None) -> Iterato
 
 
 class Asking:
-    """Asks a policy, and keeps its memory beside the episodes that it is of."""
+    """Actor that asks a policy, and stores the policy's memory of each episode."""
 
     def __init__(self, policy: Policy):
         self.policy, self._memory = policy, None
@@ -142,7 +173,7 @@ class Asking:
 
 
 def rows(memory: Any, kept: np.ndarray) -> Any:
-    """The rows `kept` of a policy's memory."""
+    """Return the rows `kept` of a policy's memory."""
     if isinstance(memory, Mapping):
         return {name: rows(part, kept) for name, part in memory.items()}
     if isinstance(memory, tuple | list):
@@ -152,7 +183,7 @@ def rows(memory: Any, kept: np.ndarray) -> Any:
 
 
 def see_rows(memory: Any, n: int) -> None:
-    """ValueError where a policy's memory of `n` episodes is not of a row for each."""
+    """Raise ValueError unless a policy's memory has one row for each of `n` episodes."""
     if isinstance(memory, Mapping | tuple | list):
         for part in memory.values() if isinstance(memory, Mapping) else memory:
             see_rows(part, n)
@@ -165,14 +196,16 @@ def see_rows(memory: Any, n: int) -> None:
 
 @dataclass(frozen=True, eq=False)
 class Step:
-    """One step of each of the episodes under way, [n].
+    """One step of each running episode, [n].
 
-    level   which of the levels, by its place in the order that they were given in
-    before  the states that the step began in; `observations` of them are what the policy saw
-    after   those that it led to, which are valid till the next step, and `seen` of them
-    extra   what the policy noted of the step, arrays [n] by name
+    An episode's first step is the one after its level began; `ended` is true in its last one.
 
-    An episode's first step comes once its level is begun, its last one with `ended`.
+    Attributes:
+        level: [n], position of the level in the given order.
+        before: [n] states in which the step began; the policy saw `observations` of them.
+        after: [n] states after the step, valid until the next step; `seen` are observations of
+            them.
+        extra: Arrays [n] that the policy recorded with the step, by name.
     """
 
     level: np.ndarray
@@ -183,11 +216,11 @@ class Step:
     after: np.ndarray
     seen: np.ndarray
     terminated: np.ndarray
-    ended: np.ndarray  # terminated, or the time was up, or what was played until happened
+    ended: np.ndarray  # terminated, truncated, or an event of `until` happened
     extra: Mapping[str, np.ndarray]
 
     def of(self, which: np.ndarray) -> Step:
-        """The same of some of the episodes, `which` [n] bool."""
+        """Return the step restricted to some episodes, `which` [n] bool."""
         return Step(**rows(vars(self), which))
 
 
@@ -210,12 +243,12 @@ def _taken(turn: Turn, answer: Answer, level: np.ndarray) -> Step:
 
 
 class Onward:
-    """Episodes that go on from where environments are, until the first of them has ended."""
+    """Stage that continues from the environments' current states until the first episode ends."""
 
     groups = (slice(None),)
 
     def __init__(self, env: GameVectorEnv, observations: np.ndarray):
-        """observations  what `env` shows now"""
+        """Begin with `observations`, which `env` shows now."""
         self._turn = Turn.of(env, observations)
 
     def begin(self, group: int) -> Turn | None:
@@ -228,7 +261,7 @@ class Onward:
 
 
 class LevelByLevel:
-    """Each of some levels is played once; as many at a time as there are environments, or fewer."""
+    """Stage that plays each of some levels once, at most one per environment at a time."""
 
     groups = (slice(None),)
 
@@ -239,20 +272,20 @@ class LevelByLevel:
         until: Sequence[str] = (),
         longest: int | None = None,
     ):
-        """Begin the first of `levels`; see `steps` for the rest."""
+        """Begin the first of `levels`; `steps` describes the arguments."""
         unknown = [event for event in until if event not in env.game.events]
         if unknown:
             there = ", ".join(env.game.events)
             raise ValueError(f"unknown event {unknown[0]!r} of {env.game.name}; there are: {there}")
         self._option, self._levels = beginnings(levels, env.game.state)
         self._until, self._longest, n = until, longest, env.num_envs
-        self._playing = np.arange(n)  # which of the levels each environment plays
+        self._playing = np.arange(n)  # index of each environment's level
         self._following, self._live, self._ended = n, np.ones(n, bool), np.zeros(n, bool)
         observations, _ = env.reset(seed=0, options={self._option: self._levels[:n]})
         self._turn = Turn(env, observations, self._live.copy())
 
     def begin(self, group: int) -> Turn | None:
-        """Begin the next levels where others ended; None once all have."""
+        """Begin the next levels where others ended; return None once all have ended."""
         env, ended, live, playing = self._turn.env, self._ended, self._live, self._playing
         if not ended.any():
             return self._turn
@@ -302,15 +335,20 @@ def steps(
     until: Sequence[str] = (),
     longest: int | None = None,
 ) -> Iterator[Step]:
-    """Play each of `levels` once, `batch` at a time, and yield after every step of all of them.
+    """Play each of `levels` once, `batch` at a time; yield after every step of all of them.
 
-    levels   numbers, or levels that were drawn, by name; those are numbered from 0 on
-    until    events of the game: with the first of them an episode is left, as if it ended there
-    longest  steps after which an episode is left, as if it ended there; None: never
+    An episode does not depend on `batch` or on the other levels.
 
-    What happens in a level depends neither on `batch` nor on the other levels.
+    Args:
+        levels: Level numbers, or drawn levels by name, which are numbered from 0.
+        until: Events of the game that end an episode.
+        longest: Steps after which an episode is truncated; None for no limit.
 
-    Raises ValueError where episodes may last for ever, and `longest` is not given.
+    Yields:
+        The step of all running episodes.
+
+    Raises:
+        ValueError: If an argument is invalid, or episodes may last for ever and `longest` is None.
     """
     see_policy(policy)
     of_kind("levels", levels, Sized)
@@ -328,7 +366,7 @@ def steps(
 def see_ending(
     game: str | Game | World, variant: str | Variant | WorldVariant, longest: int | None
 ) -> None:
-    """Raise ValueError where episodes of a variant may last for ever, and none is left before."""
+    """Raise ValueError if episodes of a variant may last for ever and `longest` is None."""
     if longest is not None:
         bounded("longest", longest, 1, MOST)
         return
@@ -346,7 +384,7 @@ def lasting(what: str) -> str:
 
 
 def see_policy(policy: Any) -> None:
-    """ValueError where `policy` is none, as a function of observations is not."""
+    """Raise ValueError unless `policy` is a policy; a function of observations is not."""
     missing = [name for name in POLICY if not hasattr(policy, name)]
     if missing or isinstance(policy, type):
         raise ValueError(
@@ -356,7 +394,11 @@ def see_policy(policy: Any) -> None:
 
 
 def initial_states(game: str | Game, variant: str | Variant, levels: Levels) -> np.recarray:
-    """The states that `levels` begin in, [N]."""
+    """Return the states [N] that `levels` begin in.
+
+    Raises:
+        ValueError: If a level number or a drawn level is invalid.
+    """
     of_kind("levels", levels, Sized)
     if not len(levels):
         raise ValueError("no levels to begin")
@@ -373,7 +415,11 @@ def initial_states(game: str | Game, variant: str | Variant, levels: Levels) -> 
 
 
 def beginnings(levels: Levels, dtype: np.dtype) -> tuple[str, np.ndarray]:
-    """The option of a reset that begins each of `levels`, and its values."""
+    """Return the reset option that begins each of `levels`, and its values.
+
+    Raises:
+        ValueError: If a level number or a drawn level is invalid.
+    """
     if not isinstance(levels, Mapping):
         return "level", level_numbers(levels)
     for level in levels.values():

@@ -1,4 +1,4 @@
-"""What users give, and what it may be."""
+"""Validation of arguments."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ MOST = 2**31 - 1  # of a knob, and of what is counted
 
 
 def bounded(name: str, given: Any, least: float, most: float) -> None:
-    """ValueError unless what is called `name` is an integer from `least` to `most`."""
+    """Raise ValueError unless the argument `name` is an integer from `least` to `most`."""
     is_integer = isinstance(given, int | np.integer) and not isinstance(given, bool)
     if not is_integer or not least <= given <= most:
         raise ValueError(f"{name} must be an integer from {least} to {most}; got {shown(given)}")
 
 
 def finite(name: str, given: Any, least: float = -math.inf, most: float = math.inf) -> None:
-    """ValueError unless what is called `name` is a finite number from `least` to `most`."""
+    """Raise ValueError unless the argument `name` is a finite number from `least` to `most`."""
     is_number = isinstance(given, int | float | np.number) and not isinstance(given, bool)
     if not is_number or not math.isfinite(given) or not least <= given <= most:
         said = f" from {least:g} on" if math.isfinite(least) else ""
@@ -30,22 +30,25 @@ def finite(name: str, given: Any, least: float = -math.inf, most: float = math.i
 
 
 def of_kind(name: str, given: Any, kind: Any) -> None:
-    """ValueError unless what is called `name` is of `kind`, a class or several: `A | B`."""
+    """Raise ValueError unless the argument `name` is an instance of `kind`: a class or `A | B`."""
     if not isinstance(given, kind):
         words = " or ".join(k.__name__ for k in getattr(kind, "__args__", (kind,)))
         raise ValueError(f"{name} must be a {words}; got {shown(given)}")
 
 
 def one_of(kind: str, given: Any, there: Collection[str]) -> None:
-    """ValueError where what is `given` as the name of a `kind` is none of those that are there."""
+    """Raise ValueError unless `given` is one of the names of a `kind` in `there`."""
     if not isinstance(given, str) or given not in there:
         raise ValueError(f"unknown {kind} {shown(given)}; there are: {', '.join(there)}")
 
 
 def integers(given: Any, name: str) -> np.ndarray:
-    """`given` as an array, if it holds integers; ValueError where it does not.
+    """Return `given` as an array of integers.
 
-    A float would be cut short in silence, and a boolean be 0 or 1.
+    A float would be truncated silently, and a boolean would become 0 or 1.
+
+    Raises:
+        ValueError: If it holds anything but integers.
     """
     numbers = array_of(given)
     several = isinstance(given, Sequence) and not isinstance(given, str | range)
@@ -55,7 +58,7 @@ def integers(given: Any, name: str) -> np.ndarray:
 
 
 def array_of(given: Any) -> np.ndarray:
-    """`given` as an array; of no numbers where it is lists of lists of any lengths."""
+    """Convert to an array; ragged lists become an object array, which callers reject."""
     try:
         return np.asarray(given)
     except ValueError:
@@ -63,13 +66,13 @@ def array_of(given: Any) -> np.ndarray:
 
 
 def shown(given: Any) -> str:
-    """`given` in an error, of which it should not be most."""
+    """Return `given` as text of bounded length, for an error."""
     text = _Bounded().repr(given)
     return text if len(text) <= 80 else f"{text[:77]}..."
 
 
 class _Bounded(reprlib.Repr):
-    """Writes the first parts of a value, which may be of more than anybody could write."""
+    """Representation that is cut off, since a value may be unboundedly large."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -94,7 +97,7 @@ class _Bounded(reprlib.Repr):
 
 
 def brief(error: BaseException) -> str:
-    """What an error of a library's says, which may hold much of a file."""
+    """Return a library's error message, cut off because it may quote much of a file."""
     text = str(error)
     return text if len(text) <= 300 else f"{text[:297]}..."
 

@@ -1,9 +1,10 @@
-"""Faces of Procgen, for scripts that were written for it: change the import, and nothing else.
+"""Drop-in replacements for Procgen's interfaces: change the import and nothing else.
 
+Examples:
     from astray.compat import ProcgenEnv  # was: from procgen import ProcgenEnv
 
-With one `rand_seed`, levels come in Procgen's order, and images, rewards, ends and infos are those
-of Procgen 0.10.7 to the byte. The pictures have to be imported once: astray art import.
+With the same `rand_seed`, levels, images, rewards, ends and infos equal those of Procgen 0.10.7
+byte for byte. The original pictures have to be imported once: astray art import.
 """
 
 from __future__ import annotations
@@ -35,12 +36,13 @@ WORD = 2**32
 
 @dataclass(frozen=True, kw_only=True)
 class Options:
-    """Procgen's options. Those that change pictures can have their default alone.
+    """Procgen's options. Those that change pictures accept only their default.
 
-    num_levels   of the game's, from start_level on; 0: all that there are
-    rand_seed    decides which level comes when, and nothing else; None: another one each time
-    num_threads  that share the batch, 0 or 1 for one; what comes out does not depend on them
-    art          of the images: the original's, or "own", which needs no import
+    Attributes:
+        num_levels: Number of levels from start_level on; 0 for all.
+        rand_seed: Decides the order of levels and nothing else; None for a random order.
+        num_threads: Threads that share the batch, 0 or 1 for one; results do not depend on it.
+        art: Art of the images: the original's, or "own", which needs no import.
     """
 
     distribution_mode: Mode = "hard"
@@ -77,7 +79,11 @@ class Options:
                 raise ValueError(f"{name} must be False: the other pictures are not drawn here")
 
     def levels(self, name: str) -> range:
-        """The levels to draw from."""
+        """Return the levels to draw from.
+
+        Raises:
+            ValueError: If the range exceeds the game's levels.
+        """
         if self.distribution_mode == "exploration":
             if name not in EXPLORATION or self.num_levels or self.start_level:
                 raise ValueError(
@@ -93,10 +99,12 @@ class Options:
 class ProcgenGym3Env:
     """`num` environments of Procgen's game `env_name`, with gym3's methods.
 
-    env_name  coinrun or maze; or any game and variant of astray's, as "maze/corner"
-    options   see `Options`
+    Args:
+        env_name: coinrun or maze, or any game and variant of astray, such as "maze/corner".
+        options: See `Options`.
 
-    Raises ValueError where there is no such game or option.
+    Raises:
+        ValueError: If there is no such game or option.
     """
 
     def __init__(self, num: int, env_name: str, **options: Any):
@@ -135,11 +143,11 @@ class ProcgenGym3Env:
         self._goals = sorted({self.env.game.event(goal) for goal in over})
 
     def observe(self) -> tuple[np.ndarray, dict[str, np.ndarray], np.ndarray]:
-        """Rewards [num] float32 of the last step, what is seen, and where an episode begins."""
+        """Return rewards [num] float32 of the last step, observations, first-step flags [num]."""
         return self._reward, {"rgb": self._seen}, self._first
 
     def get_info(self) -> list[dict[str, Any]]:
-        """Of each environment: prev_level_seed, prev_level_complete, level_seed."""
+        """Return prev_level_seed, prev_level_complete and level_seed of each environment."""
         return [
             {"prev_level_seed": before, "prev_level_complete": complete, "level_seed": level}
             for before, complete, level in zip(
@@ -148,7 +156,7 @@ class ProcgenGym3Env:
         ]
 
     def act(self, ac: Any) -> None:
-        """Take a step; -1 leaves an episode. What has ended begins anew at once."""
+        """Take a step; -1 leaves an episode. Ended episodes restart at once."""
         actions = integers(ac, "actions").astype(np.int64)
         forced = actions == FORCE_RESET
         self._seen, reward, terminated, truncated, _ = self.env.step(
@@ -175,11 +183,15 @@ class ProcgenGym3Env:
         self._seen = np.where(which[:, None, None, None], seen, self._seen)
 
     def _drawn(self, i: int) -> int:
-        """The level that environment `i` draws next: a word modulo how many there are."""
+        """Draw the next level of environment `i`: a random word modulo the number of levels."""
         return self.levels.start + _word(self._draws[i]) % len(self.levels)
 
     def callmethod(self, method: str, *args: Any, **kwargs: Any) -> Any:
-        """gym3's way of asking for more; states are records here: `env.get_state`."""
+        """Call a further method of gym3 by its name; states are records, as in `env.get_state`.
+
+        Raises:
+            ValueError: If there is no such method.
+        """
         raise ValueError(
             f"there is no method {method!r} here; states are had from .env.get_state(), and set "
             "with .env.set_state(states)"
@@ -190,11 +202,11 @@ class ProcgenGym3Env:
 
 
 class ProcgenEnv:
-    """Procgen's environments as OpenAI's Baselines and CleanRL take them: dicts and lists of infos.
+    """Procgen's environments as OpenAI's Baselines and CleanRL use them, with dicts and info lists.
 
-    As `ProcgenGym3Env`, of which it has all options; `reset` only shows what is there, for Procgen
-    begins episodes by itself. Spaces are old gym's where the script has imported that, else
-    Gymnasium's.
+    It takes all options of `ProcgenGym3Env`. `reset` only returns the current observations,
+    because Procgen begins episodes by itself. Spaces are those of old gym if the script has
+    imported it, otherwise Gymnasium's.
     """
 
     reward_range, metadata, spec = (-float("inf"), float("inf")), {"render_modes": []}, None
@@ -213,42 +225,43 @@ class ProcgenEnv:
         return self
 
     def reset(self) -> dict[str, np.ndarray]:
-        """What is seen, {"rgb": [num_envs, 64, 64, 3] uint8}."""
+        """Return the current observations, {"rgb": [num_envs, 64, 64, 3] uint8}."""
         return self.gym3.observe()[1]
 
     def step_async(self, actions: Any) -> None:
-        """Take a step, whose outcome `step_wait` tells."""
+        """Take a step; `step_wait` returns its result."""
         self.gym3.act(actions)
 
     def step_wait(
         self,
     ) -> tuple[dict[str, np.ndarray], np.ndarray, np.ndarray, list[dict[str, Any]]]:
-        """What is seen, rewards, ends [num_envs] bool, infos: of the last step."""
+        """Return observations, rewards, ends [num_envs] bool and infos of the last step."""
         reward, seen, first = self.gym3.observe()
         return seen, reward, first, self.gym3.get_info()
 
     def step(
         self, actions: Any
     ) -> tuple[dict[str, np.ndarray], np.ndarray, np.ndarray, list[dict[str, Any]]]:
-        """Both."""
+        """Take a step and return its observations, rewards, ends and infos."""
         self.step_async(actions)
         return self.step_wait()
 
     def render(self, mode: str = "rgb_array") -> np.ndarray:
-        """Pictures for people, [num_envs, 512, 512, 3] uint8."""
+        """Return pictures for people, [num_envs, 512, 512, 3] uint8."""
         return self.gym3.env.picture(512)
 
     def seed(self, seed: int | None = None) -> None:
-        """Nothing, as in Procgen: `rand_seed` decides."""
+        """Do nothing, as in Procgen: `rand_seed` decides."""
 
     def close(self) -> None:
         self.gym3.close()
 
 
 def world(env_name: str, mode: Mode) -> tuple[str, str]:
-    """The game and the variant that a name and a difficulty of Procgen's are here.
+    """Return astray's game and variant for Procgen's name and distribution mode.
 
-    Raises ValueError where they are none.
+    Raises:
+        ValueError: If there are none.
     """
     of_kind("env_name", env_name, str)
     if "/" in env_name:
@@ -267,5 +280,5 @@ def world(env_name: str, mode: Mode) -> tuple[str, str]:
 
 
 def _word(generator: np.random.RandomState) -> int:
-    """The next 32 bits of a Mersenne Twister."""
+    """Return the next 32 bits of a Mersenne Twister."""
     return int(generator.randint(WORD, dtype=np.uint32))

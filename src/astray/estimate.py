@@ -1,4 +1,4 @@
-"""A mean with its interval and what it is of, and its words: one type for all that is measured."""
+"""Means with confidence intervals, and how they are written."""
 
 from __future__ import annotations
 
@@ -9,31 +9,36 @@ from typing import Any, Self
 
 @dataclass(frozen=True)
 class Estimate:
-    """A mean and its 95 % interval; NaN where there was nothing to take the mean of."""
+    """A mean with its 95 % confidence interval; all are NaN if there were no values.
+
+    Examples:
+        >>> astray.Estimate(0.96, 0.93, 0.97, agents=4, levels=1000, rows=4000).over()
+        '4 agents and 1,000 levels'
+    """
 
     mean: float
     low: float
     high: float
-    agents: int  # that were averaged
-    levels: int  # that each was played on; of a measure without levels, its episodes
-    rows: int  # values in all; more than agents x levels where a level gives several states
-    freedom: float | None = None  # degrees of freedom of the interval; None: as many as levels, or
-    # one fewer
+    agents: int  # number of agents
+    levels: int  # number of levels per agent; without levels, of episodes
+    rows: int  # number of values; more than agents x levels if a level has several states
+    freedom: float | None = None  # degrees of freedom of the interval; None if they equal the
+    # number of levels or one less
 
     @classmethod
     def of(cls, row: dict[str, Any]) -> Self:
-        """Return the estimate in a row of `group_means`, where null stands for NaN."""
+        """Return the estimate in a row of `group_means`; null becomes NaN."""
         values: dict[str, Any] = {field.name: row[field.name] for field in fields(cls)}
         values |= {name: math.nan for name in ("mean", "low", "high") if row[name] is None}
         return cls(**values)
 
     @classmethod
     def nothing(cls) -> Self:
-        """Return the estimate of no values."""
+        """Return the estimate of an empty set of values."""
         return cls(math.nan, math.nan, math.nan, agents=0, levels=0, rows=0)
 
     def percent(self) -> str:
-        """Return a share and its interval, in words."""
+        """Format a fraction and its interval as percentages."""
         mean, low, high = (f"{100 * x:.1f}" for x in (self.mean, self.low, self.high))
         return f"{mean}\u00a0% ({self._interval(low, high)})" if self.rows else "none of none"
 
@@ -43,17 +48,17 @@ class Estimate:
         return f"{mean} % ({low} to {high})" if self.rows else "none of none"
 
     def amount(self, digits: int = 3) -> str:
-        """Return a number and its interval, in words, to so many digits."""
+        """Format a number and its interval with the given number of digits."""
         mean, low, high = (f"{x:.{digits}g}" for x in (self.mean, self.low, self.high))
         return f"{mean} ({self._interval(low, high)})" if self.rows else "nothing to measure"
 
     def change(self) -> str:
-        """Return a difference and its interval, in words, with their signs."""
+        """Format a difference and its interval with their signs."""
         mean, low, high = (f"{x:+.2f}" for x in (self.mean, self.low, self.high))
         return f"{mean} ({self._interval(low, high)})" if self.rows else "nothing to compare"
 
     def over(self) -> str:
-        """Return what the interval is over, in words: what might have come out otherwise."""
+        """Describe what the interval is over: agents, levels, or both."""
         levels = f"{self.levels:,} levels"
         if self.agents == 1:
             told = f"{levels}, of this agent alone"

@@ -1,4 +1,4 @@
-"""Files that are read at once, written whole or not, and removed where astray made them."""
+"""Safe files: bounded reads, atomic writes, locks, and removal of astray's own files alone."""
 
 from __future__ import annotations
 
@@ -21,10 +21,11 @@ LARGEST = 2**32  # bytes of a file that is read; none of astray's comes near
 
 
 def read(path: Path, most: int = LARGEST) -> bytes:
-    """What is in the file at `path`, which a user named.
+    """Return the contents of a regular file.
 
-    OSError where that is none: nobody may ever write to a pipe, and a device has no end.
-    ValueError where it is larger than `most` bytes.
+    Raises:
+        OSError: If it is not a regular file; a pipe or a device might never end.
+        ValueError: If it is larger than `most` bytes.
     """
     if not isinstance(path, str | os.PathLike):
         raise ValueError(f"the path of a file must be a str or Path; got {path!r}")
@@ -40,7 +41,7 @@ def read(path: Path, most: int = LARGEST) -> bytes:
 
 
 def see_readable(path: Path, most: int = LARGEST) -> None:
-    """Raise what `read` would of a file that a library opens by itself."""
+    """Raise what `read` would, for a file that a library opens by itself."""
     _see_regular(path, path.stat(), most)
 
 
@@ -52,10 +53,7 @@ def _see_regular(path: Path, found: os.stat_result, most: int) -> None:
 
 
 def see_writable(path: Path) -> None:
-    """See that the file can be written there, with its folder, before it is worth it.
-
-    OSError where it cannot; what is there is not touched, and nothing is left there.
-    """
+    """Raise OSError unless the file can be written; create nothing and change nothing."""
     _see_replaceable(path)
     made = make_folder(path.parent)
     try:
@@ -68,14 +66,14 @@ def see_writable(path: Path) -> None:
 
 
 def make_folder(folder: Path) -> list[Path]:
-    """Make `folder`, and what it lies in; those that were not there, the deepest first."""
+    """Create `folder` and its parents; return those that are new, deepest first."""
     missing = [path for path in (folder, *folder.parents) if not os.path.lexists(path)]
     folder.mkdir(parents=True, exist_ok=True)
     return missing
 
 
 def remove_made(folders: Iterable[Path]) -> None:
-    """Remove what `make_folder` made, as far as nothing is in it."""
+    """Remove those folders that `make_folder` created and that are empty."""
     with contextlib.suppress(OSError):
         for folder in folders:
             if folder.exists():
@@ -83,7 +81,7 @@ def remove_made(folders: Iterable[Path]) -> None:
 
 
 def _see_replaceable(path: Path) -> None:
-    """OSError where something else than a file is at `path`; a file would take its place."""
+    """Raise OSError if `path` is anything but a file: a file would replace it."""
     if path.is_symlink():  # as /dev/stdout, or what leads to the user's other disk
         raise OSError(f"{path} must be a file to write; it is a link")
     if path.is_dir():
@@ -93,15 +91,16 @@ def _see_replaceable(path: Path) -> None:
 
 
 def aside_of(path: Path) -> Path:
-    """A path beside `path` that nothing has ever had, for what is to be renamed to it."""
+    """Return an unused path beside `path`, for something that is renamed to `path` later."""
     return path.with_name(f".{path.name}.{uuid.uuid4().hex}")
 
 
 def write_aside(path: Path, data: bytes) -> None:
-    """Write `data` to `path` so that a kill or a full disk leaves the old file or the new one.
+    """Write `data` to `path` atomically: a crash leaves the old file or the new one.
 
-    OSError where there is something else than a file: it would be replaced by one, which root can
-    do to /dev/null, and anyone to a link.
+    Raises:
+        OSError: If `path` is anything but a file. Renaming would replace it: as root even
+            /dev/null, and for anyone a link.
     """
     path = Path(path)
     _see_replaceable(path)
@@ -122,7 +121,7 @@ def write_aside(path: Path, data: bytes) -> None:
 
 @contextlib.contextmanager
 def folder_aside(path: Path) -> Iterator[Path]:
-    """A new folder beside `path`, to be renamed to it when it is whole; removed if it was not."""
+    """Yield a new folder that is renamed to `path` on success and removed on failure."""
     made = make_folder(path.parent)
     aside = aside_of(path)
     try:
@@ -135,10 +134,12 @@ def folder_aside(path: Path) -> Iterator[Path]:
 
 
 def hold(folder: Path, doing: str, wait: bool = True) -> FileLock:
-    """Hold `folder` for this process alone, until the lock that is returned is released.
+    """Lock `folder` for this process until the returned lock is released.
 
-    Where another process holds it, say so and wait, or filelock's Timeout; what it is `doing` there
-    goes before the folder in that sentence.
+    If another process holds the lock, print "another process {doing} {folder}" and wait.
+
+    Raises:
+        filelock.Timeout: If another process holds the lock and `wait` is False.
     """
     lock = FileLock(folder / LOCK)
     try:
@@ -152,7 +153,7 @@ def hold(folder: Path, doing: str, wait: bool = True) -> FileLock:
 
 
 def remove_empty(folder: Path) -> None:
-    """Remove a folder in which `hold` has left its file and nothing else is."""
+    """Remove a folder that holds at most the lock file of `hold`."""
     with contextlib.suppress(OSError):  # another process may have come
         if [path.name for path in folder.iterdir()] == [LOCK]:
             (folder / LOCK).unlink()
@@ -160,7 +161,7 @@ def remove_empty(folder: Path) -> None:
 
 
 def holds_only(folder: Path, names: Collection[str]) -> bool:
-    """Whether `folder`, which is no link, has files of these names in it and nothing else."""
+    """Return whether `folder` is not a link and holds only files of these names."""
     return (
         folder.is_dir()
         and not folder.is_symlink()
@@ -169,16 +170,17 @@ def holds_only(folder: Path, names: Collection[str]) -> bool:
 
 
 def see_own(path: Path) -> None:
-    """OSError where what is at `path` leads elsewhere, or is no file: nothing is to be written."""
+    """Raise OSError if `path` is a link or not a regular file."""
     if os.path.lexists(path) and not stat.S_ISREG(path.lstat().st_mode):
         raise OSError(f"{path} must be a file; it is a link, a folder, a pipe or a device")
 
 
 def see_free(folder: Path, mark: str, sign: bytes, names: Collection[str]) -> None:
-    """OSError where files of these `names` are in `folder`, which astray has not written to yet.
+    """Raise OSError if `folder` holds files of these `names` but is not one of astray's folders.
 
-    mark  the file by which a folder of astray's is known
-    sign  what is in it, and in no file of that name that somebody else writes
+    Args:
+        mark: Name of the file that marks a folder of astray's.
+        sign: Contents that only astray writes to that file.
     """
     if os.path.lexists(folder / mark):
         see_own(folder / mark)
@@ -194,9 +196,9 @@ def see_free(folder: Path, mark: str, sign: bytes, names: Collection[str]) -> No
 
 
 def remove_left(folder: Path, names: Collection[str]) -> None:
-    """Remove what killed processes left of files of these `names`, or of folders of such.
+    """Remove temporary files and folders that killed processes left for these `names`.
 
-    Nothing through a link, and no folder with anything else in it.
+    Links are not followed. A folder that holds anything else stays.
     """
     if folder.is_symlink() or not folder.is_dir():
         return

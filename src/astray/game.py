@@ -1,4 +1,4 @@
-"""What a game is. Read this first, then `protocols.py` and `games/maze/rules.py`."""
+"""Games, variants and shifts. Read this first, then `protocols.py` and `games/maze/rules.py`."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from astray.bounds import MOST, bounded, finite, of_kind, shown
 from astray.protocols import Cells, Editing, Levels, Mutating, Places, Rules, Solver, Symbols
 from astray.record import check_states, record_dtype
 
-OWN = "own"  # the art that is drawn here
-Mutation = Literal["constant", "identity", "binomial"]  # what is edited of a level, and how often
+OWN = "own"  # name of astray's own art
+Mutation = Literal["constant", "identity", "binomial"]  # kind of edits, and how often
 MUTATIONS: tuple[Mutation, ...] = typing.get_args(Mutation)
 MOST_EDITS = 10_000  # of a level; some 50 ms
 ABILITIES = ("symbols", "editing", "solver", "mutation", "places", "cells", "benchmark")
@@ -27,9 +27,16 @@ KINDS = {int: np.int64, float: np.float64, bool: np.bool_}
 class Variant:
     """A distribution of levels. Each game adds its own knobs: numbers with units, and choices.
 
-    shifted  another distribution of the same game, from which some levels come
+    Examples:
+        >>> variant = astray.games.find("maze").variant("anywhere")
+        >>> variant.with_knobs({"time_limit": 100}).time_limit
+        100
 
-    Raises ValueError where a knob is not of its kind, or out of its bounds.
+    Attributes:
+        shifted: Another distribution of the same game, from which some levels come.
+
+    Raises:
+        ValueError: If a knob has another type, or is out of its bounds.
     """
 
     about: str
@@ -48,7 +55,7 @@ class Variant:
             raise ValueError(f"time_limit must be at least 1 step; got {self.time_limit}")
 
     def _check_kinds(self) -> None:
-        """See that each knob is what it is declared as: compiled code sees numbers cast to that."""
+        """Raise ValueError unless each knob has its declared type, to which compiled code casts."""
         for name, kind in knobs(type(self)).items():
             choices, given = typing.get_args(kind), getattr(self, name)
             if choices:
@@ -63,11 +70,12 @@ class Variant:
                 finite(name, given)
 
     def with_knobs(self, changes: Mapping[str, Any]) -> Self:
-        """The variant with some knobs changed; text is read as the knob's type.
+        """Return the variant with some knobs changed; text is parsed as the knob's type.
 
-        The variant it shifts to changes too, but for the knobs that make the shift.
+        The variant that it shifts to changes too, except for the knobs that make the shift.
 
-        Raises ValueError where there is no such knob, or it cannot be that.
+        Raises:
+            ValueError: If there is no such knob, or it cannot have the value.
         """
         of_kind("knobs", changes, Mapping)
         kinds = {n: k if isinstance(k, type) else str for n, k in knobs(type(self)).items()}
@@ -82,13 +90,13 @@ class Variant:
         return replace(self, **values)
 
     def alike(self, changes: Mapping[str, Any], other: Variant) -> dict[str, Any]:
-        """Those of `changes` that change what this variant and the other had in common."""
+        """Return those `changes` whose knobs have equal values in this variant and `other`."""
         alike = {n: v for n, v in changes.items() if getattr(self, n) == getattr(other, n)}
         alike.pop("shift_probability", None)  # the other has nothing of its own to shift to
         return alike
 
     def records(self) -> np.ndarray:
-        """The knobs for compiled code, [2]: of this variant, and of the one it shifts to."""
+        """Return the knobs for compiled code, [2] records: of this variant and of `shifted`."""
         kinds = knobs(type(self))
         dtype = record_dtype([(n, KINDS.get(k, np.int64)) for n, k in kinds.items()])
         records = np.zeros(2, dtype)
@@ -100,13 +108,13 @@ class Variant:
 
 @functools.cache
 def knobs(variant: type[Variant]) -> Mapping[str, Any]:
-    """The fields of a variant that compiled code sees, with their types."""
+    """Return the fields of a variant that compiled code sees, with their types."""
     hints = typing.get_type_hints(variant)
     return {f.name: hints[f.name] for f in fields(variant) if f.name not in ("about", "shifted")}
 
 
 def _as_knob(name: str, value: Any, kinds: Mapping[str, type]) -> Any:
-    """`value` as the type that the knob called `name` has."""
+    """Return `value` converted to the type of the knob called `name`."""
     if name not in kinds:
         raise ValueError(f"unknown knob {name!r}; there are: {', '.join(kinds)}")
     if isinstance(value, str) and kinds[name] is not str:
@@ -132,16 +140,16 @@ def _number(value: Any, kind: Any) -> Any:
 
 @dataclass(frozen=True)
 class Never:
-    """An event that did not happen by the end of an episode, as a forest that lasted."""
+    """An event that did not happen by the end of an episode."""
 
     event: str
 
 
 @dataclass(frozen=True)
 class More:
-    """A measure that is larger at the end of an episode than a number, or than another measure.
+    """A measure that is larger at the end of an episode than a number or another measure.
 
-    A count is a measure, and so is a rate: one that divides by the steps of the episode.
+    A count is a measure. So is a rate, which divides by the number of steps of the episode.
     """
 
     measure: str
@@ -150,54 +158,56 @@ class More:
 
 @dataclass(frozen=True)
 class Truncated:
-    """An episode that was not ended by the rules: its time was up, or it was left."""
+    """An episode that the rules did not end: its time was up, or it was left."""
 
 
-# A goal or another end of an episode: an event, reached when it first happens, or what is known
-# only at the end of the episode, and reached then.
+# A goal or another end of an episode: an event, reached when it first happens, or a condition
+# that is known, and reached, only at the end of the episode.
 Outcome = str | Never | More | Truncated
 
 
 @dataclass(frozen=True)
 class Shift:
-    """A training and a test variant, and the goals that come apart between them."""
+    """A training and a test variant, and the goals that come apart between them.
 
-    train: str  # variants
+    Examples:
+        >>> astray.Shift("corner", "anywhere", intended="cheese", proxies=("corner",)).test
+        'anywhere'
+    """
+
+    train: str  # names of variants
     test: str
-    intended: str  # goals
+    intended: str  # names of goals
     proxies: tuple[str, ...]
 
 
 @dataclass(frozen=True)
 class Looks:
-    """How a game is drawn: two compiled functions, and the pictures that they draw with.
+    """Appearance of a game: two compiled drawing functions and their pictures.
 
-    `scene` is the part of an image that does not move, `art` what `art` gives, `image`
-    [side, side, 3]; scenes and images are uint8.
+    The scene is the part of an image that does not move. Images are [side, side, 3] uint8, scenes
+    are uint8 of `scene_shape`.
     """
 
-    name: str  # that compiled code is kept under; looks of one name have the same functions
+    name: str  # key of compiled code; looks of one name have the same functions
     paint: Callable  # (s, art, scene)
     draw: Callable  # (s, art, scene, image)
     art: Callable[[Variant, int], tuple[np.ndarray, ...]]  # (variant, pixels a side of an image)
-    scene_shape: Callable[[Variant, int], tuple[int, ...]]  # likewise
+    scene_shape: Callable[[Variant, int], tuple[int, ...]]  # (variant, pixels)
     check: Callable[[np.ndarray, Variant], None] = lambda states, variant: None
-    # ValueError where there is no picture of what one of states [N] has
+    # raises ValueError if a picture for one of states [N] is missing
 
 
 @dataclass(frozen=True)
 class Benchmark:
-    """What a game's speed is measured on."""
+    """The variant on which a game's speed is measured."""
 
     variant: str
-    envpool: str | None = None  # the environment of EnvPool that is like it
+    envpool: str | None = None  # corresponding environment of EnvPool
 
 
 class Missing:
-    """In the place of an ability that a game does not have: whoever asks it for something hears so.
-
-    It is false, where an ability is true.
-    """
+    """Placeholder for an ability that a game lacks: it is false, and any use raises ValueError."""
 
     def __init__(self, game: str, ability: str):
         self._said = f"the game {game!r} has no {ability}, which this needs"
@@ -213,23 +223,28 @@ class Missing:
 
 @dataclass(frozen=True, eq=False)
 class Game:
-    """The rules, levels and looks of one game, and what else it is able to.
+    """The rules, levels and appearance of one game, and its optional abilities.
 
-    Rules, levels and abilities are modules, or anything with the same names. Every game has rules,
-    levels, looks and variants; what needs an ability that it does not have says so.
+    Rules, levels and abilities are modules, or any objects with the same names. The rules, levels,
+    looks and variants are required. A missing ability raises an error when it is needed.
 
-    World coordinates are cells, x to the right, y upward; arrays are indexed [y, x]; only drawing
-    flips. `s` is a state, `p` a variant's record, `scene` the part of an observation that does not
-    move.
+    World coordinates are cells, x to the right and y upward. Arrays are indexed [y, x]; only
+    drawing flips them. `s` is a state, `p` a variant's record, `scene` the part of an image that
+    does not move.
+
+    Examples:
+        >>> maze = astray.games.find("maze")
+        >>> maze.goals["corner"], maze.shifts["corner"].test
+        ('reached_corner', 'anywhere')
     """
 
     name: str
     about: str
     rules: Rules
     levels: Levels
-    looks: Mapping[str, Looks]  # by the name of the art; OWN is there always
+    looks: Mapping[str, Looks]  # by name of the art; OWN is required
     variants: Mapping[str, Any]  # name -> a `Variant`, all of one class
-    goals: Mapping[str, Outcome]  # goal -> the event that it is reached, or what it is at the end
+    goals: Mapping[str, Outcome]  # goal -> its event, or its condition at the end
     shifts: Mapping[str, Shift]
 
     symbols: Symbols = None  # pyright: ignore
@@ -239,19 +254,19 @@ class Game:
     places: Places = None  # pyright: ignore
     cells: Cells = None  # pyright: ignore
     benchmark: Benchmark = None  # pyright: ignore
-    ends: Mapping[str, Outcome] = field(default_factory=dict)  # which are neither goals nor
-    # proxies, as "died": what an episode that reached no goal is called, instead of a failure
+    ends: Mapping[str, Outcome] = field(default_factory=dict)  # neither goals nor proxies,
+    # for instance "died": labels of episodes that reached no goal, instead of failure
     measures: Mapping[str, Callable[[np.ndarray], np.ndarray]] = field(default_factory=dict)
-    # counts and rates of an episode: its name -> (the states [N] that episodes ended in) -> [N]
+    # counts and rates of an episode: name -> function (final states [N]) -> [N]
     invariants: Callable[[np.ndarray, Any], dict[str, np.ndarray]] = lambda s, variant: {}
-    # what is true of states [N] of a variant, and compiled code relies on: its name -> [N] bool
+    # facts about states [N] of a variant that compiled code relies on: name -> [N] bool
     labels: Mapping[str, Callable[[np.ndarray], np.ndarray]] = field(default_factory=dict)
-    # what states [N] say that probes may look for: its name -> [N]; booleans and integers are
-    # classes, reals are numbers, -1 and NaN are of states that do not have it
+    # targets for probes: name -> function (states [N]) -> [N]. Booleans and integers are classes,
+    # reals are numbers; -1 and NaN mark states without a value
     features: Callable[[np.ndarray], dict[str, np.ndarray]] | None = None
-    # what of levels may predict what an agent does in them: (states [N] that they begin in) -> by
-    # name reals [N], NaN where a level does not have it
-    real_time: bool = False  # things move while the agent stays; else a person may take time
+    # optional per-level features for predicting behaviour: function (initial states [N]) ->
+    # {name: float array [N]}, NaN where undefined
+    real_time: bool = False  # things move while the agent stays; otherwise a player may take time
 
     def __post_init__(self) -> None:
         for ability in ABILITIES:
@@ -286,7 +301,7 @@ class Game:
 
     @property
     def walked(self) -> tuple[str, ...]:
-        """The goals that scripts walk to, for base rates."""
+        """The goals that scripted policies walk to, for base rates."""
         return tuple(self.event_goals) if self.solver else ()
 
     @property
@@ -295,7 +310,11 @@ class Game:
         return self.measures
 
     def event(self, goal: str) -> str:
-        """Return the event that a goal is reached; ValueError where it is none."""
+        """Return the event by which a goal is reached.
+
+        Raises:
+            ValueError: If the game has no such goal, or it is not an event.
+        """
         if goal not in self.event_goals:
             there = ", ".join(self.event_goals)
             raise ValueError(
@@ -305,9 +324,10 @@ class Game:
         return self.event_goals[goal]
 
     def variant(self, name: str | Variant) -> Variant:
-        """The variant called `name`; one of your own is itself, if it is of this game.
+        """Return the variant called `name`; a `Variant` of this game is returned unchanged.
 
-        Raises ValueError where there is none.
+        Raises:
+            ValueError: If there is none.
         """
         if isinstance(name, Variant):
             if not isinstance(name, tuple({type(v) for v in self.variants.values()})):
@@ -319,16 +339,21 @@ class Game:
         return self.variants[name]
 
     def drawn(self, art: str) -> Looks:
-        """How the game looks with the art of that name; ValueError where it has none."""
+        """Return the appearance with the art of that name.
+
+        Raises:
+            ValueError: If the game has no such art.
+        """
         if not isinstance(art, str) or art not in self.looks:
             there = ", ".join(self.looks)
             raise ValueError(f"unknown art {shown(art)} of {self.name}; there are: {there}")
         return self.looks[art]
 
     def check(self, states: np.ndarray, variant: Variant, art: str = OWN) -> None:
-        """Raise ValueError if one of states [N] is none of `variant`: compiled code trusts them.
+        """Check that states [N] are valid before compiled code, which trusts them, sees them.
 
-        Likewise where it cannot be drawn with the art of that name.
+        Raises:
+            ValueError: If a state is not one of `variant`, or cannot be drawn with `art`.
         """
         check_states(states, self.name, self.rules, lambda s: self.invariants(s, variant))
         self.drawn(art).check(states, variant)

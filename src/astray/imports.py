@@ -1,4 +1,4 @@
-"""Objects of others by name, "module:attribute", as entry points write them."""
+"""Import of users' objects by name, "module:attribute", as in entry points."""
 
 from __future__ import annotations
 
@@ -12,14 +12,15 @@ NAME = re.compile(r"[^\W\d][\w.]*:[^\W\d][\w.]*")
 
 
 def is_name(text: str) -> bool:
-    """Whether `text` may name an object: "module:attribute"."""
+    """Return whether `text` has the form of an object's name, "module:attribute"."""
     return bool(NAME.fullmatch(text))
 
 
 def name_of(thing: Any) -> str:
-    """The name of a function or a class.
+    """Return the name "module:attribute" of a function or a class.
 
-    Raises ValueError where it has none that leads back to it, as what is defined in a function.
+    Raises:
+        ValueError: If the name does not lead back to it, for instance within a function.
     """
     name = f"{getattr(thing, '__module__', None)}:{getattr(thing, '__qualname__', None)}"
     try:
@@ -32,9 +33,10 @@ def name_of(thing: Any) -> str:
 
 
 def find(name: str) -> Any:
-    """What a name of the user's own leads to; its module is imported, which runs it.
+    """Import the module of a user's own name, which runs it, and return the object.
 
-    Raises ValueError where there is nothing.
+    Raises:
+        ValueError: If there is no such object.
     """
     if not is_name(name):
         raise ValueError(f"{name!r} must be a module and what is in it; as module:attribute")
@@ -45,13 +47,14 @@ def find(name: str) -> Any:
 
 
 def known(name: str, group: str, kind: type) -> Any:
-    """What a name out of a file leads to: nothing is imported that nobody asked for.
+    """Return the object that a name in a file stands for, without importing anything unasked.
 
-    An installed package offers it as one of the entry points of `group`, or its module has been
-    imported in this process and it is a class derived from `kind`: a file that could name any
-    function of the modules that happen to be there would have it called.
+    The object is either an entry point of `group` in an installed package, or a class derived from
+    `kind` in a module that this process has imported. Otherwise a file could name any function of
+    the loaded modules, and have it called.
 
-    Raises ValueError where neither is so.
+    Raises:
+        ValueError: If it is neither.
     """
     if name in {p.value for p in entry_points(group=group)}:
         return find(name)
@@ -71,15 +74,15 @@ def known(name: str, group: str, kind: type) -> Any:
 
 
 def missing(need: str, extra: str) -> ImportError:
-    """Return the error that names the extra which brings a library that is not installed.
+    """Return the error for a library that is not installed, with the extra that installs it.
 
-    astray is on no package index, so that its name there could be anybody's.
+    It names no package index, because astray is on none and its name there could be anybody's.
     """
     return ImportError(f"{need}: pip install '.[{extra}]' in a clone of astray")
 
 
 def needed_by(thing: str, error: ModuleNotFoundError) -> ImportError:
-    """Return the error that names the extra of a library that more than environments needs."""
+    """Return the error for a library that only installations with more than environments have."""
     library = f"{error.name}".partition(".")[0]
     if library == "astray":
         return error

@@ -17,24 +17,35 @@ from astray.files import read
 from astray.game import Game, Variant
 from astray.record import NEVER, is_trusted
 
-AGENT, EMPTY = "@", "."  # in every game's drawings
-ON = f"{AGENT} on "  # begins a line below a drawing, which says what the agent stands on
-BYTE_ORDER_MARK = "\ufeff"  # with which some editors begin a file
-COMMENT = ";"  # begins a line of a drawing that is not part of it
-CLOSE = 1e-5  # a fraction of a cell, in 32 bits beside whole cells
-LARGEST_FILE = 2**26  # bytes; a level as JSON has some 2,000
+AGENT, EMPTY = "@", "."  # in the drawings of all games
+ON = f"{AGENT} on "  # prefix of the line below a drawing with what the agent stands on
+BYTE_ORDER_MARK = "\ufeff"  # some editors put it at the start of a file
+COMMENT = ";"  # prefix of comment lines in drawings
+CLOSE = 1e-5  # cells; the rounding of a 32-bit position
+LARGEST_FILE = 2**26  # bytes; a level as JSON has about 2,000
 Cell = tuple[int, int]  # x to the right, y upward, from the lower left
 
 
 @dataclass(frozen=True, eq=False)
 class Level:
-    """One layout of a game, before anything has moved. Edits return another level.
+    r"""One layout of a game, before anything has moved. Edits return a new level.
 
-    cells  [H, W] uint8, indexed [y, x], codes of the game's legend
-    agent  where the agent begins
-    looks  what else the game builds it from, as its background; what is missing is its choice
+    Examples:
+        >>> maze = astray.games.find("maze")
+        >>> level = astray.Level.from_text(maze, maze.variant("anywhere"), "..G\n.#.\n@..")
+        >>> print(level.moved("goal", (0, 2)))
+        G..
+        .#.
+        @..
 
-    Raises ValueError where the cells or the agent are none; edits, where they cannot be made.
+    Attributes:
+        cells: [H, W] uint8, indexed [y, x], codes of the game's legend.
+        agent: Cell in which the agent begins.
+        looks: Further fields that the game builds the level from, such as its background. The game
+            chooses those that are missing.
+
+    Raises:
+        ValueError: If the cells or the agent are invalid, or an edit is impossible.
     """
 
     game: Game
@@ -54,7 +65,7 @@ class Level:
             raise ValueError(f"the agent is at cell {self.agent}, outside of the level")
 
     def _check_cells(self) -> None:
-        """See that the cells, which are the caller's to change, hold what the legend has."""
+        """Raise ValueError if the cells, which callers may change, hold an unknown code."""
         cells, codes = self.cells, sorted(set(self.game.editing.LEGEND.values()))
         if not isinstance(cells, np.ndarray) or cells.ndim != 2 or cells.dtype != np.uint8:
             raise ValueError("a level's cells are an array [H, W] of uint8")
@@ -64,10 +75,11 @@ class Level:
 
     @staticmethod
     def of(game: Game, variant: Variant, s: Any) -> Level:
-        """The level that state `s` is in; objects that are gone are not in it.
+        """Return the level of state `s`, without the objects that are gone.
 
-        ValueError where `s` was changed by hand to what cannot be, or the agent is where none can
-        begin, as in lava.
+        Raises:
+            ValueError: If `s` was edited to an invalid state, or no level can begin where its
+                agent is, for instance in lava.
         """
         of_kind("a state", s, np.void)
         variant = game.variant(variant)
@@ -80,11 +92,12 @@ class Level:
 
     @staticmethod
     def from_text(game: Game, variant: Variant, drawing: str) -> Level:
-        """The level that is drawn, a character of the game's legend a cell, the top row first.
+        """Parse a level from a text drawing, one legend character per cell, top row first.
 
-        Where the agent stands on something, as "@ on o", a line below the drawing says so.
+        If the agent stands on something, a line below the drawing says so, for instance "@ on o".
 
-        Raises ValueError, naming the row, where the drawing is none of a level.
+        Raises:
+            ValueError: If the drawing is not a level; the message names the row.
         """
         of_kind("a level's drawing", drawing, str)
         drawing = drawing.removeprefix(BYTE_ORDER_MARK)
@@ -113,9 +126,10 @@ class Level:
 
     @staticmethod
     def from_json(game: Game, variant: Variant, data: Any) -> Level:
-        """The level of `to_json`. Beside "grid" and "agent" anything may be missing.
+        """Return the level that `to_json` wrote; only "grid" and "agent" are required.
 
-        Raises ValueError where something in it is not as `to_json` writes it.
+        Raises:
+            ValueError: If a field is unknown, or differs from what `to_json` writes.
         """
         if not isinstance(data, Mapping) or not {"grid", "agent"} <= data.keys():
             raise ValueError('a level is an object with at least "grid" and "agent"')
@@ -147,9 +161,13 @@ class Level:
         return level
 
     def state(self, *, solvable: bool = True) -> Any:
-        """The state that begins in this level, which has no number; ValueError where none can.
+        """Return the state that begins in this level; its level number is NEVER.
 
-        solvable  see that the agent can reach every object
+        Args:
+            solvable: Check that the agent can reach every object.
+
+        Raises:
+            ValueError: If no episode can begin in this level.
         """
         game = self.game
         self._check_stands()
@@ -175,7 +193,7 @@ class Level:
         return s
 
     def _is_built_without_looks(self) -> bool:
-        """Whether the level could begin if the game chose its looks."""
+        """Return whether the level is valid if the game chooses its looks."""
         try:
             self.game.editing.build(self.cells, self.agent, {}, self.variant)
         except ValueError:
@@ -183,11 +201,11 @@ class Level:
         return True
 
     def to_json(self) -> dict[str, Any]:
-        """The level as plain data; see the game's `describe`."""
+        """Return the level as JSON-serialisable data; see the game's `describe`."""
         return {"game": self.game.name} | self.game.editing.describe(self.state(solvable=False))
 
     def __str__(self) -> str:
-        """The drawing, a character a cell, the top row first."""
+        """Return the drawing, one character per cell, top row first."""
         self._check_cells()
         rows = [[self._char(x, y) for x in range(len(row))] for y, row in enumerate(self.cells)]
         x, y = self.agent
@@ -196,7 +214,11 @@ class Level:
         return drawing if beneath == EMPTY else f"{drawing}\n{ON}{beneath}"
 
     def where(self, name: str) -> list[Cell]:
-        """The cells that hold the object called `name`, or the agent's; ValueError for others."""
+        """Return the cells of the object called `name`, or of "agent".
+
+        Raises:
+            ValueError: If the game has no such object.
+        """
         if name == "agent":
             return [self.agent]
         if not isinstance(name, str) or name not in self.game.editing.OBJECTS:
@@ -206,7 +228,11 @@ class Level:
         return [(int(x), int(y)) for y, x in np.argwhere(self.cells == code)]
 
     def moved(self, name: str, to: Cell, at: Cell | None = None) -> Level:
-        """With "agent" or an object moved; `at` says which, where there are several."""
+        """Return the level with "agent" or an object moved to the cell `to`.
+
+        Args:
+            at: Cell of the object; needed if there are several.
+        """
         if name == "agent":
             self._check_free(to)
             return replace(self, agent=to)
@@ -215,14 +241,18 @@ class Level:
         return replace(moved, looks=self._details(at, to))
 
     def removed(self, name: str, at: Cell | None = None) -> Level:
-        """Without an object; `at` says which, where there are several."""
+        """Return the level without an object.
+
+        Args:
+            at: Cell of the object; needed if there are several.
+        """
         x, y = self._one(name, at)
         cells = self.cells.copy()
         cells[y, x] = self.game.editing.LEGEND[EMPTY]
         return replace(self, cells=cells, looks=self._details((x, y)))
 
     def added(self, name: str, at: Cell) -> Level:
-        """With one more object."""
+        """Return the level with one more object, in the cell `at`."""
         self.where(name)
         self._check_free(at)
         cells = self.cells.copy()
@@ -230,7 +260,7 @@ class Level:
         return replace(self, cells=cells, looks=self._details(see_cell(at)))
 
     def _details(self, at: Cell, to: Cell | None = None) -> Mapping[str, Any]:
-        """The looks without those of the object in cell `at`, or with them in the cell `to`."""
+        """Return the looks without those of the object in cell `at`, or with them moved to `to`."""
         details = self.looks.get("details")
         if not isinstance(details, list) or not all(isinstance(one, list) for one in details):
             return self.looks  # `state` says what is wrong with them
@@ -239,9 +269,9 @@ class Level:
         return {**self.looks, "details": sorted(kept + moved, key=lambda one: one[1::-1])}
 
     def splay(self, name: str, at: Cell | None = None) -> list[Level]:
-        """One level for every cell that "agent" or an object could be in, from the lowest row up.
+        """Return a level for each cell that "agent" or an object could be in, lowest row first.
 
-        Those are the empty cells that the agent can reach, and the one that it is in now.
+        These are the empty cells that the agent can reach, and its own cell.
         """
         at = None if name == "agent" else self._one(name, at)
         lifted = self if at is None else self.removed(name, at)
@@ -255,7 +285,7 @@ class Level:
         return [replace(one, looks=look) for one, look in zip(others, looks, strict=True)]
 
     def _one(self, name: str, at: Cell | None) -> Cell:
-        """The cell of the object called `name`: the only one there is, or the one at `at`."""
+        """Return the cell of the object called `name`: its only one, or `at`."""
         there, at = self.where(name), None if at is None else see_cell(at)
         if at in there or (at is None and len(there) == 1):
             return at or there[0]
@@ -267,7 +297,7 @@ class Level:
         return 0 <= x < self.cells.shape[1] and 0 <= y < self.cells.shape[0]
 
     def _check_stands(self) -> None:
-        """See that the agent is on nothing, or on what the game lets it stand on."""
+        """Raise ValueError unless the agent may stand in its cell."""
         x, y = self.agent
         if self._char(x, y) not in self.game.editing.STOOD_ON:
             self._check_free(self.agent)
@@ -286,12 +316,16 @@ class Level:
 
 
 def _cell(place: Any) -> Cell:
-    """The cell that a place, x and y in cells, is in."""
+    """Return the cell that contains a place (x, y)."""
     return int(np.floor(place[0])), int(np.floor(place[1]))
 
 
 def see_cell(place: Any) -> Cell:
-    """`place` as a cell; ValueError where it is not two integers."""
+    """Return `place` as a cell.
+
+    Raises:
+        ValueError: If it is not two integers.
+    """
     if not np.shape(place) == (2,) or np.asarray(place).dtype.kind not in "iu":
         raise ValueError(f"a cell must be two integers, x and y; got {shown(place)}")
     x, y = place
@@ -303,7 +337,7 @@ def _is_number(value: Any) -> TypeGuard[int | float]:
 
 
 def _is_alike(given: Any, true: Any) -> bool:
-    """Whether plain data are equal, but for what 32 bits lose of a fraction."""
+    """Return whether plain data are equal up to the rounding of 32-bit floats."""
     if isinstance(given, list) and isinstance(true, list):
         return len(given) == len(true) and all(map(_is_alike, given, true))
     if isinstance(true, float) and _is_number(given):
@@ -312,7 +346,7 @@ def _is_alike(given: Any, true: Any) -> bool:
 
 
 def _check_told(given: Mapping[str, Any], true: Mapping[str, Any], what: str) -> None:
-    """See that what was `given` of a level, beside what it is built from, is `true` of it."""
+    """Raise ValueError unless a level's `given` redundant fields agree with the `true` ones."""
     for name, value in given.items():
         if name not in true:
             raise ValueError(f"unknown field {shown(name)} of {what}; there are: {', '.join(true)}")
@@ -323,10 +357,14 @@ def _check_told(given: Mapping[str, Any], true: Mapping[str, Any], what: str) ->
 def read_levels(
     path: Path, game: Game, variant: Variant, *, solvable: bool = True
 ) -> dict[str, Level]:
-    """The levels in a file or a folder, by name, each checked as `Level.state` does.
+    """Return the levels in a file or a folder, by name, each checked as by `Level.state`.
 
-    Files whose names end in .json or .jsonl hold JSON, one level after the other or in a list;
-    other files hold drawings, with empty lines between them.
+    Files named .json or .jsonl hold JSON: one level after the other, or a list. Other files hold
+    drawings, separated by empty lines.
+
+    Raises:
+        FileNotFoundError: If there is nothing at `path`.
+        ValueError: If a level is invalid, or there are none.
     """
     if path.is_dir():
         return _read_folder(path, game, variant, solvable)
@@ -354,7 +392,7 @@ def read_levels(
 
 
 def _read_folder(path: Path, game: Game, variant: Variant, solvable: bool) -> dict[str, Level]:
-    """`read_levels` of every file in a folder that is not hidden."""
+    """Return the levels of every file in a folder that is not hidden."""
     found: dict[str, Level] = {}
     for file in sorted(p for p in path.iterdir() if p.is_file() and not p.name.startswith(".")):
         levels = read_levels(file, game, variant, solvable=solvable)
@@ -367,7 +405,7 @@ def _read_folder(path: Path, game: Game, variant: Variant, solvable: bool) -> di
 
 
 def _json_values(text: str) -> list[Any]:
-    """The values that stand one after the other in `text`; of a list, its items."""
+    """Parse concatenated JSON values; the items of a list count as values."""
     decoder, found = json.JSONDecoder(), []
     text = text.lstrip()
     while text:
@@ -378,7 +416,7 @@ def _json_values(text: str) -> list[Any]:
 
 
 def _drawings(text: str) -> list[str]:
-    """The parts of `text` between empty lines, but for those of comments alone."""
+    """Split `text` at empty lines and leave out comments."""
     lines = [line for line in text.splitlines() if not line.lstrip().startswith(COMMENT)]
     groups = itertools.groupby(lines, key=lambda line: bool(line.strip()))
     return ["\n".join(group) for drawn, group in groups if drawn]

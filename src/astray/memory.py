@@ -1,4 +1,4 @@
-"""Memory that is asked for is there, or it is said beforehand how much would be needed."""
+"""Checks that there is enough memory, before it is allocated."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ ROOT = Path("/")
 
 
 def check_memory(needed: int, what: str) -> None:
-    """MemoryError where `what` needs more bytes than this process can ever have.
+    """Raise MemoryError if `what` needs more bytes than this process can have.
 
-    Linux promises any amount, and ends the process when it is used. Windows never promises what
-    it has not got, so that there libraries notice by themselves.
+    Linux promises any amount, and kills the process on use. Windows refuses at once, so that
+    libraries raise the error themselves.
     """
     there = available()
     if there is not None and needed > there:
@@ -21,11 +21,10 @@ def check_memory(needed: int, what: str) -> None:
 
 
 def available(root: Path | None = None) -> int | None:
-    """Bytes of memory of this machine, or of the container that this process runs in.
+    """Return the bytes of memory of this machine or container; None if the system does not say.
 
-    None where the system does not tell.
-
-    root  below which the system tells of containers; None: where it does
+    Args:
+        root: Folder of the system's files on containers, for tests.
     """
     if os.name == "nt":
         return None
@@ -34,7 +33,7 @@ def available(root: Path | None = None) -> int | None:
 
 
 def _limits(root: Path) -> Iterator[int]:
-    """The limits of memory that Linux's control groups set: of this process's, and those above."""
+    """Return the memory limits of this process's Linux control groups and their parents."""
     for line in _text(root / "proc/self/cgroup").splitlines():
         # "0::/group" in version 2, "7:memory,...:/group" in version 1
         _, controllers, group = [*line.split(":", 2), "", ""][:3]
@@ -53,7 +52,7 @@ def _limits(root: Path) -> Iterator[int]:
 
 
 def _text(path: Path) -> str:
-    """What is in a file of the system's; nothing where there is none."""
+    """Return the text of a system file; "" if it does not exist."""
     try:
         return path.read_text()
     except (OSError, UnicodeDecodeError):

@@ -1,4 +1,4 @@
-"""A window to play in, with what an agent sees beside it."""
+"""A window for playing a game, with the agent's observation beside it."""
 
 from __future__ import annotations
 
@@ -23,10 +23,13 @@ HELP = (
 
 
 def play(game: Game, variant: Variant, level: int | Level | None = None, art: str = OWN) -> None:
-    """Open a window and play level after level, from `level` on or from one at random.
+    """Open a window and play level after level, from `level` on or from a random one.
 
-    After a `Level` that was drawn come the numbered ones from 0 on. Time stands still before
-    the first key, and in games in which nothing moves by itself between keys.
+    After a drawn `Level`, numbered levels follow from 0. Time stops until the first key is
+    pressed; in turn-based games it stops between keys.
+
+    Raises:
+        ImportError: If pygame is not installed.
     """
     try:
         import pygame
@@ -73,7 +76,7 @@ def play(game: Game, variant: Variant, level: int | Level | None = None, art: st
 
 
 def _action(env: GameVectorEnv, pressed, pygame) -> int | None:
-    """The action that the pressed keys mean, None for none."""
+    """Return the action for the pressed keys, or None without keys."""
     across = (pressed[pygame.K_RIGHT] or pressed[pygame.K_d]) - (
         pressed[pygame.K_LEFT] or pressed[pygame.K_a]
     )
@@ -88,7 +91,7 @@ def _action(env: GameVectorEnv, pressed, pygame) -> int | None:
 
 
 def _lines(env: GameVectorEnv, total: float, ended: bool) -> list[str]:
-    """What the window says."""
+    """Return the text in the window."""
     s = env.states[0]
     events = [f"{name}: step {s[name]}" for name in env.game.events if s[name] >= 0]
     state = "ended; R or N" if ended else f"step {s.time} of {s.time_limit}"
@@ -97,7 +100,7 @@ def _lines(env: GameVectorEnv, total: float, ended: bool) -> list[str]:
 
 
 def _paint(screen, env: GameVectorEnv, seen: np.ndarray, lines: list[str], font, pygame) -> None:
-    """The state for people on the left; on the right the agent's view, enlarged, and `lines`."""
+    """Draw the picture for people, the agent's enlarged view and `lines`."""
     screen.fill((24, 24, 27))
     big = np.ascontiguousarray(env.picture(PICTURE)[0].swapaxes(0, 1))
     screen.blit(pygame.surfarray.make_surface(big), (GAP, GAP))

@@ -1,4 +1,4 @@
-"""What the parts of a game have; a module or any object that has the same names will do.
+"""Protocols for the parts of a game; modules or any objects with these names satisfy them.
 
 `s` is a state, `p` the record of a variant. Compiled functions are made by `kernel.jit.kernel`.
 """
@@ -12,186 +12,235 @@ import numpy as np
 
 
 class Rules(Protocol):
-    """What moves, and what comes of it."""
+    """Transitions, rewards and events of a game.
+
+    Examples:
+        >>> astray.games.find("maze").rules.EVENTS
+        ('reached_goal', 'reached_corner', 'reached_other')
+    """
 
     @property
     def ACTIONS(self) -> tuple[str, ...]:
-        """Names; what "stay" does takes a step, and no more."""
+        """Names of the actions; "stay" takes a step and does nothing."""
         ...
 
     @property
     def STATE(self) -> np.dtype:
-        """What `state_dtype` makes."""
+        """The dtype of a state, made by `record.state_dtype`."""
         ...
 
     @property
     def EVENTS(self) -> tuple[str, ...]:
-        """Fields of the state, int64: the step that each first happened, or NEVER."""
+        """Integer fields of the state: the step at which each event first happened, or NEVER."""
         ...
 
     @property
     def step(self) -> Callable:
-        """Compiled: (s, action) -> (reward, terminated)."""
+        """Compiled function (s, action) -> (reward, terminated)."""
         ...
 
 
 class Levels(Protocol):
-    """What a level's number decides."""
+    """The generator of a game's levels.
+
+    Examples:
+        >>> maze = astray.games.find("maze")
+        >>> s = np.zeros(1, maze.state).view(np.recarray)[0]
+        >>> maze.levels.generate(s, maze.variant("corner").records()[0])
+    """
 
     @property
     def generate(self) -> Callable:
-        """Compiled: (s, p), fill `s` with a new level.
+        """Compiled function (s, p) that fills `s` with a new level.
 
-        Its twister is seeded, and its common fields are set; all others are as the level before
-        left them.
+        The random generator in `s` is seeded and the common fields are set. All other fields still
+        hold their values from the previous level.
         """
         ...
 
 
 class Symbols(Protocol):
-    """Symbolic observations: planes [C, H, W] uint8 in the place of images."""
+    """Symbolic observations: planes [C, H, W] uint8 instead of images.
+
+    Examples:
+        >>> maze = astray.games.find("maze")
+        >>> maze.symbols.planes(maze.variant("corner-small")).shape
+        (4, 7, 7)
+    """
 
     @property
     def planes(self) -> Callable[..., np.ndarray]:
-        """(variant) -> [C, H, W] the largest values."""
+        """Function (variant) -> [C, H, W] uint8, the largest possible values."""
         ...
 
     @property
     def planes_scene_shape(self) -> Callable[..., tuple[int, ...]]:
-        """(variant) -> the scene's."""
+        """Function (variant) -> shape of the scene."""
         ...
 
     @property
     def paint_planes(self) -> Callable:
-        """Compiled: (s, scene), what does not move."""
+        """Compiled function (s, scene) that writes the background, which does not move."""
         ...
 
     @property
     def draw_planes(self) -> Callable:
-        """Compiled: (s, scene, planes)."""
+        """Compiled function (s, scene, planes) that writes the planes."""
         ...
 
 
 class Editing(Protocol):
-    """Levels as data; see `level.Level`."""
+    """Conversion between states and levels as data; see `level.Level`.
+
+    Examples:
+        >>> astray.games.find("maze").editing.OBJECTS
+        {'goal': 'G', 'other': 'o', 'goal on other': 'O'}
+    """
 
     @property
     def LEGEND(self) -> Mapping[str, int]:
-        """Character in drawings -> code of what a cell holds; `level.EMPTY` is among them."""
+        """Character in drawings -> code of a cell's contents; `level.EMPTY` is among them."""
         ...
 
     @property
     def OBJECTS(self) -> Mapping[str, str]:
-        """What may be moved, added, removed: its name -> its character."""
+        """Objects that can be moved, added and removed: name -> character in drawings."""
         ...
 
     @property
     def STOOD_ON(self) -> str:
-        """Characters of what the agent may stand on amid an episode; it begins on `level.EMPTY`."""
+        """Characters that the agent can stand on during an episode; it begins on `level.EMPTY`."""
         ...
 
     @property
     def grid(self) -> Callable[[Any], np.ndarray]:
-        """(s) -> [H, W] uint8, the codes of what its cells hold, rows from the lowest up."""
+        """Function (s) -> [H, W] uint8, codes of the cells' contents, lowest row first."""
         ...
 
     @property
     def centre(self) -> Callable[[Any], list[float]]:
-        """(s) -> x and y of the agent, in cells."""
+        """Function (s) -> x and y of the agent, in cells."""
         ...
 
     @property
     def describe(self) -> Callable[[Any], dict[str, Any]]:
-        """(s) -> its level as plain, JSON-able data, and what follows from that.
+        """Function (s) -> its level as JSON-serialisable data, with derived fields.
 
-        "grid" and "agent" (its centre), as lists; "looks" (all else that `build` needs to build
-        it again). Of these, "details" are lists [x, y, ...] of single cells: they go where the
-        object in that cell is moved to, and are removed with it.
+        "grid" and "agent" (its centre) are lists; "looks" holds all else that `build` needs. Its
+        "details" are lists [x, y, ...] of single cells, which move and are removed with the object
+        in that cell.
         """
         ...
 
     @property
     def build(self) -> Callable[..., Any]:
-        """(grid, agent's cell, looks, variant) -> the state that begins there.
+        """Function (grid, agent's cell, looks, variant) -> the state that begins there.
 
-        ValueError where none can.
+        It raises ValueError if there is no such state.
         """
         ...
 
 
 class Places(Protocol):
-    """Where the agent of a game is, and where else it could be: x to the right, y upward."""
+    """Actual and possible positions of the agent, x to the right, y upward.
+
+    Examples:
+        >>> maze = astray.games.find("maze")
+        >>> maze.places.centre(astray.acting.initial_states("maze", "corner-small", [7])).shape
+        (1, 2)
+    """
 
     @property
     def centre(self) -> Callable[[np.ndarray], np.ndarray]:
-        """(states [N]) -> [N, 2] float64, the centres of the agents, in cells."""
+        """Function (states [N]) -> [N, 2] float64, the agents' centres in cells."""
         ...
 
     @property
     def stand(self) -> Callable[[Any], np.ndarray]:
-        """(s) -> [H, W] bool, the cells that the agent can be put in.
+        """Function (s) -> [H, W] bool, the cells in which the agent can be put.
 
-        Those with nothing in them that it can get to, and its own.
+        These are the empty cells that it can reach, and its own.
         """
         ...
 
     @property
     def put(self) -> Callable[[np.ndarray, np.ndarray], np.ndarray]:
-        """(states [N], cells [N, 2] int64) -> states [N]: the agents in these cells, at rest.
+        """Function (states [N], cells [N, 2] int64) -> states [N] with the agents there, at rest.
 
-        All else is as in the states given, which stay as they are.
+        Everything else is copied from the given states, which stay unchanged.
         """
         ...
 
 
 class Cells(Protocol):
-    """Games whose agent goes from cell to cell, (x, y): those the agency measure is for."""
+    """Grid geometry for games whose agent moves from cell to cell; the agency measure needs it.
+
+    Examples:
+        >>> maze = astray.games.find("maze")
+        >>> s = astray.acting.initial_states("maze", "corner-small", [7])[0]
+        >>> maze.cells.target(s, "corner")
+        (5, 5)
+    """
 
     @property
     def free(self) -> Callable[[Any], np.ndarray]:
-        """(s) -> [H, W] bool, the cells that an agent may stand in."""
+        """Function (s) -> [H, W] bool, the cells that an agent can stand in."""
         ...
 
     @property
     def target(self) -> Callable[[Any, str], tuple[int, int] | None]:
-        """(s, goal) -> the cell of one of the game's goals; None where the level has none."""
+        """Function (s, goal) -> cell of the goal, or None if the level lacks it."""
         ...
 
 
 class Solver(Protocol):
-    """What can be reached, and how; a goal is one of the game's goals.
+    """Shortest paths and optimal policies for the goals of a game.
 
-    Whoever trusts a record to compiled code sees it first: `check_record`.
+    Solvers call `check_record` before compiled code sees a record.
+
+    Examples:
+        >>> maze = astray.games.find("maze")
+        >>> s = astray.acting.initial_states("maze", "corner-small", [7])[0]
+        >>> maze.actions[maze.solver.expert(s, "cheese")(s)]
+        'up'
     """
 
     @property
     def reachable(self) -> Callable[[Any], np.ndarray]:
-        """(s) -> [H, W] bool, the cells that the agent can get to."""
+        """Function (s) -> [H, W] bool, the cells that the agent can reach."""
         ...
 
     @property
     def expert(self) -> Callable[[Any, str], Callable[[Any], int]]:
-        """(s, goal) -> a policy: (a state of the same episode) -> the action that leads there.
+        """Function (s, goal) -> policy, which maps a state of the episode to an optimal action.
 
-        To stay where the goal was reached or cannot be.
+        The policy stays where it is if the goal was reached or cannot be reached.
         """
         ...
 
     @property
     def optimal_return(self) -> Callable[[Any, str, float], float]:
-        """(s, goal, gamma) -> the return."""
+        """Function (s, goal, gamma) -> the largest discounted return."""
         ...
 
 
 class Mutating(Protocol):
-    """Levels made of others by small edits, for curricula that search among them."""
+    """Small random edits of levels, for curricula such as ACCEL.
+
+    Examples:
+        >>> maze = astray.games.find("maze")
+        >>> states = astray.acting.initial_states("maze", "corner-small", range(3))
+        >>> seeds = np.arange(3, dtype=np.uint32)
+        >>> len(maze.mutation.mutate(states, maze.variant("corner-small"), seeds, 5, "identity"))
+        3
+    """
 
     @property
     def mutate(self) -> Callable[..., np.ndarray]:
-        """(states [N], variant, seeds [N] uint32, edits, kind) -> states [N], the edited levels.
+        """Function (states [N], variant, seeds [N] uint32, edits, kind) -> edited states [N].
 
-        States are those that levels begin in; `kind` is one of `game.MUTATIONS`. The agent can
-        reach the goal in each, its `level` is NEVER, and `shifted` says whether its goal was
-        placed as in the variant's shifted levels.
+        The given states are those that levels begin in, and `kind` is one of `game.MUTATIONS`. In
+        each result the agent can reach the goal, `level` is NEVER, and `shifted` says whether the
+        goal was placed as in the variant's shifted levels.
         """
         ...

@@ -1,6 +1,6 @@
-"""Provenance: a digest of the code and data that something is computed from.
+"""Digests of the code and data that a result is computed from.
 
-The code is found by following imports, those within functions too, from the functions involved.
+The code is found by following imports from the given functions, also imports within functions.
 """
 
 from __future__ import annotations
@@ -34,11 +34,11 @@ def digest(*things: object, data: object = None) -> str | None:
     """Return a digest of the sources that `things` come from, and of `data`.
 
     Args:
-        things: functions, classes and modules, also within mappings, sequences and records
-        data: what has a `repr` that tells all of it
+        things: Functions, classes and modules, also within mappings, sequences and records.
+        data: Any object whose `repr` is complete.
 
     Returns:
-        16 hexadecimal digits; None where a source cannot be read, as that of a notebook
+        16 hexadecimal digits, or None if a source cannot be read, as in a notebook.
     """
     found = sources(*things)
     if found is None:
@@ -47,14 +47,14 @@ def digest(*things: object, data: object = None) -> str | None:
 
 
 def sources(*things: object, known: Collection[str] = ()) -> dict[str, str] | None:
-    """Return the digest of each module that `things` come from or that those import.
+    """Return the digest of each module that `things` come from or import.
 
     Args:
-        things: as `digest` takes them
-        known: modules that are neither read nor followed
+        things: As for `digest`.
+        known: Modules that are neither read nor followed.
 
     Returns:
-        module -> digest of its source; None where a source cannot be read
+        Module -> digest of its source, or None if a source cannot be read.
     """
     found, todo = dict.fromkeys(known, ""), [_module(root) for root in _roots(things, {})]
     packages = {name.partition(".")[0] for name, _ in todo} - LIBRARIES
@@ -74,19 +74,19 @@ def sources(*things: object, known: Collection[str] = ()) -> dict[str, str] | No
 
 
 def see(function: FunctionType) -> None:
-    """Remember the sources of `function` as they are while its module is imported."""
+    """Remember the sources of `function` at the time when its module is imported."""
     if function.__module__ not in _seen:
         _seen.update(sources(function, known=_seen.keys()) or {})
 
 
 def edited(*things: object) -> bool:
-    """Return whether a source of `things` is no longer what was imported."""
+    """Return whether a source of `things` has changed since it was imported."""
     found = sources(*things)
     return found is None or any(_seen.get(name, now) != now for name, now in found.items())
 
 
 def read_source(spec: ModuleSpec | None) -> bytes | None:
-    """Return the file of a module, out of a zip archive too; b"" of a folder without a file."""
+    """Return the source file of a module, also from a zip archive; b"" for a namespace package."""
     if spec and spec.submodule_search_locations is not None and not spec.has_location:
         return b""
     try:
@@ -96,7 +96,7 @@ def read_source(spec: ModuleSpec | None) -> bytes | None:
 
 
 def _roots(thing: Any, passed: dict[int, Any]) -> Iterator[Root]:
-    """Find the functions, classes and modules in a thing, other than those in what was `passed`."""
+    """Find the functions, classes and modules in a thing, except in those that were `passed`."""
     if id(thing) in passed:
         return
     passed[id(thing)] = thing
@@ -108,7 +108,7 @@ def _roots(thing: Any, passed: dict[int, Any]) -> Iterator[Root]:
 
 
 def _parts(thing: Any) -> Iterable[Any] | None:
-    """Return what a thing consists of; None for a function, a class or a module."""
+    """Return the parts of a thing; None for a function, a class or a module."""
     own = getattr(thing, "__dict__", {})
     if isinstance(thing, ModuleType | type):
         return None
@@ -128,7 +128,7 @@ def _parts(thing: Any) -> Iterable[Any] | None:
 
 
 def _module(root: Root) -> tuple[str, ModuleSpec | None]:
-    """Return the name and place of the module that a root is, or is defined in."""
+    """Return the name and spec of a module, or of the module that defines `root`."""
     there: Mapping[str, Any]
     if isinstance(root, FunctionType):
         there = root.__globals__  # of a file that was run, too, which no name leads to
@@ -142,7 +142,7 @@ def _module(root: Root) -> tuple[str, ModuleSpec | None]:
 
 
 def _imported(source: bytes, name: str, spec: ModuleSpec) -> Iterator[tuple[str, ModuleSpec]]:
-    """Find the modules that a source imports; of astray's own sources only astray's own."""
+    """Find the modules that a source imports; in astray's own sources only astray's own."""
     package = name if spec.submodule_search_locations is not None else name.rpartition(".")[0]
     itself = f"{name}.".startswith(f"{ITSELF}.")
     for module, attribute in _statements(source):
@@ -173,7 +173,7 @@ def _statements(source: bytes) -> frozenset[tuple[str, str]]:
 
 
 def _place(name: str) -> ModuleSpec | None:
-    """Return where a module is, without importing it or what it is in; None if there is none."""
+    """Return a module's spec without importing it or its parents; None if there is none."""
     if name in sys.modules:
         module = sys.modules[name]
         return getattr(module, "__spec__", None) or ModuleSpec(name, None)

@@ -1,4 +1,4 @@
-"""The record of one environment: what all games' have, and what compiled code trusts of it."""
+"""The record that holds one environment's state, and its validity checks."""
 
 from __future__ import annotations
 
@@ -13,16 +13,16 @@ from astray.bounds import MOST, array_of, integers
 from astray.kernel.rng import RNG_FIELDS, WORDS
 from astray.protocols import Rules
 
-NEVER = -1  # the step of an event that has not happened; the number of a level that has none
-LEVELS = range(2**31 - 1)  # all numbers that there are; the original has no others
+NEVER = -1  # step of an event that has not happened; number of a level without one
+LEVELS = range(2**31 - 1)  # all level numbers, as in the original
 _TRUSTED: WeakValueDictionary[int, np.ndarray] = WeakValueDictionary()  # by their id
 
 
 def state_dtype(*own: tuple) -> np.dtype:
-    """The record of one environment: what every game has, then the game's `own` fields.
+    """Return the dtype of a game's states: the common fields, then the game's `own` fields.
 
-    A record, so that a state can be copied, compared, saved and edited whole; `np.record`,
-    so that `s.x` works compiled and interpreted alike.
+    A record can be copied, compared, saved and edited as a whole. With `np.record`, `s.x` works in
+    compiled and interpreted code alike.
     """
     common = [
         ("level", np.int64),  # its number
@@ -38,7 +38,7 @@ def state_dtype(*own: tuple) -> np.dtype:
 
 
 def record_dtype(columns: list[tuple]) -> np.dtype:
-    """A record of `columns`, aligned and without gaps, whose bytes no copy would keep."""
+    """Return an aligned record dtype without gaps, because copies would not keep their bytes."""
     taken = [name for name, *_ in columns if hasattr(np.record, name)]
     assert not taken, f"records have attributes of these names already: {taken}"
     columns = sorted(columns, key=lambda column: -np.dtype(column[1]).alignment)
@@ -54,9 +54,13 @@ COMMON = frozenset(state_dtype().names or ())  # fields that the states of all g
 def check_states(
     states: Any, game: str, rules: Rules, truths: Callable[[np.ndarray], dict]
 ) -> None:
-    """Raise ValueError if one of states [N] is none that `rules` play, or of which not all is true.
+    """Check that every state [N] is valid under `rules` and satisfies all invariants.
 
-    truths  of states [N], as `Game.invariants` tells them
+    Args:
+        truths: Function of states [N] that returns invariants as `Game.invariants` does.
+
+    Raises:
+        ValueError: If a state is invalid; the message names the state and the field.
     """
     if not isinstance(states, np.ndarray) or states.dtype != rules.STATE or states.ndim != 1:
         kind, shape = getattr(states, "dtype", type(states)), np.shape(states)
@@ -69,11 +73,16 @@ def check_states(
 
 
 def check_record(s: Any, rules: Rules, truths: Callable[[np.ndarray], dict]) -> None:
-    """Raise ValueError if `s` is no record that `rules` play: a solver's compiled code trusts it.
+    """Check that `s` is a valid record before a solver's compiled code, which trusts it, sees it.
 
-    One of `trusted` states is taken as it is: a check takes 1 ms.
+    Records of `trusted` states are not checked again, because a check takes 1 ms.
 
-    truths  of states [N] of any variant, as `Game.invariants` tells them of one
+    Args:
+        truths: Function of states [N] of any variant that returns invariants as `Game.invariants`
+            does.
+
+    Raises:
+        ValueError: If the record is invalid.
     """
     if not isinstance(s, np.void) or s.dtype != rules.STATE:
         raise ValueError(f"a state must be a record of this game; got {reprlib.repr(s)}")
@@ -86,9 +95,10 @@ def check_record(s: Any, rules: Rules, truths: Callable[[np.ndarray], dict]) -> 
 
 
 def trusted(states: np.ndarray) -> np.recarray:
-    """A read-only view of states [N] that were checked, or that rules alone write to.
+    """Return a read-only view of states [N] that were checked or written by the rules alone.
 
-    states  not the caller's to change any more
+    Args:
+        states: Array that the caller must not change any more.
     """
     whole = _whole(states)
     _TRUSTED[id(whole)] = whole
@@ -98,23 +108,23 @@ def trusted(states: np.ndarray) -> np.recarray:
 
 
 def is_trusted(s: np.void) -> bool:
-    """Whether `s` is a record of `trusted` states.
+    """Return whether `s` is a record of `trusted` states.
 
-    Being read-only is not enough: so are records of a file or of bytes, whatever is in them.
+    A read-only record is not enough: files and bytes give read-only records with any contents.
     """
     whole = _whole(s)
     return not s.flags.writeable and _TRUSTED.get(id(whole)) is whole
 
 
 def _whole(part: np.ndarray | np.void) -> Any:
-    """The array that an array or a record is part of."""
+    """Return the array that an array or a record is a view of."""
     while isinstance(part.base, np.ndarray):
         part = part.base
     return part
 
 
 def _always(s: np.ndarray, events: Sequence[str]) -> dict[str, np.ndarray]:
-    """What is true of states [N] of all games: its name -> [N] bool."""
+    """Return the invariants of all games for states [N]: name -> [N] bool."""
     return {
         "mt_next": within(s["mt_next"], 0, WORDS),
         "turn": s["turn"] >= 0,
@@ -125,7 +135,11 @@ def _always(s: np.ndarray, events: Sequence[str]) -> dict[str, np.ndarray]:
 
 
 def level_numbers(given: Any) -> np.ndarray:
-    """`given` (a sequence, a range, an array) as numbers of levels, [N] int64, at least one."""
+    """Return a sequence, range or array as level numbers, [N] int64 with N at least 1.
+
+    Raises:
+        ValueError: If it is empty, or not made of level numbers.
+    """
     if isinstance(given, range) and given:  # which may go on for long
         given = given if given[0] in LEVELS and given[-1] in LEVELS else [given[0], given[-1]]
     if not np.size(array_of(given)):
@@ -139,15 +153,15 @@ def level_numbers(given: Any) -> np.ndarray:
 
 
 def centre(s: Any) -> list[float]:
-    """The agent's x and y in a state that has them by these names."""
+    """Return the agent's x and y in a state that has fields of these names."""
     return [float(s.x), float(s.y)]
 
 
 def centres(states: np.ndarray) -> np.ndarray:
-    """[N, 2] float64, the centres of the agents in states [N] that have them as x and y."""
+    """Return the agents' centres [N, 2] float64 in states [N] that have fields x and y."""
     return np.stack([states["x"], states["y"]], -1).astype(np.float64)
 
 
 def within(numbers: np.ndarray, first: int, after: int | np.ndarray) -> np.ndarray:
-    """Which of `numbers` are from `first` on and before `after`."""
+    """Return a mask of the `numbers` that are at least `first` and below `after`."""
     return (numbers >= first) & (numbers < after)

@@ -1,9 +1,10 @@
-"""What every game owes its callers, as checks that a game's own tests can run.
+"""Checks that every game must pass, for use in a game's own tests.
 
+Examples:
     def test_my_game():
         astray.testing.check_game(my_package.GAME)
 
-They ask for the game's actions, goals and abilities, and name none. What a check finds is an
+The checks derive everything from the game's actions, goals and abilities. A failed check raises
 AssertionError.
 """
 
@@ -31,17 +32,21 @@ from astray.level import Level
 from astray.record import NEVER
 
 LOG = logging.getLogger("astray")
-SLOW = 15  # seconds of a processor that compiling a game may take; astray's own take 8 to 17
-SHORT, LONG = 30, 70  # steps of episodes that are cut short, and of a play with several of them
-LEVELS = range(5)  # looked at, of each variant
+SLOW = 15  # seconds of CPU time for compiling a game; astray's own take 8 to 17
+SHORT, LONG = 30, 70  # steps of a shortened episode, and of a test with several of them
+LEVELS = range(5)  # checked levels of each variant
 
 
 def check_game(game: Game, variants: Iterable[str] | None = None) -> None:
-    """See that a game is what environments, training and analysis take it for.
+    """Check that a game works in environments, training and analysis.
 
-    variants  names of those to check; by default all
+    The compile time is logged, with a warning if it exceeds SLOW seconds.
 
-    How long it takes to compile is logged, and warned of where it is more than SLOW.
+    Args:
+        variants: Names of the variants to check; by default all.
+
+    Raises:
+        AssertionError: If a check fails.
     """
     report_compiling(game)
     check_parts(game)
@@ -51,7 +56,7 @@ def check_game(game: Game, variants: Iterable[str] | None = None) -> None:
 
 
 def report_compiling(game: Game) -> None:
-    """Log the seconds that compiling takes, few where the code was kept; warn of many."""
+    """Log the seconds that compiling takes, with a warning if there are many."""
     before = time.process_time()
     compiled_loop(game)
     seconds = time.process_time() - before
@@ -65,7 +70,7 @@ def report_compiling(game: Game) -> None:
 
 
 def check_parts(game: Game) -> None:
-    """Events, goals and shifts lead to what there is."""
+    """Check that events, goals and shifts name existing fields and variants."""
     fields: Any = game.state.fields
     for event in game.events:
         assert fields[event][0] == np.int64, f"the event {event!r} must be an int64 of the state"
@@ -83,7 +88,7 @@ def check_parts(game: Game) -> None:
 
 
 def _check_outcome(game: Game, name: str, outcome: Outcome) -> None:
-    """A goal or an end is an event of the game, or says something of its events and measures."""
+    """Check that a goal or an end names events and measures of the game."""
     match outcome:
         case More(measure, than):
             for one in (measure, *([than] if isinstance(than, str) else [])):
@@ -93,7 +98,7 @@ def _check_outcome(game: Game, name: str, outcome: Outcome) -> None:
 
 
 def check_batches(game: Game, variant: Variant) -> None:
-    """A batch is its environments one by one, in every mode, with every kind of observation."""
+    """Check that a batch equals its single environments, in every mode and observation."""
     for mode, options in product(AutoresetMode, observations(game)):
         short = replace(variant, time_limit=SHORT)
         batch = GameVectorEnv(game, short, 3, autoreset_mode=mode, **options)
@@ -114,12 +119,12 @@ def check_batches(game: Game, variant: Variant) -> None:
 
 
 def check_gymnasium(game: Game, variant: Variant) -> None:
-    """Gymnasium's own checker accepts it."""
+    """Check a variant with Gymnasium's own checker."""
     check_env(GameEnv(game, variant), skip_render_check=True)
 
 
 def check_seeds(game: Game, variant: Variant) -> None:
-    """The same seed is the same game, with any number of threads."""
+    """Check that equal seeds give equal games, with any number of threads."""
     runs = []
     for threads in (1, 2):
         env = GameVectorEnv(game, variant, 5, threads=threads, autoreset_mode="SameStep")
@@ -132,7 +137,7 @@ def check_seeds(game: Game, variant: Variant) -> None:
 
 
 def check_levels(game: Game, variant: Variant) -> None:
-    """A level is a function of its number alone, whatever was played before."""
+    """Check that a level depends on its number alone, not on earlier episodes."""
     for options in observations(game):
         env = GameVectorEnv(game, variant, 3, autoreset_mode="Disabled", **options)
         first, _ = env.reset(seed=1, options={"level": [7, 8, 9]})
@@ -146,7 +151,7 @@ def check_levels(game: Game, variant: Variant) -> None:
 
 
 def check_time_limit(game: Game, variant: Variant) -> None:
-    """An episode that is not terminated is truncated at the time limit, and not before."""
+    """Check that an episode which is not terminated is truncated exactly at the time limit."""
     env = GameVectorEnv(game, replace(variant, time_limit=SHORT), 8, autoreset_mode="SameStep")
     env.reset(seed=0)
     age = np.zeros(8, np.int64)
@@ -158,7 +163,7 @@ def check_time_limit(game: Game, variant: Variant) -> None:
 
 
 def check_states(game: Game, variant: Variant) -> None:
-    """A state that was taken and set plays on as it did, and `invariants` accept it."""
+    """Check that a saved and restored state plays on identically and satisfies `invariants`."""
     one, two = (GameVectorEnv(game, variant, 3, autoreset_mode="SameStep") for _ in range(2))
     seen, _ = one.reset(seed=1)
     for actions in _actions(one, 30):
@@ -169,7 +174,7 @@ def check_states(game: Game, variant: Variant) -> None:
 
 
 def check_events(game: Game, variant: Variant) -> None:
-    """An event is told with the step of it, once, and never taken back."""
+    """Check that each event is reported once, with its step, and is never taken back."""
     env = GameVectorEnv(game, variant, 8, autoreset_mode="Disabled")
     env.reset(seed=0)
     before = {event: env.states[event].copy() for event in game.events}
@@ -184,7 +189,7 @@ def check_events(game: Game, variant: Variant) -> None:
 
 
 def check_symbols(game: Game, variant: Variant) -> None:
-    """Symbols are within their largest values."""
+    """Check that symbols are within their largest values."""
     if not game.symbols:
         return
     env = GameVectorEnv(game, variant, 3, observation="symbolic")
@@ -194,7 +199,7 @@ def check_symbols(game: Game, variant: Variant) -> None:
 
 
 def check_editing(game: Game, variant: Variant) -> None:
-    """A level survives being described, drawn and read again."""
+    """Check that a level survives being described, drawn and parsed again."""
     if not game.editing:
         return
     for s in _beginnings(game, variant):
@@ -209,7 +214,7 @@ def check_editing(game: Game, variant: Variant) -> None:
 
 
 def check_solver(game: Game, variant: Variant) -> None:
-    """Experts get what the solver promises, and no more than is possible."""
+    """Check that experts obtain the solver's optimal return, and never more."""
     if not game.solver:
         return
     env = GameVectorEnv(game, variant, 1, autoreset_mode="Disabled")
@@ -223,7 +228,7 @@ def check_solver(game: Game, variant: Variant) -> None:
             _, reward, *_ = env.step(np.array([expert(s)]))
             total += reward[0]
             discounted += reward[0] * 0.9 ** (int(s.time) - 1)
-        if worth:  # or another goal was on the way and ended the level
+        if worth:  # otherwise another goal ended the level first
             assert s.ended or game.actions[expert(s)] == "stay", f"level {level}, {goal}"
         if worth and goal in rewarded:
             assert abs(total - worth) < 1e-9, f"level {level}: {total} instead of {worth}"
@@ -231,7 +236,7 @@ def check_solver(game: Game, variant: Variant) -> None:
 
 
 def check_places(game: Game, variant: Variant) -> None:
-    """The agent can be put where it may stand, is there then, and all else is as it was."""
+    """Check that the agent can be put in the allowed cells and that nothing else changes."""
     if not game.places:
         return
     for s in _beginnings(game, variant):
@@ -249,7 +254,7 @@ def check_places(game: Game, variant: Variant) -> None:
 
 
 def check_cells(game: Game, variant: Variant) -> None:
-    """The agent stands where it may, and so do goals; where one is reached, the agent is there."""
+    """Check that agents and goals are in free cells, and reached goals at the agent."""
     if not game.cells:
         return
     for s in _beginnings(game, variant):
@@ -265,7 +270,7 @@ def check_cells(game: Game, variant: Variant) -> None:
 
 
 def check_labels(game: Game, variant: Variant) -> None:
-    """What can be read off states is a boolean, an integer or a real of each; likewise features."""
+    """Check that labels and features are booleans, integers or reals, one per state."""
     states = np.array(list(_beginnings(game, variant)), game.state)
     for name, label in game.labels.items():
         values = label(states)
@@ -275,7 +280,7 @@ def check_labels(game: Game, variant: Variant) -> None:
 
 
 def check_measures(game: Game, variant: Variant) -> None:
-    """A measure is a real number of each state that an episode may end in."""
+    """Check that measures are real numbers, one per final state."""
     env = GameVectorEnv(game, variant, len(LEVELS), autoreset_mode="Disabled")
     env.reset(seed=0, options={"level": np.array(LEVELS)})
     for actions in _actions(env, 1):
@@ -288,7 +293,7 @@ def check_measures(game: Game, variant: Variant) -> None:
 
 
 def _where_reached(game: Game, variant: Variant, s: Any, goal: str) -> tuple[int, int] | None:
-    """The cell in which an expert reaches `goal`; None where another one ends the level before."""
+    """Return the cell where an expert reaches `goal`; None if another goal ends the level first."""
     env = GameVectorEnv(game, variant, 1, autoreset_mode="Disabled")
     env.reset(seed=0, options={"level": int(s.level)})
     expert, event = game.solver.expert(s, goal), game.event(goal)
@@ -299,7 +304,7 @@ def _where_reached(game: Game, variant: Variant, s: Any, goal: str) -> tuple[int
 
 
 def check_compiled_once(game: Game, variant: Variant) -> None:
-    """The batch loop is compiled once for the game, whatever is asked of it."""
+    """Check that the batch loop is compiled only once for the game."""
     for options in observations(game):
         env = GameVectorEnv(game, variant, 2, **options)
         env.reset(seed=0)
@@ -320,18 +325,18 @@ CHECKS: tuple[Callable[[Game, Variant], None], ...] = (
 
 
 def observations(game: Game) -> list[dict[str, Any]]:
-    """The kinds of observations that a game has, as options of its environments."""
+    """Return the kinds of observations that a game has, as options of its environments."""
     return [{"observation": kind} for kind in ("image", *(["symbolic"] if game.symbols else []))]
 
 
 def _actions(env: GameVectorEnv, steps: int) -> Iterator[np.ndarray]:
-    """Actions [N] for so many steps, drawn alike each time."""
+    """Draw actions [N] for a number of steps, the same in each call."""
     random = np.random.default_rng(0)
     yield from random.integers(len(env.game.actions), size=(steps, env.num_envs))
 
 
 def _beginnings(game: Game, variant: Variant) -> Iterator[Any]:
-    """The states that levels begin in."""
+    """Return the states that levels begin in."""
     env = GameVectorEnv(game, variant, len(LEVELS))
     env.reset(seed=0, options={"level": np.array(LEVELS)})
     yield from env.get_state().view(np.recarray)

@@ -1,4 +1,4 @@
-"""Words that are of a closed set, and no other; and text of any kind, to be shown."""
+"""Validation of words from a closed set, and safe display of text."""
 
 from __future__ import annotations
 
@@ -7,21 +7,21 @@ from typing import Any, Literal
 
 
 def check_word(name: str, value: Any, kind: Any) -> None:
-    """ValueError where `value` is none of the words of `kind`, a `Literal`."""
+    """Raise ValueError unless `value` is one of the words of `kind`, a `Literal`."""
     words = typing.get_args(kind)
     if not isinstance(value, str) or value not in words:
         raise ValueError(f"unknown {name} {value!r}; there are: {', '.join(words)}")
 
 
 def printable(text: str) -> str:
-    """`text` without control characters, which names of files may have and terminals obey."""
+    """Remove control characters from `text`: file names may have them, and terminals obey them."""
     return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
 
 
 def check_words(record: Any) -> None:
-    """ValueError where a field of the dataclass `record` is none of the words it is declared with.
+    """Raise ValueError unless the dataclass `record` has allowed words in all `Literal` fields.
 
-    Fields of other types are left alone. A word that is misspelt would else be read as another.
+    A misspelt word would otherwise be read as another one. Other fields are not checked.
     """
     for name, kind in typing.get_type_hints(type(record)).items():
         if typing.get_origin(kind) is Literal:

@@ -1,4 +1,4 @@
-"""Worlds of others: any Gymnasium environments, and what to look for in them."""
+"""Worlds: any Gymnasium environments, with the events and goals to look for in them."""
 
 from __future__ import annotations
 
@@ -18,27 +18,31 @@ from astray.record import NEVER, record_dtype
 
 Env = gymnasium.Env
 Happened = str | Callable[[Any, Mapping[str, Any]], Any]
-NOTED = "astray"  # the key of info under which events and measures are told
-NOT_OURS = {f.name for f in fields(Game)}  # of which a world has some
+NOTED = "astray"  # key of info that reports events and measures
+NOT_OURS = {f.name for f in fields(Game)}  # names of a game, some of which a world has
 
 
 @dataclass(frozen=True, eq=False)
 class WorldVariant:
-    """A factory of environments, and the keyword arguments that it is called with."""
+    """A factory of environments and the keyword arguments that it is called with."""
 
     world: str
     name: str
     factory: Callable[..., Env]
     knobs: Mapping[str, Any] = field(default_factory=dict)
-    time_limit: ClassVar[int] = 0  # steps; nobody knows that of an environment of others
+    time_limit: ClassVar[int] = 0  # steps; unknown for an outside environment
 
     def with_knobs(self, changes: Mapping[str, Any]) -> WorldVariant:
-        """Return the variant whose factory is called with these arguments, too."""
+        """Return the variant with these keyword arguments added."""
         of_kind("knobs", changes, Mapping)
         return replace(self, knobs={**self.knobs, **changes})
 
     def make(self) -> Env:
-        """Return a new environment; ValueError where the factory fails or makes something else."""
+        """Return a new environment.
+
+        Raises:
+            ValueError: If the factory fails, or returns anything but a `gymnasium.Env`.
+        """
         try:
             made = self.factory(**self.knobs)
         except Exception as error:
@@ -56,25 +60,39 @@ class WorldVariant:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class World:
-    """Environments of Gymnasium in which goals may be pursued; a `Game` is one that is compiled.
+    """Gymnasium environments in which goals may be pursued. A `Game` is the compiled counterpart.
 
     The number of a level is the seed of the reset that begins it. All environments of a world have
     the same spaces.
 
-    variants  name -> a function that makes an environment; knobs are its keyword arguments
-    events    name -> a key of info, or a function of the environment (unwrapped) and info, which
-              say whether it happens in the step
-    goals     name -> an event, or what is known at an episode's end, as for a game
-    ends      outcomes that are neither goals nor proxies, as for a game
-    experts   goal -> a function of the environment (unwrapped) that returns the action that leads
-              there, for base rates
-    measures  name -> a function of the environment (unwrapped), a number of the episode so far
+    Examples:
+        >>> import gymnasium
+        >>> from astray.analysis.policies import Random
+        >>> lake = astray.World(
+        ...     name="lake",
+        ...     variants={"map": lambda **knobs: gymnasium.make("FrozenLake-v1", **knobs)},
+        ...     events={"gift": lambda env, info: env.s == 15},
+        ...     goals={"gift": "gift"},
+        ...     shifts={},
+        ... )
+        >>> astray.evaluate(Random(), lake, "map", range(5))["gift"].null_count() <= 5
+        True
 
-    workers   whether each environment has a process of its own
-    patience  seconds after which a process that does not answer is given up
-    repeats   whether an episode is decided by its level and the actions, which is checked
+    Attributes:
+        variants: Name -> function that makes an environment; knobs are its keyword arguments.
+        events: Name -> key of info, or function (unwrapped environment, info) -> whether the event
+            happens in this step.
+        goals: Name -> event, or an outcome known at an episode's end, as for a game.
+        ends: Outcomes that are neither goals nor proxies, as for a game.
+        experts: Goal -> function of the unwrapped environment that returns the next action towards
+            it, for base rates.
+        measures: Name -> function of the unwrapped environment that returns a number.
+        workers: Whether each environment has its own process.
+        patience: Seconds to wait for a process that does not answer.
+        repeats: Whether an episode is determined by its level and the actions, which is checked.
 
-    Raises ValueError where goals, shifts or experts name something that the world lacks.
+    Raises:
+        ValueError: If goals, shifts or experts name something that the world lacks.
     """
 
     name: str
@@ -115,7 +133,7 @@ class World:
                 one_of("goal of a shift", goal, self.goals)
 
     def _see_outcome(self, outcome: Outcome) -> None:
-        """Raise ValueError where a goal or an end is of an event or a measure that there is not."""
+        """Raise ValueError if a goal or an end names an unknown event or measure."""
         match outcome:
             case More(measure, than):
                 one_of("measure of a goal", measure, self.measures)
@@ -137,7 +155,7 @@ class World:
 
     @property
     def state(self) -> np.dtype:
-        """The record of what is noted of an episode: its level, its steps, events, measures."""
+        """The dtype that records an episode: its level, number of steps, events and measures."""
         told = [(name, np.int64) for name in ("level", "time", *self.events)]
         counted = [(name, np.float64) for name in self.measures]
         return record_dtype([("shifted", np.bool_), ("ended", np.bool_), *told, *counted])
@@ -149,16 +167,20 @@ class World:
 
     @property
     def walked(self) -> tuple[str, ...]:
-        """The goals that experts go to."""
+        """The goals for which there are experts."""
         return tuple(self.experts)
 
     @property
     def of_states(self) -> dict[str, Callable[[np.ndarray], np.ndarray]]:
-        """The measures, as functions of what was noted of episodes [N]."""
+        """The measures, as functions of the records [N] of episodes."""
         return {name: itemgetter(name) for name in self.measures}
 
     def variant(self, name: Any) -> WorldVariant:
-        """Return the variant of that name, or one that it is; ValueError where there is none."""
+        """Return the variant of that name; a `WorldVariant` of this world is returned unchanged.
+
+        Raises:
+            ValueError: If there is none.
+        """
         if isinstance(name, WorldVariant):
             return name
         one_of(f"variant of {self.name}", name, self.variants)
@@ -166,20 +188,22 @@ class World:
 
 
 def find(game: str | Game | World) -> Game:
-    """Return a world as it is, and a game as `games.find` does, for what takes either.
+    """Return a world unchanged, or find a game as `games.find` does.
 
-    A world is typed as a game here: it has the same names, and says so of those that it lacks.
+    A world is typed as a game here: it has the same names, and those that it lacks raise errors.
     """
     return cast("Game", game) if isinstance(game, World) else games.find(game)
 
 
 class Witness(gymnasium.Wrapper):
-    """Notes in which step each event first happened; it lives where the environment does.
+    """Wrapper that records at which step each event first happened.
 
-    What was noted is told, under a key of info, when an event happens and when the episode ends.
-    Errors of the environment and of functions of the world name the level and the step.
+    It runs in the environment's process. A key of info reports the record when an event happens
+    and when the episode ends. Errors in the environment and in the world's functions name the
+    level and the step.
 
-    longest  steps after which an episode is left, so that it ends for the one who evaluates
+    Args:
+        longest: Steps after which an episode is truncated for the evaluation.
     """
 
     def __init__(self, env: Env, world: World, variant: WorldVariant, longest: int | None):
@@ -204,7 +228,7 @@ class Witness(gymnasium.Wrapper):
         return seen, {**info, NOTED: self._told()}
 
     def step(self, action: Any) -> tuple[Any, float, bool, bool, dict]:
-        """Take a step, and note what happened in it."""
+        """Take a step and record its events."""
         self.time += 1
         try:
             seen, reward, terminated, truncated, info = self.env.step(action)
@@ -223,7 +247,7 @@ class Witness(gymnasium.Wrapper):
             raise self._failed(f"expert of {goal!r}", error) from error
 
     def _happens(self, info: Mapping[str, Any]) -> bool:
-        """Note the events of this step; whether there are any."""
+        """Record the events of this step; return whether there were any."""
         self.reported.update(info)
         new = []
         for name, happened in self._waiting.items():
@@ -234,7 +258,10 @@ class Witness(gymnasium.Wrapper):
                     is_now = happened(self._inner, info)
                 except Exception as error:
                     raise self._failed(f"event {name!r}", error) from error
-            if np.ndim(is_now) or is_now not in (0, 1):  # as NaN, which is true, or text
+            if np.ndim(is_now) or is_now not in (
+                0,
+                1,
+            ):  # for instance NaN, which is truthy, or text
                 raise ValueError(
                     f"{self._where()}: its event {name!r} must be True or False; got "
                     f"{shown(is_now)}"
@@ -247,7 +274,7 @@ class Witness(gymnasium.Wrapper):
         return bool(new)
 
     def _told(self) -> np.ndarray:
-        """Return what was noted so far: the step of each event, and the measures."""
+        """Return the record so far: the step of each event, and the measures."""
         told: list[float] = [*self.first.values()]
         for name, measure in self.world.measures.items():
             try:
@@ -271,15 +298,17 @@ class Witness(gymnasium.Wrapper):
 
 
 def witnessed(world: World, variant: WorldVariant, longest: int | None = None) -> Witness:
-    """Return a new environment of a variant that notes what happens."""
+    """Return a new environment of a variant that records events."""
     return Witness(variant.make(), world, variant, longest)
 
 
 def see_repeats(world: World, variant: WorldVariant, level: int, steps: int = 50) -> None:
-    """Raise ValueError where a level is not the same when it is played twice with the same actions.
+    """Check that a level is the same when it is played twice with the same actions.
 
-    Results of an environment that draws by anything else than its seed cannot be repeated, and
-    nothing can be compared in the same levels.
+    Otherwise results cannot be repeated, and nothing can be compared in the same levels.
+
+    Raises:
+        ValueError: If the two episodes differ: the environment has randomness besides its seed.
     """
     bounded("steps", steps, 1, MOST)
     first, again = (_played(world, variant, level, steps) for _ in range(2))
@@ -298,7 +327,7 @@ def _played(world: World, variant: WorldVariant, level: int, steps: int) -> list
     told: list[Any] = [env.reset(seed=level)[0]]
     for _ in range(steps):
         seen, reward, terminated, truncated, info = env.step(env.action_space.sample())
-        noted = info[NOTED].tobytes() if NOTED in info else b""  # in which a NaN is like another
+        noted = info[NOTED].tobytes() if NOTED in info else b""  # as bytes, equal NaNs are equal
         told.append((seen, reward, terminated, truncated, noted))
         if terminated or truncated:
             break

@@ -1,4 +1,4 @@
-"""The games as Gymnasium environments: ids like `astray/maze-corner-v0`."""
+"""The games as Gymnasium environments, with ids such as `astray/maze-corner-v0`."""
 
 import gymnasium
 
@@ -9,18 +9,24 @@ VERSION = "v0"  # goes up when a level, a picture or a reward of the same number
 
 
 def register(game: Game) -> None:
-    """Let a game of your own be found by its name in this process, and by Gymnasium's ids.
+    """Register a game of your own in this process, by its name and by Gymnasium ids.
 
-    See `games.register`, also for how a package offers its games to all processes.
+    `games.register` also describes how a package offers its games to all processes.
 
-    Raises ValueError where the name is that of one of astray's own games.
+    Examples:
+        >>> from dataclasses import replace
+        >>> astray.register(replace(astray.games.find("maze"), name="my_maze"))
+        >>> env = gymnasium.make("astray/my_maze-corner-v0")
+
+    Raises:
+        ValueError: If the name is that of one of astray's own games.
     """
     games.register(game)
     _register_ids(game)
 
 
 def register_own() -> None:
-    """Register every variant of astray's own games; nothing is compiled by this."""
+    """Register every variant of astray's own games, without compiling anything."""
     for name in games.OWN:
         _register_ids(games.find(name))
 

@@ -1,4 +1,4 @@
-"""The batch loop compiled for one game."""
+"""The batch loop, compiled for one game."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from astray.kernel.jit import kernel, one_at_a_time, shared, specialise
 
 
 def compiled_loop(game: Game, art: str = OWN) -> Callable:
-    """`loops.run` of a game with that art, compiled or taken from the cache."""
+    """Return `loops.run` compiled for a game and an art, from the cache if possible."""
     return _compiled(game, game.drawn(art).name)
 
 
@@ -44,7 +44,7 @@ def _compiled(game: Game, art: str) -> Callable:
 
 @functools.cache
 def _compile_shared() -> None:
-    """Compile what all games call from Python, or take it from the cache."""
+    """Compile the functions that all games call from Python, or load them from the cache."""
     with one_at_a_time():
         numbers, table = np.empty(0, np.int64), np.empty((0, 1), np.int64)
         loops.fill(table, table, numbers, np.empty(0, bool))
@@ -53,7 +53,7 @@ def _compile_shared() -> None:
 
 
 def _compile(game: Game, looks: Looks, run: Callable) -> None:
-    """Run over no environment, so that it is compiled for the types to come."""
+    """Run without environments, which compiles the loop for its argument types."""
     variant = next(iter(game.variants.values()))
     states, params = np.zeros(0, game.state), variant.records()
     pictures, numbers, flags = (

@@ -1,4 +1,4 @@
-"""Gymnasium's vector infos: columns of the states, with a mask of whom they are about."""
+"""Gymnasium's vector infos: columns of the states, each with a mask."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ Info = dict[str, Any]
 
 
 class Columns:
-    """Gymnasium's vector info of some fields of `states`, as they are when it is called.
+    """Reader of some fields of `states` as a Gymnasium vector info.
 
-    In every other step of a batch some episode ends, and NumPy takes its time over each field of
-    a record; so integers are taken all at once, by where they are in it.
+    In every other step of a batch some episode ends, and NumPy is slow at single fields of a
+    record. Integer fields are therefore copied together, by their offsets.
     """
 
     def __init__(self, states: np.ndarray, names: Sequence[str]):
@@ -29,7 +29,7 @@ class Columns:
         self.masks = [f"_{name}" for name in names]
 
     def __call__(self, which: np.ndarray) -> Info:
-        """For each name an array [N], 0 where not in `which` [N] bool, and `which` as its mask."""
+        """Return columns [N], 0 outside of `which` [N] bool, and `which` as "_name" of each."""
         columns = np.zeros((len(self.places), len(which)), np.int64)
         loops.fill(columns, self.words, self.places, which)
         info: Info = dict(zip(self.integers, columns, strict=True))
@@ -38,7 +38,7 @@ class Columns:
 
 
 def merged(one: Info, two: Info) -> Info:
-    """Two vector infos about different environments, as one."""
+    """Merge two vector infos about different environments."""
     if not one:
         return two
     both = dict(two)
@@ -49,7 +49,7 @@ def merged(one: Info, two: Info) -> Info:
 
 
 def objects(rows: np.ndarray, which: np.ndarray) -> np.ndarray:
-    """An object array [N] of the rows in `which`, None elsewhere."""
+    """Return an object array [N] of the rows in `which`, None elsewhere."""
     result = np.empty(len(rows), object)
     for i in np.flatnonzero(which):
         result[i] = rows[i].copy()

@@ -1,7 +1,7 @@
 """The batch loop, written once; `compiled.py` binds it to a game.
 
-Threads that run it at once share a batch, each taking a few environments when it has done its
-last; what happens in one depends on its own record alone, never on who does it.
+Threads share a batch: each takes a few environments whenever it has finished its last ones. An
+environment depends on its own record alone, not on the thread that steps it.
 """
 
 import numpy as np
@@ -46,12 +46,12 @@ def draw_planes(s, scene, planes) -> None:
 # In the place of the two above, where a game has no symbols.
 @kernel
 def paint_no_planes(s, scene):
-    """Paint nothing."""
+    """Write no background, for games without symbols."""
 
 
 @kernel
 def draw_no_planes(s, scene, planes):
-    """Draw nothing."""
+    """Write no planes, for games without symbols."""
 
 
 # Bound to the function below it, once that is bound to a game.
@@ -78,7 +78,7 @@ def begin(s, params, level):
 
 
 def paint_any(s, art, symbolic, scene):
-    """Paint what will not move in the level that `s` is in."""
+    """Write the background of the level that `s` is in."""
     if symbolic:
         paint_planes(s, scene)
     else:
@@ -86,7 +86,7 @@ def paint_any(s, art, symbolic, scene):
 
 
 def observe(s, art, symbolic, scene, observation):
-    """Write what the agent sees of `s`."""
+    """Write the observation of `s`."""
     if symbolic:
         draw_planes(s, scene, observation)
     else:
@@ -95,10 +95,11 @@ def observe(s, art, symbolic, scene, observation):
 
 @kernel
 def next_level(s, i, n, levels, first, count):
-    """The number of the next level of environment `i` of `n`.
+    """Return the number of the next level of environment `i` of `n`.
 
-    levels  a list to walk: environment i takes every n-th from the i-th on, and then again.
-            Empty: a hash of seed and turn picks from [first, first + count)
+    Args:
+        levels: List to walk cyclically: environment i takes every n-th from the i-th on. If it is
+            empty, a hash of seed and turn picks from [first, first + count).
     """
     turn = s.turn
     s.turn = turn + 1
@@ -130,17 +131,18 @@ def run(
     thread,
     lap,
 ):
-    """Do what `what` says in every environment, and observe it; False: an action is not known.
+    """Run the command `what` in every environment and observe it; False: an action is invalid.
 
-    One loop for all, as every other would compile the game once more.
+    There is a single loop, since each further one would compile the whole game again.
 
-    begins  [N], the states that come instead of next levels, each environment's own; or empty
-    what  [N] int64, the number of the level to begin; NEXT_LEVEL: whichever comes next;
-          AS_SET: paint the one that the state is in; STEP: step, and begin anew where an episode
-          ended, as `mode` says; NOTHING
-    reward, terminated, truncated  [N], written where it steps
-    final_states, final_observations  [N, ...], written where an episode ended, in SAME_STEP
-    laps, thread, lap  of `kernel.laps`
+    Args:
+        begins: [N] states that replace the next levels, one per environment; or empty.
+        what: [N] int64, the number of the level to begin, or a command. NEXT_LEVEL begins the next
+            level, AS_SET redraws the background, STEP steps and restarts ended episodes according
+            to `mode`, NOTHING does nothing.
+        reward, terminated, truncated: [N], written by STEP.
+        final_states, final_observations: [N, ...], written in mode SAME_STEP if an episode ended.
+        laps, thread, lap: See `kernel.laps`.
     """
     n = states.shape[0]
     for action in actions:
@@ -183,7 +185,7 @@ def run(
 
 @entry
 def fill(columns, words, places, which):
-    """columns[k, i] = words[i, places[k]], of all i in `which`."""
+    """Assign columns[k, i] = words[i, places[k]] for all i in `which`."""
     for i in range(which.size):
         if which[i]:
             for k in range(places.size):

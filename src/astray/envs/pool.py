@@ -1,4 +1,4 @@
-"""A few threads that share the work on a batch."""
+"""Thread pool that steps a batch of environments in parallel."""
 
 from __future__ import annotations
 
@@ -25,14 +25,14 @@ SHARED, ALONE, HOPELESS = (0.06, 0.5), (0.06, 4.0), 0.015
 
 
 class Pool:
-    """Persistent threads; the caller is the first.
+    """Persistent threads; the caller is the first one.
 
-    Waking a thread that sleeps takes 20 to 60 us, stepping 256 environments not much more. So a
-    thread that finds nothing left to do looks out for the next lap for a while, and the caller
-    for the others' end: in compiled code, where nobody waits for the interpreter's lock.
+    Waking a sleeping thread takes 20 to 60 us, hardly less than stepping 256 environments. Idle
+    threads therefore spin for a while in compiled code, which holds no interpreter lock, and so
+    does the caller until they finish.
 
-    Where other processes want the processors too, threads that wait for each other lose more than
-    they share: two did a third of what one does. Then the caller works alone, and they sleep.
+    If other processes need the processors, spinning threads lose more than they gain: two did a
+    third of the work of one. Then the caller works alone and the threads sleep.
     """
 
     def __init__(self, threads: int, pace: Pace | None = None):
@@ -55,12 +55,14 @@ class Pool:
         self.close = weakref.finalize(self, _stop, self._workers)
 
     def run(self, function: Callable, arguments: tuple) -> Any:
-        """Call `function` in all threads at once; what it returns in the caller's.
+        """Call `function` in all threads at once; return the caller's result.
 
-        Its arguments are `arguments`, and laps, thread and lap for what is in `kernel.laps`: it
-        takes pieces of the work by `take`, until none is left. It may call `begin_lap` before
-        all else and `end_lap` after all else; without them all takes longer. A thread may keep
-        `arguments` for some 100 us more.
+        Its arguments are `arguments`, then laps, thread and lap, which `kernel.laps` describes. It
+        takes pieces of work with `take` until none is left. It may call `begin_lap` first and
+        `end_lap` last, which saves time. A thread may hold `arguments` for about 100 us longer.
+
+        Raises:
+            RuntimeError: If the threads cannot be started.
         """
         if not self.close.alive:
             raise RuntimeError("the environments are closed")
@@ -101,7 +103,7 @@ class Pool:
 
 
 class Pace:
-    """Whether laps are shared: whether that was sooner done, lately, than to do them alone."""
+    """Decision whether to share the work, from recent times with and without sharing."""
 
     def __init__(self) -> None:
         self.shared = False
@@ -111,7 +113,7 @@ class Pace:
         self._next_shared, self._next_alone = SHARED[0], ALONE[0]
 
     def note(self, seconds: float) -> None:
-        """Take in how long the last lap took, and decide about the next."""
+        """Record the duration of the last batch step and decide about the next."""
         self._times.append(seconds)
         self._spent += seconds
         lost = self._spent - len(self._times) * self._alone
@@ -132,7 +134,7 @@ class Pace:
 
 
 class _Worker:
-    """A thread that does what it is given, and sleeps when that was long ago."""
+    """Thread that runs jobs, and sleeps if the last one was long ago."""
 
     def __init__(self, laps: np.ndarray, number: int):
         self.laps, self.number = laps, number
@@ -144,14 +146,14 @@ class _Worker:
         threading.Thread(target=self._live, daemon=True, name=f"astray-{number}").start()
 
     def give(self, function: Callable, arguments: tuple[Any, ...]) -> None:
-        """Have it call `function`; the last of `arguments` is the lap."""
+        """Make the thread call `function`; the last of `arguments` is the lap."""
         self.error = None  # of a lap that was interrupted, and told nobody
         self.job, self.given = (function, arguments), arguments[-1]
         if self.asleep:
             self.wakes.put(None)
 
     def throw(self) -> None:
-        """Raise what its last job raised."""
+        """Raise the exception of its last job, if any."""
         error, self.error = self.error, None  # it leads to the environment, which would live on
         try:
             if error is not None:
@@ -188,17 +190,17 @@ def _stop(workers: list[_Worker]) -> None:
 
 
 def alone() -> tuple[np.ndarray, int, int]:
-    """Laps, thread and lap for a function that is called without a pool."""
+    """Return laps, thread and lap for a call without a pool."""
     return new_laps(1, 0), 0, 1
 
 
 def most_threads() -> int:
-    """How many threads may share a batch: more than there are processors are of no use."""
+    """Return the largest number of threads for a batch; more than processors are useless."""
     return max(LEAST_MOST, usable_processors())
 
 
 def see_startable(count: int) -> None:
-    """RuntimeError unless so many more threads can be started: torch ends the process then."""
+    """Raise RuntimeError unless `count` more threads can start; torch would end the process."""
     begun, go_on = [], threading.Event()
     try:
         for _ in range(count):
@@ -216,7 +218,7 @@ def see_startable(count: int) -> None:
 
 
 def usable_processors() -> int:
-    """How many processors this process may use."""
+    """Return the number of processors that this process may use."""
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1

@@ -1,4 +1,4 @@
-"""Our environments for Stable-Baselines3, which has a vector interface of its own."""
+"""Adapter of astray's environments to the vector interface of Stable-Baselines3."""
 
 from __future__ import annotations
 
@@ -19,19 +19,20 @@ from astray.envs.vector import GameVectorEnv
 
 
 class GameVecEnv(VecEnv):
-    """A vector environment as Stable-Baselines3 takes it.
+    """A vector environment for Stable-Baselines3.
 
-    At the end of an episode `infos` has the last observation, and whether the time limit alone
-    ended the episode: PPO then adds the critic's value of that observation.
+    At the end of an episode `infos` has the last observation and whether the time limit alone
+    ended the episode. PPO then adds the critic's value of that observation.
 
-    >>> env = GameVecEnv(GameVectorEnv("maze", "corner", 8, autoreset_mode="SameStep"))
-    >>> model = stable_baselines3.PPO("CnnPolicy", env)
+    Examples:
+        >>> env = GameVecEnv(GameVectorEnv("maze", "corner", 8, autoreset_mode="SameStep"))
+        >>> model = stable_baselines3.PPO("CnnPolicy", env)
 
     Args:
-        env: that resets in the same step; what `gymnasium.make_vec` made is taken too
+        env: Environment that resets in the same step, also one from `gymnasium.make_vec`.
 
     Raises:
-        ValueError: if it resets otherwise
+        ValueError: If it has another autoreset mode.
     """
 
     def __init__(self, env: GameVectorEnv):

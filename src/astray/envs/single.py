@@ -1,4 +1,4 @@
-"""One environment on its own: a vector of one."""
+"""A single environment, which is a vector environment of size one."""
 
 from __future__ import annotations
 
@@ -14,7 +14,14 @@ from astray.game import Game, Variant
 
 
 class GameEnv(gymnasium.Env[np.ndarray, np.int64]):
-    """One environment of a game; arguments as in `GameVectorEnv`."""
+    """One environment of a game, with the arguments of `GameVectorEnv`.
+
+    Examples:
+        >>> env = astray.GameEnv("maze", "corner")
+        >>> image, info = env.reset(seed=0)
+        >>> image.shape
+        (64, 64, 3)
+    """
 
     metadata = {"render_modes": ["rgb_array"], "render_fps": 15}  # noqa: RUF012
 

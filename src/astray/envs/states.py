@@ -1,4 +1,4 @@
-"""States in files: a NumPy archive that any NumPy reads, and nothing in it is executed."""
+"""States in files: NumPy archives, from which nothing is ever executed."""
 
 from __future__ import annotations
 
@@ -25,7 +25,11 @@ BROKEN = (
 
 
 def save_states(path: Path, game: str | Game, states: np.ndarray) -> None:
-    """Write `states` of `game` to an .npz file: "game", "format", and "states", [N] records."""
+    """Write `states` [N] of `game` to an .npz file with "game", "format" and "states".
+
+    Raises:
+        ValueError: If they are not states of the game.
+    """
     game = games.find(game)
     wanted = game.state
     of_kind("states", states, np.ndarray)
@@ -38,7 +42,12 @@ def save_states(path: Path, game: str | Game, states: np.ndarray) -> None:
 
 
 def load_states(path: Path, game: str | Game) -> np.ndarray:
-    """The states [N] that `save_states` wrote; `set_state` sees whether a variant can have them."""
+    """Return the states [N] that `save_states` wrote; `set_state` checks them for a variant.
+
+    Raises:
+        FileNotFoundError: If there is no such file.
+        ValueError: If it holds no states of this game and format.
+    """
     game = games.find(game)
     try:
         # From bytes: NumPy leaves a file open that is no archive.

@@ -43,22 +43,32 @@ Observation = Literal["image", "symbolic"]
 class GameVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
     """`num_envs` environments of one game, stepped together.
 
-    game, variant  names, or a game and a variant of your own
-    observation    "image": [64, 64, 3] uint8, or "symbolic": [C, H, W] uint8 planes
-    art            that images are drawn with: "own", or what else the game's `looks` have, as
-                   "original", the original's to the pixel
-    levels         a range of numbers to draw from with replacement, or a list to walk:
-                   environment i takes every num_envs-th from the i-th on, and then again
-    autoreset_mode what happens after the end of an episode (Gymnasium's AutoresetMode)
-    threads        that share the batch; what comes out does not depend on them
+    Observations are fresh arrays. `info` has the level's number at the beginning of each episode,
+    and every event at its end: the step at which it first happened, or -1. `states` holds the
+    record of each environment, live and read-only. `get_state` copies these records, and
+    `set_state` checks edited ones.
 
-    Observations are fresh arrays. `info` has the level's number at the beginning of each
-    episode, and every event (the step it first happened, -1 for never) at its end. `states`
-    is the record of each environment, live and read-only; `get_state` copies them to be changed,
-    and `set_state` checks what compiled code will trust.
+    Examples:
+        >>> env = astray.GameVectorEnv("maze", "corner", num_envs=4, levels=range(1000))
+        >>> images, info = env.reset(seed=0)
+        >>> images, reward, terminated, truncated, info = env.step(env.action_space.sample())
+        >>> images.shape, reward.dtype
+        ((4, 64, 64, 3), dtype('float64'))
 
-    Raises ValueError where there is no such game, variant or art, or an argument is out of its
-    bounds; MemoryError where so many do not fit.
+    Args:
+        game: Name of a game, or a `Game`.
+        variant: Name of a variant, or a `Variant`.
+        observation: "image" for [64, 64, 3] uint8, "symbolic" for planes [C, H, W] uint8.
+        art: Art of the images: "own", or another of the game's `looks`. "original" equals the
+            original's pictures to the pixel.
+        levels: Range of numbers to draw from with replacement, or list to walk cyclically:
+            environment i takes every num_envs-th from the i-th on.
+        autoreset_mode: Gymnasium's AutoresetMode: when a new episode begins after an end.
+        threads: Threads that share the batch; results do not depend on it.
+
+    Raises:
+        ValueError: If there is no such game, variant or art, or an argument is out of its bounds.
+        MemoryError: If so many environments do not fit.
     """
 
     def __init__(
@@ -126,7 +136,7 @@ class GameVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         self._bind()
 
     def _bind(self) -> None:
-        """Make what is no data of its own: pictures, compiled code, threads, views into arrays."""
+        """Create the parts that are not saved: pictures, compiled code, threads and array views."""
         self._loop = compiled_loop(self.game, self._shown)
         self._scene = (
             self.variant.records(),
@@ -151,30 +161,31 @@ class GameVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         self._bind()
 
     def __copy__(self) -> GameVectorEnv:
-        """An environment of its own: one that shared the states would be stepped by both."""
+        """Return an independent environment; shared states would be stepped by both."""
         return copy.deepcopy(self)
 
     @property
     def _shown(self) -> str:
-        """The art that is needed: symbols are not drawn, and need no pictures."""
+        """Return the art that is needed; symbols need none."""
         return OWN if self.symbolic else self.art
 
     @property
     def states(self) -> np.recarray:
-        """The record of each environment, [N], live and read-only: see `set_state`."""
+        """The record of each environment, [N], live and read-only; see `set_state`."""
         return trusted(self._states)
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[np.ndarray, Info]:
-        """Begin new episodes; environment i of a batch seeded with k draws levels as k + i does.
+        """Begin new episodes. Environment i of a batch with seed k draws levels like seed k + i.
 
-        options["level"]       a number, or one for each environment, or a `Level`: what to begin
-        options["state"]       a state, or one for each environment, to begin in instead; levels
-                               that come after it are those that would have come without it
-        options["reset_mask"]  [N] bool, the environments to reset; the others go on
+        Args:
+            options: "level" is the number or `Level` to begin, or one number for each environment.
+                "state" is a state to begin in, or one for each; the levels after it stay the same.
+                "reset_mask" [N] bool selects the environments to reset; the others continue.
 
-        Raises ValueError where an option is none of these, or is not of its kind.
+        Raises:
+            ValueError: If an option is unknown or invalid.
         """
         if seed is not None:
             bounded("seed", seed, 0, MOST_SEED)
@@ -219,12 +230,19 @@ class GameVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
     def step(
         self, actions: np.ndarray, out: np.ndarray | None = None
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, Info]:
-        """Advance every environment by one step; actions [N], integers.
+        """Advance every environment by one step.
 
-        out  where to write the observations, of their shape and contiguous; else a fresh array
+        Args:
+            actions: [N] integers.
+            out: Contiguous array [N, ...] uint8 for the observations; None for a fresh one.
 
-        Raises ValueError where `actions` are none, RuntimeError before the first reset and after
-        the end.
+        Returns:
+            Observations [N, ...] uint8, reward [N] float64 in game points, terminated [N] bool,
+            truncated [N] bool, and info.
+
+        Raises:
+            ValueError: If `actions` are invalid.
+            RuntimeError: Before the first reset, or after an end without autoreset.
         """
         if not self._seeded:
             raise RuntimeError("the environment must be reset before it is stepped")
@@ -270,26 +288,28 @@ class GameVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         return out, reward, terminated, truncated, info
 
     def get_state(self) -> np.ndarray:
-        """A copy of all states, [N] records: all that decides what comes."""
+        """Return a copy of all states, [N] records, which fully determine the future."""
         return self.states.copy()
 
     def set_state(self, states: np.ndarray) -> np.ndarray:
-        """Go on from what `get_state` returned, or all from one state; their observations.
+        """Continue from states [N] of `get_state`, or all from one state; return the observations.
 
-        In mode SameStep no episode is over between two steps, so none may be in `states`.
+        In mode SameStep the states may not be at an episode's end.
 
-        Raises ValueError where they are no states of the variant.
+        Raises:
+            ValueError: If they are not valid states of the variant.
         """
         self._take(states, np.ones(self.num_envs, bool))
         self._seeded = True
         return self._do(np.full(self.num_envs, AS_SET))
 
     def repeat(self, states: np.ndarray | None) -> None:
-        """Begin every episode from now on in its own of `states` [N], again and again.
+        """Begin every following episode in the environment's own one of `states` [N].
 
-        None: levels come as they did before. What is under way goes on.
+        None returns to the usual levels. Running episodes continue.
 
-        Raises ValueError where they are no states [N] of the variant.
+        Raises:
+            ValueError: If they are not valid states [N] of the variant.
         """
         if states is None:
             self._begins = np.empty(0, self.game.state)
@@ -306,7 +326,7 @@ class GameVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         self._scene = (*self._scene[:-1], self._begins)
 
     def _take(self, states: Any, which: np.ndarray, keep: Sequence[str] = ()) -> None:
-        """Put `states` in place of those in `which`, but for the fields to `keep`."""
+        """Replace the states in `which`, except for the fields in `keep`."""
         given = np.asarray(states if isinstance(states, np.ndarray | np.void) else None)
         if given.dtype != self.game.state or given.shape not in ((), (1,), (self.num_envs,)):
             raise ValueError(
@@ -323,18 +343,18 @@ class GameVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
             self._states[name][which] = values
 
     def render(self) -> tuple[np.ndarray, ...] | None:
-        """Pictures for people, [512, 512, 3] each, with render_mode "rgb_array"."""
+        """Return pictures for people, [512, 512, 3] uint8 each, if render_mode is "rgb_array"."""
         return tuple(self.picture(PICTURE)) if self.render_mode == "rgb_array" else None
 
     def picture(self, pixels: int) -> np.ndarray:
-        """Every state at any scale, [N, pixels, pixels, 3] uint8."""
+        """Return pictures of all states at any scale, [N, pixels, pixels, 3] uint8."""
         return picture(self.game, self.variant, self.states, pixels, self.art)
 
     def close_extras(self, **kwargs: Any) -> None:
         self._pool.close()
 
     def _do(self, what: np.ndarray) -> np.ndarray:
-        """Do `what` in every environment, which is not to step; what they show then."""
+        """Run a command other than STEP in every environment; return the observations."""
         observations = np.empty(self._shape, np.uint8)
         self._run(what, observations, NUMBERS, REALS, FLAGS, FLAGS)
         return observations
@@ -348,7 +368,7 @@ class GameVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         terminated: np.ndarray,
         truncated: np.ndarray,
     ) -> bool:
-        """`loops.run`, by all threads."""
+        """Call `loops.run` in all threads."""
         arguments = (
             self._states, *self._scene, self._mode, what, actions, observations,
             self._final_states, self._final, reward, terminated, truncated,
@@ -359,7 +379,11 @@ class GameVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
 def picture(
     game: str | Game, variant: Variant, states: np.ndarray, pixels: int, art: str = OWN
 ) -> np.ndarray:
-    """`states` [N] of `game` as the agent would see them at any scale, [N, pixels, pixels, 3]."""
+    """Return images of `states` [N] at any scale, [N, pixels, pixels, 3] uint8.
+
+    Raises:
+        ValueError: If a state or the number of pixels is invalid.
+    """
     game = games.find(game)
     variant = game.variant(variant)
     bounded("pixels", pixels, *PICTURES)
@@ -380,7 +404,7 @@ def picture(
 
 
 def _checked(levels: Any) -> tuple[int, int, np.ndarray]:
-    """First and count of a range, or the list as an array; its numbers checked."""
+    """Return the first number and length of a range, or a list as an array, after checks."""
     if not isinstance(levels, range):
         return 0, 1, level_numbers(levels)
     if levels.step != 1:

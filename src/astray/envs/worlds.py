@@ -1,4 +1,4 @@
-"""Environments of a world of others, stepped together: what `GameVectorEnv` is for a game."""
+"""Vector environments of a `World`, the counterpart of `GameVectorEnv`."""
 
 from __future__ import annotations
 
@@ -18,11 +18,14 @@ from astray.world import NOTED, World, WorldVariant, witnessed
 
 
 class WorldVectorEnv:
-    """Several environments of a variant; those that ended begin another level when they are told.
+    """Several environments of a variant; ended ones wait until `reset` begins another level.
 
-    states  [N] records of what was noted of their episodes so far: level, time, events, measures
+    Attributes:
+        states: [N] records of the current episodes: level, time, events and measures.
 
-    Raises ValueError where an environment fails, RuntimeError where its process dies or hangs.
+    Raises:
+        ValueError: If an environment fails.
+        RuntimeError: If its process dies or hangs.
     """
 
     observation, art = "image", OWN  # of games; here the factory decides what is shown
@@ -30,7 +33,7 @@ class WorldVectorEnv:
     def __init__(
         self, world: World, variant: str | WorldVariant, num_envs: int, longest: int | None = None
     ):
-        """longest  steps after which episodes are left by the one who plays them"""
+        """Make the environments; `longest` is the number of steps that truncates an episode."""
         bounded("num_envs", num_envs, 1, MOST)
         self.game, self.variant, self.num_envs = world, world.variant(variant), num_envs
         makers = [partial(witnessed, world, self.variant, longest)] * num_envs
@@ -61,7 +64,7 @@ class WorldVectorEnv:
         return seen, info
 
     def step(self, actions: Any) -> tuple[Any, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
-        """Take a step in every environment; ValueError where an action is none."""
+        """Step every environment; raise ValueError if an action is invalid."""
         self._see_actions(actions)
         if self.game.workers:
             with self._watched():
@@ -83,18 +86,18 @@ class WorldVectorEnv:
             return np.array(self._envs.call_wait(timeout=self.game.patience))
 
     def get_state(self) -> np.ndarray:
-        """Return a copy of `states`, of which no environment can go on."""
+        """Return a copy of `states`; it is not enough to continue an environment from."""
         return self.states.copy().view(np.ndarray)
 
     def close(self) -> None:
-        """End all environments; their world knows from then on which keys of info there were."""
+        """End all environments and tell the world which keys of info occurred."""
         with self._watched():
             for keys in self._envs.get_attr("reported"):
                 self.game.reported.update(keys)
         self._envs.close()
 
     def _note(self, info: Mapping[str, Any]) -> None:
-        """Write what the environments noted to their states; it is in info where it is new."""
+        """Copy new records of the environments from info to `states`."""
         if NOTED not in info:
             return
         columns, which = (*self.game.events, *self.game.measures), info[f"_{NOTED}"]
@@ -126,7 +129,7 @@ class WorldVectorEnv:
 
     @contextlib.contextmanager
     def _watched(self) -> Iterator[None]:
-        """Tell in a sentence that a process died or hangs, and end the others."""
+        """Raise a readable error if a process died or hangs, after ending the others."""
         try:
             yield
         except multiprocessing.TimeoutError as error:
@@ -146,7 +149,7 @@ class WorldVectorEnv:
 
 
 def see_reported(world: World) -> None:
-    """Raise ValueError where an event is a key of info that nothing played so far has reported."""
+    """Raise ValueError if an event names a key of info that never occurred."""
     for event, key in world.events.items():
         if isinstance(key, str) and key not in world.reported:
             there = ", ".join(sorted(world.reported - {NOTED})) or "none"

@@ -1,6 +1,6 @@
-"""The games: those of this package, those that others offer, and those that were registered.
+"""Discovery and registration of games.
 
-Here, a game is a sub-package that defines `GAME`; nothing else lists it. Another package offers
+A sub-package here that defines `GAME` is a game; there is no other list. Another package offers
 its games as entry points of the group `astray.games`: name = "module:GAME".
 """
 
@@ -32,17 +32,18 @@ _registered: dict[str, Game] = {}
 
 
 def names() -> tuple[str, ...]:
-    """The names of all games: astray's own first."""
+    """Return the names of all games, astray's own first."""
     return (*OWN, *sorted({*_registered, *_offered()} - {*OWN}))
 
 
 def register(game: Game) -> None:
-    """Let `game` be found by its name, in this process: by `find`, and so in settings and verbs.
+    """Register `game` in this process, so that `find`, settings and verbs know its name.
 
-    Again, it takes the place of the one before. A package that is installed can offer its games
-    to all processes: see the entry points above.
+    A second registration replaces the first. An installed package can offer its games to all
+    processes through entry points; see the top of this module.
 
-    Raises ValueError where the name is that of one of astray's own games, or cannot be a name.
+    Raises:
+        ValueError: If the name is invalid, or that of one of astray's own games.
     """
     if not isinstance(game, Game):
         raise ValueError(f"a game must be a Game; got {game!r}")
@@ -57,9 +58,10 @@ def register(game: Game) -> None:
 
 
 def find(game: str | Game) -> Game:
-    """The game of that name; one of your own is itself.
+    """Return the game of that name; a `Game` is returned unchanged.
 
-    Raises ValueError where there is none, or what offers one under that name fails.
+    Raises:
+        ValueError: If there is none, or the package that offers it fails.
     """
     if isinstance(game, Game):
         return game
@@ -75,9 +77,9 @@ def find(game: str | Game) -> Game:
 
 
 def survey(describe: Callable[[Game], Any]) -> tuple[dict[str, Any], dict[str, str]]:
-    """Return what `describe` says of every game, and the reason for each that is broken, by name.
+    """Apply `describe` to every game; return its results and the reasons of failures, by name.
 
-    A game of another package may fail in any way, and must not keep the others from being seen.
+    A broken game of another package does not hide the others.
     """
     found, broken = {}, {}
     for name in names():
@@ -95,7 +97,7 @@ def survey(describe: Callable[[Game], Any]) -> tuple[dict[str, Any], dict[str, s
 
 @functools.cache
 def _offered() -> dict[str, EntryPoint]:
-    """The games of other packages that are installed, by name; none is imported by this."""
+    """Return the entry points of other packages' games, by name; import none."""
     return {point.name: point for point in entry_points(group=GROUP)}
 
 
