@@ -13,9 +13,9 @@ from PIL import Image
 import astray
 from astray.art import own
 
-GAMES = Path(astray.__file__).parent / "games"
-MAZE = GAMES / "maze" / "art"
-DRAWINGS = sorted(GAMES.glob("*/art/*.svg"))
+PACKAGE = Path(astray.__file__).parent
+MAZE = PACKAGE / "games" / "maze" / "art"
+DRAWINGS = sorted(PACKAGE.glob("**/art/*.svg"))
 FLOORS = range(9)
 WALLS = ["wall-sand", "wall-stone", "wall-hedge"]
 OBJECTS = list(product(own.COLOURS, ["cheese", "line", "gem", "star", "ring", "cross"]))
@@ -35,7 +35,7 @@ def test_a_png_is_as_fresh_as_its_drawing(svg):
 
 
 def test_every_png_has_a_drawing_and_together_they_are_small():
-    pngs = sorted(GAMES.glob("*/art/*.png"))
+    pngs = sorted(PACKAGE.glob("**/art/*.png"))
     assert [png.with_suffix(".svg") for png in pngs] == DRAWINGS
     assert sum(png.stat().st_size for png in pngs) < 1_000_000  # bytes
 

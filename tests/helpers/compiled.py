@@ -18,10 +18,11 @@ def main() -> None:
     for name in games.OWN:
         game = games.find(name)
         for art in arts:
-            compiled_loop(game, art)
+            if art in game.looks:
+                compiled_loop(game, art)
         env = GameVectorEnv(game, game.benchmark.variant, observation="symbolic")
         env.reset(seed=0)
-        for goal in game.goals:
+        for goal in game.event_goals:
             game.solver.optimal_return(env.states[0], goal, 0.9)
         if game.mutation:
             seeds = np.zeros(1, np.uint32)

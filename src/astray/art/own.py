@@ -114,8 +114,8 @@ def render(svg: Path) -> bytes:
 
 
 def main() -> None:
-    """Render every game's drawings beside themselves."""
-    for svg in sorted((Path(__file__).parents[1] / "games").glob("*/art/*.svg")):
+    """Render every drawing, of games and of what they share, beside itself."""
+    for svg in sorted(Path(__file__).parents[1].glob("**/art/*.svg")):
         png = render(svg)
         svg.with_suffix(".png").write_bytes(png)
         print(f"{svg.with_suffix('.png')}  {len(png):,} bytes")

@@ -1,0 +1,212 @@
+"""What every grid world can do: levels as data, places and cells, scripts that walk to a goal."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import product
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+
+from astray.bounds import finite, one_of
+from astray.game import Variant
+from astray.grid.rules import ACTIONS, DX, DY
+from astray.kernel.grid import UNREACHABLE, distances
+from astray.protocols import Rules
+from astray.record import NEVER, check_record, within
+
+STAY, OVER = 0, 16  # the action; a mover's code counts so much in a level's grid
+SPARE = "ABCDEFGHIJKLMNOPQRSTUVWXYZ"  # characters of movers that are on things
+Cells = Sequence[tuple[int, int]]
+
+
+@dataclass(frozen=True)
+class World:
+    """What the abilities of a grid world are made of; see `astray.grid.world`."""
+
+    rules: Rules
+    side: int
+    things: Mapping[str, str]
+    movers: Mapping[str, str]
+    solid: Sequence[str]
+    hazards: Sequence[str]
+    stood: str
+    held: int
+    events: Mapping[str, str]
+    seek: Callable[[Any, str], Cells | int | None]
+    furnish: Callable
+    looks: Mapping[str, int]
+    bounds: Mapping[str, tuple[int, int]]
+
+    def codes(self, names: Sequence[str]) -> list[int]:
+        """The codes of kinds, by name."""
+        all_names = [*self.things.values(), *self.movers.values()]
+        return [1 + all_names.index(name) for name in names]
+
+    def legend(self) -> dict[str, int]:
+        """Characters of drawings: of nothing, of things, of movers, and of movers on things."""
+        first = 1 + len(self.things)
+        things = {char: code for code, char in enumerate(self.things, 1)}
+        movers = {char: OVER * code for code, char in enumerate(self.movers, first)}
+        open_things = [c for c, name in self.things.items() if name not in self.solid]
+        spare = iter(c for c in SPARE if c not in (*things, *movers))
+        both = {
+            next(spare): movers[mover] + things[thing]
+            for mover, thing in product(movers, open_things)
+        }
+        return {".": 0} | things | movers | both
+
+    def truths(self, s: np.ndarray) -> dict[str, np.ndarray]:
+        """What is true of states [N], and compiled code relies on."""
+        things, kinds = len(self.things), len(self.things) + len(self.movers)
+        x, y = (np.clip(s[axis], 0, self.side - 1) for axis in "xy")
+        beneath = s["cell"][np.arange(len(s)), y, x]
+        mover = (s["mover"] == 0) | ((s["mover"] > things) & (s["mover"] <= kinds))
+        return {
+            "cell": (s["cell"] <= things).all((1, 2)),
+            "mover": mover.all((1, 2)),
+            "x": within(s["x"], 0, self.side),
+            "y": within(s["y"], 0, self.side),
+            "cell of the agent": ~np.isin(beneath, self.codes(self.solid)),
+            "held": within(s["held"], 0, self.held),
+        } | {name: within(s[name], *ends) for name, ends in self.bounds.items()}
+
+    def check(self, s: Any) -> None:
+        check_record(s, self.rules, self.truths)
+
+    def free(self, s: Any) -> np.ndarray:
+        """The cells that an agent may stand in without harm, [H, W] bool."""
+        kept_out = self.codes([*self.solid, *self.hazards])
+        return ~(np.isin(s.cell, kept_out) | np.isin(s.mover, kept_out))
+
+
+def editing(world: World) -> Any:
+    """Return the ability to describe and build levels."""
+    legend = world.legend()
+    names = {n: c for c, n in {**world.things, **world.movers}.items() if n not in world.solid}
+
+    def grid(s: Any) -> np.ndarray:
+        return (s.cell + OVER * s.mover).astype(np.uint8)
+
+    def centre(s: Any) -> list[float]:
+        return [float(s.x) + 0.5, float(s.y) + 0.5]
+
+    def describe(s: Any) -> dict[str, Any]:
+        told = {name: int(s[name]) for name in world.looks}
+        return {"grid": grid(s).tolist(), "agent": centre(s), "looks": told}
+
+    def build(cells: np.ndarray, at: tuple[int, int], looks: Mapping, variant: Variant) -> Any:
+        if cells.shape != (world.side, world.side):
+            raise ValueError(f"the level is {cells.shape}; it must be {world.side} cells a side")
+        s = np.zeros(1, world.rules.STATE).view(np.recarray)[0]
+        s.cell[:], s.mover[:] = cells % OVER, cells // OVER
+        s.time_limit, (s.x, s.y) = variant.time_limit, at
+        for event in world.rules.EVENTS:
+            s[event] = NEVER
+        world.furnish(s, variant.records().view(np.recarray)[0])
+        for name, usual in world.looks.items():
+            s[name] = looks.get(name, usual)
+        return s
+
+    return SimpleNamespace(
+        LEGEND=legend, OBJECTS=names, STOOD_ON=world.stood,
+        grid=grid, centre=centre, describe=describe, build=build,
+    )  # fmt: skip
+
+
+def places(world: World) -> Any:
+    """Return the abilities `places` and `cells`."""
+
+    def centre(states: np.ndarray) -> np.ndarray:
+        return np.stack([states["x"], states["y"]], -1) + 0.5
+
+    def stand(s: Any) -> np.ndarray:
+        found = reachable(world, s) & (s.cell == 0) & (s.mover == 0)
+        found[int(s.y), int(s.x)] = True
+        return found
+
+    def put(states: np.ndarray, cells: np.ndarray) -> np.ndarray:
+        found = states.copy()
+        found["x"], found["y"] = cells.T
+        return found
+
+    def target(s: Any, goal: str) -> tuple[int, int] | None:
+        wanted = world.seek(s, goal)
+        return wanted[0] if isinstance(wanted, Sequence) and len(wanted) == 1 else None
+
+    return SimpleNamespace(centre=centre, stand=stand, put=put, free=world.free, target=target)
+
+
+def reachable(world: World, s: Any) -> np.ndarray:
+    """The cells that the agent can get to without harm, and hazards themselves, [H, W] bool."""
+    steps = distances(_with(world.free(s), [(int(s.x), int(s.y))]), int(s.x), int(s.y))
+    hazards = world.codes(world.hazards)
+    return (steps != UNREACHABLE) | np.isin(s.cell, hazards) | np.isin(s.mover, hazards)
+
+
+def solver(world: World) -> Any:
+    """Return the solver: scripts that go the shortest way to what `seek` names."""
+
+    def expert(s: Any, goal: str) -> Callable[[Any], int]:
+        one_of("goal", goal, world.events)
+        world.check(s)
+
+        def action(now: Any) -> int:
+            world.check(now)
+            if now.ended or now[world.events[goal]] != NEVER:
+                return STAY
+            wanted = world.seek(now, goal)
+            if wanted is None or isinstance(wanted, int):
+                return STAY if wanted is None else wanted
+            return towards(world, now, wanted)
+
+        return action
+
+    def optimal_return(s: Any, goal: str, gamma: float = 1.0) -> float:
+        finite("gamma", gamma, 0, 1)
+        act = expert(s, goal)
+        states = np.zeros(1, world.rules.STATE).view(np.recarray)
+        states[0] = s
+        now, total, weight = states[0], 0.0, 1.0
+        while not now.ended and now[world.events[goal]] == NEVER:
+            now.time += 1
+            reward, done = world.rules.step(now, act(now))
+            total, weight = total + weight * float(reward), weight * gamma
+            now.ended = done or now.time >= now.time_limit
+        return total
+
+    return SimpleNamespace(
+        reachable=lambda s: reachable(world, s), expert=expert, optimal_return=optimal_return
+    )
+
+
+def towards(world: World, s: Any, cells: Cells) -> int:
+    """The action that leads to the nearest of `cells` around hazards; to stay where none does."""
+    here = int(s.x), int(s.y)
+    free = _with(world.free(s), [*cells, here])
+    away = distances(free, *here)
+    near = [(int(away[y, x]), x, y) for x, y in cells if away[y, x] != UNREACHABLE]
+    if not near or min(near)[0] == 0:
+        return STAY
+    _, *nearest = min(near)
+    steps = distances(free, *nearest)
+    for action in range(1, len(ACTIONS)):
+        x, y = here[0] + DX[action], here[1] + DY[action]
+        inside = 0 <= x < world.side and 0 <= y < world.side
+        if inside and steps[y, x] == steps[here[1], here[0]] - 1 and steps[y, x] != UNREACHABLE:
+            return action
+    return STAY
+
+
+def _with(free: np.ndarray, cells: Cells) -> np.ndarray:
+    """With some cells free, too."""
+    for x, y in cells:
+        free[y, x] = True
+    return free
+
+
+def where(layer: np.ndarray, *codes: int) -> list[tuple[int, int]]:
+    """The cells (x, y) of a layer that hold one of these codes."""
+    return [(int(x), int(y)) for y, x in np.argwhere(np.isin(layer, codes))]

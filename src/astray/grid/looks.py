@@ -1,0 +1,131 @@
+"""How grid worlds look: a picture of small drawings, and one symbolic plane of 0 and 1 a kind."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Sequence
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+
+from astray.art import own
+from astray.game import OWN, Looks
+from astray.grid.rules import EMPTY, WALL
+from astray.kernel.canvas import blit, copy_flat, pixel, tile
+from astray.kernel.jit import kernel, shared
+
+SHARED = Path(__file__).parent / "art"
+FLOORS = ("floor-a", "floor-b")  # by turns
+
+
+@shared
+def paint(s, art, scene):
+    """The floor."""
+    side = s.cell.shape[0]
+    scale = scene.shape[0] / side
+    for y in range(side):
+        for x in range(side):
+            top, left = pixel(y, scale), pixel(x, scale)
+            tile(scene, art[0][(x + y) % 2], top, pixel(y + 1, scale), left, pixel(x + 1, scale))
+
+
+@shared
+def draw(s, art, scene, image):
+    """Things, movers on them, and the agent on all."""
+    _, kinds, agents = art
+    side = s.cell.shape[0]
+    scale = image.shape[0] / side
+    copy_flat(image, scene)
+    for y in range(side):
+        top = pixel(side - 1 - y, scale)
+        for x in range(side):
+            for code in (s.cell[y, x], s.mover[y, x]):
+                if code != EMPTY:
+                    blit(image, kinds[code - 1], top, pixel(x, scale))
+    blit(image, agents[s.held], pixel(side - 1 - s.y, scale), pixel(s.x, scale))
+
+
+@kernel
+def draw_planes(s, scene, planes):
+    """A plane of each kind, then those of what is held, then the agent's.
+
+    Where planes are larger than the world, the agent is in their middle, and walls are around.
+    """
+    side, seen, agent = s.cell.shape[0], planes.shape[1], planes.shape[0] - 1
+    flat = planes.reshape(-1)
+    for k in range(flat.size):
+        flat[k] = 0
+    left, low = 0, 0
+    if seen > side:
+        left, low = side - 1 - s.x, side - 1 - s.y
+        for y in range(seen):
+            for x in range(seen):
+                inside = low <= y < low + side and left <= x < left + side
+                planes[WALL - 1, y, x] = not inside
+    for y in range(side):
+        for x in range(side):
+            for code in (s.cell[y, x], s.mover[y, x]):
+                if code != EMPTY:
+                    planes[code - 1, low + y, left + x] = 1
+            if s.held > 0:
+                planes[agent - s.held, low + y, left + x] = 1
+    planes[agent, low + s.y, left + s.x] = 1
+
+
+@kernel
+def paint_planes(s, scene):
+    """Nothing: all may move."""
+
+
+def symbols(side: int, planes: int, centred: bool) -> Any:
+    """Return the symbols of a world of so many planes.
+
+    Args:
+        side: cells a side of the world
+        planes: one for each kind and each thing that can be held, and the agent's
+        centred: whether the agent is in the middle of what it sees
+    """
+    seen = 2 * side - 1 if centred else side
+    return SimpleNamespace(
+        planes=lambda variant: np.ones((planes, seen, seen), np.uint8),
+        planes_scene_shape=lambda variant: (1, 1, 1),
+        paint_planes=paint_planes,
+        draw_planes=draw_planes,
+    )
+
+
+def looks(folder: Path, side: int, kinds: Sequence[str], agents: Sequence[str]) -> dict:
+    """Return the looks of a world whose drawings are in `folder`, or those that worlds share.
+
+    Args:
+        folder: of pictures `NAME.png`; a wall's is called `wall-grid`, floors' as in `FLOORS`
+        side: cells a side of the world
+        kinds: names of things and movers, in the order of their codes
+        agents: names of the agent's pictures, by what it holds
+    """
+
+    def scene_shape(variant, pixels: int) -> tuple[int, ...]:
+        return (pixels, pixels, 3)
+
+    def art(variant, pixels: int) -> tuple[np.ndarray, ...]:
+        return _art(folder, -(-pixels // side), tuple(kinds), tuple(agents))
+
+    return {OWN: Looks(OWN, paint, draw, art, scene_shape)}
+
+
+@functools.cache
+def _art(
+    folder: Path, side: int, kinds: tuple[str, ...], agents: tuple[str, ...]
+) -> tuple[np.ndarray, ...]:
+    """Floors [2, S, S, 3], kinds [K, S, S, 4], agents [H, S, S, 4], of S pixels a side."""
+
+    def load(name: str) -> np.ndarray:
+        name = "wall-grid" if name == "wall" else name
+        there = folder if (folder / f"{name}.png").is_file() else SHARED
+        return own.resize(own.load(there, name), side, side)
+
+    floors, sprites, agent = ([load(n) for n in names] for names in (FLOORS, kinds, agents))
+    # All contiguous, or compiled code would be compiled anew for another layout.
+    return tuple(map(np.ascontiguousarray, (np.stack(floors)[..., :3], sprites, agent)))

@@ -1,0 +1,114 @@
+"""What moves on a grid: kernels that the rules and levels of grid worlds are made of."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from astray.kernel.jit import kernel, shared
+from astray.kernel.rng import below
+from astray.record import NEVER, state_dtype
+
+ACTIONS = ("stay", "left", "right", "down", "up")
+DX, DY = np.array([0, -1, 1, 0, 0, 0, 0, 0]), np.array([0, 0, 0, -1, 1, 0, 0, 0])  # by action
+EMPTY, WALL = 0, 1  # codes; those of other things follow, and those of movers after these
+
+
+def state(side: int, events: Sequence[str], *numbers: str) -> np.dtype:
+    """Return the record of a grid world: things, movers on them, the agent, numbers and events.
+
+    Args:
+        side: cells a side, 3 to 32
+        events: as `Rules.EVENTS`
+        numbers: fields of the world's own, int64
+
+    Returns:
+        `cell` [side, side] are codes of things, `mover` [side, side] codes of what moves on them,
+        `x` and `y` the agent's cell, `held` is what it shows to hold, as a number
+    """
+    layers = [(name, np.uint8, (side, side)) for name in ("cell", "mover")]
+    return state_dtype(*layers, *[(n, np.int64) for n in ("x", "y", "held", *numbers, *events)])
+
+
+@kernel
+def clear(s):
+    """Empty all cells, and take the agent out of them."""
+    s.cell[:] = EMPTY
+    s.mover[:] = EMPTY
+    s.x, s.y, s.held = NEVER, NEVER, 0
+
+
+@kernel
+def surround(s):
+    """Put walls around the world."""
+    last = s.cell.shape[0] - 1
+    for k in range(last + 1):
+        s.cell[0, k] = s.cell[last, k] = s.cell[k, 0] = s.cell[k, last] = WALL
+
+
+@shared
+def any_empty(s):
+    """A random cell with nothing in it, as its number: y times the side, plus x."""
+    side = s.cell.shape[0]
+    while True:
+        i = below(s, side * side)
+        x, y = i % side, i // side
+        if s.cell[y, x] == EMPTY and s.mover[y, x] == EMPTY and (x != s.x or y != s.y):
+            return i
+
+
+@kernel
+def scatter(s, code, count):
+    """Put so many things of a code into random empty cells."""
+    side = s.cell.shape[0]
+    for _ in range(count):
+        i = any_empty(s)
+        s.cell[i // side, i % side] = code
+
+
+@kernel
+def scatter_movers(s, code, count):
+    """Put so many movers of a code into random empty cells."""
+    side = s.cell.shape[0]
+    for _ in range(count):
+        i = any_empty(s)
+        s.mover[i // side, i % side] = code
+
+
+@kernel
+def begin_anywhere(s):
+    """Put the agent into a random empty cell."""
+    i = any_empty(s)
+    s.x, s.y = i % s.cell.shape[0], i // s.cell.shape[0]
+
+
+@kernel
+def is_open(s, x, y):
+    """The cell is one of the world, and no wall."""
+    side = s.cell.shape[0]
+    return 0 <= x < side and 0 <= y < side and s.cell[y, x] != WALL
+
+
+@kernel
+def walk(s, action):
+    """Move the agent a cell, where no wall is."""
+    x, y = s.x + DX[action], s.y + DY[action]
+    if is_open(s, x, y):
+        s.x, s.y = x, y
+
+
+@kernel
+def first(s, event):
+    """The step that an event first happened, as it happens now."""
+    return s.time if event == NEVER else event
+
+
+@kernel
+def count(layer, code):
+    """The number of cells with that code."""
+    found = 0
+    for y in range(layer.shape[0]):
+        for x in range(layer.shape[1]):
+            found += layer[y, x] == code
+    return found

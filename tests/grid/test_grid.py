@@ -1,0 +1,70 @@
+"""What grid worlds share: drawings, planes, scripts, and what compiled code relies on."""
+
+import numpy as np
+import pytest
+
+from astray import games
+from astray.envs.vector import GameVectorEnv
+from astray.level import Level
+from helpers.scenes import play, room, scene
+
+LAVA = games.find("lavaland")
+LAKE = room(8, ".~..", "@~.G")
+
+
+def test_a_plane_is_of_a_kind_and_the_agent_is_in_the_middle_of_walls_and_all():
+    env = scene("lavaland", LAKE)
+    walls, lava, cheese, mouse = env.step(np.array([0]))[0][0]
+    assert walls.shape == (15, 15) and walls.sum() == 15 * 15 - 8 * 8
+    assert np.argwhere(mouse).tolist() == [[7, 7]]
+    assert np.argwhere(lava).tolist() == [[7, 8], [8, 8]]
+    assert np.argwhere(cheese).tolist() == [[7, 10]]
+    seen = env.step(np.array([4]))[0][0]  # a step up, and all else is lower
+    assert np.argwhere(seen[2]).tolist() == [[6, 10]]
+
+
+def test_a_picture_shows_things_and_the_agent_on_the_floor():
+    env = scene("lavaland", LAKE)
+    (image,) = env.picture(64)
+    cells = image.reshape(8, 8, 8, 8, 3).mean((1, 3))
+    bare = cells[0, 0]
+    shown = np.abs(cells - bare).sum(-1) > 30
+    assert np.argwhere(shown).tolist() == [[6, 1], [7, 0], [7, 1], [7, 3]]
+
+
+def test_scripts_walk_around_hazards_and_stay_where_nothing_can_be_reached():
+    env = scene("lavaland", LAKE)
+    expert = LAVA.solver.expert(env.states[0], "cheese")
+    assert LAVA.actions[expert(env.states[0])] == "up"
+    shut = scene("lavaland", room(8, "~~", "@~.G"))
+    assert LAVA.actions[LAVA.solver.expert(shut.states[0], "cheese")(shut.states[0])] == "stay"
+    assert not LAVA.solver.reachable(shut.states[0])[0, 3]
+    with pytest.raises(ValueError, match=r"the cheese at cell \(3, 0\) cannot be reached"):
+        Level.from_text(LAVA, LAVA.variant("dry"), room(8, "~~", "@~.G")).state()
+
+
+@pytest.mark.parametrize("gamma, worth", [(1.0, 1.0), (0.5, 0.5**6)])
+def test_the_return_of_a_script_is_that_of_its_steps_discounted(gamma, worth):
+    env = scene("lavaland", LAKE)
+    assert LAVA.solver.optimal_return(env.states[0], "cheese", gamma) == worth
+    assert env.states[0].time == 0
+
+
+def test_walls_and_the_end_of_the_world_stop_the_agent():
+    env = scene("lavaland", room(8, "@#G"))
+    play(env, "left down right")
+    assert (env.states[0].x, env.states[0].y) == (0, 0)
+    play(env, "up right")
+    assert (env.states[0].x, env.states[0].y) == (1, 1)
+
+
+@pytest.mark.parametrize(
+    "field, value", [("x", 8), ("y", -1), ("held", 1), ("cell", 4), ("mover", 1), ("mover", 9)]
+)
+def test_a_state_that_compiled_code_could_not_play_is_refused(field, value):
+    env = GameVectorEnv("lavaland", "dry", 2)
+    env.reset(seed=0)
+    states = env.get_state()
+    states[field][1] = value
+    with pytest.raises(ValueError, match="state 1 is none of this variant"):
+        env.set_state(states)
