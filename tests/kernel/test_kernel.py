@@ -13,10 +13,10 @@ from scipy.sparse.csgraph import shortest_path
 
 from astray.envs.pool import Pace, Pool
 from astray.kernel import rng
+from astray.kernel.barrier import arrive, release, take
 from astray.kernel.canvas import blit, copy_window
 from astray.kernel.grid import UNREACHABLE, distances
 from astray.kernel.jit import kernel
-from astray.kernel.laps import begin_lap, end_lap, take
 from astray.record import state_dtype
 
 MASK = 2**64 - 1
@@ -129,7 +129,7 @@ def test_a_kernel_is_interpreted_or_part_of_what_calls_it():
 
 
 class Shared(Pace):
-    """Every lap is shared, however long it takes."""
+    """Every round is shared, however long it takes."""
 
     shared = property(lambda self: True, lambda self, shared: None)
 
@@ -137,19 +137,19 @@ class Shared(Pace):
 def test_a_pool_does_every_piece_once_and_raises_what_fails():
     pool, seen, threads = Pool(3, Shared()), [], set()
 
-    def see(laps, thread, lap):
-        while (low := take(laps, 3)) < 1000:
+    def see(barrier, thread, generation):
+        while (low := take(barrier, 3)) < 1000:
             seen.extend(range(low, min(low + 3, 1000)))
             threads.add(thread)
             time.sleep(1e-4)
         return thread
 
-    for lap in range(1, 4):
+    for generation in range(1, 4):
         assert pool.run(see, ()) == 0
-        assert sorted(seen) == sorted([*range(1000)] * lap)
+        assert sorted(seen) == sorted([*range(1000)] * generation)
     assert threads == {0, 1, 2}
     with pytest.raises(ZeroDivisionError):
-        pool.run(lambda laps, thread, lap: 1 // (thread - 2), ())
+        pool.run(lambda barrier, thread, generation: 1 // (thread - 2), ())
     assert pool.run(see, ()) == 0
     pool.close()
 
@@ -158,7 +158,7 @@ def test_a_pool_whose_share_failed_does_not_live_on():
     pool = Pool(2, Shared())
     gone = weakref.ref(pool)
     with pytest.raises(ZeroDivisionError):
-        pool.run(lambda laps, thread, lap: 1 // (thread - 1), ())
+        pool.run(lambda barrier, thread, generation: 1 // (thread - 1), ())
     del pool
     gc.collect()
     assert gone() is None
@@ -194,9 +194,9 @@ def test_a_pool_that_was_interrupted_loses_no_share(monkeypatch):
     def interrupt(_):
         raise KeyboardInterrupt
 
-    def slowly(laps, thread, lap):
+    def slowly(barrier, thread, generation):
         time.sleep(0.2 * thread)
-        seen.append((lap, thread))
+        seen.append((generation, thread))
 
     with monkeypatch.context() as patch:
         patch.setattr(
@@ -205,29 +205,29 @@ def test_a_pool_that_was_interrupted_loses_no_share(monkeypatch):
         for _ in range(2):
             with pytest.raises(KeyboardInterrupt):
                 pool.run(slowly, ())
-    assert seen == [(1, 0)]  # the thread is still at the first lap; the second was not begun
+    assert seen == [(1, 0)]  # the thread is still at the first round; the second was not begun
     pool.run(slowly, ())
     assert sorted(seen) == [(1, 0), (1, 1), (2, 0), (2, 1)]
     pool.close()
 
 
 @numba.njit(nogil=True)
-def add_up(numbers, sums, laps, thread, lap):
-    begin_lap(laps, thread, lap)
+def add_up(numbers, sums, barrier, thread, generation):
+    release(barrier, thread, generation)
     sums[thread] = 0
-    i = take(laps, 1)
+    i = take(barrier, 1)
     while i < numbers.size:
         sums[thread] += numbers[i]
-        i = take(laps, 1)
-    end_lap(laps, thread, lap)
+        i = take(barrier, 1)
+    arrive(barrier, thread, generation)
 
 
 @numba.njit(nogil=True)
-def count_pieces(times, laps, thread, lap):
-    i = take(laps, 1)
+def count_pieces(times, barrier, thread, generation):
+    i = take(barrier, 1)
     while i < times.size:
         times[i] += 1
-        i = take(laps, 1)
+        i = take(barrier, 1)
 
 
 def test_threads_that_take_at_once_take_different_pieces():
@@ -235,44 +235,44 @@ def test_threads_that_take_at_once_take_different_pieces():
         Pool(3, Shared()),
         np.zeros(10_000 if numba.config.DISABLE_JIT else 3_000_000, np.int64),
     )
-    for lap in range(1, 4):
+    for generation in range(1, 4):
         pool.run(count_pieces, (times,))
-        assert (times == lap).all()
+        assert (times == generation).all()
     pool.close()
 
 
 @pytest.mark.parametrize("processors", [1, 3])
-def test_no_lap_is_lost_or_done_twice_however_long_threads_wait(processors, monkeypatch):
+def test_no_round_is_lost_or_done_twice_however_long_threads_wait(processors, monkeypatch):
     monkeypatch.setattr("astray.envs.pool.usable_processors", lambda: processors)
     pool, sums = Pool(3, Shared()), np.zeros(3, np.int64)
     random = np.random.default_rng(0)
-    for lap in range(2000):
+    for generation in range(2000):
         numbers = random.integers(0, 100, 50)
         pool.run(add_up, (numbers, sums))
         assert sums.sum() == numbers.sum()
         sums[:] = -1  # a late thread would put its sum here
-        if lap % 10 == 0:
+        if generation % 10 == 0:
             time.sleep(random.choice([0, 5e-5, 1e-4, 3e-4, 2e-3]))  # so that it sleeps, or nearly
         assert (sums == -1).all()
     pool.close()
 
 
-def pass_laps(pace, seconds, alone, shared):
-    """Go on for `seconds`; the share of laps shared, and how much sooner they were done."""
-    laps, together, spent = 0, 0, 0.0
+def pass_rounds(pace, seconds, alone, shared):
+    """Go on for `seconds`; the share of rounds shared, and how much sooner they were done."""
+    rounds, together, spent = 0, 0, 0.0
     while spent < seconds:
-        lap = shared(laps) if pace.shared else alone
-        laps, together, spent = laps + 1, together + pace.shared, spent + lap
-        pace.note(lap)
-    return together / laps, laps * alone / spent
+        round = shared(rounds) if pace.shared else alone
+        rounds, together, spent = rounds + 1, together + pace.shared, spent + round
+        pace.note(round)
+    return together / rounds, rounds * alone / spent
 
 
-def test_laps_are_shared_while_that_is_sooner():
+def test_rounds_are_shared_while_that_is_sooner():
     pace = Pace()
-    assert min(pass_laps(pace, 10, 2e-4, lambda k: 1.2e-4)) > 0.95
-    # Beside a busy process one lap in ten waits for a slice of the scheduler's.
-    share, sooner = pass_laps(pace, 20, 2e-4, lambda k: 4e-3 if k % 10 == 0 else 1.2e-4)
+    assert min(pass_rounds(pace, 10, 2e-4, lambda k: 1.2e-4)) > 0.95
+    # Beside a busy process one round in ten waits for a slice of the scheduler's.
+    share, sooner = pass_rounds(pace, 20, 2e-4, lambda k: 4e-3 if k % 10 == 0 else 1.2e-4)
     assert share < 0.05 and sooner > 0.95
-    assert pass_laps(pace, 20, 2e-4, lambda k: 1.2e-4)[0] > 0.75
+    assert pass_rounds(pace, 20, 2e-4, lambda k: 1.2e-4)[0] > 0.75
     # A slice lost now and then is no reason.
-    assert pass_laps(pace, 10, 2e-4, lambda k: 4e-3 if k % 1000 == 0 else 1.2e-4)[0] > 0.9
+    assert pass_rounds(pace, 10, 2e-4, lambda k: 4e-3 if k % 1000 == 0 else 1.2e-4)[0] > 0.9

@@ -6,8 +6,8 @@ environment depends on its own record alone, not on the thread that steps it.
 
 import numpy as np
 
+from astray.kernel.barrier import arrive, release, take
 from astray.kernel.jit import entry, kernel
-from astray.kernel.laps import begin_lap, end_lap, take
 from astray.kernel.rng import mix_two, seed_twister, share
 
 SHIFT = 0x5817F7  # salt of the hash that decides which levels come from the shifted distribution
@@ -127,9 +127,9 @@ def run(
     reward,
     terminated,
     truncated,
-    laps,
+    barrier,
     thread,
-    lap,
+    generation,
 ):
     """Run the command `what` in every environment and observe it; False: an action is invalid.
 
@@ -142,14 +142,14 @@ def run(
             to `mode`, NOTHING does nothing.
         reward, terminated, truncated: [N], written by STEP.
         final_states, final_observations: [N, ...], written in mode SAME_STEP if an episode ended.
-        laps, thread, lap: See `kernel.laps`.
+        barrier, thread, generation: See `kernel.barrier`.
     """
     n = states.shape[0]
     for action in actions:
         if not 0 <= action < ACTIONS:
             return False  # all threads do
-    begin_lap(laps, thread, lap)
-    low = take(laps, PIECE)
+    release(barrier, thread, generation)
+    low = take(barrier, PIECE)
     while low < n:
         for i in range(low, min(low + PIECE, n)):
             s, level = states[i], what[i]
@@ -178,8 +178,8 @@ def run(
             if level >= 0 or level == AS_SET:
                 paint_one(s, art, symbolic, scenes[i])
             observe_one(s, art, symbolic, scenes[i], observations[i])
-        low = take(laps, PIECE)
-    end_lap(laps, thread, lap)
+        low = take(barrier, PIECE)
+    arrive(barrier, thread, generation)
     return True
 
 

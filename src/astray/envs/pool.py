@@ -13,12 +13,12 @@ from typing import Any
 
 import numpy as np
 
-from astray.kernel.laps import MOST_LOOKS, TAKEN, load, new_laps, store
+from astray.kernel.barrier import MOST_LOOKS, TAKEN, load, new_barrier, store
 
 PAUSE = 2e-5  # seconds between looks of one who waited long
 LEAST_MOST = 64  # threads that are allowed anywhere, so that settings go from machine to machine
-SEEN = 5  # laps alone of which it is seen how long they take
-# Seconds that laps are then shared, at least and at most; that they are done alone where sharing
+SEEN = 5  # rounds alone of which it is seen how long they take
+# Seconds that rounds are then shared, at least and at most; that they are done alone where sharing
 # took longer, likewise; and that sharing may cost before it is given up: a few slices of a
 # scheduler, as one may be lost to anything.
 SHARED, ALONE, HOPELESS = (0.06, 0.5), (0.06, 4.0), 0.015
@@ -42,11 +42,15 @@ class Pool:
 
     def _start(self) -> None:
         looks = MOST_LOOKS if self.threads <= usable_processors() else 0
-        self._process, self._lap, self._laps = os.getpid(), 0, new_laps(self.threads, looks)
+        self._process, self._generation, self._barrier = (
+            os.getpid(),
+            0,
+            new_barrier(self.threads, looks),
+        )
         self._workers: list[_Worker] = []
         try:
             for k in range(1, self.threads):
-                self._workers.append(_Worker(self._laps, k))
+                self._workers.append(_Worker(self._barrier, k))
         except RuntimeError as error:  # the system allows no more
             _stop(self._workers)
             raise RuntimeError(
@@ -57,9 +61,9 @@ class Pool:
     def run(self, function: Callable, arguments: tuple) -> Any:
         """Call `function` in all threads at once; return the caller's result.
 
-        Its arguments are `arguments`, then laps, thread and lap, which `kernel.laps` describes. It
-        takes pieces of work with `take` until none is left. It may call `begin_lap` first and
-        `end_lap` last, which saves time. A thread may hold `arguments` for about 100 us longer.
+        Its arguments are `arguments`, then barrier, thread and generation of `kernel.barrier`. It
+        takes pieces of work with `take` until none is left. It may call `release` first and
+        `arrive` last, which saves time. A thread may hold `arguments` for about 100 us longer.
 
         Raises:
             RuntimeError: If the threads cannot be started.
@@ -82,12 +86,12 @@ class Pool:
         return function(*arguments, *alone())
 
     def _share(self, function: Callable, arguments: tuple) -> Any:
-        self._lap += 1
-        self._laps[0, TAKEN] = 0
+        self._generation += 1
+        self._barrier[0, TAKEN] = 0
         for worker in self._workers:
-            worker.give(function, (*arguments, self._laps, worker.number, self._lap))
+            worker.give(function, (*arguments, self._barrier, worker.number, self._generation))
         try:
-            returned = function(*arguments, self._laps, 0, self._lap)
+            returned = function(*arguments, self._barrier, 0, self._generation)
         finally:
             self._join()
         for worker in self._workers:
@@ -96,8 +100,8 @@ class Pool:
 
     def _join(self) -> None:
         for worker in self._workers:
-            while load(self._laps, worker.number) < worker.given:
-                if worker.ended and load(self._laps, worker.number) < worker.given:
+            while load(self._barrier, worker.number) < worker.given:
+                if worker.ended and load(self._barrier, worker.number) < worker.given:
                     raise RuntimeError("the environments were closed while they were stepped")
                 time.sleep(PAUSE)
 
@@ -107,9 +111,9 @@ class Pace:
 
     def __init__(self) -> None:
         self.shared = False
-        self._times: list[float] = []  # of laps since it was decided last, in seconds
+        self._times: list[float] = []  # of rounds since it was decided last, in seconds
         self._spent = self._until = 0.0  # seconds since then, and until it is decided anew
-        self._alone = 0.0  # seconds of a lap
+        self._alone = 0.0  # seconds of a round
         self._next_shared, self._next_alone = SHARED[0], ALONE[0]
 
     def note(self, seconds: float) -> None:
@@ -136,9 +140,9 @@ class Pace:
 class _Worker:
     """Thread that runs jobs, and sleeps if the last one was long ago."""
 
-    def __init__(self, laps: np.ndarray, number: int):
-        self.laps, self.number = laps, number
-        self.given = 0  # the lap of the last job
+    def __init__(self, barrier: np.ndarray, number: int):
+        self.barrier, self.number = barrier, number
+        self.given = 0  # the generation of the last job
         self.job: tuple[Callable, tuple[Any, ...]] | None = None
         self.error: BaseException | None = None
         self.asleep, self.stopped, self.ended = False, False, False
@@ -146,8 +150,8 @@ class _Worker:
         threading.Thread(target=self._live, daemon=True, name=f"astray-{number}").start()
 
     def give(self, function: Callable, arguments: tuple[Any, ...]) -> None:
-        """Make the thread call `function`; the last of `arguments` is the lap."""
-        self.error = None  # of a lap that was interrupted, and told nobody
+        """Make the thread call `function`; the last of `arguments` is the generation."""
+        self.error = None  # of a round that was interrupted, and told nobody
         self.job, self.given = (function, arguments), arguments[-1]
         if self.asleep:
             self.wakes.put(None)
@@ -176,12 +180,12 @@ class _Worker:
         self.ended = True
 
     def _work(self, function: Callable, arguments: tuple[Any, ...]) -> None:
-        self.job, lap = None, arguments[-1]
+        self.job, generation = None, arguments[-1]
         try:
             function(*arguments)
         except BaseException as error:
             self.error = error
-        store(self.laps, self.number, lap)  # once more where `end_lap` did
+        store(self.barrier, self.number, generation)  # once more where `arrive` did
 
 
 def _stop(workers: list[_Worker]) -> None:
@@ -190,8 +194,8 @@ def _stop(workers: list[_Worker]) -> None:
 
 
 def alone() -> tuple[np.ndarray, int, int]:
-    """Return laps, thread and lap for a call without a pool."""
-    return new_laps(1, 0), 0, 1
+    """Return barrier, thread and generation for a call without a pool."""
+    return new_barrier(1, 0), 0, 1
 
 
 def most_threads() -> int:
