@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from astray.analysis.runs import evaluate_policies as evaluate_policies
     from astray.analysis.runs import evaluate_runs as evaluate_runs
     from astray.analysis.runs import load_agent as load_agent
+    from astray.analysis.trained import Network as Network
     from astray.envs.single import GameEnv as GameEnv
     from astray.envs.vector import GameVectorEnv as GameVectorEnv
     from astray.experiments.run import reproduce as reproduce
@@ -51,6 +52,7 @@ FACE = {
     "load_agent": "astray.analysis.runs:load_agent",
     "reproduce": "astray.experiments.run:reproduce",
     "train": "astray.training.loop:train",
+    "Network": "astray.analysis.trained:Network",
     "PRESETS": "astray.training.config:PRESETS",
     "Sampling": "astray.training.settings:Sampling",
     "Shift": "astray.game:Shift",

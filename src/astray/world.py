@@ -19,6 +19,7 @@ from astray.record import NEVER, record_dtype
 Env = gymnasium.Env
 Happened = str | Callable[[Any, Mapping[str, Any]], Any]
 NOTED = "astray"  # key of info that reports events and measures
+SEEN = "observation"  # field of states that holds what an environment showed in them
 NOT_OURS = {f.name for f in fields(Game)}  # names of a game, some of which a world has
 
 
@@ -90,6 +91,7 @@ class World:
         workers: Whether each environment has its own process.
         patience: Seconds to wait for a process that does not answer.
         repeats: Whether an episode is determined by its level and the actions, which is checked.
+        every_step: Whether measures are computed in every step, not only at events and at the end.
 
     Raises:
         ValueError: If goals, shifts or experts name something that the world lacks.
@@ -107,6 +109,7 @@ class World:
     workers: bool = False
     patience: float = 60.0
     repeats: bool = True
+    every_step: bool = False
     reported: set[str] = field(default_factory=set, init=False, repr=False)  # keys of info so far
 
     def __post_init__(self) -> None:
@@ -159,6 +162,28 @@ class World:
         told = [(name, np.int64) for name in ("level", "time", *self.events)]
         counted = [(name, np.float64) for name in self.measures]
         return record_dtype([("shifted", np.bool_), ("ended", np.bool_), *told, *counted])
+
+    def shown(self, states: np.ndarray, observations: np.ndarray) -> np.ndarray:
+        """Return records of states [N] and their observations.
+
+        Raises:
+            ValueError: If the observations are not an array, as those of a Dict space.
+        """
+        of_kind("what a world shows to be kept", observations, np.ndarray)
+        seen = (SEEN, observations.dtype, observations.shape[1:])
+        both = np.zeros(len(states), np.dtype([*states.dtype.descr, seen]))
+        for name in states.dtype.names or ():
+            both[name] = states[name]
+        both[SEEN] = observations
+        return both
+
+    def check(self, states: np.ndarray, variant: Any) -> None:
+        """Raise ValueError if states were not made by `shown`."""
+        if SEEN not in (states.dtype.names or ()):
+            raise ValueError(
+                f"states of {self.name} must be those that `critic.visit` returns, with what was "
+                f"shown in them; got {shown(states.dtype)}"
+            )
 
     @property
     def event_goals(self) -> dict[str, str]:
@@ -235,7 +260,8 @@ class Witness(gymnasium.Wrapper):
         except Exception as error:
             raise self._failed("step", error) from error
         self._see_shape(seen)
-        if self._happens(info) or terminated or truncated or self.time == self.longest:
+        told = self._happens(info) or terminated or truncated or self.time == self.longest
+        if told or self.world.every_step:
             info = {**info, NOTED: self._told()}
         return seen, float(reward), terminated, truncated, info
 

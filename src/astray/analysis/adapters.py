@@ -1,4 +1,4 @@
-"""What else is played as an agent is: a plain callable, a model of Stable-Baselines3, a training.
+"""What else is played as an agent is: a plain callable, a model of other libraries, a training.
 
 policy = Function(lambda images: np.full(len(images), 7), name="right")
 evaluate(policy, "coinrun", "coin-anywhere", range(1000))
@@ -40,51 +40,38 @@ class Model(Protocol):
 
 @dataclass
 class Function:
-    """A function of a batch of observations [N, ...] uint8 that returns actions [N], as a policy.
+    """A policy that is a function: observations [N, ...] -> actions [N].
 
-    observation  that it is shown: images [N, 64, 64, 3] or symbolic planes [N, C, H, W]
-    art          that images are drawn with
+    Attributes:
+        choose: The function. With `remembers` it is (observations, memory, begins [N] bool) ->
+            (actions, memory): the memory is None at first, then what was returned last, a row per
+            episode.
+        observation: What a game shows it: images [N, 64, 64, 3] or symbolic planes [N, C, H, W].
+        art: Art of the images.
+        remembers: Whether the function has a memory.
 
-    Raises ValueError where it cannot be called, or returns something else than an action for each.
+    Raises:
+        ValueError: If it is not callable, or does not return one action per observation.
     """
 
-    choose: Callable[[np.ndarray], np.ndarray]
+    choose: Callable[..., Any]
     name: str = "function"
     observation: Observation = "image"
     art: str = OWN
+    remembers: bool = False
 
     def __post_init__(self) -> None:
         if not callable(self.choose):
             raise ValueError(f"choose must be a function of observations; got {shown(self.choose)}")
 
     def actions(self, turn: Turn) -> Answer:
-        """Return an action for each of what is shown; ValueError where there is none."""
-        return Answer(_actions(self.name, self.choose(turn.observations), turn))
-
-
-@dataclass
-class Predictor:
-    """A model of Stable-Baselines3 as a policy; see `from_sb3`."""
-
-    model: Model
-    name: str
-    greedy: bool
-    observation: Observation
-    art: str
-
-    def actions(self, turn: Turn) -> Answer:
-        chosen, state = self.model.predict(
-            turn.observations,
-            state=_turned(turn.memory),
-            episode_start=turn.begins,
-            deterministic=self.greedy,
-        )
-        return Answer(_actions(self.name, chosen, turn), _turned(state))
-
-
-def _turned(state: tuple[np.ndarray, ...] | None) -> tuple[np.ndarray, ...] | None:
-    """A recurrent model's state, [layers, N, ...], by episode, [N, layers, ...]; or back."""
-    return None if state is None else tuple(np.swapaxes(part, 0, 1) for part in state)
+        """Return an action per observation; raise ValueError if the function does not."""
+        if not self.remembers:
+            return Answer(_actions(self.name, self.choose(turn.observations), turn))
+        answer = self.choose(turn.observations, turn.memory, turn.begins)
+        if not isinstance(answer, tuple) or len(answer) != 2:
+            raise ValueError(f"{self.name} must return actions and its memory; got {shown(answer)}")
+        return Answer(_actions(self.name, answer[0], turn), answer[1])
 
 
 def _actions(name: str, chosen: Any, turn: Turn) -> np.ndarray:
@@ -113,14 +100,54 @@ def from_sb3(
     greedy: bool = False,
     observation: Observation = "image",
     art: str = OWN,
-) -> Predictor:
-    """A model of Stable-Baselines3 as a policy; its actions are drawn by torch's random state.
+) -> Function:
+    """Return a policy of a Stable-Baselines3 model; torch's global random state draws its actions.
 
-    A recurrent one, as of sb3-contrib, begins every episode without memory, and keeps it in it.
+    Recurrent models of sb3-contrib keep their memory within each episode.
 
-    greedy  takes its likeliest action instead
+    Args:
+        greedy: Take the most likely action instead.
     """
-    return Predictor(model, name, greedy, observation, art)
+
+    def choose(seen: Any, memory: Any, begins: np.ndarray) -> tuple[np.ndarray, Any]:
+        # Its memory is [layers, N, ...]; rows of episodes are [N, layers, ...].
+        state = None if memory is None else tuple(np.swapaxes(part, 0, 1) for part in memory)
+        actions, state = model.predict(seen, state, begins, deterministic=greedy)
+        return actions, state and tuple(np.swapaxes(part, 0, 1) for part in state)
+
+    return Function(choose, name, observation, art, remembers=True)
+
+
+def from_torchrl(
+    actor: Callable[[Any], Any],
+    *,
+    name: str = "torchrl",
+    greedy: bool = False,
+    one_hot: bool = False,
+    observation: Observation = "image",
+    art: str = OWN,
+) -> Function:
+    """Return a policy of a TorchRL actor that reads "observation" and "is_init", writes "action".
+
+    The entries that it writes under "next", as recurrent modules do, are its memory.
+
+    Args:
+        greedy: Take the most likely action instead of drawing one.
+        one_hot: Whether its actions are one-hot, [N, A].
+    """
+
+    def choose(seen: np.ndarray, memory: Any, begins: np.ndarray) -> tuple[np.ndarray, Any]:
+        from tensordict import TensorDict
+        from tensordict.nn import InteractionType, set_interaction_type
+
+        told = {"observation": seen, "is_init": begins[:, None], **(memory or {})}
+        drawn = InteractionType.DETERMINISTIC if greedy else InteractionType.RANDOM
+        with torch.no_grad(), set_interaction_type(drawn):
+            said = actor(TensorDict(told, [len(begins)]))
+        action = said["action"].argmax(-1) if one_hot else said["action"]
+        return action.numpy(force=True), dict(said.get("next", {}).items()) or None
+
+    return Function(choose, name, observation, art, remembers=True)
 
 
 @dataclass

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import heapq
 from collections.abc import Callable, Mapping, Sized
+from dataclasses import replace
 
 import numpy as np
 import polars as pl
@@ -20,10 +21,11 @@ import polars as pl
 from astray.acting import Levels, steps
 from astray.analysis.given import Measure, measured, see_measures
 from astray.analysis.policies import episode_noise
-from astray.analysis.trained import Agent
+from astray.analysis.trained import Mind
 from astray.bounds import MOST, bounded, finite, of_kind
 from astray.envs.vector import GameVectorEnv
 from astray.game import Variant
+from astray.world import SEEN, World
 
 STEP_SALT = 2**33  # no agent has this seed, or a larger one
 
@@ -31,7 +33,7 @@ Edit = Callable[[np.ndarray], np.ndarray]  # states [N] -> others [N]; those giv
 
 
 def visit(
-    agent: Agent,
+    agent: Mind,
     variant: str | Variant,
     levels: Levels,
     *,
@@ -43,6 +45,8 @@ def visit(
 ) -> tuple[pl.DataFrame, np.ndarray]:
     """A row per step of the agent's episodes in `levels`, and the states [rows] it began in.
 
+    Those of a World are what was noted and shown, and its measures so far.
+
     levels       numbers, or levels that were drawn, by name; those are numbered from 0 on
     per_episode  steps at most, drawn from all of an episode with `seed`; None: every step. A
                  state of CoinRun takes 17 kB
@@ -52,7 +56,7 @@ def visit(
     Columns: level, step, value (of the state before the step), action, reward, and the measures.
     Rows are in the order of `levels`, then of steps, and do not depend on `batch`.
     """
-    of_kind("agent", agent, Agent)
+    of_kind("agent", agent, Mind)
     of_kind("levels", levels, Sized)
     if per_episode is not None:
         bounded("per_episode", per_episode, 1, MOST)
@@ -62,13 +66,16 @@ def visit(
     heaps: list[list[tuple]] = [[] for _ in levels]  # of (-noise, step, state, action, reward)
     limit = np.full(len(levels), np.inf)  # of the noise: an episode's steps with the least are kept
     rewards: list[list[float]] = [[] for _ in levels]
-    for step in steps(agent, agent.game, variant, levels, batch=batch):
+    game = agent.game
+    world = replace(game, every_step=True) if isinstance(game, World) else None
+    for step in steps(agent, world or game, variant, levels, batch=batch):
+        before = world.shown(step.before, step.observations) if world else step.before
         for level, reward in zip(step.level, step.rewards, strict=True):
             rewards[level].append(float(reward))
         noise = episode_noise(STEP_SALT + seed, step.before, 1)
         for i in np.flatnonzero(noise[:, 0] < limit[step.level]):
             heap, one = heaps[step.level[i]], slice(i, i + 1)
-            state = step.before[one].copy()
+            state = before[one].copy()
             row = -noise[i], state["time"], state, step.actions[one], step.rewards[one]
             heapq.heappush(heap, row)
             if per_episode is not None and len(heap) > per_episode:
@@ -78,7 +85,8 @@ def visit(
     rows = [row for heap in heaps for row in sorted(heap, key=lambda row: row[1])]
     *_, states, action, reward = (np.concatenate(column) for column in zip(*rows, strict=True))
     states = states.view(np.recarray)
-    states["seed"], states["turn"] = 0, 0  # of levels to come, which depend on the batch
+    for name in {"seed", "turn"} & {*(states.dtype.names or ())}:
+        states[name] = 0  # of levels to come, which depend on the batch
     value = judge(agent, observe(agent, variant, states))[1]
     columns = {"value": value, "action": action, "reward": reward}
     if gamma is not None:
@@ -98,7 +106,7 @@ def _futures(rewards: list[float], gamma: float) -> np.ndarray:
 
 
 def counterfactual(
-    agent: Agent,
+    agent: Mind,
     variant: str | Variant,
     states: np.ndarray,
     edit: Edit,
@@ -126,7 +134,7 @@ def counterfactual(
     return _table(states, columns, measures)
 
 
-def sees(agent: Agent, variant: str | Variant, edit: Edit) -> Measure:
+def sees(agent: Mind, variant: str | Variant, edit: Edit) -> Measure:
     """The measure of whether `edit` changes what the agent sees: with `without_coin`, a coin."""
 
     def seen(states: np.ndarray) -> np.ndarray:
@@ -136,21 +144,24 @@ def sees(agent: Agent, variant: str | Variant, edit: Edit) -> Measure:
     return seen
 
 
-def judge(agent: Agent, observations: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def judge(agent: Mind, observations: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """The probabilities of actions [N, A] and the values [N], float64, of `observations` [N]."""
     logits, values = agent.outputs(observations)
     return logits.double().softmax(-1).numpy(force=True), values.double().numpy(force=True)
 
 
 def observe(
-    agent: Agent, variant: str | Variant, states: np.ndarray, *, batch: int = 64
+    agent: Mind, variant: str | Variant, states: np.ndarray, *, batch: int = 64
 ) -> np.ndarray:
     """What the agent sees in `states` [N] of its game: images [N, 64, 64, 3] or [N, C, H, W]."""
-    of_kind("agent", agent, Agent)
+    of_kind("agent", agent, Mind)
     of_kind("states", states, np.ndarray)
     if not np.size(states):
         raise ValueError("no states are given")
     bounded("batch", batch, 1, MOST)
+    if isinstance(agent.game, World):
+        agent.game.check(states, variant)
+        return states[SEEN]
     n = min(batch, len(states))
     env = GameVectorEnv(
         agent.game,

@@ -1,26 +1,32 @@
-"""A trained agent as a policy: what its network gives, and the actions drawn from it."""
+"""A trained agent as a policy: what its network gives, and the actions drawn from it.
+
+An `Agent` is from a file of astray's, a `Network` any torch module of yours.
+"""
 
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterator
+import math
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, TypeVar
 
 import numpy as np
 import torch
+from gymnasium.spaces import Box, Discrete
 
 from astray.acting import Answer, Turn
 from astray.agents import policy
 from astray.agents.names import is_own
 from astray.agents.recurrent import Recurrent
 from astray.analysis.policies import episode_noise
-from astray.bounds import of_kind
+from astray.bounds import of_kind, shown
 from astray.envs.vector import GameVectorEnv, Observation
-from astray.game import OWN
+from astray.game import OWN, Game
 from astray.training import ppo
-from astray.words import check_words
+from astray.words import check_word, check_words
+from astray.world import World
 
 # Observations that a network is shown together: for a large one more are no sooner, and those that
 # a batch lacks to a multiple of it take their time, too.
@@ -86,6 +92,15 @@ class Agent:
     def observation(self) -> Observation:
         return "symbolic" if self.architecture.largest else "image"
 
+    @property
+    def space(self) -> Box:
+        """Return the space of one observation."""
+        return Box(0, 255, self.architecture.shape, np.uint8)
+
+    def asked(self, observations: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """Return logits [N, A] and values [N] of one pass, with gradients."""
+        return self.network(observations)
+
     def outputs(self, observations: np.ndarray) -> tuple[torch.Tensor, torch.Tensor]:
         """Logits [N, A] and values [N] on `observations` [N, ...].
 
@@ -141,3 +156,88 @@ class Agent:
         if not logits.isfinite().all():
             raise ValueError(f"the agent at {self.path} gives logits that are not finite")
         return Answer(chosen(logits, self.mode, self.seed, env), memory)
+
+
+@dataclass
+class Network:
+    """A policy that is any torch module, which insight can also look into.
+
+    Attributes:
+        network: Module that returns logits [N, A] for observations [N, ...], or a tuple of logits
+            and values [N]. It is set to evaluation mode.
+        space: Space of one observation.
+        game: Game or `World` that it plays, for analyses that play it.
+        ask: Function (network, observations) -> logits, or logits and values, where a call of the
+            network does not return these: lambda agent, x: (agent.actor(x), agent.critic(x)).
+        mode: "sampled" draws actions from the policy, "greedy" takes the most likely.
+        seed: Seed of the sampling; an action depends on it, the level and the step alone.
+
+    Raises:
+        ValueError: If the network returns anything else.
+    """
+
+    network: torch.nn.Module
+    space: Box
+    game: str | Game | World = ""
+    ask: Callable[[Any, torch.Tensor], Any] | None = None
+    name: str = "network"
+    mode: Literal["sampled", "greedy"] = "sampled"
+    seed: int = 0
+    observation: Observation = "image"
+    art: str = OWN
+
+    def __post_init__(self) -> None:
+        of_kind("network", self.network, torch.nn.Module)
+        of_kind("space", self.space, Box)
+        check_word("mode", self.mode, Literal["sampled", "greedy"])
+        self.network.eval()
+
+    @property
+    def device(self) -> torch.device:
+        return next((x.device for x in self.network.parameters()), torch.device("cpu"))
+
+    def asked(self, observations: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """Return logits [N, A] and values [N] (NaN if it has none) of one pass, with gradients.
+
+        Raises:
+            ValueError: If the network returns anything else.
+        """
+        given = (self.ask or torch.nn.Module.__call__)(self.network, observations)
+        parts: tuple[Any, ...] = given if isinstance(given, tuple) else (given,)
+        n = len(observations)
+        sizes = [list(getattr(part, "shape", ())) for part in parts]
+        if [len(sizes[0]), *map(math.prod, sizes[1:])] not in ([2], [2, n]) or sizes[0][:1] != [n]:
+            raise ValueError(
+                f"{self.name} must give logits [{n}, actions], alone or before values [{n}]; got "
+                f"{shown(sizes)}"
+            )
+        value = parts[1].reshape(n) if parts[1:] else parts[0].new_full((n,), torch.nan)
+        return parts[0], value
+
+    def outputs(self, observations: np.ndarray) -> tuple[torch.Tensor, torch.Tensor]:
+        """Return logits [N, A] and values [N], which do not depend on the batch.
+
+        Raises:
+            ValueError: If observations have another shape, or the network returns anything else.
+        """
+        of_kind("observations", observations, np.ndarray)
+        if observations.shape[1:] != self.space.shape:
+            told = f"{self.space.shape}, not {observations.shape[1:]}"
+            raise ValueError(f"{self.name} sees observations of shape {told}")
+        here = torch.from_numpy(observations).to(self.device)
+        logits, values = policy.outputs(self.asked, here, AT_ONCE["symbolic"])
+        return logits, values
+
+    def actions(self, turn: Turn) -> Answer:
+        """Return an action per observation; raise ValueError if the logits do not give one."""
+        space = turn.env.single_action_space
+        logits, _ = self.outputs(turn.observations)
+        if not isinstance(space, Discrete) or logits.shape[1] != space.n:
+            raise ValueError(f"{self.name} has {logits.shape[1]} logits for actions of {space}")
+        if not logits.isfinite().all():
+            raise ValueError(f"{self.name} gives logits that are not finite")
+        return Answer(int(space.start) + chosen(logits, self.mode, self.seed, turn.env))
+
+
+Mind = Agent | Network
+AnyMind = TypeVar("AnyMind", bound=Agent | Network)

@@ -24,11 +24,11 @@ import polars as pl
 import torch
 from torch import Tensor
 
-from astray import games
+from astray import world
 from astray.analysis.critic import observe
 from astray.analysis.given import Measure, measured, see_measures
 from astray.analysis.tables import write_table
-from astray.analysis.trained import Agent
+from astray.analysis.trained import Mind
 from astray.bounds import MOST, bounded, of_kind, one_of, shown
 from astray.envs.states import BROKEN
 from astray.files import folder_aside, read, see_readable, write_aside
@@ -67,13 +67,13 @@ class Activations:
         write_aside(path, file.getvalue())
 
 
-def layers(agent: Agent) -> dict[str, tuple[int, ...]]:
+def layers(agent: Mind) -> dict[str, tuple[int, ...]]:
     """The layers that can be read and changed, in the network's order: name -> shape of one.
 
     Those are the modules that are used once in a pass and return a tensor of reals, an
     observation a row.
     """
-    of_kind("agent", agent, Agent)
+    of_kind("agent", agent, Mind)
     calls: dict[str, list[Any]] = {}
     with contextlib.ExitStack() as stack:
         for name, module in agent.network.named_modules():
@@ -84,9 +84,8 @@ def layers(agent: Agent) -> dict[str, tuple[int, ...]]:
                 stack.callback(hook.remove)
         with torch.no_grad():
             # Two, so that a layer is told whose rows are no observations.
-            agent.network(
-                torch.zeros((2, *agent.architecture.shape), dtype=torch.uint8, device=agent.device)
-            )
+            blank = np.zeros((2, *agent.space.shape), agent.space.dtype)
+            agent.asked(torch.from_numpy(blank).to(agent.device))
     return {
         name: tuple(outputs[0].shape[1:])
         for name, outputs in calls.items()
@@ -98,7 +97,7 @@ def _is_layer(output: Any) -> bool:
     return isinstance(output, Tensor) and output.is_floating_point() and len(output) == 2
 
 
-def see_layers(agent: Agent, names: Sequence[str]) -> dict[str, tuple[int, ...]]:
+def see_layers(agent: Mind, names: Sequence[str]) -> dict[str, tuple[int, ...]]:
     """The shapes of the layers called so; ValueError where one of them is none."""
     if isinstance(names, str) or not isinstance(names, Sequence | Mapping) or not names:
         raise ValueError(f"layers must be a list of names, at least one; got {shown(names)}")
@@ -109,7 +108,7 @@ def see_layers(agent: Agent, names: Sequence[str]) -> dict[str, tuple[int, ...]]
 
 
 def activations(
-    agent: Agent, observations: np.ndarray, names: Sequence[str]
+    agent: Mind, observations: np.ndarray, names: Sequence[str]
 ) -> dict[str, np.ndarray]:
     """What layers give for observations [N, ...]: layer -> [N, ...] float32.
 
@@ -136,7 +135,7 @@ def activations(
 
 
 def capture(
-    agent: Agent,
+    agent: Mind,
     variant: str | Variant,
     states: np.ndarray,
     layers: Sequence[str],
@@ -147,6 +146,8 @@ def capture(
 ) -> Activations:
     """What `layers` give in `states` [N] of the agent's game, with labels.
 
+    Of a World states are those that `critic.visit` returns.
+
     measures  further labels, functions of states
     folder    a new folder to write to, for what is more than memory holds: an .npy file a layer,
               from which what is returned is read as needed
@@ -156,7 +157,7 @@ def capture(
     """
     of_kind("states", states, np.ndarray)
     bounded("batch", batch, 1, MOST)
-    shapes, game = see_layers(agent, layers), games.find(agent.game)
+    shapes, game = see_layers(agent, layers), world.find(agent.game)
     game.check(states, game.variant(variant))
     n = len(states)
     labels = _labels(states, measures)
@@ -176,7 +177,7 @@ def _labels(states: np.ndarray, measures: Mapping[str, Measure] | None) -> pl.Da
 
 def _fill(
     values: Mapping[str, np.ndarray],
-    agent: Agent,
+    agent: Mind,
     variant: str | Variant,
     states: np.ndarray,
     batch: int,
@@ -190,7 +191,7 @@ def _fill(
 
 
 def _capture_aside(
-    agent: Agent,
+    agent: Mind,
     variant: str | Variant,
     states: np.ndarray,
     shapes: Mapping[str, tuple[int, ...]],

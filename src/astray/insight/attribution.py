@@ -5,8 +5,9 @@
     group_means(shares(rows, maps, where), "attribution", ["part"], per="area")
 
 A map is [N, H, W] for an agent that sees images, the mean over colours as in the paper, and
-[N, C, H, W] for one that sees symbolic planes. The methods are Captum's, of
-the extra `insight`. What a part amounts to as a whole tells `critic.counterfactual`.
+[N, C, H, W] for one that sees symbolic planes; for a `Network` it is of what that is given. The
+methods are Captum's, of the extra `insight`. What a part amounts to as a whole tells
+`critic.counterfactual`.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ from torch import Tensor
 from astray import imports
 from astray.agents.mlp import MLP
 from astray.analysis.critic import Edit, observe
-from astray.analysis.trained import Agent
+from astray.analysis.trained import Agent, Mind, Network
 from astray.bounds import MOST, bounded, of_kind
 from astray.envs.vector import IMAGE
 from astray.game import Variant
@@ -31,7 +32,7 @@ CHUNK = 64  # observations at a time
 REST, NOTHING = "rest", "nothing"  # parts that are what no other is
 
 
-def gradients(agent: Agent, observations: np.ndarray) -> np.ndarray:
+def gradients(agent: Mind, observations: np.ndarray) -> np.ndarray:
     """The value's gradient, as in the paper (Simonyan et al. 2013), float64.
 
     Of images it is per unit of brightness, from 0 to 1. Of planes of 0 and 1 it is per unit; of
@@ -42,7 +43,7 @@ def gradients(agent: Agent, observations: np.ndarray) -> np.ndarray:
 
     def attribute(x: Tensor) -> Tensor:
         gradient = method.attribute(x.requires_grad_(), abs=False)
-        if agent.observation == "symbolic":
+        if _is_planes(agent):
             flags = _mlp(agent).spread.flags
             gradient[:, flags:] *= x.detach()[:, flags:]
         return gradient
@@ -51,7 +52,7 @@ def gradients(agent: Agent, observations: np.ndarray) -> np.ndarray:
 
 
 def integrated_gradients(
-    agent: Agent, observations: np.ndarray, baseline: np.ndarray | None = None, *, steps: int = 64
+    agent: Mind, observations: np.ndarray, baseline: np.ndarray | None = None, *, steps: int = 64
 ) -> np.ndarray:
     """Gradients along the way from a baseline (Sundararajan et al. 2017), float64.
 
@@ -75,7 +76,7 @@ def integrated_gradients(
 
 
 def occlusion(
-    agent: Agent, observations: np.ndarray, *, window: int = 4, colour: int = 0
+    agent: Mind, observations: np.ndarray, *, window: int = 4, colour: int = 0
 ) -> np.ndarray:
     """How much higher the value is than with a part covered (Zeiler & Fergus 2014), float64.
 
@@ -87,9 +88,9 @@ def occlusion(
     _check(agent, observations)
     bounded("window", window, 1, IMAGE)
     bounded("colour", colour, 0, 255)
-    image = agent.observation == "image"
-    shape = (window, window, observations.shape[3]) if image else (1, 1, 1)
-    method = _captum().Occlusion(lambda x: agent.network(x)[1])
+    image = _is_image(agent)
+    shape = (window, window, observations.shape[3]) if image else (1,) * (observations.ndim - 1)
+    method = _captum().Occlusion(lambda x: agent.asked(x)[1])
     maps = []
     for x in torch.from_numpy(observations).split(CHUNK):
         fallen = method.attribute(
@@ -104,7 +105,7 @@ def occlusion(
 
 
 def masks(
-    agent: Agent, variant: str | Variant, states: np.ndarray, parts: Mapping[str, Edit]
+    agent: Mind, variant: str | Variant, states: np.ndarray, parts: Mapping[str, Edit]
 ) -> dict[str, np.ndarray]:
     """Where each part is seen in `states` [N], bool, of the shape of maps; and REST.
 
@@ -158,7 +159,16 @@ def _captum() -> Any:
     return captum.attr
 
 
-def _mlp(agent: Agent) -> MLP:
+def _is_image(agent: Mind) -> bool:
+    """Whether it sees astray's images: of a network of your own maps are of what it is given."""
+    return isinstance(agent, Agent) and agent.observation == "image"
+
+
+def _is_planes(agent: Mind) -> bool:
+    return isinstance(agent, Agent) and agent.observation == "symbolic"
+
+
+def _mlp(agent: Mind) -> MLP:
     if not isinstance(agent.network, MLP):
         raise ValueError(
             "gradients of planes need the network mlp; occlusion takes any: got "
@@ -167,21 +177,23 @@ def _mlp(agent: Agent) -> MLP:
     return agent.network
 
 
-def _value(agent: Agent) -> Callable[[Tensor], Tensor]:
+def _value(agent: Mind) -> Callable[[Tensor], Tensor]:
     """The value [N] as a function of what `_inputs` returns, with gradients."""
-    if agent.observation == "image":
-        return lambda x: agent.network(255 * x)[1]
+    if not _is_planes(agent):
+        return lambda x: agent.asked(255 * x if _is_image(agent) else x)[1]
     network = _mlp(agent)
     return lambda x: network.value(network.features(x)).squeeze(-1)
 
 
-def _inputs(agent: Agent, observations: np.ndarray) -> Tensor:
+def _inputs(agent: Mind, observations: np.ndarray) -> Tensor:
     """What there are gradients of: images from 0 to 1, or planes as the mlp embeds them."""
     x = torch.from_numpy(observations.copy()).to(agent.device)
-    return x.float() / 255 if agent.observation == "image" else _mlp(agent).spread(x)
+    if _is_planes(agent):
+        return _mlp(agent).spread(x)
+    return x.float() / 255 if _is_image(agent) else x.float()
 
 
-def _maps(agent: Agent, attribute: Callable[..., Tensor], *observations: np.ndarray) -> np.ndarray:
+def _maps(agent: Mind, attribute: Callable[..., Tensor], *observations: np.ndarray) -> np.ndarray:
     """`attribute` of the inputs, chunk by chunk, as maps; see the top."""
     _check(agent, observations[0])
     found = []
@@ -189,19 +201,21 @@ def _maps(agent: Agent, attribute: Callable[..., Tensor], *observations: np.ndar
         chunk = [_inputs(agent, some[first : first + CHUNK]) for some in observations]
         found.append(attribute(*chunk).detach().double().numpy(force=True))
     maps = np.concatenate(found)
-    if agent.observation == "image":
-        return maps.mean(3)
+    if not _is_planes(agent):
+        return maps.mean(3) if _is_image(agent) else maps
     flags = _mlp(agent).spread.flags  # then two planes for each plane of categories
     one, other = np.split(maps[:, flags:], 2, axis=1)
     return np.concatenate([maps[:, :flags], one + other], axis=1)
 
 
-def _check(agent: Agent, observations: np.ndarray) -> None:
-    of_kind("agent", agent, Agent)
+def _check(agent: Mind, observations: np.ndarray) -> None:
+    of_kind("agent", agent, Mind)
     of_kind("observations", observations, np.ndarray)
-    shape = agent.architecture.shape
+    shape = agent.space.shape
     if observations.shape[1:] != shape or not len(observations):
         raise ValueError(
             f"the agent sees observations [N, {', '.join(map(str, shape))}], "
             f"not {observations.shape}"
         )
+    if isinstance(agent, Network) and agent.outputs(observations[:1])[1].isnan().any():
+        raise ValueError(f"attribution is of values, of which {agent.name} gives none")

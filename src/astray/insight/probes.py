@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import copy
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -25,7 +25,7 @@ from astray import imports
 from astray.analysis.critic import observe
 from astray.analysis.estimates import estimate_mean
 from astray.analysis.given import Measure, measured, see_measures
-from astray.analysis.trained import Agent
+from astray.analysis.trained import Agent, AnyMind, Mind
 from astray.bounds import MOST, bounded, of_kind
 from astray.estimate import Estimate
 from astray.game import Variant
@@ -43,7 +43,7 @@ SCORES = ("score", "shuffled", "untrained")
 
 
 def probe(
-    agent: Agent,
+    agent: Mind,
     variant: str | Variant,
     states: np.ndarray,
     layers: Sequence[str],
@@ -91,13 +91,24 @@ def probe(
     return pl.DataFrame(rows, infer_schema_length=None)
 
 
-def untrained(agent: Agent, seed: int) -> Agent:
+def untrained(agent: AnyMind, seed: int) -> AnyMind:
     """The same agent with a network of the same shape that was never trained."""
     bounded("seed", seed, 0, MOST)
     other = copy.copy(agent)
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(seed)
-        other.network = agent.architecture.build().to(agent.device)
+        if isinstance(agent, Agent):
+            other.network = agent.architecture.build().to(agent.device)
+        else:
+            other.network = copy.deepcopy(agent.network)
+            for name, module in other.network.named_modules():
+                if isinstance(anew := getattr(module, "reset_parameters", None), Callable):
+                    anew()
+                elif [*module.parameters(recurse=False)]:
+                    raise ValueError(
+                        f"the untrained network of {agent.name} cannot be made: its module "
+                        f"{name!r} has no reset_parameters()"
+                    )
     return other
 
 
@@ -205,7 +216,7 @@ def split(levels: np.ndarray, seed: int) -> np.ndarray:
 
 
 def read(
-    agent: Agent,
+    agent: Mind,
     variant: str | Variant,
     states: np.ndarray,
     here: np.ndarray,

@@ -1,0 +1,196 @@
+"""Policies that other libraries trained, played by the real ones: each as it plays by itself."""
+
+from functools import partial
+
+import gymnasium
+import numpy as np
+import pytest
+import torch
+from gymnasium.spaces import Box
+from torch import nn
+
+from astray.acting import steps
+from astray.analysis.adapters import Function, from_sb3, from_torchrl
+from astray.analysis.evaluate import evaluate
+from astray.analysis.trained import Network
+from helpers.rooms import CELLS, WORLD, Room
+
+LEVELS = np.array([3, 1, 4, 15, 9, 2, 6, 53, 58, 97])
+SPACE = Room().observation_space
+COLUMNS = ("level", "return", "length", "reached_square", "reached_end")
+
+
+class Mind(nn.Module):
+    """An actor and a critic on one body, as CleanRL writes them."""
+
+    def __init__(self, actions=2):
+        super().__init__()
+        torch.manual_seed(1)
+        self.network = nn.Sequential(nn.Flatten(), nn.Linear(2 * CELLS, 16), nn.Tanh())
+        self.actor, self.critic = nn.Linear(16, actions), nn.Linear(16, 1)
+
+    def get_action_and_value(self, seen):
+        hidden = self.network(seen)
+        drawn = torch.distributions.Categorical(logits=4 * self.actor(hidden))
+        return drawn.sample(), self.critic(hidden)
+
+
+def both(agent, seen):
+    hidden = agent.network(seen)
+    return 4 * agent.actor(hidden), agent.critic(hidden)
+
+
+def by_hand(choose):
+    """The actions of an episode in each level, in a loop over one environment."""
+    found = []
+    for level in LEVELS.tolist():
+        env, memory, ended, taken = Room("anywhere"), None, False, []
+        seen, _ = env.reset(seed=level)
+        while not ended:
+            action, memory = choose(seen, memory)
+            seen, _, terminated, truncated, _ = env.step(action)
+            taken.append(int(action))
+            ended = terminated or truncated
+        found.append(taken)
+    return found
+
+
+def played(policy, batch):
+    found = {level: [] for level in range(len(LEVELS))}
+    for step in steps(policy, WORLD, "anywhere", LEVELS, batch=batch):
+        for level, action in zip(step.level.tolist(), step.actions.tolist(), strict=True):
+            found[level].append(action)
+    return list(found.values())
+
+
+def test_a_recurrent_model_of_sb3_contrib_plays_as_by_hand():
+    contrib = pytest.importorskip("sb3_contrib")
+    model = contrib.RecurrentPPO("MlpLstmPolicy", Room("anywhere"), seed=3, device="cpu")
+    with torch.no_grad():
+        model.policy.action_net.weight.mul_(300)  # else one action is the likeliest throughout
+
+    def choose(seen, memory):
+        return model.predict(seen, memory, np.array([memory is None]), deterministic=True)
+
+    hand = by_hand(choose)
+    assert len({action for taken in hand for action in taken}) == 2
+    assert played(from_sb3(model, greedy=True), 3) == hand
+
+
+def actor_of_torchrl(recurrent, one_hot):
+    modules = pytest.importorskip("torchrl.modules")
+    from tensordict.nn import ProbabilisticTensorDictModule, TensorDictModule
+    from tensordict.nn import TensorDictSequential as Sequential
+
+    torch.manual_seed(4 if recurrent else 2)  # with which both actions are taken
+    body = nn.Sequential(nn.Flatten(), nn.Linear(2 * CELLS, 8), nn.Tanh())
+    parts = [TensorDictModule(body, ["observation"], ["embedded"])]
+    if recurrent:
+        parts.append(modules.GRUModule(8, 8, in_keys=["embedded", "memory"],
+                                       out_keys=["embedded", ("next", "memory")]))  # fmt: skip
+    head = nn.Linear(8, 2)
+    with torch.no_grad():
+        head.weight.mul_(30)
+    kind = modules.OneHotCategorical if one_hot else torch.distributions.Categorical
+    return Sequential(
+        *parts,
+        TensorDictModule(head, ["embedded"], ["logits"]),
+        ProbabilisticTensorDictModule(["logits"], ["action"], distribution_class=kind),
+    )
+
+
+@pytest.mark.parametrize("recurrent, one_hot", [(False, False), (False, True), (True, False)])
+def test_an_actor_of_torchrl_plays_as_by_hand(recurrent, one_hot):
+    actor = actor_of_torchrl(recurrent, one_hot)
+    from tensordict import TensorDict
+    from tensordict.nn import InteractionType, set_interaction_type
+
+    def choose(seen, memory):
+        begins = np.array([[memory is None]])
+        told = TensorDict({"observation": seen[None], "is_init": begins, **(memory or {})}, [1])
+        with torch.no_grad(), set_interaction_type(InteractionType.DETERMINISTIC):
+            said = actor(told)
+        action = said["action"].argmax(-1) if one_hot else said["action"]
+        return int(action[0]), dict(said.get("next", {}).items())
+
+    hand = by_hand(choose)
+    assert len({action for taken in hand for action in taken}) == 2
+    policy = from_torchrl(actor, greedy=True, one_hot=one_hot)
+    assert played(policy, 3) == played(policy, 256) == hand
+
+
+def test_a_network_plays_its_likeliest_action_or_draws_it_whatever_the_batch():
+    agent = Mind()
+
+    def choose(seen, memory):
+        return int(both(agent, torch.from_numpy(seen[None]))[0].argmax()), None
+
+    assert played(Network(agent, SPACE, ask=both, mode="greedy"), 4) == by_hand(choose)
+    one, other, third = (Network(agent, SPACE, ask=both, seed=seed) for seed in (0, 0, 1))
+    assert played(one, 1) == played(other, 256) != played(third, 256)
+
+
+def test_a_network_draws_its_actions_as_often_as_its_own_library_does():
+    agent, seen = Mind(), torch.zeros(1, 2, CELLS)
+    seen[0, 0, 4] = seen[0, 1, 0] = 1
+    share = both(agent, seen)[0].softmax(-1)[0, 1].item()
+    own = agent.get_action_and_value(seen.expand(4000, -1, -1))[0].float().mean().item()
+    # The square lies at the left in one level of nine.
+    levels = [k for k in range(9000) if (env := Room("anywhere")).reset(seed=k) and not env.square]
+    first = next(iter(steps(Network(agent, SPACE, ask=both), WORLD, "anywhere", levels, batch=900)))
+    wide = 4 * np.sqrt(share * (1 - share) / len(levels))
+    assert abs(first.actions[:900].mean() - share) < wide and abs(own - share) < wide
+
+
+@pytest.mark.parametrize(
+    "network, said",
+    [
+        (Network(Mind(3), SPACE, ask=both), "has 3 logits for actions of Discrete"),
+        (Network(Mind(), SPACE, ask=lambda agent, seen: seen), "must give logits .* got"),
+        (Network(Mind(), SPACE, ask=lambda agent, seen: 3), "must give logits .* got"),
+        (Network(Mind(), Box(0, 1, (3,)), ask=both), r"sees observations of shape \(3,\), not"),
+        (Network(Mind(), SPACE, ask=lambda *_: both(*_)[0] * np.nan), "logits that are not finite"),
+        (Function(lambda seen, memory, begins: 3, remembers=True), "must return actions and its"),
+    ],
+)
+def test_a_network_or_function_that_gives_something_else_is_told(network, said):
+    with pytest.raises(ValueError, match=said):
+        evaluate(network, WORLD, "anywhere", LEVELS)
+
+
+@pytest.mark.parametrize("batch", [1, 4])
+def test_a_function_remembers_what_it_returned_for_an_episode(batch):
+    def choose(seen, memory, begins):
+        steps = np.zeros(len(seen), int) if memory is None else np.where(begins, 0, memory)
+        return steps % 2, steps + 1
+
+    taken = played(Function(choose, remembers=True), batch)
+    assert taken == [[k % 2 for k in range(len(one))] for one in taken]
+
+
+def test_continuous_actions_are_played():
+    pytest.importorskip("stable_baselines3")
+    from stable_baselines3 import PPO
+
+    from astray.game import Shift, Truncated
+    from astray.world import World
+
+    make = partial(gymnasium.make, "Pendulum-v1")
+    world = World(
+        name="pendulum",
+        variants={"one": make},
+        events={"up": lambda env, info: abs(env.state[0]) < 0.2},
+        goals={"up": "up"},
+        ends={"time": Truncated()},
+        shifts={"one": Shift("one", "one", "up", ())},
+    )
+    model = PPO("MlpPolicy", make(), seed=0, device="cpu")
+    table = evaluate(from_sb3(model, greedy=True), world, "one", range(3))
+    env, total, ended = make(), 0.0, False
+    seen, _ = env.reset(seed=2)
+    while not ended:
+        seen, reward, terminated, truncated, _ = env.step(
+            model.predict(seen, deterministic=True)[0]
+        )
+        total, ended = total + float(reward), terminated or truncated
+    assert table["return"][2] == pytest.approx(total, rel=1e-3)
