@@ -17,10 +17,10 @@ from typing import ClassVar
 import torch
 
 from astray.agents.policy import Architecture, weights
-from astray.analysis import pretrained
 from astray.analysis.runs import load_agent
 from astray.analysis.trained import Agent
 from astray.insight.fields import each_field
+from astray.training import folders
 from benchmarks.tables import decimal
 
 
@@ -51,7 +51,7 @@ def measure(levels: tuple[int, int] = (1000, 100), rounds: int = 3) -> list[Row]
     """Measure the fields of so many levels of the pretrained mouse, and of the paper's network."""
     with tempfile.TemporaryDirectory() as folder:
         agents = {
-            "maze-corner, symbols": (load_agent(pretrained.find("maze-corner")), "anywhere-small"),
+            "maze-corner, symbols": (load_agent(folders.find("maze-corner")), "anywhere-small"),
             "the paper's network, images": (_paper(Path(folder)), "anywhere-easy"),
         }
         return [

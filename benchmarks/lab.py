@@ -15,10 +15,9 @@ from statistics import median
 from typing import ClassVar
 
 from astray.agents.policy import Architecture, weights
-from astray.analysis import pretrained
 from astray.lab.serving import make_lab
 from astray.lab.session import Session
-from astray.training import checkpoint
+from astray.training import checkpoint, folders
 from benchmarks.tables import decimal
 
 IMPALA = "the paper's network"
@@ -72,9 +71,7 @@ def measure(rounds: int = 9) -> list[Row]:
 def untrained(folder: Path) -> Path:
     """A run folder with the paper's network for mazes, as it is before training."""
     config = replace(
-        checkpoint.read_config(pretrained.find("maze-corner")),
-        observation="image",
-        network="impala",
+        checkpoint.read_config(folders.find("maze-corner")), observation="image", network="impala"
     )
     architecture = Architecture("impala", (64, 64, 3), (), len(config.find_game().actions))
     path = folder / "checkpoints" / "1" / checkpoint.AGENT

@@ -29,7 +29,6 @@ from PIL import Image
 
 import astray
 from astray import cli, games
-from astray.analysis import pretrained
 from astray.cli import verbs
 from astray.envs.vector import GameVectorEnv
 from astray.experiments import catalogue
@@ -37,6 +36,7 @@ from astray.experiments.spec import Plan
 from astray.game import Game, Variant, knobs
 from astray.lab.export import export
 from astray.lab.serving import make_lab
+from astray.training import folders
 from astray.training.config import Config
 
 ROOT = Path(__file__).parents[1]
@@ -72,9 +72,9 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
     for game in map(games.find, games.OWN):
         for name, image in pictures(game):
             files.append(File.generated(config, name, content=image))
-    for name in pretrained.names():
+    for name in folders.pretrained():
         for path in (
-            p for p in pretrained.find(name).iterdir() if p.suffix in (".png", ".gif", ".csv")
+            p for p in folders.find(name).iterdir() if p.suffix in (".png", ".gif", ".csv")
         ):
             files.append(
                 File.generated(config, f"agents/{name}/{path.name}", abs_src_path=str(path))
@@ -101,7 +101,7 @@ def pages() -> dict[str, str]:
         **{f"games/{name}.md": game_page(games.find(name)) for name in games.OWN},
         **{f"experiments/{name}.md": experiment_page(name) for name in catalogue.NAMES},
         "agents/index.md": kept_page(),
-        **{f"agents/{name}/card.md": card(name) for name in pretrained.names()},
+        **{f"agents/{name}/card.md": card(name) for name in folders.pretrained()},
         "cli.md": verbs_page(),
         **dict(api_pages()),
     }
@@ -123,7 +123,7 @@ def with_lab(text: str) -> str:
 
 def card(name: str) -> str:
     """The card of a pretrained agent, with a link to the level of its video in the lab."""
-    text = (pretrained.find(name) / "README.md").read_text()
+    text = (folders.find(name) / "README.md").read_text()
     about = make_lab(name, {}).start
     address = f"../../lab/index.html#game={about['game']}&variant={about['variant']}&agent={name}"
     picture = "(episode.gif)\n"
@@ -135,7 +135,7 @@ def card(name: str) -> str:
 def in_lab(plan: Plan) -> str:
     """A link to the lab with an experiment's test levels, where a pretrained agent sees such."""
     lab = make_lab(None, {})
-    for name in pretrained.names():
+    for name in folders.pretrained():
         about = lab.minds.about(name)
         for test in plan.tests.values():
             if about["game"] == plan.game.name and test.variant in (
@@ -331,11 +331,11 @@ def link(game: str, variant: str) -> str:
 def kept_page() -> str:
     rows = [
         (f"[{name}]({name}/card.md)", text.split("\n\n")[1].replace("\n", " "))
-        for name in pretrained.names()
-        for text in [(pretrained.find(name) / "README.md").read_text()]
+        for name in folders.pretrained()
+        for text in [(folders.find(name) / "README.md").read_text()]
     ]
     return (
-        (pretrained.PRETRAINED / "README.md").read_text()
+        (folders.PRETRAINED / "README.md").read_text()
         + "\n\n"
         + (table(("agent", "what it is"), rows) if rows else "There is none yet.")
     )

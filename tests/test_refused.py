@@ -14,7 +14,6 @@ import torch
 
 from astray import cli, games
 from astray.agents.policy import Architecture
-from astray.analysis import pretrained
 from astray.analysis.runs import open_run
 from astray.analysis.video import play
 from astray.bounds import bounded
@@ -26,7 +25,7 @@ from astray.files import read, see_writable
 from astray.kernel.grid import distances
 from astray.kernel.rng import fill_noise
 from astray.level import Level, read_levels
-from astray.training import checkpoint
+from astray.training import checkpoint, folders
 from astray.training.config import PRESETS
 from astray.training.fast import fused, sparse
 from astray.training.loop import train
@@ -187,7 +186,7 @@ def test_knobs_are_numbers_that_compiled_code_can_hold(game):
 
 
 def test_an_agent_of_another_size_is_told_so_wherever_it_plays():
-    agent, config = open_run(pretrained.find("maze-corner"))
+    agent, config = open_run(folders.find("maze-corner"))
     with pytest.raises(ValueError, match=r"of shape \(4, 7, 7\), not \(4, 25, 25\)"):
         play(agent, config.game, "corner", 0)
 
@@ -298,9 +297,7 @@ def run_with(path: Path) -> Path:
     """A run whose agent is `path`."""
     folder = path.parent / "run"
     (folder / "checkpoints" / "32").mkdir(parents=True)
-    (folder / "config.json").write_bytes(
-        (pretrained.find("maze-corner") / "config.json").read_bytes()
-    )
+    (folder / "config.json").write_bytes((folders.find("maze-corner") / "config.json").read_bytes())
     (folder / "checkpoints" / "32" / checkpoint.AGENT).symlink_to(path)
     return folder
 

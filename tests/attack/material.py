@@ -26,14 +26,14 @@ TINY = (
 EXPERIMENT = '''
 """An experiment on an agent that comes with astray: nothing is trained."""
 
-from astray.analysis import pretrained
+from astray.training import folders
 from astray.analysis.runs import shift_of
 from astray.experiments.outcomes import settings
 from astray.experiments.report import Findings, Table
 from astray.experiments.spec import Experiment, Plan, tests_of
 from astray.training.checkpoint import read_config
 
-MOUSE = read_config(pretrained.find("maze-corner"))
+MOUSE = read_config(folders.find("maze-corner"))
 
 
 def find(work):

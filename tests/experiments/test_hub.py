@@ -8,8 +8,8 @@ from dataclasses import replace
 import pytest
 
 import astray
-from astray.analysis import pretrained
 from astray.files import write_aside
+from astray.training import folders
 from astray.training.loop import train
 from helpers.hub_server import READER, WRITER, running
 from helpers.trainings import TINY
@@ -48,7 +48,7 @@ def at(address, monkeypatch):
 @pytest.fixture
 def pushed(server):
     """The hub with a pretrained agent on it."""
-    ours.push(pretrained.find("maze-corner"), "ada/mouse")
+    ours.push(folders.find("maze-corner"), "ada/mouse")
     return server
 
 
@@ -63,8 +63,8 @@ def nothing_is_left(tmp_path):
 
 def test_what_is_pulled_is_the_agent_that_was_pushed(pushed, tmp_path):
     run = ours.pull("ada/mouse")
-    assert run == tmp_path / "agents" / "mouse" and "mouse" in pretrained.imported()
-    assert (run / WEIGHTS).read_bytes() == (pretrained.find("maze-corner") / WEIGHTS).read_bytes()
+    assert run == tmp_path / "agents" / "mouse" and "mouse" in folders.imported()
+    assert (run / WEIGHTS).read_bytes() == (folders.find("maze-corner") / WEIGHTS).read_bytes()
     source = json.loads((run / "hub.json").read_text())
     assert (
         source["repository"] == "ada/mouse"
@@ -95,7 +95,7 @@ def test_a_run_is_pushed_with_a_card_that_tells_what_it_pursues(server, tmp_path
 
 
 def test_what_somebody_else_wrote_is_no_card(server, tmp_path):
-    shutil.copytree(pretrained.find("maze-corner"), tmp_path / "run")
+    shutil.copytree(folders.find("maze-corner"), tmp_path / "run")
     (tmp_path / "run" / "README.md").write_text("# Notes of mine\n")
     with pytest.raises(ValueError, match=r"README\.md does not say '## What it pursues'"):
         ours.push(tmp_path / "run", "ada/mouse")
@@ -104,7 +104,7 @@ def test_what_somebody_else_wrote_is_no_card(server, tmp_path):
 
 def test_a_second_push_replaces_the_first_agent(pushed, tmp_path):
     other = tmp_path / "other"
-    shutil.copytree(pretrained.find("maze-corner"), other)
+    shutil.copytree(folders.find("maze-corner"), other)
     (other / "checkpoints" / "5505024").rename(other / "checkpoints" / "77")
     ours.push(other, "ada/mouse")
     weights = [path for path in files(pushed) if path.endswith("safetensors")]
@@ -113,7 +113,7 @@ def test_a_second_push_replaces_the_first_agent(pushed, tmp_path):
 
 def test_revisions_are_pushed_and_pulled(pushed):
     first = pushed.repositories["ada/mouse"].branches["main"]
-    ours.push(pretrained.find("many-chests"), "ada/mouse", revision="thief")
+    ours.push(folders.find("many-chests"), "ada/mouse", revision="thief")
     assert astray.load_agent(ours.pull("ada/mouse", revision="thief", name="a")).game == "keys"
     assert astray.load_agent(ours.pull("ada/mouse", name="b")).game == "maze"
     assert astray.load_agent(ours.pull("ada/mouse", revision=first, name="c")).game == "maze"
@@ -122,7 +122,7 @@ def test_revisions_are_pushed_and_pulled(pushed):
 
 
 def test_private_repositories_need_a_token(server, monkeypatch):
-    ours.push(pretrained.find("maze-corner"), "ada/mouse", private=True)
+    ours.push(folders.find("maze-corner"), "ada/mouse", private=True)
     assert server.repositories["ada/mouse"].private
     monkeypatch.setenv("HF_TOKEN", READER)
     ours.pull("ada/mouse", name="seen")
@@ -134,14 +134,14 @@ def test_private_repositories_need_a_token(server, monkeypatch):
 def test_without_permission_nothing_is_pushed(server, monkeypatch):
     monkeypatch.setenv("HF_TOKEN", READER)
     with pytest.raises(PermissionError, match="cannot be pushed: the Hub says 403"):
-        ours.push(pretrained.find("maze-corner"), "ada/mouse")
+        ours.push(folders.find("maze-corner"), "ada/mouse")
     assert not server.repositories
 
 
 def test_a_hub_without_room_says_so(server):
     server.no_room = True
     with pytest.raises(OSError, match="the Hub says 507"):
-        ours.push(pretrained.find("maze-corner"), "ada/mouse")
+        ours.push(folders.find("maze-corner"), "ada/mouse")
     assert files(server) == {}
 
 
@@ -297,7 +297,7 @@ def test_agents_of_others_are_not_pushed(pushed, tmp_path):
     run = ours.pull("ada/mouse")
     with pytest.raises(ValueError, match="was brought from elsewhere"):
         ours.push(run, "eve/mouse")
-    shutil.copytree(pretrained.find("maze-corner"), tmp_path / "theirs")
+    shutil.copytree(folders.find("maze-corner"), tmp_path / "theirs")
     write_aside(tmp_path / "theirs" / "origin.json", b"{}")
     with pytest.raises(ValueError, match="was brought from elsewhere"):
         ours.push(tmp_path / "theirs", "eve/mouse")

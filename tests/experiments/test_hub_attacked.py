@@ -5,7 +5,7 @@ import shutil
 
 import pytest
 
-from astray.analysis import pretrained
+from astray.training import folders
 from helpers.hub_server import WRITER, running
 
 huggingface_hub = pytest.importorskip("huggingface_hub")
@@ -31,7 +31,7 @@ def hub(monkeypatch, tmp_path):
     (tmp_path / "mine").write_text(MINE)
     with running() as server:
         monkeypatch.setattr(ours, "_api", lambda _: huggingface_hub.HfApi(endpoint=server.address))
-        ours.push(pretrained.find("maze-corner"), "ada/mouse")
+        ours.push(folders.find("maze-corner"), "ada/mouse")
         yield server
 
 
@@ -87,7 +87,7 @@ def test_a_revision_that_may_be_a_path_is_refused_before_anything_is_asked(hub, 
     hub.requests.clear()
     for ask in (
         lambda: ours.pull("ada/mouse", revision=revision),
-        lambda: ours.push(pretrained.find("maze-corner"), "ada/mouse", revision=revision),
+        lambda: ours.push(folders.find("maze-corner"), "ada/mouse", revision=revision),
     ):
         with pytest.raises(ValueError, match="a revision must be a branch, a tag or a commit"):
             ask()

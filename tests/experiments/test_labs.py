@@ -5,12 +5,11 @@ from dataclasses import replace
 
 import pytest
 
-from astray.analysis import pretrained
 from astray.experiments import labs, report
 from astray.lab.export import COMPUTED
-from astray.training import checkpoint
+from astray.training import checkpoint, folders
 
-SCENE = report.Scene(pretrained.find("maze-corner"), "anywhere-small", 200_007)
+SCENE = report.Scene(folders.find("maze-corner"), "anywhere-small", 200_007)
 LAB = "lab/index.html"
 
 
@@ -21,9 +20,7 @@ def test_a_scene_leads_to_a_lab_that_has_its_agent(tmp_path):
     index = json.loads((tmp_path / "lab" / "data" / "index.json").read_text())
     (agent,) = index["agents"]
     assert f"&agent={agent}&drawn=" in links[SCENE]
-    learned = next(
-        pretrained.find("maze-corner").glob("checkpoints/*/agent.safetensors")
-    ).read_bytes()
+    learned = next(folders.find("maze-corner").glob("checkpoints/*/agent.safetensors")).read_bytes()
     (weights,) = (tmp_path / "lab" / "data" / "agents").iterdir()
     assert weights.read_bytes() == learned
     assert labs.write([SCENE], tmp_path) == links  # again, as where a report is written anew
@@ -69,7 +66,7 @@ def test_a_report_has_the_command_and_the_link(links, tmp_path):
 
 def test_the_command_quotes_the_folder():
     assert replace(SCENE, run="a b").command.startswith("astray lab 'a b' --variant")
-    mouse = replace(SCENE, run=pretrained.find("maze-corner"))
+    mouse = replace(SCENE, run=folders.find("maze-corner"))
     assert mouse.command.startswith("astray lab maze-corner --variant")
 
 

@@ -10,12 +10,12 @@ import polars as pl
 import pytest
 from safetensors.numpy import load_file
 
-from astray.analysis import pretrained
 from astray.analysis.evaluate import evaluate
 from astray.analysis.outcomes import label, load_shift, outcomes_of
-from astray.analysis.runs import open_run, reward_deviation
+from astray.analysis.runs import open_run
 from astray.experiments import keep
-from astray.training import checkpoint
+from astray.training import checkpoint, folders
+from astray.training.folders import AgentFolder
 from astray.training.loop import train
 from helpers.killed import CONFIG
 
@@ -45,7 +45,7 @@ def test_a_folder_whose_name_is_no_text_is_told_and_not_left(run, tmp_path):
 @pytest.fixture
 def mouse(written, monkeypatch):
     """An agent that is kept by the name "mouse"."""
-    monkeypatch.setattr(pretrained, "PRETRAINED", written.parent)
+    monkeypatch.setattr(folders, "PRETRAINED", written.parent)
     return written
 
 
@@ -57,8 +57,8 @@ CARDS, REPLAYED = 1000, 100  # levels
 
 def told_by_card(name):
     """An agent's settings, the shift of its card, and the agent's row in all levels of the test."""
-    card = (pretrained.find(name) / "README.md").read_text()
-    config = open_run(pretrained.find(name))[1]
+    card = (folders.find(name) / "README.md").read_text()
+    config = open_run(folders.find(name))[1]
     shift = load_shift(config.find_game(), card.split("--shift ")[1].split()[0])
     assert f"in {CARDS:,} levels" in card
     (row,) = (
@@ -80,9 +80,9 @@ def test_the_outcomes_that_are_known_are_the_cards(name):
     assert len(outcomes) == CARDS and as_on_cards(outcomes, config) == row
 
 
-@pytest.mark.parametrize("name", pretrained.names())
+@pytest.mark.parametrize("name", folders.pretrained())
 def test_every_kept_agent_does_what_its_card_says(name):
-    agent, _ = open_run(pretrained.find(name))
+    agent, _ = open_run(folders.find(name))
     assert agent.path.stat().st_size <= keep.LARGEST and int(agent.path.parent.name) > 0
     (config, shift, row), known = told_by_card(name), OUTCOMES_OF.get(name)
     levels = config.unseen_levels[: REPLAYED if known else CARDS]
@@ -144,8 +144,8 @@ def test_a_kept_agent_stands_for_its_run_folder(astray, run, mouse, tmp_path):
 
 
 def test_what_rewards_were_divided_by_is_kept(run, mouse):
-    divisor = reward_deviation(*open_run(run))
-    assert divisor and divisor == reward_deviation(*open_run(mouse))
+    divisor = AgentFolder.open(run).deviation()
+    assert divisor and divisor == AgentFolder.open(mouse).deviation()
 
 
 def test_the_curve_ends_where_the_agent_does(run, tmp_path, monkeypatch):

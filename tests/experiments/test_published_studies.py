@@ -9,7 +9,6 @@ import numpy as np
 import polars as pl
 import pytest
 
-from astray.analysis import pretrained
 from astray.analysis.adapters import Function
 from astray.analysis.critic import visit
 from astray.analysis.estimates import mean_of
@@ -22,6 +21,7 @@ from astray.experiments.studies.maze import cheese_mouse
 from astray.published import catalogue as published
 from astray.published.results import read_results
 from astray.report.claims import Claim
+from astray.training import folders
 from astray.training.config import PRESETS
 from helpers.miniature import miniature, train_here
 
@@ -111,7 +111,7 @@ def test_what_seeing_adds_is_of_the_same_levels():
 
 
 def test_the_future_is_the_discounted_return_that_came():
-    agent, config = open_run(pretrained.find("coin-end"))
+    agent, config = open_run(folders.find("coin-end"))
     levels = config.unseen_levels[:40]
     rows, _ = visit(agent, "coin-end-calm", levels, per_episode=3, gamma=0.9)
     played = evaluate(agent, "coinrun", "coin-end-calm", levels)

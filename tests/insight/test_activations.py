@@ -7,9 +7,9 @@ import pytest
 
 from astray import games, load_agent
 from astray.acting import initial_states
-from astray.analysis import pretrained
 from astray.analysis.critic import observe
 from astray.insight.activations import activations, capture, load_activations
+from astray.training import folders
 
 MAZE = games.find("maze")
 SMALL = MAZE.variant("anywhere-small")
@@ -18,7 +18,7 @@ LAYERS = ["features.relu1", "spread"]
 
 @pytest.fixture(scope="module")
 def mouse():
-    return load_agent(pretrained.find("maze-corner"))
+    return load_agent(folders.find("maze-corner"))
 
 
 @pytest.fixture(scope="module")

@@ -7,12 +7,12 @@ import polars as pl
 import pytest
 
 from astray import games, load_agent
-from astray.analysis import pretrained
 from astray.analysis.critic import judge, observe
 from astray.analysis.evaluate import evaluate
 from astray.analysis.runs import open_run
 from astray.insight import explain
 from astray.insight.episode import along, figure
+from astray.training import folders
 
 # So short that arrows in all of its places are drawn in a moment.
 RUN = """\
@@ -24,7 +24,7 @@ RUN = """\
 
 
 def test_a_course_is_the_episode_that_is_played():
-    runner = load_agent(pretrained.find("coin-end"))
+    runner = load_agent(folders.find("coin-end"))
     played = evaluate(runner, "coinrun", "coin-anywhere", range(200_000, 200_040))
     played = played.filter(pl.col("reached_end").is_not_null()).row(0, named=True)
     course = along(runner, "coin-anywhere", played["level"], gamma=0.9, lam=0.8)
@@ -39,7 +39,7 @@ def test_a_course_is_the_episode_that_is_played():
 
 
 def test_advantages_are_the_discounted_sum_of_surprises():
-    runner = load_agent(pretrained.find("coin-end"))
+    runner = load_agent(folders.find("coin-end"))
     played = evaluate(runner, "coinrun", "coin-end", range(200_000, 200_010))
     level = played.filter(pl.col("return") > 0)["level"][0]
     table = along(runner, "coin-end", level, gamma=0.9, lam=0.8).table
@@ -56,7 +56,7 @@ def test_advantages_are_the_discounted_sum_of_surprises():
 
 
 def test_the_figure_of_an_episode_has_its_marks():
-    runner = load_agent(pretrained.find("coin-end"))
+    runner = load_agent(folders.find("coin-end"))
     course = along(runner, "coin-end", 200_001)
     shown = figure(course)
     assert [tick.get_text() for tick in shown.axes[3].get_yticklabels()] == list(course.marks)
@@ -126,7 +126,7 @@ def test_probes_learn_from_other_levels_and_advantages_are_those_of_the_training
 ):
     given = []
     monkeypatch.setattr(explain, "explain", lambda asked, *_: given.append(asked))
-    config = open_run(pretrained.find("maze-corner"))[1]
+    config = open_run(folders.find("maze-corner"))[1]
     first = config.unseen_levels[0]
     for level in (None, first + 3, 5):
         words = () if level is None else ("--level", level)

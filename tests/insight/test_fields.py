@@ -7,7 +7,6 @@ import pytest
 
 from astray import games, load_agent
 from astray.acting import initial_states
-from astray.analysis import pretrained
 from astray.analysis.critic import judge, observe
 from astray.analysis.runs import open_run
 from astray.games.maze import solve
@@ -16,6 +15,7 @@ from astray.insight.activations import layers
 from astray.insight.fields import cell_of, difference, fields, outcomes, places_of, splay
 from astray.insight.interventions import steer
 from astray.level import Level
+from astray.training import folders
 from helpers.looked_into import ROOM
 
 MAZE = games.find("maze")
@@ -24,7 +24,7 @@ SMALL = MAZE.variant("anywhere-small")
 
 @pytest.fixture(scope="module")
 def mouse():
-    return load_agent(pretrained.find("maze-corner"))
+    return load_agent(folders.find("maze-corner"))
 
 
 @pytest.fixture(scope="module")
@@ -169,7 +169,7 @@ def test_pictures_show_as_many_arrows_as_places(mouse, level, field, tmp_path):
 @pytest.mark.parametrize("game", ["keys", "coinrun"])  # most of it is compiling these games
 def test_other_games_have_fields_too(game, tmp_path):
     name = {"keys": "many-chests", "coinrun": "coin-end"}[game]
-    agent, config = open_run(pretrained.find(name))
+    agent, config = open_run(folders.find(name))
     found = fields(agent, config.training_variant(), [3])[0]
     assert len(found.cells) > 10 and np.isfinite(found.value).all()
     assert (abs(found.arrows) <= 1.5).all() and abs(found.arrows).max() > 0.05

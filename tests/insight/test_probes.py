@@ -9,7 +9,6 @@ from sklearn.metrics import balanced_accuracy_score, r2_score
 
 from astray import games, load_agent
 from astray.acting import initial_states
-from astray.analysis import pretrained
 from astray.games.coinrun import edits as coin_edits
 from astray.games.coinrun import measures as coin_measures
 from astray.games.coinrun.rules import COIN
@@ -18,6 +17,7 @@ from astray.games.maze import measures
 from astray.insight import probes
 from astray.insight.fields import splay
 from astray.level import Level
+from astray.training import folders
 from helpers.looked_into import ROOM
 
 MAZE, COINRUN = games.find("maze"), games.find("coinrun")
@@ -26,7 +26,7 @@ SMALL = MAZE.variant("anywhere-small")
 
 @pytest.fixture(scope="module")
 def mouse():
-    return load_agent(pretrained.find("maze-corner"))
+    return load_agent(folders.find("maze-corner"))
 
 
 @pytest.fixture(scope="module")

@@ -7,10 +7,10 @@ from torch import nn
 from astray import games, load_agent
 from astray.acting import initial_states
 from astray.agents.policy import Architecture
-from astray.analysis import pretrained
 from astray.insight.fields import fields
 from astray.insight.retarget import AS_IS, CLAMPED, MOVED, WAYS, Clamp, following, retarget
 from astray.level import Level
+from astray.training import folders
 from helpers.looked_into import make_agent
 
 MAZE = games.find("maze")
@@ -70,7 +70,7 @@ def test_the_right_place_is_set_in_symbols_whose_rows_go_up(seeker):
 
 
 def test_paths_are_those_of_fields():
-    mouse = load_agent(pretrained.find("maze-corner"))
+    mouse = load_agent(folders.find("maze-corner"))
     level = Level.of(MAZE, SMALL, initial_states("maze", SMALL, [200_003])[0])
     rows = retarget(mouse, SMALL, {"one": level}, Clamp("spread", (0,), (0.0,)), targets=50)
     (plain,) = fields(mouse, SMALL, {"one": level})
@@ -87,7 +87,7 @@ def test_paths_are_those_of_fields():
 def test_what_no_clamp_can_be_is_told(seeker):
     with pytest.raises(ValueError, match="a value for each channel, at least one; got 2 chan"):
         Clamp("eye", (1, 2), (1.0,))
-    mouse = load_agent(pretrained.find("maze-corner"))
+    mouse = load_agent(folders.find("maze-corner"))
     with pytest.raises(ValueError, match="has no places"):
         following(mouse, SMALL, NUMBERS, "features.relu1")
     assert following(mouse, SMALL, NUMBERS, "spread")["correlation"].is_finite().all()

@@ -5,7 +5,6 @@ import pytest
 
 from astray import games, load_agent
 from astray.acting import initial_states
-from astray.analysis import pretrained
 from astray.analysis.critic import judge, observe
 from astray.insight.activations import activations, layers
 from astray.insight.fields import cell_of, fields
@@ -20,6 +19,7 @@ from astray.insight.vectors import (
     set_vector,
 )
 from astray.level import Level
+from astray.training import folders
 
 MAZE = games.find("maze")
 SMALL = MAZE.variant("anywhere-small")
@@ -29,7 +29,7 @@ LAYER = "features.relu1"
 
 @pytest.fixture(scope="module")
 def mouse():
-    return load_agent(pretrained.find("maze-corner"))
+    return load_agent(folders.find("maze-corner"))
 
 
 @pytest.fixture(scope="module")

@@ -3,6 +3,7 @@
 import hashlib
 import json
 import os
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,8 +12,6 @@ import pytest
 
 from astray import games
 from astray.acting import initial_states
-from astray.agents.folder import NAME
-from astray.analysis import pretrained
 from astray.analysis.critic import judge, observe
 from astray.analysis.evaluate import evaluate
 from astray.analysis.runs import open_run, shift_of
@@ -20,7 +19,9 @@ from astray.files import LOCK
 from astray.published import catalogue, check, imported
 from astray.published.catalogue import Check, Published
 from astray.published.imported import Known, import_agent
+from astray.training import folders
 from astray.training.config import Config
+from astray.training.folders import NAME, AgentFolder
 from helpers.file_server import serving
 from helpers.foreign import clarity, joblib_bytes, reference, saved
 
@@ -80,7 +81,7 @@ def test_what_is_published_is_downloaded_checked_and_imported(serve, home, runne
 def test_a_wrong_digest_imports_nothing_and_leaves_nothing(serve, home, runner):
     with pytest.raises(ValueError, match=f"its SHA-256 is {digest(runner)}, not 00"):
         catalogue.fetch(entry(serve(runner), "00" * 32))
-    assert pretrained.imported() == [] and os.listdir(home / "downloads") == [LOCK]
+    assert folders.imported() == [] and os.listdir(home / "downloads") == [LOCK]
 
 
 def test_without_a_digest_nothing_is_fetched_unless_asked_for(serve, home, runner):
@@ -95,7 +96,7 @@ def test_without_a_digest_nothing_is_fetched_unless_asked_for(serve, home, runne
 
 @pytest.mark.parametrize("one", catalogue.catalogue().values(), ids=lambda one: one.name)
 def test_every_entry_of_the_catalogue_can_be_acted_on(one):
-    assert NAME.fullmatch(one.name) and one.name not in pretrained.names()
+    assert NAME.fullmatch(one.name) and one.name not in folders.pretrained()
     assert one.known.about and one.known.source
     assert bool(one.address) != bool(one.by_hand)
     assert not one.address or (one.address.startswith("https://") and one.known.variant)
@@ -229,9 +230,9 @@ def test_every_verb_takes_an_imported_agent_by_its_name(astray, home, tmp_path, 
 
 def test_a_folder_of_that_name_comes_before_an_agent(home, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    assert pretrained.run_of(Path("maze-corner")) == pretrained.PRETRAINED / "maze-corner"
-    (tmp_path / "maze-corner").mkdir()
-    assert pretrained.run_of(Path("maze-corner")) == Path("maze-corner")
+    assert AgentFolder.open("maze-corner").path == folders.PRETRAINED / "maze-corner"
+    shutil.copytree(folders.PRETRAINED / "coin-end", tmp_path / "maze-corner")
+    assert AgentFolder.open("maze-corner").path == Path("maze-corner")
 
 
 @pytest.mark.parametrize(

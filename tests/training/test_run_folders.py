@@ -10,12 +10,11 @@ import numpy as np
 import polars as pl
 import pytest
 
-from astray.agents import folder
 from astray.analysis import runs
 from astray.analysis.runs import open_run
 from astray.analysis.tables import write_table
 from astray.files import write_aside
-from astray.training import checkpoint
+from astray.training import checkpoint, folders
 from astray.training.loop import train
 from astray.training.settings import SEEDS
 from helpers.killed import CONFIG, contents
@@ -139,7 +138,7 @@ def test_a_checkpoint_that_its_training_removes_meanwhile_is_not_missed(tmp_path
     train(one, run, progress=False)
     last = checkpoint.latest(run)
     found = iter([last.with_name("7"), last])  # 7 is removed between the look and the opening
-    monkeypatch.setattr(folder, "latest", lambda folder: next(found, last))
+    monkeypatch.setattr(folders, "latest", lambda folder: next(found, last))
     assert open_run(run)[0].path.parent == last
     with pytest.raises(FileNotFoundError):
         open_run(last.with_name("7"))  # which somebody asked for

@@ -9,46 +9,37 @@ from typing import Any, Literal
 
 import numpy as np
 import polars as pl
-from safetensors import SafetensorError, safe_open
 
 from astray import world
 from astray.acting import Levels, Policy, see_ending, see_policy
-from astray.agents.folder import DEVIATION, TRAINER, AgentFolder
 from astray.agents.policy import usable
-from astray.analysis import pretrained
 from astray.analysis.evaluate import evaluate
 from astray.analysis.given import Measure
 from astray.analysis.outcomes import label, load_shift, name_of, outcomes_of, shares, tell_apart
 from astray.analysis.policies import Random, Walk
 from astray.analysis.results import ALL, APART, Result
 from astray.analysis.trained import Agent
-from astray.bounds import finite, of_kind, shown
+from astray.bounds import of_kind, shown
 from astray.envs.worlds import see_reported
-from astray.files import see_readable
 from astray.game import Game, Shift, Variant
 from astray.level import read_levels
-from astray.training import checkpoint
+from astray.training import folders
 from astray.training.config import Config
-from astray.training.ppo import RewardNormaliser
+from astray.training.folders import AgentFolder
 from astray.world import World, WorldVariant, see_repeats
 
 LEVELS_PLAYED = 1000  # where nobody says which
 NAMED = 3  # agents of a pooled row that are named one by one
-# Of discounted returns: mean, variance and count, in what a training goes on from.
-MOMENTS = "training.moments"
 Mode = Literal["sampled", "greedy"]
 
 
 def open_run(
     run: str | Path, mode: Mode = "sampled", art: str | None = None
 ) -> tuple[Agent, Config]:
-    """The last agent of a run folder (or that of a checkpoint in it), and the run's settings.
-
-    art  that it is shown; None: what it was trained on
-    """
+    """The agent that `load_agent` loads, and the settings of its training."""
     of_kind("run", run, str | Path)
     found = AgentFolder.open(run)
-    config = checkpoint.read_config(found.path)
+    config = found.config()
     device = config.device if usable(config.device) else "cpu"
     shown = config.art if art is None else art
     config.find_game().drawn(shown)
@@ -70,33 +61,7 @@ def load_agent(run: str | Path, mode: Mode = "sampled", art: str | None = None) 
 
     Raises FileNotFoundError or ValueError where there is none, or not one that can be used.
     """
-    return open_run(pretrained.run_of(Path(run)), mode, art)[0]
-
-
-def reward_deviation(agent: Agent, config: Config) -> float | None:
-    """What rewards were divided by when the agent was saved; None where none were, or nobody knows.
-
-    Its values are of rewards so divided. A training's last two checkpoints tell by what, and so
-    does the folder of an agent that was kept from one of them.
-    """
-    if not config.normalise_reward:
-        return None
-    try:
-        deviation = _deviation(agent.path)
-        finite("reward_deviation", deviation, 0)
-    except (SafetensorError, OSError, TypeError, ValueError, KeyError):
-        return None
-    return deviation or None
-
-
-def _deviation(path: Path) -> float:
-    trainer = path.with_name(TRAINER)
-    if not trainer.exists():
-        return AgentFolder.of(path).settings()[DEVIATION]
-    see_readable(trainer)
-    with safe_open(trainer, "numpy") as file:
-        _, variance, _ = file.get_tensor(MOMENTS).tolist()
-    return float(1 / RewardNormaliser(1, clip=np.inf, variance=variance).scaled(np.ones(1))[0])
+    return open_run(run, mode, art)[0]
 
 
 def _digest(agent: Agent) -> str:
@@ -158,7 +123,7 @@ def evaluate_runs(
         raise ValueError(f"runs must be a list of run folders; got {shown(runs)}")
     if not runs:
         raise ValueError("no run is given to evaluate")
-    opened = [open_run(pretrained.run_of(Path(run)), mode, art) for run in runs]
+    opened = [open_run(run, mode, art) for run in runs]
     config = opened[0][1]
     digests: dict[str, str | Path] = {}
     for run, (agent, _) in zip(runs, opened, strict=True):
@@ -192,8 +157,8 @@ def evaluate_runs(
 
 def names_of(agents: Sequence[Agent], pool: bool) -> dict[str, str]:
     """Return what tables call each agent, by its run folder."""
-    runs = [agent.path.parents[2] for agent in agents]
-    names = [pretrained.name_of(run) for run in runs]
+    runs = [AgentFolder.of(agent.path).path for agent in agents]
+    names = [folders.name_of(run) for run in runs]
     if pool and len(runs) > 1:
         names = [", ".join(names) if len(runs) <= NAMED else f"{len(runs)} agents"] * len(runs)
     greedy = " (greedy)" if agents[0].mode == "greedy" else ""
@@ -294,11 +259,8 @@ def play_all(
     for policy in (*scripts, *policies):
         run = seed = steps = None
         if isinstance(policy, Agent):
-            run, seed, steps = (
-                str(policy.path.parents[2]),
-                policy.seed,
-                int(policy.path.parent.name),
-            )
+            its = AgentFolder.of(policy.path)
+            run, seed, steps = str(its.path), policy.seed, its.steps
         parts.append(
             evaluate(
                 policy, game, variant, levels, batch=batch, measures=measures, longest=longest

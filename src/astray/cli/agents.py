@@ -12,7 +12,6 @@ import polars as pl
 from rich.table import Table
 from tyro.conf import Positional, arg
 
-from astray.analysis.pretrained import PRETRAINED
 from astray.analysis.tables import write_table
 from astray.bounds import MOST, bounded
 from astray.cli.arguments import (
@@ -32,13 +31,13 @@ from astray.cli.arguments import (
     level_numbers,
     pairs,
     print_json,
-    run_of,
     show,
 )
 from astray.envs.vector import PICTURES
 from astray.files import see_free, see_writable, write_aside
 from astray.game import Game
 from astray.training.config import Config, Tracking
+from astray.training.folders import PRETRAINED
 from astray.training.settings import SEEDS, otherwise
 from astray.world import World
 
@@ -263,7 +262,7 @@ def agency(
         for name in (SUMMARY, EPISODES, *POSTERIOR):
             see_writable(out / name)
     judged, recorded = judge_run(
-        run_of(agent),
+        agent,
         level_numbers(levels) if levels else None,
         variant=variant,
         shift=shift,

@@ -13,7 +13,6 @@ from rich.console import Console, RenderableType
 from tyro.conf import Positional, UseAppendAction, arg
 
 from astray import games, imports
-from astray.analysis import pretrained
 from astray.bounds import bounded, of_kind
 from astray.game import OWN, Game, Variant
 from astray.level import Level, read_levels
@@ -94,7 +93,7 @@ class Acting:
         """Return the agent of a run folder or a name, and the settings of its training."""
         from astray.analysis.runs import open_run
 
-        return open_run(run_of(agent), self.mode, self.art)
+        return open_run(agent, self.mode, self.art)
 
 
 @dataclass(frozen=True)
@@ -196,18 +195,6 @@ class PlayedLevel(GivenLevel):
     def begun(self, game: Game, variant: Variant) -> int | Level | None:
         """Return the level that was asked for, whose objects can be reached if they need be."""
         return self.find(game, variant, solvable=not self.unsolvable)
-
-
-def run_of(agent: Path) -> Path:
-    """Return the run folder, or checkpoint in one, of an agent given by its path or name."""
-    found = pretrained.run_of(agent)
-    if not found.exists() and len(agent.parts) == 1:
-        there = ", ".join([*pretrained.names(), *pretrained.imported()]) or "none yet"
-        raise FileNotFoundError(
-            f"unknown agent {str(agent)!r}, which is neither a run folder nor a checkpoint in one; "
-            f"there are: {there}"
-        )
-    return found
 
 
 def level_numbers(text: str) -> np.ndarray:

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Annotated
 
 from astray.bounds import MOST, bounded
-from astray.cli.arguments import Agent, run_of
+from astray.cli.arguments import Agent
 from astray.envs.pool import most_threads
 from astray.envs.vector import Observation
 from astray.training.config import PRESETS, Tracking
@@ -59,11 +59,10 @@ def distil(
     bounded("steps", steps, 1, MOST_STEPS)
     bounded("epochs", epochs, 1, MOST)
     bounded("threads", threads, 1, most_threads())
-    run = run_of(teacher)
-    agent, its = open_run(run)
+    agent, its = open_run(teacher)
     if agent.observation == "image" and art not in (None, its.art):
         raise ValueError(f"the teacher sees art {its.art!r}; its students must see it; got {art!r}")
-    name = str(teacher) if run != teacher else run.resolve().name
+    name = teacher.resolve().name
     images = observation == "image"
     config = replace(
         PRESETS["pixels" if images else "small"],

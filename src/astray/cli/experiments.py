@@ -11,12 +11,12 @@ from rich.table import Table
 from tyro.conf import Positional, arg
 
 from astray import games
-from astray.analysis import pretrained
 from astray.bounds import bounded
 from astray.cli.arguments import MOST_WORKERS, Json, Workers, print_json, show
 from astray.experiments import catalogue
 from astray.experiments.spec import Place, Size
 from astray.game import OWN, Game
+from astray.training import folders
 from astray.training.config import PRESETS, Tracking
 from astray.training.settings import otherwise
 from astray.words import printable
@@ -31,7 +31,7 @@ def list_(json: Json = False) -> None:
     found = {
         "games": described | {name: {"error": reason} for name, reason in broken.items()},
         "experiments": {name: catalogue.load(name).title for name in catalogue.NAMES},
-        "agents": {name: _agent(name) for name in (*pretrained.names(), *pretrained.imported())},
+        "agents": {name: _agent(name) for name in folders.names()},
         "presets": list(PRESETS),
     }
     if json:
@@ -67,10 +67,8 @@ def _game(game: Game) -> dict[str, Any]:
 
 def _agent(name: str) -> dict[str, Any]:
     """The settings of an agent that is here; where they cannot be read, what is wrong."""
-    from astray.training import checkpoint
-
     try:
-        return checkpoint.read_config(pretrained.find(name)).flat()
+        return folders.read_config(folders.find(name)).flat()
     except (ValueError, OSError) as error:
         return {"error": str(error)}
 

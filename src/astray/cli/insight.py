@@ -10,6 +10,7 @@ import numpy as np
 from astray.bounds import bounded
 from astray.cli.arguments import Acting, Agent, GivenLevel, Knobs, Shift, TestVariant, pairs
 from astray.files import see_free, see_writable
+from astray.training.folders import AgentFolder
 from astray.training.settings import otherwise
 
 MOST_LEVELS = 10_000
@@ -41,7 +42,7 @@ def explain(
     """
     from astray.acting import initial_states
     from astray.analysis.outcomes import load_shift
-    from astray.analysis.runs import reward_deviation, shift_of
+    from astray.analysis.runs import shift_of
     from astray.insight.activations import see_layers
     from astray.insight.explain import PAGE, SIGN, Asked, default_layers
     from astray.insight.explain import explain as write
@@ -67,6 +68,7 @@ def explain(
     see_writable(out / PAGE)
     # Probes do not learn from the level that they read.
     after = [one for one in config.unseen_levels[1 : others + 2] if one != number][:others]
-    told = np.array(after), config.gamma, config.lam, reward_deviation(player, config)
+    deviation = AgentFolder.of(player.path).deviation()
+    told = np.array(after), config.gamma, config.lam, deviation
     asked = Asked(player, levels, drawn, named, reads, *told)
     print(write(asked, out, f"{agent.name} in {game.name} {where}"))

@@ -8,7 +8,7 @@ from typing import Annotated, Any
 from tyro.conf import Positional
 
 from astray.bounds import bounded
-from astray.cli.arguments import GivenLevel, run_of
+from astray.cli.arguments import GivenLevel
 from astray.files import read
 from astray.training.settings import otherwise
 
@@ -53,7 +53,7 @@ def lab(
     start: dict[str, Any] = {"game": game, "variant": variant, "level": level.level}
     if level.level_file is not None:
         start["level"] = read(level.level_file, 2**20).decode()
-    made = make_lab(None if agent is None else run_of(agent), start)
+    made = make_lab(agent, start)
     if export is not None:
         from astray.lab.export import export as write
 

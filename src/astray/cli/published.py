@@ -10,9 +10,9 @@ from rich.console import Console
 from rich.table import Table
 from tyro.conf import Positional, arg
 
-from astray.analysis import pretrained
 from astray.bounds import shown
 from astray.cli.arguments import Json, Mode, level_numbers, print_json
+from astray.training import folders
 from astray.training.settings import otherwise
 from astray.words import printable
 
@@ -94,7 +94,7 @@ def agents(
 def _list(json: bool) -> None:
     from astray.published.catalogue import catalogue
 
-    here = pretrained.imported()
+    here = folders.imported()
     rows = {
         name: {
             "imported": name in here,
@@ -107,7 +107,7 @@ def _list(json: bool) -> None:
     }  # fmt: skip
     others = [name for name in here if name not in rows]
     if json:
-        print_json({"folder": str(pretrained.folder()), "published": rows, "others": others})
+        print_json({"folder": str(folders.home()), "published": rows, "others": others})
         return
     table = Table("agent", "state", "licence", "what it is", box=None, padding=(0, 2, 1, 0))
     for name, row in rows.items():
@@ -115,7 +115,7 @@ def _list(json: bool) -> None:
     Console(width=120).print(table)
     if others:
         print(f"imported beside these: {printable(', '.join(others))}")
-    print(f"Imported agents are in {pretrained.folder()}; to get one: astray agents fetch NAME")
+    print(f"Imported agents are in {folders.home()}; to get one: astray agents fetch NAME")
 
 
 def _state(imported: bool, tried: bool, address: str, digest: str | None) -> str:
@@ -140,12 +140,12 @@ def _fetch(name: str, unchecked: bool) -> None:
 def _check(name: str, levels: str | None, json: bool) -> None:
     from astray.published.catalogue import by_digest
     from astray.published.check import check
-    from astray.published.imported import origin, write_checks
+    from astray.published.imported import write_checks
 
-    run = pretrained.find(name)
-    if name not in pretrained.imported():
+    run = folders.find(name)
+    if name not in folders.imported():
         raise ValueError(f"{name!r} comes with astray; its card has what was measured: {run}")
-    entry = by_digest(origin(run)["sha256"])
+    entry = by_digest(folders.AgentFolder.open(run).origin()["sha256"])
     if entry is None or not entry.checks:
         raise ValueError(f"nobody's measurements of {name!r} are in the catalogue to compare with")
     rows = check(run, entry.checks, level_numbers(levels) if levels else None)

@@ -20,15 +20,14 @@ from typing import TYPE_CHECKING, Any
 
 from astray import imports
 from astray.agents import policy
-from astray.agents.folder import CARD, CONFIG, HUB, AgentFolder, made, see_new
-from astray.analysis import pretrained
 from astray.bounds import brief, of_kind, shown
 from astray.envs.vector import IMAGE
 from astray.experiments.connection import Wary, reached, unreachable, wary
 from astray.experiments.keep import keep
 from astray.files import holds_only, read, write_aside
-from astray.training import checkpoint
+from astray.training import folders
 from astray.training.config import Config
+from astray.training.folders import CARD, CONFIG, HUB, AgentFolder
 
 if TYPE_CHECKING:
     from huggingface_hub import HfApi
@@ -55,7 +54,7 @@ class Commit:
 
 
 def push(
-    run: Path,
+    run: str | Path,
     repository: str,
     *,
     shift: str | None = None,
@@ -79,11 +78,13 @@ def push(
     """
     _see_name(repository, revision)
     api = _api(endpoint)
-    run = pretrained.run_of(Path(run))
-    if AgentFolder.open(run).is_foreign:
-        raise ValueError(f"{run} was brought from elsewhere; only agents of your own are pushed")
+    its = AgentFolder.open(run)
+    if its.is_foreign:
+        raise ValueError(
+            f"{its.path} was brought from elsewhere; only agents of your own are pushed"
+        )
     with tempfile.TemporaryDirectory(prefix="astray-") as passing:
-        folder = _with_card(run, repository, shift, levels, Path(passing))
+        folder = _with_card(its, repository, shift, levels, Path(passing))
         write_aside(folder / DIGESTS, json.dumps(_digests(folder), indent=1).encode())
         with reached(repository, revision, "pushed", DIGESTS):
             api.create_repo(repository, private=private, exist_ok=True)
@@ -121,10 +122,10 @@ def pull(
     """
     _see_name(repository, revision)
     name = name or _slug(repository)
-    home = pretrained.folder()
-    see_new(name, pretrained.PRETRAINED, home)
+    home = folders.home()
+    folders.see_new(name)
     api = _api(endpoint)
-    with made(home, name) as aside, wary() as answers:
+    with folders.made(home, name) as aside, wary() as answers:
         # The cache has the commit in its paths, and notes by this which one the revision was.
         digests = _taker(api, answers, repository, revision, offline)(DIGESTS, LARGEST)
         commit, promised = digests.parent.name, _promised(digests)
@@ -162,19 +163,24 @@ def _slug(repository: str) -> str:
     return re.sub(r"[^a-z0-9]+", "-", repository.partition("/")[2].lower()).strip("-") or "agent"
 
 
-def _with_card(run: Path, repository: str, shift: str | None, levels: int, passing: Path) -> Path:
+def _with_card(
+    its: AgentFolder, repository: str, shift: str | None, levels: int, passing: Path
+) -> Path:
     """A copy of the agent and its card, whose first lines the Hub reads."""
     name = _slug(repository)
-    if _has_card(run):
+    if _has_card(its):
         if shift is not None:
-            raise ValueError(f"{run} has a card already, which says its shift; give none")
+            raise ValueError(f"{its.path} has a card already, which says its shift; give none")
         folder = passing / name
-        for path in _own_files(run):
+        for path in _own_files(its):
             (folder / path).parent.mkdir(parents=True, exist_ok=True)
-            shutil.copyfile(run / path, folder / path)
+            shutil.copyfile(its.path / path, folder / path)
     else:
-        folder = keep(run, name, shift=shift, folder=passing, levels=levels, largest=LARGEST_AGENT)
-    config = checkpoint.read_config(folder)
+        there = its.weights.parent
+        folder = keep(
+            there, name, shift=shift, folder=passing, levels=levels, largest=LARGEST_AGENT
+        )
+    config = folders.read_config(folder)
     card = (folder / CARD).read_text(encoding="utf-8")
     title, _, text = card.partition("\n")
     front = _FRONT.format(game=config.game, repository=repository, name=name)
@@ -184,9 +190,9 @@ def _with_card(run: Path, repository: str, shift: str | None, levels: int, passi
     return folder
 
 
-def _has_card(run: Path) -> bool:
+def _has_card(its: AgentFolder) -> bool:
     """Whether `keep` wrote what the run is described by; ValueError where somebody else did."""
-    path = run / CARD
+    path = its.card
     if not path.exists():
         return False
     if PURSUES not in path.read_text(encoding="utf-8"):
@@ -217,16 +223,16 @@ astray pull {repository}
 """
 
 
-def _own_files(run: Path) -> Iterator[str]:
-    """The paths of what is shared of an agent: the page, and the last checkpoint's network."""
-    yield from (name for name in PAGE if (run / name).is_file())
-    yield AgentFolder.open(run).weights.relative_to(run).as_posix()
+def _own_files(its: AgentFolder) -> Iterator[str]:
+    """The paths of what is shared of an agent: the page, and the network."""
+    yield from (name for name in PAGE if (its.path / name).is_file())
+    yield its.weights.relative_to(its.path).as_posix()
 
 
 def _digests(folder: Path) -> dict[str, Any]:
     files = {
         path: {"bytes": len(data), "sha256": hashlib.sha256(data).hexdigest()}
-        for path in _own_files(folder)
+        for path in _own_files(AgentFolder.open(folder))
         for data in [read(folder / path, LARGEST_AGENT)]
     }
     return {"format": FORMAT, "files": files}
@@ -304,8 +310,8 @@ def _checked(repository: str, path: str, here: Path, size: int, digest: str) -> 
 def _see_agent(repository: str, folder: Path) -> None:
     """ValueError where the network is not one that plays the game of the settings."""
     try:
-        config = checkpoint.read_config(folder)
-        path = AgentFolder.open(folder).weights
+        its = AgentFolder.open(folder)
+        config, path = its.config(), its.weights
         _, architecture = policy.load(path, config.game)
     except (ValueError, OSError) as error:
         raise ValueError(f"{repository} holds no agent that can be used: {brief(error)}") from error

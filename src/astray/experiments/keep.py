@@ -11,12 +11,10 @@ from typing import Any
 import numpy as np
 import polars as pl
 
-from astray.agents.folder import AGENT, CARD, CONFIG, DEVIATION, AgentFolder, made, see_new
 from astray.analysis.outcomes import load_shift, outcomes_of
 from astray.analysis.pages import templates
-from astray.analysis.pretrained import PRETRAINED
 from astray.analysis.results import Result
-from astray.analysis.runs import evaluate_runs, open_run, reward_deviation, shift_of
+from astray.analysis.runs import evaluate_runs, open_run, shift_of
 from astray.analysis.tables import write_table
 from astray.estimate import Estimate
 from astray.experiments import catalogue
@@ -24,6 +22,16 @@ from astray.experiments.videos import write_video
 from astray.files import write_aside
 from astray.training import checkpoint
 from astray.training.config import Config
+from astray.training.folders import (
+    AGENT,
+    CARD,
+    CONFIG,
+    DEVIATION,
+    PRETRAINED,
+    AgentFolder,
+    made,
+    see_new,
+)
 
 LARGEST = 3_000_000  # bytes of an agent that is kept
 POINTS = 300  # of its curve, at most
@@ -56,8 +64,8 @@ def keep(
         there = aside / "checkpoints" / f"{source.steps}"
         there.mkdir(parents=True, exist_ok=True)
         shutil.copyfile(agent.path, there / AGENT)
-        settings = source.settings()
-        if (deviation := reward_deviation(agent, config)) is not None:
+        settings = source.noted()
+        if (deviation := source.deviation()) is not None:
             settings[DEVIATION] = deviation
         write_aside(aside / CONFIG, json.dumps(settings, indent=2).encode())
         draw_curve(source.path, config, source.steps, aside)

@@ -19,6 +19,7 @@ from astray.experiments.spec import SPREADS, Plan, Test, Work
 from astray.report.claims import rounded
 from astray.training import checkpoint
 from astray.training.config import Config
+from astray.training.folders import read_config
 
 AGENTS = "sampled"
 LONGEST = 120  # steps of an episode that are recorded
@@ -100,7 +101,7 @@ def curves(work: Work) -> pl.DataFrame:
     tables = []
     for name, runs in work.runs.items():
         for run in runs:
-            config = checkpoint.read_config(run)
+            config = read_config(run)
             table = pl.DataFrame(checkpoint.metrics(run), infer_schema_length=None)
             tables.append(
                 table.with_columns(

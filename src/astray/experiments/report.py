@@ -14,12 +14,12 @@ from typing import TYPE_CHECKING, Any
 
 import polars as pl
 
-from astray.analysis import pretrained
 from astray.analysis.pages import templates
 from astray.analysis.tables import write_table
 from astray.bounds import shown
 from astray.files import read, remove_left, write_aside
 from astray.report.claims import Claim
+from astray.training import folders
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -42,7 +42,7 @@ class Scene:
     @property
     def command(self) -> str:
         """That opens it in the lab."""
-        run = shlex.quote(pretrained.name_of(Path(self.run)))
+        run = shlex.quote(folders.name_of(Path(self.run)))
         return f"astray lab {run} --variant {self.variant} --level {self.level}"
 
 

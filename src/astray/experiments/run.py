@@ -17,8 +17,6 @@ import polars as pl
 import torch
 
 from astray import provenance
-from astray.agents.folder import AgentFolder
-from astray.analysis import pretrained
 from astray.analysis.outcomes import load_shift
 from astray.bounds import brief
 from astray.experiments import catalogue, labs, report
@@ -39,8 +37,9 @@ from astray.experiments.workers import expected, train_all
 from astray.files import hold, see_free, write_aside
 from astray.game import OWN
 from astray.report.claims import corrected
-from astray.training import checkpoint
+from astray.training import checkpoint, folders
 from astray.training.config import Config, Tracking
+from astray.training.folders import AgentFolder
 from astray.training.teacher import give
 
 ALL = "all"  # experiments of a size
@@ -172,12 +171,12 @@ def published_run(agent: str) -> Path:
 
     ValueError with what to do where it is not here.
     """
-    if agent not in (*pretrained.names(), *pretrained.imported()):
+    if agent not in folders.names():
         raise ValueError(
             f"the published agent {agent} is not here; to bring it: astray agents fetch {agent}, "
             f"and the pictures that it sees: astray art import"
         )
-    return pretrained.find(agent)
+    return folders.find(agent)
 
 
 def reproduce_each(
@@ -237,7 +236,7 @@ def note(plan: Plan, runs: Runs, folder: Path, experiment: Experiment) -> str:
         "visited": {name: asdict(test) for name, test in plan.visited.items()},
         "levels": plan.levels,
         "measures": list(plan.measures),
-        "pretrained": [agent_digest(pretrained.find(name)) for name in pretrained.names()],
+        "pretrained": [agent_digest(folders.find(name)) for name in folders.pretrained()],
         "resolved": resolved(plan),
         "sources": provenance_of(plan.agents.values(), play, plan.measures, experiment.find, study),
     }

@@ -65,7 +65,7 @@ def along(
 ) -> Course:
     """Play an agent's episode in a level, and tell what it made of every step.
 
-    deviation  what rewards were divided by in its training (`analysis.runs.reward_deviation`):
+    deviation  what rewards were divided by in its training (`AgentFolder.deviation`):
                values are of such rewards, and then advantages, too; None: of rewards as they are
     marks  functions of states that are true or false, as whether a coin is in view; None: those of
            the game's labels that are

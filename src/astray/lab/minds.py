@@ -10,9 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from astray.analysis import pretrained
 from astray.analysis.critic import judge, observe, visit
-from astray.analysis.runs import open_run, reward_deviation, shift_of
+from astray.analysis.runs import open_run, shift_of
 from astray.analysis.trained import Agent
 from astray.game import Game, Variant, knobs
 from astray.insight.activations import layers
@@ -20,7 +19,9 @@ from astray.insight.fields import effects
 from astray.lab import steering
 from astray.lab.messages import Message
 from astray.lab.worlds import World
+from astray.training import folders
 from astray.training.config import Config
+from astray.training.folders import AgentFolder
 
 AT_ONCE = 64  # places whose arrows are computed together, and sent
 FIRST_VISITED, VISITED, EACH = 900_000, 150, 4  # levels whose states probes are fitted in
@@ -43,9 +44,7 @@ class Minds:
     @classmethod
     def of(cls, runs: Mapping[str, Path]) -> Minds:
         """`runs` by name, and all agents that have a name."""
-        named = {
-            name: pretrained.find(name) for name in (*pretrained.names(), *pretrained.imported())
-        }
+        named = {name: folders.find(name) for name in folders.names()}
         return cls(named | dict(runs))
 
     def open(self, name: str) -> tuple[Agent, Config]:
@@ -107,7 +106,7 @@ class Minds:
             "observation": agent.observation, "art": agent.art, "network": config.network,
             "knobs": _knobs(config, game), "steps": config.steps,
             "gamma": config.gamma, "lam": config.lam, "seed": agent.seed,
-            "reward_deviation": reward_deviation(agent, config),
+            "reward_deviation": AgentFolder.of(agent.path).deviation(),
             "layers": {name: list(shape) for name, shape in layers(agent).items()},
         }  # fmt: skip
 

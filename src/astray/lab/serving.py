@@ -7,10 +7,10 @@ from pathlib import Path
 from typing import Any
 
 from astray import games
-from astray.analysis import pretrained
 from astray.bounds import of_kind
 from astray.lab.minds import Minds
 from astray.lab.session import Lab
+from astray.training import folders
 
 FIRST = "maze-corner"  # of the agents, where nobody says which
 
@@ -24,10 +24,9 @@ def make_lab(agent: str | Path | None, start: Mapping[str, Any]) -> Lab:
     runs: dict[str, Path] = {}
     name = ""
     if agent is not None:
-        path = pretrained.run_of(Path(agent))
-        named = {pretrained.find(n): n for n in (*pretrained.names(), *pretrained.imported())}
-        name = named.get(path, str(agent))
-        if path not in named:
+        path = Path(agent)
+        name = folders.name_of(path)
+        if name == str(path) and (path.exists() or name not in folders.names()):
             runs[name] = path
     minds = Minds.of(runs)
     if not name:

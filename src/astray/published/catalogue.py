@@ -12,11 +12,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
-from astray.agents.folder import see_new
-from astray.analysis import pretrained
 from astray.files import hold, read
 from astray.published.download import LARGEST, digest_of, download
 from astray.published.imported import Known, import_agent, known_as
+from astray.training import folders
 
 DOWNLOADS, RESULTS = "downloads", "results"  # in the folder of imported agents
 
@@ -118,14 +117,14 @@ def fetch(one: Published, *, unchecked: bool = False) -> Path:
             f"no digest of {one.name} is known, so what comes cannot be checked; to take it as it "
             f"is: astray agents fetch {one.name} --unchecked"
         )
-    home = pretrained.folder()
+    home = folders.home()
     if one.kind == "results":
         to = home / RESULTS / f"{one.name}.csv"
         download(one.address, to, size=one.size, digest=one.digest)
         return to
     home.mkdir(parents=True, exist_ok=True)
     with hold(home, "fetches an agent to"):  # also until it is imported: the file is one for all
-        see_new(one.name, pretrained.PRETRAINED, home)
+        folders.see_new(one.name)
         file = home / DOWNLOADS / one.file
         download(one.address, file, size=one.size, digest=one.digest)
         try:
@@ -140,7 +139,7 @@ def results_file(name: str) -> Path:
     Raises ValueError, with the remedy, where it is not there or is not what was published.
     """
     one = find(name)
-    path = pretrained.folder() / RESULTS / f"{one.name}.csv"
+    path = folders.home() / RESULTS / f"{one.name}.csv"
     if not path.is_file():
         raise ValueError(f"the table {name} is not here; to bring it: astray agents fetch {name}")
     if one.digest and digest_of(read(path, LARGEST), one.digest) != one.digest:

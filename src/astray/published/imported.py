@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -21,20 +21,18 @@ from jinja2 import TemplateError
 
 from astray import games
 from astray.agents import policy
-from astray.agents.folder import AGENT, CARD, CONFIG, ORIGIN, AgentFolder, made, see_new
 from astray.agents.importers import files
 from astray.agents.importers.imported import Imported
-from astray.analysis import pretrained
 from astray.analysis.pages import templates
 from astray.bounds import shown
-from astray.files import read, write_aside
+from astray.files import write_aside
 from astray.record import LEVELS
-from astray.training import checkpoint
+from astray.training import folders
 from astray.training.config import PRESETS, Config
+from astray.training.folders import AGENT, CONFIG, ORIGIN, AgentFolder, made, read_json
 from astray.training.older import RENAMED
 
 CHECKS = "checks.json"
-LARGEST = 2**20  # bytes of each of these
 SPARED = 1_000_000  # numbers after the training levels, where all levels were trained on
 
 
@@ -68,7 +66,7 @@ def import_agent(file: Path, name: str, known: Known, *, expected: str | None = 
     Raises ValueError where the file is refused, the name is none or taken, or it is not known
     what the agent was trained on.
     """
-    see_new(name, pretrained.PRETRAINED, pretrained.folder())
+    folders.see_new(name)
     digest = files.digest(file)
     if expected and digest != expected:
         raise ValueError(f"{file} is refused: its SHA-256 is {digest}, not {expected}")
@@ -81,7 +79,7 @@ def import_agent(file: Path, name: str, known: Known, *, expected: str | None = 
         "source": known.source, "licence": known.licence, "about": known.about,
         "facts": known.facts, "file_says": dict(found.told),
     }  # fmt: skip
-    with made(pretrained.folder(), name) as aside:
+    with made(folders.home(), name) as aside:
         there = aside / "checkpoints" / f"{known.steps or 0}"
         there.mkdir(parents=True)
         weights = policy.weights(found.network, found.architecture, config.game)
@@ -89,29 +87,7 @@ def import_agent(file: Path, name: str, known: Known, *, expected: str | None = 
         _write(aside / CONFIG, {"config": config.to_json()})
         _write(aside / ORIGIN, origin)
         write_card(aside, name)
-    return pretrained.folder() / name
-
-
-def origin(run: Path) -> dict[str, Any]:
-    """What `origin.json` of an imported agent says.
-
-    Raises ValueError where it is not as `import_agent` writes it.
-    """
-    return _read(run / ORIGIN, dict, ("file", "sha256", "format", "settings_told", "file_says"))
-
-
-def _read(path: Path, kind: type, names: Sequence[str] = ()) -> Any:
-    """What is in a file of an imported agent: JSON of that kind, with these names."""
-    try:
-        data = json.loads(read(path, LARGEST))
-    except (ValueError, RecursionError) as error:
-        raise ValueError(f"{path} is no JSON: {error}") from error
-    missing = [name for name in names if not isinstance(data, dict) or name not in data]
-    if not isinstance(data, kind) or missing:
-        raise ValueError(
-            f"{path} must be a {kind.__name__} with {', '.join(names) or 'rows'}; got {shown(data)}"
-        )
-    return data
+    return folders.home() / name
 
 
 def write_checks(run: Path, checks: list[dict[str, Any]]) -> None:
@@ -122,12 +98,11 @@ def write_checks(run: Path, checks: list[dict[str, Any]]) -> None:
 
 def write_card(run: Path, name: str) -> None:
     """Write `README.md` of the agent in `run`."""
-    config = checkpoint.read_config(run)
-    network, architecture = policy.load(AgentFolder.open(run).weights, config.game)
-    checks = run / CHECKS
+    its, checks = AgentFolder.open(run), run / CHECKS
+    config, said = its.config(), its.origin()
+    network, architecture = policy.load(its.weights, config.game)
     environment = templates("astray.published", markdown=True)
     environment.filters["cell"] = _cell
-    said = origin(run)
     try:
         told = [str(RENAMED.get(key, key)) for key in said["settings_told"]]  # of an older version
         text = environment.get_template("card.md").render(
@@ -138,11 +113,11 @@ def write_card(run: Path, name: str) -> None:
             weights=sum(p.numel() for p in network.parameters()),
             trained_on=config.training_variant().about,
             settings={key: getattr(config, key) for key in told},
-            checks=_read(checks, list) if os.path.lexists(checks) else [],
+            checks=read_json(checks, list) if os.path.lexists(checks) else [],
         )
     except (TemplateError, AttributeError, TypeError) as error:
         raise ValueError(f"{run} has {ORIGIN} or {CHECKS} as astray does not: {error}") from error
-    write_aside(run / CARD, text.encode())
+    write_aside(its.card, text.encode())
 
 
 def _cell(value: Any) -> str:

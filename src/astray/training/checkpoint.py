@@ -27,8 +27,7 @@ from safetensors.torch import save as to_bytes
 
 from astray import provenance
 from astray.agents import policy
-from astray.agents.folder import AGENT, LARGEST_CONFIG, TRAINER, latest, steps_saved
-from astray.bounds import brief, shown
+from astray.bounds import brief
 from astray.files import (
     aside_of,
     folder_aside,
@@ -44,6 +43,7 @@ from astray.files import (
 )
 from astray.training import parallel
 from astray.training.config import Config
+from astray.training.folders import AGENT, CONFIG, TRAINER, latest, read_config, steps_saved
 from astray.training.log import METRICS, read_metrics
 from astray.training.trainer import Trainer
 
@@ -63,7 +63,7 @@ def claim(folder: Path, config: Config, wait: bool = False) -> Iterator[None]:
         parallel.wait()
         yield
         return
-    path, there = folder / "config.json", folder / "checkpoints"
+    path, there = folder / CONFIG, folder / "checkpoints"
     begun = False
     try:
         made = make_folder(folder)
@@ -120,20 +120,6 @@ def _compare(there: Config, here: Config, what: str) -> None:
     differ = [f"{n} is {one[n]!r} there, {two[n]!r} here" for n in two if one[n] != two[n]]
     if differ:
         raise ValueError(f"{what}: {', '.join(differ)}")
-
-
-def read_config(folder: Path) -> Config:
-    """The settings of the run in `folder`."""
-    path = folder / "config.json"
-    try:
-        data = json.loads(read(path, LARGEST_CONFIG))
-        if not isinstance(data, dict) or "config" not in data:
-            raise ValueError(f"it must be an object with 'config'; got {shown(data)}")
-        return Config.from_json(data["config"])
-    except FileNotFoundError:
-        raise FileNotFoundError(f"{folder} is not a run: it has no config.json") from None
-    except (ValueError, KeyError, TypeError, RecursionError, OverflowError) as error:
-        raise ValueError(f"{path} is not the settings of a run: {error}") from error
 
 
 def save(folder: Path, trainer: Trainer) -> None:

@@ -25,6 +25,7 @@ from astray.files import make_folder, read, remove_empty, remove_made, see_own, 
 from astray.record import trusted
 from astray.training import ppo
 from astray.training.config import Config
+from astray.training.folders import CONFIG
 from astray.training.player import Rollout
 from astray.training.ppo import Samples
 
@@ -47,7 +48,7 @@ def teaching(weights: Path, run: Path) -> Iterator[None]:
     try:
         yield
     except BaseException:
-        if not (run / "config.json").exists():
+        if not (run / CONFIG).exists():
             (run / TEACHER).unlink(missing_ok=True)
             if missing:
                 remove_empty(run)

@@ -9,7 +9,7 @@ import numpy as np
 import polars as pl
 
 from astray.agency.measure import CALIBRATED
-from astray.analysis import pretrained, video
+from astray.analysis import video
 from astray.analysis.agency import Judgement, judge, play, posterior_video
 from astray.analysis.estimates import group_means
 from astray.analysis.outcomes import FAILED, INTENDED, MISGENERALIZED, OUTCOMES, load_shift
@@ -22,6 +22,7 @@ from astray.experiments.spec import Experiment, Plan, Test, Work
 from astray.experiments.studies.maze import _figures
 from astray.game import Variant
 from astray.report.claims import Claim, above, rounded
+from astray.training import folders
 from astray.training.config import PRESETS
 
 MOUSE, OURS = "mouse of 160 million steps", "our mouse of the corner"
@@ -128,7 +129,7 @@ def judge_control(work: Work) -> tuple[Judgement, tuple[Any, ...]]:
 
 def judge_pretrained() -> tuple[Judgement, tuple[Any, ...]]:
     """As `judge_control`, of the mouse of the corner that comes with astray."""
-    agent, config = open_run(pretrained.find("maze-corner"))
+    agent, config = open_run(folders.find("maze-corner"))
     shift = shift_of(config)
     test = load_shift("maze", shift).test
     variant = config.variant_for(test)

@@ -11,7 +11,6 @@ import numpy as np
 import polars as pl
 
 from astray import games
-from astray.analysis import pretrained
 from astray.analysis.evaluate import evaluate
 from astray.analysis.outcomes import MISGENERALIZED, label, load_shift
 from astray.analysis.policies import Walk
@@ -37,6 +36,7 @@ from astray.mitigation.doubt import (
 from astray.mitigation.helped import AFTER, MOMENTS, Watch
 from astray.mitigation.oversight import Trial, area, least_gain, net_returns, when_asked
 from astray.report.claims import Claim, rounded
+from astray.training import folders
 
 MOUSE, RUNNER = "mouse", coin.RUNNER
 PRETRAINED = {MOUSE: "maze-corner", RUNNER: "coin-end"}  # the agents that come with astray
@@ -65,7 +65,7 @@ class Novice:
 
 def novice_runs(work: Work) -> Runs:
     """The run folders of the novices: published agents, or those that come with astray."""
-    return work.runs or {name: [pretrained.find(agent)] for name, agent in PRETRAINED.items()}
+    return work.runs or {name: [folders.find(agent)] for name, agent in PRETRAINED.items()}
 
 
 def novices(work: Work, name: str) -> list[Novice]:

@@ -1,0 +1,241 @@
+"""The folders of agents, whether trained here, pretrained, imported or pulled, and their names.
+
+config.json                             the settings of its training
+README.md                               its card, of an agent that was kept, imported or pulled
+origin.json, hub.json                   where it came from, if it was brought from elsewhere
+checkpoints/<steps>/agent.safetensors   its weights
+checkpoints/<steps>/trainer.safetensors what else its training needs to go on
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import json
+import os
+import re
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import platformdirs
+from safetensors import SafetensorError, safe_open
+
+from astray import agents
+from astray.bounds import finite, shown
+from astray.files import folder_aside, read, see_readable
+from astray.training.config import Config
+
+PRETRAINED = Path(agents.__path__[0]) / "pretrained"  # also in wheels
+CONFIG, CARD, ORIGIN, HUB = "config.json", "README.md", "origin.json", "hub.json"
+AGENT, TRAINER = "agent.safetensors", "trainer.safetensors"
+DEVIATION = "reward_deviation"  # beside the settings of an agent that was kept
+# Of discounted returns: mean, variance and count, in what a training goes on from.
+MOMENTS = "training.moments"
+LARGEST = 2**20  # bytes of a file of JSON
+STEPS = re.compile(r"0|[1-9][0-9]{0,17}")  # names of checkpoints
+NAME = re.compile(r"[a-z0-9]+(-[a-z0-9]+)*")
+
+
+@dataclass(frozen=True)
+class AgentFolder:
+    """An agent in a folder: where all that is known of it lies.
+
+    path     of the folder
+    weights  the file of one of its checkpoints
+    """
+
+    path: Path
+    weights: Path
+
+    @classmethod
+    def open(cls, agent: str | Path) -> AgentFolder:
+        """Return the last agent of a run folder, that of a checkpoint in one, or one by its name.
+
+        Raises FileNotFoundError where there is none.
+        """
+        run, name = Path(agent), str(agent)
+        if not run.exists() and name in names():
+            run = find(name)
+        if (run / CONFIG).exists():
+            return cls(run, latest(run) / AGENT)
+        if (run.parent.parent / CONFIG).exists():
+            return cls(run.parent.parent, run / AGENT)
+        found = "neither a run folder nor a checkpoint in one"
+        if run.exists() or len(run.parts) != 1:
+            raise FileNotFoundError(f"{run} is {found}")
+        there = ", ".join(names()) or "none yet"
+        raise FileNotFoundError(f"unknown agent {name!r}, which is {found}; there are: {there}")
+
+    @classmethod
+    def of(cls, weights: Path) -> AgentFolder:
+        """Return the folder that a file of weights lies in."""
+        return cls(weights.parents[2], weights)
+
+    @property
+    def steps(self) -> int:
+        return int(self.weights.parent.name)
+
+    @property
+    def is_foreign(self) -> bool:
+        """Whether it was imported or pulled."""
+        return (self.path / ORIGIN).exists() or (self.path / HUB).exists()
+
+    @property
+    def card(self) -> Path:
+        return self.path / CARD
+
+    def config(self) -> Config:
+        """Return the settings of its training, as `read_config` does."""
+        return read_config(self.path)
+
+    def noted(self) -> dict[str, Any]:
+        """Return what `config.json` holds: "config", and what was noted beside it."""
+        return json.loads(read(self.path / CONFIG, LARGEST))
+
+    def origin(self) -> dict[str, Any]:
+        """Return what `origin.json` of an imported agent says.
+
+        Raises ValueError where it is not as `published.imported.import_agent` writes it.
+        """
+        told = ("file", "sha256", "format", "settings_told", "file_says")
+        return read_json(self.path / ORIGIN, dict, told)
+
+    def deviation(self) -> float | None:
+        """Return what rewards were divided by when the agent was saved; None: nobody knows.
+
+        Its values are of rewards so divided. A training's last two checkpoints tell by what, and
+        so does the folder of an agent that was kept from one of them. None also where they were
+        divided by nothing.
+        """
+        if not self.config().normalise_reward:
+            return None
+        try:
+            trainer = self.weights.with_name(TRAINER)
+            deviation = _of_moments(trainer) if trainer.exists() else self.noted()[DEVIATION]
+            finite(DEVIATION, deviation, 0)
+        except (SafetensorError, OSError, TypeError, ValueError, KeyError):
+            return None
+        return deviation or None
+
+    def digest(self) -> str:
+        """Return the SHA-256 of its weights' file."""
+        return hashlib.sha256(read(self.weights)).hexdigest()
+
+
+def _of_moments(trainer: Path) -> float:
+    from astray.training.ppo import RewardNormaliser  # here, as torch takes two seconds to import
+
+    see_readable(trainer)
+    with safe_open(trainer, "numpy") as file:
+        _, variance, _ = file.get_tensor(MOMENTS).tolist()
+    return float(1 / RewardNormaliser(1, clip=np.inf, variance=variance).scaled(np.ones(1))[0])
+
+
+def read_config(run: Path) -> Config:
+    """Return the settings of the run in a folder.
+
+    Raises FileNotFoundError where there is none, ValueError where its settings cannot be read.
+    """
+    path = run / CONFIG
+    try:
+        return Config.from_json(read_json(path, dict, ("config",))["config"])
+    except FileNotFoundError:
+        raise FileNotFoundError(f"{run} is not a run: it has no {CONFIG}") from None
+    except (ValueError, KeyError, TypeError, RecursionError, OverflowError) as error:
+        raise ValueError(f"{path} is not the settings of a run: {error}") from error
+
+
+def read_json(path: Path, kind: type, names: Sequence[str] = ()) -> Any:
+    """Return what is in a file of JSON, of that `kind`, with these `names`; else ValueError."""
+    try:
+        data = json.loads(read(path, LARGEST))
+    except (ValueError, RecursionError) as error:
+        raise ValueError(f"{path} is no JSON: {error}") from error
+    missing = [name for name in names if not isinstance(data, dict) or name not in data]
+    if not isinstance(data, kind) or missing:
+        raise ValueError(
+            f"{path} must be a {kind.__name__} with {', '.join(names) or 'rows'}; got {shown(data)}"
+        )
+    return data
+
+
+def steps_saved(folder: Path) -> list[int]:
+    """The steps of all checkpoints, ascending."""
+    found = (path for path in (folder / "checkpoints").glob("[0-9]*") if path.is_dir())
+    return sorted(int(path.name) for path in found if STEPS.fullmatch(path.name))
+
+
+def latest(folder: Path) -> Path:
+    """The last checkpoint of the run in `folder`."""
+    steps = steps_saved(folder)
+    if not steps:
+        raise FileNotFoundError(f"{folder} has no checkpoint")
+    return folder / "checkpoints" / f"{steps[-1]}"
+
+
+def home() -> Path:
+    """Where imported agents are: the environment's ASTRAY_AGENTS, else the user's data folder."""
+    chosen = os.environ.get("ASTRAY_AGENTS")
+    return Path(chosen) if chosen else platformdirs.user_data_path("astray", False) / "agents"
+
+
+def pretrained() -> list[str]:
+    """Return the names of the agents that come with astray."""
+    return _names(PRETRAINED)
+
+
+def imported() -> list[str]:
+    """Return the names of all imported and pulled agents."""
+    return _names(home())
+
+
+def names() -> list[str]:
+    """Return the names of all agents that verbs find by their names."""
+    return [*pretrained(), *imported()]
+
+
+def find(name: str) -> Path:
+    """The run folder of a pretrained or imported agent."""
+    for one in (PRETRAINED, home()):
+        if name in _names(one):
+            return one / name
+    raise ValueError(f"unknown agent {name!r}; there are: {', '.join(names()) or 'none yet'}")
+
+
+def name_of(run: Path) -> str:
+    """Return the name by which verbs find the agent in a folder; else the path."""
+    return run.name if run.name in names() and find(run.name) == run else str(run)
+
+
+def see_new(name: str, *homes: Path) -> None:
+    """ValueError where this is no name of an agent, or one of `homes` has an agent of that name.
+
+    homes  none: those in which verbs find agents
+    """
+    if not isinstance(name, str) or not NAME.fullmatch(name):
+        raise ValueError(
+            f"an agent's name must be of a-z, 0-9 and -, as maze-corner; got {shown(name)}"
+        )
+    for one in homes or (PRETRAINED, home()):
+        if (one / name).exists():
+            raise ValueError(f"there is an agent {name!r} already, in {one / name}")
+
+
+@contextlib.contextmanager
+def made(home: Path, name: str) -> Iterator[Path]:
+    """A new folder that becomes `home`/`name` when it is whole; nothing is left if it was not."""
+    see_new(name, home)
+    with folder_aside(home / name) as aside:
+        yield aside
+        try:
+            os.replace(aside, home / name)
+        except OSError:
+            see_new(name, home)  # somebody was faster
+            raise
+
+
+def _names(home: Path) -> list[str]:
+    return sorted(path.parent.name for path in home.glob(f"[!.]*/{CONFIG}"))
