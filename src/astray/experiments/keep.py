@@ -57,7 +57,7 @@ def keep(
     agent, config = open_run(run)
     if (size := agent.path.stat().st_size) > largest:
         raise ValueError(
-            f"the agent is {size / 1e6:.1f} MB; one that is kept is at most {largest / 1e6:g} MB"
+            f"the agent is {size / 1e6:.1f} MB; a pretrained one is at most {largest / 1e6:g} MB"
         )
     source, named = AgentFolder.of(agent.path), shift or shift_of(config)
     with made(folder, name) as aside:
