@@ -1,4 +1,4 @@
-"""All settings of a training."""
+"""The settings of a training."""
 
 from __future__ import annotations
 
@@ -30,28 +30,34 @@ RECORDS = {"sampler": Sampling, "fast": Fast}  # settings that hold several
 
 
 class LeftOut(UserWarning):
-    """Knobs of a training that the levels it is tested in do not have."""
+    """Warning that test levels lack some knobs of the training."""
 
 
 @dataclass(frozen=True)
 class Config:
     """Settings of a training by PPO. The defaults are those of the preset `small`.
 
-    `PRESETS` has others: `replace(PRESETS["paper"], game="maze", variant="corner")`. Where the
-    paper's text and its code differ, that preset follows what was run: minibatches of 8,192 (the
-    text has 2,048, for each of 4 workers), a learning rate annealed linearly to 0, rewards
-    normalised with a discount of their own. One departure: an episode cut by the time limit is
-    bootstrapped; `timeouts="terminate"` is the original's treatment.
+    `PRESETS` has others, such as `replace(PRESETS["paper"], game="maze", variant="corner")`. Where
+    the paper's text and code differ, that preset follows the code: minibatches of 8,192 (the text:
+    2,048 for each of 4 workers), a learning rate annealed linearly to 0, and rewards normalised
+    with a discount of their own. One departure: an episode cut by the time limit is bootstrapped;
+    `timeouts="terminate"` is the original's treatment.
 
-    A `Game`, a `Variant` and the name of a sampler are taken, too: the settings hold the name of
-    the first two, with the knobs in which the variant differs, and a `Sampling` of that kind.
+    A `Game`, a `Variant` and the name of a sampler are accepted too. The settings then store names
+    and changed knobs, and a `Sampling` of that kind.
 
-    Raises ValueError where a setting is of another type, out of its bounds or at odds with others.
+    Examples:
+        >>> config = astray.Config("maze", "corner-small", levels=1000)
+        >>> config.batch, config.milestones[0]
+        (16384, 21484)
+
+    Raises:
+        ValueError: If a setting has another type, is out of its bounds, or contradicts others.
     """
 
     game: Positional[Named] = "maze"  # Name of the game.
     variant: Positional[Named] = "corner"  # Name of the variant to train on.
-    # Of the variant, changed.
+    # Changed knobs of the variant.
     knobs: Annotated[dict[str, Any], Suppress] = field(default_factory=dict)
     # Variant that is played during training and never learned from.
     validation: Annotated[Named | None, otherwise("none")] = None
@@ -85,7 +91,7 @@ class Config:
     entropy_weight: float = 0.003  # Weight of the entropy bonus.
     gradient_norm: float = 0.5  # Largest norm of the gradient of all parameters.
     normalise_reward: bool = True  # Divide rewards by the deviation of discounted returns.
-    # Discount of the returns that rewards are divided by the deviation of.
+    # Discount of the returns whose deviation divides the rewards.
     reward_gamma: float = 0.99
     normalise_advantage: bool = True  # Normalise advantages over the whole rollout.
     # Treatment of an episode that the time limit cuts: bootstrap its value, or take it as ended.
@@ -94,7 +100,7 @@ class Config:
     loss: Annotated[str | None, otherwise("PPO's")] = None
     # Name of the agent that this one is distilled from, or "solver": the game's exact one.
     teacher: Annotated[str | None, otherwise("none")] = None
-    # Part of the steps in which the teacher is asked; after that rewards alone teach.
+    # Fraction of the steps in which the teacher is asked; afterwards rewards alone teach.
     taught: float = 1.0
 
     validation_every: int = 10  # Number of iterations from one validation to the next.
@@ -145,7 +151,7 @@ class Config:
             self.validation_variant()
 
     def _take_objects(self) -> None:
-        """Put names, knobs and records in the place of the objects and words that were given."""
+        """Replace objects by the names, knobs and records that stand for them."""
         given: dict[str, Any] = {}
         if isinstance(self.game, Game):
             given["game"] = name_of_game(self.game)
@@ -168,7 +174,7 @@ class Config:
 
     @property
     def batch(self) -> int:
-        """Samples per iteration."""
+        """Number of samples per iteration."""
         return self.num_envs * self.num_steps
 
     @property
@@ -177,7 +183,7 @@ class Config:
 
     @property
     def milestones(self) -> list[int]:
-        """Steps whose agents are kept: ten evenly spaced, and before the first, ever doubling."""
+        """Steps of the agents that are kept: doubling at first, then every tenth part."""
         return [self.steps >> k for k in range(8, 3, -1)] + [
             self.steps * k // 10 for k in range(1, 11)
         ]
@@ -188,26 +194,27 @@ class Config:
 
     @property
     def unseen_levels(self) -> range:
-        """All numbers after the training levels."""
+        """All level numbers after the training levels."""
         return range(self.training_levels.stop, LEVELS.stop)
 
     def find_game(self) -> Game:
-        """The game that is played."""
+        """Return the game that is played."""
         return games.find(self.game)
 
     def code(self) -> list[object]:
-        """Return what agents of these settings rest on: the game, and others' classes."""
+        """Return the code that such agents depend on: the game, and custom classes."""
         named = (self.network, self.loss or "", self.sampler.kind)
         return [self.find_game(), *(imports.find(name) for name in named if imports.is_name(name))]
 
     def training_variant(self) -> Variant:
-        """The variant to train on."""
+        """Return the variant to train on."""
         return self.variant_for(self.variant)
 
     def intended_goal(self) -> str:
-        """The goal that the shifts of the training variant mean, or else of the validation's.
+        """Return the intended goal of the training variant's shifts, or else of the validation's.
 
-        Raises ValueError where none of the game's shifts has either.
+        Raises:
+            ValueError: If none of the game's shifts has either variant.
         """
         shifts = self.find_game().shifts.values()
         for variant in (self.variant, self.validation):
@@ -221,20 +228,21 @@ class Config:
         )
 
     def validation_variant(self) -> Variant:
-        """The variant that is played during training and never learned from."""
+        """Return the variant that is played during training without learning."""
         assert self.validation is not None
         return self.variant_for(self.validation)
 
     def variant_for(
         self, variant: str | Variant, changes: Mapping[str, Any] | None = None
     ) -> Variant:
-        """Return a variant for these agents, with some more `changes` of its knobs.
+        """Return a variant for these agents, with further `changes` of its knobs.
 
-        The knobs of one that is given by its name are changed as those of the training variant
-        were, where the two were alike; but those that it cannot have, as a region where cheese is
-        anywhere, change the training alone: see `left_out`.
+        A variant given by name also takes the knobs that were changed in training, wherever the
+        two agreed before. Knobs that it cannot have are dropped, such as a region where cheese is
+        anywhere: see `left_out`.
 
-        Raises ValueError where it cannot have `changes`.
+        Raises:
+            ValueError: If it cannot have `changes`.
         """
         found = self.find_game().variant(variant)
         if isinstance(variant, Variant):
@@ -244,7 +252,7 @@ class Config:
     def played_variant(
         self, variant: str | Variant, changes: Mapping[str, Any] | None = None
     ) -> Variant:
-        """As `variant_for`, with a warning of the training's knobs that are left out of it."""
+        """Return the result of `variant_for`, and warn of the training's dropped knobs."""
         made = self.variant_for(variant, changes)
         if left := self.left_out(variant, changes or {}):
             told = ", ".join(f"{name}={value}" for name, value in left.items())
@@ -258,7 +266,7 @@ class Config:
         return made
 
     def left_out(self, variant: str | Variant, changes: Mapping[str, Any]) -> dict[str, Any]:
-        """Return the training's knobs that the variant for these agents has otherwise."""
+        """Return the training's knobs that `variant_for` drops."""
         made = self.variant_for(variant, changes)
         return {
             name: value
@@ -267,7 +275,7 @@ class Config:
         }
 
     def knobs_for(self, name: str, changes: Mapping[str, Any]) -> dict[str, Any]:
-        """What `variant_for` changes: `changes`, and as many of the training's as go with them."""
+        """Return `changes` and those of the training's knobs that are compatible with them."""
         if name == self.variant:
             return {**self.knobs, **changes}
         game = self.find_game()
@@ -282,11 +290,11 @@ class Config:
 
     @staticmethod
     def names() -> list[str]:
-        """Return the names of all settings, those of records beside the others."""
+        """Return the names of all settings, including those in nested records."""
         return list(SMALL.flat())
 
     def flat(self) -> dict[str, Any]:
-        """Return all settings by name, as files and tables have them: none holds several."""
+        """Return all settings by name in one flat mapping, as in files and tables."""
         found: dict[str, Any] = {}
         for one in fields(self):
             value = getattr(self, one.name)
@@ -298,9 +306,10 @@ class Config:
         return found
 
     def changed(self, **settings: Any) -> Config:
-        """Return these settings with some changed, by their names in `flat`.
+        """Return the settings with some changed, by their names in `flat`.
 
-        Raises ValueError where there is no such setting, or it cannot be that.
+        Raises:
+            ValueError: If there is no such setting, or the value is invalid.
         """
         own = {f.name for f in fields(self)} - set(RECORDS)
         values = {name: value for name, value in settings.items() if name in own}
@@ -317,14 +326,15 @@ class Config:
         return replace(self, **values)
 
     def to_json(self) -> dict[str, Any]:
-        """Return all settings, and the variant written out."""
+        """Return all settings, with the variant written out."""
         return self.flat() | {"training_variant": asdict(self.training_variant())}
 
     @staticmethod
     def from_json(data: Any) -> Config:
-        """Return the settings that `to_json` wrote, also those of older versions.
+        """Return the settings that `to_json` wrote, also in older versions.
 
-        Raises ValueError where it did not, or a later version did.
+        Raises:
+            ValueError: If they are invalid or of a later version.
         """
         values = older.settings(data)
         unknown = [name for name in values if name not in Config.names()]

@@ -1,7 +1,7 @@
-"""Which level comes next in a training: what a sampler is, and levels mixed with a share.
+"""Samplers: which level comes next in a training.
 
-"uniform" is none of these: then the environments draw their levels themselves, as everywhere.
-`training.replay` has those that look for levels to learn from.
+With "uniform" there is no sampler: the environments draw their levels themselves.
+`training.replay` has the samplers that search for levels to learn from.
 """
 
 from __future__ import annotations
@@ -21,20 +21,21 @@ from astray.record import trusted
 from astray.training.config import Config
 from astray.training.settings import Schedule
 
-SALT = 0x1E7E15  # of a sampler's draws, beside those of actions and minibatches
-FIRST = 0.1  # the part of the levels that is played first, where levels grow
-GROWS = 0.5  # the part of a training in which they do, if nothing else is said
-MEASURED = 1000  # levels at once
+SALT = 0x1E7E15  # salt of a sampler's random numbers
+FIRST = 0.1  # fraction of the levels that `Growing` begins with
+GROWS = 0.5  # default fraction of a training in which `Growing` adds levels
+MEASURED = 1000  # levels measured at once
 Arrays = Mapping[str, np.ndarray]
 
 
 @dataclass(frozen=True)
 class Plan:
-    """What the next rollout is for.
+    """Purpose of the next rollout.
 
-    learn    the network learns from it; else it is played to score levels, and forgotten
-    restart  every environment begins a new level with it
-    repeat   every environment begins one level and plays it again and again, to the next plan
+    Attributes:
+        learn: The network learns from it; otherwise it only scores levels.
+        restart: Every environment begins a new level with it.
+        repeat: Every environment repeats one level until the next plan.
     """
 
     learn: bool = True
@@ -48,12 +49,13 @@ class Plan:
 
 @dataclass(frozen=True, eq=False)
 class Played:
-    """How a rollout went, in arrays [T, N]: environment i is place i of `Sampler.next`.
+    """Results of a rollout, [T, N]; environment i is place i of `Sampler.next`.
 
-    reward      the game's own, float64
-    advantage   generalised advantage estimates, of normalised rewards, float32
-    terminated  the episode ended with this step
-    truncated   its time was up
+    Attributes:
+        reward: float64, in game points.
+        advantage: float32, generalised advantage estimates of normalised rewards.
+        terminated: bool, the episode ended with this step.
+        truncated: bool, its time was up.
     """
 
     reward: np.ndarray
@@ -63,35 +65,41 @@ class Played:
 
 
 class Sampler(Protocol):
-    """Says which level comes next, and is told what came of it.
+    """Chooser of training levels, which learns how its levels were played.
 
-    One of your own is a class that is given the training's `Config` and nothing else:
-    `train(config, folder, sampler=Mine)`, or `--sampler my_package.levels:Mine`. All that it
-    draws must follow from that and from `arrays`, for a training that is resumed to be the same.
+    A sampler is a class whose only argument is the training's `Config`: pass it as `train(config,
+    folder, sampler=Mine)` or `--sampler my_package.levels:Mine`. Its draws must depend only on
+    that and on `arrays`, so that a resumed training is the same.
+
+    Examples:
+        >>> from astray.training.levels import Mixed
+        >>> config = astray.Config("maze", "corner-small", sampler="mixed")
+        >>> Mixed(config).next(np.arange(2)).shape
+        (2,)
     """
 
     def plan(self, steps: int) -> Plan:
-        """What the next rollout is for, after `steps` environment steps were learned from."""
+        """Plan the next rollout, after `steps` environment steps of training."""
         ...
 
     def next(self, places: np.ndarray) -> np.ndarray:
-        """The levels that the environments `places` [k] begin: numbers [k] int64, or states [k]."""
+        """Return the next levels of environments `places` [k]: numbers [k] int64 or states [k]."""
         ...
 
     def note(self, played: Played) -> None:
-        """Take in how the rollout that was planned last went."""
+        """Record the results of the planned rollout."""
         ...
 
     def summary(self) -> dict[str, float]:
-        """What is logged of it, after every iteration."""
+        """Return the values to log after every iteration."""
         ...
 
     def arrays(self) -> dict[str, np.ndarray]:
-        """All that it goes on from, for a checkpoint: always the same names, shapes and types."""
+        """Return its state for a checkpoint; names, shapes and dtypes never change."""
         ...
 
     def restore(self, arrays: Arrays) -> None:
-        """Go on from what `arrays` returned; ValueError where that cannot be."""
+        """Continue from the result of `arrays`; raise ValueError if it is invalid."""
         ...
 
 
@@ -99,19 +107,19 @@ MakeSampler = Callable[[Config], Sampler]
 
 
 def stream(config: Config, turn: int) -> np.random.Generator:
-    """The random numbers of a sampler's draw number `turn`: so a checkpoint only keeps the turn."""
+    """Return the random generator of draw `turn`, so that a checkpoint stores only the turn."""
     return np.random.default_rng([config.seed, SALT, turn])
 
 
 def discounted_returns(
     reward: np.ndarray, ended: np.ndarray, gamma: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """The mean and the largest discounted return of each environment's episodes, both [N].
+    """Return each environment's mean and largest discounted episode return, both [N].
 
-    reward, ended  [T, N], of a rollout that every environment began with a new episode
+    Unfinished episodes count only in environments where no episode ended.
 
-    What an environment did after its last end does not count, as it goes on elsewhere; but where
-    no episode ended, the reward so far is its return.
+    Args:
+        reward, ended: [T, N], from a rollout in which every environment began a new episode.
     """
     steps, n = reward.shape
     running, factor = np.zeros(n), np.ones(n)
@@ -128,18 +136,18 @@ def discounted_returns(
 
 
 def positive_value_loss(advantage: np.ndarray) -> np.ndarray:
-    """The mean of the positive advantages, others as 0, of each environment: [T, N] -> [N].
+    """Return each environment's mean of max(advantage, 0), [T, N] -> [N].
 
-    What the critic did not expect to gain (Jiang et al., "Replay-Guided Adversarial Environment
-    Design", 2021).
+    This is the gain that the critic did not expect (Jiang et al., "Replay-Guided Adversarial
+    Environment Design", 2021).
     """
     return np.maximum(advantage, 0).mean(0, dtype=np.float64)
 
 
 def share_at(schedule: Schedule, share: float, progress: float) -> float:
-    """The share of shifted levels when `progress`, 0 to 1, of a training is done.
+    """Return the fraction of shifted levels at `progress`, 0 to 1, of a training.
 
-    Over the whole training it is `share` on average, whatever the schedule.
+    Over the whole training its mean is `share`, for every schedule.
     """
     if schedule == "early":
         return float(progress < share)
@@ -149,7 +157,7 @@ def share_at(schedule: Schedule, share: float, progress: float) -> float:
 
 
 def part_at(schedule: Schedule, share: float, progress: float) -> float:
-    """The part of all shifted levels that are begun by then: what `share_at` sums up to, of 1."""
+    """Return the fraction of all shifted levels begun by `progress`: the integral of `share_at`."""
     if schedule == "early":
         return min(progress / share, 1.0)
     if schedule == "late":
@@ -158,12 +166,12 @@ def part_at(schedule: Schedule, share: float, progress: float) -> float:
 
 
 class Mixed:
-    """Levels of the training variant, its shifted ones with a share that time decides.
+    """Sampler that mixes in shifted levels, at a rate that depends on time.
 
-    Which numbers are shifted levels, the variant's shift_probability says, so that with every
-    schedule they are the same ones. A share of steps is not one of levels: who has not learned
-    yet needs many steps for one. So `shifted_levels` counts them instead, each schedule to the
-    same sum: those that are due by the end of a rollout come first in it.
+    The variant's shift_probability decides which numbers are shifted levels, so all schedules
+    share them. Early in training episodes are long, so equal fractions of *steps* contain fewer
+    shifted *levels*. Set `shifted_levels` to begin the same number of them under every schedule:
+    those due in a rollout then come first in it.
     """
 
     def __init__(self, config: Config):
@@ -192,7 +200,7 @@ class Mixed:
                 "be, and some not"
             )
         self.turn, self.now, self.due = 0, 0.0, 0
-        self.begun = np.zeros(2, np.int64)  # levels: all, and the shifted ones
+        self.begun = np.zeros(2, np.int64)  # numbers of levels: all, shifted
 
     def plan(self, steps: int) -> Plan:
         config = self.config
@@ -220,7 +228,7 @@ class Mixed:
         return numbers
 
     def note(self, played: Played) -> None:
-        """What came of a level does not matter here."""
+        """Ignore the results: they do not affect the next levels."""
 
     def summary(self) -> dict[str, float]:
         begun, shifted = map(float, self.begun)
@@ -236,11 +244,11 @@ class Mixed:
 
 
 class Growing:
-    """The smallest levels first, then larger ones too, and at last all of them, all alike.
+    """Curriculum from the smallest levels to all levels.
 
-    A level is as large as the number of cells that its agent can get to. Which part of the training
-    levels is played grows evenly from `FIRST` to all, over `share` of the steps. From then on each
-    is as likely as any other, as without a sampler.
+    The size of a level is the number of cells that its agent can reach. The fraction of levels in
+    use grows linearly from `FIRST` to 1 during `share` of the steps. From then on all levels are
+    equally likely, as without a sampler.
     """
 
     def __init__(self, config: Config):
@@ -272,7 +280,7 @@ class Growing:
         return self.by_size[random.integers(self.count, size=len(places))]
 
     def note(self, played: Played) -> None:
-        """What came of a level does not matter here."""
+        """Ignore the results: they do not affect the next levels."""
 
     def summary(self) -> dict[str, float]:
         return {"part": self.count / len(self.by_size)}

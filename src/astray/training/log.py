@@ -1,4 +1,4 @@
-"""What a training tells: metrics.jsonl, TensorBoard, a progress bar."""
+"""Logs of a training: metrics.jsonl, TensorBoard, a progress bar."""
 
 from __future__ import annotations
 
@@ -16,15 +16,16 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from astray.files import read, write_aside
 from astray.training.config import Config
 
-METRICS = "metrics.jsonl"  # of a run's folder
-EVERY = 30  # seconds between lines on a standard error that is no terminal
-BEGINNING = '{"steps": '  # of each of its lines
+METRICS = "metrics.jsonl"  # in the run folder
+EVERY = 30  # seconds between progress lines if standard error is not a terminal
+BEGINNING = '{"steps": '  # prefix of each of its lines
 
 
 def read_metrics(path: Path) -> Iterator[tuple[str, dict[str, Any]]]:
-    """The lines of a metrics.jsonl and what each says; the last where it is whole.
+    """Yield each complete line of a metrics.jsonl with its parsed values.
 
-    ValueError, naming the line, where one is not what `Log` writes.
+    Raises:
+        ValueError: If `Log` did not write a line; the message has its number.
     """
     try:
         lines = read(path).decode().splitlines(keepends=True)
@@ -41,7 +42,7 @@ def read_metrics(path: Path) -> Iterator[tuple[str, dict[str, Any]]]:
 
 
 def measured(line: str | bytes) -> dict[str, Any]:
-    """What a line of a metrics.jsonl says: numbers by name, among them "steps"."""
+    """Parse a line of a metrics.jsonl; raise ValueError if it is not one of `Log`'s."""
     try:
         data = json.loads(line)
     except (ValueError, RecursionError) as error:
@@ -55,7 +56,7 @@ def measured(line: str | bytes) -> dict[str, Any]:
 
 
 class Log:
-    """Writes one line per iteration; lines after `steps`, of a run that was killed, are dropped."""
+    """Log with one line per iteration; lines of a killed run after `steps` are dropped."""
 
     def __init__(self, folder: Path, steps: int, config: Config, progress: bool):
         from torch.utils.tensorboard import SummaryWriter  # a second to import
@@ -83,7 +84,7 @@ class Log:
         self._bar.start()
 
     def write(self, steps: int, values: dict[str, float], speed: dict[str, float]) -> None:
-        """`values` are reproducible and go to metrics.jsonl; `speed` is shown, not kept."""
+        """Write reproducible `values` to metrics.jsonl; `speed` is only shown."""
         self._file.write(json.dumps({"steps": steps, **values}) + "\n")
         self._file.flush()
         for name, value in (values | {f"speed/{k}": v for k, v in speed.items()}).items():

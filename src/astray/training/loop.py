@@ -1,7 +1,7 @@
 """Proximal policy optimisation, top to bottom: act, step, advantages, epochs, loss, clip, step.
 
-What is here is plain torch. `training.fast` does the same sooner; a `trainer` uses it where it
-computes what the network and the loss say, and this loop runs as well without it.
+This file is plain torch. `training.fast` is an accelerated equivalent, which a `trainer` uses if
+it supports the network and the loss.
 """
 
 from __future__ import annotations
@@ -34,18 +34,18 @@ from astray.training.teacher import TEACHER
 from astray.training.trainer import Trainer
 
 SPARE = 16  # threads that libraries may start
-# Rollouts that are only scored, one after the other: at a chance of 0.01 to learn from each, more
-# are as good as never.
+# Most consecutive rollouts that are only scored: if 0.01 of them are learned from, longer runs
+# practically never happen.
 SCORED = 2000
 
 
-# What a network says in acting and in learning may differ by: of its deviation, where rounding is
-# 1e-3, also in TF32, and memory about 1; and of its size, in which float32 is rounded.
+# Largest difference between a network's outputs in acting and in learning: relative to their
+# deviation (rounding gives 1e-3, also in TF32, hidden state about 1), and to their size.
 APART, ROUNDED = 0.05, 1e-4
 
 
 class Diverged(RuntimeError):
-    """The weights of the network that is trained are no finite numbers any more."""
+    """The trained network's weights are no longer finite."""
 
 
 def train(
@@ -58,19 +58,29 @@ def train(
     progress: bool = True,
     wait: bool = False,
 ) -> Path:
-    """Train an agent in the run folder `folder`, or go on where it stopped; its last checkpoint.
+    """Train an agent in a run folder, or resume it; return its last checkpoint.
 
-    network  a class of your own, or a function, that is given an `Architecture` and makes a
-             network: observations [B, ...] -> logits [B, actions], values [B]
-    loss     a function of your own, of the arguments of `ppo.loss`; what it returns is logged
-    sampler  a class of your own that chooses the training levels: see `levels.Sampler`
-    wait     where another process trains in the folder, until it has ended; else it is an error
+    On a CPU, a resumed run has the same weights and metrics as an uninterrupted one.
 
-    On a CPU, a run that was stopped and resumed has the weights and metrics of one that was not.
+    Examples:
+        >>> config = astray.Config("maze", "corner-small", steps=64, num_envs=4, num_steps=16,
+        ...                        minibatches=1)
+        >>> checkpoint = astray.train(config, "runs/mouse", progress=False)
+        >>> checkpoint.name
+        '64'
 
-    Raises ValueError where the folder holds another run or there is no such device, OSError where
-    it cannot be written, `checkpoint.Claimed` where another process trains in it, `Diverged` where
-    weights are no finite numbers any more; the checkpoints before that are kept.
+    Args:
+        network: Class or function `Architecture` -> module, which maps observations [B, ...] to
+            logits [B, actions] and values [B].
+        loss: Function of the arguments of `ppo.loss`; its results are logged.
+        sampler: Class that chooses the training levels: see `levels.Sampler`.
+        wait: Wait while another process trains in the folder, instead of raising an error.
+
+    Raises:
+        ValueError: If the folder holds another run, or the device does not exist.
+        OSError: If the folder cannot be written.
+        checkpoint.Claimed: If another process trains in it.
+        Diverged: If weights are no longer finite; earlier checkpoints are kept.
     """
     own: dict[str, Any] = {"network": network, "loss": loss, "sampler": sampler}
     for _ in iterate(config, folder, **own, progress=progress, wait=wait):
@@ -80,13 +90,14 @@ def train(
 
 @dataclass(frozen=True, eq=False)
 class Iteration:
-    """What a training did: a rollout was played, and learned from.
+    """One iteration of a training: a rollout and the update on it.
 
-    number   of those done, counted over all stops
-    steps    environment steps done
-    metrics  a line of metrics.jsonl: means of recent episodes and of the update, by name
-    speed    steps per second, and the share of the time that was spent playing
-    trainer  the network, its optimizer, its environments: all live
+    Attributes:
+        number: Iterations so far, counted across stops.
+        steps: Environment steps so far.
+        metrics: The line in metrics.jsonl: means of recent episodes and of the update.
+        speed: Steps per second, and the fraction of time spent acting.
+        trainer: Network, optimizer and environments, all live.
     """
 
     number: int
@@ -106,14 +117,22 @@ def iterate(
     progress: bool = False,
     wait: bool = False,
 ) -> Iterator[Iteration]:
-    """Train as `train` does, and yield after every iteration, which is the caller's to look at.
+    """Train as `train` does, and yield after every iteration.
 
-    Whoever leaves the loop stops the training, with a checkpoint of where it is, from which a
-    later call goes on. What is asked of the trainer changes nothing that is learned.
+    Leaving the loop stops the training with a checkpoint, from which a later call resumes. Using
+    the trainer in between does not change what is learned.
 
-    folder  of the run; None: nothing is written, and the training begins anew
+    Examples:
+        >>> config = astray.Config("maze", "corner-small", steps=128, num_envs=4, num_steps=16,
+        ...                        minibatches=1)
+        >>> [iteration.steps for iteration in astray.iterate(config)]
+        [64, 128]
 
-    Raises what `train` raises, at the first iteration.
+    Args:
+        folder: Run folder; None to write nothing and start anew.
+
+    Raises:
+        Exception: The errors of `train`, at the first iteration.
     """
     config = checked(config, network, loss, sampler)
     folder = None if folder is None else Path(folder)
@@ -127,7 +146,7 @@ def iterate(
         saved = trainer.iteration
         try:
             while trainer.iteration < config.iterations:
-                # The caller's own are back where it looks at an iteration.
+                # The caller's own settings are restored while it looks at an iteration.
                 with settings(), chance(config, trainer.iteration):
                     metrics, speed = improve(trainer)
                     see_converging(trainer)
@@ -147,10 +166,7 @@ def iterate(
 
 @contextlib.contextmanager
 def chance(config: Config, iteration: int) -> Iterator[None]:
-    """What a network or a loss draws from torch's own random state, as for dropout.
-
-    It depends on the seed and the iteration alone, so that a stop changes nothing.
-    """
+    """Seed torch's random state, for instance for dropout, from the seed and the iteration."""
     with torch.random.fork_rng(range(torch.cuda.device_count() if config.device == "cuda" else 0)):
         torch.manual_seed(
             int(np.random.SeedSequence((config.seed, iteration)).generate_state(1)[0])
@@ -159,9 +175,10 @@ def chance(config: Config, iteration: int) -> Iterator[None]:
 
 
 def checked(config: Config, network: Any, loss: Any, sampler: Any) -> Config:
-    """The settings, with the names of a network, a loss and a sampler of the user's own.
+    """Return the settings with the names of a custom network, loss and sampler.
 
-    Raises ValueError where they cannot be trained with here.
+    Raises:
+        ValueError: If they cannot be used for training here.
     """
     of_kind("config", config, Config)
     if network is not None:
@@ -174,13 +191,13 @@ def checked(config: Config, network: Any, loss: Any, sampler: Any) -> Config:
     if not policy.usable(config.device):
         raise ValueError(f"there is no device {config.device!r} that torch can use")
     bounded("threads", config.threads, 1, most_threads())
-    if config.threads > 1:  # for both players' environments, for torch, and some to spare
+    if config.threads > 1:  # both players' environments, torch, and spare ones
         see_startable(SPARE + 4 * config.threads)
     return config
 
 
 def begin(config: Config, folder: Path | None, network: Any, loss: Any, sampler: Any) -> Trainer:
-    """All that lives in a training, as the last checkpoint in the run folder left it."""
+    """Create the trainer, in the state of the run folder's last checkpoint."""
     with acceleration.torch_settings(config.threads):
         taught = folder / TEACHER if folder and config.teacher is not None else None
         trainer = Trainer(config, network, loss, sampler, taught)
@@ -195,14 +212,14 @@ def begin(config: Config, folder: Path | None, network: Any, loss: Any, sampler:
 def written(
     folder: Path | None, trainer: Trainer, progress: bool
 ) -> contextlib.AbstractContextManager[Log | None]:
-    """What writes metrics to the run folder; nothing without one, or in all processes but one."""
+    """Return the log of the run folder; a null context without a folder or in other processes."""
     if folder is None or not parallel.first():
         return contextlib.nullcontext()
     return Log(folder, trainer.steps, trainer.config, progress)
 
 
 def improve(trainer: Trainer) -> tuple[dict[str, float], dict[str, float]]:
-    """Play a rollout and learn from it: how it went, which is reproducible, and how fast."""
+    """Play a rollout and learn from it; return reproducible metrics, and speeds."""
     config, began = trainer.config, time.perf_counter()
     rate = config.learning_rate
     if config.anneal:
@@ -230,10 +247,10 @@ def improve(trainer: Trainer) -> tuple[dict[str, float], dict[str, float]]:
 
 @torch.no_grad()
 def see_memoryless(network: nn.Module, samples: Samples, config: Config) -> None:
-    """ValueError where a network says something else of observations than when it acted on them.
+    """Raise ValueError if a network's outputs differ between acting and learning.
 
-    As one that keeps a memory of its own, which learning shows them in another order. Others
-    differ by what numbers are rounded by.
+    A network with hidden state of its own does, since learning reorders observations. Rounding
+    differences are allowed.
     """
     some = samples.at(torch.arange(0, len(samples), config.minibatches, device=config.device))
     logits, value = network(some.observation)
@@ -250,7 +267,7 @@ def see_memoryless(network: nn.Module, samples: Samples, config: Config) -> None
 
 
 def see_losses(losses: Any) -> None:
-    """ValueError where a loss of the user's own returns nothing that can be learned from."""
+    """Raise ValueError unless a custom loss returns a differentiable "loss"."""
     parts = losses.values() if isinstance(losses, Mapping) else [None]
     are_numbers = all(isinstance(part, Tensor) and not part.shape for part in parts)
     if not are_numbers or "loss" not in losses or not losses["loss"].requires_grad:
@@ -261,7 +278,7 @@ def see_losses(losses: Any) -> None:
 
 
 def see_converging(trainer: Trainer) -> None:
-    """`Diverged` where what was learned is not all finite: no update after that brings it back."""
+    """Raise Diverged unless all learned values are finite; no later update could repair them."""
     if torch.stack([x.isfinite().all() for x in trainer.learned()]).all():
         return
     config = trainer.config
@@ -274,7 +291,7 @@ def see_converging(trainer: Trainer) -> None:
 
 
 def play(trainer: Trainer) -> Samples:
-    """A rollout to learn from, after those in which a sampler only has levels scored."""
+    """Play a rollout to learn from, after those in which a sampler only scores levels."""
     for _ in range(SCORED):
         trainer.player.plan(trainer.steps)
         rollout = collect(trainer)
@@ -287,7 +304,7 @@ def play(trainer: Trainer) -> Samples:
 def collect(trainer: Trainer) -> Samples:
     """Play `config.num_steps` steps of every environment with sampled actions, [T, N].
 
-    The next call overwrites what this one returned.
+    The next call overwrites the result.
     """
     config, player, rollout = trainer.config, trainer.player, trainer.actor.rollout
     teacher = trainer.teacher if trainer.is_taught else None
@@ -313,7 +330,7 @@ def collect(trainer: Trainer) -> Samples:
 
 @torch.no_grad()
 def validate(trainer: Trainer) -> None:
-    """Play as many steps on the validation variant, and learn nothing from them."""
+    """Play as many steps on the validation variant, without learning."""
     player, actor, steps = trainer.validation, trainer.validator, trainer.config.num_steps
     assert player and actor
     actor.rollout.begin(steps)
@@ -323,19 +340,19 @@ def validate(trainer: Trainer) -> None:
 
 
 def update(trainer: Trainer, rollout: Samples, rate: float) -> dict[str, float]:
-    """Learn from a rollout in several epochs; the means of what was measured on the way."""
+    """Learn from a rollout in several epochs; return the means of the logged values."""
     config, samples = trainer.config, rollout.flat()
     trainer.set_rate(rate)
     whole = (parallel.joined(x.numpy(force=True)) for x in (samples.value, samples.target))
     explained = ppo.explained_variance(*map(torch.from_numpy, whole))
     step = functools.partial(trainer.repeat, functools.partial(learn, trainer, samples))
-    trainer.network.train()  # drops units, where it has dropout; who acts does not
+    trainer.network.train()  # dropout is active in learning, not in acting
     names, sums, first_kl = [], None, None
     for _ in range(config.epochs):
         order = torch.randperm(
             len(samples) * parallel.size(), generator=trainer.player.generator, device=config.device
         )
-        if parallel.size() > 1:  # which draw alike
+        if parallel.size() > 1:  # processes draw alike
             order = order[order < len(samples)]
         for indices in order.split(len(samples) // config.minibatches):
             measured = step(indices)
@@ -351,13 +368,12 @@ def update(trainer: Trainer, rollout: Samples, rate: float) -> dict[str, float]:
     parallel.average([sums, *first.values()])
     count = config.epochs * config.minibatches
     means = {name: x / count for name, x in zip(names, sums.tolist(), strict=True)}
-    # The first is not 0 where acting and learning round apart.
+    # The first is not 0 if acting and learning round differently.
     return means | {name: float(x) for name, x in first.items()} | {"explained_variance": explained}
 
 
 def learn(trainer: Trainer, samples: Samples, indices: Tensor) -> dict[str, Tensor]:
-    """One step of the optimizer, on the samples at `indices`: the loss's parts, and the gradient's
-    length before it is clipped."""
+    """Take an optimizer step on the samples at `indices`; return losses and the gradient norm."""
     losses = trainer.fast.loss(samples.at(indices))
     if not trainer.steps:
         see_losses(losses)

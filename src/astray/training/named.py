@@ -1,4 +1,4 @@
-"""Names that settings hold in the place of games and variants that are given as objects."""
+"""Names that stand for games and variants in settings."""
 
 from __future__ import annotations
 
@@ -11,10 +11,7 @@ from astray.game import Game, Variant, knobs
 
 
 def name_of_game(game: Game) -> str:
-    """Return the name that leads to `game` itself.
-
-    Raises ValueError where it leads elsewhere, as other processes would not find the game.
-    """
+    """Return the name of `game`; raise ValueError if that name finds another game."""
     try:
         found = games.find(game.name)
     except ValueError:
@@ -25,9 +22,10 @@ def name_of_game(game: Game) -> str:
 
 
 def name_of_variant(game: Game, variant: Variant) -> tuple[str, dict[str, Any]]:
-    """Return the name of the game's variant that is nearest, and the knobs that make it `variant`.
+    """Return the nearest named variant, and the knobs that turn it into `variant`.
 
-    Raises ValueError where knobs alone do not make any of them `variant`.
+    Raises:
+        ValueError: If no named variant can be turned into it by knobs.
     """
     found = sorted(_alike(game, game.variant(variant)), key=lambda one: len(one[1]))
     if not found:

@@ -1,4 +1,4 @@
-"""Settings as older versions wrote them, in today's words."""
+"""Conversion of settings from older versions."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ RENAMED = {
 
 
 def settings(data: Any) -> dict[str, Any]:
-    """Return the settings of a file by today's names; ValueError where they are none."""
+    """Return a file's settings under today's names; raise ValueError if they are invalid."""
     if not isinstance(data, dict):
         raise ValueError(f"settings must be an object; got {shown(data)}")
     values: dict[str, Any] = dict(data)
@@ -34,13 +34,13 @@ def settings(data: Any) -> dict[str, Any]:
 
 
 def same_levels(told: Any, now: Variant) -> bool:
-    """Return whether a variant, written out by any version, has the levels of that of this one."""
+    """Return whether a variant written by any version has the same levels as `now`."""
     today = json.loads(json.dumps(asdict(now)))
     return _levels_of(_with_later_knobs(told, now)) == _levels_of(today)
 
 
 def _with_later_knobs(told: Any, now: Variant) -> Any:
-    """A variant, written out by this version or an older one: what that lacked has its default."""
+    """Return a written variant with the defaults of knobs that its version lacked."""
     if not isinstance(told, dict):
         return told
     later = {f.name: f.default for f in fields(now) if f.default is not MISSING}
@@ -50,7 +50,7 @@ def _with_later_knobs(told: Any, now: Variant) -> Any:
 
 
 def _levels_of(variant: Any) -> Any:
-    """What of a variant, written out, decides its levels: what it never shifts to does not."""
+    """Return the fields of a written variant that affect its levels, without an unused shift."""
     if isinstance(variant, dict) and variant.get("shift_probability") == 0:
         return variant | {"shifted": None}
     return variant

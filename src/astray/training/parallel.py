@@ -1,9 +1,9 @@
-"""Several processes, one agent: each plays its share of the environments, gradients are averaged.
+"""Data-parallel training: several processes train one agent with averaged gradients.
 
-`torchrun --nproc-per-node 2 -m astray train ...` starts them, each on a GPU of its own or on a
-CPU. They begin with the same weights and draw the same noise, so that they stay the same, and
-play what one process would play. Only the first writes. A minibatch has the same number of
-samples of every process, which is the one difference from one process.
+`torchrun --nproc-per-node 2 -m astray train ...` starts them, each on its own GPU or on a CPU.
+They begin with equal weights and draw equal noise, so they stay equal and together play what one
+process would. Only the first writes files. The one difference from a single process: a minibatch
+has equally many samples of every process.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from torch import distributed as dist
 
 @contextlib.contextmanager
 def processes(device: str) -> Iterator[None]:
-    """Join the others, where torchrun has started several processes."""
+    """Join the process group if torchrun has started several processes."""
     if not dist.is_available() or not dist.is_torchelastic_launched() or dist.is_initialized():
         yield
         return
@@ -46,12 +46,12 @@ def processes(device: str) -> Iterator[None]:
 
 
 def size() -> int:
-    """How many processes train this agent."""
+    """Return the number of processes that train this agent."""
     return dist.get_world_size() if dist.is_available() and dist.is_initialized() else 1
 
 
 def first() -> bool:
-    """Whether this is the process that writes, also before and after they train together."""
+    """Return whether this process writes files, also before and after joint training."""
     if dist.is_available() and dist.is_initialized():
         return dist.get_rank() == 0
     launched = dist.is_available() and dist.is_torchelastic_launched()
@@ -59,13 +59,13 @@ def first() -> bool:
 
 
 def wait() -> None:
-    """Until all processes are here."""
+    """Wait until all processes get here."""
     if size() > 1:
         dist.barrier()
 
 
 def share(environments: int) -> slice:
-    """This process's environments."""
+    """Return the slice of environments that belong to this process."""
     count = size()
     if environments % count:
         raise ValueError(f"{environments} environments are not divided among {count} processes")
@@ -74,7 +74,7 @@ def share(environments: int) -> slice:
 
 
 def average(tensors: Sequence[Tensor]) -> None:
-    """Replace each of `tensors` by its mean over the processes."""
+    """Replace each of `tensors` in place by its mean over the processes."""
     if size() == 1:
         return
     flat = torch.cat([x.flatten() for x in tensors])
@@ -84,7 +84,7 @@ def average(tensors: Sequence[Tensor]) -> None:
 
 
 def gathered(x: Any) -> list[Any]:
-    """What each process has for `x`."""
+    """Return the values of `x` in all processes."""
     if size() == 1:
         return [x]
     result: list[Any] = [None] * size()
@@ -93,5 +93,5 @@ def gathered(x: Any) -> list[Any]:
 
 
 def joined(x: np.ndarray, axis: int = 0) -> np.ndarray:
-    """The processes' arrays end to end, a copy; their shares become all environments."""
+    """Concatenate the processes' arrays, into a copy that covers all environments."""
     return np.concatenate(gathered(x), axis)

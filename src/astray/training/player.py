@@ -1,4 +1,4 @@
-"""Environments of one variant as a training plays them, and who acts in them."""
+"""The players of a training: environments of one variant, with the actors in them."""
 
 from __future__ import annotations
 
@@ -19,15 +19,16 @@ from astray.training.config import Config
 from astray.training.levels import Plan, Played, Sampler
 from astray.training.ppo import RewardNormaliser, Samples, Sequences
 
-LEVELS = "levels."  # before the names of a sampler's arrays, in a checkpoint
-RECENT = 100  # ended episodes that the logged means are over
+LEVELS = "levels."  # prefix of a sampler's arrays in a checkpoint
+RECENT = 100  # episodes in the logged means
 
 
 class Stepped(NamedTuple):
-    """Step `t` of the environments `where` [n]: what it led to.
+    """Step `t` of the environments `where` [n], with its results.
 
-    cut  of episodes that were truncated: steps and environments [2, n], and their last
-         observations, on which nobody acts, as the next episodes have begun
+    Attributes:
+        cut: Steps and environments [2, n] of truncated episodes, and their last observations,
+            which no action follows.
     """
 
     t: int
@@ -39,10 +40,10 @@ class Stepped(NamedTuple):
 
 
 class Player:
-    """Environments of one variant, what they show now, and how their last episodes went.
+    """Environments of one variant with their observations and recent episodes.
 
-    They may be in several groups, which are stepped one by one. A `sampler` may choose their
-    levels; without one they draw from `levels`.
+    They may form several groups, which are stepped in turn. A `sampler` may choose their levels;
+    otherwise they draw from `levels`.
     """
 
     def __init__(
@@ -57,7 +58,7 @@ class Player:
         if sampler is not None and parallel.size() > 1:
             raise ValueError("with a sampler of levels, one process must train alone")
         self.sampler, self.learns, self._repeats = sampler, True, False
-        self.here = parallel.share(config.num_envs)  # of all environments, this process's
+        self.here = parallel.share(config.num_envs)  # this process's environments
         n = self.here.stop - self.here.start
         if n % groups:
             raise ValueError(f"{n} environments are not divided into {groups} groups")
@@ -77,7 +78,7 @@ class Player:
         ]
         self.game, self.space = self.envs[0].game, self.envs[0].single_observation_space
         self.num_envs, self.actions = config.num_envs, len(self.game.actions)
-        # What the environments show now; a GPU reads pinned memory while the processor goes on.
+        # Current observations; a GPU reads pinned memory while the processor continues.
         self.images = torch.empty(
             (n, *self.space.shape),  # pyright: ignore
             dtype=torch.uint8,
@@ -94,19 +95,19 @@ class Player:
         self.events = self.game.events
         self.recent: deque[list[float]] = deque(maxlen=RECENT)  # return, length, events' happening
         self._ended: list[tuple[int, int, list[float]]] = []  # since `settle`: step, environment
-        self._paid: list[tuple[int, int, np.ndarray]] = []  # likewise, the rewards
-        self._reward: float | None = None  # the mean of a step's in the last rollout
+        self._paid: list[tuple[int, int, np.ndarray]] = []  # the same of rewards
+        self._reward: float | None = None  # mean reward per step in the last rollout
 
     def noise(self, steps: int) -> Tensor:
-        """What the actions of a rollout are drawn with, [T, N, actions], uniform in [0, 1).
+        """Return the uniform noise [T, N, actions] in [0, 1) that samples a rollout's actions.
 
-        All at once, and of all processes, so that it depends neither on groups nor on processes.
+        It covers all processes at once, so it depends neither on groups nor on processes.
         """
         shape = (steps, self.num_envs, self.actions)
         return torch.rand(shape, generator=self.generator, device=self.device)[:, self.here]
 
     def begin(self, group: int) -> Turn:
-        """What a group shows: episodes have begun in the step in which others ended."""
+        """Return a group's turn; episodes restart in the step in which others ended."""
         where = self.groups[group]
         return Turn(self.envs[group], self.images[where], self.begins[where])
 
@@ -128,7 +129,7 @@ class Player:
     def _note(
         self, t: int, where: slice, reward: np.ndarray, ended: np.ndarray, info: dict[str, Any]
     ) -> None:
-        """Keep how the episodes that `ended` went, of the environments `where`."""
+        """Record the episodes of the environments `where` that `ended`."""
         running = self.running_return[where]
         running += reward
         self._paid.append((t, self.here.start + where.start, reward.copy()))
@@ -142,7 +143,7 @@ class Player:
         running[ended] = 0.0
 
     def plan(self, steps: int) -> None:
-        """Before a rollout: have the sampler say what it is for. `learns` says whether to learn."""
+        """Ask the sampler for the next rollout's plan, and set `learns`."""
         if self.sampler is None:
             return
         plan = self.sampler.plan(steps)
@@ -160,7 +161,7 @@ class Player:
             self.normaliser.returns[:] = 0.0
 
     def _begin(self, sampler: Sampler, group: int, which: np.ndarray) -> None:
-        """Begin the levels that the sampler says in the environments `which` [n] of a group."""
+        """Begin the sampler's levels in the environments `which` [n] of a group."""
         env, where = self.envs[group], self.groups[group]
         chosen = sampler.next(where.start + np.flatnonzero(which))
         if not isinstance(chosen, np.ndarray) or chosen.shape != (which.sum(),):
@@ -175,20 +176,17 @@ class Player:
         self.begins[where] |= which
 
     def scored(self, played: Callable[[], Played]) -> None:
-        """After a rollout: tell the sampler, if there is one, how it went."""
+        """Report the rollout to the sampler, if there is one."""
         if self.sampler is not None:
             self.sampler.note(played())
 
     def settle(self) -> None:
-        """After a rollout: take in the episodes that ended, of all processes.
-
-        Those of levels that were only scored do not count.
-        """
+        """Add the rollout's ended episodes, of all processes, unless it only scored levels."""
         if not self.learns:
             self._ended, self._paid = [], []
             return
         paid = [row for rows in parallel.gathered(self._paid) for row in rows]
-        # In one order, so that a mean depends neither on groups nor on processes.
+        # Sorted, so that means depend neither on groups nor on processes.
         ordered = [reward for *_, reward in sorted(paid, key=lambda row: row[:2])]
         self._paid, self._reward = [], float(np.concatenate(ordered).mean()) if paid else None
         ended = sorted(row for rows in parallel.gathered(self._ended) for row in rows)
@@ -196,10 +194,10 @@ class Player:
         self._ended = []
 
     def summary(self) -> dict[str, float]:
-        """Return means over the recent episodes, and over the last rollout, which is told once.
+        """Return means over recent episodes and over the last rollout, which is reported once.
 
-        Of episodes: return, length in steps, share with each event, where any has ended. Of a
-        rollout: reward_per_step, which there is of a life without end, too.
+        Episodes have return, length in steps, and the fraction with each event. A rollout has
+        reward_per_step, which exists without ended episodes too.
         """
         told = {} if self._reward is None else {"reward_per_step": self._reward}
         self._reward = None
@@ -210,7 +208,7 @@ class Player:
         return dict(zip(names, map(float, means), strict=True)) | told
 
     def sampled(self) -> dict[str, float]:
-        """What the sampler says of the levels; nothing without one."""
+        """Return the sampler's summary; empty without one."""
         if self.sampler is None:
             return {}
         told = self.sampler.summary()
@@ -220,7 +218,7 @@ class Player:
         return {str(name): float(value) for name, value in told.items()}
 
     def _sampler_arrays(self) -> dict[str, np.ndarray]:
-        """All that the sampler goes on from; nothing without one."""
+        """Return the sampler's state; empty without one."""
         if self.sampler is None:
             return {}
         arrays = self.sampler.arrays()
@@ -233,7 +231,7 @@ class Player:
         return dict(arrays)
 
     def tensors(self) -> dict[str, Tensor]:
-        """All of it, as tensors."""
+        """Return its state as tensors."""
         normaliser = self.normaliser
         moments = [normaliser.mean, normaliser.variance, normaliser.count]
         width = 2 + len(self.events)
@@ -250,7 +248,7 @@ class Player:
         } | {f"{LEVELS}{name}": torch.from_numpy(array.copy()) for name, array in arrays.items()}
 
     def restore(self, tensors: dict[str, Tensor]) -> None:
-        """Go on from what `tensors` returned."""
+        """Continue from the result of `tensors`."""
         states = tensors["states"].numpy().view(self.game.state).reshape(-1)[self.here]
         for env, group in zip(self.envs, self.groups, strict=True):
             self.images[group] = torch.from_numpy(env.set_state(states[group]))
@@ -267,15 +265,17 @@ class Player:
 
 
 class Rollout:
-    """What a player's environments showed and what was done there, [slots + 1, N]: see `Samples`.
+    """Buffers for a player's observations and actions, [slots + 1, N]; see `Samples`.
 
-    Of the last step there is only what came before it, and the critic's value of that.
+    The last slot has only the observations after the final step, and their values.
     """
 
     def __init__(self, player: Player, slots: int, memory: int = 0):
-        """slots  steps that are kept; then the first is overwritten
+        """Allocate buffers that are reused cyclically.
 
-        memory  numbers of the network's state, 0 without one
+        Args:
+            slots: Number of steps.
+            memory: Size of the network's state, 0 without memory.
         """
         self.player, self.slots, device = player, slots, torch.device(player.device)
         n, *shape = player.images.shape
@@ -284,38 +284,37 @@ class Rollout:
         self.log_probability, self.value = torch.empty((2, slots + 1, n), device=device)
         self.advantage, self.target = torch.zeros((2, slots, n), device=device)
         self.begins = torch.zeros((slots + 1, n), dtype=torch.bool, device=device)
-        # The network's state before what is shown now, after it, and at the rollout's beginning.
+        # The network's state before and after the current observation, and at the beginning.
         self.state, self.after, self._first = torch.zeros((3, n, memory), device=device)
 
     def begin(self, steps: int) -> None:
-        """Draw what the actions of so many steps are drawn with, and forget what was noted."""
+        """Draw the noise for a rollout's actions, and clear the records."""
         self.noise, self._first = self.player.noise(steps), self.state.clone()
         shape = steps, len(self.state)
         self.reward, ends = np.empty(shape), np.empty((2, *shape), bool)
         self.terminated, self.truncated = ends
 
     def recalled(self, t: int, group: int, begins: np.ndarray) -> tuple[Tensor, ...]:
-        """What a network with memory is given beside observations: states, and who begins."""
+        """Return the extra inputs of a network with memory: states, and first-step flags."""
         if not self.state.shape[1]:
             return ()
         slot, where = t % (self.slots + 1), self.player.groups[group]
-        if t:  # else a rollout begins with what the last one ended with
+        if t:  # otherwise a rollout begins where the last one ended
             self.state[where] = self.after[where]
         self.begins[slot, where] = torch.from_numpy(begins).to(self.begins.device)
         return self.state[where], self.begins[slot, where]
 
     def note(self, step: Stepped) -> None:
-        """Keep what a step led to."""
+        """Record the results of a step."""
         at = step.t, step.where
         self.reward[at], self.terminated[at] = step.reward, step.terminated
         self.truncated[at] = step.truncated
 
     def estimate(self, config: Config, next_value: Tensor) -> None:
-        """Make advantages, and targets of the critic, of a rollout's rewards, all [T, N].
+        """Compute advantages and value targets, [T, N], from a rollout's rewards.
 
-        Rewards are normalised by what the player has seen so far, this rollout included;
-        advantages are normalised over all environments. Levels that are only scored leave no trace
-        in what rewards are normalised by.
+        Rewards are normalised with the player's statistics, this rollout included, and advantages
+        over all environments. Rollouts that only score levels leave the statistics unchanged.
         """
         player, value, reward, given = self.player, self.value[:-1], self.reward, self.reward
         terminated, truncated = self.terminated, self.truncated
@@ -338,13 +337,13 @@ class Rollout:
         self.advantage[:] = advantage
 
     def take_in(self) -> np.ndarray:
-        """Rewards [T, N], normalised by what was seen so far, over all processes' environments."""
+        """Return normalised rewards [T, N] of all processes; update the statistics."""
         player, both = self.player, (self.reward, self.terminated | self.truncated)
         pairs = zip(*(parallel.joined(x, 1) for x in both), strict=True)
         return np.stack([player.normaliser(*pair)[player.here] for pair in pairs])
 
     def samples(self) -> Samples:
-        """What is learned from; the next rollout overwrites it."""
+        """Return the training data, which the next rollout overwrites."""
         seen, action, old, value, begins = (
             x[:-1]
             for x in (self.observation, self.action, self.log_probability, self.value, self.begins)
@@ -356,16 +355,16 @@ class Rollout:
 
 
 def act(network: Callable, noise: Tensor, *shown_here: Tensor) -> tuple[Tensor, ...]:
-    """Actions drawn from the network's policy, their log-probabilities, and its values, [n].
+    """Sample actions; return them, their log-probabilities and the critic's values, all [n].
 
-    A network with memory also returns the states that it is in then.
+    A network with memory also returns its new states.
     """
     logits, value, *state = network(*shown_here)
     return *ppo.sample(logits, noise), value, *state
 
 
 class Actor:
-    """Acts as the network says, and keeps what it was shown and did."""
+    """Actor that samples from the network's policy, and records observations and actions."""
 
     def __init__(self, network: Callable, rollout: Rollout):
         self.network, self.rollout = network, rollout

@@ -1,9 +1,9 @@
-"""Prioritised level replay and ACCEL: levels are scored, and those that score high are trained on.
+"""Prioritised level replay (PLR) and ACCEL: train on the levels with the highest scores.
 
-As Abdel Sadek et al. ("Mitigating Goal Misgeneralization via Minimax Regret", RLC 2025) have them:
-rollouts of new levels are only scored; the network learns from levels that are replayed from a
-buffer (robust PLR, Jiang et al. 2021); with ACCEL (Parker-Holder et al. 2022) edits of the levels
-just replayed are scored, too.
+As in Abdel Sadek et al. ("Mitigating Goal Misgeneralization via Minimax Regret", RLC 2025),
+rollouts on new levels only score them, and the network learns from levels that are replayed from a
+buffer (robust PLR, Jiang et al. 2021). ACCEL (Parker-Holder et al. 2022) also scores edits of the
+levels that were just replayed.
 """
 
 from __future__ import annotations
@@ -26,17 +26,17 @@ from astray.training.levels import (
 )
 
 KINDS = GENERATE, REPLAY, MUTATE = range(3)  # of rollouts
-CHANCES = {"plr": 1 / 3, "accel": 1 / 2}  # that a rollout replays, as in the paper
-NAMES = ("generated", "replayed", "mutated")  # levels, by the kind of rollout
+CHANCES = {"plr": 1 / 3, "accel": 1 / 2}  # probability that a rollout replays, as in the paper
+NAMES = ("generated", "replayed", "mutated")  # names of levels by kind of rollout
 
 
 def probabilities(
     score: np.ndarray, age: np.ndarray, temperature: float, staleness: float
 ) -> np.ndarray:
-    """The chance of each level to be replayed, [B], from its score and its age in replays.
+    """Return the replay probability of each level, [B], from its score and its age in replays.
 
-    P = (1 - staleness) * (1 / rank) ** (1 / temperature) / sum + staleness * age / sum, with rank
-    1 for the highest score; of equal scores the first in the buffer is ranked higher.
+    P = (1 - staleness) * (1 / rank) ** (1 / temperature) / sum + staleness * age / sum. Rank 1 is
+    the highest score; equal scores are ranked in buffer order.
     """
     rank = np.empty(len(score), np.int64)
     rank[np.argsort(-score, kind="stable")] = np.arange(1, len(score) + 1)
@@ -45,17 +45,17 @@ def probabilities(
 
 
 def draw_distinct(chance: np.ndarray, count: int, random: np.random.Generator) -> np.ndarray:
-    """`count` different places drawn one after the other, each by its `chance` [B]; ascending."""
+    """Draw `count` distinct places with probabilities `chance` [B]; return them sorted."""
     with np.errstate(divide="ignore"):  # the logarithm of a chance too small for a number
         keys = np.log(chance) + random.gumbel(size=len(chance))
     return np.sort(np.argpartition(-keys, count - 1)[:count])
 
 
 class Replay:
-    """A buffer of levels with their scores; "plr" and "accel" of the training's `Config`.
+    """Sampler with a buffer of scored levels, for "plr" and "accel".
 
-    A rollout is of one kind: of new levels, of levels of the buffer, or of mutated ones. In it,
-    every environment plays one level again and again.
+    A rollout has new levels, levels of the buffer, or mutated ones. In it every environment
+    repeats one level.
     """
 
     def __init__(self, config: Config):
@@ -73,10 +73,10 @@ class Replay:
         self._nursery = GameVectorEnv(self.game, self.variant, n, observation=shown)
         self.states = np.zeros(size, self.game.state)
         self.score, self.best, self.optimal = np.zeros((3, size))
-        self.visited = np.zeros(size, np.int64)  # the replay, counted from 1, that it was last in
+        self.visited = np.zeros(size, np.int64)  # number of its last replay, from 1
         self.kind, self.turn = GENERATE, 0
         self.rollouts = np.zeros(len(KINDS), np.int64)
-        self.places = np.zeros(n, np.int64)  # in the buffer, of what was replayed last
+        self.places = np.zeros(n, np.int64)  # places in the buffer of the last replay
         self.current = np.zeros(n, self.game.state)
 
     def plan(self, steps: int) -> Plan:
@@ -120,7 +120,7 @@ class Replay:
         self._insert(score, best, optimal)
 
     def chances(self) -> np.ndarray:
-        """The chance of each level of the buffer to be replayed next, [B]."""
+        """Return the probability of each buffered level to be replayed next, [B]."""
         age = self.rollouts[REPLAY] - self.visited + 1
         return probabilities(
             self.score, age, self.config.sampler.temperature, self.config.sampler.staleness
@@ -166,7 +166,7 @@ class Replay:
         self.current = states[places]
 
     def _fill(self) -> None:
-        """Begin with random levels in the buffer, scored 0."""
+        """Fill the buffer with random levels of score 0."""
         random, n = stream(self.config, self.turn), len(self.places)
         self.turn += 1
         for first in range(0, len(self.states), n):
@@ -175,19 +175,19 @@ class Replay:
         self.optimal = self._optimal(self.states)
 
     def _numbers(self, random: np.random.Generator) -> np.ndarray:
-        """Numbers of training levels for all environments."""
+        """Draw numbers of training levels for all environments."""
         levels = self.config.training_levels
         return random.integers(levels.start, levels.stop, len(self.places))
 
     def _generate(self, numbers: np.ndarray) -> np.ndarray:
-        """The states that levels of those numbers begin in."""
+        """Return the initial states of the levels with those numbers."""
         self._nursery.reset(seed=0, options={"level": numbers})
         return self._nursery.get_state()
 
     def _insert(self, score: np.ndarray, best: np.ndarray, optimal: np.ndarray) -> None:
-        """Put levels just scored in the place of the likeliest to be forgotten that score lower.
+        """Replace the least likely levels of the buffer by new ones with higher scores.
 
-        A number that is in the buffer does not come into it again.
+        A number that is already in the buffer is not inserted again.
         """
         numbers = self.current["level"]
         first = np.zeros(len(numbers), bool)
@@ -208,14 +208,14 @@ class Replay:
         best: np.ndarray,
         optimal: np.ndarray,
     ) -> None:
-        """Keep levels and what is known of them at places of the buffer."""
+        """Store levels and their data at places of the buffer."""
         self.states[where], self.score[where], self.best[where] = states, score, best
         self.optimal[where], self.visited[where] = optimal, self.rollouts[REPLAY]
 
     def _scores(
         self, played: Played, mean: np.ndarray, best: np.ndarray, optimal: np.ndarray
     ) -> np.ndarray:
-        """The levels' scores [N], of the kind that the settings name."""
+        """Return the levels' scores [N], of the kind in the settings."""
         kinds: dict[str, Callable[[], np.ndarray]] = {
             "regret": lambda: optimal - mean,
             "max-monte-carlo": lambda: best - mean,
@@ -224,7 +224,7 @@ class Replay:
         return kinds[self.config.sampler.score]()
 
     def _optimal(self, states: np.ndarray) -> np.ndarray:
-        """The discounted return of the best policy in each of states [K], 0 if that is no score."""
+        """Return the optimal discounted return from each state [K]; 0 if it is not needed."""
         if self.intended is None:
             return np.zeros(len(states))
         best, gamma = self.game.solver.optimal_return, self.config.gamma

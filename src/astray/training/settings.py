@@ -1,4 +1,4 @@
-"""Parts of a training's settings: the sampler of levels, and how it is computed; their checks."""
+"""Nested records of a training's settings, and their checks."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from astray.bounds import MOST, shown
 from astray.game import MOST_EDITS, Mutation
 from astray.record import LEVELS
 
-KNOB = "variant."  # may stand before the name of a knob, which is not a setting then
-MOST_STEPS = 10**15  # what the fastest machine does in a century
+KNOB = "variant."  # prefix that marks a name as a knob rather than a setting
+MOST_STEPS = 10**15  # a century on the fastest machine
 SEEDS = 2**27  # every seed has 2**36 streams of its own, and environments take up to 2**63
 COUNTS = (
     "levels", "steps", "num_envs", "num_steps", "epochs", "minibatches", "scale", "width",
@@ -33,9 +33,9 @@ RANGES = (
     | {"first_level": (0, LEVELS.stop), "seed": (0, SEEDS - 1), "steps": (1, MOST_STEPS)}
 )
 
-SAMPLERS = ("uniform", "mixed", "growing", "plr", "accel")  # of levels, astray's own
-SCORING = ("plr", "accel")  # those that learn from how an agent did
-SAMPLED = {  # whose they are
+SAMPLERS = ("uniform", "mixed", "growing", "plr", "accel")  # astray's own samplers
+SCORING = ("plr", "accel")  # samplers that score levels
+SAMPLED = {  # settings -> their samplers
     "share": ("mixed", "growing"), "shifted_levels": ("mixed",), "replay": SCORING,
 }  # fmt: skip
 Schedule = Literal["throughout", "early", "late", "annealed"]
@@ -43,7 +43,7 @@ Score = Literal["regret", "max-monte-carlo", "positive-value-loss"]
 
 
 def otherwise(default: str, text: str | None = None) -> Any:
-    """Return how help tells the `default` of an option that is None, and the `text` of its help."""
+    """Return the help of an option that is None: its computed `default`, and its `text`."""
     return arg(help=text, help_behavior_hint=f"(default: {default})")
 
 
@@ -51,26 +51,31 @@ def otherwise(default: str, text: str | None = None) -> Any:
 class Sampling:
     """Sampler of training levels.
 
-    Raises ValueError where a setting is of another type, out of its bounds, or of another sampler.
+    Examples:
+        >>> astray.Sampling("mixed", share=0.1, schedule="early").share
+        0.1
+
+    Raises:
+        ValueError: If a setting has another type, is out of its bounds, or of another sampler.
     """
 
     # Sampler: uniform, mixed, growing, plr, accel, or your own as module:Class.
     kind: Annotated[str, arg(name="sampler")] = "uniform"
-    # Chance of an episode to be in a shifted level, as the mean over steps (mixed); part of the
-    # steps after which all levels are played (growing).
+    # Probability that an episode is in a shifted level, as the mean over steps (mixed); fraction of
+    # the steps after which all levels are played (growing).
     share: Annotated[float | None, otherwise("shift_probability; 0.5 for growing")] = None
     schedule: Schedule = "throughout"  # When the shifted levels are played (mixed).
-    # Number of shifted levels begun in all, early and late within a share of the steps (mixed).
+    # Total number of shifted levels begun; early and late use a fraction of the steps (mixed).
     shifted_levels: Annotated[int | None, otherwise("as many as the chance comes to")] = None
-    buffer: int = 4096  # Number of levels that are kept to be replayed (plr, accel).
-    # Chance that a rollout replays levels (plr, accel).
+    buffer: int = 4096  # Number of levels in the replay buffer (plr, accel).
+    # Probability that a rollout replays levels (plr, accel).
     replay: Annotated[float | None, otherwise("1/3 for plr, 1/2 for accel")] = None
-    # Temperature of replay: a level's chance is (1 / rank) ** (1 / temperature) (plr, accel).
+    # Temperature of replay: a level's weight is (1 / rank) ** (1 / temperature) (plr, accel).
     temperature: float = 0.1
-    # Part of the chance that is of levels not replayed lately (plr, accel).
+    # Fraction of the probability for levels that were not replayed lately (plr, accel).
     staleness: float = 0.1
     score: Score = "max-monte-carlo"  # Score by which levels are ranked (plr, accel).
-    mutation: Mutation = "constant"  # Edits of a level, and how often each is made (accel).
+    mutation: Mutation = "constant"  # Kind of edits of a level (accel).
     edits: int = 12  # Number of edits of a level that make another (accel).
 
     def __post_init__(self) -> None:
@@ -80,7 +85,7 @@ class Sampling:
             raise ValueError(f"sampler must be one of {possible}; got {self.kind!r}")
 
     def check_kind(self) -> None:
-        """Raise ValueError where a setting is one of another sampler."""
+        """Raise ValueError if a setting belongs to another sampler."""
         for name, kinds in SAMPLED.items():
             if getattr(self, name) is not None and self.kind in set(SAMPLERS) - set(kinds):
                 raise ValueError(
@@ -93,13 +98,13 @@ SUITS = otherwise("what suits the device")
 
 @dataclass(frozen=True)
 class Fast:
-    """Acceleration: None is what suits the device, as `training.fast` resolves it."""
+    """Acceleration. None means whatever suits the device, as resolved by `training.fast`."""
 
     # Compute the mlp and its loss by astray's own kernels.
     fused_cpu: Annotated[bool | None, SUITS] = None
     # Compute large products in bfloat16; weights and losses stay float32.
     bfloat16: Annotated[bool | None, SUITS] = None
-    # Lay impala's weights and activations out channels last.
+    # Store impala's weights and activations channels-last.
     channels_last: Annotated[bool | None, SUITS] = None
     # Compile the network by torch.compile, which fuses small operations.
     compile: Annotated[bool | None, SUITS] = None
@@ -115,10 +120,7 @@ class Fast:
 
 
 def check(record: Any) -> None:
-    """Raise ValueError where a field is not of its declared type, or out of its range.
-
-    Fields that are records of settings themselves have checked themselves.
-    """
+    """Raise ValueError unless every field, except nested records, has its type and range."""
     for name, kind in typing.get_type_hints(type(record)).items():
         value = getattr(record, name)
         if kind in (Sampling, Fast):

@@ -1,8 +1,8 @@
-"""Trackers of others, beside TensorBoard: Weights & Biases (wandb), and Trackio.
+"""External trackers in addition to TensorBoard: Weights & Biases (wandb) and Trackio.
 
-They are told the settings, a line of metrics an iteration, and at the end videos and tables. Where
-they keep them, and whether they send them anywhere, is their own setting: `WANDB_MODE=offline`;
-Trackio stays on this machine unless it is given a Space.
+They receive the settings, the metrics of every iteration, and finally videos and tables. Their own
+settings decide where the data goes: `WANDB_MODE=offline` for wandb; Trackio stays on this machine
+unless it is given a Space.
 """
 
 from __future__ import annotations
@@ -23,15 +23,17 @@ from astray.training.loop import Iteration, iterate
 from astray.words import check_word
 
 PROJECT = "astray"
-IDS = "track.json"  # of a run's folder: by which each tracker knows it, also after a stop
+IDS = "track.json"  # in the run folder: its ids in the trackers, for resuming
 LARGEST = 10_000  # bytes of it
 ROWS = 10_000  # of a table, at most
 
 
 class Tracker:
-    """One run of a tracker; what it cannot take is told once in a warning, and harms nothing.
+    """One run of a tracker. Values that it refuses are reported once in a warning and are harmless.
 
-    Raises ImportError where the tracker is not installed, RuntimeError where it cannot begin.
+    Raises:
+        ImportError: If the tracker is not installed.
+        RuntimeError: If it cannot begin.
     """
 
     def __init__(self, by: Tracking, name: str, folder: Path, settings: Mapping[str, Any]):
@@ -46,7 +48,7 @@ class Tracker:
             raise RuntimeError(f"{by} cannot track this run: {error}") from error
 
     def log(self, steps: int, values: Mapping[str, Any]) -> None:
-        """Tell `values` by name, as they are after so many environment steps."""
+        """Log `values` by name after `steps` environment steps."""
 
         def tell() -> None:
             if self.by == "wandb":
@@ -61,18 +63,18 @@ class Tracker:
         self._media(steps, name, lambda: self._library.Video(str(path), format=path.suffix[1:]))
 
     def picture(self, steps: int, name: str, path: Path) -> None:
-        """Tell a picture, a .png file."""
+        """Log a picture, a .png file."""
         self._media(steps, name, lambda: self._library.Image(str(path)))
 
     def table(
         self, steps: int, name: str, columns: Sequence[str], rows: Sequence[Sequence[Any]]
     ) -> None:
-        """Tell a table, its first 10,000 rows."""
+        """Log the first 10,000 rows of a table."""
         data = [list(row) for row in rows[:ROWS]]
         self._media(steps, name, lambda: self._library.Table(columns=list(columns), data=data))
 
     def finish(self) -> None:
-        """End the run, once all is written."""
+        """End the run after everything is written."""
         self._safely(self._run.finish)
 
     def _media(self, steps: int, name: str, make: Callable[[], Any]) -> None:
@@ -81,7 +83,7 @@ class Tracker:
     def _safely(self, tell: Callable[[], None]) -> None:
         try:
             tell()
-        except Exception as error:  # whatever a tracker's is, hours of training are worth more
+        except Exception as error:  # no tracker's error may end a training of hours
             if not self._warned:
                 warnings.warn(f"{self.by} did not take something: {error}", stacklevel=4)
             self._warned = True
@@ -95,7 +97,7 @@ def train_tracked(
     progress: bool = True,
     wait: bool = False,
 ) -> Path:
-    """`loop.train`, and tell a tracker of it; the last checkpoint."""
+    """Train as `loop.train` does, with a tracker; return the last checkpoint."""
     iterations = iterate(config, folder, progress=progress, wait=wait)
     told = track if parallel.first() else None
     for _ in tracked(iterations, told, config, folder) if told else iterations:
@@ -106,7 +108,7 @@ def train_tracked(
 def tracked(
     iterations: Iterable[Iteration], by: Tracking, config: Config, folder: Path
 ) -> Iterator[Iteration]:
-    """The iterations of a training, each told to a tracker on the way."""
+    """Yield the iterations of a training and log each with a tracker."""
     tracker = None
     try:
         for iteration in iterations:
@@ -121,7 +123,7 @@ def tracked(
 
 
 def label(config: Config) -> str:
-    """What a run is called among others."""
+    """Return a run's name for trackers."""
     return f"{config.game}-{config.variant}-seed-{config.seed}"
 
 
@@ -156,7 +158,7 @@ def _begin_trackio(name: str, folder: Path, settings: Mapping[str, Any]) -> tupl
 
 
 def _id(folder: Path, by: str) -> str:
-    """By which a tracker knows the run of a folder."""
+    """Return the id by which a tracker knows the run of a folder."""
     path = folder / IDS
     try:
         ids = json.loads(read(path, LARGEST)) if path.exists() else {}

@@ -1,4 +1,4 @@
-"""All that lives while an agent is trained, and that a checkpoint must hold."""
+"""The state of a training, which a checkpoint must hold."""
 
 from __future__ import annotations
 
@@ -28,16 +28,17 @@ from astray.training.settings import SAMPLERS
 from astray.training.teacher import Solver, Teacher
 from astray.training.teacher import loss as distilled
 
-PER_WEIGHT = 16  # bytes: float32 of itself, its gradient, and Adam's two moments
+PER_WEIGHT = 16  # bytes: float32 weight, gradient, and Adam's two moments
 PER_SAMPLE = 28  # bytes beside the observation: an int64 and five float32
-MOMENTS = ("exp_avg", "exp_avg_sq")  # that Adam keeps of each weight
+MOMENTS = ("exp_avg", "exp_avg_sq")  # Adam's, for each weight
 
 
 class Trainer:
     """The network, its optimizer, and the players of the training and validation variants.
 
-    network, loss, sampler  what `config` has the names of, where nobody can import it
-    teacher  the weights of the agent that `config` names so
+    Args:
+        network, loss, sampler: Objects behind the names in `config`, if they cannot be imported.
+        teacher: Weights of the agent that `config` names as teacher.
     """
 
     def __init__(
@@ -75,7 +76,7 @@ class Trainer:
             config.scale,
             config.width,
         )
-        # The user's own words: what they name may be imported.
+        # The user's own names may be imported.
         own = is_own(config.network)
         build = network or (Architecture.build if own else imports.find(config.network))
         self._check_memory(build)
@@ -117,7 +118,7 @@ class Trainer:
         return Actor(self.fast.network, rollout)
 
     def _check_memory(self, build: Callable[[Architecture], nn.Module]) -> None:
-        """MemoryError where a rollout and the network, on a CPU, need more than there is."""
+        """Raise MemoryError if a rollout and the network need more memory than the CPU has."""
         config, shown = self.config, math.prod(self.architecture.shape)
         try:
             with torch.device("meta"):  # without memory
@@ -137,7 +138,7 @@ class Trainer:
             )
 
     def set_rate(self, rate: float) -> None:
-        """Learn at `rate` from now on."""
+        """Set the optimizer's learning rate."""
         for group in self.optimizer.param_groups:
             if isinstance(group["lr"], Tensor):
                 group["lr"].fill_(rate)
@@ -147,7 +148,7 @@ class Trainer:
     def repeat(
         self, function: Callable[[Tensor], dict[str, Tensor]], indices: Tensor
     ) -> dict[str, Tensor]:
-        """`function(indices)`; with graphs the first call's function, replayed."""
+        """Return `function(indices)`; with CUDA graphs the first call's function is replayed."""
         if not self.fast.using.cudagraphs:
             return function(indices)
         if self._captured is None:
@@ -155,13 +156,13 @@ class Trainer:
         return self._captured(indices)
 
     def learned(self) -> list[Tensor]:
-        """What a step of the optimizer changes: the weights, and their moments once there are."""
+        """Return the tensors that the optimizer changes: weights, and moments once they exist."""
         moments = [x for state in self.optimizer.state.values() for x in state.values()]
         return [*self.weights, *moments]
 
     @property
     def is_taught(self) -> bool:
-        """Whether the teacher is asked about the next rollout; else rewards teach."""
+        """Whether the teacher is asked about the next rollout; otherwise rewards teach."""
         return self.teacher is not None and self.steps < self.config.taught * self.config.steps
 
     @property
@@ -173,7 +174,7 @@ class Trainer:
         return {name: player for name, player in both.items() if player is not None}
 
     def tensors(self) -> dict[str, Tensor]:
-        """All that the training needs to go on as if it had not stopped, but the weights."""
+        """Return all state except the weights that a resumed training needs."""
         result = {"steps": torch.tensor([self.steps])}
         for name, player in self.players().items():
             result |= {f"{name}.{key}": value for key, value in player.tensors().items()}
@@ -185,15 +186,15 @@ class Trainer:
         return result
 
     def _remembers(self) -> list[tuple[str, Rollout]]:
-        """The rollouts whose states a checkpoint must hold, by the players' names."""
+        """Return the rollouts whose network states a checkpoint must hold, by player."""
         actors = {"training": self.actor, "validation": self.validator}
         return [(name, a.rollout) for name, a in actors.items() if a and self.memory]
 
     def _check(self, tensors: dict[str, Tensor]) -> None:
-        """See that `tensors` are, by name, type and shape, what this training's would be.
+        """Check names, dtypes and shapes of `tensors` against this training's own.
 
-        What is here now tells that, but for the optimizer's moments, which the first step makes,
-        and for how many episodes have ended lately.
+        The optimizer's moments, which the first step creates, and the number of recent episodes
+        may differ.
         """
         wanted = self.tensors()
         for k, weight in enumerate(self.weights):
@@ -216,7 +217,7 @@ class Trainer:
             raise ValueError(f"steps must be a multiple of {self.config.batch}; got {steps}")
 
     def restore(self, tensors: dict[str, Tensor]) -> None:
-        """Go on from what `tensors` returned; the weights are loaded apart."""
+        """Continue from the result of `tensors`; the weights are loaded separately."""
         self._check(tensors)
         self.steps = int(tensors["steps"])
         for name, player in self.players().items():
@@ -232,7 +233,7 @@ class Trainer:
                 state[name] = torch.empty_like(weight).copy_(state[name])
 
     def close(self) -> None:
-        """End what would outlive this: a communicator waits for the graphs that use it."""
+        """Release the CUDA graphs, on which a communicator would wait."""
         if self._captured:
             self._captured.graph.reset()
         for player in self.players().values():
@@ -241,7 +242,7 @@ class Trainer:
 
 
 def _sampler(config: Config, make: MakeSampler | None) -> Sampler | None:
-    """What chooses the training levels; None where the environments draw them."""
+    """Return the sampler of training levels; None if the environments draw them."""
     if make or config.sampler.kind not in SAMPLERS:
         return (make or imports.find(config.sampler.kind))(config)
     if config.sampler.kind == "uniform":
@@ -251,7 +252,7 @@ def _sampler(config: Config, make: MakeSampler | None) -> Sampler | None:
 
 @torch.no_grad()
 def _see_outputs(network: nn.Module, architecture: Architecture, shown: Tensor) -> None:
-    """ValueError where a network of the user's own does not return logits and values."""
+    """Raise ValueError unless a user's network returns logits and values."""
     wanted = [(len(shown), architecture.actions), (len(shown),)]
     returned = network(shown)
     parts = returned if isinstance(returned, tuple | list) else [returned]
@@ -263,7 +264,7 @@ def _see_outputs(network: nn.Module, architecture: Architecture, shown: Tensor) 
 
 
 def _see_sequences(config: Config) -> None:
-    """ValueError where a network with memory cannot be trained so."""
+    """Raise ValueError if a network with memory cannot be trained with these settings."""
     if config.num_envs // parallel.size() % config.minibatches:
         raise ValueError(
             f"a minibatch of a network with memory has whole environments: {config.num_envs} of "
@@ -274,7 +275,7 @@ def _see_sequences(config: Config) -> None:
 
 
 def _see_alike(config: Config, trained: tuple | None, validated: tuple | None) -> None:
-    """ValueError where the network that learns from one variant cannot see the other."""
+    """Raise ValueError if the two variants need different networks."""
     if trained != validated:
         raise ValueError(
             f"validation must be a variant whose observations have the shape of the training's; "

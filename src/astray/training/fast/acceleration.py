@@ -1,7 +1,7 @@
-"""What of `training.fast` a training uses, and the network and the loss with it.
+"""Choice of the accelerations for a training, and the accelerated network and loss.
 
-Each setting can be switched off; with all off, and always with a network or a loss that is not
-astray's own, what runs is `training.loop` with `ppo.loss`, as they are written.
+Each setting can be switched off. With all off, or with a custom network or loss, training runs
+`training.loop` with `ppo.loss` exactly as written.
 """
 
 from __future__ import annotations
@@ -42,38 +42,38 @@ Loss = Callable[[Any, Samples, Config], dict[str, Tensor]]
 OURS = (Cells, Clear, Convolutions, Impala, MLP)
 # Images whose activations each stay below the 32 MB that a process keeps when they are freed.
 MICROBATCH = {"impala": 128, "clear": 128, "cells": 128}
-LAYOUT = ("impala", "cells")  # whose weights may be channels-last
-LARGER = 1024  # of networks with fewer places
+LAYOUT = ("impala", "cells")  # networks whose weights may be channels-last
+LARGER = 1024  # images, for networks with smaller layers
 AT_ONCE = 8192  # images that are valued; the largest layer has fewer than 2**31 outputs then
-NEAR = 1e-3  # that the kernels' loss and gradient may differ by, relative, in float32
+NEAR = 1e-3  # largest relative difference of the kernels' loss and gradient, in float32
 
 
 @dataclass(frozen=True)
 class Acceleration:
-    """What is in use, of the settings of the same names."""
+    """The accelerations in use, named as in the settings."""
 
     fused_cpu: bool = False
     bfloat16: bool = False
     channels_last: bool = False
     compile: bool = False
     cudagraphs: bool = False
-    microbatch: int = 0  # 0: all that there is
+    microbatch: int = 0  # 0: all
     groups: int = 1
     together: bool = False  # cut-off episodes are valued at once, which rounds otherwise
 
     @property
     def of_network(self) -> bool:
-        """Whether the network is computed otherwise than as it is written."""
+        """Whether the network is computed in another way than written."""
         by_parts = self.microbatch > 0
         return self.fused_cpu or self.bfloat16 or self.channels_last or self.compile or by_parts
 
 
 @contextlib.contextmanager
 def torch_settings(threads: int) -> Iterator[None]:
-    """Torch as training has it, in all of the process; then as it was before.
+    """Apply torch's process-wide settings for training, and restore them afterwards.
 
-    Numbers too near 0 for all their digits count as 0, since they are slow; and cuDNN searches
-    for what is soonest, as shapes stay the same.
+    Denormal numbers are flushed to 0 because they are slow, and cuDNN searches for the fastest
+    algorithms because shapes stay the same.
     """
     denormals, count = sys.float_info.min / 2 > 0, torch.get_num_threads()
     search = torch.backends.cudnn.benchmark
@@ -89,14 +89,16 @@ def torch_settings(threads: int) -> Iterator[None]:
 
 
 def resolve(config: Config, ours: bool = True) -> Acceleration:
-    """What the settings come to.
+    """Resolve the settings for the device.
 
-    On a CPU the kernels, and for them and convolutions bfloat16 where the processor multiplies
-    in it. On a GPU all that there is for it.
+    A CPU uses the kernels, and bfloat16 for them and for convolutions if the processor multiplies
+    in it. A GPU uses everything that is available.
 
-    ours  network and loss are astray's own; else nothing is in use
+    Args:
+        ours: Whether network and loss are astray's own; otherwise nothing is used.
 
-    Raises ValueError where a setting asks for what is not there.
+    Raises:
+        ValueError: If a setting asks for something unavailable.
     """
     cpu, cuda = config.device == "cpu", config.device == "cuda"
     of_ppo = ours and config.teacher is None
@@ -125,7 +127,7 @@ def resolve(config: Config, ours: bool = True) -> Acceleration:
 
 
 def microbatch(config: Config, there: bool) -> int:
-    """How many samples are seen at once, where that can be chosen; 0: all."""
+    """Return the number of samples per forward pass if it can be chosen; 0 for all."""
     if config.fast.microbatch and not there:
         raise ValueError(
             f"microbatch needs a CPU, a network of convolutions and loss of astray's own; got "
@@ -135,14 +137,14 @@ def microbatch(config: Config, there: bool) -> int:
 
 
 def groups(config: Config) -> int:
-    """How many groups of environments there are: one is inferred for while another steps."""
+    """Return the number of environment groups: one steps while the device infers for another."""
     here = config.num_envs // parallel.size()
     one = config.device != "cuda" or here % 2 or config.teacher is not None
     return config.fast.groups or (1 if one else 2)
 
 
 def compiles(device: str) -> bool:
-    """torch.compile finds what it needs: a C++ compiler; for CUDA Triton, and what that needs."""
+    """Return whether torch.compile has a C++ compiler and, for CUDA, Triton and its needs."""
     if device != "cuda":
         return bool(shutil.which("g++"))
     compiler = os.environ.get("CC") or shutil.which("gcc") or shutil.which("clang")
@@ -151,7 +153,7 @@ def compiles(device: str) -> bool:
 
 
 def _settled(name: str, config: Config, there: bool, suits: bool = True) -> bool:
-    """Whether to use what `name` is, which may be `there`, and may suit the device."""
+    """Return whether to use acceleration `name`, given whether it is available and suits."""
     asked = getattr(config.fast, name)
     if asked and not there:
         raise ValueError(
@@ -163,19 +165,20 @@ def _settled(name: str, config: Config, there: bool, suits: bool = True) -> bool
 
 @dataclass(frozen=True)
 class Accelerated:
-    """A network and a loss as they are computed in training."""
+    """The network and loss as training computes them."""
 
     using: Acceleration
-    network: Callable  # observations, always as many -> logits, values
-    any_number: Callable  # likewise of any number of observations
+    network: Callable  # observations, a fixed number -> logits, values
+    any_number: Callable  # any number of observations -> logits, values
     loss: Callable[[Samples], dict[str, Tensor]]
-    plain: Loss  # as it is written
+    plain: Loss  # as written
     config: Config
 
     def values(self, parts: Sequence[np.ndarray], memory: Sequence[Tensor]) -> Tensor:
-        """The critic's values of observations in `parts` [n, ...], end to end.
+        """Return the critic's values of observations in `parts` [n, ...], concatenated.
 
-        memory  the network's states before them, [n, memory], of one that has it
+        Args:
+            memory: Network states before the observations, [n, memory], for a network with memory.
         """
         shown = [torch.from_numpy(part).to(self.config.device) for part in parts]
         if memory[0].shape[1]:
@@ -196,9 +199,9 @@ class Accelerated:
 def accelerate(
     network: nn.Module, loss: Loss, config: Config, architecture: Architecture
 ) -> Accelerated:
-    """A network and a loss as they are soonest computed; as they are written, where not ours.
+    """Return the fastest equivalent of a network and a loss; custom ones stay as written.
 
-    Then it says so: a warning names which of the two is not what `training.fast` computes.
+    A warning then names which of the two is custom.
     """
     if isinstance(network, Recurrent):
         whole = lambda batch: loss(_told(network, batch), batch, config)  # noqa: E731
@@ -241,9 +244,9 @@ def _told(network: Recurrent, batch: Samples) -> Callable:
 
 
 def agree(network: nn.Module, config: Config, architecture: Architecture) -> bool:
-    """Whether the kernels compute the network and `ppo.loss` as they are written now.
+    """Return whether the kernels compute the current network and `ppo.loss`.
 
-    An edit of either is in none of the kernels; on made-up samples the two differ then.
+    The kernels do not follow an edit of either, which then shows on synthetic samples.
     """
     random, actions, many = np.random.default_rng(0), architecture.actions, 64
     largest = np.array(architecture.largest)[:, None, None] + 1
@@ -266,7 +269,7 @@ def agree(network: nn.Module, config: Config, architecture: Architecture) -> boo
         fast = Model(network, ppo.loss, config, Acceleration(fused_cpu=True)).loss(batch)
         parts = [torch.stack([x.detach() for x in each.values()]) for each in (plain, fast)]
         one, two = (_gradient(network, each["loss"]) for each in (plain, fast))
-    except (TypeError, ValueError, RuntimeError):  # of weights that the kernels do not know
+    except (TypeError, ValueError, RuntimeError):  # weights that the kernels do not support
         return False
     return (
         plain.keys() == fast.keys()
@@ -276,7 +279,7 @@ def agree(network: nn.Module, config: Config, architecture: Architecture) -> boo
 
 
 def agreement(fast: Accelerated, network: nn.Module, batch: Samples, config: Config) -> dict:
-    """The gradient beside that of the loss as it is written, in float32: cosine, ratio of lengths.
+    """Compare the accelerated gradient with the float32 gradient as written: cosine, length ratio.
 
     Convolutions in bfloat16 have been wrong on some GPUs (pytorch issue 150700).
     """
@@ -289,13 +292,13 @@ def agreement(fast: Accelerated, network: nn.Module, batch: Samples, config: Con
 
 
 def _gradient(network: nn.Module, loss: Tensor) -> Tensor:
-    """The gradient of a loss by all weights, as one vector."""
+    """Return the gradient of a loss by all weights as one vector."""
     gradients = torch.autograd.grad(loss, list(network.parameters()))
     return torch.cat([x.flatten() for x in gradients])
 
 
 class Model:
-    """One of astray's own networks, and a loss of it, as a device computes them soonest."""
+    """One of astray's own networks with a loss, in the fastest form for a device."""
 
     def __init__(self, network: nn.Module, loss: Loss, config: Config, using: Acceleration):
         assert isinstance(network, ActorCritic)
@@ -314,7 +317,7 @@ class Model:
             self.loss = torch.compile(self._loss, fullgraph=True, dynamic=False)
 
     def __call__(self, observation: Tensor) -> tuple[Tensor, Tensor]:
-        """Logits [B, actions] and values [B], of any number of observations."""
+        """Return logits [B, actions] and values [B] for any number of observations."""
         if self.using.fused_cpu:
             outputs = self._sparse(observation)
             return outputs[:, :-1], outputs[:, -1]

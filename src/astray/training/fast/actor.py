@@ -1,4 +1,4 @@
-"""Acting as a GPU does it soonest: it infers for some environments while others step."""
+"""Asynchronous acting on a GPU, which infers for some environments while others step."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from astray.training.player import Rollout
 
 
 class Ahead:
-    """Acts as `player.Actor` does; `send` waits for nothing.
+    """Actor like `player.Actor` whose `send` never waits.
 
-    Observations go from the memory that the environments draw in straight to where they stay.
+    Observations go directly from the environments' memory to the rollout's buffers.
     """
 
     def __init__(self, network: Callable, rollout: Rollout, graphs: bool):
-        """graphs  acting is a CUDA graph"""
+        """Prepare to act; with `graphs` acting is a CUDA graph."""
         self.network, self.rollout, self._graphs = network, rollout, graphs
         groups = rollout.player.groups
         self.chosen = torch.empty(len(rollout.player.images), dtype=torch.int64, pin_memory=True)

@@ -1,6 +1,6 @@
 """PPO's loss and its gradient in one pass over a minibatch, on a CPU.
 
-For 1,024 samples of 15 actions 0.23 ms, where torch takes 0.55 ms for some 60 operations.
+For 1,024 samples of 15 actions it takes 0.23 ms; torch takes 0.55 ms for some 60 operations.
 """
 
 from __future__ import annotations
@@ -21,13 +21,13 @@ PARTS = ("policy_loss", "value_loss", "entropy", "approx_kl", "clip_fraction")
 
 
 class Loss(torch.autograd.Function):
-    """Outputs [B, actions + 1] (logits, then the value) and a minibatch -> loss, `PARTS` [5]."""
+    """Map outputs [B, actions + 1] (logits, value) and a minibatch to loss and `PARTS` [5]."""
 
     @staticmethod
     def forward(
         ctx: Any, outputs: Tensor, minibatch: Samples, weights: tuple[float, float, float]
     ) -> tuple[Tensor, Tensor]:
-        """weights: the clip range, the weights of the value's loss and of the entropy."""
+        """Compute the loss; `weights` are the clip range and the value and entropy weights."""
         grad, parts = torch.empty_like(outputs), torch.zeros(len(PARTS), dtype=torch.float64)
         ensure_compiled()
         shapes = {tuple(x.shape) for name, x in vars(minibatch).items() if name != "observation"}
@@ -59,7 +59,7 @@ class Loss(torch.autograd.Function):
 
 @functools.cache
 def ensure_compiled() -> None:
-    """Compile the kernel for the types to come, or take it from the cache."""
+    """Compile the kernel for its later argument types, or load it from the cache."""
     table, column = np.empty((0, 2), np.float32), np.empty(0, np.float32)
     with one_at_a_time():
         evaluate(
@@ -91,7 +91,7 @@ def evaluate(
     grad,
     parts,
 ):
-    """Fill `grad` [B, A + 1] with the gradient of the loss by `outputs`, `parts` with the means."""
+    """Fill `grad` [B, A + 1] with the loss's gradient by `outputs`, and `parts` with means."""
     count, actions = len(outputs), outputs.shape[1] - 1
     log_probability, probability = np.empty((2, actions))
     for i in range(count):

@@ -1,4 +1,4 @@
-"""Functions of tensors replayed as CUDA graphs."""
+"""Functions of tensors, replayed as CUDA graphs."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ WARM_UP = 3  # runs before a capture, in which libraries choose and allocate
 class Captured:
     """A function of tensors of fixed shapes, replayed as one CUDA graph.
 
-    What it returns is overwritten by the next call. What it changes in `state` while it warms
-    up is undone: learning begins where it was.
+    The next call overwrites its results. Changes to `state` during warm-up are undone, so that
+    learning begins unchanged.
     """
 
     def __init__(
@@ -43,7 +43,7 @@ class Captured:
 
 @torch.no_grad()
 def restore(state: Iterable[Tensor], before: dict[int, Tensor]) -> None:
-    """Put back what `state` held; what was not there yet began as 0 (the moments of Adam)."""
+    """Restore the values of `state`; new tensors (the moments of Adam) become 0."""
     for x in state:
         if id(x) in before:
             x.copy_(before[id(x)])

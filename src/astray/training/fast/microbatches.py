@@ -1,7 +1,7 @@
-"""Learning from a minibatch by parts, whose activations need no new memory and stay in a cache.
+"""Learning from a minibatch in parts, whose activations fit in a cache and reuse memory.
 
-On a CPU, blocks of more than 32 MB are given back to the system when they are freed: for the
-paper's network and 1,024 images, fetching them anew took as long as half of all products.
+On a CPU, blocks of more than 32 MB are returned to the system when freed. For the paper's network
+and 1,024 images, allocating them again took as long as half of all products.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from astray.training.ppo import Samples
 
 
 class Known(torch.autograd.Function):
-    """A loss whose gradient by all weights was computed with it."""
+    """A loss whose gradient by all weights was computed in the forward pass."""
 
     @staticmethod
     def forward(ctx: Any, loss: Tensor, gradients: list[Tensor], *_: Tensor) -> Tensor:
@@ -34,10 +34,7 @@ def loss(
     batch: Samples,
     size: int,
 ) -> dict[str, Tensor]:
-    """`of_samples(batch)`, a loss and what is logged beside it, `size` samples at once.
-
-    All of them have to be means over samples.
-    """
+    """Evaluate `of_samples(batch)` on `size` samples at a time; all results must be means."""
     sums: dict[str, Tensor] = {}
     gradients = [torch.zeros_like(weight) for weight in weights]
     for part in batch.split(size):

@@ -1,6 +1,6 @@
-"""The mlp on a CPU, without the products with the many zeros of symbolic planes.
+"""The mlp on a CPU, without multiplications by the many zeros of symbolic planes.
 
-Of Maze's 294 inputs some 33 are not 0, so that its first layer is a sum of 33 rows of weights.
+Of Maze's 294 inputs about 33 are nonzero, so its first layer is a sum of 33 rows of weights.
 """
 
 from __future__ import annotations
@@ -23,15 +23,19 @@ TOGETHER = 4  # rows of weights added at once, so that the sum is read and writt
 
 
 def usable() -> bool:
-    """Whether the kernels are compiled; interpreted, they are slower than the zeros."""
+    """Return whether the kernels are compiled; interpreted ones are slower than dense products."""
     return not numba.config.DISABLE_JIT  # pyright: ignore
 
 
 def outputs(network: MLP, planes: Tensor, between: torch.dtype = torch.float32) -> Tensor:
-    """Logits, and in the last column values [B, actions + 1], but for rounding the network's own.
+    """Return logits and, in the last column, values [B, actions + 1], equal up to rounding.
 
-    planes   [B, C, H, W] uint8, on a CPU; ValueError where the network was built for others
-    between  of the products between the two hidden layers; most of the time goes there
+    Args:
+        planes: [B, C, H, W] uint8, on a CPU.
+        between: dtype of the product between the hidden layers, which takes most of the time.
+
+    Raises:
+        ValueError: If the network was built for planes of another shape.
     """
     spread, inputs = network.spread, network.inputs
     cells = planes.shape[2:].numel()
@@ -50,7 +54,7 @@ def outputs(network: MLP, planes: Tensor, between: torch.dtype = torch.float32) 
 
 
 class Forward(torch.autograd.Function):
-    """`MLP`, its two heads as one layer: planes -> [B, actions + 1]."""
+    """The mlp with both heads as one layer: planes -> [B, actions + 1]."""
 
     @staticmethod
     def forward(
@@ -97,12 +101,12 @@ class Forward(torch.autograd.Function):
 
 
 def _array(x: Tensor) -> np.ndarray:
-    """`x` for the kernels: of bfloat16, which NumPy does not have, the bits."""
+    """Return `x` as an array for the kernels; bfloat16, which NumPy lacks, as raw bits."""
     return (x.view(torch.int16) if x.dtype == torch.bfloat16 else x).numpy()
 
 
 def _found(planes: Tensor, spread: CircleEmbedding) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """What `find` finds in `planes` [B, C, H, W]."""
+    """Return the result of `find` for `planes` [B, C, H, W]."""
     given = planes.flatten(2).numpy()
     most = 2 * np.count_nonzero(given) + TOGETHER * len(given)
     ends = np.empty(len(given) + 1, np.int64)
@@ -114,7 +118,7 @@ def _found(planes: Tensor, spread: CircleEmbedding) -> tuple[np.ndarray, np.ndar
 
 @functools.cache
 def ensure_compiled() -> None:
-    """Compile the kernels for the types to come, or take them from the cache."""
+    """Compile the kernels for their later argument types, or load them from the cache."""
     with one_at_a_time():
         ends, rows = np.zeros(1, np.int64), np.empty(0, np.int64)
         values, table = np.empty(0, np.float32), np.empty((0, 1), np.float32)
@@ -127,11 +131,13 @@ def ensure_compiled() -> None:
 
 @entry
 def find(planes, flags, circle, ends, rows, values):
-    """Fill `rows`, `values` with the inputs that are not 0; sample i's are ends[i]:ends[i + 1].
+    """Fill `rows` and `values` with the nonzero inputs; sample i has ends[i]:ends[i + 1].
 
-    planes  [B, C, cells] uint8; `flags` of 0 and 1 come first, the others become two inputs a
-            cell each, as in `CircleEmbedding`
-    Each sample's are filled up with zeros to a multiple of `TOGETHER`.
+    Each sample is padded with zeros to a multiple of `TOGETHER`.
+
+    Args:
+        planes: [B, C, cells] uint8. Binary `flags` come first; each other plane becomes two inputs
+            per cell, as in `CircleEmbedding`.
     """
     _, count, cells = planes.shape
     second = (count - flags) * cells  # from a category's first input to its second
@@ -177,7 +183,7 @@ def add_rows(ends, rows, values, weight, bias, hidden):
 
 @entry
 def pass_relu(grad, output, below):
-    """Make the gradient of a ReLU's `output` that below it, in `grad` and `below` [B, width]."""
+    """Compute the gradient below a ReLU from that above it, into `grad` and `below` [B, width]."""
     for i in range(len(grad)):
         for x in range(grad.shape[1]):
             through = grad[i, x] if output[i, x] > 0 else np.float32(0)
@@ -187,7 +193,7 @@ def pass_relu(grad, output, below):
 
 @entry
 def add_to_rows(ends, rows, values, hidden, grad, weight, bias):
-    """Add to `weight` and `bias` their gradients, given that of `hidden`, `grad` [B, width]."""
+    """Add the first layer's gradients to `weight` and `bias`; `grad` is [B, width]."""
     through = np.empty(len(bias), np.float32)
     for i in range(len(hidden)):
         for x in range(len(bias)):
@@ -202,12 +208,12 @@ def add_to_rows(ends, rows, values, hidden, grad, weight, bias):
 # What a kernel's table holds is float32; or int16 with the bits of a bfloat16, the upper half of
 # a float32, which is above 0 where that is.
 def real(x: Any) -> Any:
-    """The number that is held as `x`."""
+    """Return the number stored as `x`."""
     return (_real_float if isinstance(x, np.floating) else _real_half)(x)
 
 
 def put(table: Any, i: Any, x: Any, number: Any) -> None:
-    """Hold `number` at table[i, x]."""
+    """Store `number` at table[i, x]."""
     (_put_float if table.dtype == np.float32 else _put_half)(table, i, x, number)
 
 
