@@ -72,9 +72,9 @@ class Sampler(Protocol):
     that and on `arrays`, so that a resumed training is the same.
 
     Examples:
-        >>> from astray.training.levels import Mixed
-        >>> config = astray.Config("maze", "corner-small", sampler="mixed")
-        >>> Mixed(config).next(np.arange(2)).shape
+        >>> from astray.training.levels import Growing
+        >>> config = astray.Config("maze", "anywhere-small", levels=300, sampler="growing")
+        >>> Growing(config).next(np.arange(2)).shape
         (2,)
     """
 
