@@ -194,7 +194,7 @@ CALLS: dict[str, tuple[dict[str, str], Callable[..., Any]]] = {
                    _of("acting", "initial_states", "game", "variant", "levels")),
     "a video": (_kinds("agent", "game", "variant", level="levels", pixels="number"),
                _of("analysis.video", "play", "agent", "game", "variant", level=0, pixels=32)),
-    **{f"doubt: {name}": ({"logits": "logits"}, _plain("mitigation.doubt", name))
+    **{f"uncertainty: {name}": ({"logits": "logits"}, _plain("mitigation.uncertainty", name))
        for name in ("max_probability", "margin", "entropy", "energy", "max_logit")},
     **{f"level.{name}": ({"name": "text", "cell": "levels"}, _level(name))
        for name in ("moved", "removed", "added", "splay")},

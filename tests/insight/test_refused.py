@@ -17,7 +17,7 @@ from astray.insight.episode import along
 from astray.insight.fields import difference, fields
 from astray.insight.retarget import Clamp, retarget
 from astray.insight.vectors import Condition, edit_vectors, pair_vectors
-from astray.mitigation.doubt import margin, max_logit
+from astray.mitigation.uncertainty import margin, max_logit
 from helpers.looked_into import make_agent
 
 MAZE = find("maze")

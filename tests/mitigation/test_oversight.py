@@ -17,7 +17,6 @@ from astray.analysis.policies import Random, Walk
 from astray.analysis.runs import load_agent
 from astray.envs.vector import GameVectorEnv
 from astray.mitigation import oversight
-from astray.mitigation.doubt import Chance, OfLogits
 from astray.mitigation.helped import AFTER, BEFORE, SEEN, Helped, Watch, play
 from astray.mitigation.oversight import (
     PERCENTILES,
@@ -30,6 +29,7 @@ from astray.mitigation.oversight import (
     training_scores,
     when_asked,
 )
+from astray.mitigation.uncertainty import Chance, OfLogits
 
 MAZE = games.find("maze")
 SHIFT = load_shift(MAZE, "corner-small")
@@ -44,13 +44,13 @@ def mouse():
 
 @dataclass
 class ByTime:
-    """Doubts in some steps, whatever is seen."""
+    """Uncertain in some steps, whatever is seen."""
 
-    doubtful: tuple[int, ...]
+    uncertain: tuple[int, ...]
     name: str = "time"
 
     def __call__(self, env, observations):
-        return np.isin(env.states["time"], self.doubtful).astype(float)
+        return np.isin(env.states["time"], self.uncertain).astype(float)
 
 
 def test_what_help_brings_is_told_level_by_level(mouse):

@@ -4,7 +4,7 @@
     found = predict(table.join(outcomes, on="level"), "cheese", FEATURES)
 
 After Mini et al. (2023, arXiv 2310.08043), who regressed whether a mouse takes the cheese on
-distances in the maze, and doubted their own choice of features. So each coefficient comes with its
+distances in the maze, and were unsure of these features. So each coefficient comes with its
 interval, with how much it shares with the others (the variance inflation factor), and with how
 often its sign holds when other features are there or not.
 """

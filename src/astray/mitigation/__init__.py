@@ -1,1 +1,1 @@
-"""What helps against goals that are not meant: doubts, help that is asked for, other hypotheses."""
+"""What helps against unintended goals: uncertainty, help that is asked for, other hypotheses."""

@@ -18,7 +18,7 @@ from astray.analysis.trained import Agent
 from astray.bounds import of_kind
 from astray.envs.vector import Observation
 from astray.game import Game, Variant
-from astray.mitigation.doubt import Score
+from astray.mitigation.uncertainty import Score
 from astray.words import check_word
 
 Granularity = Literal["step", "level"]

@@ -26,7 +26,6 @@ from astray.analysis.estimates import estimate_mean
 from astray.analysis.outcomes import INTENDED, MISGENERALIZED, label
 from astray.bounds import finite, of_kind
 from astray.game import Game, Shift, Variant
-from astray.mitigation.doubt import Always, Score
 from astray.mitigation.helped import (
     MOMENTS,
     Alone,
@@ -37,6 +36,7 @@ from astray.mitigation.helped import (
     play_alone,
     unheeded,
 )
+from astray.mitigation.uncertainty import Always, Score
 from astray.words import check_word
 
 PERCENTILES = (5.0, 10.0, 25.0, 50.0, 75.0, 90.0, 95.0, 99.0)

@@ -155,7 +155,7 @@ def by_agent(pairs: pl.DataFrame) -> pl.DataFrame:
 
 
 def flips(agents: pl.DataFrame) -> Claim:
-    """Whether agents of the same training prefer different objects, each beyond doubt."""
+    """Whether agents of the same training prefer different objects, each clearly."""
     new = agents.filter(pl.col("colour") != COLOUR, pl.col("shape") != SHAPE)
     sure = new.group_by("colour", "shape").agg(
         to_colour=(pl.col("low") > 0.5).sum(), to_shape=(pl.col("high") < 0.5).sum()
@@ -167,7 +167,7 @@ def flips(agents: pl.DataFrame) -> Claim:
         "What they prefer depends on the seed: in most pairs of a new colour and a new shape some "
         "agents go to the one object, others to the other.",
         "not measured; Ramanauskas and Simsek (2023) found that it does",
-        f"in {rounded(both)} of {len(sure)} pairs both are beyond doubt, each by an interval over "
+        f"in {rounded(both)} of {len(sure)} pairs both are clear, each by an interval over "
         f"levels; before a red line and a yellow gem, {offered['to_colour']} of {count} agents go "
         f"to the gem, {offered['to_shape']} to the line; holds above 50\u00a0%",
         both > 0.5,

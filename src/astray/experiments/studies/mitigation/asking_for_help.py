@@ -1,4 +1,4 @@
-"""Does an agent that goes astray doubt what it does, in time for an expert to help?"""
+"""Is an agent that misgeneralizes uncertain in time for an expert to help?"""
 
 from __future__ import annotations
 
@@ -24,7 +24,9 @@ from astray.experiments.studies.mitigation import _help_figures as help_figures
 from astray.experiments.studies.mitigation._help_figures import NEVER
 from astray.games.coinrun import measures
 from astray.mitigation import oversight
-from astray.mitigation.doubt import (
+from astray.mitigation.helped import AFTER, MOMENTS, Watch
+from astray.mitigation.oversight import Trial, area, least_gain, net_returns, when_asked
+from astray.mitigation.uncertainty import (
     OF_LOGITS,
     Chance,
     Disagreement,
@@ -33,8 +35,6 @@ from astray.mitigation.doubt import (
     Score,
     distances,
 )
-from astray.mitigation.helped import AFTER, MOMENTS, Watch
-from astray.mitigation.oversight import Trial, area, least_gain, net_returns, when_asked
 from astray.report.claims import Claim, rounded
 from astray.training import folders
 
@@ -284,7 +284,7 @@ def lead(areas: pl.DataFrame) -> float:
 EXPERIMENT = Experiment(
     title="Asking for help",
     reproduces="Trinh et al. 2024 and Danesh et al. 2025, in small",
-    question="Does an agent that goes astray doubt what it does, in time for an expert to help?",
+    question="Is an agent that misgeneralizes uncertain in time for an expert to help?",
     sizes={
         "smoke": Plan(
             levels=200,

@@ -1,4 +1,4 @@
-"""Doubt: the scores of what an agent does not know, beside slow ones."""
+"""Scores of uncertainty, compared with slow implementations."""
 
 import numpy as np
 import pytest
@@ -13,7 +13,7 @@ from astray.analysis.policies import Walk
 from astray.analysis.runs import load_agent
 from astray.envs.vector import GameVectorEnv
 from astray.level import Level
-from astray.mitigation.doubt import (
+from astray.mitigation.uncertainty import (
     OF_LOGITS,
     Disagreement,
     GoalPosterior,

@@ -1,4 +1,4 @@
-"""How much an agent doubts what it does: scores by which it could ask for help.
+"""Scores of the uncertainty of an agent, by which it could ask for help.
 
 A score is a callable with a name: (environments, what they show) -> [N] float64, higher where help
 is sooner asked for. It may look at the agent, at what it is shown, or, as `GoalPosterior`, play the
@@ -117,7 +117,7 @@ class OfLogits:
 
 @dataclass(frozen=True)
 class Chance:
-    """Any number: what asking is worth that follows no doubt."""
+    """Random score: the baseline for asking for help at random."""
 
     seed: int = 0
     name: str = "random"
