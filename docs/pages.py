@@ -160,9 +160,7 @@ def from_root(name: str) -> str:
 
 def game_page(game: Game) -> str:
     kind = type(next(iter(game.variants.values())))
-    package = inspect.getmodule(kind)
-    assert package is not None and package.__name__.endswith(".variants")
-    told = inspect.getdoc(sys.modules[package.__name__.removesuffix(".variants")]) or ""
+    told = inspect.getdoc(sys.modules[f"{games.__name__}.{game.name}"]) or ""
     title, _, about = told.partition(": ")
     parts = [
         f"# {title}", about[:1].upper() + about[1:],
