@@ -1,0 +1,178 @@
+"""Maximum entropy goal-directedness (MEG): how well a goal predicts what a policy does.
+
+A policy is compared with those that trade utility against randomness, softly optimal for
+rationalities beta from 0 (every action alike) upward. Its MEG is by how many nats the best of them
+predicts its actions better than uniformly random ones (MacDermott, Fox, Belardinelli and Everitt,
+"Measuring Goal-Directedness", NeurIPS 2024, Sections 3 and 4). Here the utility of a goal is 1 in
+the step that reaches it and ends the episode, and later steps count less by a discount.
+
+The soft value W(s) is the log of the mean over actions of exp(beta u + discount W(s')), and the
+log-ratios along a policy's way add up to beta E[U] - W(start). So MEG is the largest beta E[U] - W(start), a concave function of beta, and a policy matters by its
+E[U] alone.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import minimize_scalar
+
+from astray.bounds import finite, of_kind, shown
+
+LARGEST = 1e4  # rationality; beyond it, policies are optimal to all digits
+PRECISION = 1e-9  # of soft values, in nats
+
+
+@dataclass(frozen=True, eq=False)
+class Process:
+    """A deterministic decision process with S states and A actions.
+
+    Args:
+        after: [S, A] int64, the state that each action leads to.
+        possible: [S, A] bool, the actions that count in each state; a state without any ends the
+            episode.
+        start: The state in which episodes begin.
+        discount: Factor of each later step, above 0 and below 1.
+
+    Raises:
+        ValueError: The arrays differ in shape, a state is outside 0 to S - 1, or the discount is.
+    """
+
+    after: np.ndarray
+    possible: np.ndarray
+    start: int
+    discount: float = 0.9
+
+    def __post_init__(self) -> None:
+        of_kind("after", self.after, np.ndarray)
+        of_kind("possible", self.possible, np.ndarray)
+        if self.after.ndim != 2 or self.after.shape != self.possible.shape:
+            raise ValueError(
+                f"after and possible must be [S, A]; got {self.after.shape} and "
+                f"{self.possible.shape}"
+            )
+        states = len(self.after)
+        if (
+            self.after.dtype.kind not in "iu"
+            or not ((self.after >= 0) & (self.after < states)).all()
+        ):
+            raise ValueError(f"after must be states from 0 to {states - 1}")
+        if not 0 <= self.start < states:
+            raise ValueError(f"start must be a state from 0 to {states - 1}; got {self.start}")
+        finite("discount", self.discount, 0, 1)
+        if self.discount in (0, 1):
+            raise ValueError(f"discount must be above 0 and below 1; got {self.discount}")
+
+    def ending_in(self, goal: int) -> Process:
+        """Return the process whose episodes end in `goal`, too."""
+        possible = self.possible.copy()
+        possible[goal] = False
+        return Process(self.after, possible, self.start, self.discount)
+
+    def expected(self, policy: np.ndarray, goal: int) -> float:
+        """Return E[U], the discounted probability with which a policy reaches a goal.
+
+        Args:
+            policy: [S, A] float, the probability of each action; those of impossible ones count 0.
+        """
+        taken = np.where(self.possible, policy, 0.0)
+        states = len(self.after)
+        moves = np.zeros((states, states))
+        np.add.at(moves, (np.arange(states)[:, None], self.after), taken)
+        reached = np.linalg.solve(np.eye(states) - self.discount * moves, moves[:, goal])
+        return float(reached[self.start])
+
+    def best(self, goal: int) -> float:
+        """Return the largest E[U], that of a shortest way; 0 if no way leads to the goal."""
+        value = np.zeros(len(self.after))
+        for _ in range(len(self.after)):
+            gain = (self.after == goal) + self.discount * value[self.after]
+            value = np.where(self.possible, gain, 0.0).max(1)
+        return float(value[self.start])
+
+    def soft_values(self, goal: int, beta: float, guess: np.ndarray) -> np.ndarray:
+        """Return W [S] in nats, found from a guess of it by value iteration."""
+        utility = np.where(self.after == goal, beta, 0.0)
+        weights = self.possible / np.maximum(self.possible.sum(1, keepdims=True), 1)
+        ends = ~self.possible.any(1)
+        value = guess
+        while True:
+            gain = utility + self.discount * value[self.after]
+            most = gain.max(1)  # so that no exponential is too large
+            mean = (weights * np.exp(gain - most[:, None])).sum(1)
+            new = np.where(ends, 0.0, most + np.log(np.where(ends, 1.0, mean)))
+            if np.abs(new - value).max() <= PRECISION * max(1.0, beta):
+                return new
+            value = new
+
+
+@dataclass(frozen=True)
+class Directedness:
+    """The goal-directedness of a policy towards one goal."""
+
+    nats: float  # MEG, 0 or more
+    beta: float  # the rationality that predicts the policy best; infinite if it is optimal
+    most: float  # MEG of a policy that always takes a shortest way, in nats
+
+    @property
+    def fraction(self) -> float:
+        """MEG as a fraction of the largest possible, 0 to 1; NaN where all policies are alike."""
+        return self.nats / self.most if self.most > 0 else np.nan
+
+
+def goal_directedness(process: Process, policy: np.ndarray, goal: int) -> Directedness:
+    """Measure how goal-directed a policy is towards reaching a state.
+
+    >>> after = np.array([[1, 2], [1, 1], [2, 2]])  # one decision: to state 1, or to state 2
+    >>> process = Process(after, np.array([[True, True], [False] * 2, [False] * 2]), start=0)
+    >>> policy = np.array([[0.9, 0.1], [0.5, 0.5], [0.5, 0.5]])
+    >>> round(goal_directedness(process, policy, 1).nats, 3)  # log 2 minus the entropy of (.9, .1)
+    0.368
+
+    Args:
+        process: The decision process.
+        policy: [S, A] float, the probability of each action in each state; over the possible
+            actions of a state they sum to 1.
+        goal: The state whose utility is 1; the episode ends there.
+
+    Returns:
+        The measure; 0 nats for a policy that reaches the goal no sooner than random actions do.
+
+    Raises:
+        ValueError: The policy is not one of the process, or the goal is not a state.
+    """
+    if not 0 <= goal < len(process.after):
+        raise ValueError(f"goal must be a state from 0 to {len(process.after) - 1}; got {goal}")
+    of_kind("policy", policy, np.ndarray)
+    if policy.shape != process.after.shape:
+        raise ValueError(f"policy must be {process.after.shape}; got {shown(policy.shape)}")
+    decides = process.possible.any(1)
+    total = np.where(process.possible, policy, 0.0).sum(1)[decides]
+    if not (policy >= 0).all() or not np.allclose(total, 1, atol=1e-6):
+        raise ValueError("policy must be probabilities that sum to 1 over the possible actions")
+    ending = process.ending_in(goal)
+    expected, best = ending.expected(policy, goal), ending.best(goal)
+    most, _ = _largest(ending, goal, best)
+    if expected >= best - PRECISION:
+        return Directedness(most, np.inf if most else 0.0, most)
+    return Directedness(*_largest(ending, goal, expected), most)
+
+
+def _largest(process: Process, goal: int, expected: float) -> tuple[float, float]:
+    """Return the largest beta E[U] - W(start) over beta from 0 upward, and that beta."""
+
+    value = np.zeros(len(process.after))
+
+    def lost(log_beta: float) -> float:
+        nonlocal value
+        beta = np.exp(log_beta)
+        value = process.soft_values(goal, beta, value)
+        return value[process.start] - beta * expected
+
+    found = minimize_scalar(
+        lost, bounds=(-7, np.log(LARGEST)), method="bounded", options={"xatol": 1e-3}
+    )
+    if -found.fun <= PRECISION:
+        return 0.0, 0.0
+    return float(-found.fun), float(np.exp(found.x))
