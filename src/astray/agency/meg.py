@@ -7,8 +7,8 @@ predicts its actions better than uniformly random ones (MacDermott, Fox, Belardi
 the step that reaches it and ends the episode, and later steps count less by a discount.
 
 The soft value W(s) is the log of the mean over actions of exp(beta u + discount W(s')), and the
-log-ratios along a policy's way add up to beta E[U] - W(start). So MEG is the largest beta E[U] - W(start), a concave function of beta, and a policy matters by its
-E[U] alone.
+log-ratios along a policy's way add up to beta E[U] - W(start). So MEG is the largest value of that,
+a concave function of beta, and a policy matters by its E[U] alone.
 """
 
 from __future__ import annotations
