@@ -10,7 +10,7 @@ from astray.insight.fields import Field, fields
 
 MAZE = games.find("maze")
 VARIANT = MAZE.variant("anywhere-small")
-LEVEL = 200_007  # the mouse begins in (3, 1): down and right is the cheese, up the corner
+LEVEL = 200_007  # the mouse begins in (2, 1): down and right is the cheese, up the corner
 GOALS = {"cheese": (5, 0), "corner": (6, 6)}
 
 
@@ -27,10 +27,10 @@ def changed(field, policy):
 def test_cheese_ends_the_episode_and_actions_of_one_effect_are_one(field):
     process, states = process_of(field.places)
     assert not process.possible[states[GOALS["cheese"]]].any()
-    begin = states[3, 1]
+    begin = states[2, 1]
     assert process.start == begin and process.possible[begin].sum() == 3  # up, down, or stay
     leads = set(process.after[begin][process.possible[begin]].tolist())
-    assert leads == {begin, states[3, 2], states[3, 0]}
+    assert leads == {begin, states[2, 2], states[2, 0]}
 
 
 def test_a_walk_to_the_corner_is_directed_to_it_and_not_to_the_cheese(field):
@@ -49,5 +49,5 @@ def test_random_actions_are_directed_to_nothing_and_the_mouse_to_its_corner(fiel
 
 
 def test_a_wall_is_no_goal(field):
-    with pytest.raises(ValueError, match=r"no action leads to the cell of wall, \(2, 1\)"):
-        directedness(field, {"wall": (2, 1)})
+    with pytest.raises(ValueError, match=r"no action leads to the cell of wall, \(3, 1\)"):
+        directedness(field, {"wall": (3, 1)})
