@@ -1,9 +1,4 @@
-"""What else is played as an agent is: a plain callable, a model of other libraries, a training.
-
-policy = Function(lambda images: np.full(len(images), 7), name="right")
-evaluate(policy, "coinrun", "coin-anywhere", range(1000))
-evaluate(from_sb3(PPO.load("mouse.zip")), "maze", "anywhere", range(1000))
-"""
+"""Adapters: functions, models of other libraries, and running trainings as policies."""
 
 from __future__ import annotations
 
@@ -27,7 +22,7 @@ from astray.words import check_word
 
 
 class Model(Protocol):
-    """What there is of a model of Stable-Baselines3 here."""
+    """The methods of a Stable-Baselines3 model that are used here."""
 
     def predict(
         self,
@@ -40,15 +35,16 @@ class Model(Protocol):
 
 @dataclass
 class Function:
-    """A policy that is a function: observations [N, ...] -> actions [N].
+    """Policy from a function of observations [N, ...] uint8 that returns actions [N].
+
+    Examples:
+        >>> right = astray.Function(lambda images: np.full(len(images), 7), name="right")
+        >>> astray.evaluate(right, "maze", "corner", range(10)).height
+        10
 
     Attributes:
-        choose: The function. With `remembers` it is (observations, memory, begins [N] bool) ->
-            (actions, memory): the memory is None at first, then what was returned last, a row per
-            episode.
-        observation: What a game shows it: images [N, 64, 64, 3] or symbolic planes [N, C, H, W].
+        observation: "image" for [N, 64, 64, 3], "symbolic" for planes [N, C, H, W].
         art: Art of the images.
-        remembers: Whether the function has a memory.
 
     Raises:
         ValueError: If it is not callable, or does not return one action per observation.
@@ -75,9 +71,9 @@ class Function:
 
 
 def _actions(name: str, chosen: Any, turn: Turn) -> np.ndarray:
-    """The actions [N] that a policy of that name chose; ValueError where they are none."""
+    """Return a policy's actions [N]; raise ValueError if they are invalid."""
     chosen, n, space = np.asarray(chosen), turn.env.num_envs, turn.env.single_action_space
-    if not isinstance(space, Discrete):  # of a world, which sees itself what its actions are
+    if not isinstance(space, Discrete):  # a world checks its own actions
         return chosen
     first, count = int(space.start), int(space.n)
     if chosen.shape != (n,) or not np.issubdtype(chosen.dtype, np.integer):
@@ -101,12 +97,12 @@ def from_sb3(
     observation: Observation = "image",
     art: str = OWN,
 ) -> Function:
-    """Return a policy of a Stable-Baselines3 model; torch's global random state draws its actions.
+    """Make a policy of a Stable-Baselines3 model; torch's random state samples its actions.
 
-    Recurrent models of sb3-contrib keep their memory within each episode.
+    A recurrent model, as in sb3-contrib, begins every episode with empty memory.
 
     Args:
-        greedy: Take the most likely action instead.
+        greedy: Take its most likely action instead.
     """
 
     def choose(seen: Any, memory: Any, begins: np.ndarray) -> tuple[np.ndarray, Any]:
@@ -152,7 +148,7 @@ def from_torchrl(
 
 @dataclass
 class Learner:
-    """The network of a training that goes on, as a policy; see `from_trainer`."""
+    """The network of a running training as a policy; see `from_trainer`."""
 
     trainer: Trainer
     mode: Literal["sampled", "greedy"]
@@ -181,9 +177,10 @@ class Learner:
 
 
 def from_trainer(trainer: Trainer, mode: Literal["sampled", "greedy"] = "sampled") -> Learner:
-    """The agent of a training that goes on, as a policy: what its next checkpoint would do.
+    """Make a policy of a running training, which acts as its next checkpoint would.
 
-    mode  "sampled" draws its actions from its policy, "greedy" takes the likeliest
+    Args:
+        mode: "sampled" samples actions from the policy, "greedy" takes the most likely.
     """
     check_word("mode", mode, Literal["sampled", "greedy"])
     return Learner(trainer, mode)

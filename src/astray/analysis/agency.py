@@ -1,4 +1,4 @@
-"""Agent or device, and which goal: the agency measure on policies that play a game of cells."""
+"""Agent or device, and for which goal: the agency measure for games of cells."""
 
 from __future__ import annotations
 
@@ -27,19 +27,20 @@ from astray.game import Game, Shift, Variant
 
 DEVICE = "device"
 UNDECIDED = "undecided"
-LEAST, MOST = np.array([244, 243, 236]), np.array([196, 60, 20])  # of the posterior, on floor
+LEAST, MOST = np.array([244, 243, 236]), np.array([196, 60, 20])  # colours of the posterior
 STONE, MOUSE = np.array([204, 184, 142]), np.array([34, 34, 34])  # walls are sand, as in the game
 
 
 @dataclass(frozen=True, eq=False)
 class Played:
-    """An episode as the measure sees it, up to the last goal that it reached.
+    """An episode for the measure, up to the last goal that it reached.
 
-    After that it only whiles away the time, which says nothing about where it went. An episode
-    that reached none is there whole.
+    The moves after that only pass the time and say nothing about a goal. An episode that reached
+    no goal is kept whole.
 
-    cells  [steps + 1] of every step; the steps that moved nothing are no part of the trajectory
-    goals  the cell of each goal with a name
+    Attributes:
+        cells: [steps + 1] cells; steps without a move are dropped from the trajectory.
+        goals: Name -> cell of each goal.
     """
 
     level: int
@@ -56,9 +57,10 @@ def play(
     shift: Shift,
     batch: int = 256,
 ) -> list[Played]:
-    """`policy`'s episodes in those of `levels` that have all the goals.
+    """Play `policy` in those of `levels` that contain all the goals.
 
-    Raises ValueError where the game has no `cells`.
+    Raises:
+        ValueError: If the game has no `cells`.
     """
     game = games.find(game)
     states = initial_states(game, variant, levels)
@@ -71,12 +73,12 @@ def play(
 
 
 def _cells(game: Game, states: np.ndarray) -> list[Cell]:
-    """The cells (x, y) of the agents in states [N]."""
+    """Return the cells (x, y) of the agents in states [N]."""
     return [(int(x), int(y)) for x, y in np.floor(game.places.centre(states))]
 
 
 def _played(game: Game, s: Any, way: list[Cell], shift: Shift) -> Played | None:
-    """The episode along the cells (x, y) of `way`, which began in `s`; None without its goals."""
+    """Return the episode from `s` along the cells of `way`; None if the level lacks a goal."""
     places = named_places(game, s, shift)
     if any(place is None for place in places.values()):
         return None
@@ -89,9 +91,9 @@ def _played(game: Game, s: Any, way: list[Cell], shift: Shift) -> Played | None:
 
 
 def named_places(game: Game, s: Any, shift: Shift) -> dict[str, Any]:
-    """The cell (x, y) of the shift's goals, None where there is none, and of the others there.
+    """Return the cells (x, y) of the shift's goals (None if absent) and of other goals.
 
-    Of goals that are reached by the same event the first stands for all.
+    Of goals that share an event only the first is included.
     """
     places: dict[str, Any] = {}
     events = set()
@@ -106,27 +108,27 @@ def named_places(game: Game, s: Any, shift: Shift) -> dict[str, Any]:
 
 @dataclass(frozen=True, eq=False)
 class Judgement:
-    """What the episodes of a policy say: an agent or a device, and of which goal.
+    """Verdict on a policy's episodes: an agent or a device, and for which goal.
 
-    The explanations are the goals with a name, another cell, and a device.
+    The explanations are the named goals, another cell, and a device.
     """
 
-    episodes: pl.DataFrame  # a row each: see `judge`
+    episodes: pl.DataFrame  # one row each: see `judge`
     explanations: tuple[str, ...]
-    shares: list[Estimate]  # of episodes, for each explanation
-    pooled: np.ndarray  # posterior of each explanation if one holds for all episodes: a few
-    # episodes in which an agent got stuck decide it, so the verdict is not taken from it
-    decisions: int  # steps at which the goals with a name part
+    shares: list[Estimate]  # fraction of episodes for each explanation
+    pooled: np.ndarray  # posterior of each explanation if one holds for all episodes; a few
+    # episodes in which an agent got stuck decide it, so the verdict ignores it
+    decisions: int  # steps at which the named goals part
 
     @property
     def verdict(self) -> str:
-        """The explanation of most episodes, with 95 % confidence; else undecided."""
+        """The explanation of most episodes, if that is significant at 95 %; otherwise undecided."""
         most = [n for n, s in zip(self.explanations, self.shares, strict=True) if s.low > 0.5]
         return most[0] if most else UNDECIDED
 
     @property
     def telling(self) -> int:
-        """Which episode has most steps at which the goals part, of those like the verdict."""
+        """Index of the episode with the most distinguishing steps that fits the verdict."""
         table = self.episodes.with_row_index("row")
         columns = [f"log {name}" for name in self.explanations]
         likeliest = np.array(self.explanations)[table.select(columns).to_numpy().argmax(1)]
@@ -135,11 +137,11 @@ class Judgement:
 
     @property
     def agent(self) -> Estimate:
-        """Mean nats an episode speaks for agents rather than devices, with its interval."""
+        """Mean evidence per episode for agents over devices, in nats, with its interval."""
         return estimate_mean(self.episodes["log_factor"].to_numpy())
 
     def summary(self) -> dict[str, Any]:
-        """All but the episodes, as plain data."""
+        """Return everything except the episodes as plain data."""
         explained = zip(self.explanations, self.shares, self.pooled.tolist(), strict=True)
         return {
             "verdict": self.verdict,
@@ -151,7 +153,7 @@ class Judgement:
         }
 
     def sentence(self) -> str:
-        """The answer in words."""
+        """Return the verdict as a sentence."""
         device = self.shares[self.explanations.index(DEVICE)]
         undecided = "An agent; its goal is undecided" if device.high < 0.5 else "Undecided"
         verdict = {UNDECIDED: undecided, DEVICE: "A device"}.get(
@@ -166,11 +168,14 @@ class Judgement:
 
 
 def judge(played: Sequence[Played], options: Options = CALIBRATED) -> Judgement:
-    """Judge each episode by itself, with an eps of its own, and all together.
+    """Judge each episode by itself, with its own eps, and all of them together.
 
     Columns of `episodes`: level, moves, decisions (steps at which the goals part), agent
-    (p(agent), agents and devices equally likely before), log_factor (nats, of agents against
-    devices), and for each explanation its log evidence ("log ...") and posterior ("p ...").
+    (posterior p(agent) from a prior of 1/2), log_factor (nats for agents over devices), and for
+    each explanation its log evidence ("log ...") and posterior ("p ...").
+
+    Raises:
+        ValueError: If there are no episodes.
     """
     if not played:
         raise ValueError("there are no episodes to judge: no level has all the goals")
@@ -214,11 +219,12 @@ def judge_run(
     art: str | None = None,
     knobs: dict[str, Any] | None = None,
 ) -> tuple[Judgement, Callable[[], np.ndarray]]:
-    """Judge a trained agent; also a function that records a video of its most telling episode.
+    """Judge a trained agent; also return a function that records its most telling episode.
 
-    levels   numbers; None: the first 300 that the training does not draw from
-    measure  of `PRESETS`
-    art      that the agent is shown; None: what it was trained on
+    Args:
+        levels: Level numbers; None for the first 300 outside of the training.
+        measure: Name in `PRESETS`.
+        art: Art of the agent's observations; None for that of its training.
     """
     agent, config = open_run(run, mode, art)
     between = load_shift(config.find_game(), shift or shift_of(config))
@@ -238,9 +244,9 @@ def posterior_video(
     options: Options = CALIBRATED,
     pixels: int = 320,
 ) -> np.ndarray:
-    """An episode beside the posterior over the cells it may be going to, [T + 1, H, W, 3] uint8.
+    """Return a video [T + 1, H, W, 3] uint8 of an episode beside the posterior over target cells.
 
-    Ends where the measure ends, at the last goal that was reached.
+    It ends at the last goal that was reached.
     """
     steps = len(played.cells)
     frames = video.play(
@@ -265,7 +271,7 @@ def posterior_video(
 
 
 def heat(world: World, belief: np.ndarray, here: int, pixels: int) -> np.ndarray:
-    """`belief` [F] on the map, the likeliest cell the darkest, [pixels, pixels, 3] uint8."""
+    """Draw `belief` [F] on the map, dark for likely, [pixels, pixels, 3] uint8."""
     height, width = world.free.shape
     image = np.broadcast_to(STONE, (height, width, 3)).astype(float)
     share = (belief / belief.max())[:, None]

@@ -1,12 +1,13 @@
-"""What an agent's critic says of states: along episodes, and of a state that is made otherwise.
+"""The critic's values and the policy along episodes, and in edited states.
 
+Examples:
     rows, states = visit(agent, "coin-anywhere", range(200_000, 201_000), per_episode=5,
                          measures={"stage": measures.stage, "coin": measures.coin_in_view})
     bars = group_means(rows, "value", ["stage", "coin"])
     pairs = counterfactual(agent, "coin-anywhere", states, edits.without_coin)
 
-Values are in the unit of the rewards that the agent was trained on: with `normalise_reward`, in
-standard deviations of returns, as in the paper.
+Values have the unit of the training's rewards: with `normalise_reward`, standard deviations of
+returns, as in the paper.
 """
 
 from __future__ import annotations
@@ -29,7 +30,7 @@ from astray.world import SEEN, World
 
 STEP_SALT = 2**33  # no agent has this seed, or a larger one
 
-Edit = Callable[[np.ndarray], np.ndarray]  # states [N] -> others [N]; those given stay as they are
+Edit = Callable[[np.ndarray], np.ndarray]  # states [N] -> edited copies [N]
 
 
 def visit(
@@ -43,18 +44,17 @@ def visit(
     seed: int = 0,
     batch: int = 256,
 ) -> tuple[pl.DataFrame, np.ndarray]:
-    """A row per step of the agent's episodes in `levels`, and the states [rows] it began in.
-
-    Those of a World are what was noted and shown, and its measures so far.
-
-    levels       numbers, or levels that were drawn, by name; those are numbered from 0 on
-    per_episode  steps at most, drawn from all of an episode with `seed`; None: every step. A
-                 state of CoinRun takes 17 kB
-    gamma        discount of a further column, "future": of the rewards from the step on to the end
-    measures     more columns, functions of the states
+    """Return a table with a row per step of the agent's episodes, and the states [rows].
 
     Columns: level, step, value (of the state before the step), action, reward, and the measures.
     Rows are in the order of `levels`, then of steps, and do not depend on `batch`.
+
+    Args:
+        levels: Level numbers, or drawn levels by name, which are numbered from 0.
+        per_episode: Most steps per episode, sampled uniformly with `seed`; None for every step. A
+            state of CoinRun takes 17 kB.
+        gamma: Discount of a further column "future", the return from the step on.
+        measures: Further columns, functions of the states.
     """
     of_kind("agent", agent, Mind)
     of_kind("levels", levels, Sized)
@@ -63,8 +63,8 @@ def visit(
     bounded("seed", seed, 0, MOST)
     if gamma is not None:
         finite("gamma", gamma, 0, 1)
-    heaps: list[list[tuple]] = [[] for _ in levels]  # of (-noise, step, state, action, reward)
-    limit = np.full(len(levels), np.inf)  # of the noise: an episode's steps with the least are kept
+    heaps: list[list[tuple]] = [[] for _ in levels]  # (-noise, step, state, action, reward)
+    limit = np.full(len(levels), np.inf)  # the steps with the least noise are kept
     rewards: list[list[float]] = [[] for _ in levels]
     game = agent.game
     world = replace(game, every_step=True) if isinstance(game, World) else None
@@ -86,7 +86,7 @@ def visit(
     *_, states, action, reward = (np.concatenate(column) for column in zip(*rows, strict=True))
     states = states.view(np.recarray)
     for name in {"seed", "turn"} & {*(states.dtype.names or ())}:
-        states[name] = 0  # of levels to come, which depend on the batch
+        states[name] = 0  # about later levels, which depend on the batch
     value = judge(agent, observe(agent, variant, states))[1]
     columns = {"value": value, "action": action, "reward": reward}
     if gamma is not None:
@@ -98,7 +98,7 @@ def visit(
 
 
 def _futures(rewards: list[float], gamma: float) -> np.ndarray:
-    """The discounted sum of rewards from each step on, [T]."""
+    """Return the discounted sum of rewards from each step on, [T]."""
     futures, after = np.empty(len(rewards)), 0.0
     for step in reversed(range(len(rewards))):
         futures[step] = after = rewards[step] + gamma * after
@@ -113,12 +113,11 @@ def counterfactual(
     *,
     measures: Mapping[str, Measure] | None = None,
 ) -> pl.DataFrame:
-    """What becomes of values and policy when states [N] are made otherwise, a row for each.
+    """Compare values and policy in states [N] with those in edited states, one row each.
 
-    Columns: level, step, value and value_edited; change, of the value; seen, whether the agent
-    sees the edit at all; policy and policy_edited, the probabilities [A] of actions;
-    policy_change, the total variation between them (0: the same, 1: nothing in common); and the
-    measures, of the states before the edit.
+    Columns: level, step, value and value_edited; change, of the value; seen, whether the edit
+    changes the observation; policy and policy_edited, probabilities [A]; policy_change, their
+    total variation distance (0 to 1); and the measures of the states before the edit.
     """
     shown, edited = observe(agent, variant, states), observe(agent, variant, _edited(states, edit))
     (policy, value), (policy_edited, value_edited) = judge(agent, shown), judge(agent, edited)
@@ -135,7 +134,7 @@ def counterfactual(
 
 
 def sees(agent: Mind, variant: str | Variant, edit: Edit) -> Measure:
-    """The measure of whether `edit` changes what the agent sees: with `without_coin`, a coin."""
+    """Return the measure of whether `edit` changes the agent's observation."""
 
     def seen(states: np.ndarray) -> np.ndarray:
         edited = observe(agent, variant, _edited(states, edit))
@@ -145,7 +144,7 @@ def sees(agent: Mind, variant: str | Variant, edit: Edit) -> Measure:
 
 
 def judge(agent: Mind, observations: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The probabilities of actions [N, A] and the values [N], float64, of `observations` [N]."""
+    """Return action probabilities [N, A] and values [N], float64, for `observations` [N, ...]."""
     logits, values = agent.outputs(observations)
     return logits.double().softmax(-1).numpy(force=True), values.double().numpy(force=True)
 
@@ -153,7 +152,11 @@ def judge(agent: Mind, observations: np.ndarray) -> tuple[np.ndarray, np.ndarray
 def observe(
     agent: Mind, variant: str | Variant, states: np.ndarray, *, batch: int = 64
 ) -> np.ndarray:
-    """What the agent sees in `states` [N] of its game: images [N, 64, 64, 3] or [N, C, H, W]."""
+    """Return the agent's observations of `states` [N]: [N, 64, 64, 3] or [N, C, H, W] uint8.
+
+    Raises:
+        ValueError: If the states are not those of the agent's game.
+    """
     of_kind("agent", agent, Mind)
     of_kind("states", states, np.ndarray)
     if not np.size(states):
@@ -194,7 +197,7 @@ def _edited(states: np.ndarray, edit: Edit) -> np.ndarray:
 def _table(
     states: np.ndarray, columns: dict[str, np.ndarray], measures: Mapping[str, Measure] | None
 ) -> pl.DataFrame:
-    """`columns` between the states' levels and steps and the measures of them."""
+    """Return `columns` with the states' levels, steps and measures."""
     told = {"level": states["level"], "step": states["time"]} | columns
     see_measures(measures, told)
     return pl.DataFrame(told | {n: measured(n, m, states) for n, m in (measures or {}).items()})

@@ -1,11 +1,11 @@
-"""Trajectories of any policy as data sets that others learn from, with states.
+"""Data sets of trajectories, with states, from any policy.
 
-dataset.json               what was played, and how bytes are read
-episodes.parquet           an episode a row: level, return, length, terminated, every event
-steps/00000.parquet, ...   a state a row: level, step, observation, state, and what was done in it:
-                           action, reward, terminated, truncated (null in an episode's last state)
+dataset.json: what was played, and the layout of bytes. episodes.parquet: a row per episode with
+level, return, length, terminated and every event. steps/00000.parquet, ...: a row per state with
+level, step, observation, state, and what was done there: action, reward, terminated, truncated
+(null in an episode's last state).
 
-Or in Minari's layout, data/main_data.hdf5, which its readers take.
+Minari's layout is data/main_data.hdf5, which its readers accept.
 """
 
 from __future__ import annotations
@@ -37,19 +37,21 @@ from astray.game import Game, Variant
 from astray.words import check_word
 
 Format = Literal["parquet", "minari"]
-FORMAT = 1  # of dataset.json
+FORMAT = 1  # version of dataset.json
 PART = 64_000_000  # bytes of observations and states in a file of steps, or a little more
 BATCH = 32  # episodes at once: of 500 steps and images they are 200 MB
 LARGEST = 2**20  # bytes of dataset.json
-SPARED = 2**22  # bytes that HDF5 needs of a disk beside what is written
+SPARED = 2**22  # bytes of disk that HDF5 needs in addition
 
 
 @dataclass(frozen=True, eq=False)
 class Trajectory:
     """One episode of T steps.
 
-    observations  [T + 1, ...] uint8, with the one that it ended in
-    states        [T + 1] records, likewise; "seed" and "turn", which decide on later levels, are 0
+    Attributes:
+        observations: [T + 1, ...] uint8, including the final one.
+        states: [T + 1] records, including the final one; "seed" and "turn", which only affect
+            later levels, are 0.
     """
 
     level: int
@@ -57,7 +59,7 @@ class Trajectory:
     states: np.ndarray
     actions: np.ndarray  # [T] int64
     rewards: np.ndarray  # [T] float64
-    terminated: bool  # by the rules; else the time was up
+    terminated: bool  # ended by the rules; otherwise truncated
 
     def __len__(self) -> int:
         return len(self.actions)
@@ -72,10 +74,11 @@ def trajectories(
     batch: int = BATCH,
     longest: int | None = None,
 ) -> Iterator[Trajectory]:
-    """The episode of a policy in each of `levels`, as they end; each as it would be alone.
+    """Yield a policy's episode in each of `levels` as it ends, independent of the batch.
 
-    batch    episodes at once, which are in memory until they end
-    longest  steps after which an episode is left; None: never
+    Args:
+        batch: Number of simultaneous episodes, which are in memory until they end.
+        longest: Steps after which an episode is truncated; None for no limit.
     """
     parts: dict[int, list[tuple]] = {}
     for step in steps(policy, game, variant, levels, batch=batch, longest=longest):
@@ -92,7 +95,7 @@ def trajectories(
                 continue
             seen, before, actions, rewards = zip(*parts.pop(level), strict=True)
             states = np.array([*before, step.after[i]], step.before.dtype)
-            states["seed"] = states["turn"] = 0  # of the batch that it was played in
+            states["seed"] = states["turn"] = 0  # belong to the batch
             yield Trajectory(
                 int(states["level"][0]),
                 np.stack([*seen, step.seen[i]]),
@@ -114,14 +117,16 @@ def export(
     batch: int = BATCH,
     longest: int | None = None,
 ) -> Path:
-    """Play a policy in `levels` and write all of it to a new folder; that folder.
+    """Play a policy in `levels`, write the data to a new folder, and return that folder.
 
-    longest  steps after which an episode is left; None: never
+    The folder appears only once it is complete.
 
-    The folder is there once it is whole, and not before.
+    Args:
+        longest: Steps after which an episode is truncated; None for no limit.
 
-    Raises ValueError where there is something at `folder`, a level is given twice, by whose
-    number its episode is known, or what is played cannot be.
+    Raises:
+        ValueError: If `folder` exists, a level number occurs twice, or the game cannot be
+            exported.
     """
     see_policy(policy)
     if not isinstance(levels, Mapping) and len(set(np.asarray(levels).tolist())) < len(levels):
@@ -156,7 +161,7 @@ def write_parquet(
     about: Mapping[str, Any],
     folder: Path,
 ) -> None:
-    """Write trajectories as Parquet files; see the module."""
+    """Write trajectories as Parquet files; see the top of this module."""
     (folder / "steps").mkdir(parents=True)
     episodes, rows, size, files, shape = [], [], 0, 0, None
     for one in played:
@@ -189,7 +194,7 @@ def _episode(one: Trajectory, game: Game) -> dict[str, Any]:
 
 
 def _rows(one: Trajectory) -> pl.DataFrame:
-    """A row for each state; what was done in it is null in the last."""
+    """Return a row for each state; action and results are null in the last one."""
     count = len(one)
     ended = [False] * (count - 1)
     return pl.DataFrame(
@@ -207,9 +212,11 @@ def _rows(one: Trajectory) -> pl.DataFrame:
 
 
 def read_trajectories(folder: Path) -> Iterator[Trajectory]:
-    """The trajectories that `export` wrote as Parquet, in its order.
+    """Yield the trajectories that `export` wrote as Parquet, in the same order.
 
-    Raises ValueError where the files are not as it writes them, or of another version's states.
+    Raises:
+        FileNotFoundError: If there is no data set.
+        ValueError: If the files are damaged, or of another version's states.
     """
     of_kind("folder", folder, str | Path)
     folder = Path(folder)
@@ -227,7 +234,7 @@ def read_trajectories(folder: Path) -> Iterator[Trajectory]:
     except (ValueError, KeyError, TypeError, RecursionError) as error:
         raise ValueError(f"{path} is no data set that can be read: {error}") from error
     for part in sorted((folder / "steps").glob("[0-9]*.parquet")):
-        try:  # not by its path, in which polars takes [ and * for patterns
+        try:  # polars would expand [ and * in a path
             table = pl.read_parquet(io.BytesIO(read(part)))
             episodes = table.partition_by("level", maintain_order=True)
         except pl.exceptions.PolarsError as error:
@@ -262,7 +269,11 @@ def write_minari(
     about: Mapping[str, Any],
     folder: Path,
 ) -> None:
-    """Write trajectories in Minari's layout, to the byte; states are infos, levels are seeds."""
+    """Write trajectories in Minari's exact layout; states are infos, levels are seeds.
+
+    Raises:
+        ImportError: If h5py is not installed.
+    """
     try:
         from minari.data_collector import EpisodeBuffer  # pyright: ignore[reportMissingImports]
         from minari.dataset.minari_storage import MinariStorage  # pyright: ignore[reportMissingImports]
@@ -309,20 +320,20 @@ def write_minari(
 
 
 def _with_room(played: Iterable[Trajectory], folder: Path) -> Iterator[Trajectory]:
-    """The trajectories, as long as there is room for the next."""
+    """Yield the trajectories as long as the disk has room for the next one."""
     for one in played:
         _see_room(folder, one.observations.nbytes + one.states.nbytes)
         yield one
 
 
 def _see_room(folder: Path, size: int = 0) -> None:
-    """OSError where there is no room for so many bytes, and some: HDF5 would end the process."""
+    """Raise OSError unless the disk has room for so many bytes; HDF5 would end the process."""
     if shutil.disk_usage(folder).free < SPARED + 2 * size:
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(folder))
 
 
 def folder_name(about: Mapping[str, Any]) -> str:
-    """A name for a data set among others of Minari's."""
+    """Return a name for a data set in Minari's style."""
     return f"{about['game']}/{''.join(c if c.isalnum() else '-' for c in about['policy'])}"
 
 
@@ -331,6 +342,6 @@ def _last(count: int, flag: bool) -> list[bool]:
 
 
 def _spec(game: Game, variant: Variant) -> Any:
-    """What Gymnasium makes the environment of; None for one that has no id."""
+    """Return Gymnasium's specification of the environment; None if it has no id."""
     name = next((n for n, other in game.variants.items() if other == variant), None)
     return gymnasium.registry.get(f"astray/{game.name}-{name}-{VERSION}")

@@ -1,18 +1,17 @@
-"""Means and their intervals, over what varies by chance: the agent first, then the level.
+"""Means with intervals over the sources of chance: agents first, then levels.
 
-Values are [agents, levels]: agents of one training that differ by their seed, in the same levels.
-Two things are drawn by chance: an agent differs from another in all levels, and a level is hard
-for all agents. The interval is for the mean over all agents that the training could give, in all
-levels of the variant. Its half-width has a part for each, whose squares add up (Banerjee 1961):
+Values are [agents, levels]: agents of one training that differ in their seed, in the same levels.
+Two things vary by chance: an agent differs from others in all levels, and a level is hard for all
+agents. The interval is for the mean over all agents that the training could give, in all levels of
+the variant. Its half-width has one part for each; their squares add up (Banerjee 1961):
 
-    agents  Student's t of agents - 1 degrees of freedom, times the standard error of their means
-    levels  the normal quantile times what levels add to that: the variance component of a crossed
-            design, as an analysis of variance estimates it
+    agents  Student's t with agents - 1 degrees of freedom, times the standard error of their means
+    levels  the normal quantile times the levels' share of the standard error, from the variance
+            component of a crossed design, as an analysis of variance estimates it
 
-One agent alone speaks for itself: then levels are all that varies. Shares have Wilson's interval,
-for as many independent episodes as would vary as much: it stays within 0 and 1, and has width at
-either. Nothing is drawn at random. `tests/analysis/test_coverage.py` simulates how often intervals
-hold what they are of.
+With one agent, the interval is for this agent alone, over levels. Rates have Wilson's interval for
+the equivalent number of independent episodes, which stays within 0 and 1 and always has a width.
+No random numbers are used. `tests/analysis/test_coverage.py` simulates the coverage.
 """
 
 from __future__ import annotations
@@ -34,16 +33,19 @@ POWER = 0.8
 
 @functools.cache
 def quantile(freedom: float, below: float = (1 + CONFIDENCE) / 2) -> float:
-    """The number that Student's t is below with a probability; the normal one's of no end."""
-    from scipy.special import ndtri, stdtrit  # here, as it takes a second to import
+    """Return a quantile of Student's t, or of the normal distribution if `freedom` is infinite."""
+    from scipy.special import ndtri, stdtrit  # takes a second to import
 
     return float(ndtri(below) if math.isinf(freedom) else stdtrit(freedom, below))
 
 
 def over_agents(values: np.ndarray) -> np.ndarray:
-    """The mean of `values` [agents, points] at each point and its 95 % interval, [3, points].
+    """Return the mean of `values` [agents, points] at each point with 95 % intervals, [3, points].
 
-    The interval is Student's, over agents. One agent has none: NaN.
+    The interval is Student's t over agents; for a single agent it is NaN.
+
+    Raises:
+        ValueError: If `values` are not of that shape.
     """
     of_kind("values", values, np.ndarray)
     if values.ndim != 2 or not values.size:
@@ -64,14 +66,14 @@ def estimate_mean(
     share: bool | None = None,
     pool: Sequence[np.ndarray] = (),
 ) -> Estimate:
-    """The mean of `values` [agents, levels] and its 95 % interval.
+    """Return the mean of `values` [agents, levels] with its 95 % interval.
 
-    weights  [agents, levels], not below 0: each value is a sum over so much, and the mean is the
-             sum of values over that of weights; where there is no weight at all, all is NaN
-    share    whether the mean is a share of what is counted, from 0 to 1; None: where values are
-             booleans
-    pool     the values of every kind of agents of a study, these among them, whose spread between
-             agents is taken together: few agents of each kind tell little of it
+    Args:
+        weights: [agents, levels], not negative. Each value is then a sum over that weight, and the
+            mean is the sum of values over the sum of weights, or NaN if all weights are 0.
+        share: Whether the mean is a rate of counts, from 0 to 1; None to decide by bool dtype.
+        pool: Values of every kind of agents in a study, including these. Their spread between
+            agents is estimated jointly, because a few agents of each kind say little about it.
     """
     share = _is_share(values) if share is None else share
     values, weights = _checked(values, weights)
@@ -80,18 +82,18 @@ def estimate_mean(
     if not total:
         return Estimate(math.nan, math.nan, math.nan, agents, levels, values.size)
     mean = float(values.sum() / total)
-    rest = (values - mean * weights) * (values.size / total)  # what varies, in units of the mean
+    rest = (values - mean * weights) * (values.size / total)  # deviations in units of the mean
     among = _among_levels(rest)
     if agents == 1:
         if share:
-            among = float(rest.var()) / levels  # by p (1 - p), as Wilson has it
+            among = float(rest.var()) / levels  # in units of p (1 - p), as Wilson's
         between, freedom = 0.0, math.inf
         of_levels = quantile(math.inf if share or levels == 1 else levels - 1)
     else:
         between, freedom = _between_agents(rest, pool, mean if share else None)
         of_levels = quantile(math.inf)
     widest = quantile(freedom) if agents > 1 else of_levels
-    if share and levels == 1:  # each agent has one chance, and how much they differ is in the mean
+    if share and levels == 1:  # one trial per agent: the mean determines the variance
         widest = of_levels
     square = max(widest**2 * between + of_levels**2 * among, float(rest.var()) / rest.size)
     low, high = _ends(mean, square, share, widest**2 / int(np.count_nonzero(weights)))
@@ -102,14 +104,18 @@ def estimate_mean(
 def estimate_difference(
     one: np.ndarray, other: np.ndarray, *, pool: Sequence[np.ndarray] = (), same_levels: bool = True
 ) -> Estimate:
-    """The mean of `one` less that of `other`, each [agents, levels], and its 95 % interval.
+    """Return the mean of `one` minus that of `other`, [agents, levels], with a 95 % interval.
 
-    Agents of two kinds are not paired: that two have a seed in common means nothing. (What the
-    same agents did in the same levels is: see `estimate_paired`.) The interval is Welch's. Of
-    shares it is made of the intervals of both (Newcombe 1998), so that it stays within -1 and 1.
+    Agents of two kinds are not paired: a common seed means nothing. (For the same agents in the
+    same levels see `estimate_paired`.) The interval is Welch's. For rates it combines both
+    intervals (Newcombe 1998), so that it stays within -1 and 1.
 
-    pool         as of `estimate_mean`
-    same_levels  whether a column is the same level in both: what is hard for all then cancels
+    Args:
+        pool: As for `estimate_mean`.
+        same_levels: Whether a column is the same level in both, which cancels its difficulty.
+
+    Raises:
+        ValueError: If the levels should be the same but differ in number.
     """
     share = _is_share(one) and _is_share(other)
     one, other = kinds = [_checked(kind, None)[0] for kind in (one, other)]
@@ -153,9 +159,9 @@ def estimate_difference(
 
 
 def estimate_paired(one: np.ndarray, other: np.ndarray) -> Estimate:
-    """The mean of `one` less `other`, of the same agents in the same levels, or of pairs of agents.
+    """Return the mean of `one` minus `other` for the same agents, or pairs, in the same levels.
 
-    Each [agents, levels]; or one of them of a single policy, beside which all agents are put.
+    Each is [agents, levels]; a single policy on one side is compared with every agent.
     """
     shares = _is_share(one) and _is_share(other)
     (one, _), (other, _) = _checked(one, None), _checked(other, None)
@@ -166,9 +172,9 @@ def estimate_paired(one: np.ndarray, other: np.ndarray) -> Estimate:
 
 
 def less(one: Estimate, other: Estimate) -> Estimate:
-    """One mean less another that does not depend on it, with the interval that both make.
+    """Return the difference of two independent means, with an interval from both.
 
-    Each is told by its own agents and levels; the squares of how far their ends are away add up.
+    The squared distances of the interval's ends from the mean add up.
     """
     mean = one.mean - other.mean
     below = math.hypot(one.mean - one.low, other.high - other.mean)
@@ -181,16 +187,16 @@ def less(one: Estimate, other: Estimate) -> Estimate:
 def detectable(
     agents: int, levels: int, spread: float, *, kinds: int = 1, share: float = 0.5
 ) -> float:
-    """Return how far from its bound a share must be to be found beyond it in 80 % of runs.
+    """Return the distance from its bound at which a rate is detected with 80 % power.
 
     Args:
-        agents: Of each kind, that are trained.
-        levels: That each is tested on.
-        spread: The standard deviation of their true shares.
-        kinds: Of agents; of more than one it is the difference of two, their spread pooled.
-        share: Near which they are.
+        agents: Number of trained agents of each kind.
+        levels: Number of test levels of each.
+        spread: Standard deviation of their true rates.
+        kinds: 1, or 2 for the difference of two kinds with pooled spread.
+        share: Rate near which they are.
     """
-    from scipy.special import nctdtrinc  # here, as it takes a second to import
+    from scipy.special import nctdtrinc  # takes a second to import
 
     variance = spread**2 + share * (1 - share) / levels
     error = math.sqrt(variance * min(2, kinds) / agents)
@@ -217,7 +223,7 @@ def _is_share(values: np.ndarray) -> bool:
 
 
 def _noise(rest: np.ndarray) -> float:
-    """The variance that neither agents nor levels explain; 0 of one agent, where levels have it."""
+    """Return the variance that neither agents nor levels explain; 0 for one agent."""
     agents, levels = rest.shape
     if min(agents, levels) == 1:
         return 0.0
@@ -226,7 +232,7 @@ def _noise(rest: np.ndarray) -> float:
 
 
 def _among_levels(rest: np.ndarray) -> float:
-    """Return how much levels add to the variance of the mean of `rest` [agents, levels]."""
+    """Return the levels' part in the variance of the mean of `rest` [agents, levels]."""
     agents, levels = rest.shape
     if levels == 1:
         return 0.0
@@ -236,12 +242,13 @@ def _among_levels(rest: np.ndarray) -> float:
 def _between_agents(
     rest: np.ndarray, pool: Sequence[np.ndarray], share: float | None
 ) -> tuple[float, float]:
-    """The variance of the mean of agents' means, and its degrees of freedom.
+    """Return the variance of the mean over agents, and its degrees of freedom.
 
-    Pooled, it is what kinds have in common, of shares as a multiple of p (1 - p), for where nearly
-    all succeed agents cannot differ much; or their own where that is larger.
+    If pooled, it is the kinds' common variance, or their own if that is larger. For rates it is a
+    multiple of p (1 - p), since agents cannot differ much where nearly all succeed.
 
-    share  the share that is estimated; None: no share
+    Args:
+        share: The estimated rate; None if the mean is not a rate.
     """
 
     def unit(share: float | None, count: int) -> float:
@@ -266,10 +273,11 @@ def _between_agents(
 
 
 def _ends(mean: float, square: float, share: bool, least: float) -> tuple[float, float]:
-    """The ends of an interval whose half-width would be the root of `square` were it symmetrical.
+    """Return the ends of an interval whose symmetrical half-width would be sqrt(`square`).
 
-    least  of a mean of values that are all alike, the squared quantile over their number: one that
-           nobody saw may still come
+    Args:
+        least: Squared quantile over the number of values, for a mean of equal values: a different
+            value may still occur.
     """
     if not share:
         half = math.sqrt(square) or least / (1 + least) * max(1.0, abs(mean))
@@ -282,7 +290,7 @@ def _ends(mean: float, square: float, share: bool, least: float) -> tuple[float,
 
 
 def _satterthwaite(parts: Sequence[tuple[float, float]]) -> float:
-    """The degrees of freedom of a sum of variances, each with its own."""
+    """Return the degrees of freedom of a sum of variances with their own."""
     whole = sum(variance for variance, _ in parts)
     squares = sum(variance**2 / freedom for variance, freedom in parts if freedom > 0)
     known = [freedom for _, freedom in parts if 0 < freedom < math.inf]
@@ -290,7 +298,7 @@ def _satterthwaite(parts: Sequence[tuple[float, float]]) -> float:
 
 
 def mean_of(rows: pl.DataFrame, value: str | pl.Expr) -> Estimate:
-    """The mean of a column or expression over all of `rows`, as `group_means`; of none, NaN."""
+    """Return the mean of a column or expression over all of `rows`; NaN without rows."""
     value = pl.col(value) if isinstance(value, str) else value
     named = rows.with_columns(all=pl.lit(0), value=value)
     if named["value"].drop_nulls().is_empty():
@@ -301,16 +309,22 @@ def mean_of(rows: pl.DataFrame, value: str | pl.Expr) -> Estimate:
 def group_means(
     rows: pl.DataFrame, value: str, by: Sequence[str], *, per: str | None = None
 ) -> pl.DataFrame:
-    """The mean of the column `value` in each group of `rows`, with 95 % intervals.
+    """Return the mean of the column `value` in each group of `rows`, with 95 % intervals.
 
-    The steps of an episode are alike, so it is not rows that vary by chance but, as in
-    `estimate_mean`, agents (column "agent"; without it all rows are of one) and levels.
+    Steps of one episode are correlated, so the units of chance are not rows but, as in
+    `estimate_mean`, agents (column "agent"; without it there is one) and levels. Rows where
+    `value` is null do not count.
 
-    by   columns; rows that have all of them in common are a group
-    per  a column, not below 0: the mean is then the sum of `value` over that of it
+    Args:
+        by: Columns that define the groups.
+        per: Column, not negative; the mean is then sum of `value` over sum of `per`.
 
-    Columns: those of `by`, mean, low, high (null where the sum of `per` is 0), agents, levels,
-    rows, freedom. Rows where `value` is null do not count.
+    Returns:
+        Columns of `by`, mean, low, high (null if the sum of `per` is 0), agents, levels, rows,
+        freedom.
+
+    Raises:
+        ValueError: If a column is missing or `per` is negative.
     """
     missing = {value, "level", *by, *([per] if per else [])} - set(rows.columns)
     if missing:

@@ -1,4 +1,4 @@
-"""Episodes as a table: a policy on explicit levels, each played exactly once."""
+"""Evaluation: a table of a policy's episodes, one in each level."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from astray.game import Game, Variant
 from astray.world import World, WorldVariant
 
 COLUMNS = ("policy", "level", "name", "shifted", "return", "length", "terminated")
-LATER = ("run", "seed", "checkpoint", "variant", "outcome", "tells_apart")  # which others add
+LATER = ("run", "seed", "checkpoint", "variant", "outcome", "tells_apart")  # columns added later
 
 
 def evaluate(
@@ -30,19 +30,26 @@ def evaluate(
     until: Sequence[str] = (),
     longest: int | None = None,
 ) -> pl.DataFrame:
-    """A row per level, in the order of `levels`: how the policy's episode in it went.
+    """Play a policy once in each of `levels`; return a table with a row per level.
 
-    levels    numbers, or levels that were drawn, by name; those are numbered from 0 on
-    measures  further columns, computed of the states that the episodes ended in
-    until     events of the game: an episode is left with the first of them
-    longest   steps after which an episode is left; None: never
+    Columns: policy, level, name (null for a numbered level), shifted, return (game points), length
+    (steps), terminated, every event (the step at which it first happened, or null), the game's
+    measures, and `measures`. Rows are in the order of `levels` and do not depend on `batch`.
 
-    Columns: policy, level, name (null for a numbered level), shifted, return, length (steps),
-    terminated, every event of the game (the step it first happened, null for never), every measure
-    of the game, and `measures`.
-    The rows do not depend on `batch`.
+    Examples:
+        >>> agent = astray.load_agent("maze-corner")
+        >>> episodes = astray.evaluate(agent, "maze", "anywhere-small", range(100))
+        >>> episodes.height, "reached_corner" in episodes.columns
+        (100, True)
 
-    Raises ValueError where there are no levels, or an argument is not of its kind.
+    Args:
+        levels: Level numbers, or drawn levels by name, which are numbered from 0.
+        measures: Further columns: name -> function of the final states [N].
+        until: Events of the game that end an episode.
+        longest: Steps after which an episode is truncated; None for no limit.
+
+    Raises:
+        ValueError: If there are no levels, or an argument is invalid.
     """
     game = world.find(game)
     if taken := {*COLUMNS, *LATER} & {*game.events, *game.measures}:

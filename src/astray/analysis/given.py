@@ -1,4 +1,4 @@
-"""What users give to analyses, seen before anything is played."""
+"""Validation of the arguments of analyses, before anything is played."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ import polars as pl
 
 from astray.bounds import of_kind, shown
 
-Measure = Callable[[np.ndarray], np.ndarray]  # of states [N], a number each
+Measure = Callable[[np.ndarray], np.ndarray]  # states [N] -> numbers [N]
 
 
 def see_measures(measures: Mapping[str, Measure] | None, taken: Collection[str]) -> None:
-    """ValueError where `measures` are no functions by name, or have the name of a column."""
+    """Raise ValueError unless `measures` are functions by names that no column has."""
     if measures is None:
         return
     of_kind("measures", measures, Mapping)
@@ -27,7 +27,7 @@ def see_measures(measures: Mapping[str, Measure] | None, taken: Collection[str])
 
 
 def measured(name: str, measure: Measure, states: np.ndarray) -> pl.Series:
-    """The column that a measure makes of `states` [N]; ValueError where that is not N values."""
+    """Apply a measure to `states` [N]; raise ValueError unless it returns N values."""
     values = measure(states)
     if np.shape(values) != (len(states),):
         raise ValueError(

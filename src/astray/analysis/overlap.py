@@ -1,4 +1,4 @@
-"""Levels of a test that are levels of the training all the same, under other numbers."""
+"""Overlap of test and training levels: equal levels with different numbers."""
 
 from __future__ import annotations
 
@@ -26,10 +26,10 @@ def overlap(
     test: str | Variant,
     test_levels: Sequence[int] | np.ndarray | range,
 ) -> pl.DataFrame:
-    """How many levels coincide: rows "level" (all but its looks) and "walls" (without objects).
+    """Count equal levels: row "level" ignores looks, row "walls" also ignores objects.
 
-    Columns: same; training (different ones among the training levels); test (likewise);
-    seen (share of the test levels that are among the training's).
+    Columns: same; training and test (numbers of distinct levels); seen (fraction of the test
+    levels that occur in training).
     """
     game = games.find(game)
     seen, tested = (
@@ -47,10 +47,11 @@ def overlap(
 
 
 def met(game: str | Game, trainings: Iterable[tuple[str | Variant, range]]) -> set[bytes]:
-    """What all levels of some trainings are known by, for `unseen`.
+    """Return fingerprints of all training levels, for use with `unseen`.
 
-    trainings  the variant and the numbers of each; where levels of one number hardly differ
-               between variants of the same numbers, many cost little more than one
+    Args:
+        trainings: Variant and level numbers of each training. If variants hardly change a level,
+            many of them cost little more than one.
     """
     game = games.find(game)
     variants: dict[range, list[str | Variant]] = {}
@@ -68,11 +69,15 @@ def met(game: str | Game, trainings: Iterable[tuple[str | Variant, range]]) -> s
 def unseen(
     game: str | Game, known: set[bytes], test: str | Variant, candidates: range, count: int
 ) -> np.ndarray:
-    """The first `count` numbers among `candidates` whose level in `test` was in no training.
+    """Return the first `count` of `candidates` whose level in `test` is in no training.
 
-    known  the levels of the trainings, from `met`
+    Levels are equal if they differ in looks alone.
 
-    Levels are the same where all but their looks is. ValueError where too few are different.
+    Args:
+        known: Fingerprints of the training levels, from `met`.
+
+    Raises:
+        ValueError: If there are too few such levels.
     """
     game = games.find(game)
     found: list[int] = []
@@ -92,22 +97,22 @@ def unseen(
 def _states(
     game: str | Game, variant: str | Variant, levels: Sequence[int] | np.ndarray | range
 ) -> Iterator[np.ndarray]:
-    """The states that levels begin in, CHUNK at a time; each chunk is gone with the next."""
+    """Yield the initial states of levels, CHUNK at a time; each chunk is overwritten."""
     numbers = level_numbers(levels)
     for first in range(0, len(numbers), CHUNK):
         yield initial_states(game, variant, numbers[first : first + CHUNK])
 
 
 def _differ(one: np.ndarray, other: np.ndarray) -> np.ndarray:
-    """Which of states [N] are not the same to the byte."""
+    """Return which of states [N] differ in any byte."""
     words, others = (s.view(np.ndarray).view(np.uint64).reshape(len(s), -1) for s in (one, other))
     return (words != others).any(1)
 
 
 def _level(game: Game, s: Any) -> bytes:
-    """A digest of all but the looks of a state's level.
+    """Return a digest of a state's level without its looks.
 
-    Of a game without editing it is of all fields of its own in the state, as are its `_walls`.
+    In a game without editing it covers all of the game's own fields, and so does `_walls`.
     """
     if game.editing:
         return _digest(game.editing.grid(s), np.array(game.editing.centre(s)))
@@ -115,7 +120,7 @@ def _level(game: Game, s: Any) -> bytes:
 
 
 def _walls(game: Game, s: Any) -> bytes:
-    """A digest of the walls alone of a state's level."""
+    """Return a digest of the walls of a state's level."""
     if not game.editing:
         return _level(game, s)
     grid, legend = game.editing.grid(s), game.editing.LEGEND

@@ -1,4 +1,4 @@
-"""Pages and cards, written from templates that lie beside the code that fills them."""
+"""Pages and cards from templates, which lie beside the code that fills them."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 
 
 def templates(package: str, *, markdown: bool = False) -> Environment:
-    """Return the templates of a package; values on pages are escaped, those in `markdown` not."""
+    """Return the templates of a package; values are escaped unless they are `markdown`."""
     return Environment(
         loader=PackageLoader(package, ""),
         autoescape=not markdown,

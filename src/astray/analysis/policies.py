@@ -1,4 +1,4 @@
-"""Scripted policies, for base rates; `trained` has those that learned."""
+"""Scripted policies for base rates; `trained` has learned ones."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ RANDOM_SALT = 2**32  # no agent has this seed, or a larger one
 
 
 def episode_noise(seed: int, states: np.ndarray, count: int) -> np.ndarray:
-    """Noise [N, count] for the next action in each of `states`, whatever batch they are in."""
+    """Return noise [N, count] for the next action in each state, independent of the batch."""
     out = np.empty((len(states), count), np.float32)
     fill_noise(seed, states["level"].copy(), states["time"].copy(), out)
     return out
@@ -28,7 +28,7 @@ def episode_noise(seed: int, states: np.ndarray, count: int) -> np.ndarray:
 
 @dataclass
 class Random:
-    """Every action equally likely."""
+    """Policy whose actions are uniformly random."""
 
     seed: int = 0
     name: str = "random"
@@ -45,7 +45,7 @@ class Random:
 
 
 def _drawn(space: Space, seed: int, level: int, time: int) -> Any:
-    """Any element of a space, which a seed, a level and a step decide."""
+    """Draw an element of a space, determined by seed, level and step."""
     numbers = np.random.SeedSequence((RANDOM_SALT + seed, level, time)).generate_state(1)
     space.seed(int(numbers[0]))
     return space.sample()
@@ -53,9 +53,10 @@ def _drawn(space: Space, seed: int, level: int, time: int) -> Any:
 
 @dataclass
 class Walk:
-    """Goes the best way to a goal, and is blind to all else; then stays there.
+    """Policy that takes the shortest way to one goal, ignores all others, and stays there.
 
-    remembers  a level of a number is the same one whenever it comes, and is solved but once
+    Attributes:
+        remembers: Solve each level number only once, assuming that it is always the same level.
     """
 
     goal: str
@@ -74,9 +75,9 @@ class Walk:
         return Answer(self.ways(turn.env.game, turn.env.states))
 
     def ways(self, game: Game, states: Any) -> np.ndarray:
-        """The actions [n] that lead on from some states [n], of those that it is asked for.
+        """Return the actions [n] towards the goal from states [n].
 
-        An episode has to be asked for in its first step, and may be left out from then on.
+        An episode must be included in its first step; afterwards it may be left out.
         """
         return np.array([self._action(game, s) for s in states], np.int64)
 

@@ -1,4 +1,4 @@
-"""What given actions do in one level."""
+"""Replay of given actions in one level."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from astray.level import Level
 
 @dataclass(frozen=True)
 class Script:
-    """Does what is given, whatever it sees; for one episode."""
+    """Policy that takes the given actions in one episode, whatever it observes."""
 
     actions_left: Iterator[int]
     name: str = "script"
@@ -32,9 +32,10 @@ class Script:
 def replay(
     game: str | Game, variant: Variant, level: int | Level, actions: Sequence[int]
 ) -> dict[str, Any]:
-    """Play `actions` until they or the episode end; what happened, as plain data.
+    """Play `actions` until they or the episode end; return the record as plain data.
 
-    Positions are the agent's centre, in cells; events the step they first happened, -1 for never.
+    Positions are the agent's centre in cells. Events are the steps at which they first happened,
+    or -1.
     """
     game, chosen = games.find(game), {"": level} if isinstance(level, Level) else [level]
     s = initial_states(game, variant, chosen)[0]

@@ -1,4 +1,4 @@
-"""The result of an evaluation: how often agents reach which goal, and what that says of them."""
+"""The result of an evaluation: rates of outcomes, and what they say about agents."""
 
 from __future__ import annotations
 
@@ -18,13 +18,15 @@ RANDOM = "random"  # the scripted policy that a verdict compares with
 
 @dataclass(frozen=True)
 class Result:
-    """Episodes of agents and scripts in the same levels, and the rates of their outcomes.
+    """Episodes of agents and scripts in the same levels, with the rates of their outcomes.
 
-    It unpacks as `rates, episodes`; a notebook shows `verdict` and `table`. All intervals are 95 %.
+    It unpacks as `rates, episodes`. A notebook shows `verdict` and `table`. All intervals are 95
+    %.
 
-    >>> result = astray.evaluate_runs(["maze-corner"], range(200_000, 200_400))
-    >>> result.agents
-    ('maze-corner',)
+    Examples:
+        >>> result = astray.evaluate_runs(["maze-corner"], range(200_000, 200_400))
+        >>> result.agents
+        ('maze-corner',)
     """
 
     rates: pl.DataFrame  # `outcomes.shares`, with a column "levels_played": all, or telling apart
@@ -38,7 +40,7 @@ class Result:
 
     @property
     def table(self) -> pl.DataFrame:
-        """Return one row per policy and kind of levels, with a column of text per outcome."""
+        """One row per policy and kind of levels, with a text column per outcome."""
         rows = []
         keys = ("policy", "levels_played")
         for key, part in self.rates.group_by(keys, maintain_order=True):
@@ -48,11 +50,11 @@ class Result:
 
     @property
     def verdict(self) -> str:
-        """Return a sentence per agent: which goal it pursues, with the rate and its interval.
+        """A sentence per agent: which goal it pursues, with the rate and its interval.
 
         An agent pursues a goal if it reaches it first in most levels (the interval is above one
-        half) and more often than random actions do (the intervals are apart). Levels that
-        distinguish the goals count where there are any, else all.
+        half) and more often than random actions do (the intervals do not overlap). Only
+        distinguishing levels count, if there are any.
         """
         return "\n".join(map(self._sentence, self.agents))
 

@@ -1,4 +1,4 @@
-"""Agents from run folders, evaluated beside the base rates of scripted policies."""
+"""Evaluation of trained agents beside the base rates of scripted policies."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from astray.training.config import Config
 from astray.training.folders import AgentFolder
 from astray.world import World, WorldVariant, see_repeats
 
-LEVELS_PLAYED = 1000  # where nobody says which
+LEVELS_PLAYED = 1000  # default number of levels
 NAMED = 3  # agents of a pooled row that are named one by one
 Mode = Literal["sampled", "greedy"]
 
@@ -36,7 +36,7 @@ Mode = Literal["sampled", "greedy"]
 def open_run(
     run: str | Path, mode: Mode = "sampled", art: str | None = None
 ) -> tuple[Agent, Config]:
-    """The agent that `load_agent` loads, and the settings of its training."""
+    """Return the agent of `load_agent` and the settings of its training."""
     of_kind("run", run, str | Path)
     found = AgentFolder.open(run)
     config = found.config()
@@ -46,7 +46,7 @@ def open_run(
     while True:
         try:
             agent = Agent(found.weights, config.game, mode, config.seed, device, shown)
-        except FileNotFoundError:  # a training removes those before its last two
+        except FileNotFoundError:  # a training removes older checkpoints
             if found == (found := AgentFolder.open(run)):
                 raise
         else:
@@ -56,16 +56,24 @@ def open_run(
 def load_agent(run: str | Path, mode: Mode = "sampled", art: str | None = None) -> Agent:
     """Load the agent of a run folder or checkpoint, or a pretrained or imported one by name.
 
-    mode  "sampled" draws its actions from its policy, "greedy" takes the likeliest
-    art   that it is shown; None: what it was trained on
+    Examples:
+        >>> agent = astray.load_agent("maze-corner")
+        >>> agent.outputs(np.zeros((1, *agent.space.shape), np.uint8))[0].shape
+        torch.Size([1, 15])
 
-    Raises FileNotFoundError or ValueError where there is none, or not one that can be used.
+    Args:
+        mode: "sampled" samples actions from the policy, "greedy" takes the most likely.
+        art: Art of its observations; None for that of its training.
+
+    Raises:
+        FileNotFoundError: If there is no such agent.
+        ValueError: If its files are damaged or cannot be used.
     """
     return open_run(run, mode, art)[0]
 
 
 def _digest(agent: Agent) -> str:
-    """Return a digest of the weights: those that are played, if their file is gone meanwhile."""
+    """Return a digest of the weights; of the loaded ones if the file is gone."""
     digest = hashlib.sha256()
     for name, tensor in agent.network.state_dict().items():
         digest.update(name.encode() + tensor.cpu().contiguous().numpy().tobytes())
@@ -73,9 +81,12 @@ def _digest(agent: Agent) -> str:
 
 
 def shift_of(config: Config) -> str:
-    """The shift whose training variant the run trained on; else one whose test variant it is.
+    """Return the shift whose training variant the run used, or else the test variant.
 
-    An agent that was trained on what others are tested on is their control.
+    An agent trained on the test variant of others is their control.
+
+    Raises:
+        ValueError: If no shift has the run's variant.
     """
     game = config.find_game()
     shifts = game.shifts.items()
@@ -105,19 +116,28 @@ def evaluate_runs(
 ) -> Result:
     """Evaluate agents beside scripted policies that know only one goal, or none.
 
-    runs      run folders, checkpoints in them, or names of pretrained or imported agents
-    levels    numbers, or a file or folder of levels for `read_levels`; None: the first 1,000
-              that no run's training draws from
-    variant   its name, or one of your own; None: the shift's test variant
-    shift     its name, or one of your own; None: the one that the runs trained for
-    art       that the agents are shown; None: what they were trained on, which is then alike
-    solvable  see that in levels from files every object can be reached
-    longest   steps after which an episode is left; None: never
-    pool      whether agents are one row, as agents of one kind; otherwise each has its own
+    Examples:
+        >>> result = astray.evaluate_runs(["maze-corner"], range(200_000, 200_100))
+        >>> result.agents
+        ('maze-corner',)
 
-    Raises ValueError where runs are not alike, the same one is given twice, or there are no levels;
-    FileNotFoundError where there is no run. Warns (`LeftOut`) of knobs of the training that the
-    variant does not have.
+    Args:
+        runs: Run folders, checkpoints in them, or names of pretrained or imported agents.
+        levels: Level numbers, or a file or folder for `read_levels`; None for the first 1,000
+            outside of all runs' training levels.
+        variant: Name of a variant, or a `Variant`; None for the shift's test variant.
+        shift: Name of a shift, or a `Shift`; None for the one of the runs' training.
+        art: Art of the observations; None for that of the training, which must be common.
+        solvable: Check that every object can be reached in levels from files.
+        longest: Steps after which an episode is truncated; None for no limit.
+        pool: Treat the agents as one kind, in a single row.
+
+    Raises:
+        ValueError: If runs differ in kind or occur twice, or there are no levels.
+        FileNotFoundError: If there is no such run.
+
+    Warns:
+        LeftOut: If the variant lacks knobs of the training.
     """
     if isinstance(runs, str) or not isinstance(runs, Sequence):
         raise ValueError(f"runs must be a list of run folders; got {shown(runs)}")
@@ -128,7 +148,7 @@ def evaluate_runs(
     digests: dict[str, str | Path] = {}
     for run, (agent, _) in zip(runs, opened, strict=True):
         digest = _digest(agent)
-        if digest in digests:  # counted twice, it would make intervals narrower
+        if digest in digests:  # a duplicate would make intervals too narrow
             raise ValueError(f"{digests[digest]} and {run} are the same agent")
         digests[digest] = run
     for run, (_, other) in zip(runs, opened, strict=True):
@@ -156,7 +176,7 @@ def evaluate_runs(
 
 
 def names_of(agents: Sequence[Agent], pool: bool) -> dict[str, str]:
-    """Return what tables call each agent, by its run folder."""
+    """Return each agent's name in tables, by its run folder."""
     runs = [AgentFolder.of(agent.path).path for agent in agents]
     names = [folders.name_of(run) for run in runs]
     if pool and len(runs) > 1:
@@ -177,10 +197,16 @@ def evaluate_policies(
     solvable: bool = True,
     longest: int | None = None,
 ) -> Result:
-    """Evaluate any policies as `evaluate_runs` does agents.
+    """Evaluate any policies as `evaluate_runs` does trained agents.
 
-    If no levels are given, the first 1,000 are played.
-    In a world of others, scripts are its experts, and knobs are arguments of its factories.
+    By default the first 1,000 levels are played. In a `World`, scripts are its experts, and knobs
+    are arguments of its factories.
+
+    Examples:
+        >>> right = astray.Function(lambda images: np.full(len(images), 7), name="right")
+        >>> result = astray.evaluate_policies([right], "maze", "corner", range(20))
+        >>> result.agents
+        ('right',)
     """
     game = world.find(game)
     wanted: Any = variant or load_shift(game, shift).test
@@ -233,14 +259,10 @@ def play_all(
     measures: Mapping[str, Measure] | None = None,
     longest: int | None = None,
 ) -> pl.DataFrame:
-    """The episodes of policies, and of scripted ones that walk to each goal or at random.
+    """Play policies, and scripts that walk to each goal or at random.
 
-    A game without a solver has scripts at random alone.
-
-    measures, longest  as for `evaluate`
-
-    Beside `evaluate`'s columns: run, seed, checkpoint (null for scripts), variant (its `name`),
-    outcome, tells_apart.
+    Without a solver, the only script is random. The columns are those of `evaluate`, and run,
+    seed, checkpoint (null for scripts), variant (its `name`), outcome, tells_apart.
     """
     of_kind("policies", policies, Sequence)
     for policy in policies:

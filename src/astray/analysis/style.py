@@ -1,4 +1,4 @@
-"""The one style that all figures are drawn in, and how they are written."""
+"""The common style of all figures, and how they are saved."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ STYLE: dict[Any, Any] = {
 
 
 def save(figure: Figure, folder: Path, name: str) -> None:
-    """Write `<name>.png` and `<name>.svg`; the same figure is always the same bytes."""
+    """Write `<name>.png` and `<name>.svg`; equal figures give equal bytes."""
     folder.mkdir(parents=True, exist_ok=True)
     png, svg = io.BytesIO(), io.BytesIO()
     # The SVG's text and ids are settings of matplotlib, not arguments; they are put back after.

@@ -1,4 +1,4 @@
-"""Tables in files that are whole or not there."""
+"""Atomic files of tables."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from astray.files import write_aside
 
 
 def write_table(table: pl.DataFrame, path: Path) -> None:
-    """Write `table` to `path`: CSV where its name ends in .csv, else Parquet.
+    """Write `table` to `path`, as CSV if its name ends in .csv, otherwise as Parquet.
 
-    Its folder is made. A full disk or a kill leaves the old file or none.
+    The folder is created. A full disk or a kill leaves the old file or none.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
     file = io.BytesIO()

@@ -1,6 +1,6 @@
-"""A trained agent as a policy: what its network gives, and the actions drawn from it.
+"""Trained networks as policies.
 
-An `Agent` is from a file of astray's, a `Network` any torch module of yours.
+An `Agent` comes from a file of astray's, a `Network` is any torch module of yours.
 """
 
 from __future__ import annotations
@@ -28,18 +28,18 @@ from astray.training import ppo
 from astray.words import check_word, check_words
 from astray.world import World
 
-# Observations that a network is shown together: for a large one more are no sooner, and those that
-# a batch lacks to a multiple of it take their time, too.
+# Observations per forward pass: more are not faster for a large network, and padding a batch to a
+# multiple of it costs time.
 AT_ONCE = {"symbolic": 64, "image": 16}
-# Products of weights, of that many observations, for which a second thread costs more than it
-# saves: five times as much where other programs keep the processors busy.
+# Multiplications per forward pass below which a second thread costs more than it saves, up to five
+# times as much on busy processors.
 FEW = 200_000_000
 
 
 def chosen(
     logits: torch.Tensor, mode: Literal["sampled", "greedy"], seed: int, env: GameVectorEnv
 ) -> np.ndarray:
-    """The actions [N] that a policy of these logits [N, A] takes in the states of `env`."""
+    """Return the actions [N] of a policy with logits [N, A] in the states of `env`."""
     if mode == "greedy":
         return logits.argmax(-1).numpy(force=True)
     uniform = torch.from_numpy(episode_noise(seed, env.states, logits.shape[1]))
@@ -49,7 +49,7 @@ def chosen(
 def recalled(
     network: Recurrent, turn: Turn, device: str, chunk: int
 ) -> tuple[torch.Tensor, torch.Tensor]:
-    """The logits [N, A] of a network with memory in a turn, and its states then."""
+    """Return the logits [N, A] of a network with memory in a turn, and its new states."""
     shown, begins = (torch.from_numpy(x).to(device) for x in (turn.observations, turn.begins))
     state = turn.memory
     if state is None:
@@ -60,18 +60,18 @@ def recalled(
 
 @dataclass
 class Agent:
-    """A trained network; `mode` "sampled" draws from its policy, "greedy" takes the likeliest."""
+    """A trained network; `mode` "sampled" samples actions, "greedy" takes the most likely."""
 
-    path: Path  # of a checkpoint's agent.safetensors
+    path: Path  # checkpoint's agent.safetensors
     game: str
     mode: Literal["sampled", "greedy"] = "sampled"
-    seed: int = 0  # of the sampling
+    seed: int = 0  # seed of the sampling
     device: str = "cpu"
-    art: str = OWN  # that it is shown
+    art: str = OWN  # art of its observations
     network: torch.nn.Module = field(init=False, repr=False)
     architecture: policy.Architecture = field(init=False)
-    threads: int = field(init=False, repr=False)  # that `outputs` takes on a CPU
-    # Within `asked_once`: the last observations, and what the network gave for them.
+    threads: int = field(init=False, repr=False)  # threads of `outputs` on a CPU
+    # Within `asked_once`: the last observations and the network's outputs for them.
     _keeps: bool = field(init=False, repr=False, compare=False, default=False)
     _kept: Any = field(init=False, repr=False, compare=False, default=None)
 
@@ -102,9 +102,10 @@ class Agent:
         return self.network(observations)
 
     def outputs(self, observations: np.ndarray) -> tuple[torch.Tensor, torch.Tensor]:
-        """Logits [N, A] and values [N] on `observations` [N, ...].
+        """Return logits [N, A] and values [N] for `observations` [N, ...].
 
-        Raises ValueError where the agent has a memory: what it says depends on what was before.
+        Raises:
+            ValueError: If the agent has memory, so that outputs depend on earlier observations.
         """
         of_kind("observations", observations, np.ndarray)
         if isinstance(self.network, Recurrent):
@@ -131,9 +132,9 @@ class Agent:
 
     @contextlib.contextmanager
     def asked_once(self) -> Iterator[None]:
-        """What the network gives for an array is computed once, however often it is asked for.
+        """Cache the network's outputs for each observation array, within the context.
 
-        Within it nobody may change the array, or the network.
+        Neither the arrays nor the network may change meanwhile.
         """
         self._keeps = True
         try:
@@ -161,6 +162,13 @@ class Agent:
 @dataclass
 class Network:
     """A policy that is any torch module, which insight can also look into.
+
+    Examples:
+        >>> body = torch.nn.Sequential(torch.nn.Flatten(), torch.nn.Linear(64 * 64 * 3, 15))
+        >>> space = gymnasium.spaces.Box(0, 255, (64, 64, 3), np.uint8)
+        >>> policy = astray.Network(body, space, ask=lambda network, x: network(x.float()))
+        >>> policy.outputs(np.zeros((2, 64, 64, 3), np.uint8))[0].shape
+        torch.Size([2, 15])
 
     Attributes:
         network: Module that returns logits [N, A] for observations [N, ...], or a tuple of logits

@@ -1,4 +1,4 @@
-"""Videos: episodes as people see them, alone and side by side, as MP4 and GIF."""
+"""Videos of episodes, alone and side by side, as MP4 and GIF."""
 
 from __future__ import annotations
 
@@ -30,15 +30,15 @@ Caption = str | Callable[[int], str]  # or a function of the step
 
 @dataclass(frozen=True, eq=False)
 class Episode:
-    """One episode of T steps, as people, the agent and the rules see it."""
+    """One episode of T steps: frames for people, observations and states."""
 
     frames: np.ndarray  # [T + 1, P, P, 3] uint8
-    observations: np.ndarray  # [T + 1, ...] uint8, what the agent sees
+    observations: np.ndarray  # [T + 1, ...] uint8
     states: np.ndarray  # [T + 1] records
     rewards: np.ndarray  # [T] float64
-    events: dict[str, int | None]  # the step each first happened, None for never
-    level: int  # its number; -1 for one that was drawn
-    terminated: bool  # by the rules; else the time was up
+    events: dict[str, int | None]  # step at which each first happened, None for never
+    level: int  # level number; -1 for a drawn level
+    terminated: bool  # ended by the rules; otherwise truncated
 
 
 def play(
@@ -50,10 +50,11 @@ def play(
     pixels: int = 256,
     longest: int | None = None,
 ) -> Episode:
-    """Play one episode of `policy` in a level and keep everything.
+    """Play one episode of `policy` in a level and record everything.
 
-    pixels   a side of the frames
-    longest  steps after which it is left unfinished; None: never
+    Args:
+        pixels: Side of the frames.
+        longest: Steps after which it is truncated; None for no limit.
     """
     of_kind("level", level, int | np.integer | Level)
     chosen = {"": level} if isinstance(level, Level) else [level]
@@ -74,14 +75,17 @@ def play(
 
 
 def beside(*videos: np.ndarray, captions: Sequence[Caption], gap: int = 12) -> np.ndarray:
-    """Videos side by side, a caption above each; the shorter ones hold their last frame.
+    """Join videos side by side with captions; shorter ones hold their last frame.
 
-    Above, because players lay their controls over the bottom.
+    Captions are above the videos, because players put their controls at the bottom.
 
-    videos    each [T, H, W, 3] uint8, of any length and size
-    captions  a text for each video, or a function from its frame's number to a text
-    gap       pixels between the videos and around them
-    returns   [T, H, W, 3] uint8, T that of the longest
+    Args:
+        videos: Each [T, H, W, 3] uint8, of any length and size.
+        captions: For each video a text, or a function from frame number to text.
+        gap: Pixels between the videos and around them.
+
+    Returns:
+        [T, H, W, 3] uint8, with T of the longest video.
     """
     if not videos or len(videos) != len(captions):
         raise ValueError(f"{len(videos)} videos and {len(captions)} captions; one for each")
@@ -104,14 +108,14 @@ def beside(*videos: np.ndarray, captions: Sequence[Caption], gap: int = 12) -> n
 
 
 def _texts(caption: Caption, video: np.ndarray) -> list[tuple[str, ...]]:
-    """The lines of the caption above each frame."""
+    """Return the lines of the caption above each frame."""
     if isinstance(caption, str):
         return [_wrapped(caption, video.shape[2])] * len(video)
     return [_wrapped(caption(step), video.shape[2]) for step in range(len(video))]
 
 
 def _wrapped(text: str, width: int) -> tuple[str, ...]:
-    """`text` in lines of at most `width` pixels, broken between words."""
+    """Break `text` between words into lines of at most `width` pixels."""
     font = ImageFont.load_default(CAPTION)
     lines = [""]
     for word in text.split():
@@ -124,7 +128,7 @@ def _wrapped(text: str, width: int) -> tuple[str, ...]:
 
 
 def _strip(lines: Sequence[str], width: int, height: int) -> np.ndarray:
-    """Text on the background, [height, width, 3] uint8."""
+    """Draw text on the background, [height, width, 3] uint8."""
     image = Image.new("RGB", (width, height), BACKGROUND)
     draw, font = ImageDraw.Draw(image), ImageFont.load_default(CAPTION)
     first = height - len(lines) * LINE  # the last line lies on the video
@@ -151,9 +155,9 @@ def write_mp4(frames: np.ndarray, path: Path, fps: int = FPS) -> None:
 
 
 def write_gif(frames: np.ndarray, path: Path, fps: int = FPS) -> None:
-    """Write `frames` [T, H, W, 3] uint8 as a GIF that repeats, all in one palette."""
+    """Write `frames` [T, H, W, 3] uint8 as a looping GIF with a single palette."""
     _check(frames, fps)
-    # The colours of up to 16 frames, spread over the video, speak for all.
+    # The palette comes from up to 16 frames, spread over the video.
     few = frames[np.unique(np.linspace(0, len(frames) - 1, 16).astype(int))]
     palette = Image.fromarray(few.reshape(-1, *few.shape[2:])).quantize(
         255, Image.Quantize.MEDIANCUT, dither=Image.Dither.NONE

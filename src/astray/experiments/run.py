@@ -57,18 +57,23 @@ def reproduce(
     art: str = OWN,
     track: Tracking | None = None,
 ) -> Path:
-    """Do what is missing of an experiment and write its report; the report's path.
+    """Train what is missing of an experiment, evaluate it, and return the path of the report.
 
-    experiment  of the catalogue, by name, or one of your own: see `catalogue.find`
-    root     gets the report, in <name>-<size>, and in `agents` the agents, which experiments share;
-             on a cluster all nodes see it
-    workers  agents trained at once here; None: one for each processor
-    on       where agents are trained; they are evaluated here
-    art      of all images; the report of another than our own is in <name>-<size>-<art>
-    track    who else is told how trainings go, and what the report says: wandb or trackio
+    Examples:
+        >>> report = astray.reproduce("maze-corner", "smoke", Path("reports"))  # doctest: +SKIP
 
-    Raises ValueError where there is no such experiment, size or art, OSError where the report's
-    folder holds what astray did not write.
+    Args:
+        experiment: Name in the catalogue, or an `Experiment`: see `catalogue.find`.
+        root: Folder of the report, <name>-<size>, and of `agents`, which experiments share. On a
+            cluster all nodes must see it.
+        workers: Number of agents trained at once here; None for one per processor.
+        on: Place of the trainings; evaluation happens here.
+        art: Art of all images; with original art the report's folder is <name>-<size>-<art>.
+        track: External tracker of trainings and report: wandb or trackio.
+
+    Raises:
+        ValueError: If there is no such experiment, size or art.
+        OSError: If the report's folder holds files that astray did not write.
     """
     name, whole = sized(experiment, size)
     plan, ending = whole.sizes[size].drawn_with(art), "" if art == OWN else f"-{art}"
