@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from astray import imports
+from astray.acting import Answer, Onward
 from astray.envs.vector import IMAGE, PICTURE, GameVectorEnv
 from astray.game import OWN, Game, Variant
 from astray.level import Level
@@ -63,9 +64,8 @@ def play(game: Game, variant: Variant, level: int | Level | None = None, art: st
                 seen, _ = env.reset(options={"level": current})
                 total, ended = 0.0, False
             elif action is not None and not ended:
-                seen, reward, terminated, truncated, _ = env.step(np.array([action]))
-                total += float(reward[0])
-                ended = bool(terminated[0] or truncated[0])
+                step = Onward(env, seen).step(0, 0, Answer(np.array([action])))
+                seen, total, ended = step.seen, total + step.rewards[0], bool(step.ended[0])
             lines = _lines(env, total, ended)
             _paint(screen, env, seen[0], lines, font, pygame)
             pygame.display.flip()

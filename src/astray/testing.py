@@ -23,7 +23,9 @@ import numpy as np
 from gymnasium.utils.env_checker import check_env, data_equivalence
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
 
+from astray.acting import initial_states, steps
 from astray.analysis.outcomes import outcomes_of
+from astray.analysis.policies import Walk
 from astray.envs.compiled import compiled_loop
 from astray.envs.single import GameEnv
 from astray.envs.vector import GameVectorEnv
@@ -217,20 +219,24 @@ def check_solver(game: Game, variant: Variant) -> None:
     """Check that experts obtain the solver's optimal return, and never more."""
     if not game.solver:
         return
-    env = GameVectorEnv(game, variant, 1, autoreset_mode="Disabled")
     rewarded = {shift.intended for shift in game.shifts.values()}
-    for level, (goal, event) in product(LEVELS, game.event_goals.items()):
-        env.reset(seed=0, options={"level": level})
-        s = env.states[0]
-        worth, soon = (game.solver.optimal_return(s, goal, gamma) for gamma in (1.0, 0.9))
-        expert, total, discounted = game.solver.expert(s, goal), 0.0, 0.0
-        while worth and s[event] < 0 and not s.ended:
-            _, reward, *_ = env.step(np.array([expert(s)]))
-            total += reward[0]
-            discounted += reward[0] * 0.9 ** (int(s.time) - 1)
-        if worth:  # otherwise another goal ended the level first
-            assert s.ended or game.actions[expert(s)] == "stay", f"level {level}, {goal}"
-        if worth and goal in rewarded:
+    for begun, goal in product(_beginnings(game, variant), game.event_goals):
+        level = begun.level
+        worth, soon = (game.solver.optimal_return(begun, goal, gamma) for gamma in (1.0, 0.9))
+        if not worth:
+            continue
+        walk, total, discounted, s = (
+            Walk(goal, observations(game)[-1]["observation"]),
+            0.0,
+            0.0,
+            begun,
+        )
+        for step in steps(walk, game, variant, [level], until=[game.event(goal)]):
+            (s,), (reward,) = step.after, step.rewards
+            total, discounted = total + reward, discounted + reward * 0.9 ** (s.time - 1)
+        stays = game.actions[walk.ways(game, [s])[0]] == "stay"
+        assert s.ended or stays, f"level {level}, {goal}"
+        if goal in rewarded:
             assert abs(total - worth) < 1e-9, f"level {level}: {total} instead of {worth}"
             assert discounted <= soon + 1e-9, f"level {level}: sooner than is possible"
 
@@ -294,13 +300,10 @@ def check_measures(game: Game, variant: Variant) -> None:
 
 def _where_reached(game: Game, variant: Variant, s: Any, goal: str) -> tuple[int, int] | None:
     """Return the cell where an expert reaches `goal`; None if another goal ends the level first."""
-    env = GameVectorEnv(game, variant, 1, autoreset_mode="Disabled")
-    env.reset(seed=0, options={"level": int(s.level)})
-    expert, event = game.solver.expert(s, goal), game.event(goal)
-    while env.states[0][event] < 0 and not env.states[0].ended:
-        env.step(np.array([expert(env.states[0])]))
-    x, y = game.places.centre(env.get_state())[0]
-    return (int(x), int(y)) if env.states[0][event] >= 0 else None
+    walk, event = Walk(goal, observations(game)[-1]["observation"]), game.event(goal)
+    *_, last = steps(walk, game, variant, [s.level], until=[event])
+    x, y = game.places.centre(last.after)[0]
+    return (int(x), int(y)) if last.after[event][0] >= 0 else None
 
 
 def check_compiled_once(game: Game, variant: Variant) -> None:
@@ -320,7 +323,7 @@ def check_compiled_once(game: Game, variant: Variant) -> None:
 CHECKS: tuple[Callable[[Game, Variant], None], ...] = (
     check_batches, check_gymnasium, check_seeds, check_levels, check_time_limit, check_states,
     check_events, check_symbols, check_editing, check_solver, check_places, check_cells,
-    check_labels, check_compiled_once,
+    check_labels, check_measures, check_compiled_once,
 )  # fmt: skip
 
 
@@ -337,6 +340,4 @@ def _actions(env: GameVectorEnv, steps: int) -> Iterator[np.ndarray]:
 
 def _beginnings(game: Game, variant: Variant) -> Iterator[Any]:
     """Return the states that levels begin in."""
-    env = GameVectorEnv(game, variant, len(LEVELS))
-    env.reset(seed=0, options={"level": np.array(LEVELS)})
-    yield from env.get_state().view(np.recarray)
+    yield from initial_states(game, variant, LEVELS)

@@ -84,6 +84,14 @@ def test_what_is_wrong_with_places_is_found(wrong, message):
         testing.check_places(with_places(**wrong), SMALL)
 
 
+@pytest.mark.parametrize("measure", [lambda s: s["x"][:1], lambda s: s["x"].astype(str)])
+def test_a_measure_that_is_no_number_of_each_state_is_found(measure):
+    wrong = replace(GAME, measures={"far": measure})
+    assert testing.check_measures in testing.CHECKS
+    with pytest.raises(AssertionError, match="far"):
+        testing.check_measures(wrong, SMALL)
+
+
 @pytest.mark.parametrize("game", games.OWN)
 def test_an_agent_is_put_as_a_level_would_begin_with_it_there(game):
     game = games.find(game)

@@ -77,12 +77,12 @@ class Walk:
     def ways(self, game: Game, states: Any) -> np.ndarray:
         """Return the actions [n] towards the goal from states [n].
 
-        An episode must be included in its first step; afterwards it may be left out.
+        An episode may be included from any step on, and left out from any.
         """
         return np.array([self._action(game, s) for s in states], np.int64)
 
     def _action(self, game: Game, s: Any) -> int:
         level = int(s.level)
-        if s.time == 0 and not (self.remembers and level in self._experts):
+        if level not in self._experts or (s.time == 0 and not self.remembers):
             self._experts[level] = game.solver.expert(s, self.goal)
         return self._experts[level](s)

@@ -22,7 +22,7 @@ import numpy as np
 import polars as pl
 
 from astray import games
-from astray.acting import Levels, initial_states
+from astray.acting import Answer, Levels, Onward, initial_states
 from astray.analysis.critic import judge, observe
 from astray.analysis.trained import Agent
 from astray.bounds import of_kind, shown
@@ -339,19 +339,18 @@ def outcomes(game: str | Game, variant: str | Variant, states: np.ndarray) -> np
     By the rules themselves: what they draw at random is drawn as the states have it.
     """
     found = games.find(game)
-    env = _stepper(found, variant, len(states))
-    after = np.empty((len(states), len(found.actions), 2))
-    for action in range(len(found.actions)):
-        env.set_state(states)
-        env.step(np.full(len(states), action))
-        after[:, action] = found.places.centre(env.get_state())
-    env.close()
-    return after
+    return np.stack([found.places.centre(s) for s in _after(found, variant, states)], 1)
 
 
-def _stepper(game: Game, variant: str | Variant, count: int) -> GameVectorEnv:
+def _after(game: Game, variant: str | Variant, states: np.ndarray) -> Iterator[np.ndarray]:
+    """Yield the states that `states` [N] become by each action."""
+    count = len(states)
     shown_as = "symbolic" if game.symbols else "image"  # symbols take less time
-    return GameVectorEnv(game, variant, count, observation=shown_as, autoreset_mode="Disabled")
+    env = GameVectorEnv(game, variant, count, observation=shown_as, autoreset_mode="Disabled")
+    for action in range(len(game.actions)):
+        onward = Onward(env, env.set_state(states))
+        yield onward.step(0, 0, Answer(np.full(count, action))).after.copy()
+    env.close()
 
 
 def effects(game: str | Game, variant: str | Variant, states: np.ndarray) -> np.ndarray:
@@ -361,15 +360,11 @@ def effects(game: str | Game, variant: str | Variant, states: np.ndarray) -> np.
     moves into walls.
     """
     found = games.find(game)
-    env = _stepper(found, variant, len(states))
     first = np.empty((len(states), len(found.actions)), np.int64)
     seen: list[dict[bytes, int]] = [{} for _ in states]
-    for action in range(len(found.actions)):
-        env.set_state(states)
-        env.step(np.full(len(states), action))
-        for k, after in enumerate(env.get_state()):
-            first[k, action] = seen[k].setdefault(sha256(after.tobytes()).digest(), action)
-    env.close()
+    for action, after in enumerate(_after(found, variant, states)):
+        for k, s in enumerate(after):
+            first[k, action] = seen[k].setdefault(sha256(s.tobytes()).digest(), action)
     return first
 
 

@@ -15,11 +15,12 @@ from astray.agency.gridworld import World as Gridworld
 from astray.agency.measure import CALIBRATED
 from astray.agency.online import Growth, measure_online
 from astray.analysis.agency import named_places
+from astray.analysis.policies import Walk
 from astray.analysis.trained import Agent
 from astray.game import Game, Shift
 from astray.lab.messages import LONGEST
 from astray.lab.minds import rounded
-from astray.lab.worlds import Episode, World, environment
+from astray.lab.worlds import Episode, World
 from astray.level import Level
 from astray.record import NEVER
 
@@ -125,21 +126,18 @@ def route(episode: Episode, goal: str) -> dict[str, Any]:
 
     Found by walking it: the cells, the first thing that is gone, and how many steps that took.
     """
-    world = episode.world
-    env = environment(world)
-    env.set_state(episode.state)
-    policy = world.game.solver.expert(env.states[0], goal)
-    before = _things(world, env.states[0])
-    cells, takes, taken_at = [_centre(world, env.states[0]).round(3).tolist()], None, None
-    while not env.states[0].ended and len(cells) <= LONGEST:
-        if env.states[0][world.game.event(goal)] != NEVER or _stands(cells, world.game):
-            break
-        env.step(np.array([policy(env.states[0])]))
-        cells.append(_centre(world, env.states[0]).round(3).tolist())
-        gone = before - _things(world, env.states[0]) or _at_end(world, env.states[0], goal, before)
+    world, game, event = episode.world, episode.world.game, episode.world.game.event(goal)
+    policy = Walk(goal, "symbolic" if game.symbols else "image")
+    walk = Episode(world, [episode.state]).play(policy, LONGEST)
+    (s,) = episode.state.view(np.recarray)
+    before = _things(world, s)
+    cells, takes, taken_at = [_centre(world, s).round(3).tolist()], None, None
+    while s[event] == NEVER and not _stands(cells, game) and (step := next(walk, None)):
+        (s,) = step.after
+        cells.append(_centre(world, s).round(3).tolist())
+        gone = before - _things(world, s) or _at_end(world, s, goal, before)
         if gone and takes is None:
             takes, taken_at = sorted(gone), len(cells) - 1
-    env.close()
     return {"cells": cells, "takes": takes, "steps": taken_at}
 
 
