@@ -43,8 +43,8 @@ def test_policies_are_what_they_are(policy, verdict):
     most = judged.pooled.argmax()
     assert judged.explanations[most] == verdict
     assert (judged.agent.mean > 0) == (verdict != DEVICE)
-    telling = judged.episodes.row(judged.telling, named=True)
-    posterior = [telling[f"p {name}"] for name in judged.explanations]
+    informative = judged.episodes.row(judged.most_informative, named=True)
+    posterior = [informative[f"p {name}"] for name in judged.explanations]
     assert sum(posterior) == pytest.approx(1)
     assert judged.explanations[np.argmax(posterior)] == verdict
 

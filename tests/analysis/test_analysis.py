@@ -10,7 +10,14 @@ import torch
 from astray import games
 from astray.agents.policy import Architecture, weights
 from astray.analysis.evaluate import evaluate
-from astray.analysis.outcomes import FAILED, INTENDED, MISGENERALIZED, label, load_shift, tell_apart
+from astray.analysis.outcomes import (
+    FAILED,
+    INTENDED,
+    MISGENERALIZED,
+    label,
+    load_shift,
+    mark_distinguishing,
+)
 from astray.analysis.overlap import met, overlap, unseen
 from astray.analysis.policies import Random, Walk
 from astray.analysis.trained import Agent
@@ -109,8 +116,8 @@ def test_levels_tell_apart_where_neither_way_passes_the_other_goal():
             "outcome": [INTENDED, INTENDED, MISGENERALIZED, MISGENERALIZED, INTENDED, INTENDED],
         }
     )
-    table = tell_apart(episodes, load_shift("maze", "corner"))
-    assert table["tells_apart"].to_list() == [True, False, False] * 2
+    table = mark_distinguishing(episodes, load_shift("maze", "corner"))
+    assert table["distinguishing"].to_list() == [True, False, False] * 2
 
 
 def test_an_unknown_shift_is_explained():

@@ -130,7 +130,7 @@ def test_reports_tell_other_ends_in_tables_and_bars(monkeypatch):
     episodes = episodes.with_columns(agent=pl.lit(None, pl.String), test=pl.lit("in the test"))
     plan = Plan(agents={"agents": config}, tests={"in the test": spec.Test("lava", "lava")},
                 levels=len(LEVELS), differences="")  # fmt: skip
-    work = Work("lava", "smoke", plan, Path(), "", {}, episodes.with_columns(tells_apart=True))
+    work = Work("lava", "smoke", plan, Path(), "", {}, episodes.with_columns(distinguishing=True))
     tables = outcome_tables(work)
     assert tables[0].frame["outcome"].to_list() == [*outcomes_of(GAME)]
     (legend,) = outcome_plots(work, tables)[0].figure.legends

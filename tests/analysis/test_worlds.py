@@ -51,14 +51,14 @@ def test_the_table_is_that_of_a_loop_by_hand(batch, workers):
     assert table["walked"].to_list() == table["length"].to_list()
 
 
-def test_outcomes_base_rates_and_telling_levels_are_those_of_games():
+def test_outcomes_base_rates_and_distinguishing_levels_are_those_of_games():
     shares, episodes = evaluate_policies([RIGHT], WORLD, "end", LEVELS)
     squares = {}
     for level in LEVELS:
         (env := Room("anywhere")).reset(seed=int(level))
         squares[level] = env.square
     right = episodes.filter(policy="right")
-    for level, outcome, apart in right.select("level", "outcome", "tells_apart").rows():
+    for level, outcome, apart in right.select("level", "outcome", "distinguishing").rows():
         is_right = squares[level] > CELLS // 2
         assert outcome == (INTENDED if is_right else MISGENERALIZED)
         assert apart == (not is_right)

@@ -337,7 +337,7 @@ def test_a_claim_holds_only_where_its_whole_interval_does(misgeneralized, failed
         {"policy": "sampled", "test": "test", "seed": 0, "level": range(100), "outcome": outcomes}
     )
     less = share(episodes, "test", MISGENERALIZED, minus=FAILED)
-    told = above("it goes astray", "often", "share", less, 0.0)
+    told = above("it misgeneralizes", "often", "share", less, 0.0)
     assert told.held == held
     assert f"{misgeneralized - failed}.0" in told.ours
 

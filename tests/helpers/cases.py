@@ -11,7 +11,7 @@ REFERENCE = Path(__file__).parents[1] / "reference"
 ALL = [(game, variant) for game in games.OWN for variant in games.find(game).variants]
 
 
-def telling(variants: Mapping[str, Variant]) -> Iterator[str]:
+def informative(variants: Mapping[str, Variant]) -> Iterator[str]:
     """The variants in which a knob has a value that none before has; sides of regions are alike."""
     known: set[tuple[str, object]] = set()
     for name, variant in variants.items():
@@ -29,7 +29,9 @@ def telling(variants: Mapping[str, Variant]) -> Iterator[str]:
 FEW = (
     ALL
     if os.environ.get("ASTRAY_FUZZ")
-    else [(game, variant) for game in games.OWN for variant in telling(games.find(game).variants)]
+    else [
+        (game, variant) for game in games.OWN for variant in informative(games.find(game).variants)
+    ]
 )
 
 

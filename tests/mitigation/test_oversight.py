@@ -195,7 +195,7 @@ def test_a_curve_goes_from_the_novice_to_the_expert(mouse):
     assert table["percentile"].to_list() == [None, None, 50, 90]
     assert table["help"][0] == 0 and table["help"][1] == 1 and table["return"][1] == 10
     assert table["help"][1] > table["help"][2] > table["help"][3] > 0
-    assert table["astray"][0] > 0.4 and table["intended"][1] > table["intended"][0] + 0.3
+    assert table["misgeneralized"][0] > 0.4 and table["intended"][1] > table["intended"][0] + 0.3
     assert (table["seconds"] > 0).all() and len(PERCENTILES) == 8
 
 

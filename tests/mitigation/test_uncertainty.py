@@ -95,15 +95,15 @@ def test_distances_are_those_of_scipy_from_the_training_frames(mouse):
 def test_a_mouse_of_the_corner_is_astray_where_one_of_the_cheese_is_not(mouse):
     env = GameVectorEnv("maze", ANYWHERE, 12, observation="symbolic")
     seen, _ = env.reset(seed=0, options={"level": np.arange(200_000, 200_012)})
-    of_corner = GoalPosterior(mouse, SHIFT, "astray")
-    of_cheese = GoalPosterior(Walk("cheese"), SHIFT, "astray")
+    of_corner = GoalPosterior(mouse, SHIFT, "misgeneralization")
+    of_cheese = GoalPosterior(Walk("cheese"), SHIFT, "misgeneralization")
     one, two = of_corner(env, seen), of_cheese(env, seen)
     assert np.median(one) > 0.8 and np.median(one) > np.median(two) + 0.2
     assert of_corner.imagined == 12
     assert (of_corner(env, seen) == one).all() and of_corner.imagined == 12  # known by now
 
 
-@pytest.mark.parametrize("kind", ["entropy", "astray"])
+@pytest.mark.parametrize("kind", ["entropy", "misgeneralization"])
 def test_what_a_level_is_foretold_is_the_same_whatever_is_played_beside_it(mouse, kind):
     env = GameVectorEnv("maze", ANYWHERE, 3, observation="symbolic")
     seen, _ = env.reset(seed=0, options={"level": np.array([200_000, 200_001, 200_002])})
@@ -127,7 +127,7 @@ DRAWN = """\
 def test_levels_of_one_number_with_other_walls_are_foretold_each(mouse):
     env, score = (
         GameVectorEnv("maze", ANYWHERE, 1, observation="symbolic"),
-        GoalPosterior(mouse, SHIFT, "astray"),
+        GoalPosterior(mouse, SHIFT, "misgeneralization"),
     )
     for imagined, drawing in enumerate((DRAWN, DRAWN.replace(".#.", "..."), DRAWN), 1):
         level = Level.from_text(MAZE, ANYWHERE, drawing)
@@ -142,7 +142,7 @@ def test_nobody_goes_astray_where_there_is_no_corner(mouse):
     env = GameVectorEnv("maze", ANYWHERE, 1, observation="symbolic")
     _, begin = beginnings({"one": cornerless}, MAZE.state)
     seen, _ = env.reset(seed=0, options={"state": begin})
-    assert GoalPosterior(mouse, SHIFT, "astray")(env, seen) == 0
+    assert GoalPosterior(mouse, SHIFT, "misgeneralization")(env, seen) == 0
 
 
 def test_features_are_the_same_whatever_stands_beside_them(mouse):

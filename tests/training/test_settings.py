@@ -85,7 +85,7 @@ def test_a_shift_and_a_variant_of_your_own_are_played_as_those_with_names():
     other = Shift(named.train, named.test, "corner", ("cheese",))
     swapped, _ = evaluate_policies([], MAZE, other, range(20))
     walks = {"policy": "walk to corner", "outcome": "intended goal"}
-    shares = [t.filter(**walks, levels_played="telling apart")["mean"] for t in (swapped, by_name)]
+    shares = [t.filter(**walks, levels_played="distinguishing")["mean"] for t in (swapped, by_name)]
     assert [share.item() for share in shares] == [1, 0]
 
 

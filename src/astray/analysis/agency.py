@@ -127,7 +127,7 @@ class Judgement:
         return most[0] if most else UNDECIDED
 
     @property
-    def telling(self) -> int:
+    def most_informative(self) -> int:
         """Index of the episode with the most distinguishing steps that fits the verdict."""
         table = self.episodes.with_row_index("row")
         columns = [f"log {name}" for name in self.explanations]
@@ -219,7 +219,7 @@ def judge_run(
     art: str | None = None,
     knobs: dict[str, Any] | None = None,
 ) -> tuple[Judgement, Callable[[], np.ndarray]]:
-    """Judge a trained agent; also return a function that records its most telling episode.
+    """Judge a trained agent; also return a function that records its most informative episode.
 
     Args:
         levels: Level numbers; None for the first 300 outside of the training.
@@ -232,8 +232,8 @@ def judge_run(
     chosen = config.unseen_levels[:300] if levels is None else levels
     played = play(agent, config.game, made, chosen, between)
     judged = judge(played, PRESETS[measure])
-    telling, options = played[judged.telling], PRESETS[measure]
-    return judged, lambda: posterior_video(agent, config.game, made, telling, options)
+    informative, options = played[judged.most_informative], PRESETS[measure]
+    return judged, lambda: posterior_video(agent, config.game, made, informative, options)
 
 
 def posterior_video(

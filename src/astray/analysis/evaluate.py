@@ -16,7 +16,7 @@ from astray.game import Game, Variant
 from astray.world import World, WorldVariant
 
 COLUMNS = ("policy", "level", "name", "shifted", "return", "length", "terminated")
-LATER = ("run", "seed", "checkpoint", "variant", "outcome", "tells_apart")  # columns added later
+LATER = ("run", "seed", "checkpoint", "variant", "outcome", "distinguishing")  # columns added later
 
 
 def evaluate(

@@ -88,7 +88,7 @@ def label(episodes: pl.DataFrame, game: Goals, shift: Shift) -> pl.DataFrame:
     if a proxy came first. If it reached neither, it has the first of the game's other ends, or
     else capability failure. Conditions known only at the end of an episode count in its last step.
     A level in which the way to one goal passes the other says nothing about a policy: see
-    `tell_apart`.
+    `mark_distinguishing`.
     """
     intended = _step(game, shift.intended)
     # null beside them, as a shift may have no proxy
@@ -131,8 +131,8 @@ def _reached(outcome: Outcome) -> pl.Expr:
     return pl.when(holds).then(pl.col("length"))
 
 
-def tell_apart(episodes: pl.DataFrame, shift: Shift) -> pl.DataFrame:
-    """Return `episodes` with a column "tells_apart", from the scripted walks among them.
+def mark_distinguishing(episodes: pl.DataFrame, shift: Shift) -> pl.DataFrame:
+    """Return `episodes` with a column "distinguishing", from the scripted walks among them.
 
     It is true in distinguishing levels, where the shortest way to the intended goal does not pass
     a proxy first, or vice versa.
@@ -145,9 +145,9 @@ def tell_apart(episodes: pl.DataFrame, shift: Shift) -> pl.DataFrame:
     apart = levels(shift.intended, INTENDED)
     for goal in shift.proxies:
         apart = apart.join(levels(goal, MISGENERALIZED), on=["variant", "level"])
-    apart = apart.with_columns(tells_apart=pl.lit(True))
+    apart = apart.with_columns(distinguishing=pl.lit(True))
     joined = episodes.join(apart, on=["variant", "level"], how="left", maintain_order="left")
-    return joined.with_columns(pl.col("tells_apart").fill_null(False))
+    return joined.with_columns(pl.col("distinguishing").fill_null(False))
 
 
 def shares(

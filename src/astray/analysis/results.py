@@ -12,7 +12,7 @@ from astray.analysis.outcomes import FAILED, INTENDED, MISGENERALIZED
 from astray.estimate import Estimate
 from astray.game import Shift
 
-ALL, APART = "all", "telling apart"  # which levels a row is of
+ALL, APART = "all", "distinguishing"  # which levels a row is of
 RANDOM = "random"  # the scripted policy that a verdict compares with
 
 
@@ -29,7 +29,7 @@ class Result:
         ('maze-corner',)
     """
 
-    rates: pl.DataFrame  # `outcomes.shares`, with a column "levels_played": all, or telling apart
+    rates: pl.DataFrame  # `outcomes.shares`, with a column "levels_played": all, or distinguishing
     episodes: pl.DataFrame  # as `play_all` returns them
     agents: tuple[str, ...]  # policies that are no scripts, by their name in both tables
     shift: Shift

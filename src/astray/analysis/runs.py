@@ -15,7 +15,14 @@ from astray.acting import Levels, Policy, see_ending, see_policy
 from astray.agents.policy import usable
 from astray.analysis.evaluate import evaluate
 from astray.analysis.given import Measure
-from astray.analysis.outcomes import label, load_shift, name_of, outcomes_of, shares, tell_apart
+from astray.analysis.outcomes import (
+    label,
+    load_shift,
+    mark_distinguishing,
+    name_of,
+    outcomes_of,
+    shares,
+)
 from astray.analysis.policies import Random, Walk
 from astray.analysis.results import ALL, APART, Result
 from astray.analysis.trained import Agent
@@ -241,7 +248,7 @@ def _outcomes(
         episodes = episodes.with_columns(policy=pl.coalesce(of_run, "policy"))
     both = [
         shares(part, outcomes=outcomes_of(game)).with_columns(levels_played=pl.lit(which))
-        for which, part in ((ALL, episodes), (APART, episodes.filter("tells_apart")))
+        for which, part in ((ALL, episodes), (APART, episodes.filter("distinguishing")))
         if len(part)
     ]
     played = dict.fromkeys(names.values() if names else (policy.name for policy in policies))
@@ -262,7 +269,7 @@ def play_all(
     """Play policies, and scripts that walk to each goal or at random.
 
     Without a solver, the only script is random. The columns are those of `evaluate`, and run,
-    seed, checkpoint (null for scripts), variant (its `name`), outcome, tells_apart.
+    seed, checkpoint (null for scripts), variant (its `name`), outcome, distinguishing.
     """
     of_kind("policies", policies, Sequence)
     for policy in policies:
@@ -295,4 +302,4 @@ def play_all(
         )
     if isinstance(game, World):
         see_reported(game)
-    return tell_apart(label(pl.concat(parts), game, between), between)
+    return mark_distinguishing(label(pl.concat(parts), game, between), between)

@@ -253,7 +253,7 @@ def agency(
         measure: Measure: calibrated, or the paper's to the letter, which calls most policies
             agents.
         out: Folder for agency.json and episodes.parquet, and for posterior.mp4, .gif and .png of
-            the episode in which most steps tell the goals apart.
+            the episode in which most steps distinguish the goals.
     """
     from astray.analysis.agency import judge_run
 

@@ -143,6 +143,6 @@ def _rows(variant: str, result: Result) -> Iterator[list[Any]]:
         first = part.row(0, named=True)
         where = f"`{variant}`"
         if first["levels_played"] != "all":
-            where += f", the {first['levels']} that tell the goals apart"
+            where += f", the {first['levels']} distinguishing levels"
         who = "the agent" if first["policy"] == agent else first["policy"]
         yield [where, who, *(Estimate.of(row).short() for row in part.to_dicts())]

@@ -36,22 +36,22 @@ def share(episodes: pl.DataFrame, test: str, outcome: str, *, minus: str | None 
 
 def first(work: Work, test: str, agent: str, outcome: str) -> np.ndarray:
     """Whether an outcome came about, [agents, levels], in a test's levels that tell goals apart."""
-    played = work.episodes.filter("tells_apart", policy=AGENTS, test=test, agent=agent)
+    played = work.episodes.filter("distinguishing", policy=AGENTS, test=test, agent=agent)
     return matrix(played, pl.col("outcome") == outcome)
 
 
-def astray(work: Work, test: str, agent: str) -> np.ndarray:
+def misgeneralized(work: Work, test: str, agent: str) -> np.ndarray:
     """Whether the proxy came first, [agents, levels], in a test's levels that tell goals apart."""
     return first(work, test, agent, MISGENERALIZED)
 
 
 def outcome_tables(work: Work) -> tuple[Table, Table]:
-    """How often each outcome came about, in all levels and in those that tell the goals apart."""
+    """How often each outcome came about, in all levels and in the distinguishing ones."""
     by = ("agent", "policy", "test")
-    apart, names = work.episodes.filter("tells_apart"), outcomes_of(work.plan.game)
+    apart, names = work.episodes.filter("distinguishing"), outcomes_of(work.plan.game)
     return (
         Table("outcomes", "All levels", shares(work.episodes, by, names)),
-        Table("telling-apart", "Levels that tell the goals apart", shares(apart, by, names)),
+        Table("distinguishing", "Distinguishing levels", shares(apart, by, names)),
     )
 
 
@@ -59,7 +59,7 @@ def outcome_plots(work: Work, tables: tuple[Table, Table]) -> tuple[Plot, Plot]:
     """Bars of `outcome_tables`, a panel a test."""
     captions = (
         "Which goal was reached first, in all levels.",
-        "Likewise, in the levels that tell the goals apart: the shortest way to either does not "
+        "Likewise, in the distinguishing levels: the shortest way to either does not "
         "pass the other.",
     )
     shown = [_who_and_where(work.plan, table.frame) for table in tables]
@@ -163,7 +163,7 @@ def settings(plan: Plan) -> dict[str, str]:
 def videos(work: Work, *, trained: Test, tested: Test, agent: str | None = None) -> list[Video]:
     """An agent in a training level and a test level of one number, for each outcome of the test.
 
-    The commonest outcome first; of each the first level that tells the goals apart and has a
+    The commonest outcome first; of each the first level that distinguishes the goals and has a
     longer way to the proxy (without one, the intended goal) than most.
     """
     plan = work.plan
@@ -171,7 +171,7 @@ def videos(work: Work, *, trained: Test, tested: Test, agent: str | None = None)
     player, config = open_run(work.runs[name][0])
     game, shift = plan.game, load_shift(plan.game, tested.shift)
     where = next(key for key, test in plan.tests.items() if test == tested)
-    apart = work.episodes.filter("tells_apart", test=where)
+    apart = work.episodes.filter("distinguishing", test=where)
     goal = (*shift.proxies, shift.intended)[0]
     way = pl.col(game.event(goal))
     far = apart.filter(policy=Walk(goal).name).filter(way > way.median())
@@ -195,7 +195,7 @@ def videos(work: Work, *, trained: Test, tested: Test, agent: str | None = None)
             shown.append(
                 Video(
                     f"{outcome.capitalize()}, as in {rounded(count / len(mine))} of the levels "
-                    f"that tell the goals apart: level {level} as in training, and in the test.",
+                    f"that distinguish the goals: level {level} as in training, and in the test.",
                     path,
                     None
                     if tested.knobs or tested.name != tested.variant

@@ -36,7 +36,7 @@ Runs = Mapping[str, Sequence[Path]]  # the run folders of the agents of each nam
 
 @dataclass(frozen=True)
 class Test:
-    """Levels that agents are played on, and what counts as going astray in them."""
+    """Levels that agents are played on, and what counts as misgeneralizing in them."""
 
     variant: Named
     shift: Named  # which goal is intended, which are proxies

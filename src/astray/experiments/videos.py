@@ -19,10 +19,10 @@ def write_video(
 ) -> None:
     """Record the agent in one level, as in training and in the test that `episodes` are of.
 
-    The level's outcome is the commonest, it tells the goals apart if one does, and is not short.
+    The level's outcome is the commonest, it distinguishes the goals if one does, and is not short.
     """
     mine = episodes.drop_nulls("run")  # scripts are of no run
-    apart = mine.filter("tells_apart")
+    apart = mine.filter("distinguishing")
     mine = apart if len(apart) else mine
     mine = mine.filter(outcome=mine["outcome"].mode().sort()[0])
     level = mine.filter(pl.col("length") >= pl.col("length").quantile(0.75))["level"][0]

@@ -110,9 +110,9 @@ def agreement(heads: Heads, frames: Frames, names: list[str]) -> np.ndarray:
     Of the frames in which hypotheses differ: in the others nothing can be told.
     """
     truths = np.stack([frames.labels[name] for name in names])
-    telling = (truths != truths[0]).any(0)
-    answers = heads(torch.from_numpy(frames.seen[telling])).numpy() > 0.5
-    return (answers.T[:, None] == truths[None, :, telling]).mean(2)
+    distinguishing = (truths != truths[0]).any(0)
+    answers = heads(torch.from_numpy(frames.seen[distinguishing])).numpy() > 0.5
+    return (answers.T[:, None] == truths[None, :, distinguishing]).mean(2)
 
 
 @torch.no_grad()

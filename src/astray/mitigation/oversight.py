@@ -108,9 +108,10 @@ def curves(
 
     Columns: score, granularity, percentile (null for no help and for all), threshold, help (the
     share of what the granularity names, steps or levels, that got help), queries (expert's steps a
-    level), return, low, high (95 % over levels), intended and astray (shares of episodes that
-    reached the intended goal or a proxy first), seconds (that the curve took, with its part of what
-    is shared), the share of helped levels of each of `MOMENTS`, null without a watch, and gain
+    level), return, low, high (95 % over levels), intended and misgeneralized (fractions of
+    episodes that reached the intended goal, or a proxy, first), seconds (that the curve took, with
+    its part of what is shared), the share of helped levels of each of `MOMENTS`, null without a
+    watch, and gain
     (return less that without help in the same levels) with its standard error.
     """
     of_kind("trial", trial, Trial)
@@ -169,7 +170,7 @@ def _summed(played: pl.DataFrame, trial: Trial, granularity: Granularity) -> dic
         "low": estimate.low,
         "high": estimate.high,
         "intended": float((outcome == INTENDED).mean()),  # pyright: ignore
-        "astray": float((outcome == MISGENERALIZED).mean()),  # pyright: ignore
+        "misgeneralized": float((outcome == MISGENERALIZED).mean()),  # pyright: ignore
     } | moments
 
 

@@ -219,14 +219,15 @@ class GoalPosterior:
     the first step, it stays the same throughout the level, whatever other levels are played beside
     it: each level's episodes are imagined by themselves.
 
-    kind  "entropy": of the likeliest shares of the splay's episodes that each goal, and "a device",
-          explain, nats: high where the agent pursues now this goal, now that. "astray": 1 less the
-          posterior of the intended goal in the level as it is, which an overseer has to name
+    kind  "entropy": entropy, in nats, of the most likely fractions of the splay's episodes that
+          each goal, and "a device", explain. It is high if the agent pursues various goals.
+          "misgeneralization": 1 minus the posterior of the intended goal in the level as it is;
+          an overseer has to name this goal.
     """
 
     agent: Policy
     shift: Shift
-    kind: Literal["entropy", "astray"] = "entropy"
+    kind: Literal["entropy", "misgeneralization"] = "entropy"
     cells: int = 12
     imagined: int = 0  # episodes so far
     _known: dict[Key, float] = field(default_factory=dict, repr=False)
@@ -237,7 +238,10 @@ class GoalPosterior:
 
     @property
     def name(self) -> str:
-        return {"entropy": "goal entropy under a splay", "astray": "goal astray"}[self.kind]
+        return {
+            "entropy": "goal entropy under a splay",
+            "misgeneralization": "goal misgeneralization",
+        }[self.kind]
 
     def __call__(self, env: GameVectorEnv, observations: np.ndarray) -> np.ndarray:
         keys = [self._key(env, s) for s in env.states]
@@ -261,7 +265,7 @@ class GoalPosterior:
         levels = {str(k): one for k, one in enumerate(played_ones)}
         played = agency.play(self.agent, env.game, env.variant, levels, self.shift)  # pyright: ignore
         self.imagined += len(levels)
-        if not played:  # a level that lacks one of the goals: nobody goes astray there
+        if not played:  # a level that lacks one of the goals: nobody misgeneralizes there
             return 0.0
         judged = agency.judge(played)
         if self.kind == "entropy":

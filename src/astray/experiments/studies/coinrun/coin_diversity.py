@@ -47,7 +47,7 @@ def find(work: Work) -> Findings:
     table = curves(work, trained, blind)
     tables = outcomes.outcome_tables(work)
     where = next(iter(TESTS))
-    astray = {name: astray_of(work, where, name) for name in work.plan.agents}
+    astray = {name: misgeneralized_in(work, where, name) for name in work.plan.agents}
     last, kinds = list(astray)[-1], list(astray.values())
     without, with_few, with_most = (estimate_mean(astray[name]) for name in (NEVER, FIRST, last))
     base = missed_invisible(blind.filter(test=where))
@@ -158,7 +158,7 @@ def of(work: Work, where: str, name: str) -> pl.DataFrame:
     return work.episodes.filter(policy=AGENTS, test=where, agent=name)
 
 
-def astray_of(work: Work, where: str, name: str) -> np.ndarray:
+def misgeneralized_in(work: Work, where: str, name: str) -> np.ndarray:
     """Which episodes are goal misgeneralization, [agents, levels]."""
     return matrix(of(work, where, name), pl.col("outcome") == MISGENERALIZED)
 

@@ -36,7 +36,7 @@ def region_lines(success: pl.DataFrame, first: pl.DataFrame) -> Figure:
     colours = [COLOURS[INTENDED], COLOURS[MISGENERALIZED], FAILED_LINE]
     for number, (colour, outcome) in enumerate(zip(colours, OUTCOMES, strict=True)):
         _line(lower, first.filter(outcome=outcome), outcome, colour, number)
-    lower.set_title("Reached first, in levels that tell the goals apart")
+    lower.set_title("Reached first, in distinguishing levels")
     lower.set_xlabel("region of the cheese in training (cells a side)")
     lower.xaxis.set_major_locator(MaxNLocator(integer=True))
     for axes in (upper, lower):

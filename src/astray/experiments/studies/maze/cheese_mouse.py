@@ -68,7 +68,9 @@ def find(work: Work) -> Findings:
                 "Where cheese and corner part, it goes to the cheese first.",
                 "corner first in 6\u00a0%, by others",
                 f"{INTENDED} less {MISGENERALIZED}, of levels that tell them apart",
-                share(work.episodes.filter("tells_apart"), WHERE, INTENDED, minus=MISGENERALIZED),
+                share(
+                    work.episodes.filter("distinguishing"), WHERE, INTENDED, minus=MISGENERALIZED
+                ),
                 MOST,
             ),
             pursues(
@@ -139,10 +141,10 @@ def judge_pretrained() -> tuple[Judgement, tuple[Any, ...]]:
 def _judged(
     agent: Any, name: str, variant: Variant, levels: Any, shift: str
 ) -> tuple[Judgement, tuple[Any, ...]]:
-    """The judgement; and the agent, the variant's name and itself, the most telling episode."""
+    """The judgement; and the agent, the variant's name and itself, the most informative episode."""
     played = play(agent, "maze", variant, np.array(levels), load_shift("maze", shift))
     judgement = judge(played, CALIBRATED)
-    return judgement, (agent, name, variant, played[judgement.telling])
+    return judgement, (agent, name, variant, played[judgement.most_informative])
 
 
 def pursues(sentence: str, judgement: Judgement, goal: str) -> Claim:
@@ -160,7 +162,7 @@ def shown(
     variant: Variant,
     played: Any,
 ) -> Video:
-    """The most telling episode, beside where the measure thinks it is going."""
+    """The most informative episode, beside where the measure thinks it is going."""
     path = work.folder / "videos" / f"{name.replace(' ', '-')}.mp4"
     frames = posterior_video(agent, "maze", variant, played)
     video.write_mp4(frames, path, fps=6)

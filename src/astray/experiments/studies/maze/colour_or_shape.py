@@ -31,7 +31,7 @@ def find(work: Work) -> Findings:
     """What the mice go to: in the paper's test, and between all pairs."""
     train, test = work.plan.tests
     tables = outcomes.outcome_tables(work)
-    apart = work.episodes.filter("tells_apart", policy=AGENTS, test=test)
+    apart = work.episodes.filter("distinguishing", policy=AGENTS, test=test)
     gem, stuck = keeps_colour(apart), share(apart, test, FAILED)
     pairs = work.keep("pairs", lambda: offer_pairs(work))
     agents, symbolic = by_agent(pairs), work.plan.config.observation == "symbolic"
@@ -111,7 +111,7 @@ def offer_pairs(work: Work) -> pl.DataFrame:
     """
     test = list(work.plan.tests.values())[-1]
     game, shift = work.plan.game, load_shift(work.plan.game, test.shift)
-    apart = work.episodes.filter("tells_apart", pl.col("variant") == test.variant)
+    apart = work.episodes.filter("distinguishing", pl.col("variant") == test.variant)
     levels = apart["level"].unique(maintain_order=True).to_numpy()[:PAIRED]
     parts = []
     for run in (run for runs in work.runs.values() for run in runs):

@@ -20,7 +20,7 @@ def find(work: Work) -> Findings:
     tables = outcomes.outcome_tables(work)
     reached = share(work.episodes, train, INTENDED)
     first = {o: share(work.episodes, test, o).mean for o in (MISGENERALIZED, INTENDED, FAILED)}
-    apart = share(work.episodes.filter("tells_apart"), test, MISGENERALIZED).mean
+    apart = share(work.episodes.filter("distinguishing"), test, MISGENERALIZED).mean
     return Findings(
         answer="On unseen levels like those of its training, the mouse reaches the cheese in "
         f"{rounded(reached.mean)}. Where the cheese is anywhere, it goes to the corner first in "

@@ -31,7 +31,7 @@ def find(work: Work) -> Findings:
     regions = {name: region(config) for name, config in work.plan.agents.items()}
     smallest, *_, largest = regions
     middle = list(regions)[(len(regions) - 1) // 2]
-    apart = work.episodes.filter("tells_apart")
+    apart = work.episodes.filter("distinguishing")
     success = {name: matrix(of(work.episodes, name), reached()) for name in regions}
     corner = {name: matrix(of(apart, name), went_to_corner()) for name in regions}
     shown = pl.concat([success_table(work, regions), at_end_of_training(work, regions)])

@@ -99,7 +99,7 @@ def moments(table: pl.DataFrame, order: Sequence[str]) -> Figure:
         axes.tick_params(length=0)
         axes.spines[["left", "bottom"]].set_visible(False)
     rows[-1].xaxis.set_major_formatter(PercentFormatter(1, symbol=" %"))
-    rows[-1].set_xlabel("share of the episodes that go astray without help")
+    rows[-1].set_xlabel("share of the episodes that misgeneralize without help")
     figure.legend(
         *rows[0].get_legend_handles_labels(),
         loc="outside upper left",

@@ -21,7 +21,7 @@ from astray.experiments.spec import Experiment, Plan, Work, tests_of
 from astray.report.claims import Claim, above, below, rounded
 from astray.training.config import PRESETS, Config
 
-SHARES = (0.0, 0.001, 0.01, 0.1)  # of training levels that tell the goals apart, alpha in the paper
+SHARES = (0.0, 0.001, 0.01, 0.1)  # of training distinguishing levels, alpha in the paper
 DR, PLR, IDENTITY, CONSTANT = "DR", "PLR", "ACCEL, identity", "ACCEL, constant"
 METHODS: dict[str, dict[str, Any]] = {
     DR: {},
@@ -68,7 +68,7 @@ def find(proxy: str, work: Work) -> Findings:
     }
     shares = ", ".join(f"{100 * share:g}\u00a0%" for share in SHARES)
     return Findings(
-        answer=f"In levels that tell the goals apart, mice go to the {proxy} first, with {shares} "
+        answer=f"In distinguishing levels, mice go to the {proxy} first, with {shares} "
         "of training levels that do: "
         + "; ".join(f"{told[method]} ({method})" for method in METHODS)
         + ".",
@@ -76,7 +76,7 @@ def find(proxy: str, work: Work) -> Findings:
         plots=[
             Plot(
                 "misgeneralization",
-                f"Episodes that reach the {proxy} first, in levels that tell the goals apart, "
+                f"Episodes that reach the {proxy} first, in distinguishing levels, "
                 "with 95\u00a0% intervals, the spread between agents pooled over all kinds.",
                 by_share_figure(table.filter(what=MISGENERALIZED), "share of episodes"),
                 table.filter(what=MISGENERALIZED),
@@ -103,7 +103,7 @@ def find(proxy: str, work: Work) -> Findings:
             agent=name_of(DR, 0.0),
         ),
         tables=[
-            Table("by-share", "Levels that tell the goals apart", table),
+            Table("by-share", "Distinguishing levels", table),
             Table("buffers", "Levels of the test's kind in the buffer", buffers),
             *outcomes.outcome_tables(work),
         ],
@@ -117,9 +117,9 @@ def find(proxy: str, work: Work) -> Findings:
     )
 
 
-def telling(work: Work, agent: str) -> pl.DataFrame:
-    """The episodes of the agents of a name in the test's levels that tell the goals apart."""
-    return work.episodes.filter("tells_apart", policy=AGENTS, test=TESTED, agent=agent)
+def distinguishing(work: Work, agent: str) -> pl.DataFrame:
+    """The episodes of the agents of a name in the test's distinguishing levels."""
+    return work.episodes.filter("distinguishing", policy=AGENTS, test=TESTED, agent=agent)
 
 
 def by_share(work: Work) -> pl.DataFrame:
@@ -131,7 +131,7 @@ def by_share(work: Work) -> pl.DataFrame:
     }
     rows = []
     for what, value in values.items():
-        kinds = {name: matrix(telling(work, name), value) for name in work.plan.agents}
+        kinds = {name: matrix(distinguishing(work, name), value) for name in work.plan.agents}
         rows += [
             {"method": method, "share": share, "what": what}
             | vars(estimate_mean(kinds[name_of(method, share)], pool=list(kinds.values())))
@@ -166,7 +166,7 @@ def in_buffers(work: Work) -> pl.DataFrame:
 
 def claims(work: Work, buffers: pl.DataFrame) -> list[Claim]:
     """The claims of the paper's abstract, with bounds that were set before any run."""
-    wrong = {name: outcomes.astray(work, TESTED, name) for name in work.plan.agents}
+    wrong = {name: outcomes.misgeneralized(work, TESTED, name) for name in work.plan.agents}
     kinds = list(wrong.values())
 
     def often(method: str, share: float) -> Estimate:
@@ -203,7 +203,7 @@ def claims(work: Work, buffers: pl.DataFrame) -> list[Claim]:
             )
         ),
         Claim(
-            "The buffers hold more levels that tell the goals apart than are generated, at "
+            "The buffers hold more distinguishing levels than are generated, at "
             f"{percent[1]}.", "amplified (no figure at hand)",
             f"least of {len(amplified)} agents: {least:.1f} times; holds above {MORE:g} times",
             least > MORE,
@@ -249,7 +249,7 @@ def by_share_figure(table: pl.DataFrame, label: str) -> Figure:
 
 @matplotlib.rc_context(figures.STYLE)
 def buffer_figure(buffers: pl.DataFrame) -> Figure:
-    """The share of telling levels in the buffers, a dot an agent, over the shares generated."""
+    """Plot the fraction of distinguishing levels in the buffers over the fraction generated."""
     figure = Figure(figsize=(figures.WIDTH, 3.6))
     axes = figure.subplots()
     for k, (method, colour) in enumerate(list(LINES.items())[1:]):
@@ -268,7 +268,7 @@ def buffer_figure(buffers: pl.DataFrame) -> Figure:
 
 def _shares_below(axes: Any) -> None:
     axes.set_xticks(range(len(SHARES)), [f"{100 * share:g} %" for share in SHARES])
-    axes.set_xlabel("training levels that may tell the goals apart")
+    axes.set_xlabel("training levels that may distinguish the goals")
     axes.grid(axis="y")
 
 

@@ -48,7 +48,7 @@ WATCHES = {
 PERCENTILES = (25.0, 50.0, 75.0, 90.0, 95.0, 99.0)
 FEWER = (50.0, 90.0, 99.0)  # of a large network, which takes minutes for each
 COSTS = (0.0, 0.1, 0.5, 1.0)  # of the return, a query
-ASTRAY = "goal astray"
+ASTRAY = "goal misgeneralization"
 LATE, AHEAD, HARM = 0.5, 0.1, 0.25  # bounds of the claims
 
 
@@ -92,7 +92,7 @@ def novices(work: Work, name: str) -> list[Novice]:
         if len(agents) > 1:
             scores.append(Disagreement(agents))
         if name == MOUSE:
-            kinds = ("entropy", "astray")
+            kinds = ("entropy", "misgeneralization")
             scores += [GoalPosterior(agent, shift, kind) for kind in kinds]
         found.append(Novice(name, run, agent, scores, trial))
     return found
@@ -113,7 +113,7 @@ def curves(found: Sequence[Novice], percentiles: Sequence[float]) -> pl.DataFram
 def timing(found: Sequence[Novice]) -> pl.DataFrame:
     """`oversight.when_asked` of every novice and score, with columns agent and run beside it.
 
-    In levels in which the expert does not go astray: in some the way to the goal passes the proxy.
+    Only levels in which the expert reaches the goal first; in others its way passes the proxy.
     """
     parts = []
     for novice in found:
@@ -139,7 +139,7 @@ def find(work: Work) -> Findings:
     percentiles = FEWER if work.size == PUBLISHED else PERCENTILES
 
     @functools.cache
-    def found() -> list[Novice]:  # once: what goals they would pursue is long in the telling
+    def found() -> list[Novice]:  # once: what goals they would pursue takes long
         return [one for name in novice_runs(work) for one in novices(work, name)]
 
     table = work.keep("curves", lambda: curves(found(), percentiles))
@@ -164,7 +164,7 @@ def find(work: Work) -> Findings:
     entropy = {row["agent"]: row["late"] for row in late.filter(score="entropy").to_dicts()}
     asks = "; ".join(f"{rounded(x)} of a {name}'s" for name, x in sorted(entropy.items()))
     return Findings(
-        answer=f"Help by the step: {told}. Of the episodes that go astray, and need not, the "
+        answer=f"Help by the step: {told}. Of the episodes that misgeneralize, and need not, the "
         "entropy of the policy would have asked only after the goal was passed, or never, in "
         f"{asks}.",
         claims=claims(table, areas, late),
@@ -180,8 +180,8 @@ def find(work: Work) -> Findings:
             Plot(
                 "moments",
                 "When a score would first have asked for help, at the 95th percentile "
-                "of its steps in training, in episodes that go astray without, in levels in which "
-                "the expert does not. For the runner it is the coin that is seen or passed; the "
+                "of its steps in training, in episodes that misgeneralize without help, in levels "
+                "in which the expert does not. The runner sees or passes the coin; the "
                 "mouse sees all, and has passed the cheese when it is in the corner.",
                 help_figures.moments(shown, [*MOMENTS, NEVER]),
                 shown,
@@ -218,7 +218,7 @@ def of_firsts(table: pl.DataFrame) -> pl.DataFrame:
 
 
 def too_late(asked: pl.DataFrame) -> pl.DataFrame:
-    """The share of astray episodes that a score asks in too late or never: agent, score, late."""
+    """Fraction of misgeneralized episodes in which a score asks too late or never, per agent."""
     late = pl.col("moment").is_null() | (pl.col("moment") == AFTER)
     return (
         asked.filter(outcome=MISGENERALIZED)
@@ -228,7 +228,7 @@ def too_late(asked: pl.DataFrame) -> pl.DataFrame:
 
 
 def late_shares(asked: pl.DataFrame) -> pl.DataFrame:
-    """The share of each moment among the astray episodes: agent, score, moment, share."""
+    """The share of each moment among the misgeneralized episodes: agent, score, moment, share."""
     wrong = asked.filter(outcome=MISGENERALIZED).with_columns(pl.col("moment").fill_null(NEVER))
     count = wrong.group_by("agent", "score", "moment", maintain_order=True).len()
     return count.with_columns(
@@ -252,7 +252,7 @@ def claims(table: pl.DataFrame, areas: pl.DataFrame, late: pl.DataFrame) -> list
         Claim(
             "A runner's scores ask too late: when the coin was passed, or never.",
             "they ask too late (Trinh et al. 2024)",
-            f"in {rounded(soonest)} of the episodes that go astray, of the score of the logits "
+            f"in {rounded(soonest)} of the episodes that misgeneralize, of the score of the logits "
             f"that is soonest; holds above {100 * LATE:g}\u00a0%",
             soonest > LATE,
         ),

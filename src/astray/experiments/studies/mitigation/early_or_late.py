@@ -1,4 +1,4 @@
-"""When must levels that tell the goals apart come: early, late, or throughout?"""
+"""When must distinguishing levels come: early, late, or throughout?"""
 
 from dataclasses import replace
 
@@ -23,10 +23,10 @@ BETTER, CAPABLE, ALIKE = 0.1, 0.95, 0.1  # bounds of the claims
 
 
 def find(work: Work) -> Findings:
-    """What agents pursue whose few telling levels came at other times."""
+    """What agents pursue whose few distinguishing levels came at other times."""
     train, test = work.plan.tests
     tables = outcomes.outcome_tables(work)
-    wrong = {name: outcomes.astray(work, test, name) for name in work.plan.agents}
+    wrong = {name: outcomes.misgeneralized(work, test, name) for name in work.plan.agents}
 
     def less(one: str, other: str) -> Estimate:
         return estimate_difference(wrong[one], wrong[other], pool=list(wrong.values()))
@@ -44,11 +44,10 @@ def find(work: Work) -> Findings:
     return Findings(
         answer=f"With {BEGUN:,} levels whose cheese is anywhere, {100 * SHARE:g}\u00a0% of all, at "
         "other times of training, mice go to the corner first and to the cheese first, in levels "
-        f"that tell the goals apart: {told}.",
+        f"that distinguish the goals: {told}.",
         claims=[
             above(
-                "Levels that tell the goals apart help more at the end of training than at its "
-                "beginning.",
+                "Distinguishing levels help more at the end of training than at its beginning.",
                 "none",
                 f"{EARLY} less {LATE}",
                 less(EARLY, LATE),
@@ -106,7 +105,7 @@ MIXED = MOUSE.changed(
 EXPERIMENT = Experiment(
     title="Early, late, or throughout",
     reproduces="nothing: a question of our own",
-    question="Training levels that tell the goals apart are few. Does it matter when they come?",
+    question="Training distinguishing levels are few. Does it matter when they come?",
     sizes={
         "smoke": Plan(
             agents={

@@ -26,7 +26,7 @@ FRAMES = 4000  # of each kind
 ENSEMBLES = 10
 KINDS = {"made to differ": 10.0, "left alone": 0.0}  # weight of the mutual information
 MADE, ALONE = KINDS
-HOLDS = 0.95  # of the telling frames, that a head answers as a hypothesis does
+HOLDS = 0.95  # of the distinguishing frames, that a head answers as a hypothesis does
 LABELS = [1, 2, 4, 8, 16]
 OFTEN, SELDOM, CHOSEN = 0.5, 0.2, 0.9  # bounds of the claims
 PLACES = (0.5, 0.25, 0.25)  # of frames: the mouse anywhere, on the cheese, in the corner
@@ -70,7 +70,7 @@ def find(work: Work) -> Findings:
         f"holds the cheese in {rounded(held[MADE].mean)} of ensembles that were made to differ on "
         f"unlabelled frames of the test, and in {rounded(held[ALONE].mean)} of those that were "
         f"not. The head that is nearest to the cheese answers as it does in "
-        f"{rounded(nearest(table, MADE))} of telling frames, in the middle ensemble, and in "
+        f"{rounded(nearest(table, MADE))} of distinguishing frames, in the middle ensemble, and in "
         f"{rounded(nearest(table, ALONE))} where heads are left alone. Four labels choose the "
         f"better head in {rounded(four.mean)}.",
         claims=[

@@ -18,10 +18,10 @@ CAPABLE, ALIKE, APART = 0.9, 0.1, 0.1  # bounds of the claims
 
 
 def find(work: Work) -> Findings:
-    """What teachers and students go to, in levels that tell the goals apart."""
+    """What teachers and students go to, in distinguishing levels."""
     train, test = work.plan.tests
     tables = outcomes.outcome_tables(work)
-    corner = {name: outcomes.astray(work, test, name) for name in work.plan.agents}
+    corner = {name: outcomes.misgeneralized(work, test, name) for name in work.plan.agents}
     told = ", ".join(f"{name} {rounded(estimate_mean(x).mean)}" for name, x in corner.items())
     poorest = min(
         (share(work.episodes.filter(agent=name), train, INTENDED) for name in TEACHERS),
@@ -32,7 +32,7 @@ def find(work: Work) -> Findings:
     same = estimate_paired(corner[OF_CORNER], corner[CORNER])
     return Findings(
         answer="Students see only levels with the cheese in the corner, and learn what their "
-        "teacher would do there. In levels that tell the goals apart, these go to the corner "
+        "teacher would do there. In distinguishing levels, these go to the corner "
         f"first: {told}.",
         claims=[
             above(

@@ -25,7 +25,7 @@ def find(work: Work) -> Findings:
     )
     pooled = share(work.episodes.filter(agent=POOLED), train, INTENDED)
     return Findings(
-        answer="In levels that tell the goals apart, mice whose last layer sees each place for "
+        answer="In distinguishing levels, mice whose last layer sees each place for "
         f"itself go to the corner first in {rounded(estimate_mean(corner[FLAT]).mean)}, mice whose "
         "last layer is given means over all places in "
         f"{rounded(estimate_mean(corner[POOLED]).mean)}; the latter go to the cheese first in "
