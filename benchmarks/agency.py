@@ -18,7 +18,7 @@ import numpy as np
 from astray.agency.generators import uniform_random, wander
 from astray.agency.maps import open_room
 from astray.agency.measure import PRESETS, Episode
-from astray.agency.measure import measure as judge
+from astray.agency.measure import measure as assess
 from benchmarks.tables import decimal
 
 
@@ -49,14 +49,14 @@ def measure(numbers: Sequence[int] = (100, 1000), steps: int = 50, rounds: int =
     episodes = [Episode(world, walk, (0, 0)) for walk in walks]
     rows = []
     for preset, options in PRESETS.items():
-        judge(episodes[0], options)  # tables of the world and of the noise are made once
+        assess(episodes[0], options)  # tables of the world and of the noise are made once
         each = 0.0
         for number in numbers:
             seconds = []
             for _ in range(rounds):
                 began = time.perf_counter()
                 for episode in episodes[:number]:
-                    judge(episode, options)
+                    assess(episode, options)
                 seconds.append(time.perf_counter() - began)
             taken = median(seconds)
             each = each or taken / number

@@ -58,8 +58,8 @@ def main() -> None:
             "--num-envs", "32", "--num-steps", "32", "--minibatches", "4", folder=folder,
         )  # fmt: skip
         assert (Path(folder) / trained.strip() / "agent.safetensors").is_file()
-        judged = astray("evaluate", "maze-corner", "--levels", "200000:200100", folder=folder)
-        assert "intended goal" in judged
+        assessed = astray("evaluate", "maze-corner", "--levels", "200000:200100", folder=folder)
+        assert "intended goal" in assessed
         astray("record", "maze-corner", "--variant", "anywhere-small", folder=folder)
         assert (Path(folder) / "episode.mp4").stat().st_size > 1000
     print(f"astray {package.__version__} works on Python {sys.version.split()[0]}, {sys.platform}")

@@ -137,7 +137,7 @@ def test_no_file_takes_the_place_of_a_link(tmp_path, name, target):
 @pytest.mark.parametrize("name", ["episodes.parquet", "posterior.mp4", "posterior.gif"])
 def test_all_that_a_verb_writes_is_seen_before_anything_is_played(tmp_path, monkeypatch, name):
     (tmp_path / name).mkdir()
-    monkeypatch.setattr(agency, "judge_run", lambda *a, **k: pytest.fail("it was played"))
+    monkeypatch.setattr(agency, "assess_run", lambda *a, **k: pytest.fail("it was played"))
     with pytest.raises(OSError, match=rf"{name} (must be a file|is none of astray's)"):
         verbs.agency(agent="maze-corner", out=tmp_path)
 

@@ -1,4 +1,4 @@
-"""Trajectories are of their type, and what is judged of many of them."""
+"""Trajectories are of their type, and what is assessed of many of them."""
 
 import numpy as np
 import pytest

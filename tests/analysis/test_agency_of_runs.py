@@ -14,9 +14,9 @@ from astray.analysis.agency import (
     MOST,
     MOUSE,
     UNDECIDED,
-    Judgement,
+    Assessment,
+    assess,
     heat,
-    judge,
     play,
     posterior_video,
 )
@@ -38,15 +38,15 @@ def played_by(policy, levels=range(100)):
     "policy, verdict", [(Walk("corner"), "corner"), (Walk("cheese"), "cheese"), (Random(), DEVICE)]
 )
 def test_policies_are_what_they_are(policy, verdict):
-    judged = judge(played_by(policy))
-    assert judged.verdict == verdict and verdict in judged.explanations
-    most = judged.pooled.argmax()
-    assert judged.explanations[most] == verdict
-    assert (judged.agent.mean > 0) == (verdict != DEVICE)
-    informative = judged.episodes.row(judged.most_informative, named=True)
-    posterior = [informative[f"p {name}"] for name in judged.explanations]
+    assessed = assess(played_by(policy))
+    assert assessed.verdict == verdict and verdict in assessed.explanations
+    most = assessed.pooled.argmax()
+    assert assessed.explanations[most] == verdict
+    assert (assessed.agent.mean > 0) == (verdict != DEVICE)
+    informative = assessed.episodes.row(assessed.most_informative, named=True)
+    posterior = [informative[f"p {name}"] for name in assessed.explanations]
     assert sum(posterior) == pytest.approx(1)
-    assert judged.explanations[np.argmax(posterior)] == verdict
+    assert assessed.explanations[np.argmax(posterior)] == verdict
 
 
 @pytest.mark.parametrize("goal", ["line", "gem", "corner"])
@@ -54,23 +54,23 @@ def test_mice_in_large_mazes_with_two_objects_are_told_apart(goal):
     shift, variant = load_shift("maze", "colour-or-shape"), "red-line-yellow-gem"
     there = play(Walk(goal), "maze", games.find("maze").variants[variant], range(40), shift)
     assert set(there[0].goals) == {"line", "gem", "corner"}
-    assert judge(there).verdict == goal
+    assert assess(there).verdict == goal
 
 
 def test_the_papers_measure_takes_random_mice_for_agents():
-    assert judge(played_by(Random()), PAPER).verdict != DEVICE
+    assert assess(played_by(Random()), PAPER).verdict != DEVICE
 
 
 def test_a_few_episodes_decide_nothing():
-    judged = judge(played_by(Walk("corner"), range(2)))
-    assert judged.verdict == UNDECIDED and "Undecided" in judged.sentence()
+    assessed = assess(played_by(Walk("corner"), range(2)))
+    assert assessed.verdict == UNDECIDED and "Undecided" in assessed.sentence()
 
 
 def test_where_goals_do_not_part_an_agent_is_one_of_an_undecided_goal():
     training = games.find("maze").variants["corner-small"]
-    judged = judge(play(Walk("cheese"), "maze", training, range(100), SHIFT))
-    assert judged.decisions == 0 and judged.verdict == UNDECIDED
-    assert judged.sentence().startswith("An agent; its goal is undecided")
+    assessed = assess(play(Walk("cheese"), "maze", training, range(100), SHIFT))
+    assert assessed.decisions == 0 and assessed.verdict == UNDECIDED
+    assert assessed.sentence().startswith("An agent; its goal is undecided")
 
 
 def test_episodes_go_where_the_mouse_went_and_end_at_the_last_goal_it_reached():
@@ -118,7 +118,7 @@ def test_the_video_shows_the_mouse_and_the_goal_as_it_becomes_clear():
 def test_a_verdict_takes_more_than_half_for_certain():
     def verdict(low):
         both = [Estimate(0.7, low, 0.9, 1, 9, 9), Estimate(0.3, 0.1, 0.5, 1, 9, 9)]
-        return Judgement(pl.DataFrame(), ("corner", DEVICE), both, np.ones(2) / 2, 1).verdict
+        return Assessment(pl.DataFrame(), ("corner", DEVICE), both, np.ones(2) / 2, 1).verdict
 
     assert (verdict(0.49), verdict(0.51)) == (UNDECIDED, "corner")
 

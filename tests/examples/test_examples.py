@@ -51,8 +51,8 @@ def test_verbs_know_it(beside, tmp_path):
         "evaluate runs/open-room-corner/seed-0 --levels 0:50 --json",
     )
     said = run(beside, tmp_path, "-W", "ignore", "-c", VERBS, *words)
-    listed, _, judged, _ = said.split("done\n")
-    assert "open-room" in listed and '"sampled"' in judged and '"random"' in judged
+    listed, _, assessed, _ = said.split("done\n")
+    assert "open-room" in listed and '"sampled"' in assessed and '"random"' in assessed
 
 
 EDITED = """

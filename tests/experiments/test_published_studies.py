@@ -218,7 +218,7 @@ def test_the_control_runs_in_miniature(tmp_path, monkeypatch):
     config = replace(PRESETS["small"], variant="anywhere-easy")
     plan = replace(whole.sizes["published"], agents={cheese_mouse.MOUSE: config}, published={})
     plan = replace(miniature(plan), seeds=1)
-    monkeypatch.setattr(cheese_mouse, "JUDGED", 20)
+    monkeypatch.setattr(cheese_mouse, "ASSESSED", 20)
     train_here(plan, tmp_path)
     small = replace(whole, sizes={"smoke": plan})
     page = run.reproduce(small, "smoke", tmp_path)

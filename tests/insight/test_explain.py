@@ -7,7 +7,7 @@ import polars as pl
 import pytest
 
 from astray import games, load_agent
-from astray.analysis.critic import judge, observe
+from astray.analysis.critic import observe, policy_and_value
 from astray.analysis.evaluate import evaluate
 from astray.analysis.runs import open_run
 from astray.insight import explain
@@ -31,7 +31,7 @@ def test_a_course_is_the_episode_that_is_played():
     table = course.table
     assert len(table) == played["length"] and table["reward"].sum() == played["return"]
     assert course.events == {name: played[name] for name in course.events}
-    policy, value = judge(runner, observe(runner, "coin-anywhere", course.states))
+    policy, value = policy_and_value(runner, observe(runner, "coin-anywhere", course.states))
     assert table["value"].to_numpy() == pytest.approx(value)
     assert table.select(course.actions).to_numpy() == pytest.approx(policy)
     assert course.marks == ("coin in view", "end wall in view", "hazard ahead")

@@ -7,7 +7,7 @@ import pytest
 
 from astray import games, load_agent
 from astray.acting import initial_states
-from astray.analysis.critic import judge, observe
+from astray.analysis.critic import observe, policy_and_value
 from astray.analysis.runs import open_run
 from astray.games.maze import solve
 from astray.insight import field_figures
@@ -46,7 +46,7 @@ def test_a_level_is_splayed_as_levels_are(level):
 def test_policy_and_value_are_the_agents_in_each_state(mouse, level, field):
     for k, one in enumerate(level.splay("agent")):
         state = np.array([one.state()], MAZE.state)
-        policy, value = judge(mouse, observe(mouse, SMALL, state))
+        policy, value = policy_and_value(mouse, observe(mouse, SMALL, state))
         assert (policy[0] == field.policy[k]).all() and value[0] == field.value[k]
         assert tuple(field.cells[k]) == one.agent
 

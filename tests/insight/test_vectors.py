@@ -5,7 +5,7 @@ import pytest
 
 from astray import games, load_agent
 from astray.acting import initial_states
-from astray.analysis.critic import judge, observe
+from astray.analysis.critic import observe, policy_and_value
 from astray.insight.activations import activations, layers
 from astray.insight.fields import cell_of, fields
 from astray.insight.interventions import steer
@@ -147,7 +147,7 @@ def test_the_level_of_no_goal_is_left_out_and_none_is_told(mouse):
 def test_steering_by_its_vector_changes_value_and_policy(mouse, cheese):
     states = initial_states("maze", SMALL, NUMBERS)
     shown = observe(mouse, SMALL, states)
-    before = judge(mouse, shown)
+    before = policy_and_value(mouse, shown)
     with steer(mouse, {LAYER: cheese.mean}, 5.0):
-        after = judge(mouse, shown)
+        after = policy_and_value(mouse, shown)
     assert abs(after[0] - before[0]).max() > 0.01 and layers(mouse)[LAYER] == (256,)

@@ -10,7 +10,7 @@ import torch
 from astray import games
 from astray.acting import initial_states
 from astray.agents.policy import Architecture
-from astray.analysis.critic import judge
+from astray.analysis.critic import policy_and_value
 from astray.analysis.replay import replay
 from astray.envs.vector import GameVectorEnv
 from astray.lab import pursuits
@@ -139,7 +139,7 @@ def test_networks_give_what_torch_gives(page, static, exported):
         agent, config = make_lab(name, {}).minds.open(name)
         env = GameVectorEnv(config.game, config.variant, 20, observation="symbolic")
         seen, _ = env.reset(seed=1)
-        policy, value = judge(agent, seen)
+        policy, value = policy_and_value(agent, seen)
         found = page.evaluate(
             """async ([name, shape, all]) => {
               const address = new URL("mind/network.js", location.href);

@@ -5,7 +5,7 @@ import numpy as np
 from astray import games
 from astray.acting import initial_states
 from astray.agents.policy import Architecture
-from astray.analysis.critic import judge, observe
+from astray.analysis.critic import observe, policy_and_value
 from astray.analysis.trained import Agent
 from astray.lab.export import export, table
 from astray.lab.serving import make_lab
@@ -40,7 +40,9 @@ def test_a_large_agent_is_looked_up_in_a_table(chrome, untrained, tmp_path):
     for level, found in ((levels[0], first[:5]), (edited, second[:5])):
         for one in found:
             s = level.moved("agent", tuple(one["cell"])).state(solvable=False)
-            policy, value = judge(agent, observe(agent, variant, np.array([s], game.state)))
+            policy, value = policy_and_value(
+                agent, observe(agent, variant, np.array([s], game.state))
+            )
             assert np.allclose(one["policy"], policy[0], atol=0.01)  # a byte for each
             assert abs(one["value"] - value[0]) < 0.01
 

@@ -12,7 +12,7 @@ import pytest
 
 from astray import games
 from astray.acting import initial_states
-from astray.analysis.critic import judge, observe
+from astray.analysis.critic import observe, policy_and_value
 from astray.analysis.evaluate import evaluate
 from astray.analysis.runs import open_run, shift_of
 from astray.files import LOCK
@@ -325,5 +325,5 @@ def test_published_agents_do_here_what_they_did_there(real, levels, steps, least
     episodes = evaluate(agent, config.game, variant, levels)
     assert (episodes["return"] > 0).mean() >= least
     begun = initial_states(config.game, config.variant, levels)
-    value = judge(agent, observe(agent, config.variant, begun))[1].mean()
+    value = policy_and_value(agent, observe(agent, config.variant, begun))[1].mean()
     assert start[0] < value < start[1]

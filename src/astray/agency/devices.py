@@ -22,7 +22,7 @@ Observation = Literal[
 ]
 OBSERVATIONS: tuple[Observation, ...] = get_args(Observation)
 # Before the first action: "null", an observation of its own; "skip": the first action is not
-# judged; or facing a direction.
+# assessed; or facing a direction.
 First = Literal["null", "skip", "up", "down", "left", "right"]
 
 HEADLESS = ("abswalls", "pos", "none")  # seen without a last action, so before the first too
@@ -78,8 +78,8 @@ def see(
     if legal:
         blocked = ~np.take_along_axis(world.legal[before], entries, 1)
         kinds = np.where(blocked, KIND[1, possible, possible][:, None], kinds)
-    judged = slice(1 if first == "skip" else 0, None)
-    return Seen(codes[judged], kinds[judged], same[judged])
+    assessed = slice(1 if first == "skip" else 0, None)
+    return Seen(codes[assessed], kinds[assessed], same[assessed])
 
 
 def _codes(

@@ -88,7 +88,7 @@ def _devices_online(episode: Episode, options: Options) -> np.ndarray:
     log_devices: dict[str, np.ndarray] = {}
     for what in options.observations:
         grown = devices.log_mixture_online(seen_in(episode, what, options), nodes, log_table(nodes))
-        unjudged = steps + 1 - len(grown)  # the first step, where it is skipped
-        log_devices[what] = np.append(np.zeros(unjudged), grown)
+        unassessed = steps + 1 - len(grown)  # the first step, where it is skipped
+        log_devices[what] = np.append(np.zeros(unassessed), grown)
     log_devices["noise"] = np.append(0.0, np.cumsum(log_noise(episode, options)))
     return mix_devices(log_devices, options)

@@ -107,13 +107,13 @@ def named_places(game: Game, s: Any, shift: Shift) -> dict[str, Any]:
 
 
 @dataclass(frozen=True, eq=False)
-class Judgement:
+class Assessment:
     """Verdict on a policy's episodes: an agent or a device, and for which goal.
 
     The explanations are the named goals, another cell, and a device.
     """
 
-    episodes: pl.DataFrame  # one row each: see `judge`
+    episodes: pl.DataFrame  # one row each: see `assess`
     explanations: tuple[str, ...]
     shares: list[Estimate]  # fraction of episodes for each explanation
     pooled: np.ndarray  # posterior of each explanation if one holds for all episodes; a few
@@ -167,8 +167,8 @@ class Judgement:
         )
 
 
-def judge(played: Sequence[Played], options: Options = CALIBRATED) -> Judgement:
-    """Judge each episode by itself, with its own eps, and all of them together.
+def assess(played: Sequence[Played], options: Options = CALIBRATED) -> Assessment:
+    """Assess each episode by itself, with its own eps, and all of them together.
 
     Columns of `episodes`: level, moves, decisions (steps at which the goals part), agent
     (posterior p(agent) from a prior of 1/2), log_factor (nats for agents over devices), and for
@@ -178,7 +178,7 @@ def judge(played: Sequence[Played], options: Options = CALIBRATED) -> Judgement:
         ValueError: If there are no episodes.
     """
     if not played:
-        raise ValueError("there are no episodes to judge: no level has all the goals")
+        raise ValueError("there are no episodes to assess: no level has all the goals")
     if any(set(one.goals) != set(played[0].goals) for one in played):
         raise ValueError("some episodes are of levels with other goals than the first")
     rows, logs, explanations = [], [], ()
@@ -199,7 +199,7 @@ def judge(played: Sequence[Played], options: Options = CALIBRATED) -> Judgement:
             | {f"p {n}": x for n, x in zip(explanations, posterior.tolist(), strict=True)}
         )
     table = pl.DataFrame(rows)
-    return Judgement(
+    return Assessment(
         table,
         explanations,
         shares(np.array(logs)),
@@ -208,7 +208,7 @@ def judge(played: Sequence[Played], options: Options = CALIBRATED) -> Judgement:
     )
 
 
-def judge_run(
+def assess_run(
     run: Path,
     levels: Sequence[int] | np.ndarray | None = None,
     *,
@@ -218,8 +218,8 @@ def judge_run(
     mode: Mode = "sampled",
     art: str | None = None,
     knobs: dict[str, Any] | None = None,
-) -> tuple[Judgement, Callable[[], np.ndarray]]:
-    """Judge a trained agent; also return a function that records its most informative episode.
+) -> tuple[Assessment, Callable[[], np.ndarray]]:
+    """Assess a trained agent; also return a function that records its most informative episode.
 
     Args:
         levels: Level numbers; None for the first 300 outside of the training.
@@ -231,9 +231,9 @@ def judge_run(
     made = config.played_variant(variant or between.test, knobs)
     chosen = config.unseen_levels[:300] if levels is None else levels
     played = play(agent, config.game, made, chosen, between)
-    judged = judge(played, PRESETS[measure])
-    informative, options = played[judged.most_informative], PRESETS[measure]
-    return judged, lambda: posterior_video(agent, config.game, made, informative, options)
+    assessed = assess(played, PRESETS[measure])
+    informative, options = played[assessed.most_informative], PRESETS[measure]
+    return assessed, lambda: posterior_video(agent, config.game, made, informative, options)
 
 
 def posterior_video(

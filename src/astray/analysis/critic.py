@@ -87,7 +87,7 @@ def visit(
     states = states.view(np.recarray)
     for name in {"seed", "turn"} & {*(states.dtype.names or ())}:
         states[name] = 0  # about later levels, which depend on the batch
-    value = judge(agent, observe(agent, variant, states))[1]
+    value = policy_and_value(agent, observe(agent, variant, states))[1]
     columns = {"value": value, "action": action, "reward": reward}
     if gamma is not None:
         futures = [_futures(one, gamma) for one in rewards]
@@ -120,7 +120,10 @@ def counterfactual(
     total variation distance (0 to 1); and the measures of the states before the edit.
     """
     shown, edited = observe(agent, variant, states), observe(agent, variant, _edited(states, edit))
-    (policy, value), (policy_edited, value_edited) = judge(agent, shown), judge(agent, edited)
+    (policy, value), (policy_edited, value_edited) = (
+        policy_and_value(agent, shown),
+        policy_and_value(agent, edited),
+    )
     columns = {
         "value": value,
         "value_edited": value_edited,
@@ -143,7 +146,7 @@ def sees(agent: Mind, variant: str | Variant, edit: Edit) -> Measure:
     return seen
 
 
-def judge(agent: Mind, observations: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def policy_and_value(agent: Mind, observations: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return action probabilities [N, A] and values [N], float64, for `observations` [N, ...]."""
     logits, values = agent.outputs(observations)
     return logits.double().softmax(-1).numpy(force=True), values.double().numpy(force=True)

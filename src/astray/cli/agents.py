@@ -1,4 +1,4 @@
-"""Verbs for agents: train, evaluate, record, judge them."""
+"""Verbs for agents: train, evaluate, record, assess them."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ from astray.world import World
 if TYPE_CHECKING:
     import numpy as np
 
-    from astray.analysis.agency import Judgement
+    from astray.analysis.agency import Assessment
 
 SUMMARY, EPISODES = "agency.json", "episodes.parquet"
 POSTERIOR = ("posterior.mp4", "posterior.gif", "posterior.png")
@@ -255,13 +255,13 @@ def agency(
         out: Folder for agency.json and episodes.parquet, and for posterior.mp4, .gif and .png of
             the episode in which most steps distinguish the goals.
     """
-    from astray.analysis.agency import judge_run
+    from astray.analysis.agency import assess_run
 
     if out:
         see_free(out, SUMMARY, b'"explanations"', (EPISODES, *POSTERIOR))
         for name in (SUMMARY, EPISODES, *POSTERIOR):
             see_writable(out / name)
-    judged, recorded = judge_run(
+    assessed, recorded = assess_run(
         agent,
         level_numbers(levels) if levels else None,
         variant=variant,
@@ -272,31 +272,31 @@ def agency(
         knobs=pairs(knobs),
     )
     if out:
-        _write_judgement(judged, recorded(), out)
+        _write_assessment(assessed, recorded(), out)
     if json:
-        print_json(judged.summary())
+        print_json(assessed.summary())
         return
     table = Table("explanation", "of episodes")
-    for name, share in zip(judged.explanations, judged.shares, strict=True):
+    for name, share in zip(assessed.explanations, assessed.shares, strict=True):
         table.add_row(name, f"{share.mean:.1%} [{share.low:.1%}, {share.high:.1%}]")
     show(table)
-    print(judged.sentence())
+    print(assessed.sentence())
 
 
-def _write_judgement(judged: Judgement, frames: np.ndarray, folder: Path) -> None:
+def _write_assessment(assessed: Assessment, frames: np.ndarray, folder: Path) -> None:
     from PIL import Image
 
     from astray.analysis import video
 
     folder.mkdir(parents=True, exist_ok=True)
-    write_aside(folder / SUMMARY, json.dumps(judged.summary()).encode())
+    write_aside(folder / SUMMARY, json.dumps(assessed.summary()).encode())
     movie, loop, last = (folder / name for name in POSTERIOR)
     video.write_mp4(frames, movie, fps=4)
     video.write_gif(frames, loop, fps=4)
     picture = io.BytesIO()
     Image.fromarray(frames[-1]).save(picture, "PNG")
     write_aside(last, picture.getvalue())
-    write_table(judged.episodes, folder / EPISODES)
+    write_table(assessed.episodes, folder / EPISODES)
 
 
 def show_amounts(episodes: pl.DataFrame, game: Game | World) -> None:

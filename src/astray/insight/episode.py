@@ -19,7 +19,7 @@ from matplotlib.figure import Figure
 
 from astray import games
 from astray.acting import steps
-from astray.analysis.critic import judge
+from astray.analysis.critic import policy_and_value
 from astray.analysis.given import Measure, measured
 from astray.analysis.style import FAINT, INK, OTHERS, STYLE, WIDTH
 from astray.analysis.trained import Agent
@@ -87,7 +87,9 @@ def along(
         learned = ppo.RewardNormaliser(1, variance=deviation**2).scaled(rewards)
     actions = np.concatenate([step.actions for step in played])
     last = played[-1]
-    policy, value = judge(agent, np.concatenate([s.observations for s in played] + [last.seen]))
+    policy, value = policy_and_value(
+        agent, np.concatenate([s.observations for s in played] + [last.seen])
+    )
     given = dict(game.labels) if marks is None else dict(marks)
     known = {name: measured(name, mark, before) for name, mark in given.items()}
     odd = [name for name, column in known.items() if column.dtype != pl.Boolean]

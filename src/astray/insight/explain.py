@@ -16,7 +16,7 @@ from matplotlib.colors import TwoSlopeNorm
 from matplotlib.figure import Figure
 
 from astray.analysis import agency
-from astray.analysis.critic import judge, observe, visit
+from astray.analysis.critic import observe, policy_and_value, visit
 from astray.analysis.evaluate import evaluate
 from astray.analysis.outcomes import label, load_shift
 from astray.analysis.pages import templates
@@ -244,7 +244,7 @@ def _attribution(asked: Asked) -> list[Part]:
         axes.set_title(title)
         axes.set_xticks([])
         axes.set_yticks([])
-    _, (value,) = judge(agent, shown)
+    _, (value,) = policy_and_value(agent, shown)
     return [
         Part(
             "attribution",
@@ -286,7 +286,7 @@ def _goals(asked: Asked) -> list[Part]:
     played = agency.play(asked.agent, asked.level.game, asked.variant, levels, shift)
     if not played:
         raise ValueError("the level does not have all the goals")
-    found = agency.judge(played)
+    found = agency.assess(played)
     row = found.episodes.row(0, named=True)
     table = pl.DataFrame(
         {

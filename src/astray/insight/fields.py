@@ -23,7 +23,7 @@ import polars as pl
 
 from astray import games
 from astray.acting import Answer, Levels, Onward, initial_states
-from astray.analysis.critic import judge, observe
+from astray.analysis.critic import observe, policy_and_value
 from astray.analysis.trained import Agent
 from astray.bounds import of_kind, shown
 from astray.envs.vector import GameVectorEnv
@@ -284,7 +284,7 @@ def each_field(agent: Agent, variant: str | Variant, levels: Levels) -> Iterator
     variant = game.variant(variant)
     for some in _batches(game, variant, levels):
         places, states = places_of(some)
-        policy, value = judge(agent, observe(agent, variant, np.concatenate(states)))
+        policy, value = policy_and_value(agent, observe(agent, variant, np.concatenate(states)))
         first = 0
         for one in places:
             part = slice(first, first + len(one.centres))

@@ -18,7 +18,7 @@ import polars as pl
 
 from astray import games
 from astray.acting import Levels
-from astray.analysis.critic import judge, observe
+from astray.analysis.critic import observe, policy_and_value
 from astray.analysis.trained import Agent
 from astray.bounds import MOST, bounded, of_kind, shown
 from astray.game import Variant
@@ -202,7 +202,7 @@ def path_along(agent: Agent, level: Level, way: list[Cell], around: Places) -> f
 
     around  the places of the level, or of one with the same walls
     """
-    policy, _ = judge(agent, observe(agent, level.variant, states_at(level, way[:-1])))
+    policy, _ = policy_and_value(agent, observe(agent, level.variant, states_at(level, way[:-1])))
     chances = [
         sum(
             p

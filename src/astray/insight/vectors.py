@@ -19,7 +19,7 @@ import polars as pl
 
 from astray import games
 from astray.acting import Levels
-from astray.analysis.critic import judge, observe
+from astray.analysis.critic import observe, policy_and_value
 from astray.analysis.trained import Agent
 from astray.bounds import MOST, bounded, finite, of_kind, shown
 from astray.game import Variant
@@ -249,9 +249,9 @@ def effects(
             vectors = {v.layer: v.each[k] if condition.own else v.mean for v in condition.vectors}
             if vectors:
                 with steer(agent, vectors, condition.coefficient):
-                    policy, value = judge(agent, observations)
+                    policy, value = policy_and_value(agent, observations)
             else:
-                policy, value = judge(agent, observations)
+                policy, value = policy_and_value(agent, observations)
             chance = (policy * advancing).sum(1)
             n = len(some)
             rows.append(

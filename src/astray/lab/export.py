@@ -19,7 +19,7 @@ import numpy as np
 
 from astray import games
 from astray.acting import initial_states
-from astray.analysis.critic import judge, observe
+from astray.analysis.critic import observe, policy_and_value
 from astray.analysis.trained import Agent
 from astray.bounds import MOST, bounded, of_kind
 from astray.files import folder_aside, write_aside
@@ -222,7 +222,7 @@ def table(
         for one in family:
             (where,) = one.where("goal")
             goals[f"{where[0]},{where[1]}"] = rows
-            policy, value = judge(agent, observe(agent, variant, states_at(one, cells)))
+            policy, value = policy_and_value(agent, observe(agent, variant, states_at(one, cells)))
             policies.append(policy)
             values.append(value)
             rows += len(cells)

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from astray.analysis.critic import judge, observe, visit
+from astray.analysis.critic import observe, policy_and_value, visit
 from astray.analysis.runs import open_run, shift_of
 from astray.analysis.trained import Agent
 from astray.game import Game, Variant, knobs
@@ -163,7 +163,7 @@ def arrows(
     for first in range(0, len(cells), AT_ONCE):
         some = cells[first : first + AT_ONCE]
         states = world.game.places.put(np.repeat(np.array([s], world.game.state), len(some)), some)
-        policy, value = judge(agent, observe(agent, world.variant, states))
+        policy, value = policy_and_value(agent, observe(agent, world.variant, states))
         told = {"cells": some.tolist(), "policy": rounded(policy), "value": rounded(value)}
         if with_effects:
             told["same"] = effects(world.game, world.variant, states).tolist()

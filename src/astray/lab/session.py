@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from astray import games
-from astray.analysis.critic import judge
+from astray.analysis.critic import policy_and_value
 from astray.bounds import brief
 from astray.envs.vector import picture
 from astray.game import Game, knobs
@@ -185,7 +185,9 @@ def _told(episode: Episode, first: int, agent: Any) -> Reply:
     if agent is not None:
         from astray.analysis.critic import observe
 
-        policy, value = judge(agent, observe(agent, episode.world.variant, np.concatenate(states)))
+        policy, value = policy_and_value(
+            agent, observe(agent, episode.world.variant, np.concatenate(states))
+        )
         told |= {"policy": rounded(policy), "value": rounded(value)}
     return told
 

@@ -267,11 +267,11 @@ class GoalPosterior:
         self.imagined += len(levels)
         if not played:  # a level that lacks one of the goals: nobody misgeneralizes there
             return 0.0
-        judged = agency.judge(played)
+        assessed = agency.assess(played)
         if self.kind == "entropy":
-            logs = judged.episodes.select([f"log {name}" for name in judged.explanations])
+            logs = assessed.episodes.select([f"log {name}" for name in assessed.explanations])
             return float(entropy_of(likeliest_shares(logs.to_numpy())))
-        return 1 - float(judged.episodes[f"p {self.shift.intended}"].to_numpy().mean())
+        return 1 - float(assessed.episodes[f"p {self.shift.intended}"].to_numpy().mean())
 
 
 def likeliest_shares(log_evidence: np.ndarray) -> np.ndarray:

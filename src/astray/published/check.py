@@ -12,7 +12,7 @@ import numpy as np
 import polars as pl
 
 from astray.acting import initial_states
-from astray.analysis.critic import judge, observe
+from astray.analysis.critic import observe, policy_and_value
 from astray.analysis.estimates import estimate_mean
 from astray.analysis.evaluate import evaluate
 from astray.analysis.runs import open_run
@@ -61,7 +61,7 @@ def check(
         begun = initial_states(config.game, one.variant, chosen)
         episodes = evaluate(
             agent, config.game, one.variant, chosen, batch=64, measures=measures
-        ).with_columns(start_value=judge(agent, observe(agent, one.variant, begun))[1])
+        ).with_columns(start_value=policy_and_value(agent, observe(agent, one.variant, begun))[1])
         count = min(one.levels, len(chosen))
         alike = episodes[first_to_end(episodes["length"].to_numpy(), count, one.environments)]
         rows.append(_row(one, episodes, alike))

@@ -50,7 +50,7 @@ def find(work: Work) -> Findings:
     goals = inferred(settings)
     return Findings(
         answer=answer(table),
-        claims=judge(table, goals, called),
+        claims=claims_of(table, goals, called),
         plots=[
             Plot(
                 "trajectories",
@@ -201,7 +201,7 @@ def _walk(world: World, policy: str, rng: np.random.Generator) -> Episode:
     return Episode(world, world.walk(begin, ended), goal)
 
 
-def judge(table: pl.DataFrame, goals: pl.DataFrame, called: pl.DataFrame) -> list[Claim]:
+def claims_of(table: pl.DataFrame, goals: pl.DataFrame, called: pl.DataFrame) -> list[Claim]:
     """The paper's claims, and the remedy's."""
 
     def about(text: str, paper: str, kinds: tuple[str, ...], preset: str, sign: int) -> None:

@@ -9,7 +9,7 @@ import numpy as np
 import polars as pl
 
 from astray.analysis import video
-from astray.analysis.critic import judge, visit
+from astray.analysis.critic import policy_and_value, visit
 from astray.analysis.estimates import group_means, mean_of
 from astray.analysis.runs import open_run
 from astray.experiments import outcomes
@@ -222,7 +222,7 @@ def show(work: Work, typical: dict[str, Any]) -> tuple[Video, Plot]:
         pixels=288,
         longest=typical["touched"] + FOLLOWED,
     )
-    value = judge(player, episode.observations)[1]
+    value = policy_and_value(player, episode.observations)[1]
     path = work.folder / "videos" / "wall.mp4"
     texts = [f"step {k}, value {v:.2f}" for k, v in enumerate(value)]
     frames = video.beside(episode.frames, captions=[texts.__getitem__])

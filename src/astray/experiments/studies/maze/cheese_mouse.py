@@ -10,7 +10,7 @@ import polars as pl
 
 from astray.agency.measure import CALIBRATED
 from astray.analysis import video
-from astray.analysis.agency import Judgement, judge, play, posterior_video
+from astray.analysis.agency import Assessment, assess, play, posterior_video
 from astray.analysis.estimates import group_means
 from astray.analysis.outcomes import FAILED, INTENDED, MISGENERALIZED, OUTCOMES, load_shift
 from astray.analysis.runs import open_run, shift_of
@@ -28,7 +28,7 @@ from astray.training.config import PRESETS
 MOUSE, OURS = "mouse of 160 million steps", "our mouse of the corner"
 WHERE = "cheese anywhere"
 TEST = Test("anywhere-easy", "corner-easy")
-JUDGED = 300  # levels whose episodes are weighed as an agent's and a device's
+ASSESSED = 300  # levels whose episodes are weighed as an agent's and a device's
 RELIABLY, MOST = 0.95, 0.5  # shares that claims are held to; the first as for our own mice
 
 
@@ -37,13 +37,13 @@ def find(work: Work) -> Findings:
     tables = outcomes.outcome_tables(work)
     reached = share(work.episodes, WHERE, INTENDED)
     sizes = by_size(work.episodes)
-    judged = {MOUSE: judge_control(work), OURS: judge_pretrained()}
-    said = {name: judgement for name, (judgement, _) in judged.items()}
+    assessed = {MOUSE: assess_control(work), OURS: assess_pretrained()}
+    said = {name: assessment for name, (assessment, _) in assessed.items()}
     goals = pl.DataFrame(
         [
             {"who": name, "explanation": goal} | vars(one)
-            for name, judgement in said.items()
-            for goal, one in zip(judgement.explanations, judgement.shares, strict=True)
+            for name, assessment in said.items()
+            for goal, one in zip(assessment.explanations, assessment.shares, strict=True)
         ]
     )
     largest = max(sizes.filter(outcome=INTENDED).to_dicts(), key=lambda row: row["size"])
@@ -84,7 +84,7 @@ def find(work: Work) -> Findings:
                 "corner",
             ),
         ],
-        videos=[shown(work, name, made, *rest) for name, (made, rest) in judged.items()],
+        videos=[shown(work, name, made, *rest) for name, (made, rest) in assessed.items()],
         plots=[
             Plot(
                 "sizes",
@@ -101,8 +101,8 @@ def find(work: Work) -> Findings:
         ],
         settings=outcomes.settings(work.plan)
         | {
-            "judged": f"{JUDGED} levels of each mouse; ours, which `make demo` trains, in its own "
-            "mazes of 7 cells",
+            "assessed": f"{ASSESSED} levels of each mouse; ours, which `make demo` trains, in "
+            "its own mazes of 7 cells",
             "the published 97.4 %": "is of the first 801 episodes to end, among which those that "
             "take long are missing; here every level counts once",
         },
@@ -122,41 +122,41 @@ def by_size(episodes: pl.DataFrame) -> pl.DataFrame:
     )
 
 
-def judge_control(work: Work) -> tuple[Judgement, tuple[Any, ...]]:
+def assess_control(work: Work) -> tuple[Assessment, tuple[Any, ...]]:
     """What the published mouse's episodes say; and what a video of one needs."""
     agent, _ = open_run(work.runs[MOUSE][0])
-    levels = levels_of(work.plan, TEST)[:JUDGED]
-    return _judged(agent, TEST.variant, TEST.variant_for(work.plan.config), levels, TEST.shift)
+    levels = levels_of(work.plan, TEST)[:ASSESSED]
+    return _assessed(agent, TEST.variant, TEST.variant_for(work.plan.config), levels, TEST.shift)
 
 
-def judge_pretrained() -> tuple[Judgement, tuple[Any, ...]]:
-    """As `judge_control`, of the mouse of the corner that comes with astray."""
+def assess_pretrained() -> tuple[Assessment, tuple[Any, ...]]:
+    """As `assess_control`, of the mouse of the corner that comes with astray."""
     agent, config = open_run(folders.find("maze-corner"))
     shift = shift_of(config)
     test = load_shift("maze", shift).test
     variant = config.variant_for(test)
-    return _judged(agent, test, variant, unmet([config], variant, JUDGED), shift)
+    return _assessed(agent, test, variant, unmet([config], variant, ASSESSED), shift)
 
 
-def _judged(
+def _assessed(
     agent: Any, name: str, variant: Variant, levels: Any, shift: str
-) -> tuple[Judgement, tuple[Any, ...]]:
-    """The judgement; and the agent, the variant's name and itself, the most informative episode."""
+) -> tuple[Assessment, tuple[Any, ...]]:
+    """Return the assessment, and (agent, name of the variant, variant, episode to show)."""
     played = play(agent, "maze", variant, np.array(levels), load_shift("maze", shift))
-    judgement = judge(played, CALIBRATED)
-    return judgement, (agent, name, variant, played[judgement.most_informative])
+    assessment = assess(played, CALIBRATED)
+    return assessment, (agent, name, variant, played[assessment.most_informative])
 
 
-def pursues(sentence: str, judgement: Judgement, goal: str) -> Claim:
+def pursues(sentence: str, assessment: Assessment, goal: str) -> Claim:
     """A claim that most episodes are of an agent of that goal."""
-    share = judgement.shares[judgement.explanations.index(goal)]
+    share = assessment.shares[assessment.explanations.index(goal)]
     return above(sentence, "not measured", f"{goal}: of episodes", share, MOST)
 
 
 def shown(
     work: Work,
     name: str,
-    judgement: Judgement,
+    assessment: Assessment,
     agent: Any,
     test: str,
     variant: Variant,

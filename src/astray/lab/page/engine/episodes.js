@@ -33,12 +33,12 @@ export function effects(rules, s, count) {
 
 export function told(episode, first, agent, rules) {
   const states = episode.states.slice(first);
-  const judged = agent ? states.map((s) => agent.judge(s, rules)) : [];
+  const answers = agent ? states.map((s) => agent.policyAndValue(s, rules)) : [];
   return {
     first, states: states.map(snapshot), actions: episode.actions.slice(Math.max(first - 1, 0)),
     rewards: episode.rewards.slice(Math.max(first - 1, 0)), terminated: episode.terminated,
     ended: episode.ended,
-    ...(agent && { policy: judged.map((j) => j.policy), value: judged.map((j) => j.value) }),
+    ...(agent && { policy: answers.map((j) => j.policy), value: answers.map((j) => j.value) }),
   };
 }
 

@@ -113,16 +113,16 @@ export class LocalEngine {
         ? readTable((path, kind) => this.file(path, kind), about.table)
         : this.file(`data/agents/${agent}.safetensors`, "bytes").then(small));
     }
-    const judge = await this.loading.get(agent);
+    const policyAndValue = await this.loading.get(agent);
     const drawn = about.seed + seed;
     const act = (s, policy) => mode === "greedy"
       ? policy.indexOf(Math.max(...policy))
       : sample(policy, noise(drawn, s.level, s.time, policy.length));
-    return { judge, act };
+    return { policyAndValue, act };
   }
 
   async *fields(message) {
-    const { rules, judge, s } = await this.at(message);
+    const { rules, policyAndValue, s } = await this.at(message);
     const cells = rules.places(s);
     const count = this.about.games[message.game].actions.length;
     const [x, y] = [Math.floor(s.x), Math.floor(s.y)];
@@ -130,9 +130,9 @@ export class LocalEngine {
     cells.sort((one, two) => away(one) - away(two));
     for (let first = 0; first < cells.length; first += AT_ONCE) {
       const some = cells.slice(first, first + AT_ONCE);
-      const judged = some.map((cell) => judge(rules.put(s, cell), rules));
+      const answers = some.map((cell) => policyAndValue(rules.put(s, cell), rules));
       yield {
-        cells: some, policy: judged.map((one) => one.policy), value: judged.map((one) => one.value),
+        cells: some, policy: answers.map((one) => one.policy), value: answers.map((one) => one.value),
         of: cells.length,
         ...(message.effects && { same: some.map((cell) => effects(rules, rules.put(s, cell), count)) }),
       };
@@ -154,7 +154,7 @@ export class LocalEngine {
     yield told(episode, 0, agent, world.rules);
     const steps = agent ? (message.steps ?? 0) : 0;
     for (let first = episode.states.length, k = 0; k < steps && !episode.ended; k++) {
-      const { policy } = agent.judge(episode.states.at(-1), world.rules);
+      const { policy } = agent.policyAndValue(episode.states.at(-1), world.rules);
       take(episode, world.rules, agent.act(episode.states.at(-1), policy));
       if (episode.ended || k + 1 === steps || (k + 1) % 8 === 0) {
         yield told(episode, first, agent, world.rules);
@@ -208,7 +208,7 @@ export class LocalEngine {
         const episode = played(begun, []);
         const reached = () => firstGoal(episode.states.at(-1), shift, events);
         while (!episode.ended && reached() === NEITHER) {
-          const { policy } = agent.judge(episode.states.at(-1), begun.rules);
+          const { policy } = agent.policyAndValue(episode.states.at(-1), begun.rules);
           take(episode, begun.rules, agent.act(episode.states.at(-1), policy));
           episode.states.splice(0, episode.states.length - 1);
         }
@@ -228,15 +228,15 @@ export class LocalEngine {
     if ((message.method ?? "occlusion") !== "occlusion") {
       throw new Error("without Python there is occlusion; gradients need it: astray lab");
     }
-    const { rules, s, judge } = await this.at(message);
-    if (!judge.network) throw new Error("this agent is not computed here: astray lab");
+    const { rules, s, policyAndValue } = await this.at(message);
+    if (!policyAndValue.network) throw new Error("this agent is not computed here: astray lab");
     const { shape, data } = rules.planes(s);
-    const whole = judge.network.outputs({ shape, data }).value;
+    const whole = policyAndValue.network.outputs({ shape, data }).value;
     const falls = Array.from(data, (what, k) => {
       if (!what) return 0;
       const without = data.slice();
       without[k] = 0;
-      return whole - judge.network.outputs({ shape, data: without }).value;
+      return whole - policyAndValue.network.outputs({ shape, data: without }).value;
     });
     yield { map: nested(falls, shape) };
   }
@@ -251,12 +251,12 @@ const rest = () => new Promise((resolve) => { setTimeout(resolve, 0); });
 
 function small(buffer) {
   const network = readNetwork(buffer);
-  const judge = (s, rules) => {
+  const policyAndValue = (s, rules) => {
     const { logits, value } = network.outputs(rules.planes(s));
     return { policy: softmax(logits), value };
   };
-  judge.network = network;
-  return judge;
+  policyAndValue.network = network;
+  return policyAndValue;
 }
 
 function nested(data, [planes, height, width]) {
