@@ -136,7 +136,7 @@ def in_lab(plan: Plan) -> str:
     """A link to the lab with an experiment's test levels, where a pretrained agent sees such."""
     lab = make_lab(None, {})
     for name in folders.pretrained():
-        about = lab.minds.about(name)
+        about = lab.agents.about(name)
         for test in plan.tests.values():
             if about["game"] == plan.game.name and test.variant in (
                 about["test"],

@@ -20,7 +20,7 @@ SPACE = Room().observation_space
 COLUMNS = ("level", "return", "length", "reached_square", "reached_end")
 
 
-class Mind(nn.Module):
+class Model(nn.Module):
     """An actor and a critic on one body, as CleanRL writes them."""
 
     def __init__(self, actions=2):
@@ -120,7 +120,7 @@ def test_an_actor_of_torchrl_plays_as_by_hand(recurrent, one_hot):
 
 
 def test_a_network_plays_its_likeliest_action_or_draws_it_whatever_the_batch():
-    agent = Mind()
+    agent = Model()
 
     def choose(seen, memory):
         return int(both(agent, torch.from_numpy(seen[None]))[0].argmax()), None
@@ -131,7 +131,7 @@ def test_a_network_plays_its_likeliest_action_or_draws_it_whatever_the_batch():
 
 
 def test_a_network_draws_its_actions_as_often_as_its_own_library_does():
-    agent, seen = Mind(), torch.zeros(1, 2, CELLS)
+    agent, seen = Model(), torch.zeros(1, 2, CELLS)
     seen[0, 0, 4] = seen[0, 1, 0] = 1
     share = both(agent, seen)[0].softmax(-1)[0, 1].item()
     own = agent.get_action_and_value(seen.expand(4000, -1, -1))[0].float().mean().item()
@@ -145,11 +145,14 @@ def test_a_network_draws_its_actions_as_often_as_its_own_library_does():
 @pytest.mark.parametrize(
     "network, said",
     [
-        (Network(Mind(3), SPACE, ask=both), "has 3 logits for actions of Discrete"),
-        (Network(Mind(), SPACE, ask=lambda agent, seen: seen), "must give logits .* got"),
-        (Network(Mind(), SPACE, ask=lambda agent, seen: 3), "must give logits .* got"),
-        (Network(Mind(), Box(0, 1, (3,)), ask=both), r"sees observations of shape \(3,\), not"),
-        (Network(Mind(), SPACE, ask=lambda *_: both(*_)[0] * np.nan), "logits that are not finite"),
+        (Network(Model(3), SPACE, ask=both), "has 3 logits for actions of Discrete"),
+        (Network(Model(), SPACE, ask=lambda agent, seen: seen), "must give logits .* got"),
+        (Network(Model(), SPACE, ask=lambda agent, seen: 3), "must give logits .* got"),
+        (Network(Model(), Box(0, 1, (3,)), ask=both), r"sees observations of shape \(3,\), not"),
+        (
+            Network(Model(), SPACE, ask=lambda *_: both(*_)[0] * np.nan),
+            "logits that are not finite",
+        ),
         (Function(lambda seen, memory, begins: 3, remembers=True), "must return actions and its"),
     ],
 )

@@ -10,7 +10,7 @@ import pytest
 from astray import games, testing
 from astray.games.maze import GAME, cells
 from astray.insight.fields import splay
-from astray.lab import minds
+from astray.lab import agents
 from astray.level import Level
 
 SMALL = GAME.variant("anywhere-small")
@@ -50,7 +50,7 @@ def test_a_game_says_where_its_agent_can_be_put():
     assert [one.agent for one in level.splay("agent")] == expected
     states = splay(level)
     assert np.floor(cells.centre(states)).astype(int).tolist() == list(map(list, expected))
-    assert sorted(map(tuple, minds.places(game, level.state()).tolist())) == sorted(expected)
+    assert sorted(map(tuple, agents.places(game, level.state()).tolist())) == sorted(expected)
 
 
 def stays(states, cells_):

@@ -17,7 +17,7 @@ from helpers.rooms import CELLS, WORLD, Room
 HIDDEN, LEVELS = "body.2", range(40)
 
 
-class Mind(nn.Module):
+class Model(nn.Module):
     def __init__(self):
         super().__init__()
         torch.manual_seed(1)
@@ -30,8 +30,8 @@ class Mind(nn.Module):
 
 
 @pytest.fixture
-def mind():
-    return Network(Mind(), Room().observation_space, WORLD)
+def model():
+    return Network(Model(), Room().observation_space, WORLD)
 
 
 def square(states):
@@ -42,69 +42,69 @@ def walked(states):
     return states["walked"]
 
 
-def test_states_of_a_world_hold_what_was_shown_and_the_measures_of_each_step(mind):
-    rows, states = visit(mind, "anywhere", LEVELS, per_episode=3, measures={"walked": walked})
+def test_states_of_a_world_hold_what_was_shown_and_the_measures_of_each_step(model):
+    rows, states = visit(model, "anywhere", LEVELS, per_episode=3, measures={"walked": walked})
     env = Room("anywhere")
     for level, there in zip(states["level"].tolist(), square(states), strict=True):
         env.reset(seed=level)
         assert env.square == there
     assert rows["walked"].to_list() == rows["step"].to_list() and rows["walked"].n_unique() > 3
     shown = torch.from_numpy(states["observation"])
-    assert np.allclose(rows["value"], mind.network(shown)[1][:, 0].detach(), atol=1e-6)
+    assert np.allclose(rows["value"], model.network(shown)[1][:, 0].detach(), atol=1e-6)
 
 
-def test_what_layers_give_is_captured(mind):
-    assert layers(mind)[HIDDEN] == (12,) and layers(mind)["actor"] == (2,)
-    _, states = visit(mind, "anywhere", LEVELS, per_episode=2)
-    found = capture(mind, "anywhere", states, [HIDDEN], measures={"square": square})
-    by_hand = mind.network.body(torch.from_numpy(states["observation"])).detach()
+def test_what_layers_give_is_captured(model):
+    assert layers(model)[HIDDEN] == (12,) and layers(model)["actor"] == (2,)
+    _, states = visit(model, "anywhere", LEVELS, per_episode=2)
+    found = capture(model, "anywhere", states, [HIDDEN], measures={"square": square})
+    by_hand = model.network.body(torch.from_numpy(states["observation"])).detach()
     assert np.allclose(found.values[HIDDEN], by_hand, atol=1e-6)
     assert found.labels["square"].to_list() == square(states).tolist()
 
 
-def test_steering_and_ablating_change_what_it_does_as_long_as_they_last(mind):
+def test_steering_and_ablating_change_what_it_does_as_long_as_they_last(model):
     def share():
-        taken = [step.actions for step in steps(mind, WORLD, "anywhere", LEVELS)]
+        taken = [step.actions for step in steps(model, WORLD, "anywhere", LEVELS)]
         return np.concatenate(taken).mean()
 
     before = share()
-    toward = (mind.network.actor.weight[1] - mind.network.actor.weight[0]).detach().numpy()
-    with steer(mind, {HIDDEN: toward}, 30.0):
+    toward = (model.network.actor.weight[1] - model.network.actor.weight[0]).detach().numpy()
+    with steer(model, {HIDDEN: toward}, 30.0):
         assert share() == 1
-    with patch(mind, HIDDEN, None, 0.0), ablate(mind, "actor"):
+    with patch(model, HIDDEN, None, 0.0), ablate(model, "actor"):
         assert abs(share() - 0.5) < 0.1
     assert share() == before
 
 
-def test_a_probe_reads_what_is_shown_better_than_shuffled_labels(mind):
-    _, states = visit(mind, "anywhere", range(150), per_episode=4)
+def test_a_probe_reads_what_is_shown_better_than_shuffled_labels(model):
+    _, states = visit(model, "anywhere", range(150), per_episode=4)
     labels = {"right": lambda states: square(states) > CELLS // 2}
-    found = probe(mind, "anywhere", states, [HIDDEN], labels).to_dicts()
+    found = probe(model, "anywhere", states, [HIDDEN], labels).to_dicts()
     seen, hidden = found
     assert seen["layer"] == "observation" and seen["score"] > 0.95
     assert hidden["score"] > hidden["shuffled"] + 0.2 and hidden["untrained"] is not None
 
 
-def test_attribution_adds_up_to_the_value(mind):
+def test_attribution_adds_up_to_the_value(model):
     pytest.importorskip("captum")
-    _, states = visit(mind, "anywhere", range(5), per_episode=2)
+    _, states = visit(model, "anywhere", range(5), per_episode=2)
     shown = states["observation"]
     seen = torch.from_numpy(shown.copy()).requires_grad_()
-    mind.network(seen)[1].sum().backward()
-    assert np.allclose(gradients(mind, shown), seen.grad, atol=1e-6)
-    nothing = mind.network(torch.zeros_like(seen))[1][:, 0].detach()
-    rise = (mind.network(seen)[1][:, 0] - nothing).detach().numpy()
-    assert np.allclose(integrated_gradients(mind, shown).sum((1, 2)), rise, atol=1e-3)
-    assert occlusion(mind, shown).shape == shown.shape
+    model.network(seen)[1].sum().backward()
+    assert np.allclose(gradients(model, shown), seen.grad, atol=1e-6)
+    nothing = model.network(torch.zeros_like(seen))[1][:, 0].detach()
+    rise = (model.network(seen)[1][:, 0] - nothing).detach().numpy()
+    assert np.allclose(integrated_gradients(model, shown).sum((1, 2)), rise, atol=1e-3)
+    assert occlusion(model, shown).shape == shown.shape
 
 
-def test_what_cannot_be_looked_into_is_told(mind):
-    _, states = visit(mind, "anywhere", range(30), per_episode=2)
+def test_what_cannot_be_looked_into_is_told(model):
+    _, states = visit(model, "anywhere", range(30), per_episode=2)
     with pytest.raises(ValueError, match="attribution is of values, of which network gives none"):
         ask = lambda network, seen: network(seen)[0]  # noqa: E731
-        gradients(Network(mind.network, mind.space, WORLD, ask), states["observation"])
+        gradients(Network(model.network, model.space, WORLD, ask), states["observation"])
     with pytest.raises(ValueError, match=r"states of room must be those that `critic.visit`"):
-        capture(mind, "anywhere", np.zeros(3, WORLD.state), [HIDDEN])
-    mind.network.free = nn.ParameterList([nn.Parameter(torch.zeros(2))])
+        capture(model, "anywhere", np.zeros(3, WORLD.state), [HIDDEN])
+    model.network.free = nn.ParameterList([nn.Parameter(torch.zeros(2))])
     with pytest.raises(ValueError, match="module 'free' has no reset_parameters"):
-        probe(mind, "anywhere", states, [HIDDEN], {"right": lambda s: square(s) > 4})
+        probe(model, "anywhere", states, [HIDDEN], {"right": lambda s: square(s) > 4})

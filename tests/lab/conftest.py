@@ -38,7 +38,7 @@ def untrained():
 
     def write(folder, architecture, **settings):
         torch.manual_seed(0)
-        config = replace(make_lab("maze-corner", {}).minds.open("maze-corner")[1], **settings)
+        config = replace(make_lab("maze-corner", {}).agents.open("maze-corner")[1], **settings)
         path = folder / "checkpoints" / "1" / "agent.safetensors"
         path.parent.mkdir(parents=True)
         path.write_bytes(weights(architecture.build(), architecture, "maze"))

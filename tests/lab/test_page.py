@@ -147,7 +147,7 @@ def test_an_episode_by_keys_goes_as_replay_has_it(page):
 def test_the_agent_takes_over_and_the_goal_that_it_seems_to_pursue_is_told(page):
     show(page, 17)
     page.get_by_role("button", name="Hand over to the agent").click()
-    wait(page, "!lab.running && lab.episode.ended && lab.pursuit")
+    wait(page, "!lab.running && lab.episode.ended && lab.goals")
     assert "if it pursues a goal" in page.locator("[data-lab=verdict]").text_content()
     assert page.evaluate("lab.now === lab.episode.actions.length")
 

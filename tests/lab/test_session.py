@@ -13,9 +13,9 @@ from astray.acting import initial_states
 from astray.analysis.replay import replay
 from astray.analysis.runs import load_agent
 from astray.insight.fields import fields
-from astray.lab import minds
+from astray.lab import agents
+from astray.lab.agents import Agents
 from astray.lab.messages import LARGEST, read
-from astray.lab.minds import Minds
 from astray.lab.serving import make_lab
 from astray.lab.session import ANSWERS, Session
 from astray.lab.worlds import read_world
@@ -53,7 +53,7 @@ def ask(session, kind, **more):
 def test_the_first_agent_is_one_that_sees_the_levels():
     assert make_lab(None, {}).start["agent"] == "maze-corner"
     dish = make_lab(None, {"game": "maze", "variant": "dish-small"})  # of more symbolic planes
-    assert dish.minds.open(dish.start["agent"])[0].observation == "image"
+    assert dish.agents.open(dish.start["agent"])[0].observation == "image"
     assert dish.start["variant"] == "dish-small"
     with pytest.raises(ValueError, match="unknown variant 'dishes' of maze"):
         make_lab(None, {"game": "maze", "variant": "dishes"})
@@ -72,7 +72,7 @@ def test_what_rewards_were_divided_by_is_told_where_it_was_kept(tmp_path, monkey
     train_to_first_checkpoint(
         replace(PLAIN, normalise_reward=False), tmp_path / "whole", monkeypatch
     )
-    named = Minds.of({name: tmp_path / name for name in ("divided", "whole")})
+    named = Agents.of({name: tmp_path / name for name in ("divided", "whole")})
     kept = load_file(checkpoint.latest(tmp_path / "divided") / "trainer.safetensors")
     normaliser = RewardNormaliser(1, variance=kept["training.moments"][1])
     told = named.about("divided")["reward_deviation"]
@@ -199,11 +199,11 @@ def test_probes_are_not_fitted_to_the_level_that_they_read(monkeypatch):
         played.append(list(levels))
         return None, np.zeros(1)
 
-    monkeypatch.setattr(minds, "visit", visit)
-    for number in (7, minds.FIRST_VISITED + 3):
+    monkeypatch.setattr(agents, "visit", visit)
+    for number in (7, agents.FIRST_VISITED + 3):
         world = read_world(read(json.dumps({"id": 1, "kind": "level", **MAZE, "level": number})))
-        lab.minds.visited("maze-corner", world)
-        assert number not in played[-1] and len(played[-1]) == minds.VISITED
+        lab.agents.visited("maze-corner", world)
+        assert number not in played[-1] and len(played[-1]) == agents.VISITED
 
 
 def test_the_best_way_takes_a_key_before_a_chest(session):

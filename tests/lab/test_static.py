@@ -13,10 +13,10 @@ from astray.agents.policy import Architecture
 from astray.analysis.critic import policy_and_value
 from astray.analysis.replay import replay
 from astray.envs.vector import GameVectorEnv
-from astray.lab import pursuits
+from astray.lab import goals
+from astray.lab.agents import Agents
 from astray.lab.export import export, file_names
 from astray.lab.link import link
-from astray.lab.minds import Minds
 from astray.lab.serving import make_lab
 from astray.lab.session import Lab, Session
 from astray.lab.worlds import snapshot
@@ -136,13 +136,13 @@ def test_a_level_of_coinrun_that_is_too_large_is_refused_in_python_s_words(page)
 
 def test_networks_give_what_torch_gives(page, static, exported):
     for name in ("maze-corner", "many-chests", "coin-end"):
-        agent, config = make_lab(name, {}).minds.open(name)
+        agent, config = make_lab(name, {}).agents.open(name)
         env = GameVectorEnv(config.game, config.variant, 20, observation="symbolic")
         seen, _ = env.reset(seed=1)
         policy, value = policy_and_value(agent, seen)
         found = page.evaluate(
             """async ([name, shape, all]) => {
-              const address = new URL("mind/network.js", location.href);
+              const address = new URL("agent/network.js", location.href);
               const { readNetwork, softmax } = await import(address);
               const file = await fetch(`data/agents/${name}.safetensors`);
               const network = readNetwork(await file.arrayBuffer());
@@ -212,11 +212,11 @@ def test_a_splay_is_that_of_python(page):
 
 
 def test_a_page_has_the_constants_that_python_has_now(chrome, untrained, tmp_path, monkeypatch):
-    monkeypatch.setattr(pursuits, "TOGETHER", 5)
+    monkeypatch.setattr(goals, "TOGETHER", 5)
     architecture = Architecture("mlp", (4, 7, 7), (1, 1, 6, 6), 15, width=8)
     untrained(tmp_path / "run", architecture, variant="anywhere-small", width=8)
     asked = {"game": "maze", "variant": "anywhere-small", "agent": "mouse"}
-    lab = Lab(Minds.of({"mouse": tmp_path / "run"}), asked | {"level": 0})
+    lab = Lab(Agents.of({"mouse": tmp_path / "run"}), asked | {"level": 0})
     export(lab, tmp_path / "site", levels=2, agents=["mouse"])
     with folder_served(tmp_path / "site") as address, opened(chrome, address) as (page, _):
         here, there = both(page, lab, kind="splay", **asked, level=1, thing="goal", draws=3)
@@ -272,7 +272,7 @@ def test_who_sees_dishes_does_as_in_python(chrome, untrained, tmp_path, kind, th
     architecture = Architecture("mlp", (5, 7, 7), (1, 1, 1, 6, 6), 15, width=8)
     untrained(tmp_path / "run", architecture, variant="dish-small", validation=None, width=8)
     asked = {"game": "maze", "variant": kind, "agent": "mouse"}
-    lab = Lab(Minds.of({"mouse": tmp_path / "run"}), asked | {"level": 0})
+    lab = Lab(Agents.of({"mouse": tmp_path / "run"}), asked | {"level": 0})
     export(lab, tmp_path / "site", levels=3, agents=["mouse"])
     with folder_served(tmp_path / "site") as address, opened(chrome, address) as (page, told):
         here, there = both(page, lab, kind="level", **asked, level=0)
@@ -314,7 +314,7 @@ def test_an_agent_with_knobs_has_levels_of_its_own(chrome, untrained, tmp_path):
     architecture = Architecture("mlp", (4, 5, 5), (1, 1, 6, 6), 15, width=8)
     untrained(tmp_path / "run", architecture, knobs={"world": 5, "largest": 5}, width=8)
     lab = make_lab(tmp_path / "run", {})
-    config = lab.minds.open(str(tmp_path / "run"))[1]
+    config = lab.agents.open(str(tmp_path / "run"))[1]
     export(lab, tmp_path / "site", levels=3, agents=[str(tmp_path / "run")])
     variant = config.variant_for("anywhere-small")
     with folder_served(tmp_path / "site") as address, opened(chrome, address) as (page, told):

@@ -71,7 +71,7 @@ def _another(level):
 
 
 def test_a_table_is_no_larger_than_is_asked_for():
-    agent, config = make_lab("maze-corner", {}).minds.open("maze-corner")
+    agent, config = make_lab("maze-corner", {}).agents.open("maze-corner")
     game = config.find_game()
     index, data = table(agent, game, game.variant("anywhere-small"), 2, most=2000)
     assert len(data) <= 2000  # a level too large for its half has one place of the goal alone

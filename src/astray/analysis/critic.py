@@ -22,7 +22,7 @@ import polars as pl
 from astray.acting import Levels, steps
 from astray.analysis.given import Measure, measured, see_measures
 from astray.analysis.policies import episode_noise
-from astray.analysis.trained import Mind
+from astray.analysis.trained import Model
 from astray.bounds import MOST, bounded, finite, of_kind
 from astray.envs.vector import GameVectorEnv
 from astray.game import Variant
@@ -34,7 +34,7 @@ Edit = Callable[[np.ndarray], np.ndarray]  # states [N] -> edited copies [N]
 
 
 def visit(
-    agent: Mind,
+    agent: Model,
     variant: str | Variant,
     levels: Levels,
     *,
@@ -56,7 +56,7 @@ def visit(
         gamma: Discount of a further column "future", the return from the step on.
         measures: Further columns, functions of the states.
     """
-    of_kind("agent", agent, Mind)
+    of_kind("agent", agent, Model)
     of_kind("levels", levels, Sized)
     if per_episode is not None:
         bounded("per_episode", per_episode, 1, MOST)
@@ -106,7 +106,7 @@ def _futures(rewards: list[float], gamma: float) -> np.ndarray:
 
 
 def counterfactual(
-    agent: Mind,
+    agent: Model,
     variant: str | Variant,
     states: np.ndarray,
     edit: Edit,
@@ -136,7 +136,7 @@ def counterfactual(
     return _table(states, columns, measures)
 
 
-def sees(agent: Mind, variant: str | Variant, edit: Edit) -> Measure:
+def sees(agent: Model, variant: str | Variant, edit: Edit) -> Measure:
     """Return the measure of whether `edit` changes the agent's observation."""
 
     def seen(states: np.ndarray) -> np.ndarray:
@@ -146,21 +146,21 @@ def sees(agent: Mind, variant: str | Variant, edit: Edit) -> Measure:
     return seen
 
 
-def policy_and_value(agent: Mind, observations: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def policy_and_value(agent: Model, observations: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return action probabilities [N, A] and values [N], float64, for `observations` [N, ...]."""
     logits, values = agent.outputs(observations)
     return logits.double().softmax(-1).numpy(force=True), values.double().numpy(force=True)
 
 
 def observe(
-    agent: Mind, variant: str | Variant, states: np.ndarray, *, batch: int = 64
+    agent: Model, variant: str | Variant, states: np.ndarray, *, batch: int = 64
 ) -> np.ndarray:
     """Return the agent's observations of `states` [N]: [N, 64, 64, 3] or [N, C, H, W] uint8.
 
     Raises:
         ValueError: If the states are not those of the agent's game.
     """
-    of_kind("agent", agent, Mind)
+    of_kind("agent", agent, Model)
     of_kind("states", states, np.ndarray)
     if not np.size(states):
         raise ValueError("no states are given")

@@ -247,5 +247,5 @@ class Network:
         return Answer(int(space.start) + chosen(logits, self.mode, self.seed, turn.env))
 
 
-Mind = Agent | Network
-AnyMind = TypeVar("AnyMind", bound=Agent | Network)
+Model = Agent | Network
+AnyModel = TypeVar("AnyModel", bound=Agent | Network)

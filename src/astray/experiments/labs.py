@@ -15,9 +15,9 @@ from astray.acting import initial_states
 from astray.analysis.runs import open_run
 from astray.experiments.report import Scene
 from astray.files import folder_aside, read, write_aside
+from astray.lab.agents import Agents
 from astray.lab.export import COMPUTED, export, file_names
 from astray.lab.link import link
-from astray.lab.minds import Minds
 from astray.lab.session import Lab
 from astray.lab.worlds import is_drawn
 from astray.level import Level
@@ -38,7 +38,7 @@ def write(scenes: Iterable[Scene], folder: Path) -> dict[Scene, str]:
     first, runs = found[0], {name: Path(name) for name in names}
     start = {"game": open_run(first.run)[0].game, "variant": first.variant, "level": 0}
     with folder_aside(to) as aside:  # a kill leaves none that could not be told from the user's
-        export(Lab(Minds.of(runs), start | {"agent": str(first.run)}), aside, 1, list(names))
+        export(Lab(Agents.of(runs), start | {"agent": str(first.run)}), aside, 1, list(names))
         write_aside(aside / WRITTEN, json.dumps(_digests(aside)).encode())
         aside.rename(to)
     told = json.loads(read(to / "data" / "index.json"))["games"]

@@ -28,7 +28,7 @@ from astray import world
 from astray.analysis.critic import observe
 from astray.analysis.given import Measure, measured, see_measures
 from astray.analysis.tables import write_table
-from astray.analysis.trained import Mind
+from astray.analysis.trained import Model
 from astray.bounds import MOST, bounded, of_kind, one_of, shown
 from astray.envs.states import BROKEN
 from astray.files import folder_aside, read, see_readable, write_aside
@@ -67,13 +67,13 @@ class Activations:
         write_aside(path, file.getvalue())
 
 
-def layers(agent: Mind) -> dict[str, tuple[int, ...]]:
+def layers(agent: Model) -> dict[str, tuple[int, ...]]:
     """The layers that can be read and changed, in the network's order: name -> shape of one.
 
     Those are the modules that are used once in a pass and return a tensor of reals, an
     observation a row.
     """
-    of_kind("agent", agent, Mind)
+    of_kind("agent", agent, Model)
     calls: dict[str, list[Any]] = {}
     with contextlib.ExitStack() as stack:
         for name, module in agent.network.named_modules():
@@ -97,7 +97,7 @@ def _is_layer(output: Any) -> bool:
     return isinstance(output, Tensor) and output.is_floating_point() and len(output) == 2
 
 
-def see_layers(agent: Mind, names: Sequence[str]) -> dict[str, tuple[int, ...]]:
+def see_layers(agent: Model, names: Sequence[str]) -> dict[str, tuple[int, ...]]:
     """The shapes of the layers called so; ValueError where one of them is none."""
     if isinstance(names, str) or not isinstance(names, Sequence | Mapping) or not names:
         raise ValueError(f"layers must be a list of names, at least one; got {shown(names)}")
@@ -108,7 +108,7 @@ def see_layers(agent: Mind, names: Sequence[str]) -> dict[str, tuple[int, ...]]:
 
 
 def activations(
-    agent: Mind, observations: np.ndarray, names: Sequence[str]
+    agent: Model, observations: np.ndarray, names: Sequence[str]
 ) -> dict[str, np.ndarray]:
     """What layers give for observations [N, ...]: layer -> [N, ...] float32.
 
@@ -135,7 +135,7 @@ def activations(
 
 
 def capture(
-    agent: Mind,
+    agent: Model,
     variant: str | Variant,
     states: np.ndarray,
     layers: Sequence[str],
@@ -177,7 +177,7 @@ def _labels(states: np.ndarray, measures: Mapping[str, Measure] | None) -> pl.Da
 
 def _fill(
     values: Mapping[str, np.ndarray],
-    agent: Mind,
+    agent: Model,
     variant: str | Variant,
     states: np.ndarray,
     batch: int,
@@ -191,7 +191,7 @@ def _fill(
 
 
 def _capture_aside(
-    agent: Mind,
+    agent: Model,
     variant: str | Variant,
     states: np.ndarray,
     shapes: Mapping[str, tuple[int, ...]],

@@ -23,7 +23,7 @@ from torch import Tensor
 from astray import imports
 from astray.agents.mlp import MLP
 from astray.analysis.critic import Edit, observe
-from astray.analysis.trained import Agent, Mind, Network
+from astray.analysis.trained import Agent, Model, Network
 from astray.bounds import MOST, bounded, of_kind
 from astray.envs.vector import IMAGE
 from astray.game import Variant
@@ -32,7 +32,7 @@ CHUNK = 64  # observations at a time
 REST, NOTHING = "rest", "nothing"  # parts that are what no other is
 
 
-def gradients(agent: Mind, observations: np.ndarray) -> np.ndarray:
+def gradients(agent: Model, observations: np.ndarray) -> np.ndarray:
     """The value's gradient, as in the paper (Simonyan et al. 2013), float64.
 
     Of images it is per unit of brightness, from 0 to 1. Of planes of 0 and 1 it is per unit; of
@@ -52,7 +52,7 @@ def gradients(agent: Mind, observations: np.ndarray) -> np.ndarray:
 
 
 def integrated_gradients(
-    agent: Mind, observations: np.ndarray, baseline: np.ndarray | None = None, *, steps: int = 64
+    agent: Model, observations: np.ndarray, baseline: np.ndarray | None = None, *, steps: int = 64
 ) -> np.ndarray:
     """Gradients along the way from a baseline (Sundararajan et al. 2017), float64.
 
@@ -76,7 +76,7 @@ def integrated_gradients(
 
 
 def occlusion(
-    agent: Mind, observations: np.ndarray, *, window: int = 4, colour: int = 0
+    agent: Model, observations: np.ndarray, *, window: int = 4, colour: int = 0
 ) -> np.ndarray:
     """How much higher the value is than with a part covered (Zeiler & Fergus 2014), float64.
 
@@ -105,7 +105,7 @@ def occlusion(
 
 
 def masks(
-    agent: Mind, variant: str | Variant, states: np.ndarray, parts: Mapping[str, Edit]
+    agent: Model, variant: str | Variant, states: np.ndarray, parts: Mapping[str, Edit]
 ) -> dict[str, np.ndarray]:
     """Where each part is seen in `states` [N], bool, of the shape of maps; and REST.
 
@@ -159,16 +159,16 @@ def _captum() -> Any:
     return captum.attr
 
 
-def _is_image(agent: Mind) -> bool:
+def _is_image(agent: Model) -> bool:
     """Whether it sees astray's images: of a network of your own maps are of what it is given."""
     return isinstance(agent, Agent) and agent.observation == "image"
 
 
-def _is_planes(agent: Mind) -> bool:
+def _is_planes(agent: Model) -> bool:
     return isinstance(agent, Agent) and agent.observation == "symbolic"
 
 
-def _mlp(agent: Mind) -> MLP:
+def _mlp(agent: Model) -> MLP:
     if not isinstance(agent.network, MLP):
         raise ValueError(
             "gradients of planes need the network mlp; occlusion takes any: got "
@@ -177,7 +177,7 @@ def _mlp(agent: Mind) -> MLP:
     return agent.network
 
 
-def _value(agent: Mind) -> Callable[[Tensor], Tensor]:
+def _value(agent: Model) -> Callable[[Tensor], Tensor]:
     """The value [N] as a function of what `_inputs` returns, with gradients."""
     if not _is_planes(agent):
         return lambda x: agent.asked(255 * x if _is_image(agent) else x)[1]
@@ -185,7 +185,7 @@ def _value(agent: Mind) -> Callable[[Tensor], Tensor]:
     return lambda x: network.value(network.features(x)).squeeze(-1)
 
 
-def _inputs(agent: Mind, observations: np.ndarray) -> Tensor:
+def _inputs(agent: Model, observations: np.ndarray) -> Tensor:
     """What there are gradients of: images from 0 to 1, or planes as the mlp embeds them."""
     x = torch.from_numpy(observations.copy()).to(agent.device)
     if _is_planes(agent):
@@ -193,7 +193,7 @@ def _inputs(agent: Mind, observations: np.ndarray) -> Tensor:
     return x.float() / 255 if _is_image(agent) else x.float()
 
 
-def _maps(agent: Mind, attribute: Callable[..., Tensor], *observations: np.ndarray) -> np.ndarray:
+def _maps(agent: Model, attribute: Callable[..., Tensor], *observations: np.ndarray) -> np.ndarray:
     """`attribute` of the inputs, chunk by chunk, as maps; see the top."""
     _check(agent, observations[0])
     found = []
@@ -208,8 +208,8 @@ def _maps(agent: Mind, attribute: Callable[..., Tensor], *observations: np.ndarr
     return np.concatenate([maps[:, :flags], one + other], axis=1)
 
 
-def _check(agent: Mind, observations: np.ndarray) -> None:
-    of_kind("agent", agent, Mind)
+def _check(agent: Model, observations: np.ndarray) -> None:
+    of_kind("agent", agent, Model)
     of_kind("observations", observations, np.ndarray)
     shape = agent.space.shape
     if observations.shape[1:] != shape or not len(observations):

@@ -20,7 +20,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from astray.analysis.trained import AnyMind, Mind
+from astray.analysis.trained import AnyModel, Model
 from astray.bounds import MOST, bounded, finite, of_kind, shown
 from astray.game import Variant
 from astray.insight.activations import see_layers
@@ -30,7 +30,7 @@ Change = Callable[[Tensor], Tensor]  # what a layer gave [B, ...] -> what it giv
 
 
 @contextlib.contextmanager
-def changed(agent: AnyMind, changes: Mapping[str, Change]) -> Iterator[AnyMind]:
+def changed(agent: AnyModel, changes: Mapping[str, Change]) -> Iterator[AnyModel]:
     """The agent with what some layers give changed by functions: what all others here are made of.
 
     changes  layer -> a function of what it gives, [B, ...], that returns what goes on instead,
@@ -54,8 +54,8 @@ def changed(agent: AnyMind, changes: Mapping[str, Change]) -> Iterator[AnyMind]:
 
 
 def steer(
-    agent: AnyMind, vectors: Mapping[str, np.ndarray], coefficient: float = 1.0
-) -> AbstractContextManager[AnyMind]:
+    agent: AnyModel, vectors: Mapping[str, np.ndarray], coefficient: float = 1.0
+) -> AbstractContextManager[AnyModel]:
     """Add vectors to what layers give: `coefficient` times each, in every state.
 
     vectors  layer -> an array that goes with what the layer gives for one observation: of its
@@ -78,12 +78,12 @@ def steer(
 
 
 def patch(
-    agent: AnyMind,
+    agent: AnyModel,
     layer: str,
     channels: Sequence[int] | None,
     value: float | np.ndarray,
     cell: tuple[int, int] | None = None,
-) -> AbstractContextManager[AnyMind]:
+) -> AbstractContextManager[AnyModel]:
     """Set what a layer gives: some channels, at one place or everywhere.
 
     channels  of the layer, or units of one without places; None: all
@@ -113,12 +113,12 @@ def patch(
 
 
 def ablate(
-    agent: AnyMind,
+    agent: AnyModel,
     layer: str,
     channels: Sequence[int] | None = None,
     *,
     mean_of: np.ndarray | None = None,
-) -> AbstractContextManager[AnyMind]:
+) -> AbstractContextManager[AnyModel]:
     """Set channels of a layer to 0, or to their mean at each place.
 
     channels  None: all
@@ -140,13 +140,13 @@ def ablate(
 
 
 def resample(
-    agent: AnyMind,
+    agent: AnyModel,
     layer: str,
     donors: np.ndarray,
     channels: Sequence[int] | None = None,
     *,
     seed: int = 0,
-) -> AbstractContextManager[AnyMind]:
+) -> AbstractContextManager[AnyModel]:
     """Let channels of a layer give what they gave in other states, one of them drawn for each.
 
     donors    what the layer gave in some states, [M, ...], as `capture` returns it
@@ -170,7 +170,7 @@ def resample(
     return changed(agent, {layer: change})
 
 
-def place(agent: Mind, variant: Variant, cell: Cell, shape: Sequence[int]) -> tuple[int, int]:
+def place(agent: Model, variant: Variant, cell: Cell, shape: Sequence[int]) -> tuple[int, int]:
     """The (row, column) of a layer that sees the middle of a level's cell.
 
     Of images the first row is the highest; of symbolic planes it is the lowest, as in levels.

@@ -25,7 +25,7 @@ from astray import imports
 from astray.analysis.critic import observe
 from astray.analysis.estimates import estimate_mean
 from astray.analysis.given import Measure, measured, see_measures
-from astray.analysis.trained import Agent, AnyMind, Mind
+from astray.analysis.trained import Agent, AnyModel, Model
 from astray.bounds import MOST, bounded, of_kind
 from astray.estimate import Estimate
 from astray.game import Variant
@@ -43,7 +43,7 @@ SCORES = ("score", "shuffled", "untrained")
 
 
 def probe(
-    agent: Mind,
+    agent: Model,
     variant: str | Variant,
     states: np.ndarray,
     layers: Sequence[str],
@@ -91,7 +91,7 @@ def probe(
     return pl.DataFrame(rows, infer_schema_length=None)
 
 
-def untrained(agent: AnyMind, seed: int) -> AnyMind:
+def untrained(agent: AnyModel, seed: int) -> AnyModel:
     """The same agent with a network of the same shape that was never trained."""
     bounded("seed", seed, 0, MOST)
     other = copy.copy(agent)
@@ -216,7 +216,7 @@ def split(levels: np.ndarray, seed: int) -> np.ndarray:
 
 
 def read(
-    agent: Mind,
+    agent: Model,
     variant: str | Variant,
     states: np.ndarray,
     here: np.ndarray,

@@ -20,13 +20,13 @@ from astray.games.maze import levels as maze_levels
 from astray.games.maze import rules as maze_rules
 from astray.games.maze import variants as maze_variants
 from astray.kernel import grid, maze, rng
-from astray.lab import pursuits
+from astray.lab import goals
 
 PATH = "rules/constants.js"  # from the page
 # By the name that JavaScript imports: modules, and the names in them.
 TABLES: dict[str, tuple[tuple[ModuleType, str], ...]] = {
     "common": ((grid, "ACTIONS MOVES STAY"), (maze, "WALL"), (record, "NEVER"), (rng, "WORDS")),
-    "pursuits": ((pursuits, "TOGETHER NEITHER OTHER"),),
+    "goals": ((goals, "TOGETHER NEITHER OTHER"),),
     "maze": (
         (maze_rules, "EMPTY GOAL OTHER BOTH REWARD"),
         (maze_variants, "SHAPES OTHERS COLOURS WALLS"),

@@ -25,7 +25,7 @@ from astray.bounds import MOST, bounded, of_kind
 from astray.files import folder_aside, write_aside
 from astray.game import Game, Variant
 from astray.insight.fields import states_at
-from astray.lab.minds import Minds, places, sees
+from astray.lab.agents import Agents, places, sees
 from astray.lab.server import files
 from astray.lab.session import FORMAT, Lab, about_game, drawings
 from astray.lab.worlds import is_drawn
@@ -69,7 +69,7 @@ def export(lab: Lab, folder: Path, levels: int = 50, agents: list[str] | None = 
 
 def _see_exportable(lab: Lab, agents: Sequence[str]) -> None:
     """Raise ValueError where the page could not play a game or show an agent without Python."""
-    opened = {name: lab.minds.open(name) for name in agents}
+    opened = {name: lab.agents.open(name) for name in agents}
     for game in dict.fromkeys((lab.start["game"], *(config.game for _, config in opened.values()))):
         if not is_drawn(games.find(game)):
             drawn = ", ".join(name for name in games.OWN if is_drawn(games.find(name)))
@@ -90,14 +90,14 @@ def _chosen(lab: Lab) -> list[str]:
     first = lab.start.get("agent", "")
     small = [
         name
-        for name in lab.minds.paths
-        if lab.minds.open(name)[0].architecture.name == COMPUTED and _playable(lab.minds, name)
+        for name in lab.agents.paths
+        if lab.agents.open(name)[0].architecture.name == COMPUTED and _playable(lab.agents, name)
     ]
     return list(dict.fromkeys([*([first] if first else []), *small]))
 
 
-def _playable(minds: Minds, name: str) -> bool:
-    return is_drawn(games.find(minds.open(name)[0].game))
+def _playable(agents: Agents, name: str) -> bool:
+    return is_drawn(games.find(agents.open(name)[0].game))
 
 
 def _write_page(folder: Path) -> None:
@@ -111,7 +111,7 @@ def _write_page(folder: Path) -> None:
 
 def _write_data(lab: Lab, folder: Path, levels: int, agents: list[str]) -> None:
     called = file_names(agents)
-    about = {called[name]: lab.minds.about(name) for name in agents}
+    about = {called[name]: lab.agents.about(name) for name in agents}
     played = {told["game"] for told in about.values()} | {lab.start["game"]}
     found: dict[str, Any] = {}
     for game in sorted(map(games.find, played), key=lambda game: game.name):
@@ -126,8 +126,8 @@ def _write_data(lab: Lab, folder: Path, levels: int, agents: list[str]) -> None:
     for name in agents:
         told = about[called[name]]
         told["variants"] = [v for v in told["variants"] if v in found[told["game"]]["variants"]]
-        _write_own_levels(lab.minds.open(name)[1], called[name], told, folder, levels)
-        _write_agent(*lab.minds.open(name), called[name], told, folder, levels)
+        _write_own_levels(lab.agents.open(name)[1], called[name], told, folder, levels)
+        _write_agent(*lab.agents.open(name), called[name], told, folder, levels)
     index = {
         "format": FORMAT,
         "engine": "static",

@@ -8,7 +8,7 @@ from typing import Any
 
 from astray import games
 from astray.bounds import of_kind
-from astray.lab.minds import Minds
+from astray.lab.agents import Agents
 from astray.lab.session import Lab
 from astray.training import folders
 
@@ -28,26 +28,26 @@ def make_lab(agent: str | Path | None, start: Mapping[str, Any]) -> Lab:
         name = folders.name_of(path)
         if name == str(path) and (path.exists() or name not in folders.names()):
             runs[name] = path
-    minds = Minds.of(runs)
+    agents = Agents.of(runs)
     if not name:
-        name = _first_agent(minds, start.get("game"), start.get("variant"))
+        name = _first_agent(agents, start.get("game"), start.get("variant"))
     first: dict[str, Any] = {"agent": name, "level": 0}
     if name:
-        about = minds.about(name)
+        about = agents.about(name)
         first |= {"game": about["game"], "variant": about["test"]}
     first |= {key: value for key, value in start.items() if value is not None}
     game = games.find(first.get("game", games.OWN[0]))
-    if name and minds.about(name)["game"] != game.name:
-        raise ValueError(f"the agent {name!r} plays {minds.about(name)['game']}, not {game.name}")
+    if name and agents.about(name)["game"] != game.name:
+        raise ValueError(f"the agent {name!r} plays {agents.about(name)['game']}, not {game.name}")
     game.variant(first.setdefault("variant", next(iter(game.variants))))
-    return Lab(minds, first | {"game": game.name})
+    return Lab(agents, first | {"game": game.name})
 
 
-def _first_agent(minds: Minds, game: str | None, variant: str | None) -> str:
+def _first_agent(agents: Agents, game: str | None, variant: str | None) -> str:
     """The name of an agent for levels of a game and a variant, None: any; empty: there is none."""
-    for name in sorted(minds.paths, key=lambda name: name != FIRST):
+    for name in sorted(agents.paths, key=lambda name: name != FIRST):
         try:
-            about = minds.about(name)
+            about = agents.about(name)
         except (ValueError, OSError):  # the page tells which agents are broken
             continue
         if game in (None, about["game"]) and (variant is None or variant in about["variants"]):

@@ -17,9 +17,9 @@ from astray.analysis.critic import policy_and_value
 from astray.bounds import brief
 from astray.envs.vector import picture
 from astray.game import Game, knobs
-from astray.lab import minds, pursuits
+from astray.lab import agents, goals
+from astray.lab.agents import Agents, rounded
 from astray.lab.messages import Message, number_of, read
-from astray.lab.minds import Minds, rounded
 from astray.lab.worlds import Episode, World, play_on, read_world, snapshot
 
 FORMAT = 1  # of the messages; goes up when an older page could not read them
@@ -36,7 +36,7 @@ class Lab:
     start  what a page shows first: fields of a `Message`
     """
 
-    minds: Minds
+    agents: Agents
     start: Mapping[str, Any]
     lock: threading.Lock = field(default_factory=threading.Lock)  # one question at a time
 
@@ -89,9 +89,9 @@ def hello(session: Session, message: Message) -> Iterator[Reply]:
     lab = session.lab
     found, broken = games.survey(about_game)
     agents = {}
-    for name in lab.minds.paths:
+    for name in lab.agents.paths:
         try:
-            agents[name] = lab.minds.about(name)
+            agents[name] = lab.agents.about(name)
         except (*MISTAKES, OSError) as error:
             broken[name] = brief(error)
     yield {
@@ -148,9 +148,9 @@ def level(session: Session, message: Message) -> Iterator[Reply]:
 def fields(session: Session, message: Message) -> Iterator[Reply]:
     """What the agent would do, and its value, at all places, in the state after the actions."""
     episode = session.episode(message)
-    agent = session.lab.minds.of_message(message, episode.world)
+    agent = session.lab.agents.of_message(message, episode.world)
     state = episode.state.view(np.recarray)[0]
-    yield from minds.arrows(agent, episode.world, state, message.effects)
+    yield from agents.arrows(agent, episode.world, state, message.effects)
 
 
 def play(session: Session, message: Message) -> Iterator[Reply]:
@@ -160,7 +160,7 @@ def play(session: Session, message: Message) -> Iterator[Reply]:
     """
     episode = session.episode(message)
     world = episode.world
-    agent = session.lab.minds.of_message(message, world) if message.agent else None
+    agent = session.lab.agents.of_message(message, world) if message.agent else None
     yield _told(episode, 0, agent)
     if agent is None or not message.steps or episode.ended:
         return
@@ -195,19 +195,19 @@ def _told(episode: Episode, first: int, agent: Any) -> Reply:
 def posterior(session: Session, message: Message) -> Iterator[Reply]:
     """The goals that the episode so far speaks for."""
     episode = session.episode(message)
-    yield pursuits.posterior(episode, _shift(session, message, episode.world.game))
+    yield goals.posterior(episode, _shift(session, message, episode.world.game))
 
 
 def splay(session: Session, message: Message) -> Iterator[Reply]:
     """Where the agent ends, for every place of a thing."""
     world = session.world(message)
-    agent = session.lab.minds.of_message(message, world)
+    agent = session.lab.agents.of_message(message, world)
     shift = _shift(session, message, world.game)
-    yield from pursuits.splay(agent, world, message.thing, message.cell, shift, message.draws)
+    yield from goals.splay(agent, world, message.thing, message.cell, shift, message.draws)
 
 
 def _shift(session: Session, message: Message, game: Game) -> Any:
-    name = session.lab.minds.about(message.agent)["shift"] if message.agent else ""
+    name = session.lab.agents.about(message.agent)["shift"] if message.agent else ""
     found = [s for s in game.shifts.values() if message.variant in (s.train, s.test)]
     shift = game.shifts.get(name) or (found[0] if found else None)
     if shift is None:
@@ -249,7 +249,7 @@ def _seen(session: Session, message: Message) -> tuple[Any, np.ndarray]:
     from astray.analysis.critic import observe
 
     episode = session.episode(message)
-    agent = session.lab.minds.of_message(message, episode.world)
+    agent = session.lab.agents.of_message(message, episode.world)
     return agent, observe(agent, episode.world.variant, episode.state)
 
 
@@ -259,7 +259,7 @@ def route(session: Session, message: Message) -> Iterator[Reply]:
     if message.goal not in episode.world.game.goals:
         there = ", ".join(episode.world.game.goals)
         raise ValueError(f"unknown goal {message.goal!r}; there are: {there}")
-    yield pursuits.route(episode, message.goal)
+    yield goals.route(episode, message.goal)
 
 
 def reading(session: Session, message: Message) -> Iterator[Reply]:
@@ -268,8 +268,8 @@ def reading(session: Session, message: Message) -> Iterator[Reply]:
 
     episode = session.episode(message)
     world = episode.world
-    agent = session.lab.minds.of_message(message, world)
-    seen = session.lab.minds.visited(message.agent, world)
+    agent = session.lab.agents.of_message(message, world)
+    seen = session.lab.agents.visited(message.agent, world)
     here = episode.state.view(np.recarray)
     table = read_probes(agent, world.variant, seen, here, [message.layer], dict(world.game.labels))
     yield {"rows": table.to_dicts(), "states": len(seen)}

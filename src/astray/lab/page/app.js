@@ -167,7 +167,7 @@ export class Lab {
     this.fields.clear();
     this.others.clear();
     this.splay.clear();
-    this.pursuit = this.way = null;
+    this.goals = this.way = null;
   }
 
   async undo() {
@@ -292,11 +292,11 @@ export class Lab {
   }
 
   async #pursue() {
-    this.pursuit = null;
+    this.goals = null;
     if (this.episode.actions.length && this.agent && !this.rules.real_time && this.rules.solver) {
       const question = this.question("posterior", { actions: this.episode.actions });
       try {
-        this.pursuit = (await this.engine.ask(question)) ?? this.pursuit;
+        this.goals = (await this.engine.ask(question)) ?? this.goals;
       } catch (error) {
         this.errors.push(error.message);
       }

@@ -128,12 +128,12 @@ export class Panels {
     options(part("compare"), [
       ["", "nothing"], ["level", "the level as it was"],
       ...others.map(([name]) => [`agent ${name}`, `agent ${name}`]),
-      ...(layers.length ? [["change", "its mind changed (below)"]] : []),
+      ...(layers.length ? [["change", "the network changed (below)"]] : []),
     ], part("compare").value);
     options(part("goal"), Object.keys(lab.rules.goals).map((goal) => [goal, goal]), this.shift?.intended);
-    part("pursuit").hidden = lab.rules.real_time;
+    part("goals").hidden = lab.rules.real_time;
     for (const option of part("heat").options) {
-      if (option.value === "pursuit") option.hidden = lab.rules.real_time;
+      if (option.value === "goals") option.hidden = lab.rules.real_time;
     }
     part("zoomed").hidden = !lab.look.view;
     part("things").textContent = ["agent", ...Object.keys(lab.rules.objects).slice(0, 2).map((name) => named(lab, name))]
@@ -329,7 +329,7 @@ export class Panels {
   pursued() {
     const { lab, part } = this;
     const canvas = part("posterior");
-    const found = lab.pursuit;
+    const found = lab.goals;
     canvas.hidden = !found;
     part("key").replaceChildren();
     if (!found || !lab.agent) {

@@ -1,4 +1,4 @@
-// The world on its canvas, and what the mind makes of it on top.
+// The world on its canvas, and the answers of the agent on top.
 
 import { drawArrows, drawBars, drawDifference, drawHeat, drawRoute, drawSplay, ring } from "./draw/arrows.js";
 import { goalColours, heat, themed } from "./draw/colours.js";
@@ -74,7 +74,7 @@ export class Stage {
     paint.clearRect(0, 0, this.canvas.width, this.canvas.height);
     paint.setTransform(1, 0, 0, 1, -Math.round(left * this.scale), Math.round(low * this.scale));
     this.paintWorld(paint, this.scale, rows);
-    this.#mind(new Brush(paint, this.scale, rows), paint);
+    this.#agent(new Brush(paint, this.scale, rows), paint);
     this.#marks(new Brush(paint, this.scale, rows));
     lab.panels.legend(this.layers);
   }
@@ -115,8 +115,8 @@ export class Stage {
   #heat(brush) {
     const { lab } = this;
     const layer = lab.splay.size ? "none" : lab.part("heat").value;
-    if (layer === "pursuit" && lab.pursuit) {
-      const { cells, shares } = lab.pursuit;
+    if (layer === "goals" && lab.goals) {
+      const { cells, shares } = lab.goals;
       const row = shares[Math.min(lab.now, shares.length - 1)];
       const most = Math.max(...row);
       cells.forEach((cell, k) => brush.fill(heat(row[k] / most, 0.9), ...cell));
@@ -136,7 +136,7 @@ export class Stage {
     }
   }
 
-  #mind(brush) {
+  #agent(brush) {
     const { lab } = this;
     const layer = lab.part("layer").value;
     const ways = lab.rules.actions.map((name) => lab.look.direction(name));

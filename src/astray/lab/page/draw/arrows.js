@@ -1,4 +1,4 @@
-// What the mind does at all places, drawn over the world: arrows, bars, heat, splays, routes.
+// What the agent does at all places, drawn over the world: arrows, bars, heat, splays, routes.
 
 import { heat, signed } from "./colours.js";
 

@@ -1,9 +1,9 @@
 // Where a shift's goals are, and which was reached first.
 
 import { NEVER } from "../rules/common.js";
-import { pursuits } from "../rules/constants.js";
+import { goals } from "../rules/constants.js";
 
-const { NEITHER } = pursuits;
+const { NEITHER } = goals;
 
 export function namedPlaces(game, shift, s) {
   const [places, events] = [{}, new Set()];

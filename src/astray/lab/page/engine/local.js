@@ -2,12 +2,12 @@
 //
 // What `astray.lab.session` answers, in the same words. What only Python can do says so.
 
-import { posterior } from "../mind/agency.js";
-import { readNetwork, softmax } from "../mind/network.js";
-import { noise, sample } from "../mind/noise.js";
-import { readTable } from "../mind/table.js";
+import { posterior } from "../agent/agency.js";
+import { readNetwork, softmax } from "../agent/network.js";
+import { noise, sample } from "../agent/noise.js";
+import { readTable } from "../agent/table.js";
 import { NEVER } from "../rules/common.js";
-import { pursuits } from "../rules/constants.js";
+import { goals } from "../rules/constants.js";
 import { rules as coinrun } from "../rules/coinrun.js";
 import { rules as keys } from "../rules/keys.js";
 import { rules as maze } from "../rules/maze.js";
@@ -17,7 +17,7 @@ import { read, splayed, textOf, whole } from "./levels.js";
 
 const RULES = { coinrun, keys, maze };
 const AT_ONCE = 16; // places that are computed before the page may draw
-const { NEITHER, OTHER, TOGETHER } = pursuits;
+const { NEITHER, OTHER, TOGETHER } = goals;
 
 export class LocalEngine {
   // folder: the address of the exported files, that of the page.

@@ -18,8 +18,8 @@ from astray.analysis.agency import named_places
 from astray.analysis.policies import Walk
 from astray.analysis.trained import Agent
 from astray.game import Game, Shift
+from astray.lab.agents import rounded
 from astray.lab.messages import LONGEST
-from astray.lab.minds import rounded
 from astray.lab.worlds import Episode, World
 from astray.level import Level
 from astray.record import NEVER

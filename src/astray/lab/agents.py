@@ -30,7 +30,7 @@ LARGE = 32  # cells a side of such a world
 
 
 @dataclass(eq=False)
-class Minds:
+class Agents:
     """The agents that a page may name: pretrained, imported, and those that it was started with.
 
     paths  of run folders, by name
@@ -42,7 +42,7 @@ class Minds:
     _last: tuple[Any, Agent, Any] | None = None
 
     @classmethod
-    def of(cls, runs: Mapping[str, Path]) -> Minds:
+    def of(cls, runs: Mapping[str, Path]) -> Agents:
         """`runs` by name, and all agents that have a name."""
         named = {name: folders.find(name) for name in folders.names()}
         return cls(named | dict(runs))
