@@ -52,7 +52,11 @@ def test_verbs_know_it(beside, tmp_path):
     )
     said = run(beside, tmp_path, "-W", "ignore", "-c", VERBS, *words)
     listed, _, assessed, _ = said.split("done\n")
-    assert "open-room" in listed and '"sampled"' in assessed and '"random"' in assessed
+    assert (
+        "open-room" in listed
+        and '"runs/open-room-corner/seed-0"' in assessed
+        and '"random"' in assessed
+    )
 
 
 EDITED = """
