@@ -9,7 +9,14 @@ import pytest
 
 from astray.analysis import agency
 from astray.cli import agents as verbs
-from astray.files import aside_of, folder_aside, remove_left, see_free, see_writable, write_aside
+from astray.files import (
+    aside_of,
+    check_free,
+    check_writable,
+    folder_aside,
+    remove_left,
+    write_aside,
+)
 from astray.kernel import cache, jit
 from astray.training import checkpoint
 from astray.training.config import PRESETS
@@ -59,7 +66,7 @@ def test_a_folder_that_was_not_finished_is_removed_alone(tmp_path):
 def test_no_folder_is_left_of_what_was_not_written(tmp_path):
     (tmp_path / "there").mkdir()
     for folder in (tmp_path / "new" / "deep", tmp_path / "there" / "deep"):
-        see_writable(folder / "told")
+        check_writable(folder / "told")
         with pytest.raises(RuntimeError), folder_aside(folder / "mouse") as aside:
             assert aside.is_dir()
             raise RuntimeError
@@ -145,13 +152,13 @@ def test_all_that_a_verb_writes_is_seen_before_anything_is_played(tmp_path, monk
 def test_what_astray_did_not_write_is_not_replaced(tmp_path):
     (tmp_path / "report.html").write_text("mine")
     with pytest.raises(OSError, match=r"report\.html is none of astray's, which would have plan"):
-        see_free(tmp_path, "plan.json", b"ours", ("figures", "report.html"))
-    see_free(tmp_path, "plan.json", b"ours", ("figures", "tables"))
+        check_free(tmp_path, "plan.json", b"ours", ("figures", "report.html"))
+    check_free(tmp_path, "plan.json", b"ours", ("figures", "tables"))
     (tmp_path / "plan.json").write_text("my plan")
     with pytest.raises(OSError, match=r"plan\.json is none of astray's; it would be replaced"):
-        see_free(tmp_path, "plan.json", b"ours", ("figures", "tables"))
+        check_free(tmp_path, "plan.json", b"ours", ("figures", "tables"))
     (tmp_path / "plan.json").write_text("it is ours")
-    see_free(tmp_path, "plan.json", b"ours", ("figures", "report.html"))
+    check_free(tmp_path, "plan.json", b"ours", ("figures", "report.html"))
 
 
 @pytest.mark.parametrize("error", [KeyboardInterrupt, MemoryError, OSError])

@@ -18,10 +18,10 @@ from astray.analysis.runs import open_run
 from astray.analysis.video import play
 from astray.bounds import bounded
 from astray.cli import verbs
-from astray.envs.pool import Pool, see_startable
+from astray.envs.pool import Pool, check_startable
 from astray.envs.states import load_states
 from astray.envs.vector import GameVectorEnv, picture
-from astray.files import read, see_writable
+from astray.files import check_writable, read
 from astray.kernel.grid import distances
 from astray.kernel.rng import fill_noise
 from astray.level import Level, read_levels
@@ -212,7 +212,7 @@ def test_threads_that_cannot_be_started_are_an_error_and_none_is_left(monkeypatc
     with pytest.raises(RuntimeError, match="9 threads are asked for, but 6 can be started"):
         Pool(9)
     with pytest.raises(RuntimeError, match="9 threads are needed"):
-        see_startable(9)
+        check_startable(9)
     monkeypatch.undo()
     for thread in threading.enumerate():
         if thread.name.startswith("astray-"):
@@ -364,9 +364,9 @@ def test_where_results_go_is_tried_before_anything_is_played(words, monkeypatch,
 
 def test_trying_where_results_go_leaves_what_is_there(tmp_path):
     (tmp_path / "told").write_text("old")
-    see_writable(tmp_path / "told")
-    see_writable(tmp_path / "new" / "told")
+    check_writable(tmp_path / "told")
+    check_writable(tmp_path / "new" / "told")
     assert (tmp_path / "told").read_text() == "old"
     assert [p.name for p in tmp_path.rglob("*")] == ["told"]
     with pytest.raises(IsADirectoryError, match="must be a file to write; it is a folder"):
-        see_writable(tmp_path)
+        check_writable(tmp_path)

@@ -167,7 +167,7 @@ class Asking:
 
     def receive(self, group: int) -> Answer:
         answer = self.policy.actions(self._turn)  # not before: nobody may ask for the last turn's
-        see_rows(answer.memory, len(self._turn.begins))
+        check_rows(answer.memory, len(self._turn.begins))
         self._memory = answer.memory
         return answer
 
@@ -182,11 +182,11 @@ def rows(memory: Any, kept: np.ndarray) -> Any:
     return None if memory is None else memory[kept]
 
 
-def see_rows(memory: Any, n: int) -> None:
+def check_rows(memory: Any, n: int) -> None:
     """Raise ValueError unless a policy's memory has one row for each of `n` episodes."""
     if isinstance(memory, Mapping | tuple | list):
         for part in memory.values() if isinstance(memory, Mapping) else memory:
-            see_rows(part, n)
+            check_rows(part, n)
     elif memory is not None and tuple(getattr(memory, "shape", ()))[:1] != (n,):
         raise ValueError(
             f"a policy's memory must be arrays or tensors of {n} rows, one per episode; got "
@@ -350,12 +350,12 @@ def steps(
     Raises:
         ValueError: If an argument is invalid, or episodes may last for ever and `longest` is None.
     """
-    see_policy(policy)
+    check_policy(policy)
     of_kind("levels", levels, Sized)
     if not len(levels):
         raise ValueError("no levels to play")
     bounded("batch", batch, 1, MOST)
-    see_ending(game, variant, longest)
+    check_ending(game, variant, longest)
     n = min(batch, len(levels))
     env = _environments(game, variant, n, policy.observation, policy.art, longest)
     stage = LevelByLevel(env, levels, until, longest)
@@ -363,7 +363,7 @@ def steps(
     stage.close()
 
 
-def see_ending(
+def check_ending(
     game: str | Game | World, variant: str | Variant | WorldVariant, longest: int | None
 ) -> None:
     """Raise ValueError if episodes of a variant may last for ever and `longest` is None."""
@@ -383,7 +383,7 @@ def lasting(what: str) -> str:
     )
 
 
-def see_policy(policy: Any) -> None:
+def check_policy(policy: Any) -> None:
     """Raise ValueError unless `policy` is a policy; a function of observations is not."""
     missing = [name for name in POLICY if not hasattr(policy, name)]
     if missing or isinstance(policy, type):

@@ -33,28 +33,28 @@ def read(path: Path, most: int = LARGEST) -> bytes:
     flags = os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
     number = os.open(path, flags)
     try:
-        _see_regular(path, os.fstat(number), most)
+        _check_regular(path, os.fstat(number), most)
         with open(number, "rb", closefd=False) as file:
             return file.read(most)
     finally:
         os.close(number)
 
 
-def see_readable(path: Path, most: int = LARGEST) -> None:
+def check_readable(path: Path, most: int = LARGEST) -> None:
     """Raise what `read` would, for a file that a library opens by itself."""
-    _see_regular(path, path.stat(), most)
+    _check_regular(path, path.stat(), most)
 
 
-def _see_regular(path: Path, found: os.stat_result, most: int) -> None:
+def _check_regular(path: Path, found: os.stat_result, most: int) -> None:
     if not stat.S_ISREG(found.st_mode):
         raise OSError(f"{path} must be a file; it is a folder, a pipe or a device")
     if found.st_size > most:
         raise ValueError(f"{path} must be of at most {most:,} bytes; it has {found.st_size:,}")
 
 
-def see_writable(path: Path) -> None:
+def check_writable(path: Path) -> None:
     """Raise OSError unless the file can be written; create nothing and change nothing."""
-    _see_replaceable(path)
+    _check_replaceable(path)
     made = make_folder(path.parent)
     try:
         aside = aside_of(path)
@@ -80,7 +80,7 @@ def remove_made(folders: Iterable[Path]) -> None:
                 folder.rmdir()
 
 
-def _see_replaceable(path: Path) -> None:
+def _check_replaceable(path: Path) -> None:
     """Raise OSError if `path` is anything but a file: a file would replace it."""
     if path.is_symlink():  # as /dev/stdout, or what leads to the user's other disk
         raise OSError(f"{path} must be a file to write; it is a link")
@@ -103,7 +103,7 @@ def write_aside(path: Path, data: bytes) -> None:
             /dev/null, and for anyone a link.
     """
     path = Path(path)
-    _see_replaceable(path)
+    _check_replaceable(path)
     aside = aside_of(path)
     try:
         with open(aside, "xb") as file:
@@ -169,13 +169,13 @@ def holds_only(folder: Path, names: Collection[str]) -> bool:
     )
 
 
-def see_own(path: Path) -> None:
+def check_own(path: Path) -> None:
     """Raise OSError if `path` is a link or not a regular file."""
     if os.path.lexists(path) and not stat.S_ISREG(path.lstat().st_mode):
         raise OSError(f"{path} must be a file; it is a link, a folder, a pipe or a device")
 
 
-def see_free(folder: Path, mark: str, sign: bytes, names: Collection[str]) -> None:
+def check_free(folder: Path, mark: str, sign: bytes, names: Collection[str]) -> None:
     """Raise OSError if `folder` holds files of these `names` but is not one of astray's folders.
 
     Args:
@@ -183,7 +183,7 @@ def see_free(folder: Path, mark: str, sign: bytes, names: Collection[str]) -> No
         sign: Contents that only astray writes to that file.
     """
     if os.path.lexists(folder / mark):
-        see_own(folder / mark)
+        check_own(folder / mark)
         if sign not in read(folder / mark):
             raise OSError(f"{folder / mark} is none of astray's; it would be replaced")
         return

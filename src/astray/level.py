@@ -59,7 +59,7 @@ class Level:
         self.game.variant(self.variant)
         of_kind("a level's variant", self.variant, Variant)  # not its name
         of_kind("a level's looks", self.looks, Mapping)
-        object.__setattr__(self, "agent", see_cell(self.agent))
+        object.__setattr__(self, "agent", check_cell(self.agent))
         self._check_cells()
         if not self._is_inside(self.agent):
             raise ValueError(f"the agent is at cell {self.agent}, outside of the level")
@@ -257,7 +257,7 @@ class Level:
         self._check_free(at)
         cells = self.cells.copy()
         cells[at[1], at[0]] = self.game.editing.LEGEND[self.game.editing.OBJECTS[name]]
-        return replace(self, cells=cells, looks=self._details(see_cell(at)))
+        return replace(self, cells=cells, looks=self._details(check_cell(at)))
 
     def _details(self, at: Cell, to: Cell | None = None) -> Mapping[str, Any]:
         """Return the looks without those of the object in cell `at`, or with them moved to `to`."""
@@ -286,7 +286,7 @@ class Level:
 
     def _one(self, name: str, at: Cell | None) -> Cell:
         """Return the cell of the object called `name`: its only one, or `at`."""
-        there, at = self.where(name), None if at is None else see_cell(at)
+        there, at = self.where(name), None if at is None else check_cell(at)
         if at in there or (at is None and len(there) == 1):
             return at or there[0]
         where = ", ".join(map(str, there)) or "nowhere"
@@ -304,7 +304,7 @@ class Level:
 
     def _check_free(self, cell: Cell) -> None:
         self._check_cells()
-        x, y = cell = see_cell(cell)
+        x, y = cell = check_cell(cell)
         if not self._is_inside(cell):
             raise ValueError(f"cell {cell} is outside of the level")
         if self.cells[y, x] != self.game.editing.LEGEND[EMPTY]:
@@ -320,7 +320,7 @@ def _cell(place: Any) -> Cell:
     return int(np.floor(place[0])), int(np.floor(place[1]))
 
 
-def see_cell(place: Any) -> Cell:
+def check_cell(place: Any) -> Cell:
     """Return `place` as a cell.
 
     Raises:

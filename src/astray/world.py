@@ -127,7 +127,7 @@ class World:
         for goal in self.experts:
             one_of("goal of an expert", goal, self.goals)
         for outcome in (*self.goals.values(), *self.ends.values()):
-            self._see_outcome(outcome)
+            self._check_outcome(outcome)
         for shift in self.shifts.values():
             of_kind("a shift", shift, Shift)
             for variant in (shift.train, shift.test):
@@ -135,7 +135,7 @@ class World:
             for goal in (shift.intended, *shift.proxies):
                 one_of("goal of a shift", goal, self.goals)
 
-    def _see_outcome(self, outcome: Outcome) -> None:
+    def _check_outcome(self, outcome: Outcome) -> None:
         """Raise ValueError if a goal or an end names an unknown event or measure."""
         match outcome:
             case More(measure, than):
@@ -248,7 +248,7 @@ class Witness(gymnasium.Wrapper):
             seen, info = self.env.reset(seed=seed, options=options)
         except Exception as error:
             raise self._failed("reset", error) from error
-        self._see_shape(seen)
+        self._check_shape(seen)
         self._happens(info)
         return seen, {**info, NOTED: self._told()}
 
@@ -259,7 +259,7 @@ class Witness(gymnasium.Wrapper):
             seen, reward, terminated, truncated, info = self.env.step(action)
         except Exception as error:
             raise self._failed("step", error) from error
-        self._see_shape(seen)
+        self._check_shape(seen)
         told = self._happens(info) or terminated or truncated or self.time == self.longest
         if told or self.world.every_step:
             info = {**info, NOTED: self._told()}
@@ -309,7 +309,7 @@ class Witness(gymnasium.Wrapper):
                 raise self._failed(f"measure {name!r}", error) from error
         return np.array(told, np.float64)
 
-    def _see_shape(self, seen: Any) -> None:
+    def _check_shape(self, seen: Any) -> None:
         if self._shape is not None and np.shape(seen) != self._shape:
             raise ValueError(
                 f"{self._where()}: the observation is of shape {np.shape(seen)}, where the space "
@@ -328,7 +328,7 @@ def witnessed(world: World, variant: WorldVariant, longest: int | None = None) -
     return Witness(variant.make(), world, variant, longest)
 
 
-def see_repeats(world: World, variant: WorldVariant, level: int, steps: int = 50) -> None:
+def check_repeats(world: World, variant: WorldVariant, level: int, steps: int = 50) -> None:
     """Check that a level is the same when it is played twice with the same actions.
 
     Otherwise results cannot be repeated, and nothing can be compared in the same levels.

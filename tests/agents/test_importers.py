@@ -195,7 +195,7 @@ def test_files_with_an_optimizer_share_no_tuples(old):
     file = io.BytesIO()
     held = {"state_dict": network.state_dict(), "optimizer_state_dict": optimizer.state_dict()}
     torch.save(held, file, _use_new_zipfile_serialization=not old)
-    pth.see_plain(file.getvalue())
+    pth.check_plain(file.getvalue())
 
 
 def test_channels_of_any_widths_are_kept_with_the_weights(tmp_path):

@@ -28,7 +28,7 @@ from astray.analysis.runs import evaluate_policies, evaluate_runs, load_agent
 from astray.analysis.video import play, write_gif
 from astray.envs.states import save_states
 from astray.envs.vector import GameVectorEnv
-from astray.files import read, see_writable, write_aside
+from astray.files import check_writable, read, write_aside
 from astray.level import Level
 from astray.published import imported
 from astray.published.download import download
@@ -132,7 +132,7 @@ def test_an_agent_is_read_from_a_file_alone(tmp_path, kind, reader):
 
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="there are no pipes")
-@pytest.mark.parametrize("write", [see_writable, lambda path: write_aside(path, b"new")])
+@pytest.mark.parametrize("write", [check_writable, lambda path: write_aside(path, b"new")])
 def test_a_pipe_is_not_replaced_by_a_file(tmp_path, write):
     os.mkfifo(tmp_path / "pipe")  # as a device: root replaced /dev/full
     with pytest.raises(OSError, match="pipe must be a file to write; it is a pipe or a device"):
@@ -144,7 +144,7 @@ def test_a_pipe_is_not_replaced_by_a_file(tmp_path, write):
 def test_what_is_to_be_written_is_no_link(tmp_path):
     (tmp_path / "stdout").symlink_to(tmp_path / "elsewhere")
     with pytest.raises(OSError, match="stdout must be a file to write; it is a link"):
-        see_writable(tmp_path / "stdout")
+        check_writable(tmp_path / "stdout")
 
 
 def test_a_folder_in_place_of_a_file_is_named_and_not_left_open(tmp_path):

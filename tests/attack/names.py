@@ -59,7 +59,7 @@ class _Page(HTMLParser):
             self.policies.append(told.get("content") or "")
 
 
-def see_page(path: Path) -> None:
+def check_page(path: Path) -> None:
     """See that a page runs nothing, whatever the words in it."""
     text = path.read_text(encoding="utf-8", errors="surrogatepass")
     page = _Page()
@@ -93,8 +93,8 @@ def _page(text: str, place: Place) -> None:
     page = report.write(Heading(**dict(zip(
         ("name", "size", "title", "reproduces", "question", "differences", "command"), words,
         strict=True))), findings, folder, {text: text})  # fmt: skip
-    see_page(page)
-    see_page(report.write_index(place.work / "reports"))
+    check_page(page)
+    check_page(report.write_index(place.work / "reports"))
 
 
 def _index(text: str, place: Place) -> None:
@@ -107,7 +107,7 @@ def _index(text: str, place: Place) -> None:
     source = place.made / "reports" / "experiment-smoke" / "findings.json"
     (there / "findings.json").write_bytes(source.read_bytes())
     page = report.write_index(place.work / "reports")
-    see_page(page)
+    check_page(page)
     if "../" in page.read_text(errors="surrogatepass"):
         raise Wrong("the index leads out of its folder")
 

@@ -24,7 +24,7 @@ from astray.agents.names import check_network, is_own, renamed_network
 from astray.agents.patch import nature, overlap, patch, patch_impala
 from astray.agents.recurrent import WithCell
 from astray.bounds import brief
-from astray.files import see_readable
+from astray.files import check_readable
 
 GROUP = "astray.networks"  # of entry points, by which installed packages offer theirs
 FORMAT = 1  # of the files; goes up when an older version could not read them
@@ -101,7 +101,7 @@ def load(path: Path, game: str, device: str = "cpu") -> tuple[nn.Module, Archite
     with _explained(path):
         tensors, architecture = _read(path, game)
         with torch.device("meta"):  # first without memory: a header can promise any size
-            _see_weights(tensors, architecture.build())
+            _check_weights(tensors, architecture.build())
         network = architecture.build()
         network.load_state_dict(tensors)
         return network.to(device).eval(), architecture
@@ -111,11 +111,11 @@ def load_into(network: nn.Module, path: Path, game: str) -> None:
     """Give `network` the weights that `weights` wrote to `path`, whoever made it."""
     with _explained(path):
         tensors, _ = _read(path, game)
-        _see_weights(tensors, network)
+        _check_weights(tensors, network)
         network.load_state_dict(tensors)
 
 
-def _see_weights(tensors: dict[str, Tensor], network: nn.Module) -> None:
+def _check_weights(tensors: dict[str, Tensor], network: nn.Module) -> None:
     """ValueError where `tensors` are no weights of such a network: of other shapes or kinds."""
     promised = network.state_dict()
     if {n: t.shape for n, t in promised.items()} != {n: t.shape for n, t in tensors.items()}:
@@ -127,7 +127,7 @@ def _see_weights(tensors: dict[str, Tensor], network: nn.Module) -> None:
 
 
 def _read(path: Path, game: str) -> tuple[dict[str, Tensor], Architecture]:
-    see_readable(path)
+    check_readable(path)
     with safe_open(path, "pt", device="cpu") as file:
         found = read_header(file.metadata(), game)
         tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118

@@ -20,7 +20,7 @@ import numpy as np
 import polars as pl
 
 from astray.acting import Levels, steps
-from astray.analysis.given import Measure, measured, see_measures
+from astray.analysis.given import Measure, check_measures, measured
 from astray.analysis.policies import episode_noise
 from astray.analysis.trained import Model
 from astray.bounds import MOST, bounded, finite, of_kind
@@ -202,5 +202,5 @@ def _table(
 ) -> pl.DataFrame:
     """Return `columns` with the states' levels, steps and measures."""
     told = {"level": states["level"], "step": states["time"]} | columns
-    see_measures(measures, told)
+    check_measures(measures, told)
     return pl.DataFrame(told | {n: measured(n, m, states) for n, m in (measures or {}).items()})

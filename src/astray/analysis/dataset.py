@@ -27,7 +27,7 @@ import polars as pl
 from gymnasium import spaces
 
 from astray import games, imports
-from astray.acting import Levels, Policy, see_policy, steps
+from astray.acting import Levels, Policy, check_policy, steps
 from astray.analysis.tables import write_table
 from astray.bounds import brief, of_kind, shown
 from astray.envs import VERSION
@@ -128,7 +128,7 @@ def export(
         ValueError: If `folder` exists, a level number occurs twice, or the game cannot be
             exported.
     """
-    see_policy(policy)
+    check_policy(policy)
     if not isinstance(levels, Mapping) and len(set(np.asarray(levels).tolist())) < len(levels):
         raise ValueError(f"levels must be given once each; got {shown(levels)}")
     check_word("format", form, Format)
@@ -283,7 +283,7 @@ def write_minari(
     seen, taken = env.single_observation_space, env.single_action_space
     env.close()
     assert isinstance(taken, spaces.Discrete)
-    _see_room(folder)
+    _check_room(folder)
     storage = MinariStorage.new(
         folder.absolute() / "data",
         observation_space=seen,
@@ -322,11 +322,11 @@ def write_minari(
 def _with_room(played: Iterable[Trajectory], folder: Path) -> Iterator[Trajectory]:
     """Yield the trajectories as long as the disk has room for the next one."""
     for one in played:
-        _see_room(folder, one.observations.nbytes + one.states.nbytes)
+        _check_room(folder, one.observations.nbytes + one.states.nbytes)
         yield one
 
 
-def _see_room(folder: Path, size: int = 0) -> None:
+def _check_room(folder: Path, size: int = 0) -> None:
     """Raise OSError unless the disk has room for so many bytes; HDF5 would end the process."""
     if shutil.disk_usage(folder).free < SPARED + 2 * size:
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(folder))

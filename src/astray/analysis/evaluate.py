@@ -10,7 +10,7 @@ import polars as pl
 
 from astray import world
 from astray.acting import Levels, Policy, steps
-from astray.analysis.given import Measure, measured, see_measures
+from astray.analysis.given import Measure, check_measures, measured
 from astray.bounds import of_kind
 from astray.game import Game, Variant
 from astray.world import World, WorldVariant
@@ -55,7 +55,7 @@ def evaluate(
     if taken := {*COLUMNS, *LATER} & {*game.events, *game.measures}:
         named = ", ".join(sorted(taken))
         raise ValueError(f"events or measures of {game.name} have the names of columns: {named}")
-    see_measures(measures, (*COLUMNS, *game.events, *game.measures))
+    check_measures(measures, (*COLUMNS, *game.events, *game.measures))
     measured_by = {**game.of_states, **(measures or {})}
     of_kind("levels", levels, Sized)
     names = list(levels) if isinstance(levels, Mapping) else [None] * len(levels)

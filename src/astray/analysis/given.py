@@ -12,7 +12,7 @@ from astray.bounds import of_kind, shown
 Measure = Callable[[np.ndarray], np.ndarray]  # states [N] -> numbers [N]
 
 
-def see_measures(measures: Mapping[str, Measure] | None, taken: Collection[str]) -> None:
+def check_measures(measures: Mapping[str, Measure] | None, taken: Collection[str]) -> None:
     """Raise ValueError unless `measures` are functions by names that no column has."""
     if measures is None:
         return

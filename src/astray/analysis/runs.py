@@ -11,7 +11,7 @@ import numpy as np
 import polars as pl
 
 from astray import world
-from astray.acting import Levels, Policy, see_ending, see_policy
+from astray.acting import Levels, Policy, check_ending, check_policy
 from astray.agents.policy import usable
 from astray.analysis.evaluate import evaluate
 from astray.analysis.given import Measure
@@ -27,13 +27,13 @@ from astray.analysis.policies import Random, Walk
 from astray.analysis.results import ALL, APART, Result
 from astray.analysis.trained import Agent
 from astray.bounds import of_kind, shown
-from astray.envs.worlds import see_reported
+from astray.envs.worlds import check_reported
 from astray.game import Game, Shift, Variant
 from astray.level import read_levels
 from astray.training import folders
 from astray.training.config import Config
 from astray.training.folders import AgentFolder
-from astray.world import World, WorldVariant, see_repeats
+from astray.world import World, WorldVariant, check_repeats
 
 LEVELS_PLAYED = 1000  # default number of levels
 NAMED = 3  # agents of a pooled row that are named one by one
@@ -273,7 +273,7 @@ def play_all(
     """
     of_kind("policies", policies, Sequence)
     for policy in policies:
-        see_policy(policy)
+        check_policy(policy)
     between = load_shift(game, shift)
     goals = (between.intended, *between.proxies)
     walks = [Walk(goal) for goal in goals if goal in game.walked]
@@ -281,9 +281,9 @@ def play_all(
     names = [policy.name for policy in (*scripts, *policies) if not isinstance(policy, Agent)]
     if len(set(names)) < len(names):
         raise ValueError(f"policies must have names of their own; got {', '.join(names)}")
-    see_ending(game, variant, longest)
+    check_ending(game, variant, longest)
     if isinstance(game, World) and isinstance(variant, WorldVariant) and game.repeats:
-        see_repeats(game, variant, int(next(iter(levels))))
+        check_repeats(game, variant, int(next(iter(levels))))
     parts = []
     for policy in (*scripts, *policies):
         run = seed = steps = None
@@ -301,5 +301,5 @@ def play_all(
             )
         )
     if isinstance(game, World):
-        see_reported(game)
+        check_reported(game)
     return mark_distinguishing(label(pl.concat(parts), game, between), between)

@@ -25,7 +25,7 @@ import platformdirs
 from PIL import Image
 
 from astray.bounds import shown
-from astray.files import hold, see_readable, write_aside
+from astray.files import check_readable, hold, write_aside
 
 WHEEL = "procgen-0.10.7-cp310-cp310-manylinux_2_17_x86_64.manylinux2014_x86_64.whl"
 DOWNLOAD = (
@@ -170,12 +170,12 @@ def _download(to: Path) -> Path:
 
 
 def _read_wheel(wheel: Path) -> dict[str, bytes]:
-    see_readable(wheel, LARGEST_WHEEL)
+    check_readable(wheel, LARGEST_WHEEL)
     try:
         with zipfile.ZipFile(wheel) as archive:
             there = {member.filename: member for member in archive.infolist()}
             for member in there.values():
-                _see_member(wheel, member)
+                _check_member(wheel, member)
 
             def read(picture: Picture) -> bytes | None:
                 if INSIDE + picture.path not in there:
@@ -188,7 +188,7 @@ def _read_wheel(wheel: Path) -> dict[str, bytes]:
         raise ValueError(f"{wheel} is no wheel, or not all of one: {error}") from error
 
 
-def _see_member(wheel: Path, member: zipfile.ZipInfo) -> None:
+def _check_member(wheel: Path, member: zipfile.ZipInfo) -> None:
     """ValueError where a member of a wheel lies outside of it, or cannot be read piece by piece."""
     name = member.filename
     if name.startswith(("/", "\\")) or ".." in PurePosixPath(name).parts:

@@ -33,7 +33,7 @@ def main() -> None:
         if signal.getsignal(signal.SIGTERM) is signal.SIG_DFL:
             signal.signal(signal.SIGTERM, _terminate)
         threading.excepthook = _tell_of_thread
-        _see_folder()
+        _check_folder()
         # Imported here: libraries read the environment, and may not like what they find.
         try:
             from astray.cli.verbs import run
@@ -85,7 +85,7 @@ def _open_streams() -> None:
             stream.reconfigure(errors="backslashreplace")
 
 
-def _see_folder() -> None:
+def _check_folder() -> None:
     """See that there is a working folder, without which libraries fail in ways of their own."""
     try:
         os.getcwd()

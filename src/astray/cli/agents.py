@@ -34,7 +34,7 @@ from astray.cli.arguments import (
     show,
 )
 from astray.envs.vector import PICTURES
-from astray.files import see_free, see_writable, write_aside
+from astray.files import check_free, check_writable, write_aside
 from astray.game import Game
 from astray.training.config import Config, Tracking
 from astray.training.folders import PRETRAINED
@@ -135,7 +135,7 @@ def evaluate(
         # os.path: many numbers are too long for the name of a file, and pathlib says so
         played = Path(levels) if os.path.exists(levels) else level_numbers(levels)
     if out:
-        see_writable(out)
+        check_writable(out)
     if policy.policy is None:
         policy.check_unused()
         if not agents:
@@ -221,7 +221,7 @@ def record(
     if write is None:
         raise ValueError(f"a video is an .mp4 or a .gif file, not {out}")
     bounded("pixels", pixels, *PICTURES)
-    see_writable(out)
+    check_writable(out)
     player, config = acting.open(agent)
     made = config.played_variant(variant or config.variant, pairs(knobs))
     begun = level.begun(config.find_game(), made)
@@ -258,9 +258,9 @@ def agency(
     from astray.analysis.agency import assess_run
 
     if out:
-        see_free(out, SUMMARY, b'"explanations"', (EPISODES, *POSTERIOR))
+        check_free(out, SUMMARY, b'"explanations"', (EPISODES, *POSTERIOR))
         for name in (SUMMARY, EPISODES, *POSTERIOR):
-            see_writable(out / name)
+            check_writable(out / name)
     assessed, recorded = assess_run(
         agent,
         level_numbers(levels) if levels else None,

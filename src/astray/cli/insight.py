@@ -9,7 +9,7 @@ import numpy as np
 
 from astray.bounds import bounded
 from astray.cli.arguments import Acting, Agent, GivenLevel, Knobs, Shift, TestVariant, pairs
-from astray.files import see_free, see_writable
+from astray.files import check_free, check_writable
 from astray.training.folders import AgentFolder
 from astray.training.settings import otherwise
 
@@ -43,7 +43,7 @@ def explain(
     from astray.acting import initial_states
     from astray.analysis.outcomes import load_shift
     from astray.analysis.runs import shift_of
-    from astray.insight.activations import see_layers
+    from astray.insight.activations import check_layers
     from astray.insight.explain import PAGE, SIGN, Asked, default_layers
     from astray.insight.explain import explain as write
     from astray.level import Level
@@ -63,9 +63,9 @@ def explain(
     else:
         drawn, where = number, f"{name} {level.level_file}"
     reads = tuple(layers.split(",")) if layers else default_layers(player)
-    see_layers(player, reads)
-    see_free(out, PAGE, SIGN, ())
-    see_writable(out / PAGE)
+    check_layers(player, reads)
+    check_free(out, PAGE, SIGN, ())
+    check_writable(out / PAGE)
     # Probes do not learn from the level that they read.
     after = [one for one in config.unseen_levels[1 : others + 2] if one != number][:others]
     deviation = AgentFolder.of(player.path).deviation()

@@ -203,7 +203,7 @@ def most_threads() -> int:
     return max(LEAST_MOST, usable_processors())
 
 
-def see_startable(count: int) -> None:
+def check_startable(count: int) -> None:
     """Raise RuntimeError unless `count` more threads can start; torch would end the process."""
     begun, go_on = [], threading.Event()
     try:

@@ -65,7 +65,7 @@ class WorldVectorEnv:
 
     def step(self, actions: Any) -> tuple[Any, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
         """Step every environment; raise ValueError if an action is invalid."""
-        self._see_actions(actions)
+        self._check_actions(actions)
         if self.game.workers:
             with self._watched():
                 self._envs.step_async(actions)
@@ -104,7 +104,7 @@ class WorldVectorEnv:
         for name, values in zip(columns, info[NOTED].T, strict=True):
             self.states[name][which] = values[which]
 
-    def _see_actions(self, actions: Any) -> None:
+    def _check_actions(self, actions: Any) -> None:
         space, n = self.single_action_space, self.num_envs
         if isinstance(space, spaces.Discrete):
             last = space.start + space.n - 1
@@ -148,7 +148,7 @@ class WorldVectorEnv:
         self._envs.closed = True  # to Gymnasium, which would wait for what is pending
 
 
-def see_reported(world: World) -> None:
+def check_reported(world: World) -> None:
     """Raise ValueError if an event names a key of info that never occurred."""
     for event, key in world.events.items():
         if isinstance(key, str) and key not in world.reported:

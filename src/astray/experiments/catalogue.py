@@ -20,7 +20,7 @@ from astray import imports
 from astray.bounds import brief, of_kind
 from astray.experiments import studies
 from astray.experiments.spec import Experiment
-from astray.files import see_readable
+from astray.files import check_readable
 
 LARGEST = 2**20  # bytes of a file of Python
 
@@ -78,7 +78,7 @@ def _run(path: Path) -> object:
     spec = importlib.util.spec_from_file_location(path.stem, path)
     if not path.is_file() or spec is None or spec.loader is None:
         raise ValueError(f"there is no experiment at {path}")
-    see_readable(path, LARGEST)
+    check_readable(path, LARGEST)
     module = importlib.util.module_from_spec(spec)
     try:
         spec.loader.exec_module(module)

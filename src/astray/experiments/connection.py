@@ -36,9 +36,9 @@ class Wary:
         """ValueError where an answer names a path, is compressed, or is larger than it may be."""
         headers, asked = answer.headers, answer.request.method
         commit, etag = headers.get("X-Repo-Commit"), headers.get("X-Linked-Etag")
-        _see_name("commit", commit, COMMIT)
+        _check_name("commit", commit, COMMIT)
         if asked == "HEAD":
-            _see_name("ETag", etag or headers.get("ETag"), ETAG)
+            _check_name("ETag", etag or headers.get("ETag"), ETAG)
         # Its bytes come by another library, which nobody watches; without this they come by HTTP.
         headers.pop("X-Xet-Hash", None)
         if not answer.is_success:  # nobody needs what comes with it, which may not end
@@ -55,7 +55,7 @@ class Wary:
                 )
 
 
-def _see_name(what: str, given: str | None, known: re.Pattern[str]) -> None:
+def _check_name(what: str, given: str | None, known: re.Pattern[str]) -> None:
     if given is not None and not known.fullmatch(given):
         raise ValueError(
             f"the Hub's answer has a path, or nothing of the Hub, as its {what}: {shown(given)}"

@@ -76,7 +76,7 @@ def push(
     Raises ValueError where the agent is none of yours or the repository no name, PermissionError
     where the Hub says no, OSError where it cannot be reached or has no room.
     """
-    _see_name(repository, revision)
+    _check_name(repository, revision)
     api = _api(endpoint)
     its = AgentFolder.open(run)
     if its.is_foreign:
@@ -120,22 +120,22 @@ def pull(
     Raises ValueError where something is not what it should be, FileNotFoundError where there is no
     such repository, PermissionError where the Hub says no, OSError where it cannot be reached.
     """
-    _see_name(repository, revision)
+    _check_name(repository, revision)
     name = name or _slug(repository)
     home = folders.home()
-    folders.see_new(name)
+    folders.check_new(name)
     api = _api(endpoint)
     with folders.made(home, name) as aside, wary() as answers:
         # The cache has the commit in its paths, and notes by this which one the revision was.
         digests = _taker(api, answers, repository, revision, offline)(DIGESTS, LARGEST)
         commit, promised = digests.parent.name, _promised(digests)
-        _see_name(repository, commit)
+        _check_name(repository, commit)
         take = _taker(api, answers, repository, commit, offline)
         for path, (size, digest) in promised.items():
             here = take(path, LARGEST_AGENT if AGENT.fullmatch(path) else LARGEST)
             (aside / path).parent.mkdir(parents=True, exist_ok=True)
             write_aside(aside / path, _checked(repository, path, here, size, digest))
-        _see_agent(repository, aside)
+        _check_agent(repository, aside)
         source = {"repository": repository, "commit": commit, "revision": revision}
         write_aside(aside / HUB, json.dumps(source, indent=1).encode())
     return home / name
@@ -149,7 +149,7 @@ def _api(endpoint: str | None) -> HfApi:
     return HfApi(endpoint=endpoint)
 
 
-def _see_name(repository: str, revision: str | None) -> None:
+def _check_name(repository: str, revision: str | None) -> None:
     """ValueError where these name no repository, or no revision; the cache has paths of both."""
     if not REPOSITORY.fullmatch(repository):
         raise ValueError(f"a repository must be USER/NAME, as ada/mouse; got {shown(repository)}")
@@ -247,14 +247,14 @@ def _taker(
         answers.most = most
         with reached(repository, commit, "pulled", DIGESTS):
             if not offline:
-                _see_size(api, repository, commit, path, most)
+                _check_size(api, repository, commit, path, most)
             here = api.hf_hub_download(repository, path, revision=commit, local_files_only=offline)
         return Path(here)
 
     return take
 
 
-def _see_size(api: HfApi, repository: str, commit: str | None, path: str, most: int) -> None:
+def _check_size(api: HfApi, repository: str, commit: str | None, path: str, most: int) -> None:
     """ValueError where a file is too large to be one of astray's, before it is downloaded."""
     from huggingface_hub import get_hf_file_metadata, hf_hub_url
     from huggingface_hub.errors import OfflineModeIsEnabled
@@ -307,7 +307,7 @@ def _checked(repository: str, path: str, here: Path, size: int, digest: str) -> 
     )
 
 
-def _see_agent(repository: str, folder: Path) -> None:
+def _check_agent(repository: str, folder: Path) -> None:
     """ValueError where the network is not one that plays the game of the settings."""
     try:
         its = AgentFolder.open(folder)

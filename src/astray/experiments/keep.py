@@ -29,8 +29,8 @@ from astray.training.folders import (
     DEVIATION,
     PRETRAINED,
     AgentFolder,
+    check_new,
     made,
-    see_new,
 )
 
 LARGEST = 3_000_000  # bytes of an agent that is kept
@@ -53,7 +53,7 @@ def keep(
     largest  bytes of its weights
     """
     folder = Path(folder)
-    see_new(name, folder)
+    check_new(name, folder)
     agent, config = open_run(run)
     if (size := agent.path.stat().st_size) > largest:
         raise ValueError(

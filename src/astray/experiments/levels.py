@@ -40,7 +40,7 @@ def unmet(agents: Iterable[Config], variant: Variant, count: int) -> np.ndarray:
         raise ValueError(f"{error}; lower `levels` of the training, {most:,}") from error
 
 
-def see_levels(plan: Plan) -> None:
+def check_levels(plan: Plan) -> None:
     """Raise ValueError where a test has too few levels that no training of the plan meets."""
     for test in (*plan.tests.values(), *plan.visited.values()):
         levels_of(plan, test)

@@ -20,7 +20,7 @@ from astray import provenance
 from astray.analysis.outcomes import load_shift
 from astray.bounds import brief
 from astray.experiments import catalogue, labs, report
-from astray.experiments.levels import play, see_levels
+from astray.experiments.levels import check_levels, play
 from astray.experiments.report import COMPUTED
 from astray.experiments.spec import (
     PUBLISHED,
@@ -34,7 +34,7 @@ from astray.experiments.spec import (
 )
 from astray.experiments.track import track_report
 from astray.experiments.workers import expected, train_all
-from astray.files import hold, see_free, write_aside
+from astray.files import check_free, hold, write_aside
 from astray.game import OWN
 from astray.report.claims import corrected
 from astray.training import checkpoint, folders
@@ -78,8 +78,8 @@ def reproduce(
     name, whole = sized(experiment, size)
     plan, ending = whole.sizes[size].drawn_with(art), "" if art == OWN else f"-{art}"
     folder = root / f"{name}-{size}{ending}"
-    whole.see_installed()
-    see_free(folder, PLAN, b'"sources"', report.WRITTEN)
+    whole.check_installed()
+    check_free(folder, PLAN, b'"sources"', report.WRITTEN)
     folder.mkdir(parents=True, exist_ok=True)
     given = experiment if isinstance(experiment, str) else name
     heading = report.Heading(
@@ -147,7 +147,7 @@ def train_agents(
         for run, config in zip(runs[name], configs, strict=True)
     }
     if not all(checkpoint.finished(run, config) for run, config in todo.items()):
-        see_levels(plan)  # before hours of training, not after
+        check_levels(plan)  # before hours of training, not after
         if plan.speed and on == "here":
             print(expected(todo, plan.speed, workers), file=sys.stderr, flush=True)
     for students in (False, True):

@@ -17,7 +17,7 @@ import polars as pl
 from astray import games, imports
 from astray.analysis.estimates import detectable
 from astray.analysis.evaluate import COLUMNS
-from astray.analysis.given import Measure, see_measures
+from astray.analysis.given import Measure, check_measures
 from astray.analysis.outcomes import load_shift, name_of
 from astray.analysis.tables import write_table
 from astray.bounds import shown
@@ -98,7 +98,7 @@ class Plan:
         ) != 1:
             raise ValueError("what is played in the same tests are agents, and of one game")
         if self.agents:
-            see_measures(self.measures, (*COLUMNS, *self.game.events, *self.game.measures))
+            check_measures(self.measures, (*COLUMNS, *self.game.events, *self.game.measures))
         for test in (*self.tests.values(), *self.visited.values()):
             load_shift(self.game, test.shift)
             for config in self.agents.values():
@@ -214,7 +214,7 @@ class Experiment:
         if wrong or not self.sizes:
             raise ValueError(f"sizes must be some of {', '.join(SIZES)}; got {list(self.sizes)}")
 
-    def see_installed(self) -> None:
+    def check_installed(self) -> None:
         """Raise ImportError where a package is missing that the findings need."""
         for package, extra in self.needs.items():
             if importlib.util.find_spec(package) is None:

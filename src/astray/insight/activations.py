@@ -26,12 +26,12 @@ from torch import Tensor
 
 from astray import world
 from astray.analysis.critic import observe
-from astray.analysis.given import Measure, measured, see_measures
+from astray.analysis.given import Measure, check_measures, measured
 from astray.analysis.tables import write_table
 from astray.analysis.trained import Model
 from astray.bounds import MOST, bounded, of_kind, one_of, shown
 from astray.envs.states import BROKEN
-from astray.files import folder_aside, read, see_readable, write_aside
+from astray.files import check_readable, folder_aside, read, write_aside
 from astray.game import Variant
 from astray.memory import check_memory
 
@@ -97,7 +97,7 @@ def _is_layer(output: Any) -> bool:
     return isinstance(output, Tensor) and output.is_floating_point() and len(output) == 2
 
 
-def see_layers(agent: Model, names: Sequence[str]) -> dict[str, tuple[int, ...]]:
+def check_layers(agent: Model, names: Sequence[str]) -> dict[str, tuple[int, ...]]:
     """The shapes of the layers called so; ValueError where one of them is none."""
     if isinstance(names, str) or not isinstance(names, Sequence | Mapping) or not names:
         raise ValueError(f"layers must be a list of names, at least one; got {shown(names)}")
@@ -115,7 +115,7 @@ def activations(
     What is given for an observation does not depend on the others. Raises ValueError where a
     layer is unknown or the agent does not see such observations.
     """
-    shapes = see_layers(agent, names)
+    shapes = check_layers(agent, names)
     parts: dict[str, list[Any]] = {name: [] for name in shapes}  # of tensors
     modules = dict(agent.network.named_modules())
     with contextlib.ExitStack() as stack:
@@ -157,7 +157,7 @@ def capture(
     """
     of_kind("states", states, np.ndarray)
     bounded("batch", batch, 1, MOST)
-    shapes, game = see_layers(agent, layers), world.find(agent.game)
+    shapes, game = check_layers(agent, layers), world.find(agent.game)
     game.check(states, game.variant(variant))
     n = len(states)
     labels = _labels(states, measures)
@@ -171,7 +171,7 @@ def capture(
 
 def _labels(states: np.ndarray, measures: Mapping[str, Measure] | None) -> pl.DataFrame:
     columns = {"level": states["level"].copy(), "step": states["time"].copy()}
-    see_measures(measures, columns)
+    check_measures(measures, columns)
     return pl.DataFrame(columns | {n: measured(n, m, states) for n, m in (measures or {}).items()})
 
 
@@ -255,6 +255,6 @@ def _load_folder(path: Path) -> Activations:
     for name, file in index["layers"].items():
         if Path(file).name != file:
             raise ValueError(f"its layer {shown(name)} is in another folder")
-        see_readable(path / file)
+        check_readable(path / file)
         values[name] = np.load(path / file, mmap_mode="r", allow_pickle=False)
     return Activations(values, pl.read_parquet(io.BytesIO(read(path / LABELS))))

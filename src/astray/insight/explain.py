@@ -25,7 +25,7 @@ from astray.analysis.tables import write_table
 from astray.analysis.trained import Agent
 from astray.bounds import bounded
 from astray.envs.vector import picture
-from astray.files import see_free, write_aside
+from astray.files import check_free, write_aside
 from astray.game import Variant
 from astray.insight import attribution, episode, field_figures, probes
 from astray.insight.activations import layers
@@ -93,7 +93,7 @@ def explain(asked: Asked, folder: Path, heading: str) -> Path:
             parts.append(Part("", title, f"Not told here: {error}."))
     figures = [f"{p.name}.{end}" for p in parts if p.figure is not None for end in ("png", "svg")]
     tables = [f"{p.name}.parquet" for p in parts if p.table is not None]
-    see_free(folder, PAGE, SIGN, (*figures, *tables))
+    check_free(folder, PAGE, SIGN, (*figures, *tables))
     for part in parts:
         if part.figure is not None:
             save(part.figure, folder, part.name)

@@ -28,7 +28,7 @@ from astray.analysis.trained import Agent
 from astray.bounds import of_kind, shown
 from astray.envs.vector import GameVectorEnv
 from astray.game import Game, Variant
-from astray.level import EMPTY, Cell, Level, see_cell
+from astray.level import EMPTY, Cell, Level, check_cell
 from astray.record import trusted
 
 AT_ONCE = 2048  # states; CoinRun's take 17 kB each
@@ -68,7 +68,7 @@ class Places:
 
     def distances(self, to: Cell) -> dict[Cell, int]:
         """Steps to the cell `to`, from it and from each place from which there is a way."""
-        to = see_cell(to)
+        to = check_cell(to)
         before: dict[Cell, set[Cell]] = {}
         for here, ways in zip(self.number, self.leads, strict=True):
             for there in ways:
@@ -101,7 +101,7 @@ class Places:
 
         Of ways equally short it is the one whose cells come first in their order.
         """
-        here = self.level.agent if start is None else see_cell(start)
+        here = self.level.agent if start is None else check_cell(start)
         away = self.distances(to)
         if here not in away or here not in self.number:
             return []
@@ -152,7 +152,7 @@ class Field:
 
     def step(self, here: Cell, there: Cell) -> float:
         """The probability that the next step leads from one cell to the other."""
-        if see_cell(here) not in self.places.number:
+        if check_cell(here) not in self.places.number:
             raise ValueError(f"here must be a place of the field; got {shown(here)}")
         k = self.places.number[here]
         leads = self.places.leads[k]
@@ -164,7 +164,7 @@ class Field:
         The geometric mean of the probabilities of the steps of a shortest way from `start`,
         None: where the level begins. Of ways equally short it is the one that is found first.
         """
-        start = self.level.agent if start is None else see_cell(start)
+        start = self.level.agent if start is None else check_cell(start)
         number, leads = self.places.number, self.places.leads
         if start not in number:
             raise ValueError(f"start must be a place of the field; got {shown(start)}")

@@ -23,7 +23,7 @@ from torch import Tensor
 from astray.analysis.trained import AnyModel, Model
 from astray.bounds import MOST, bounded, finite, of_kind, shown
 from astray.game import Variant
-from astray.insight.activations import see_layers
+from astray.insight.activations import check_layers
 from astray.level import Cell
 
 Change = Callable[[Tensor], Tensor]  # what a layer gave [B, ...] -> what it gives instead
@@ -39,7 +39,7 @@ def changed(agent: AnyModel, changes: Mapping[str, Change]) -> Iterator[AnyModel
     Raises ValueError where a layer is unknown.
     """
     of_kind("changes", changes, Mapping)
-    see_layers(agent, list(changes))
+    check_layers(agent, list(changes))
     for name, change in changes.items():
         if not callable(change):
             raise ValueError(f"what changes {name} must be a function; got {shown(change)}")
@@ -59,13 +59,13 @@ def steer(
     """Add vectors to what layers give: `coefficient` times each, in every state.
 
     vectors  layer -> an array that goes with what the layer gives for one observation: of its
-             shape, or of one that NumPy stretches to it, as [channels, 1, 1] for all places
+             shape, or a shape that NumPy can broadcast to it, as [channels, 1, 1] for all places
 
     Raises ValueError where a layer is unknown, or a vector does not go with it.
     """
     of_kind("vectors", vectors, Mapping)
     finite("coefficient", coefficient)
-    shapes = see_layers(agent, list(vectors))
+    shapes = check_layers(agent, list(vectors))
     added = {}
     for name, vector in vectors.items():
         array = _fitting(f"the vector at {name}", vector, shapes[name])
@@ -92,12 +92,12 @@ def patch(
 
     Raises ValueError where the layer has no such channels or place.
     """
-    shape = see_layers(agent, [layer])[layer]
+    shape = check_layers(agent, [layer])[layer]
     which = _channels(channels, shape[0])
     if cell is not None:
         if len(shape) != 3:
             raise ValueError(f"{layer} has no places; what it gives is of shape {shape}")
-        _see_cell(cell, ("row", "column"), shape[1:])
+        _check_cell(cell, ("row", "column"), shape[1:])
     values = torch.from_numpy(_fitting("value", value, (len(which),))).float()
 
     def change(x: Tensor) -> Tensor:
@@ -126,7 +126,7 @@ def ablate(
 
     Raises ValueError where the layer is not of these shapes.
     """
-    shape = see_layers(agent, [layer])[layer]
+    shape = check_layers(agent, [layer])[layer]
     which = _channels(channels, shape[0])
     mean = np.zeros(shape) if mean_of is None else _given(mean_of, shape).mean(0)
     new = torch.from_numpy(mean[which]).float()
@@ -155,7 +155,7 @@ def resample(
     Which donor an observation gets depends on `seed` and on what the layer would have given for
     it, so that it is the same in every batch.
     """
-    shape = see_layers(agent, [layer])[layer]
+    shape = check_layers(agent, [layer])[layer]
     which = _channels(channels, shape[0])
     bounded("seed", seed, 0, MOST)
     pool = torch.from_numpy(np.ascontiguousarray(_given(donors, shape)[:, which]))
@@ -188,7 +188,7 @@ def place(agent: Model, variant: Variant, cell: Cell, shape: Sequence[int]) -> t
         raise ValueError(f"the layer has no places; what it gives is of shape {tuple(shape)}")
     p: Any = variant
     world, (_, rows, columns) = int(p.world), shape
-    _see_cell(cell, "xy", (world, world))
+    _check_cell(cell, "xy", (world, world))
     across, up = ((number + 0.5) / world for number in cell)
     down = up if agent.observation == "symbolic" else 1 - up
     return int(down * rows), int(across * columns)
@@ -200,7 +200,7 @@ def sees_world(variant: Variant) -> bool:
     return "world" in names and not ("window" in names and variant.records()[0]["window"])
 
 
-def _see_cell(cell: Any, names: Sequence[str], sizes: Sequence[int]) -> None:
+def _check_cell(cell: Any, names: Sequence[str], sizes: Sequence[int]) -> None:
     """ValueError unless `cell` is two integers, each of them below its size."""
     if np.shape(cell) != (2,):
         raise ValueError(f"a cell must be two integers, {' and '.join(names)}; got {shown(cell)}")
@@ -221,7 +221,7 @@ def _channels(channels: Sequence[int] | None, count: int) -> np.ndarray:
 
 
 def _fitting(name: str, given: Any, shape: tuple[int, ...]) -> np.ndarray:
-    """`given` as finite reals that NumPy can stretch to `shape`."""
+    """`given` as finite reals that NumPy can broadcast to `shape`."""
     try:
         array = np.asarray(given, np.float64)
         np.broadcast_to(array, shape)

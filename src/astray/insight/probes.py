@@ -24,7 +24,7 @@ import torch
 from astray import imports
 from astray.analysis.critic import observe
 from astray.analysis.estimates import estimate_mean
-from astray.analysis.given import Measure, measured, see_measures
+from astray.analysis.given import Measure, check_measures, measured
 from astray.analysis.trained import Agent, AnyModel, Model
 from astray.bounds import MOST, bounded, of_kind
 from astray.estimate import Estimate
@@ -72,7 +72,7 @@ def probe(
     """
     of_kind("states", states, np.ndarray)
     bounded("folds", folds, 2, MOST)
-    see_measures(labels, ())
+    check_measures(labels, ())
     _sklearn()
     shown = observe(agent, variant, states)
     known = {name: measured(name, measure, states).to_numpy() for name, measure in labels.items()}
@@ -228,7 +228,7 @@ def read(
     Columns: label, layer, read, true (null where the state does not have it), score (of a probe
     that was fitted on most levels, in the others).
     """
-    see_measures(labels, ())
+    check_measures(labels, ())
     _sklearn()
     both = [observe(agent, variant, some) for some in (states, here)]
     given, shown = (activations(agent, some, layers) for some in both)

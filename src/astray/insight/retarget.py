@@ -22,7 +22,7 @@ from astray.analysis.critic import observe, policy_and_value
 from astray.analysis.trained import Agent
 from astray.bounds import MOST, bounded, of_kind, shown
 from astray.game import Variant
-from astray.insight.activations import activations, see_layers
+from astray.insight.activations import activations, check_layers
 from astray.insight.fields import Places, drawn, places_of, states_at
 from astray.insight.interventions import patch, place
 from astray.level import Cell, Level
@@ -75,7 +75,7 @@ def following(
     Raises ValueError where the layer has no places, or the agent sees only part of the world.
     """
     bounded("places", places, 2, MOST)
-    shape = see_layers(agent, [layer])[layer]
+    shape = check_layers(agent, [layer])[layer]
     game = games.find(agent.game)
     variant = game.variant(variant)
     place(agent, variant, (0, 0), shape)  # which says why there is none
@@ -154,7 +154,7 @@ def retarget(
     if unknown or not how:
         raise ValueError(f"how must be some of {', '.join(WAYS)}; got {shown(how)}")
     of_kind("clamp", clamp, Clamp)
-    shape = see_layers(agent, [clamp.layer])[clamp.layer]
+    shape = check_layers(agent, [clamp.layer])[clamp.layer]
     game = games.find(agent.game)
     variant = game.variant(variant)
     rows = []

@@ -37,7 +37,7 @@ def cache_folder(digest: str) -> str:
         home = _made(code_home())
         _close(home)
         folder = _made(home / digest)
-        _see_trusted(folder)
+        _check_trusted(folder)
         mark(folder)
     except (OSError, RuntimeError) as error:  # RuntimeError: there is no home
         warnings.warn(f"compiled code is not kept: {error}", stacklevel=2)
@@ -75,12 +75,12 @@ def _close(folder: Path) -> None:
         folder.chmod(0o700)
 
 
-def _see_trusted(folder: Path) -> None:
+def _check_trusted(folder: Path) -> None:
     """PermissionError where another user could have written to `folder`, or could replace it."""
     if not hasattr(os, "getuid"):
         return  # Windows: what is below a user's home is the user's
     for path in (*reversed(folder.parents), folder):
-        mode = _see_owned(path)
+        mode = _check_owned(path)
         is_sticky = mode & stat.S_ISVTX and path != folder  # as /tmp: all keep their own there
         if mode & OTHERS and not is_sticky:
             raise PermissionError(
@@ -90,11 +90,11 @@ def _see_trusted(folder: Path) -> None:
     for parent, folders, files in os.walk(folder, onerror=_raise):
         for name in (*folders, *files):
             path = Path(parent, name)
-            if _see_owned(path) & OTHERS and not (is_closed or path.is_symlink()):
+            if _check_owned(path) & OTHERS and not (is_closed or path.is_symlink()):
                 raise PermissionError(f"others may write to {path}")
 
 
-def _see_owned(path: Path) -> int:
+def _check_owned(path: Path) -> int:
     """The mode of what is at `path`, if it is this user's or the system's."""
     found = path.lstat()
     if found.st_uid not in (os.getuid(), 0):

@@ -58,7 +58,7 @@ def export(lab: Lab, folder: Path, levels: int = 50, agents: list[str] | None = 
     if is_there and (folder.is_symlink() or not folder.is_dir() or any(folder.iterdir())):
         raise FileExistsError(f"{folder} must be new, or an empty folder; there is something in it")
     chosen = agents if agents is not None else _chosen(lab)
-    _see_exportable(lab, chosen)
+    _check_exportable(lab, chosen)
     with folder_aside(folder) as aside:
         _write_page(aside)
         _write_data(lab, aside / "data", levels, chosen)
@@ -67,7 +67,7 @@ def export(lab: Lab, folder: Path, levels: int = 50, agents: list[str] | None = 
         aside.rename(folder)
 
 
-def _see_exportable(lab: Lab, agents: Sequence[str]) -> None:
+def _check_exportable(lab: Lab, agents: Sequence[str]) -> None:
     """Raise ValueError where the page could not play a game or show an agent without Python."""
     opened = {name: lab.agents.open(name) for name in agents}
     for game in dict.fromkeys((lab.start["game"], *(config.game for _, config in opened.values()))):

@@ -70,7 +70,7 @@ def make_app(lab: Lab, token: str, port: int) -> Any:
     token  that all addresses begin with
     port   that it is reached by, which Host and Origin must name
     """
-    _see_installed()
+    _check_installed()
     logging.getLogger("uvicorn.error").addFilter(_in_one_line)
     from starlette.applications import Starlette
     from starlette.responses import Response
@@ -216,7 +216,7 @@ def serve(lab: Lab, port: int, browse: bool) -> None:
 
     Raises OSError where the port is taken.
     """
-    _see_installed()
+    _check_installed()
     import socket
 
     import uvicorn
@@ -245,7 +245,7 @@ def serve(lab: Lab, port: int, browse: bool) -> None:
     uvicorn.Server(config).run(sockets=[listener])
 
 
-def _see_installed() -> None:
+def _check_installed() -> None:
     try:
         import starlette
         import uvicorn

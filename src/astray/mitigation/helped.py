@@ -11,7 +11,7 @@ import numpy as np
 import polars as pl
 
 from astray import games
-from astray.acting import Answer, Levels, Policy, Step, Turn, see_policy, steps
+from astray.acting import Answer, Levels, Policy, Step, Turn, check_policy, steps
 from astray.analysis.given import Measure
 from astray.analysis.policies import Walk
 from astray.analysis.trained import Agent
@@ -72,9 +72,9 @@ class Helped(_Shown):
 
     def __post_init__(self) -> None:
         for policy in (self.novice, self.expert):
-            see_policy(policy)
+            check_policy(policy)
         check_word("granularity", self.granularity, Granularity)
-        _see_score(self.score)
+        _check_score(self.score)
         of_kind("threshold", self.threshold, int | float)  # also infinite: nobody, or everybody
         if isinstance(self.expert, Agent) and self.expert.observation != self.observation:
             raise ValueError(
@@ -114,10 +114,10 @@ class Alone(_Shown):
     name: str = "alone"
 
     def __post_init__(self) -> None:
-        see_policy(self.novice)
+        check_policy(self.novice)
         of_kind("scores", self.scores, Sequence)
         for score in self.scores:
-            _see_score(score)
+            _check_score(score)
 
     def actions(self, turn: Turn) -> Answer:
         with _asked_once(self.novice):
@@ -126,7 +126,7 @@ class Alone(_Shown):
         return own._replace(extra={f"{k}": scores for k, scores in enumerate(said)})
 
 
-def _see_score(score: Score) -> None:
+def _check_score(score: Score) -> None:
     if not callable(score):
         raise ValueError(f"a score must be a function of environments; got {score!r}")
 

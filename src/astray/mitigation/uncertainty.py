@@ -42,7 +42,7 @@ class Score(Protocol):
 
 
 def _probabilities(logits: np.ndarray) -> np.ndarray:
-    _see_logits(logits)
+    _check_logits(logits)
     exponential = np.exp(logits - logits.max(-1, keepdims=True))
     return exponential / exponential.sum(-1, keepdims=True)
 
@@ -65,18 +65,18 @@ def entropy(logits: np.ndarray) -> np.ndarray:
 
 def energy(logits: np.ndarray) -> np.ndarray:
     """The free energy, -log sum exp of the logits, [N, A] -> [N] (Liu et al. 2020)."""
-    _see_logits(logits)
+    _check_logits(logits)
     largest = logits.max(-1)
     return -(largest + np.log(np.exp(logits - largest[..., None]).sum(-1)))
 
 
 def max_logit(logits: np.ndarray) -> np.ndarray:
     """The negative of the largest logit, [N, A] -> [N]."""
-    _see_logits(logits)
+    _check_logits(logits)
     return -logits.max(-1)
 
 
-def _see_logits(logits: Any) -> None:
+def _check_logits(logits: Any) -> None:
     """ValueError where `logits` are no array [..., A] of numbers."""
     of_kind("logits", logits, np.ndarray)
     if not logits.size or not logits.ndim or logits.dtype.kind not in "fiu":

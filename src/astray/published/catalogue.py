@@ -124,7 +124,7 @@ def fetch(one: Published, *, unchecked: bool = False) -> Path:
         return to
     home.mkdir(parents=True, exist_ok=True)
     with hold(home, "fetches an agent to"):  # also until it is imported: the file is one for all
-        folders.see_new(one.name)
+        folders.check_new(one.name)
         file = home / DOWNLOADS / one.file
         download(one.address, file, size=one.size, digest=one.digest)
         try:

@@ -21,7 +21,7 @@ from typing import Any
 from urllib.parse import urlsplit
 
 from astray.bounds import shown
-from astray.files import hold, read, see_own, write_aside
+from astray.files import check_own, hold, read, write_aside
 
 CHUNK = 1 << 16  # bytes
 WAIT = 30.0  # seconds without a byte, after which it is interrupted
@@ -52,7 +52,7 @@ def download(address: str, to: Path, *, size: int | None, digest: str | None) ->
                 return
             raise OSError(f"{to} is there already, and stays as it is; to download it, remove that")
         part = to.with_name(to.name + ".part")
-        see_own(part)
+        check_own(part)
         if digest is None:
             part.unlink(missing_ok=True)
         try:

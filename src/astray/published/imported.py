@@ -66,7 +66,7 @@ def import_agent(file: Path, name: str, known: Known, *, expected: str | None = 
     Raises ValueError where the file is refused, the name is none or taken, or it is not known
     what the agent was trained on.
     """
-    folders.see_new(name)
+    folders.check_new(name)
     digest = files.digest(file)
     if expected and digest != expected:
         raise ValueError(f"{file} is refused: its SHA-256 is {digest}, not {expected}")

@@ -30,6 +30,7 @@ from astray.agents import policy
 from astray.bounds import brief
 from astray.files import (
     aside_of,
+    check_own,
     folder_aside,
     hold,
     holds_only,
@@ -38,7 +39,6 @@ from astray.files import (
     remove_empty,
     remove_left,
     remove_made,
-    see_own,
     write_aside,
 )
 from astray.training import parallel
@@ -78,7 +78,7 @@ def claim(folder: Path, config: Config, wait: bool = False) -> Iterator[None]:
         if os.path.lexists(there) and not there.is_dir():  # as a link to a disk that is not there
             raise NotADirectoryError(f"{there} must be a folder, or not be there")
         for name in (path.name, METRICS):  # a link would be replaced, or what it leads to
-            see_own(folder / name)
+            check_own(folder / name)
         if path.exists():
             check(folder, config)
         else:

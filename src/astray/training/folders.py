@@ -25,7 +25,7 @@ from safetensors import SafetensorError, safe_open
 
 from astray import agents
 from astray.bounds import finite, shown
-from astray.files import folder_aside, read, see_readable
+from astray.files import check_readable, folder_aside, read
 from astray.training.config import Config
 
 PRETRAINED = Path(agents.__path__[0]) / "pretrained"  # also in wheels
@@ -128,7 +128,7 @@ class AgentFolder:
 def _of_moments(trainer: Path) -> float:
     from astray.training.ppo import RewardNormaliser  # here, as torch takes two seconds to import
 
-    see_readable(trainer)
+    check_readable(trainer)
     with safe_open(trainer, "numpy") as file:
         _, variance, _ = file.get_tensor(MOMENTS).tolist()
     return float(1 / RewardNormaliser(1, clip=np.inf, variance=variance).scaled(np.ones(1))[0])
@@ -210,7 +210,7 @@ def name_of(run: Path) -> str:
     return run.name if run.name in names() and find(run.name) == run else str(run)
 
 
-def see_new(name: str, *homes: Path) -> None:
+def check_new(name: str, *homes: Path) -> None:
     """ValueError where this is no name of an agent, or one of `homes` has an agent of that name.
 
     homes  none: those in which verbs find agents
@@ -227,13 +227,13 @@ def see_new(name: str, *homes: Path) -> None:
 @contextlib.contextmanager
 def made(home: Path, name: str) -> Iterator[Path]:
     """A new folder that becomes `home`/`name` when it is whole; nothing is left if it was not."""
-    see_new(name, home)
+    check_new(name, home)
     with folder_aside(home / name) as aside:
         yield aside
         try:
             os.replace(aside, home / name)
         except OSError:
-            see_new(name, home)  # somebody was faster
+            check_new(name, home)  # somebody was faster
             raise
 
 

@@ -22,7 +22,7 @@ from astray import acting, imports
 from astray.agents import policy
 from astray.agents.policy import Architecture
 from astray.bounds import bounded, of_kind, shown
-from astray.envs.pool import most_threads, see_startable
+from astray.envs.pool import check_startable, most_threads
 from astray.training import checkpoint, parallel, ppo
 from astray.training.config import Config
 from astray.training.fast import acceleration
@@ -149,7 +149,7 @@ def iterate(
                 # The caller's own settings are restored while it looks at an iteration.
                 with settings(), chance(config, trainer.iteration):
                     metrics, speed = improve(trainer)
-                    see_converging(trainer)
+                    check_converging(trainer)
                     if log:
                         log.write(trainer.steps, metrics, speed)
                     done = trainer.iteration == config.iterations
@@ -192,7 +192,7 @@ def checked(config: Config, network: Any, loss: Any, sampler: Any) -> Config:
         raise ValueError(f"there is no device {config.device!r} that torch can use")
     bounded("threads", config.threads, 1, most_threads())
     if config.threads > 1:  # both players' environments, torch, and spare ones
-        see_startable(SPARE + 4 * config.threads)
+        check_startable(SPARE + 4 * config.threads)
     return config
 
 
@@ -230,7 +230,7 @@ def improve(trainer: Trainer) -> tuple[dict[str, float], dict[str, float]]:
     played = time.perf_counter()
     metrics = {}
     if trainer.iteration == 0 and not (trainer.fast.using.of_network or trainer.memory):
-        see_memoryless(trainer.network, rollout.flat(), config)
+        check_memoryless(trainer.network, rollout.flat(), config)
     if trainer.iteration == 0 and trainer.fast.using.bfloat16:
         first = torch.arange(config.batch // config.minibatches, device=config.device)
         minibatch = rollout.flat().at(first)
@@ -246,7 +246,7 @@ def improve(trainer: Trainer) -> tuple[dict[str, float], dict[str, float]]:
 
 
 @torch.no_grad()
-def see_memoryless(network: nn.Module, samples: Samples, config: Config) -> None:
+def check_memoryless(network: nn.Module, samples: Samples, config: Config) -> None:
     """Raise ValueError if a network's outputs differ between acting and learning.
 
     A network with hidden state of its own does, since learning reorders observations. Rounding
@@ -266,7 +266,7 @@ def see_memoryless(network: nn.Module, samples: Samples, config: Config) -> None
             )
 
 
-def see_losses(losses: Any) -> None:
+def check_losses(losses: Any) -> None:
     """Raise ValueError unless a custom loss returns a differentiable "loss"."""
     parts = losses.values() if isinstance(losses, Mapping) else [None]
     are_numbers = all(isinstance(part, Tensor) and not part.shape for part in parts)
@@ -277,7 +277,7 @@ def see_losses(losses: Any) -> None:
         )
 
 
-def see_converging(trainer: Trainer) -> None:
+def check_converging(trainer: Trainer) -> None:
     """Raise Diverged unless all learned values are finite; no later update could repair them."""
     if torch.stack([x.isfinite().all() for x in trainer.learned()]).all():
         return
@@ -376,7 +376,7 @@ def learn(trainer: Trainer, samples: Samples, indices: Tensor) -> dict[str, Tens
     """Take an optimizer step on the samples at `indices`; return losses and the gradient norm."""
     losses = trainer.fast.loss(samples.at(indices))
     if not trainer.steps:
-        see_losses(losses)
+        check_losses(losses)
     for weight in trainer.weights:  # 10 us, where zero_grad takes 160
         weight.grad = None
     losses["loss"].backward()

@@ -21,7 +21,7 @@ from astray.acting import Actor, Answer, Turn
 from astray.agents import policy
 from astray.agents.recurrent import Recurrent
 from astray.envs.vector import GameVectorEnv
-from astray.files import make_folder, read, remove_empty, remove_made, see_own, write_aside
+from astray.files import check_own, make_folder, read, remove_empty, remove_made, write_aside
 from astray.record import trusted
 from astray.training import ppo
 from astray.training.config import Config
@@ -64,7 +64,7 @@ def give(weights: Path, run: Path) -> None:
             raise ValueError(f"{path} must be the teacher at {weights}; it is another")
         return
     run.mkdir(parents=True, exist_ok=True)
-    see_own(path)
+    check_own(path)
     write_aside(path, data)
 
 

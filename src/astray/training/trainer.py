@@ -63,7 +63,7 @@ class Trainer:
         if config.validation:
             other = config.validation_variant()
             self.validation = Player(config, other, config.unseen_levels, 2, groups)
-            _see_alike(config, self.player.space.shape, self.validation.space.shape)
+            _check_alike(config, self.player.space.shape, self.validation.space.shape)
         game, space = self.player.game, self.player.space
         largest = ()
         if config.observation == "symbolic":
@@ -84,11 +84,13 @@ class Trainer:
             torch.manual_seed(config.seed)
             self.network = build(self.architecture).to(config.device).eval()
             if not own:
-                _see_outputs(self.network, self.architecture, self.player.images.to(config.device))
+                _check_outputs(
+                    self.network, self.architecture, self.player.images.to(config.device)
+                )
         self.weights = list(self.network.parameters())
         self.memory = self.network.memory if isinstance(self.network, Recurrent) else 0
         if self.memory:
-            _see_sequences(config)
+            _check_sequences(config)
         usual = ppo.loss if config.teacher is None else distilled
         what = loss or (imports.find(config.loss) if config.loss else usual)
         self.fast = acceleration.accelerate(self.network, what, config, self.architecture)
@@ -251,7 +253,7 @@ def _sampler(config: Config, make: MakeSampler | None) -> Sampler | None:
 
 
 @torch.no_grad()
-def _see_outputs(network: nn.Module, architecture: Architecture, shown: Tensor) -> None:
+def _check_outputs(network: nn.Module, architecture: Architecture, shown: Tensor) -> None:
     """Raise ValueError unless a user's network returns logits and values."""
     wanted = [(len(shown), architecture.actions), (len(shown),)]
     returned = network(shown)
@@ -263,7 +265,7 @@ def _see_outputs(network: nn.Module, architecture: Architecture, shown: Tensor) 
         )
 
 
-def _see_sequences(config: Config) -> None:
+def _check_sequences(config: Config) -> None:
     """Raise ValueError if a network with memory cannot be trained with these settings."""
     if config.num_envs // parallel.size() % config.minibatches:
         raise ValueError(
@@ -274,7 +276,7 @@ def _see_sequences(config: Config) -> None:
         raise ValueError(f"a student must have no memory; got network={config.network!r}")
 
 
-def _see_alike(config: Config, trained: tuple | None, validated: tuple | None) -> None:
+def _check_alike(config: Config, trained: tuple | None, validated: tuple | None) -> None:
     """Raise ValueError if the two variants need different networks."""
     if trained != validated:
         raise ValueError(

@@ -113,7 +113,7 @@ def read(data: bytes) -> Imported:
 
 
 def _load(data: bytes) -> Any:
-    see_plain(data)
+    check_plain(data)
     try:
         with warnings.catch_warnings(action="ignore"):  # of a format that it then refuses
             return torch.load(io.BytesIO(data), map_location="cpu", weights_only=True)
@@ -132,7 +132,7 @@ def _more(asked: str) -> str:
     return f"{more}: it asks for {asked}" if asked else more
 
 
-def see_plain(data: bytes) -> None:
+def check_plain(data: bytes) -> None:
     """Raise ValueError if the pickles in a file's bytes are more than weights are made of.
 
     A tuple of two that are the same, of two that are the same, and so on, is short to write and

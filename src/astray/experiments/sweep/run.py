@@ -29,7 +29,7 @@ from astray.experiments.spec import Place, cached
 from astray.experiments.sweep.report import TEST, TRAINING, findings, heading
 from astray.experiments.sweep.settings import Cell, Sweep
 from astray.experiments.workers import train_all
-from astray.files import hold, see_free, write_aside
+from astray.files import check_free, hold, write_aside
 from astray.training.config import Config, Tracking
 
 SWEPT, OUTCOMES, SHARES = "sweep.json", "outcomes.parquet", "shares.csv"
@@ -49,7 +49,7 @@ def run_sweep(
     on       where agents are trained; they are evaluated here
     track    who else is told how trainings go
     """
-    see_free(folder, SWEPT, b'"axes"', (*report.WRITTEN, OUTCOMES, SHARES))
+    check_free(folder, SWEPT, b'"axes"', (*report.WRITTEN, OUTCOMES, SHARES))
     folder.mkdir(parents=True, exist_ok=True)
     with hold(folder, "sweeps in"):
         _note(sweep, folder)
