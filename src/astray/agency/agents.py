@@ -1,4 +1,4 @@
-"""Agents: policies that go the shortest way to a goal, and err with probability eps."""
+"""Agents: policies that take shortest ways to a goal and err with probability eps."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ AtGoal = Literal["uniform", "stay", "done", "absorb"]
 
 @dataclass(frozen=True, eq=False)
 class Agents:
-    """Agents of G goals in one world; where several actions are best they take any of them.
+    """Agents of G goals in one world, which choose uniformly among best actions.
 
-    distance  [F, G] steps to each goal from each free cell, inf where there is no way
-    legal     only moves that change the cell are actions
-    at_goal   what is best on the goal itself, where no action keeps the agent there: "uniform":
-              all actions alike, and then back; "stay": bumping into a wall, or anything where
-              there is none; "done": from the first visit on, all alike everywhere; "absorb":
-              nothing comes after it
+    Attributes:
+        distance: [F, G] float64, steps from each free cell to each goal; inf without a way.
+        legal: Whether only moves that change the cell are actions.
+        at_goal: Behaviour on the goal, where no action keeps the agent there. "uniform": any
+            action, then back; "stay": bump into a wall, or any action without walls; "done": from
+            then on any action everywhere; "absorb": the trajectory ends.
     """
 
     world: World
@@ -37,19 +37,19 @@ class Agents:
 
     @cached_property
     def possible(self) -> np.ndarray:
-        """[F] int64, how many actions there are in each cell."""
+        """[F] int64, number of possible actions in each cell."""
         legal = self.world.legal
         return legal.sum(1) if self.legal else np.full(len(legal), legal.shape[1])
 
     @cached_property
     def best(self) -> np.ndarray:
-        """[F, 4, G] bool: the actions that come a step nearer to each goal."""
+        """[F, 4, G] bool, actions that come one step nearer to each goal."""
         finite = np.isfinite(self.distance)  # else inf is a step nearer than inf
         return (self.distance[self.world.after] == (self.distance - 1)[:, None]) & finite[:, None]
 
     @cached_property
     def kinds(self) -> np.ndarray:
-        """[F, 4, G] uint8: the kind of every step; impossible where no way leads to the goal."""
+        """[F, 4, G] uint8, kind of every step; impossible if no way leads to the goal."""
         on_goal, actions = self.distance == 0, self.possible[:, None]
         bumps = (~self.world.legal).sum(1)[:, None]
         stays = on_goal & (bumps > 0) & (self.at_goal == "stay" and not self.legal)
@@ -62,7 +62,7 @@ class Agents:
         return KIND[best.astype(int), k[:, None], actions[:, None]]
 
     def steps(self, trajectory: Trajectory) -> np.ndarray:
-        """The kind of each step of `trajectory` for each goal, [T, G] uint8."""
+        """Return the kind of each step of `trajectory` for each goal, [T, G] uint8."""
         before = trajectory.cells[:-1]
         taken = self.kinds[before, trajectory.actions]
         if self.at_goal in ("uniform", "stay"):
@@ -75,5 +75,5 @@ class Agents:
 
 @lru_cache(maxsize=8)  # of the last few worlds; it is by far the longest part of a measurement
 def of_every_cell(world: World, legal: bool, at_goal: AtGoal) -> Agents:
-    """Agents whose goals are the free cells, in the order of their numbers."""
+    """Return agents whose goals are the free cells, in order."""
     return Agents(world, world.distance, legal, at_goal)

@@ -1,4 +1,4 @@
-"""Devices: tables from what is seen to an action, obeyed but for a share eps of random actions."""
+"""Devices: tables from observation to action, with a fraction eps of random actions."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ A = len(ACTIONS)
 
 @dataclass(frozen=True, eq=False)
 class Seen:
-    """What a device saw at T steps, and what each entry of its table would have done there."""
+    """Observations of a device at T steps, and the kind of step under each table entry."""
 
     observation: np.ndarray  # [T] int64, any codes
     kinds: np.ndarray  # [T, 4] uint8, the kind of the step if the entry is b
@@ -55,11 +55,12 @@ def see(
     *,
     legal: bool = False,
 ) -> Seen:
-    """What a device saw along `trajectory`.
+    """Return a device's observations along `trajectory`.
 
-    goal   the number of the cell where the goal is shown; None: nowhere
-    legal  only moves that change the cell are actions; an entry that points into a wall is then
-           any of them
+    Args:
+        goal: Number of the cell where the goal is shown; None for nowhere.
+        legal: Whether only moves that change the cell are actions. A table entry that points into
+            a wall then stands for any of them.
     """
     check_word("observation", what, Observation)
     check_word("first", first, First)
@@ -85,7 +86,7 @@ def see(
 def _codes(
     world: World, before: np.ndarray, last: np.ndarray, goal: int | None, what: Observation
 ) -> np.ndarray:
-    """[T] int64: a number for each thing that can be seen, but for the first step's."""
+    """Return [T] int64 codes of the observations, except the first one's."""
     if what == "pos":
         return before.copy()
     if what == "none":
@@ -102,7 +103,7 @@ def _codes(
 
 
 def _faced(world: World, before: np.ndarray, last: np.ndarray, goal: int | None) -> np.ndarray:
-    """[T] int64: the type of the cell ahead; wall before goal before start before empty."""
+    """Return [T] int64, the type of the cell ahead: wall before goal before start before empty."""
     faced = world.after[before, last]
     codes = np.where(faced == before[:1], START, EMPTY)
     codes = np.where(faced == (-1 if goal is None else goal), GOAL, codes)
@@ -110,15 +111,16 @@ def _faced(world: World, before: np.ndarray, last: np.ndarray, goal: int | None)
 
 
 def join(seen: Sequence[Seen]) -> Seen:
-    """The steps of several trajectories, seen by one device."""
+    """Join the steps of several trajectories of one device."""
     parts = zip(*((one.observation, one.kinds, one.same) for one in seen), strict=True)
     return Seen(*(np.concatenate(part) for part in parts))
 
 
 def log_mixture(seen: Seen, rule: Rule, table: np.ndarray) -> float:
-    """-inf < log p_dev <= 0 nats: all tables are equally likely, eps as `rule` has it.
+    """Return log p_dev in nats, with all tables equally likely and eps distributed as `rule`.
 
-    table  [kinds, N] of `steps.log_table`. Observations that were not seen cancel.
+    Args:
+        table: [kinds, N] of `steps.log_table`. Unseen observations cancel.
     """
     _, row = np.unique(seen.observation, return_inverse=True)
     entries = log_product(seen.kinds, table, row[:, None] * A + np.arange(A))
@@ -127,7 +129,7 @@ def log_mixture(seen: Seen, rule: Rule, table: np.ndarray) -> float:
 
 
 def log_mixture_online(seen: Seen, rule: Rule, table: np.ndarray) -> np.ndarray:
-    """`log_mixture` of the first t steps, [T + 1]."""
+    """Return `log_mixture` of the first t steps for t = 0 to T, [T + 1]."""
     entries: dict[int, np.ndarray] = {}
     rows = [np.zeros(len(rule.eps))]
     for code, kinds in zip(seen.observation.tolist(), seen.kinds, strict=True):
@@ -139,7 +141,7 @@ def log_mixture_online(seen: Seen, rule: Rule, table: np.ndarray) -> np.ndarray:
 
 
 def table_of(seen: Seen) -> np.ndarray:
-    """[V, 4] int64: how often each entry's action followed each of V observations seen."""
+    """Return [V, 4] int64, how often each action followed each of V observations."""
     _, row = np.unique(seen.observation, return_inverse=True)
     counts = np.zeros((row.max(initial=-1) + 1, A), np.int64)
     np.add.at(counts, row, seen.same)

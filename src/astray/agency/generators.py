@@ -1,4 +1,4 @@
-"""Trajectories to measure: the paper's four types, and policies that are surely no agents."""
+"""Trajectories for tests of the measure: the paper's four types, and policies without a goal."""
 
 from __future__ import annotations
 
@@ -26,9 +26,10 @@ Ties = Literal["uniform", "first", "straight"]
 class Setting:
     """A world with the fixed start and goal of the training (the paper's s and g).
 
-    ties     which of the shortest ways is taken
-    horizon  steps of a capability failure, the part on the memorised way included
-    bumps    its random actions may run into walls; else they are drawn from those that move
+    Attributes:
+        ties: Choice among shortest ways.
+        horizon: Steps of a capability failure, including those on the memorised way.
+        bumps: Whether random actions may run into walls; otherwise they always move.
     """
 
     world: World
@@ -56,7 +57,7 @@ class Setting:
         return dict(zip(way.cells[:-1].tolist(), way.actions.tolist(), strict=True))
 
     def episodes(self, kind: Type, count: int) -> list[Episode]:
-        """`count` episodes of a type; none is empty."""
+        """Generate `count` nonempty episodes of a type."""
         check_word("type", kind, Type)
         rng = np.random.default_rng([self.seed, 2, TYPES.index(kind)])
         return [self._episode(kind, rng) for _ in range(count)]
@@ -72,13 +73,13 @@ class Setting:
         return Episode(self.world, shortest(self.world, begin, pursued, rng, self.ties), shown)
 
     def _other(self, rng: np.random.Generator, cell: Cell) -> Cell:
-        """A random accessible cell that is not `cell`."""
+        """Draw an accessible cell other than `cell`."""
         cells = self.world.accessible(self.world.number(self.goal))
         number = rng.choice(cells[cells != self.world.number(cell)])
         return self.world.cell(number)
 
     def _lost(self, begin: Cell, rng: np.random.Generator) -> Trajectory:
-        """Random actions until the memorised way is met, which is followed to the goal."""
+        """Act randomly until the memorised way is met, then follow it to the goal."""
         world, here, actions = self.world, self.world.number(begin), []
         goal = world.number(self.goal)
         while here != goal and len(actions) < self.horizon:
@@ -92,7 +93,11 @@ class Setting:
 def shortest(
     world: World, begin: Cell, end: Cell, rng: np.random.Generator, ties: Ties = "uniform"
 ) -> Trajectory:
-    """A shortest way from `begin` to `end`, drawn action by action: not uniformly among ways."""
+    """Sample a shortest way from `begin` to `end` action by action, not uniformly among ways.
+
+    Raises:
+        ValueError: If there is no way.
+    """
     check_word("ties", ties, Ties)
     here, steps = world.number(begin), world.distance[:, world.number(end)]
     if not np.isfinite(steps[here]):
@@ -112,29 +117,29 @@ Walker = Callable[[World, int, int, np.random.Generator], int]  # (world, cell, 
 
 
 def uniform_random(world: World, here: int, last: int, rng: np.random.Generator) -> int:
-    """Any action, walls or not."""
+    """Choose any action, walls or not."""
     return int(rng.integers(len(ACTIONS)))
 
 
 def legal_random(world: World, here: int, last: int, rng: np.random.Generator) -> int:
-    """Any action that moves."""
+    """Choose any action that moves."""
     return int(rng.choice(np.flatnonzero(world.legal[here])))
 
 
 def persistent(world: World, here: int, last: int, rng: np.random.Generator) -> int:
-    """On as before with probability 0.8 where that moves, else any action that moves."""
+    """Continue with probability 0.8 if that moves, otherwise choose any action that moves."""
     if world.legal[here, last] and rng.random() < 0.8:
         return last
     return legal_random(world, here, last, rng)
 
 
 def billiard(world: World, here: int, last: int, rng: np.random.Generator) -> int:
-    """On as before until there is a wall, then any action that moves."""
+    """Continue until there is a wall, then choose any action that moves."""
     return last if world.legal[here, last] else legal_random(world, here, last, rng)
 
 
 def wall_follower(world: World, here: int, last: int, rng: np.random.Generator) -> int:
-    """Keeps the right hand on the wall."""
+    """Keep the right hand on the wall."""
     for turn in (1, 0, 3, 2):  # right, ahead, left, back
         action = int(COMPASS[(CLOCKWISE[last] + turn) % len(ACTIONS)])
         if world.legal[here, action]:
@@ -145,7 +150,7 @@ def wall_follower(world: World, here: int, last: int, rng: np.random.Generator) 
 def wander(
     world: World, walker: Walker, begin: Cell, steps: int, rng: np.random.Generator
 ) -> Trajectory:
-    """`steps` actions of `walker`."""
+    """Return the trajectory of `steps` actions of `walker`."""
     here, actions, last = world.number(begin), [], int(rng.integers(len(ACTIONS)))
     for _ in range(steps):
         last = walker(world, here, last, rng)
@@ -155,7 +160,7 @@ def wander(
 
 
 def erring(goal: Cell, eps: float) -> Walker:
-    """An agent of `goal` that takes any action with probability `eps`."""
+    """Return an agent for `goal` that takes any action with probability `eps`."""
 
     def walker(world: World, here: int, last: int, rng: np.random.Generator) -> int:
         steps = world.distance[:, world.number(goal)]

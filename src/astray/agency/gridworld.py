@@ -22,9 +22,9 @@ Cell = tuple[int, int]  # x to the right, y upward, from the lower left
 
 @dataclass(frozen=True, eq=False)
 class Trajectory:
-    """What was done: T actions, and the T + 1 cells before, between and after them.
+    """T actions, and the T + 1 cells before, between and after them.
 
-    Cells are numbers of a `World`; made by its methods, which check them.
+    Cells are numbers of a `World`, whose methods make and check trajectories.
     """
 
     cells: np.ndarray  # [T + 1] int64
@@ -36,10 +36,10 @@ class Trajectory:
 
 @dataclass(frozen=True, eq=False)
 class World:
-    """A map [H, W] bool, at [y, x] True where it is free; all outside is wall.
+    """A map [H, W] bool, indexed [y, x], True for free cells; everything outside is wall.
 
-    The F free cells are numbered from the top row down, each from the left. A move into a wall
-    leaves the agent where it is, and still counts as an action.
+    The F free cells are numbered from the top row down, left to right. A move into a wall does not
+    change the cell, but counts as an action.
     """
 
     free: np.ndarray
@@ -51,7 +51,11 @@ class World:
 
     @classmethod
     def parse(cls, text: str | Sequence[str]) -> World:
-        """The world of a drawing: `#` is wall, `.` is free, a line a row."""
+        """Parse a drawing: `#` is wall, `.` is free, one line per row.
+
+        Raises:
+            ValueError: If it has other characters, or lines of different lengths.
+        """
         of_kind("a map", text, Sequence)
         rows = text.split() if isinstance(text, str) else list(text)
         if not rows or len({len(row) for row in rows}) > 1:
@@ -80,7 +84,7 @@ class World:
 
     @cached_property
     def after(self) -> np.ndarray:
-        """[F, 4] int64, the cell each action leads to."""
+        """[F, 4] int64, cell after each action."""
         around = np.pad(self.numbers, 1, constant_values=-1)
         there = self.cells[:, None] + MOVES + 1
         found = around[there[..., 1], there[..., 0]]
@@ -88,12 +92,12 @@ class World:
 
     @cached_property
     def legal(self) -> np.ndarray:
-        """[F, 4] bool, the actions that change the cell."""
+        """[F, 4] bool, actions that change the cell."""
         return self.after != np.arange(len(self.cells))[:, None]
 
     @cached_property
     def distance(self) -> np.ndarray:
-        """[F, F] float64, steps from each cell to each; inf where there is no way."""
+        """[F, F] float64, steps from each cell to each; inf without a way."""
         rows, actions = np.nonzero(self.legal)
         graph = csr_array((np.ones(len(rows)), (rows, self.after[rows, actions])), (len(self),) * 2)
         return dijkstra(graph, unweighted=True)
@@ -102,7 +106,7 @@ class World:
         return len(self.cells)
 
     def number(self, cell: Cell) -> int:
-        """The number of a free cell; ValueError for walls and what is outside."""
+        """Return the number of a free cell; raise ValueError for any other cell."""
         if np.shape(cell) != (2,) or np.asarray(cell).dtype.kind not in "iu":
             raise ValueError(f"a cell must be two integers, x and y; got {shown(cell)}")
         x, y = cell
@@ -114,16 +118,16 @@ class World:
         return int(self.numbers[y, x])
 
     def cell(self, number: int) -> Cell:
-        """The x and y of a free cell."""
+        """Return the x and y of a free cell."""
         x, y = self.cells[number]
         return int(x), int(y)
 
     def accessible(self, cell: int) -> np.ndarray:
-        """The numbers of all cells with a way from `cell`, itself among them."""
+        """Return the numbers of all cells with a way from `cell`, including itself."""
         return np.flatnonzero(np.isfinite(self.distance[cell]))
 
     def walk(self, start: Cell, actions: Iterable[int]) -> Trajectory:
-        """The trajectory of `actions` (numbers in ACTIONS) from `start`."""
+        """Return the trajectory of `actions` (numbers in ACTIONS) from `start`."""
         of_kind("actions", actions, Iterable)
         given = list(actions)
         for action in given:
@@ -135,7 +139,11 @@ class World:
         return Trajectory(np.array(cells), taken)
 
     def trajectory(self, steps: Sequence[tuple[Cell, int]]) -> Trajectory:
-        """The trajectory of T >= 1 pairs (cell before the action, action), as recorded."""
+        """Return the trajectory of T >= 1 recorded pairs (cell before the action, action).
+
+        Raises:
+            ValueError: If a cell is not free or an action does not lead to the next cell.
+        """
         if not steps:
             raise ValueError("a trajectory without steps has no cells; `walk` makes an empty one")
         made = self.walk(steps[0][0], (action for _, action in steps))
@@ -146,9 +154,10 @@ class World:
         return made
 
     def path(self, cells: Sequence[Cell]) -> Trajectory:
-        """The trajectory through `cells`, each beside the one before it, or the same.
+        """Return the trajectory through adjacent `cells`; repeated cells are dropped.
 
-        Where a cell is repeated nothing moved; these steps are left out.
+        Raises:
+            ValueError: If a cell is not free or not adjacent to the one before.
         """
         visited = [self.number(cell) for cell in cells]
         if not visited:
@@ -164,7 +173,7 @@ class World:
         return self.walk(self.cell(visited[0]), actions)
 
     def check(self, trajectory: Trajectory) -> None:
-        """Raise ValueError where `trajectory`, which may be made by hand, is none in this world."""
+        """Raise ValueError unless `trajectory` is possible in this world."""
         of_kind("a trajectory", trajectory, Trajectory)
         cells = integers(trajectory.cells, "cells of a trajectory")
         actions = integers(trajectory.actions, "actions of a trajectory")
@@ -181,7 +190,7 @@ class World:
             raise ValueError(f"step {wrong[0]} does not lead to the cell that comes after it")
 
     def moves(self, trajectory: Trajectory) -> Trajectory:
-        """`trajectory` without the steps that changed nothing."""
+        """Return `trajectory` without the steps that changed nothing."""
         moved = trajectory.cells[1:] != trajectory.cells[:-1]
         kept = np.append(trajectory.cells[0], trajectory.cells[1:][moved])
         return Trajectory(kept, trajectory.actions[moved])

@@ -1,6 +1,6 @@
-"""Maps of 20 x 20 cells on which the measure is studied; the paper's own is not known.
+"""Maps of 20 x 20 cells for studies of the measure; the paper's own map is unknown.
 
-They are made from the top row down.
+Rows go from the top down.
 """
 
 from __future__ import annotations
@@ -16,12 +16,12 @@ SIDE = 20
 
 
 def open_room() -> World:
-    """No walls at all."""
+    """Return a room without walls."""
     return World(np.ones((SIDE, SIDE), bool))
 
 
 def four_rooms() -> World:
-    """Four rooms with a door between each and the next."""
+    """Return four rooms with doors between neighbours."""
     free = np.ones((SIDE, SIDE), bool)
     free[SIDE // 2] = free[:, SIDE // 2] = False
     for door in (SIDE // 4, 3 * SIDE // 4):
@@ -30,7 +30,7 @@ def four_rooms() -> World:
 
 
 def obstacles(share: float, seed: int) -> World:
-    """Walls in a `share` of the cells, at random; what they cut off is wall as well."""
+    """Return random walls in a fraction `share` of the cells; enclosed cells become wall too."""
     free = np.random.default_rng(seed).random((SIDE, SIDE)) >= share
     world = World(free[::-1])
     sizes = np.isfinite(world.distance).sum(1)
@@ -41,7 +41,7 @@ def obstacles(share: float, seed: int) -> World:
 
 
 def maze(seed: int) -> World:
-    """A maze without loops, dug by a depth-first walk; the last row and column are wall."""
+    """Return a maze without loops from a depth-first walk; the last row and column are wall."""
     rng, free = np.random.default_rng(seed), np.zeros((SIDE, SIDE), bool)
     way = [(0, 0)]
     free[0, 0] = True

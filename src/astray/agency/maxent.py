@@ -1,8 +1,8 @@
-"""Agents of maximum entropy: likelier the shorter their way, and not greedy.
+"""Maximum-entropy agents: shorter ways are more likely, without being greedy.
 
-Every step costs c = -ln w, the agent would by itself walk at random, and trades one against the
-other (a linearly solvable decision problem, Todorov 2006; the likelihood p ~ exp(R) of Langosco
-et al., Section 2). w -> 1 is the random walk, w -> 0 takes all shortest paths equally often.
+Every step costs c = -ln w, and the agent trades cost against deviation from a random walk (a
+linearly solvable decision problem, Todorov 2006; the likelihood p ~ exp(R) of Langosco et al.,
+Section 2). w -> 1 is the random walk; w -> 0 takes all shortest ways equally often.
 """
 
 from __future__ import annotations
@@ -18,14 +18,18 @@ NODES = 48  # of the integral over w
 def log_likelihood(
     world: World, trajectory: Trajectory, w: float, *, legal: bool = False
 ) -> np.ndarray:
-    """log p(trajectory | goal, w) for every free cell as goal, [F]; -inf where no way leads.
+    """Return log p(trajectory | goal, w) for every free cell as goal, [F]; -inf without a way.
 
-    The policy is P(a|s) w z(s') / z(s) with z = 1 on the goal, where P is the random walk, so it
-    depends on where the trajectory begins, ends and how long it is. From the first visit of the
-    goal on it is the random walk.
+    The policy is P(a|s) w z(s') / z(s) with z = 1 on the goal, where P is the random walk. The
+    result therefore depends only on the trajectory's ends and length. After the first visit to the
+    goal the policy is the random walk.
 
-    w      in (0, 1)
-    legal  only moves that change the cell are actions
+    Args:
+        w: Weight of a step, in (0, 1).
+        legal: Whether only moves that change the cell are actions.
+
+    Raises:
+        ValueError: If w is out of range.
     """
     if not 0 < w < 1:
         raise ValueError(f"w must be between 0 and 1; got {w}")
@@ -46,14 +50,14 @@ def log_likelihood(
 
 
 def log_mixture(world: World, trajectory: Trajectory, *, legal: bool = False) -> np.ndarray:
-    """`log_likelihood` with w uniform on (0, 1), [F]."""
+    """Return `log_likelihood` with w uniform on (0, 1), [F]."""
     x, weight = np.polynomial.legendre.leggauss(NODES)
     each = [log_likelihood(world, trajectory, float(w), legal=legal) for w in (1 + x) / 2]
     return logsumexp(np.array(each) + np.log(weight / 2)[:, None], axis=0)
 
 
 def _log_z(world: World, w: float, legal: bool) -> np.ndarray:
-    """log z [F, F] of each cell, for each goal: z = G(s, g) / G(g, g), G = (I - w P)^-1."""
+    """Return log z [F, F] of each cell for each goal: z = G(s, g) / G(g, g), G = (I - w P)^-1."""
     count = len(world)
     walk = np.zeros((count, count))
     here = np.broadcast_to(np.arange(count)[:, None], world.after.shape)

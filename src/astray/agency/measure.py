@@ -1,12 +1,12 @@
-"""The measure: was it an agent or a device, and which goal did it pursue?
+"""The agency measure: was it an agent or a device, and which goal did it pursue?
 
 All evidence is a natural logarithm (nats). The two presets:
 
-    PAPER       the specification of Appendix B.1, to the letter. It calls policies agents that
-                are none: whatever avoids walls, and a coin's throw of random ones.
-    CALIBRATED  only moves that change the cell count, devices of six kinds and pure noise stand
-                against the agents, and agents err seldom rather than often (eps ~ Beta(1, 2)).
-                For real policies, whose goals are not known.
+    PAPER       the specification of Appendix B.1, to the letter. It calls some policies without
+                a goal agents: those that avoid walls, and half of random ones.
+    CALIBRATED  for real policies with unknown goals. Only moves that change the cell count,
+                devices of six kinds and pure noise oppose the agents, and agents err seldom
+                (eps ~ Beta(1, 2)).
 """
 
 from __future__ import annotations
@@ -35,18 +35,18 @@ OTHER = "another cell"  # goal-directed, but to none of the goals that have a na
 
 @dataclass(frozen=True)
 class Options:
-    """What the paper leaves open; the defaults are our reading of it.
+    """Choices that the paper leaves open; the defaults are our reading of it.
 
-    goals         of the agents, equally likely: all cells with a way there, and the true goal
-                  once more, wherever it is; or without it; or all H x W cells, walls with
-                  probability 0
-    legal         only moves that change the cell are actions; steps that do not are left out
-    noise         what an agent does with probability eps
-    at_goal       see `agents.Agents`
-    beta          of the agents' prior eps ~ Beta(1, beta); 1 is uniform
-    observations  the classes of devices, equally likely
-    first         what devices see before the first action
-    noise_atom    the prior share of devices that are uniformly random throughout
+    Attributes:
+        goals: Goals of the agents, equally likely: all reachable cells, with or without the true
+            goal counted once more; or all H x W cells, where walls have probability 0.
+        legal: Whether only moves that change the cell are actions; other steps are dropped.
+        noise: Distribution of an agent's random actions.
+        at_goal: See `agents.Agents`.
+        beta: Parameter of the agents' prior eps ~ Beta(1, beta); 1 is uniform.
+        observations: Classes of devices, equally likely.
+        first: Devices' observation before the first action.
+        noise_atom: Prior probability that a device is uniformly random throughout.
     """
 
     goals: Goals = "accessible and true"
@@ -88,7 +88,7 @@ PRESETS = {"paper": PAPER, "calibrated": CALIBRATED}
 
 @dataclass(frozen=True, eq=False)
 class Episode:
-    """A trajectory in a world, and the cell where the goal was shown; None: nowhere."""
+    """A trajectory in a world, and the cell where the goal was shown; None for nowhere."""
 
     world: World
     trajectory: Trajectory
@@ -100,7 +100,7 @@ class Episode:
 
 @dataclass(frozen=True, eq=False)
 class Evidence:
-    """What trajectories say. G goals; -inf is the logarithm of 0 and stays so."""
+    """Evidence from trajectories for G goals; -inf is the logarithm of 0."""
 
     goals: tuple[Goal, ...]
     log_prior: np.ndarray  # [G] of each goal among the agents
@@ -110,17 +110,17 @@ class Evidence:
 
     @property
     def log_agent(self) -> float:
-        """log p(trajectories | agents)."""
+        """log p(trajectories | agents), in nats."""
         return float(logsumexp(self.log_prior + self.log_goals))
 
     @property
     def log_factor(self) -> float:
-        """The logarithm of the Bayes factor of agents against devices."""
+        """Logarithm of the Bayes factor of agents over devices, in nats."""
         return self.log_agent - self.log_device
 
     @property
     def agent(self) -> float:
-        """p(agent | trajectories), both equally likely before."""
+        """p(agent | trajectories), from equal priors."""
         return float(expit(self.log_factor))
 
     @property
@@ -130,17 +130,17 @@ class Evidence:
         return np.exp(joint - logsumexp(joint))
 
     def likeliest(self, count: int = 1) -> list[tuple[Goal, float]]:
-        """The `count` likeliest goals with their posterior."""
+        """Return the `count` most likely goals with their posteriors."""
         posterior = self.posterior
         order = np.argsort(-posterior, kind="stable")[:count]
         return [(self.goals[i], float(posterior[i])) for i in order]
 
 
 def measure(episodes: Episode | Sequence[Episode], options: Options = CALIBRATED) -> Evidence:
-    """The evidence of one trajectory, or of several of one agent or device in one world.
+    """Return the evidence of one trajectory, or of several by one agent or device in one world.
 
-    Several share one goal (a cell, or the true goal wherever it is), one eps and one device.
-    An empty trajectory says nothing: p(agent) is 1/2.
+    Several trajectories share one goal (a cell, or the true goal wherever it is), eps and device.
+    An empty trajectory has no evidence: p(agent) is 1/2.
     """
     whole = prepared(episodes, options)
     goals, prior, columns = goals_in(whole, options)
@@ -155,7 +155,11 @@ def measure(episodes: Episode | Sequence[Episode], options: Options = CALIBRATED
 def goals_in(
     episodes: Sequence[Episode], options: Options
 ) -> tuple[list[Goal], float, list[np.ndarray]]:
-    """The goals [G] of episodes in one world, 1 / their prior, and in each episode their cells."""
+    """Return the goals [G] of episodes in one world, 1 / their prior, and each episode's cells.
+
+    Raises:
+        ValueError: If the episodes have different worlds.
+    """
     world, start = episodes[0].world, episodes[0].trajectory.cells[0]
     if any(episode.world is not world for episode in episodes):
         raise ValueError("episodes in several worlds share no cells: see `measure_named`")
@@ -176,10 +180,14 @@ def measure_named(
     goals: Sequence[Mapping[str, Sequence[Cell]]],
     options: Options = CALIBRATED,
 ) -> Evidence:
-    """The evidence of episodes in any worlds, for goals that have a name in each of them.
+    """Return the evidence of episodes in any worlds, for goals with a name in each.
 
-    goals  for each episode the cells of every name; the nearest of them is the goal. One more
-           goal is OTHER, another cell in each episode, so that none has to be the right one.
+    Args:
+        goals: For each episode, the cells of every name, of which the nearest is the goal. The
+            further goal OTHER is another cell in each episode, so that none needs to be right.
+
+    Raises:
+        ValueError: If episodes and goals do not fit.
     """
     whole = prepared(episodes, options)
     if len(goals) != len(whole) or any(set(named) != set(goals[0]) for named in goals):
@@ -200,9 +208,9 @@ def measure_named(
 
 
 def decisions(episode: Episode, goals: Mapping[str, Sequence[Cell]], options: Options) -> int:
-    """Steps at which agents of the named goals would not all have done the same.
+    """Return the number of steps at which agents of the named goals would differ.
 
-    All that tells these goals apart comes from them.
+    Only these steps distinguish the goals.
     """
     (episode,) = prepared(episode, options)
     agents = _named_agents(episode, list(goals.values()), options)
@@ -211,7 +219,11 @@ def decisions(episode: Episode, goals: Mapping[str, Sequence[Cell]], options: Op
 
 
 def prepared(episodes: Episode | Sequence[Episode], options: Options) -> list[Episode]:
-    """At least one episode, with the steps that count."""
+    """Return at least one episode, with only the steps that count.
+
+    Raises:
+        ValueError: If there are no episodes.
+    """
     of_kind("episodes", episodes, Episode | Sequence)
     whole = [episodes] if isinstance(episodes, Episode) else list(episodes)
     for episode in whole:
@@ -228,7 +240,7 @@ def _rule(episodes: Sequence[Episode], options: Options) -> Rule:
 
 
 def _number(episode: Episode, cell: Cell) -> int:
-    """The number of a goal's cell, to which there is a way."""
+    """Return the number of a goal's cell, which must be reachable."""
     number = episode.world.number(cell)
     if not np.isfinite(episode.world.distance[episode.trajectory.cells[0], number]):
         raise ValueError(f"no way leads to the goal {tuple(cell)}")
@@ -236,20 +248,20 @@ def _number(episode: Episode, cell: Cell) -> int:
 
 
 def _true(episode: Episode) -> int:
-    """The number of the cell of the true goal."""
+    """Return the number of the true goal's cell."""
     if episode.true is None:
         raise ValueError("the true goal is among the goals, but none is given")
     return _number(episode, episode.true)
 
 
 def cell_steps(episode: Episode, options: Options) -> np.ndarray:
-    """[T, F] the kinds of the steps for agents of every free cell."""
+    """Return the kinds of the steps for agents of every free cell, [T, F]."""
     agents = of_every_cell(episode.world, options.legal, options.at_goal)
     return agents.steps(episode.trajectory)
 
 
 def _named_agents(episode: Episode, goals: Sequence[Sequence[Cell]], options: Options) -> Agents:
-    """Agents of the nearest of each goal's cells."""
+    """Return agents for the nearest cell of each goal."""
     if not all(map(len, goals)):
         raise ValueError("a goal has at least one cell")
     numbers = [[_number(episode, cell) for cell in cells] for cells in goals]
@@ -258,7 +270,7 @@ def _named_agents(episode: Episode, goals: Sequence[Sequence[Cell]], options: Op
 
 
 def mix_devices(log_devices: Mapping[str, float | np.ndarray], options: Options) -> np.ndarray:
-    """The logarithm of the mixture of the classes of devices and "noise", of any shape."""
+    """Return the log of the mixture of device classes and "noise", of any shape."""
     share = (1 - options.noise_atom) / (len(log_devices) - 1)
     shares = [options.noise_atom if what == "noise" else share for what in log_devices]
     with np.errstate(divide="ignore"):
@@ -267,7 +279,7 @@ def mix_devices(log_devices: Mapping[str, float | np.ndarray], options: Options)
 
 
 def log_noise(episode: Episode, options: Options) -> np.ndarray:
-    """[T] the logarithm of the probability of each step if all actions are equally likely."""
+    """Return the log-probability of each step if all actions are equally likely, [T]."""
     legal = episode.world.legal[episode.trajectory.cells[:-1]]
     return -np.log(legal.sum(1) if options.legal else np.full(len(legal), len(ACTIONS)))
 
@@ -297,7 +309,7 @@ def _log_device(episodes: Sequence[Episode], what: Observation, options: Options
 
 
 def seen_in(episode: Episode, what: Observation, options: Options) -> devices.Seen:
-    """What a device of that class saw."""
+    """Return the observations of a device of that class."""
     world, goal = episode.world, episode.true
     shown = None if goal is None else world.number(goal)
     return devices.see(world, episode.trajectory, shown, what, options.first, legal=options.legal)

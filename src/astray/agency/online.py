@@ -1,4 +1,4 @@
-"""The evidence as it grows, step by step, and agents that change their goals."""
+"""Evidence step by step, and agents that change their goals."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ Switch = float | Literal["1/(t+1)"]
 
 @dataclass(frozen=True, eq=False)
 class Growth:
-    """The evidence after 0, 1, ..., T steps; the last is that of the whole trajectory."""
+    """Evidence after 0, 1, ..., T steps; the last is that of the whole trajectory."""
 
     goals: tuple[Goal, ...]
     log_agent: np.ndarray  # [T + 1] nats
@@ -38,15 +38,19 @@ class Growth:
 
     @property
     def agent(self) -> np.ndarray:
-        """[T + 1] p(agent | the steps so far), both equally likely before."""
+        """[T + 1] p(agent | steps so far), from equal priors."""
         return expit(self.log_agent - self.log_device)
 
 
 def measure_online(episode: Episode, options: Options = CALIBRATED, switch: Switch = 0.0) -> Growth:
-    """The evidence after every step that counts (see `Options.legal`).
+    """Return the evidence after every step that counts (see `Options.legal`).
 
-    switch  the probability that the goal is drawn anew before a step, or "1/(t+1)": that after t
+    Args:
+        switch: Probability that the goal is redrawn before a step; "1/(t+1)" for that after t
             steps. The paper's agents never switch.
+
+    Raises:
+        ValueError: If the probability is out of range.
     """
     if not (switch == BY_TIME if isinstance(switch, str) else 0 <= switch <= 1):
         raise ValueError(f"switch must be from 0 to 1, or {BY_TIME!r}; got {switch!r}")
@@ -63,7 +67,7 @@ def measure_online(episode: Episode, options: Options = CALIBRATED, switch: Swit
 def _goals_online(
     kinds: np.ndarray, table: np.ndarray, nodes: Rule, switch: Switch, log_prior: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """log p_agt [T + 1] and the posterior [T + 1, G], of the kinds [T, G] of steps."""
+    """Return log p_agt [T + 1] and the posterior [T + 1, G], given step kinds [T, G]."""
     goals = kinds.shape[1]
     weights = np.full((goals, len(nodes.eps)), log_prior)  # of goal and eps, jointly
     log_agent, posterior = [], []
@@ -82,7 +86,7 @@ def _goals_online(
 
 
 def _devices_online(episode: Episode, options: Options) -> np.ndarray:
-    """log p_dev [T + 1]."""
+    """Return log p_dev [T + 1]."""
     steps = len(episode.trajectory)
     nodes = rule(steps)
     log_devices: dict[str, np.ndarray] = {}

@@ -1,4 +1,4 @@
-"""What many episodes say together, where not all of them need to have the same explanation."""
+"""Joint evidence of many episodes, which need not share one explanation."""
 
 from __future__ import annotations
 
@@ -11,13 +11,17 @@ DRAWS, FORGOTTEN = 5000, 500  # of the sampler; those at its beginning do not co
 
 
 def shares(log_evidence: np.ndarray, *, seed: int = 0) -> list[Estimate]:
-    """How often each explanation is the right one: posterior means and credible intervals.
+    """Return the posterior mean rate of each explanation, with credible intervals.
 
-    Each episode has one explanation; how often each of them occurs is not known before (all
-    shares are equally likely). So an agent that now and then gets stuck is still seen to pursue
-    its goal, where one explanation of all episodes would have to explain the worst of them.
+    Each episode has one explanation, and all rates are equally likely a priori. An agent that
+    sometimes gets stuck is therefore still seen to pursue its goal, while a single explanation of
+    all episodes would have to explain the worst.
 
-    log_evidence  [E, H] nats, log p(episode | explanation); one of each row is finite
+    Args:
+        log_evidence: [E, H] nats, log p(episode | explanation), at least one finite per row.
+
+    Raises:
+        ValueError: If a row has no finite value.
     """
     log_evidence = np.asarray(log_evidence, float)
     if log_evidence.ndim != 2 or not log_evidence.size:
@@ -43,5 +47,5 @@ def shares(log_evidence: np.ndarray, *, seed: int = 0) -> list[Estimate]:
 
 
 def pooled(log_evidence: np.ndarray) -> np.ndarray:
-    """The posterior of each explanation [H] if one holds for all episodes, all equally likely."""
+    """Return the posterior [H] of a single explanation for all episodes, from equal priors."""
     return softmax(np.asarray(log_evidence, float).sum(0))

@@ -1,13 +1,12 @@
-"""What a step says about a policy that errs, and the integral over how often it errs.
+"""The likelihood of a step of a policy that errs, integrated over its error rate eps.
 
-A step of a policy with noise eps has the probability alpha (1 - eps) + beta eps. Agents and
-devices alike are products of such steps, so a trajectory is told by how many steps there are of
-each kind, whoever took them. Kinds are
+A step has probability alpha (1 - eps) + beta eps. Agents and devices are products of such steps,
+so a trajectory is summarised by its number of steps of each kind:
 
-    best of L       the action is one of k that the policy would take, out of L possible ones
+    best of L       the action is one of the policy's k best, out of L possible ones
     not best of L   it is not, while k others are
 
-and, where the policy is indifferent, k = L: probability 1 / L whatever eps is.
+A policy that is indifferent has k = L, and probability 1 / L for any eps.
 """
 
 from __future__ import annotations
@@ -40,22 +39,26 @@ EXACT = 1023  # the highest degree integrated by Gauss-Legendre nodes of its own
 
 @dataclass(frozen=True, eq=False)
 class Rule:
-    """N nodes eps in (0, 1), and the logarithm of their weights, a prior included."""
+    """Quadrature rule: N nodes eps in (0, 1) and the logs of their weights, with the prior."""
 
     eps: np.ndarray  # [N]
     certain: np.ndarray  # [N] 1 - eps, without cancellation
     log_weight: np.ndarray  # [N]
 
     def integrate(self, log_values: np.ndarray) -> np.ndarray:
-        """The logarithm of the integral of exp(log_values [..., N]) over eps."""
+        """Return the log of the integral of exp(log_values [..., N]) over eps."""
         return logsumexp(log_values + self.log_weight, axis=-1)
 
 
 @cache
 def rule(degree: int, beta: float = 1.0) -> Rule:
-    """A rule for polynomials of `degree` in eps, under the prior eps ~ Beta(1, beta).
+    """Return a rule for polynomials of `degree` in eps, under the prior eps ~ Beta(1, beta).
 
-    Exact to rounding up to degree EXACT; beyond it a composite rule, good to 2e-11 at 10,000.
+    It is exact to rounding up to degree EXACT; beyond that, a composite rule is good to 2e-11 at
+    10,000.
+
+    Raises:
+        ValueError: If the degree is too large.
     """
     if beta < 1:
         raise ValueError(f"beta must be at least 1; got {beta}")
@@ -72,12 +75,12 @@ def rule(degree: int, beta: float = 1.0) -> Rule:
 
 
 def _nodes(degree: int) -> int:
-    """At least degree // 2 + 1, rounded up so that few different rules are ever computed."""
+    """Return at least degree // 2 + 1 nodes, rounded up so that few rules are computed."""
     return max(16, 1 << (degree // 2).bit_length())
 
 
 def _panels() -> tuple[np.ndarray, np.ndarray]:
-    """Nodes and weights in (0, 1/2): panels that widen by sqrt 2 from 1e-7 up to 1/128."""
+    """Return nodes and weights in (0, 1/2), in panels that widen by sqrt 2 from 1e-7 to 1/128."""
     edges = [0.0, 1e-7]
     while edges[-1] < 0.5:
         edges.append(min(0.5, edges[-1] + min(edges[-1] * (np.sqrt(2) - 1), 1 / 128)))
@@ -88,10 +91,11 @@ def _panels() -> tuple[np.ndarray, np.ndarray]:
 
 @cache
 def log_table(rule: Rule, noise: Noise = "any action") -> np.ndarray:
-    """The logarithm of the probability of a step of each kind, [kinds, N].
+    """Return the log-probability of a step of each kind, [kinds, N].
 
-    noise  "any action": with probability eps uniformly random, all L actions alike (the paper's);
-           "other actions": with probability eps one that is not best
+    Args:
+        noise: "any action" is uniformly random over all L actions with probability eps, as in the
+            paper; "other actions" takes one that is not best.
     """
     check_word("noise", noise, Noise)
     rows = []
@@ -108,12 +112,14 @@ def log_table(rule: Rule, noise: Noise = "any action") -> np.ndarray:
 def log_product(
     kinds: np.ndarray, table: np.ndarray, policy: np.ndarray | None = None
 ) -> np.ndarray:
-    """The logarithm of the product of the probabilities of a policy's steps, for G policies.
+    """Return the log of the product of step probabilities for G policies, [G, N].
 
-    kinds    [T, P] uint8, of steps
-    table    [kinds, N] of `log_table`
-    policy   [T, P] int64, whose step each is, from 0 on; None: a policy for each column
-    returns  [G, N]; -inf where a step is impossible
+    Impossible steps give -inf.
+
+    Args:
+        kinds: [T, P] uint8, kinds of steps.
+        table: [kinds, N] of `log_table`.
+        policy: [T, P] int64, policy of each step, from 0; None for one policy per column.
     """
     whose = np.arange(kinds.shape[1]) if policy is None else policy
     policies = kinds.shape[1] if policy is None else int(whose.max(initial=-1)) + 1

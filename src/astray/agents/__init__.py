@@ -1,1 +1,1 @@
-"""Networks and PPO: pure functions of tensors, which know images and action counts, not games."""
+"""Networks and policies on observations and action counts; nothing here depends on games."""

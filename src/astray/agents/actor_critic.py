@@ -1,4 +1,4 @@
-"""What astray's own networks share: a policy and a value that are linear in one hidden layer."""
+"""Base classes of astray's networks: linear policy and value heads on one hidden layer."""
 
 from __future__ import annotations
 
@@ -16,21 +16,21 @@ class ActorCritic(nn.Module):
         return self.heads(self.hidden(observations))
 
     def hidden(self, observations: Tensor) -> Tensor:
-        """All but the heads: what policy and value are linear functions of, [B, features]."""
+        """Return the features [B, features], of which policy and value are linear functions."""
         raise NotImplementedError
 
     def heads(self, features: Tensor) -> tuple[Tensor, Tensor]:
         return self.policy(features), self.value(features).squeeze(-1)
 
     def add_heads(self, features: int, actions: int) -> None:
-        """The last layers, and all weights as they are at the beginning."""
+        """Add the last layers, and initialise all weights."""
         self.policy = nn.Linear(features, actions)
         self.value = nn.Linear(features, 1)
         initialise(self)
 
 
 class Pixels(ActorCritic):
-    """Of images [B, H, W, C]: `features` of what `see` makes of their planes."""
+    """Network for images [B, H, W, C]: features of the planes that `see` computes."""
 
     features: nn.Module
 
@@ -42,20 +42,20 @@ class Pixels(ActorCritic):
         return self.features(self.see(planes))
 
     def kind(self, observations: Tensor) -> torch.dtype:
-        """Return the type of planes: the one that the first convolution would round to anyway."""
+        """Return the dtype of planes, to which the first convolution would round anyway."""
         device = observations.device.type
         if torch.is_autocast_enabled(device):
             return torch.get_autocast_dtype(device)
         return self.policy.weight.dtype
 
     def see(self, planes: Tensor) -> Tensor:
-        """[B, C, H, W] in 0 to 1 -> [B, D, h, w]"""
+        """Map planes [B, C, H, W] in 0 to 1 to [B, D, h, w]."""
         raise NotImplementedError
 
 
 @torch.no_grad()
 def initialise(network: nn.Module) -> None:
-    """The original's: Xavier-uniform, biases 0, a near-uniform policy, an orthogonal value."""
+    """Initialise as in the original: Xavier-uniform, near-uniform policy, orthogonal value."""
     for name, module in network.named_modules():
         if isinstance(module, nn.Conv2d | nn.Linear):
             if name == "policy":

@@ -1,12 +1,11 @@
-"""A network for mazes drawn small, whose cells are two or three pixels: it thinks in ticks.
+"""Iterative network for mazes drawn small, whose cells are two or three pixels.
 
-The picture is taken apart into 25 x 25 windows of 3 x 3 pixels, one for each cell of the paper's
-mazes, and those into 13 x 13 places of 2 x 2 cells. That cells are there is all that is built in:
-what is a wall, where the mouse is and what to look for, it learns. The same residual unit is
-applied tick after tick, and shown the picture at each, so that what one place has found reaches the
-next (Schwarzschild et al. 2021, Bansal et al. 2022). Policy and value see what those places hold
-that stand out by their colours, wherever they are. With a dense layer of all places instead it
-learns as soon what to do in the smallest mazes, and nothing from them for larger ones.
+The picture is cut into 25 x 25 windows of 3 x 3 pixels, one for each cell of the paper's mazes,
+and these into 13 x 13 places of 2 x 2 cells. Only the grid is built in; what is a wall, where the
+mouse is and what to look for are learned. One residual unit is applied repeatedly and sees the
+picture each time, so that information spreads between places (Schwarzschild et al. 2021, Bansal et
+al. 2022). Policy and value see the places with salient colours, wherever these are. A dense layer
+over all places learns the smallest mazes as fast, but then learns nothing about larger ones.
 """
 
 from __future__ import annotations
@@ -29,13 +28,13 @@ STEADY = 0.3  # of the unit's last convolution, at first: so that ticks change l
 
 
 def first_pixels(pixels: int) -> list[int]:
-    """Return where windows begin along a side of a picture, each in the middle of its cell."""
+    """Return the first pixels of windows along a side, each in the middle of its cell."""
     middles = ((k + 0.5) * pixels / SIDE for k in range(SIDE))
     return [min(max(int(middle - WINDOW / 2 + 0.5), 0), pixels - WINDOW) for middle in middles]
 
 
 class Unit(nn.Module):
-    """What every tick does: x + conv2(relu(conv1(relu(x)) + what is seen))."""
+    """Residual unit of every iteration: x + conv2(relu(conv1(relu(x)) + picture features))."""
 
     def __init__(self, channels: int):
         super().__init__()
@@ -47,9 +46,9 @@ class Unit(nn.Module):
 
 
 class Attention(nn.Module):
-    """How much of each of `SPOTS` looks is at each place, by the colours of cells alone.
+    """Attention weights of `SPOTS` heads over places, from the cells' colours alone.
 
-    Colours are compared with the picture's others, so that what is rare in it stands out at once.
+    Colours are compared within the picture, so that rare ones are salient from the start.
     """
 
     def __init__(self, channels: int):
@@ -58,7 +57,7 @@ class Attention(nn.Module):
         self.score = nn.Linear(HUES, SPOTS)
 
     def forward(self, cells: Tensor) -> Tensor:
-        """[B, C, SIDE, SIDE] -> [B, SPOTS, places], which sum up to 1 for each."""
+        """Map [B, C, SIDE, SIDE] to [B, SPOTS, places], with sums of 1 over places."""
         hues = self.hues(cells).permute(0, 2, 3, 1).flatten(1, 2).float()  # [B, cells, HUES]
         mean = hues.mean(1, keepdim=True)
         hues = hues - mean
@@ -73,7 +72,8 @@ class Attention(nn.Module):
 class Cells(Pixels):
     """Images [B, H, W, C] uint8 -> logits [B, actions], values [B].
 
-    scale  multiplies the channels of places
+    Args:
+        scale: Multiplies the channels of places.
     """
 
     def __init__(self, shape: tuple[int, int, int], actions: int, scale: int = 1):
@@ -102,7 +102,7 @@ class Cells(Pixels):
             self.unit.conv2.weight.mul_(STEADY)
 
     def cells(self, observations: Tensor) -> Tensor:
-        """The windows of a picture: [B, H, W, C] -> [B, SIDE, SIDE, their pixels]."""
+        """Cut pictures into windows: [B, H, W, C] -> [B, SIDE, SIDE, pixels of a window]."""
         wide = observations.index_select(1, self.rows).index_select(2, self.columns)
         whole = wide.unflatten(2, (SIDE, -1)).unflatten(1, (SIDE, WINDOW))
         return whole.transpose(2, 3).flatten(3)

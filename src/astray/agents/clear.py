@@ -1,12 +1,12 @@
-"""The "clear" network: convolutions made to be looked into (Hilton et al. 2020).
+"""The "clear" network: convolutions that are easy to interpret (Hilton et al. 2020).
 
-No residual connections, so that all information passes through every layer; pools as large as
-their stride, so that gradients have no grid; L2 pools, so that gradients are continuous; dense
-layers where positions no longer matter. OpenAI's published agents of CoinRun have it.
+It has no residual connections, so all information passes through every layer. Pools are as large
+as their stride, so gradients have no grid, and L2, so gradients are continuous. Dense layers
+follow where positions no longer matter. OpenAI's published CoinRun agents have this network.
 
 Every activation is a named module, so that hooks can read and change it: `block2.relu1`,
-`block4.pool`, `features.relu2`, ... The original's names for the convolutions are 1a, 2a, 2b, 3a
-and 4a; here `block1.conv1`, `block2.conv1`, `block2.conv2`, `block3.conv1` and `block4.conv1`.
+`block4.pool`, `features.relu2`, ... The original's convolutions 1a, 2a, 2b, 3a and 4a are
+`block1.conv1`, `block2.conv1`, `block2.conv2`, `block3.conv1` and `block4.conv1`.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ TINY = 1e-8  # under the root, whose slope at 0 would be infinite
 
 
 class L2Pool(nn.Module):
-    """The root mean square of each 2 x 2 pixels: half the side, rounded up."""
+    """Root mean square of each 2 x 2 pixels; the side is halved and rounded up."""
 
     def forward(self, x: Tensor) -> Tensor:
         # A square beyond the edge is not counted, as TensorFlow's "same" pools have it.
@@ -34,7 +34,7 @@ class L2Pool(nn.Module):
 
 
 def block(before: int, kernel: int, widths: tuple[int, ...]) -> nn.Sequential:
-    """Convolutions that keep the side, each with its relu, and one pool."""
+    """Build convolutions that keep the side, each with a ReLU, and one pool."""
     layers: OrderedDict[str, nn.Module] = OrderedDict()
     for k, width in enumerate(widths, 1):
         layers[f"conv{k}"] = nn.Conv2d(before, width, kernel, padding=kernel // 2)

@@ -60,9 +60,10 @@ def block(before: int, after: int, same: bool = False) -> nn.Sequential:
 class Impala(Pixels):
     """Images [B, H, W, C] uint8 -> logits [B, actions], values [B].
 
-    scale   multiplies the channels: 1 in the published code, 4 in the paper's sweeps
-    widths  channels of the three blocks, before that
-    same    pool as TensorFlow's and JAX's "SAME" does: see `SamePool`
+    Args:
+        scale: Multiplies the channels: 1 in the published code, 4 in the paper's sweeps.
+        widths: Channels of the three blocks at scale 1.
+        same: Pool as TensorFlow's and JAX's "SAME" does: see `SamePool`.
     """
 
     def __init__(

@@ -1,4 +1,4 @@
-"""A perceptron of two hidden layers for symbolic observations: learning on a CPU in minutes."""
+"""A perceptron with two hidden layers for symbolic observations, which a CPU trains in minutes."""
 
 from __future__ import annotations
 
@@ -13,11 +13,12 @@ from astray.agents.actor_critic import ActorCritic
 class CircleEmbedding(nn.Module):
     """Planes of categories [B, C, H, W] uint8 -> float planes [B, channels, H, W].
 
-    A plane of 0 and 1 is passed on. Of a plane with more categories each becomes a point on the
-    unit circle, evenly spread, and its 0 (nothing) the centre: two planes where one-hot ones
-    would make Maze's 4 into 14, and all in one table look-up that needs no gradient.
+    Binary planes stay. In a plane with more categories, each becomes a point on the unit circle,
+    evenly spaced, and 0 (nothing) the centre. That makes two planes, where one-hot planes would
+    turn Maze's 4 into 14, with a single table look-up that needs no gradient.
 
-    largest  the largest category of each plane, those of 0 and 1 first
+    Args:
+        largest: Largest category of each plane, binary planes first.
     """
 
     def __init__(self, largest: list[int]):

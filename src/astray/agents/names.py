@@ -1,4 +1,4 @@
-"""What networks are called. No torch here: most of the command line only needs names."""
+"""Names of networks. Without torch, since most of the command line needs only names."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ RENAMED = {"small": "mlp"}  # as older files have them, and what they are called
 
 
 def renamed_network(name: Any) -> Any:
-    """Today's name of a network that an older file names; any other name as it is."""
+    """Return today's name for an older name of a network; other names stay."""
     return RENAMED.get(name, name) if isinstance(name, str) else name
 
 
@@ -29,7 +29,7 @@ def is_own(name: Any) -> bool:
 
 
 def check_network(name: str) -> None:
-    """ValueError where no network can have that name."""
+    """Raise ValueError unless a network can have that name."""
     if not is_own(name) and not imports.is_name(name):
         there, cells = ", ".join(NETWORKS), " or ".join(f"+{cell}" for cell in CELLS)
         raise ValueError(

@@ -1,8 +1,8 @@
-"""Networks for images that a CPU trains: their first convolution goes 4 or 8 pixels a step.
+"""Networks for images that a CPU can train: their first convolution has stride 4 or 8.
 
-Nearly all products of the paper's network are in its first two blocks, on 64 x 64 and 32 x 32
-places; here there are 16 x 16 at most. Every activation is a named module, so that hooks can read
-and change it: `body.relu1`, `body.residual1.relu2`, `features.relu`, ...
+Nearly all multiplications of the paper's network are in its first two blocks, on 64 x 64 and 32 x
+32 places; here there are at most 16 x 16. Every activation is a named module, so that hooks can
+read and change it: `body.relu1`, `body.residual1.relu2`, `features.relu`, ...
 """
 
 from __future__ import annotations
@@ -19,8 +19,9 @@ from astray.agents.impala import Residual, block
 class Convolutions(Pixels):
     """Images [B, H, W, C] uint8 -> logits [B, actions], values [B].
 
-    layers    by name, one after another, of planes [B, C, H, W]
-    features  units of the dense layer before the heads
+    Args:
+        layers: Modules by name, applied in order to planes [B, C, H, W].
+        features: Units of the dense layer before the heads.
     """
 
     def __init__(
@@ -41,7 +42,7 @@ class Convolutions(Pixels):
 
 
 def nature(shape: tuple[int, int, int], actions: int) -> Convolutions:
-    """The network of Mnih et al. 2015, as Stable-Baselines3's `CnnPolicy` has it."""
+    """Build the network of Mnih et al. 2015, as in Stable-Baselines3's `CnnPolicy`."""
     layers = {
         "conv1": nn.Conv2d(shape[2], 32, 8, stride=4),
         "relu1": nn.ReLU(),
@@ -54,7 +55,7 @@ def nature(shape: tuple[int, int, int], actions: int) -> Convolutions:
 
 
 def overlap(shape: tuple[int, int, int], actions: int, scale: int = 1) -> Convolutions:
-    """Patches of 8 x 8 pixels every 4, then of 4 x 4 of those every 2."""
+    """Build a network on overlapping patches: 8 x 8 pixels with stride 4."""
     layers = {
         "conv1": nn.Conv2d(shape[2], 16 * scale, 8, stride=4),
         "relu1": nn.ReLU(),
@@ -67,9 +68,10 @@ def overlap(shape: tuple[int, int, int], actions: int, scale: int = 1) -> Convol
 def patch(
     shape: tuple[int, int, int], actions: int, scale: int = 1, pooled: bool = False
 ) -> Convolutions:
-    """Patches of 8 x 8 pixels, and two residual units as IMPALA's among 8 x 8 of them.
+    """Build a network on patches of 8 x 8 pixels, with two residual units as in IMPALA.
 
-    pooled  the dense layer is given each channel's mean over all patches, which says not where
+    Args:
+        pooled: Give the dense layer each channel's mean over all patches, without positions.
     """
     channels = 16 * scale
     layers = {
@@ -85,7 +87,7 @@ def patch(
 
 
 def patch_impala(shape: tuple[int, int, int], actions: int, scale: int = 1) -> Convolutions:
-    """Patches of 4 x 4 pixels, then what IMPALA does, on 16 x 16 and 8 x 8 places."""
+    """Build IMPALA on 16 x 16 patches of 4 x 4 pixels."""
     layers = {
         "stem": nn.Conv2d(shape[2], 16 * scale, 4, stride=4),
         "residual": Residual(16 * scale),

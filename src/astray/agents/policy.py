@@ -1,4 +1,4 @@
-"""A trained network with all that is needed to build it again: saved, loaded, asked for actions."""
+"""Files of trained networks, with all that is needed to rebuild and evaluate them."""
 
 from __future__ import annotations
 
@@ -33,14 +33,15 @@ SEQUENCES = ("shape", "largest", "widths")  # fields of an architecture that JSO
 
 @dataclass(frozen=True)
 class Architecture:
-    """What network to build; one of your own is given it, and nothing else.
+    """Description of a network; the only argument of a custom one.
 
-    name     one of `names.NETWORKS`, or "module:Class"
-    shape    of an observation: [H, W, C] for images, [C, H, W] for symbolic planes
-    largest  the largest value of each symbolic plane; empty for images
-    scale    multiplies the channels of convolutions, but for those of "clear" and "nature"
-    width    hidden units of "mlp"
-    widths   channels of "impala"'s three blocks, at scale 1
+    Attributes:
+        name: One of `names.NETWORKS`, or "module:Class".
+        shape: Shape of an observation: [H, W, C] for images, [C, H, W] for symbolic planes.
+        largest: Largest value of each symbolic plane; empty for images.
+        scale: Multiplies the channels of convolutions, except in "clear" and "nature".
+        width: Hidden units of "mlp".
+        widths: Channels of "impala"'s three blocks, at scale 1.
     """
 
     name: str
@@ -59,9 +60,10 @@ class Architecture:
         check_network(self.name)
 
     def build(self) -> nn.Module:
-        """The network, freshly initialised from torch's global random state.
+        """Build the network, initialised from torch's global random state.
 
-        Raises ValueError where it is neither astray's own nor known: see `imports.known`.
+        Raises:
+            ValueError: If it is neither astray's own nor known: see `imports.known`.
         """
         if not is_own(self.name):
             return imports.known(self.name, GROUP, nn.Module)(self)
@@ -91,13 +93,13 @@ BUILDERS: dict[str, Callable[[Architecture], nn.Module]] = {
 
 
 def weights(network: nn.Module, architecture: Architecture, game: str) -> bytes:
-    """The file that `load` reads: safetensors, what the network is in its header."""
+    """Return the file that `load` reads: safetensors, with the architecture in its header."""
     tensors = {name: tensor.contiguous().cpu() for name, tensor in network.state_dict().items()}
     return save(tensors, header(game, architecture=asdict(architecture)))
 
 
 def load(path: Path, game: str, device: str = "cpu") -> tuple[nn.Module, Architecture]:
-    """The network that `weights` wrote to `path`. Nothing in the file is executed."""
+    """Load the network that `weights` wrote to `path`, without executing anything in the file."""
     with _explained(path):
         tensors, architecture = _read(path, game)
         with torch.device("meta"):  # first without memory: a header can promise any size
@@ -108,7 +110,7 @@ def load(path: Path, game: str, device: str = "cpu") -> tuple[nn.Module, Archite
 
 
 def load_into(network: nn.Module, path: Path, game: str) -> None:
-    """Give `network` the weights that `weights` wrote to `path`, whoever made it."""
+    """Load the weights in `path` into an existing `network`."""
     with _explained(path):
         tensors, _ = _read(path, game)
         _check_weights(tensors, network)
@@ -116,7 +118,7 @@ def load_into(network: nn.Module, path: Path, game: str) -> None:
 
 
 def _check_weights(tensors: dict[str, Tensor], network: nn.Module) -> None:
-    """ValueError where `tensors` are no weights of such a network: of other shapes or kinds."""
+    """Raise ValueError unless `tensors` have the names, shapes and dtypes of such a network."""
     promised = network.state_dict()
     if {n: t.shape for n, t in promised.items()} != {n: t.shape for n, t in tensors.items()}:
         raise ValueError("its weights are not those of its architecture")
@@ -138,7 +140,7 @@ def _read(path: Path, game: str) -> tuple[dict[str, Tensor], Architecture]:
 
 @contextlib.contextmanager
 def _explained(path: Path) -> Iterator[None]:
-    """One kind of error for all that may be wrong with an agent's file."""
+    """Turn every error about an agent's file into one kind."""
     try:
         yield
     except FileNotFoundError:
@@ -156,12 +158,12 @@ def _explained(path: Path) -> Iterator[None]:
 
 
 def header(game: str, **more: Any) -> dict[str, str]:
-    """What a safetensors file holds beside tensors; one entry, for the library shuffles several."""
+    """Return a safetensors header with one entry, because the library shuffles several."""
     return {"astray": json.dumps({"format": FORMAT, "game": game} | more)}
 
 
 def read_header(kept: dict[str, str] | None, game: str) -> dict[str, Any]:
-    """What `header` made; ValueError where it is of another version, or of another game."""
+    """Parse the result of `header`; raise ValueError if the version or game differs."""
     found = json.loads((kept or {}).get("astray", "null"))
     if not isinstance(found, dict):
         raise ValueError("it was not written by astray")
@@ -183,7 +185,7 @@ def _architecture(data: Any) -> Architecture:
 
 
 def usable(device: str) -> bool:
-    """There is such a device: "cpu", "cuda" or "mps"."""
+    """Return whether the device exists: "cpu", "cuda" or "mps"."""
     if device == "cuda":
         return torch.cuda.is_available()
     return device == "cpu" or torch.backends.mps.is_available()
@@ -191,7 +193,7 @@ def usable(device: str) -> bool:
 
 @torch.no_grad()
 def products(network: nn.Module, shape: tuple[int, ...], device: str = "cpu") -> int:
-    """How often weights are multiplied for one observation of that shape."""
+    """Return the number of multiplications by weights for one observation of that shape."""
     with FlopCounterMode(display=False) as counter:
         network(torch.zeros((1, *shape), dtype=torch.uint8, device=device))
     return counter.get_total_flops() // 2  # which counts additions, too
@@ -204,13 +206,14 @@ def outputs(
     chunk: int = 64,
     *memory: Tensor,
 ) -> tuple[Tensor, ...]:
-    """Logits [B, A] and values [B], the same for an observation whatever stands beside it.
+    """Return logits [B, A] and values [B], independent of the other observations in the batch.
 
-    memory  of a network that has one: its states, and the episodes that begin; then the next
-            states [B, ...] are returned, too
+    Matrix products of different sizes may round differently. The network therefore always sees
+    exactly `chunk` observations, padded with zeros.
 
-    A matrix product of another size may round differently, so the network always sees exactly
-    `chunk` observations, the last ones padded with zeros.
+    Args:
+        memory: For a network with memory, its states and first-step flags [B]; the next states [B,
+            ...] are then returned too.
     """
     found = []
     for parts in zip(*(x.split(chunk) for x in (observations, *memory)), strict=True):

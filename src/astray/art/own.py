@@ -1,7 +1,7 @@
-"""Pictures: masters drawn as SVG, kept as PNG, shrunk to the pixel sizes that a game asks for.
+"""Own pictures: drawn as SVG, stored as PNG, resized to the sizes that games need.
 
-Everything at run time is integer arithmetic on the committed PNGs, so that every machine
-sees the same bytes. `python -m astray.art.own` renders the PNGs anew after an SVG was edited.
+All run-time arithmetic is on integers of the committed PNGs, so every machine gets the same bytes.
+`python -m astray.art.own` renders the PNGs again after an SVG was edited.
 """
 
 import hashlib
@@ -24,9 +24,10 @@ COLOURS: dict[str, tuple[int, int, int]] = {
 
 
 def load(folder: Path, name: str) -> np.ndarray:
-    """Read the master `<folder>/<name>.png`.
+    """Read the picture `<folder>/<name>.png` as RGBA, [height, width, 4] uint8, not premultiplied.
 
-    Returns [height, width, 4] uint8: red, green, blue (not premultiplied), alpha.
+    Raises:
+        FileNotFoundError: If there is none.
     """
     path = folder / f"{name}.png"
     if not path.is_file():
@@ -37,11 +38,13 @@ def load(folder: Path, name: str) -> np.ndarray:
 
 
 def resize(image: np.ndarray, height: int, width: int) -> np.ndarray:
-    """Shrink or stretch a picture by exact area averaging, the same bytes on every machine.
+    """Resize a picture [H, W, 4] uint8 by exact area averaging, to [height, width, 4].
 
-    image    [H, W, 4] uint8, RGBA
-    returns  [height, width, 4] uint8; as if each pixel were repeated height x width times and
-             blocks of H x W averaged, colours weighted by alpha, halves rounded up
+    The result equals repeating each pixel height x width times and averaging blocks of H x W, with
+    colours weighted by alpha and halves rounded up.
+
+    Raises:
+        ValueError: If a size is not positive.
     """
     if image.ndim != 3 or image.shape[2] != 4 or image.dtype != np.uint8 or not image.size:
         raise ValueError(f"resize needs [H, W, 4] uint8, not {image.shape} {image.dtype}")
@@ -60,7 +63,7 @@ def resize(image: np.ndarray, height: int, width: int) -> np.ndarray:
 
 
 def _sum_blocks(rows: np.ndarray, count: int) -> np.ndarray:
-    """Cut `rows` [R, ...], each repeated `count` times, into `count` equal blocks; sum each."""
+    """Repeat each of `rows` [R, ...] `count` times and return the sums of `count` equal blocks."""
     below = np.zeros((len(rows) + 1, *rows.shape[1:]), np.int64)
     np.cumsum(rows, axis=0, out=below[1:])
     # Block edges are multiples of R in a column of R * count; there, row `whole` begins
@@ -77,25 +80,24 @@ def _divide(numerator: np.ndarray, denominator: np.ndarray | int) -> np.ndarray:
 
 
 def tint(image: np.ndarray, colour: tuple[int, int, int]) -> np.ndarray:
-    """Colour a white picture: rgb * colour / 255, to the nearest; alpha stays.
-
-    image    [H, W, 4] uint8, RGBA
-    colour   red, green, blue, each 0 to 255
-    """
+    """Multiply a white picture [H, W, 4] by `colour` / 255; alpha stays."""
     factor = np.array([*colour, 255], np.int64)
     return _divide(image.astype(np.int64) * factor, 255).astype(np.uint8)
 
 
 def digest(svg: Path) -> str:
-    """The SHA-256 of an SVG's text, whatever its line endings, in hexadecimal."""
+    """Return the SHA-256 of an SVG's text, independent of line endings, in hexadecimal."""
     return hashlib.sha256(svg.read_text(encoding="utf-8").encode()).hexdigest()
 
 
 def render(svg: Path) -> bytes:
-    """Render an SVG at the width and height it gives itself, in pixels.
+    """Render an SVG at its own width and height in pixels; return a PNG file.
 
-    Returns a PNG file, RGB where nothing is transparent, else RGBA; its text chunk "svg" is the
-    `digest` of the drawing, by which a stale one is told.
+    It is RGB if nothing is transparent, otherwise RGBA. Its text chunk "svg" holds the drawing's
+    `digest`, which reveals stale files.
+
+    Raises:
+        ImportError: If resvg is not installed.
     """
     try:
         import resvg_py
@@ -114,7 +116,7 @@ def render(svg: Path) -> bytes:
 
 
 def main() -> None:
-    """Render every drawing, of games and of what they share, beside itself."""
+    """Render every drawing of games, and the shared ones, into a PNG beside it."""
     for svg in sorted(Path(__file__).parents[1].glob("**/art/*.svg")):
         png = render(svg)
         svg.with_suffix(".png").write_bytes(png)

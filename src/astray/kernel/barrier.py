@@ -1,8 +1,8 @@
 """A barrier for threads in compiled code, and the work that they share between two barriers.
 
-barrier  [threads, LINE] int64. Row t holds the last generation that thread t finished (thread 0,
-         the caller: the one that it started), the spin limit (LOOKS) and, in row 0, the number of
-         pieces of work that are taken (TAKEN).
+barrier is [threads, LINE] int64. Row t holds the last generation that thread t finished (thread 0,
+the caller: the one that it started), the spin limit (LOOKS) and, in row 0, the number of pieces of
+work taken (TAKEN).
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ MOST_LOOKS = 0 if numba.config.DISABLE_JIT else 600_000  # pyright: ignore
 
 
 def new_barrier(threads: int, looks: int) -> np.ndarray:
-    """Return a barrier of which no generation is finished."""
+    """Return a barrier without finished generations."""
     barrier = np.zeros((threads, LINE), np.int64)
     barrier[:, LOOKS] = looks
     return barrier
@@ -52,19 +52,19 @@ def arrive(barrier, thread, generation):
 
 @kernel
 def wait_for(barrier, thread, generation):
-    """Look at the generation of a thread until it is `generation`, up to the spin limit."""
+    """Spin until a thread's generation is `generation`, up to the spin limit."""
     for _ in range(barrier[thread, LOOKS]):
         if load(barrier, thread) == generation:
             break
 
 
 def store(barrier: np.ndarray, thread: int, generation: int) -> None:
-    """Write a thread's number; who sees it sees all that the thread wrote before."""
+    """Publish a thread's generation; its earlier writes are then visible too."""
     barrier[thread, GENERATION] = generation
 
 
 def load(barrier: np.ndarray, thread: int) -> int:
-    """A thread's number."""
+    """Return a thread's generation."""
     return barrier[thread, GENERATION]
 
 

@@ -1,4 +1,4 @@
-"""The folder of compiled code. What is in it is run: nobody else may ever write there."""
+"""The folder of compiled code. Its contents are executed: nobody else may ever write there."""
 
 from __future__ import annotations
 
@@ -27,11 +27,13 @@ SILENT, PATIENT = 60, 180
 
 
 def cache_folder(digest: str) -> str:
-    """The folder of this version's compiled code: the user's choice, that in the home, or one
-    that ends with the process where others could have written to it or it cannot be written.
+    """Return this version's folder of compiled code, or "" if there is none.
 
-    digest   of numba's version and settings; names the folder
-    returns  "" where there is no folder at all
+    It is the user's choice or in the home folder. If others could have written to that, or it is
+    not writable, it is a folder that is removed with the process.
+
+    Args:
+        digest: Digest of numba's version and settings, the folder's name.
     """
     try:
         home = _made(code_home())
@@ -47,9 +49,10 @@ def cache_folder(digest: str) -> str:
 
 
 def code_home() -> Path:
-    """Where the folders of compiled code are: where NUMBA_CACHE_DIR says, else in the home.
+    """Return the parent of the folders of compiled code: NUMBA_CACHE_DIR, or in the home folder.
 
-    RuntimeError where there is no home.
+    Raises:
+        RuntimeError: If there is no home folder.
     """
     numbas = os.environ.get("NUMBA_CACHE_DIR")
     users = Path(os.environ.get("XDG_CACHE_HOME", ""))
@@ -60,7 +63,7 @@ def code_home() -> Path:
 
 
 def _made(folder: Path) -> Path:
-    """`folder`, made with its parents for the user alone; without links, which may be changed."""
+    """Create `folder` and its parents for the user alone; resolve links, which may change."""
     if not folder.exists():
         for path in (*reversed(folder.parents), folder):
             with contextlib.suppress(FileExistsError):
@@ -69,14 +72,14 @@ def _made(folder: Path) -> Path:
 
 
 def _close(folder: Path) -> None:
-    """Let nobody else write to astray's own folder from now on."""
+    """Revoke the write permission of others for astray's own folder."""
     found = folder.stat()
     if hasattr(os, "getuid") and found.st_uid == os.getuid() and found.st_mode & OTHERS:
         folder.chmod(0o700)
 
 
 def _check_trusted(folder: Path) -> None:
-    """PermissionError where another user could have written to `folder`, or could replace it."""
+    """Raise PermissionError if another user could have written to or could replace `folder`."""
     if not hasattr(os, "getuid"):
         return  # Windows: what is below a user's home is the user's
     for path in (*reversed(folder.parents), folder):
@@ -95,7 +98,7 @@ def _check_trusted(folder: Path) -> None:
 
 
 def _check_owned(path: Path) -> int:
-    """The mode of what is at `path`, if it is this user's or the system's."""
+    """Return the mode of `path` if it belongs to this user or the system."""
     found = path.lstat()
     if found.st_uid not in (os.getuid(), 0):
         raise PermissionError(f"{path} is of another user (number {found.st_uid})")
@@ -107,7 +110,7 @@ def _raise(error: OSError) -> None:
 
 
 def _remove_old(home: Path) -> None:
-    """Remove compiled code of versions not used for long, and of sources edited long ago."""
+    """Remove compiled code of long unused versions and of long edited sources."""
     before = time.time() - KEPT_FOR
     for one in versions(home):
         if one.used < before:
@@ -120,7 +123,7 @@ def _remove_old(home: Path) -> None:
 
 
 def passing_folder() -> str:
-    """A folder that ends with this process, and not with one forked from it; "" if none can be."""
+    """Return a folder that is removed with this process (not with forks); "" if impossible."""
     try:
         folder, owner = tempfile.mkdtemp(prefix="astray-"), os.getpid()
     except OSError:
@@ -136,10 +139,10 @@ def passing_folder() -> str:
 
 @contextlib.contextmanager
 def held(folder: str, lock_name: str = LOCK) -> Iterator[bool]:
-    """Hold a lock in the folder of compiled code for this process, and tell whether it is held.
+    """Lock the folder of compiled code for this process; yield whether that succeeded.
 
-    It is not where the folder cannot be written, nor where who holds it was stopped: nothing is
-    to be written to it then.
+    It fails if the folder is not writable, or the process that holds it was stopped. Then nothing
+    may be written.
     """
     with contextlib.ExitStack() as stack:
         is_held, lock = False, FileLock(Path(folder, lock_name))
@@ -160,7 +163,7 @@ def _is_entered(stack: contextlib.ExitStack, lock: FileLock, seconds: float) -> 
 
 
 def _is_waited_for(stack: contextlib.ExitStack, lock: FileLock) -> bool:
-    """Wait on for `lock`, and say so; whether it was got."""
+    """Keep waiting for `lock` with a message; return whether it was acquired."""
     # Logged, not warned of: it is nobody's mistake, and a process may make errors of warnings.
     LOG.warning("another process compiles, and holds %s: waiting for it", lock.lock_file)
     if _is_entered(stack, lock, PATIENT):

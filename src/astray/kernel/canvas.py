@@ -1,7 +1,7 @@
 """Drawing: copies and blits on [height, width, 3] uint8 pictures.
 
-Copies are loops over flat arrays: a slice assignment of a 64 x 64 x 3 picture takes 54 us
-compiled, a flat loop 1 us.
+Copies are loops over flat arrays: compiled, a slice assignment of a 64 x 64 x 3 picture takes 54
+us, a flat loop 1 us.
 """
 
 import numpy as np
@@ -42,7 +42,7 @@ def copy_window(target, source, top, left):
 
 @kernel
 def tile(target, sprite, top, bottom, left, right):
-    """Fill rows top..bottom, columns left..right of `target` with opaque `sprite`'s pixels."""
+    """Fill rows top..bottom, columns left..right of `target` with an opaque `sprite`."""
     for row in range(top, bottom):
         for column in range(left, right):
             for c in range(3):
@@ -71,11 +71,11 @@ def blit(target, sprite, top, left):
 
 @kernel
 def lanes(pixel):
-    """The three channels of a pixel in one number, 16 bits for each, to be mixed at once."""
+    """Pack a pixel's three channels into one number, 16 bits each, for mixing at once."""
     return np.int64(pixel[0]) | np.int64(pixel[1]) << 16 | np.int64(pixel[2]) << 32
 
 
 @kernel
 def pixel(cells, scale):
-    """The pixel nearest to a length in cells; `scale` is in pixels per cell."""
+    """Return the pixel nearest to a length in cells; `scale` is in pixels per cell."""
     return int(np.floor(cells * scale + 0.5))

@@ -1,6 +1,6 @@
-"""Cells and a background painted at once, to the pixel as if Qt drew one cell after the other.
+"""Cells and background painted together, to the pixel as if Qt drew one cell after another.
 
-Words, pictures and rectangles are those of `kernel.qt`.
+Terms are those of `kernel.qt`.
 """
 
 from typing import Any
@@ -32,16 +32,16 @@ AHEAD = 4  # rows of an image for which the background is fetched before they ar
 
 @shared
 def paint_cells(image, pixels, places, cells, seen, left, low, world, background, rule):
-    """Paint the background and the cells in view, as if cell by cell: by columns, each from below.
+    """Paint the background and the visible cells, as if one by one: by columns, each upward.
 
-    cells       [rows, columns] int64, from the lowest up: the number of the picture that fills
-                the cell, TILE pixels a side and opaque; OPEN; or -2 - k: the background is seen
-                through picture k
-    seen        what `camera` says
-    left, low   the column and row of the world that cells[0, 0] is
-    world       cells a side of the world, which the background covers
-    background  the number of its picture, and how far it is moved to the left, of all by which it
-                is wider than the world
+    Args:
+        cells: [rows, columns] int64, lowest row first: the number of the opaque picture that fills
+            the cell, TILE pixels a side; or OPEN; or -2 - k, the background through picture k.
+        seen: Result of `camera`.
+        left, low: Column and row of cells[0, 0] in the world.
+        world: Side of the world in cells, which the background covers.
+        background: Number of its picture, and the fraction of its extra width that lies to the
+            left of the world.
     """
     side, (rows, columns) = image.shape[0], cells.shape
     # All arrays are parts of one, as each would take as long as a few rows of the image; zeros, so
@@ -71,19 +71,19 @@ def paint_cells(image, pixels, places, cells, seen, left, low, world, background
 
 @kernel
 def part(memory, rows, columns):
-    """An array [rows, columns] from the beginning of another, and what is left of that."""
+    """Return an array [rows, columns] from the beginning of another, and the rest of that."""
     return memory[: rows * columns].reshape((rows, columns)), memory[rows * columns :]
 
 
 @kernel
 def cell_box(seen, x, y):
-    """The pixels of a cell's picture, which overlaps its neighbours'."""
+    """Return the pixels of a cell's picture, which overlaps its neighbours'."""
     return rectangle(seen, F(x), F(y + 1), ONE, ONE, OVERLAP)
 
 
 @kernel
 def lay(axis, edges, k, begin, length):
-    """Write what pixels show of cell `k`, which is drawn after those laid before."""
+    """Write the pixels of cell `k`, which is drawn after those before."""
     first, after, base, step = span(begin, length, axis.shape[1], TILE, SPRITE)
     edges[0, k], edges[1, k] = first, after
     for pixel in range(first, after):
@@ -94,9 +94,9 @@ def lay(axis, edges, k, begin, length):
 
 @kernel
 def lay_background(across, down, place, seen, world, offset, rule):
-    """Write which columns of the background pixels show, and where the rows that they show begin.
+    """Write the visible columns of the background, and where its visible rows begin.
 
-    It is as high as the world, and as much wider as its picture is.
+    It is as high as the world, and wider by the aspect ratio of its picture.
     """
     left, top, wide, high = rectangle(seen, ZERO, world, world, world, ZERO)
     begin, height, width, side = place[0], place[1], place[2], across.shape[1]
@@ -118,9 +118,10 @@ ALIKE, IS_OPEN = range(2)
 
 @kernel
 def sort_rows(begins, kinds, places, cells):
-    """Write what rows of cells hold; whether the background is seen through a picture in any.
+    """Write the contents of rows of cells; return whether a picture shows the background.
 
-    begins  filled with where in the flat array the picture that fills the cell begins, or OPEN
+    Args:
+        begins: Filled with the index in the flat array of each cell's picture, or OPEN.
     """
     through = False
     for j in range(cells.shape[0]):
@@ -137,7 +138,7 @@ def sort_rows(begins, kinds, places, cells):
 
 @shared
 def fill_rows(image, pixels, begins, kinds, across, down, edges, memory):
-    """Fill the image with what the tables say, but for pictures that the background is seen by."""
+    """Fill the image from the tables, except for pictures that show the background."""
     side, flat, known = image.shape[0], image.reshape(-1), -1
     tables, stretches = part(memory, 2, side)
     sky, source = tables[0].view(np.uint64), tables[1].view(np.uint64)
@@ -173,10 +174,11 @@ def fill_rows(image, pixels, begins, kinds, across, down, edges, memory):
 
 @kernel
 def find_stretches(stretches, source, begins, across, edges):
-    """Write where in an image's row the background is seen and where pictures that fill cells.
+    """Write the parts of an image row with the background and with cells' pictures.
 
-    source  filled with where the first rows of these pictures have what pixels show
-    begins  of the cells' pictures in the flat array, or OPEN
+    Args:
+        source: Filled with the offsets of pixels in the pictures' first rows.
+        begins: Indices of the cells' pictures in the flat array, or OPEN.
     """
     side, columns = source.size, begins.size
     for x in range(side):
@@ -198,7 +200,7 @@ def find_stretches(stretches, source, begins, across, edges):
 
 @kernel
 def look_up(source, begins, across, down, edges):
-    """Write where in the flat array each pixel of a row is from where two rows of cells overlap."""
+    """Write the source of each pixel in a row where two rows of cells overlap."""
     for x in range(source.size):
         source[x] = down[SKY] + across[SKY, x]
     for k in range(begins.shape[1]):
@@ -214,9 +216,9 @@ def look_up(source, begins, across, down, edges):
 
 @kernel
 def copy(row, pixels, begin, source, first, after):
-    """Write pixels `begin` + `source` from the first on; compiled, also the byte after each.
+    """Copy pixels `begin` + `source` from `first` to `after`; compiled, also the next byte.
 
-    A word at once takes a third of the time; of a row that ends the image there is no byte more.
+    Copying words takes a third of the time. At the end of the image there is no next byte.
     """
     whole = after if 3 * after < row.size else after - 1
     for x in range(first, whole):
@@ -231,11 +233,11 @@ def copy(row, pixels, begin, source, first, after):
 
 
 def fetch(pixels: np.ndarray, begin: Any, source: np.ndarray) -> None:
-    """Have the processor read what `copy` will need; nothing else comes of it."""
+    """Prefetch the memory that `copy` will read."""
 
 
 def put_word(row: np.ndarray, at: int, word: int) -> None:
-    """Write four bytes, of which the last is to be written over."""
+    """Write four bytes, of which the last will be overwritten."""
     for k in range(4):
         row[at + k] = word >> (8 * k) & 255
 
@@ -289,7 +291,7 @@ def _pointer(context: Any, builder: Any, kind: Any, arguments: Any) -> Any:
 
 @shared
 def blit_cell(image, pixels, place, rect, cells, edges, j, k):
-    """Draw a picture in cell [j, k], beneath the pictures that fill cells and are drawn later."""
+    """Draw a picture in cell [j, k], beneath full pictures that are drawn later."""
     begin, height, width = place[0], place[1], place[2]
     left, top, wide, high = rect
     side, (rows, columns) = image.shape[0], cells.shape

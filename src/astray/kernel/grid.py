@@ -1,4 +1,4 @@
-"""What games on a grid share: the original's actions, and distances."""
+"""Grid helpers for games: the original's actions, and distances."""
 
 import numpy as np
 
@@ -16,7 +16,7 @@ STAY = ACTIONS.index("stay")
 
 @kernel
 def push(action):
-    """Where an action pushes, along x and y: -1, 0 or 1 each."""
+    """Return the direction of an action along x and y: -1, 0 or 1 each."""
     if action < MOVES:
         return action // 3 - 1, action % 3 - 1
     return 0, 0
@@ -24,12 +24,12 @@ def push(action):
 
 @entry
 def distances(is_open, x, y):
-    """Steps from every cell to (x, y) by moves to the four neighbours, UNREACHABLE where none.
+    """Return [H, W] int64 steps from every cell to (x, y), or UNREACHABLE.
 
-    is_open  [H, W] bool, indexed [y, x]
-    returns  [H, W] int64
+    Moves go to the four neighbours. IndexError is raised if (x, y) is outside of the grid.
 
-    IndexError where (x, y) is outside of the grid.
+    Args:
+        is_open: [H, W] bool, indexed [y, x].
     """
     height, width = is_open.shape
     if not (0 <= x < width and 0 <= y < height):

@@ -30,21 +30,18 @@ def version_digest() -> str:
 
 @functools.cache
 def code_folder() -> str:
-    """Return the folder of this process's compiled code, made when some is first asked for.
-
-    "" where there is none.
-    """
+    """Return the folder of this process's compiled code, or ""; it is created on first use."""
     return cache_folder(version_digest())
 
 
 def code_digest(function: Any) -> str | None:
-    """Return a digest of a function, of what is bound in it, and of all sources that these import.
+    """Return a digest of a function, its bound names, and all sources that these import.
 
-    Numba notices edits to the file a kernel is in, not to the files it calls into.
+    Numba notices edits to the file of a kernel, but not to the files that it calls.
 
     Returns:
-        16 hexadecimal digits; None where nobody can tell what the code depends on: it has no file,
-        as in a notebook, or was made by another function
+        16 hexadecimal digits, or None if the dependencies are unknown: the function has no file,
+        as in a notebook, or another function made it.
     """
     told, parts = [], list(_parts("", function))
     for name, part in parts:
@@ -59,7 +56,7 @@ def code_digest(function: Any) -> str | None:
 
 
 def _parts(name: str, part: Any) -> Iterator[tuple[str, Any]]:
-    """Find a function or a number, and all that `specialise` bound in it, by name."""
+    """Find a function or a number, and all names that `specialise` bound in it."""
     part = inspect.unwrap(getattr(part, "py_func", part))
     yield name, part
     for inner, bound in getattr(part, "bound", {}).items():
@@ -67,10 +64,10 @@ def _parts(name: str, part: Any) -> Iterator[tuple[str, Any]]:
 
 
 class _Part(JITCodeLibrary):
-    """Code that is only linked into other code, in the end an entry's.
+    """Code that is only linked into other code, finally into an entry's.
 
-    Numba makes machine code of every function together with all that it calls, as if Python
-    called it: with CoinRun a third of the time that compiling takes.
+    For every function numba makes machine code of the function and all its callees, as if Python
+    called it. For CoinRun that is a third of the compile time.
     """
 
     def _finalize_final_module(self) -> None:
@@ -84,11 +81,11 @@ class _Part(JITCodeLibrary):
         return self
 
     def set_env(self, name: str, env: Any) -> None:
-        """Numba sets this in machine code; here there is none."""
+        """Ignore what numba sets in machine code; here there is none."""
 
 
 class _LargePart(_Part):
-    """One that is optimised where it is linked into alone, as that takes long."""
+    """Code that is optimised only where it is linked into, because that takes long."""
 
     def _optimize_final_module(self) -> None:
         pass
@@ -108,7 +105,7 @@ class _LargePartCompiler(_PartCompiler):
 
 
 def _part(compiler: type[Compiler], **options: Any) -> Callable:
-    """A decorator of functions that compiled code calls; Python that calls one interprets it."""
+    """Decorate a function that compiled code calls; Python interprets it."""
     options |= {"pipeline_class": compiler, "no_cfunc_wrapper": True, "no_cpython_wrapper": True}
     compile_part = numba.njit(**options)
 
@@ -130,12 +127,12 @@ shared = _part(_LargePartCompiler)  # not inlined: for what is large or seldom c
 
 
 def passing(function: Callable) -> Any:
-    """A decorator of functions that Python calls, whose compiled code ends with the process."""
+    """Decorate a function that Python calls, without caching its compiled code in files."""
     return numba.njit(nogil=True)(function)
 
 
 def entry(function: Any) -> Any:
-    """A decorator of functions that Python calls; only these are kept in files."""
+    """Decorate a function that Python calls; only these are cached in files."""
     provenance.see(function)
     compiled, digest = passing(function), code_digest(function)
 
@@ -161,9 +158,9 @@ def specialise(
 ) -> Callable:
     """Compile `template` with some of its global `names` bound to one game's kernels.
 
-    Numba can cache neither a closure over a compiled function nor a call that takes one as
-    an argument; a copy of the function with other globals it can. `label`, and a digest of all
-    sources, keep the cache entries of two games apart.
+    Numba can cache neither a closure over a compiled function nor a call with one as argument. It
+    can cache a copy of the function with other globals. `label` and a digest of all sources
+    separate the cache entries of different games.
     """
     assert isinstance(template, FunctionType)
     clone: Any = FunctionType(template.__code__, {**template.__globals__, **names}, label)
@@ -175,9 +172,10 @@ def specialise(
 
 @contextlib.contextmanager
 def one_at_a_time(label: str = "") -> Iterator[None]:
-    """Compile in here: numba's cache breaks when two processes write one entry.
+    """Compile in this context alone: numba's cache breaks if two processes write one entry.
 
-    label  of what is specialised, which nobody waits for who compiles something else
+    Args:
+        label: Name of the specialised code; others do not wait.
     """
     with held(code_folder(), f"compile-{label}.lock" if label else LOCK) as is_held:
         if not is_held:

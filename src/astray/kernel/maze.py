@@ -1,4 +1,4 @@
-"""Mazes: carved as the original does, by Kruskal's algorithm on a shuffled list; and drawn."""
+"""Mazes, carved as in the original by Kruskal's algorithm on a shuffled list, and drawn."""
 
 from typing import Any
 
@@ -18,10 +18,11 @@ AS_NUMBERED = -1  # the background that the level's number decides
 def carve(s, size, is_open, free_x, free_y):
     """Carve a spanning tree into `is_open` and return its number of free cells.
 
-    s        whose twister is drawn from, once per passage
-    size     cells a side, odd; nodes are the cells with two even coordinates
-    is_open  [size, size] bool, indexed [y, x], all False; filled here
-    free_x, free_y  [size * size], the free cells in the order they are opened; filled here
+    Args:
+        s: State whose random generator is used, once per passage.
+        size: Side in cells, odd; nodes are the cells with two even coordinates.
+        is_open: [size, size] bool, indexed [y, x], all False; filled.
+        free_x, free_y: [size * size], the free cells in opening order; filled.
     """
     # A passage is x * size + y. First those that join nodes to the left and right of them.
     passages = np.empty(size * size, np.int16)  # small: the list is moved a lot
@@ -61,7 +62,7 @@ def carve(s, size, is_open, free_x, free_y):
 
 @kernel
 def root(parent, node):
-    """The representative of `node`'s tree; halves the path on the way."""
+    """Return the representative of `node`'s tree; halve the path on the way."""
     while parent[node] != node:
         parent[node] = parent[parent[node]]
         node = parent[node]
@@ -70,19 +71,19 @@ def root(parent, node):
 
 @kernel
 def margin(s):
-    """Cells of wall around the world in the scene, so that every window is inside the scene."""
+    """Return the width in cells of the wall around the world, so that windows fit in the scene."""
     return s.window // 2 + 1 if s.window else 0
 
 
 @kernel
 def is_wall(s, x, y):
-    """There is a wall, or the world's end, in cell (x, y)."""
+    """Return whether cell (x, y) is a wall or outside of the world."""
     return not (0 <= x < s.world and 0 <= y < s.world) or s.cell[y, x] == WALL
 
 
 @kernel
 def paint_maze(s, picture, floor, wall):
-    """Floor and walls of the whole world of `s`, and the margin, on a square picture."""
+    """Paint floor and walls of the world of `s` and its margin on a square picture."""
     edge = margin(s)
     cells = s.world + 2 * edge
     scale = picture.shape[1] / cells
@@ -104,7 +105,7 @@ def paint_maze(s, picture, floor, wall):
 
 @kernel
 def paint_walls(s, plane):
-    """1 where there is wall in the world of `s` and the margin, else 0, on a symbolic plane."""
+    """Write 1 for walls in the world of `s` and its margin, else 0, on a symbolic plane."""
     edge = margin(s)
     for y in range(s.world + 2 * edge):
         for x in range(s.world + 2 * edge):
@@ -112,16 +113,16 @@ def paint_walls(s, plane):
 
 
 def cell_pixels(variant: Any, pixels: int) -> float:
-    """Pixels a side of a cell, on an image of `pixels`."""
+    """Return the side of a cell in pixels on an image of `pixels`."""
     return pixels / (variant.window or variant.world)
 
 
 def scene_cells(variant: Any) -> int:
-    """Cells a side of the scene: the world, and the margin around it."""
+    """Return the side of the scene in cells, with the margin around the world."""
     return variant.world + 2 * (variant.window // 2 + 1 if variant.window else 0)
 
 
 def reachable(s: Any) -> np.ndarray:
-    """The cells that can be walked to from where the agent is, [world, world] bool."""
+    """Return the cells that the agent can walk to, [world, world] bool."""
     is_open = s.cell[: s.world, : s.world] != WALL
     return distances(is_open, int(s.x), int(s.y)) != UNREACHABLE

@@ -1,11 +1,11 @@
-"""Copies of pictures to the pixel as Qt makes them, by which the original draws.
+"""Copies of pictures, to the pixel as made by Qt, which the original draws with.
 
 A picture is part of a flat array of uint32 `pixels`: red in the lowest byte, then green, blue and
-opacity, colours multiplied by it. Its `place` is where it begins, its height and its width. The
-target is an image [side, side, 3] uint8.
+opacity, with premultiplied colours. Its `place` is its index, height and width. The target is an
+image [side, side, 3] uint8.
 
-All copies are to the nearest pixel, in 16.16 fixed point; rectangles are left, top, width and
-height in pixels, in doubles made from float32.
+All copies use the nearest pixel, in 16.16 fixed point. Rectangles are left, top, width and height
+in pixels, as doubles made from float32.
 """
 
 import math
@@ -33,16 +33,16 @@ LOW_BYTES, HALVES = 0x00FF_00FF_00FF, 0x0080_0080_0080  # of three channels, 16 
 
 @kernel
 def nearest(length):
-    """The pixel edge nearest to a length in pixels."""
+    """Return the pixel edge nearest to a length in pixels."""
     return int(np.floor(length + 0.5))
 
 
 @kernel
 def camera(side, cells, x, y):
-    """How to get from cells to pixels where `cells` a side are seen around (x, y).
+    """Return the map from cells to pixels for a view of `cells` a side around (x, y).
 
-    Pixels a cell, cells a side as float32 has them, and how far the world is moved to the left
-    and down, in pixels.
+    It consists of pixels per cell, cells a side as float32, and the shift of the world to the left
+    and down in pixels.
     """
     unit = F(side) / F(cells)
     view = F(side / np.float64(unit))
@@ -51,10 +51,11 @@ def camera(side, cells, x, y):
 
 @kernel
 def rectangle(seen, left, top, wide, high, margin):
-    """The pixels of a box whose left and top edges are at `left` and `top`, in cells.
+    """Return the pixels of a box whose left and top edges are `left` and `top`, in cells.
 
-    seen    what `camera` says
-    margin  cells that it is larger by on each side
+    Args:
+        seen: Result of `camera`.
+        margin: Cells to enlarge it by on each side.
     """
     unit, view, off_x, off_y = seen
     return (
@@ -67,13 +68,13 @@ def rectangle(seen, left, top, wide, high, margin):
 
 @kernel
 def around(seen, x, y, half_x, half_y):
-    """The pixels of a box centred at (x, y); sizes are halves, in cells."""
+    """Return the pixels of a box centred at (x, y), with half sizes in cells."""
     return rectangle(seen, x - half_x, y + half_y, TWO * half_x, TWO * half_y, ZERO)
 
 
 @kernel
 def span(begin, length, side, size, rule):
-    """Where a picture is shown: its first pixel of `side`, the one after its last, base and step.
+    """Return where a picture is shown: first pixel of `side`, one after the last, base, step.
 
     Pixel k shows number (base + (k - first) * step) >> 16 of the picture's `size`.
     """
@@ -92,7 +93,7 @@ def span(begin, length, side, size, rule):
 
 @kernel
 def blend(image, row, column, over):
-    """Lay the pixel `over` on a pixel of the image."""
+    """Blend the pixel `over` onto a pixel of the image."""
     rest = 255 - (over >> 24)
     if rest == 0:
         image[row, column, 0] = over & 255
@@ -110,7 +111,7 @@ def blend(image, row, column, over):
 
 @shared
 def blit(image, pixels, place, rect, mirrored):
-    """Draw a picture, or its mirror image, into a rectangle."""
+    """Draw a picture or its mirror image into a rectangle."""
     begin, height, width = place[0], place[1], place[2]
     left, top, wide, high = rect
     side = image.shape[0]
@@ -127,7 +128,7 @@ def blit(image, pixels, place, rect, mirrored):
 
 @kernel
 def faded(over, opacity):
-    """A pixel with `opacity` of 255 left."""
+    """Return a pixel multiplied by `opacity` / 255."""
     channels = (over & 255) | (over >> 8 & 255) << 16 | (over >> 16 & 255) << 32
     channels *= opacity
     channels = (channels + (channels >> 8 & LOW_BYTES) + HALVES) >> 8 & LOW_BYTES
@@ -138,7 +139,7 @@ def faded(over, opacity):
 
 @shared
 def blit_faded(image, pixels, place, rect, opacity, rule):
-    """Draw a picture into a rectangle with `opacity` of 255."""
+    """Draw a picture into a rectangle with `opacity` / 255."""
     begin, height, width = place[0], place[1], place[2]
     left, top, wide, high = rect
     side = image.shape[0]
@@ -153,7 +154,7 @@ def blit_faded(image, pixels, place, rect, opacity, rule):
 
 @shared
 def blit_turned(image, pixels, place, rect, eighths):
-    """Draw a picture into a rectangle turned about its centre by -4 to 4 eighths of a turn."""
+    """Draw a picture into a rectangle, rotated about its centre by -4 to 4 eighths of a turn."""
     if eighths == 0:
         blit(image, pixels, place, rect, False)
     elif abs(eighths) == 4:
@@ -164,7 +165,7 @@ def blit_turned(image, pixels, place, rect, eighths):
 
 @kernel
 def span_back(begin, length, side, size):
-    """`span` of a picture shown from its end to its beginning, from `begin` + `length` on."""
+    """Return the `span` of a mirrored picture, from `begin` + `length` on."""
     centre = begin + length / 2
     low, high = centre - length / 2, centre + length / 2
     scale = size / (low - high)
@@ -176,7 +177,7 @@ def span_back(begin, length, side, size):
 
 @kernel
 def blit_upside_down(image, pixels, place, rect):
-    """Draw a picture turned by half a turn."""
+    """Draw a picture rotated by half a turn."""
     begin, height, width = place[0], place[1], place[2]
     left, top, wide, high = rect
     side = image.shape[0]
@@ -192,7 +193,7 @@ def blit_upside_down(image, pixels, place, rect):
 
 @shared
 def blit_tilted(image, pixels, place, rect, eighths):
-    """Draw a picture turned by an odd number of eighths, or by a quarter of a turn."""
+    """Draw a picture rotated by an odd number of eighths, or by a quarter turn."""
     width, height = np.float64(place[2]), np.float64(place[1])
     left, top, wide, high = rect
     c, s = COS[eighths + 4], SIN[eighths + 4]
@@ -235,7 +236,7 @@ def blit_tilted(image, pixels, place, rect, eighths):
 
 @shared
 def fill_band(image, pixels, place, plane, high, low, left_from, left_to, right_from, right_to):
-    """Fill the rows between two heights, between two edges, with what `plane` says is there."""
+    """Fill the rows between two heights and two edges from the picture in `plane`."""
     side = image.shape[0]
     begin, height, width = place[0], place[1], place[2]
     first, after = max(nearest(high), 0), min(nearest(low), side)
@@ -254,6 +255,6 @@ def fill_band(image, pixels, place, plane, high, low, left_from, left_to, right_
 
 @kernel
 def edge(row, one, two):
-    """Where the line between two corners meets `row`, and how far it goes a row, in 16.16."""
+    """Return where the line between two corners meets `row`, and its slope per row, in 16.16."""
     slope = (two[0] - one[0]) / (two[1] - one[1])
     return int((one[0] + (0.5 + row - one[1]) * slope + 0.5) * 65536), int(65536 * slope)

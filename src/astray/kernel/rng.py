@@ -1,9 +1,8 @@
 """Random numbers: the original's Mersenne Twister inside a state, and hashes of numbers.
 
-The games draw from MT19937 seeded with the level's number, in the original's order, so that
-level k here is level k of the original program. What the original did not have (which level
-comes next, which distribution it comes from) is a hash of numbers instead, so that it never
-shifts the original's draws.
+Games draw from MT19937 seeded with the level's number, in the original's order, so that level k is
+level k of the original program. Choices that the original did not have (the next level, its
+distribution) use hashes instead, which never shift the original's draws.
 """
 
 import numpy as np
@@ -31,7 +30,7 @@ TO_UNIT = 2.0**-53
 
 @kernel
 def seed_twister(s, number):
-    """Set the twister of `s` to the one that belongs to the 32-bit `number`."""
+    """Seed the twister of `s` with the 32-bit `number`."""
     word = np.uint64(number) & LOW_32
     s.mt[0] = word
     for i in range(1, WORDS):
@@ -42,7 +41,7 @@ def seed_twister(s, number):
 
 @kernel
 def draw_u32(s):
-    """The next 32 random bits of `s`, as uint64."""
+    """Draw the next 32 random bits of `s`, as uint64."""
     # One word is renewed per draw; the usual renewal of all 624 at once gives the same numbers.
     i = s.mt_next
     after = i + 1 if i + 1 < WORDS else 0
@@ -61,21 +60,21 @@ def draw_u32(s):
 
 @kernel
 def below(s, n):
-    """A uniform integer in [0, n), as the original draws it: one word modulo n."""
+    """Draw a uniform integer in [0, n) as the original: one word modulo n."""
     return np.int64(draw_u32(s) % np.uint64(n))
 
 
 @kernel
 def unit(s):
-    """A uniform real in [0, 1], as the original draws it: one word / 2^32 as a float32."""
+    """Draw a uniform real in [0, 1] as the original: one word / 2^32 as float32."""
     return np.float64(np.float32(np.float64(draw_u32(s)) / 4294967296.0))
 
 
 @kernel
 def multiply(a, low, high):
-    """The low 64 bits of `a` times the constant high * 2^32 + low.
+    """Return the low 64 bits of `a` times the constant high * 2^32 + low.
 
-    Interpreted numpy warns when a product of uint64 wraps; nothing wraps here.
+    Interpreted numpy warns about wrapped products of uint64; nothing wraps here.
     """
     a_low, a_high = a & LOW_32, a >> U32
     product = a_low * low
@@ -85,7 +84,7 @@ def multiply(a, low, high):
 
 @kernel
 def mix(number):
-    """A uint64 that looks random, a pure function of `number` (SplitMix64's finaliser)."""
+    """Hash `number` to a uint64 (SplitMix64's finaliser)."""
     z = np.uint64(number) ^ GAMMA  # zero would stay zero
     z = multiply(z ^ (z >> U30), MIX_1_LOW, MIX_1_HIGH)
     z = multiply(z ^ (z >> U27), MIX_2_LOW, MIX_2_HIGH)
@@ -94,13 +93,13 @@ def mix(number):
 
 @kernel
 def mix_two(number, salt):
-    """A uint64 that looks random, a pure function of `number` and `salt`."""
+    """Hash `number` and `salt` to a uint64."""
     return mix(mix(number) ^ np.uint64(salt))
 
 
 @kernel
 def share(number, salt):
-    """A real in [0, 1) that looks random, a pure function of `number` and `salt`."""
+    """Hash `number` and `salt` to a real in [0, 1)."""
     return np.float64(mix_two(number, salt) >> U11) * TO_UNIT
 
 

@@ -1,4 +1,4 @@
-"""Compiled code in files that are whole or not read, and whose loss is no error."""
+"""Compiled code in files, which are complete or ignored, and may be lost."""
 
 from __future__ import annotations
 
@@ -25,9 +25,9 @@ SUM = hashlib.sha256().digest_size  # bytes
 
 
 class _Locator(UserProvidedCacheLocator):
-    """A folder of our own, where numba looks into that which is the user's for all functions.
+    """Locator of astray's own folder; numba's would use the user's folder for all functions.
 
-    What is beneath it is made for the user alone.
+    Everything in it is private to the user.
     """
 
     def __init__(self, function: Any, folder: str):
@@ -44,7 +44,7 @@ class _Locator(UserProvidedCacheLocator):
 
 
 class _Implementation(CompileResultCacheImpl):
-    """Numba's, which would choose among all folders that it knows of, and check each."""
+    """Implementation without numba's search through all folders that it knows."""
 
     def __init__(self, function: Any, digest: str, folder: str):
         code, ending = function.__code__, f"_{digest}"
@@ -54,9 +54,9 @@ class _Implementation(CompileResultCacheImpl):
 
 
 class _Files(IndexDataCacheFile):
-    """Numba's, a check sum at the end of each: one that was cut short could end the process.
+    """Numba's files with a checksum at the end; a truncated one could crash the process.
 
-    Numba reads up to the sum, and no further.
+    Numba reads up to the checksum and no further.
     """
 
     @contextlib.contextmanager
@@ -77,7 +77,7 @@ class _Files(IndexDataCacheFile):
 
 
 def _is_whole(path: Path) -> bool:
-    """Whether the file at `path` can be read, and is as it was written."""
+    """Return whether the file at `path` is readable and complete."""
     try:
         data = path.read_bytes()
     except OSError:
@@ -86,11 +86,12 @@ def _is_whole(path: Path) -> bool:
 
 
 class Stored(Cache):
-    """Compiled code that is read from files, and written while `writes` says so.
+    """Compiled code that is read from files, and written while `writes` is true.
 
-    function  whose source is the file that it names
-    digest    of the sources that it depends on
-    folder    tells where files are, "" where nowhere; it is asked when code is first asked for
+    Args:
+        function: Function that names the file of its source.
+        digest: Digest of the sources that it depends on.
+        folder: Function that returns the folder, "" for none; called when code is first needed.
     """
 
     writes = True  # of all functions

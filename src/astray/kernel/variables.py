@@ -1,4 +1,4 @@
-"""Variables of the environment with which numba would refuse to be imported."""
+"""Environment variables with which numba would fail to import."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ TAKEN = {
 
 
 def leave_out() -> None:
-    """Take such variables out of this process's environment, and say so."""
+    """Remove such variables from this process's environment, with a message."""
     for name, taken in TAKEN.items():
         given = os.environ.get(name)
         if given is not None and not re.fullmatch(taken, given):

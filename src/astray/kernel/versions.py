@@ -1,7 +1,7 @@
-"""What is kept of compiled code: a folder for each of numba's versions, and how it is removed.
+"""Folders of compiled code, one per version of numba, and their removal.
 
-A version is removed only where it is a folder of this user's by the name of a digest, with a mark
-in it; and of what is in it only files that numba and we write. No link is followed.
+A version is removed only if it is a folder of this user's, named by a digest and marked. Only
+files written by numba and astray are removed from it. No link is followed.
 """
 
 from __future__ import annotations
@@ -31,9 +31,10 @@ LOCKS = re.compile(r"compile(-.+)?\.lock")  # that of what all use, and one for 
 class Version:
     """Compiled code of one version and settings of numba.
 
-    about  which versions of astray and numba it is of; "" where that was not written
-    used   when a process last began to use it, seconds since 1970
-    size   bytes in its `files`
+    Attributes:
+        about: Versions of astray and numba; "" if unknown.
+        used: Time when a process last began to use it, in seconds since 1970.
+        size: Bytes in its `files`.
     """
 
     folder: Path
@@ -44,7 +45,7 @@ class Version:
 
 
 def mark(folder: Path) -> None:
-    """Mark `folder` as one of compiled code, used now."""
+    """Mark `folder` as one of compiled code, in use now."""
     path = folder / USED
     path.touch()
     if not path.stat().st_size:
@@ -52,7 +53,7 @@ def mark(folder: Path) -> None:
 
 
 def versions(home: Path) -> list[Version]:
-    """The versions in `home`, last used first; none where it is no folder, or cannot be listed."""
+    """Return the versions in `home`, last used first; none if it is not a readable folder."""
     found = []
     with contextlib.suppress(OSError):
         for folder in home.iterdir():
@@ -63,7 +64,7 @@ def versions(home: Path) -> list[Version]:
 
 
 def is_ours(folder: Path) -> bool:
-    """Whether `folder` is one of compiled code that this user's processes made."""
+    """Return whether this user's processes made `folder` for compiled code."""
     if not DIGEST.fullmatch(folder.name):
         return False
     try:
@@ -83,7 +84,7 @@ def _version(folder: Path) -> Version:
 
 
 def _files(folder: Path) -> Iterator[Path]:
-    """What we and numba wrote into `folder` and the folders in it."""
+    """Return the files that numba and astray wrote into `folder` and its subfolders."""
     for parent, _, names in os.walk(folder):  # which does not go through links
         for name in names:
             path = Path(parent, name)
@@ -94,9 +95,10 @@ def _files(folder: Path) -> Iterator[Path]:
 
 
 def remove(folder: Path) -> bool:
-    """Remove a version of compiled code, and its folder if nothing else is in it.
+    """Remove a version of compiled code; return whether the folder is gone.
 
-    Whether the folder is gone; it stays as it is where a process is compiling into it.
+    It stays unchanged if a process is compiling into it. Other files in it stay, and keep the
+    folder.
     """
     if not is_ours(folder):
         return False
@@ -113,7 +115,7 @@ def remove(folder: Path) -> bool:
 
 
 def outdated(folder: Path) -> list[Path]:
-    """The files in `folder` of functions before their sources were edited."""
+    """Return the files in `folder` of functions whose sources were edited since."""
     files: dict[str, dict[str, list[Path]]] = {}  # by function without digest, then with it
     for path in _files(folder):
         code = CODE.fullmatch(path.name)
@@ -127,5 +129,5 @@ def outdated(folder: Path) -> list[Path]:
 
 
 def _last(files: list[Path]) -> int:
-    """When the last of `files` was written."""
+    """Return the time of the last write to `files`."""
     return max(path.lstat().st_mtime_ns for path in files)

@@ -1,1 +1,1 @@
-"""Agents that others published, read from their files without running anything in them."""
+"""Importers of published agents, which execute nothing in their files."""

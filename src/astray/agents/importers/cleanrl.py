@@ -1,8 +1,8 @@
-"""Read PPO agents of CleanRL's cleanba on Procgen: IMPALA networks in Flax's msgpack.
+"""Importer of CleanRL's cleanba PPO agents on Procgen: IMPALA networks in Flax's msgpack.
 
-A file holds the settings of the training and the parameters of three modules: network, actor and
-critic (`cleanba_ppo_envpool_procgen.py`). Kernels are [height, width, in, out], a dense layer sees
-rows, columns, channels, and max-pooling is padded as "SAME", so the network is "impala-same".
+A file holds the training's settings and the parameters of three modules: network, actor and critic
+(`cleanba_ppo_envpool_procgen.py`). Kernels are [height, width, in, out], the dense layer's inputs
+are ordered by rows, columns, channels, and max-pooling is padded as "SAME": "impala-same".
 """
 
 from __future__ import annotations
@@ -34,8 +34,7 @@ def read(data: bytes) -> Imported:
     """Return the agent in the bytes of a .cleanrl_model file.
 
     Raises:
-        ValueError: the bytes are damaged, or hold another network, or the package msgpack,
-            which reads them, is missing.
+        ValueError: If the bytes are damaged, hold another network, or msgpack is not installed.
     """
     match _unpacked(data):
         case {"0": dict(told), "1": {"0": network, "1": actor, "2": critic}}:
@@ -118,7 +117,7 @@ def _layer(module: str, path: tuple[str, ...]) -> str | None:
 
 
 def _dense(kernel: np.ndarray, module: str) -> np.ndarray:
-    """Return a dense kernel as [out, in], with the channels of its picture first."""
+    """Return a dense kernel as [out, in], with inputs ordered by channels first."""
     if kernel.ndim != 2:
         raise ValueError(f"a dense layer has a kernel of {kernel.shape}")
     if module == "0" and len(kernel) % 64 == 0:  # after three halvings, a picture is 8 x 8
@@ -127,6 +126,6 @@ def _dense(kernel: np.ndarray, module: str) -> np.ndarray:
 
 
 def _world(name: Any) -> tuple[str, str] | None:
-    """Return Procgen's name and difficulty of an environment of EnvPool, as CoinrunHard-v0."""
+    """Return Procgen's name and difficulty for an EnvPool id such as CoinrunHard-v0."""
     found = re.fullmatch(r"([A-Za-z]+)(Easy|Hard|Memory|Extreme)-v0", str(name))
     return (found[1].lower(), found[2].lower()) if found else None

@@ -1,4 +1,4 @@
-"""Which importer reads which file."""
+"""Choice of the importer for a file."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ LARGEST = 512_000_000  # bytes; the largest known, with its optimizer's state, i
 
 
 def digest(path: Path) -> str:
-    """The SHA-256 of a file that can be an agent's."""
+    """Return the SHA-256 of a file that is small enough to be an agent's."""
     return hashlib.sha256(files.read(path, LARGEST)).hexdigest()
 
 
 def read(path: Path) -> Imported:
-    """The agent in a file of others; ValueError says why it is none."""
+    """Return the agent in an outside file; raise ValueError if it cannot be imported."""
     reader = READERS.get(path.suffix.lower())
     if reader is None:
         raise ValueError(

@@ -1,4 +1,4 @@
-"""An agent that was read from a file of others."""
+"""An imported agent, and checks of its weights."""
 
 from __future__ import annotations
 
@@ -18,12 +18,13 @@ ACTIONS = 15  # that Procgen has
 
 @dataclass(frozen=True)
 class Imported:
-    """A network with its weights, and what the file says about it.
+    """A network with its weights and the file's metadata.
 
-    about     the format and the network, in words
-    world     Procgen's name of what it was trained in, and of its difficulty; None: not told
-    settings  of its training that the file tells, by our names
-    told      all settings that the file tells, by its own
+    Attributes:
+        about: Description of format and network.
+        world: Procgen's name and difficulty of its training environment; None if unknown.
+        settings: Settings of its training in the file, under astray's names.
+        told: All settings in the file, under its own names.
     """
 
     network: nn.Module
@@ -35,7 +36,7 @@ class Imported:
 
 
 def build(architecture: Architecture, tensors: Mapping[str, Tensor]) -> nn.Module:
-    """The network with these weights; ValueError where they are not all of it, or no numbers."""
+    """Build the network with these weights; raise ValueError if they are invalid or too few."""
     try:
         with torch.device("meta"):  # first without memory: a file can promise any size
             wanted = {name: t.shape for name, t in architecture.build().state_dict().items()}
@@ -59,7 +60,7 @@ def build(architecture: Architecture, tensors: Mapping[str, Tensor]) -> nn.Modul
 
 
 def check_actions(policy: Tensor) -> None:
-    """ValueError where a policy's weights or biases [actions, ...] are not of Procgen's 15."""
+    """Raise ValueError unless policy weights or biases are for Procgen's 15 actions."""
     count = len(policy) if policy.ndim else 0
     if count != ACTIONS:
         why = ", of CoinRun as it was before Procgen" if count in (7, 9) else ""

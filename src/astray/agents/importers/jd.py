@@ -1,8 +1,8 @@
-"""Agents of RL-Clarity: OpenAI's "clear" networks, in files of joblib.
+"""Importer of RL-Clarity agents: OpenAI's "clear" networks in joblib files.
 
-A file holds `args` (the settings of the training) and `params` (arrays in TensorFlow's layout,
-named as ppo2 of Baselines names them). Images are divided by 255 in the network, as in
-`clear_cnn` of tensorflow/lucid, and actions drawn from the policy.
+A file holds `args` (the training's settings) and `params` (arrays in TensorFlow's layout, named as
+in Baselines' ppo2). The network divides images by 255, as `clear_cnn` of tensorflow/lucid does,
+and actions are sampled from the policy.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ SETTINGS = {
 
 
 def read(data: bytes) -> Imported:
-    """The agent in the bytes of a .jd file; ValueError says why it is none."""
+    """Return the agent in the bytes of a .jd file; raise ValueError if it cannot be imported."""
     found = plain.read(data)
     if not isinstance(found, dict) or not all(
         isinstance(found.get(name), dict) for name in ("args", "params")
@@ -79,7 +79,7 @@ def read(data: bytes) -> Imported:
 
 
 def _weights(params: dict[Any, Any]) -> dict[str, Tensor]:
-    """The arrays as torch has them, by our names."""
+    """Return the arrays in torch's layout, under astray's names."""
     weights = {}
     for name, array in params.items():
         if not isinstance(name, str) or not isinstance(array, np.ndarray):
@@ -96,7 +96,7 @@ def _weights(params: dict[Any, Any]) -> dict[str, Tensor]:
 
 
 def _turned(layer: str, kernel: np.ndarray) -> np.ndarray:
-    """A kernel with what comes in last: [out, in], or [out, in, height, width]."""
+    """Return a kernel with inputs last: [out, in], or [out, in, height, width]."""
     if layer in CONVOLUTIONS:
         if kernel.ndim != 4:
             raise ValueError(f"{layer} is no convolution: its kernel is {kernel.shape}")

@@ -1,12 +1,12 @@
-"""Plain data out of a pickle, and nothing run: arrays, numbers, text and containers.
+"""Reader of plain data in pickles that executes nothing: arrays, numbers, text, containers.
 
-A pickle is a program for a little machine. Python's own takes its word for what to import and
-call; the one here knows the instructions that build plain data, looks up no name and calls
-nothing that a file names. What it does not know it refuses. It reads files of joblib, whose
-arrays lie between the instructions as bare bytes.
+A pickle is a program for a small machine, and Python's own imports and calls what the program asks
+for. This reader supports only the instructions that build plain data, looks up no names, calls
+nothing, and refuses everything else. It also reads joblib files, whose arrays lie as raw bytes
+between the instructions.
 
-Data may share parts, so that 200 bytes can mean a tuple of 2**60 numbers: nothing here walks
-through a value that a file made, and what it makes is bounded.
+Data may share parts, so 200 bytes can describe a tuple of 2**60 numbers. No code here walks
+through a value from a file, and the number of created values is bounded.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ PUSHED = (  # instructions that carry the value that they push
 
 
 def read(data: bytes) -> Any:
-    """The plain data in a pickle or an uncompressed file of joblib; ValueError for all else."""
+    """Return the plain data in a pickle or uncompressed joblib file; otherwise raise ValueError."""
     machine = _Machine(io.BytesIO(data), len(data))
     try:
         for instruction, argument, _ in pickletools.genops(machine.file):
@@ -76,14 +76,14 @@ class Refused(ValueError):
 
 @dataclass(frozen=True)
 class _Name:
-    """Something importable that the file mentions; it is never imported."""
+    """An importable name in the file, which is never imported."""
 
     path: str  # "module name"
 
 
 @dataclass
 class _Dtype:
-    """A type of numbers, as the file describes it."""
+    """A number type in the file's description."""
 
     kind: str
     order: str = "="
@@ -115,7 +115,7 @@ class _Machine:
     left: int = NODES
 
     def spend(self, nodes: int) -> None:
-        """Count what the file makes, of which a few bytes could make any number."""
+        """Count created values, because a few bytes could create any number of them."""
         self.left -= nodes
         if self.left < 0:
             raise Refused(f"it has more than {NODES:,} parts; no agent known has a tenth of that")
@@ -137,7 +137,7 @@ class _Machine:
             raise Refused(f"it has the instruction {name}, which plain data does not need")
 
     def note(self, number: int) -> None:
-        """Keep the last value under a number, by which the file asks for it again."""
+        """Store the last value under a number by which the file refers to it later."""
         value = self.memo[number] = self.stack[-1]
         if isinstance(value, _Pending):
             value.numbers.append(number)
@@ -147,7 +147,7 @@ class _Machine:
         return popped
 
     def array(self, description: Any) -> np.ndarray:
-        """The array whose bytes come next in the file."""
+        """Return the array whose bytes come next in the file."""
         shape, dtype = description["shape"], description["dtype"].numpy()
         if description["subclass"] != _Name(NDARRAY):
             other = shown(description["subclass"])
@@ -242,7 +242,7 @@ def _of(kind: type, value: Any) -> Any:
 
 
 def _reduce(m: _Machine) -> None:
-    """What calling a name would give, for the names that stand for plain data."""
+    """Return the result of a call, for the names that stand for plain data."""
     arguments, name = m.stack.pop(), m.stack.pop()
     if name == _Name(DTYPE):
         m.stack.append(_Dtype(arguments[0]))

@@ -1,6 +1,6 @@
-"""Read IMPALA agents of train-procgen-pytorch, as the paper's, and of train-procgen-pfrl.
+"""Importer of IMPALA agents from train-procgen-pytorch, as in the paper, and train-procgen-pfrl.
 
-Files hold the weights by name, bare or under `model_state_dict` (older ones `state_dict`), some
+Files hold weights by name, either directly or under `model_state_dict` (older: `state_dict`), some
 with the optimizer's state. Both programs compute the same network, with any channels, under
 different names: images are divided by 255, actions are sampled from the policy.
 """
@@ -45,10 +45,11 @@ HOLDS = ("model_state_dict", "state_dict")
 
 @dataclass(frozen=True)
 class Names:
-    """The names that a program gives to the weights of its IMPALA.
+    """A program's names for the weights of its IMPALA network.
 
-    heads    of the first convolution and of the policy, which every such file has
-    renamed  pairs (regular expression, replacement) that give our names
+    Attributes:
+        heads: Weights of the first convolution and the policy, which every such file has.
+        renamed: Pairs (regular expression, replacement) that yield astray's names.
     """
 
     program: str
@@ -57,7 +58,7 @@ class Names:
 
 
 def _plus_one(match: re.Match[str]) -> str:
-    """Return the match with each number one higher: that program counts from 0, ours from 1."""
+    """Return the match with each number increased by one: that program counts from 0."""
     return re.sub(r"\d", lambda digit: str(int(digit[0]) + 1), match[0])
 
 
@@ -91,7 +92,7 @@ def read(data: bytes) -> Imported:
     """Return the agent in the bytes of a .pth or .pt file.
 
     Raises:
-        ValueError: the bytes are damaged, hold more than weights, or another network.
+        ValueError: If the bytes are damaged, hold more than weights, or another network.
     """
     tensors = _tensors(_load(data), len(data))
     if any(name.startswith("gru.") for name in tensors):
@@ -127,17 +128,16 @@ def _load(data: bytes) -> Any:
 
 
 def _more(asked: str) -> str:
-    """Return the reason to refuse a file that asks for a class or a function, where it is known."""
+    """Return the reason for refusing a file that asks for a class or a function, if known."""
     more = "it holds more than weights, or is damaged, and nothing in a file is run"
     return f"{more}: it asks for {asked}" if asked else more
 
 
 def check_plain(data: bytes) -> None:
-    """Raise ValueError if the pickles in a file's bytes are more than weights are made of.
+    """Raise ValueError if the pickles in a file contain more than weights need.
 
-    A tuple of two that are the same, of two that are the same, and so on, is short to write and
-    takes 2 to the power of its depth to hash, so as a key it would keep torch busy for ever; one
-    that is nested a hundred thousand times would crash it.
+    A tuple of two equal tuples of two equal tuples and so on is short, but takes 2**depth steps to
+    hash: as a key it would keep torch busy for ever. One nested 100,000 deep would crash it.
     """
     try:
         with zipfile.ZipFile(io.BytesIO(data)) as archive:
@@ -180,7 +180,7 @@ def check_plain(data: bytes) -> None:
 
 
 def _tensors(found: Any, size: int) -> dict[str, Tensor]:
-    """The weights by name; none can be larger than the file of `size` bytes."""
+    """Return the weights by name; none can be larger than the file of `size` bytes."""
     for name in HOLDS:
         if isinstance(found, Mapping) and isinstance(found.get(name), Mapping):
             found = found[name]

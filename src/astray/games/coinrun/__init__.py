@@ -1,4 +1,4 @@
-"""CoinRun: a runner jumps over hazards to a coin; in training it lies at the end of the level."""
+"""CoinRun: a runner jumps over hazards to a coin, which in training is at the end of the level."""
 
 from astray.game import Benchmark, Game
 from astray.games.coinrun import draw, levels, measures, original, places, rules, solve, variants

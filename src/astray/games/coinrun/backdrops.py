@@ -1,7 +1,7 @@
-"""Backgrounds of CoinRun, made by arithmetic: 49 landscapes, 7 kinds in 7 lights, and 13 skies.
+"""Computed backgrounds of CoinRun: 49 landscapes, 7 kinds in 7 lights, and 13 skies.
 
-Nothing here depends on a machine's mathematical library: heights are smooth steps between
-values that hashes give, so that every machine makes the same bytes.
+They need no mathematical library: heights are smooth steps between hash values, so every machine
+computes the same bytes.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ PALETTES = np.array(
 
 
 def render(scale: float) -> np.ndarray:
-    """All of them at `scale` pixels a cell, [COUNT, height, width, 3] uint8, top row first."""
+    """Return all backgrounds at `scale` pixels per cell, [COUNT, height, width, 3] uint8."""
     height, width = max(1, round(HIGH * scale)), max(1, round(WIDE * scale))
     # Each pixel is the mean of four, or edges would be jagged.
     pictures = np.empty((COUNT, height, width, 3), np.uint8)
@@ -63,7 +63,7 @@ def _render(k: int, height: int, width: int) -> np.ndarray:
 
 
 def _hash(seed: int, count: int) -> np.ndarray:
-    """`count` reals in [0, 1) that look random."""
+    """Return `count` hash values in [0, 1)."""
     z = np.arange(count, dtype=np.uint64) + np.uint64(seed * 7919 + 1)
     z = (z ^ (z >> np.uint64(15))) * np.uint64(0x2C1B3C6D) & np.uint64(0xFFFFFFFF)
     z = (z ^ (z >> np.uint64(12))) * np.uint64(0x297A2D39) & np.uint64(0xFFFFFFFF)
@@ -72,7 +72,7 @@ def _hash(seed: int, count: int) -> np.ndarray:
 
 
 def _waves(across: np.ndarray, seed: int, count: int, sharp: bool = False) -> np.ndarray:
-    """Smooth heights from 0 to 1 with `count` knots over the width, which repeat."""
+    """Return smooth periodic heights from 0 to 1 with `count` knots over the width."""
     knots = _hash(seed, count)
     at = across * count / WIDE
     k = at.astype(int)
@@ -83,14 +83,14 @@ def _waves(across: np.ndarray, seed: int, count: int, sharp: bool = False) -> np
 
 
 def _teeth(across: np.ndarray, seed: int, count: int) -> np.ndarray:
-    """Triangles of different heights, from 0 to 1, side by side."""
+    """Return adjacent triangles of different heights, from 0 to 1."""
     at = across * count / WIDE
     k = at.astype(int)
     return (0.4 + 0.6 * _hash(seed, count)[k % count]) * (1 - abs(2 * (at - k) - 1))
 
 
 def _blocks(across: np.ndarray, seed: int, count: int) -> np.ndarray:
-    """Boxes of different heights, from 0 to 1, side by side."""
+    """Return adjacent boxes of different heights, from 0 to 1."""
     return _hash(seed, count)[(across * count / WIDE).astype(int) % count]
 
 
@@ -143,7 +143,7 @@ LANDSCAPES: tuple[Callable[[np.ndarray, int], list[np.ndarray]], ...] = (
 
 
 def _clouds(across: np.ndarray, up: np.ndarray, k: int) -> np.ndarray:
-    """Where a cloud is, [height, width] bool: a few rows of flattened discs."""
+    """Return a mask [height, width] of clouds: a few rows of flattened discs."""
     clouds = np.zeros((len(up), len(across)), bool)
     where, size = _hash(k + 500, 18).reshape(6, 3), _hash(k + 900, 6)
     for (x, y, _), big in zip(where, size, strict=True):
@@ -156,7 +156,7 @@ def _clouds(across: np.ndarray, up: np.ndarray, k: int) -> np.ndarray:
 
 
 def _space(k: int, up: np.ndarray, across: np.ndarray) -> np.ndarray:
-    """A starry sky with a planet and its own hue."""
+    """Return a starry sky with a planet and a hue of its own."""
     tint = np.array([30, 26, 56]) + (60 * _hash(k + 77, 3)).astype(int)
     share = np.clip(up / HIGH, 0, 1)[:, None]
     row = (tint * (1.25 - 0.7 * share)).astype(np.uint8)

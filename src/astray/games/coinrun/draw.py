@@ -1,4 +1,4 @@
-"""CoinRun as pictures, as the agent sees it and at any larger scale, and as symbolic planes."""
+"""CoinRun as pictures, for the agent and at any larger scale, and as symbolic planes."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ GAUGE = 2 * VIEW  # marks of a gauge, over two rows
 
 @shared
 def paint(s, art, scene):
-    """The level without what moves, and the margin; nothing where no scene is kept."""
+    """Paint the level without moving things, and its margin, unless no scene is kept."""
     if scene.shape[0] > 1:
         part = up_to_wall(s, scene)
         paint_part(s, art, part, np.int64(0), np.int64(0), scene.shape[0] / CELLS)
@@ -65,10 +65,10 @@ def paint(s, art, scene):
 
 @kernel
 def up_to_wall(s, scene):
-    """The scene up to the end wall, and what can be seen beyond, in rows no longer than that.
+    """Return the scene up to the end wall and what is visible beyond.
 
-    Most levels end before half of the world: their rows lie closer together in memory, and
-    windows of them are read faster.
+    Most levels end before half of the world. Shorter rows are closer in memory, so windows of them
+    are read faster.
     """
     height = scene.shape[0]
     cells = WORLD if s.permeable else s.end_x + 1
@@ -116,7 +116,7 @@ def paint_part(s, art, target, top, left, scale):
 
 @kernel
 def opaque(s, x, y):
-    """What hides the sky in cell (x, y): WALL, also around the world, TOP, PERMEABLE or OPEN."""
+    """Return what hides the sky in cell (x, y): WALL (also outside), TOP, PERMEABLE or OPEN."""
     if not (0 <= x < WORLD and 0 <= y < WORLD):
         return WALL
     cell = s.cell[y, x]
@@ -125,9 +125,9 @@ def opaque(s, x, y):
 
 @shared
 def lay(target, strip, top, bottom, left, right, shift):
-    """Fill rows top..bottom, those that are there, and columns left..right with a strip.
+    """Fill the visible part of rows top..bottom, columns left..right with a strip.
 
-    shift  the column of the strip that is at the target's left edge
+    `shift` is the strip's column at the target's left edge.
     """
     height, width = target.shape[:2]
     flat, n = target.reshape(-1), (right - left) * 3
@@ -140,16 +140,15 @@ def lay(target, strip, top, bottom, left, right, shift):
 
 @shared
 def put(target, sprite, top, left):
-    """`blit`, but compiled once."""
+    """Call `blit`, in a version that is compiled once."""
     blit(target, sprite, top, left)
 
 
 @shared
 def lay_sky(s, target, picture, first, after, left, right, top, shift, scale):
-    """Likewise rows first..after with the backdrop, from the world's floor up; higher up its
-    topmost row.
+    """Fill rows first..after with the backdrop, from the world's floor up; above it, its top row.
 
-    top, shift  the row and column of the scene that are at the target's upper left
+    The target's upper left pixel is (`top`, `shift`) in the scene.
     """
     height, width = picture.shape[:2]
     fine = width / backdrops.WIDE / scale  # the backdrop's pixels per pixel
@@ -168,7 +167,7 @@ def lay_sky(s, target, picture, first, after, left, right, top, shift, scale):
 
 @kernel
 def copy_round(target, source, begin):
-    """Fill `target` from `source`, which repeats, from its item `begin` on."""
+    """Fill `target` from the periodic `source`, from item `begin` on."""
     done, begin = 0, begin % source.size
     while done < target.size:
         n = min(target.size - done, source.size - begin)
@@ -180,7 +179,7 @@ def copy_round(target, source, begin):
 
 @kernel
 def blend(target, left, right, one, two, share, fine, begin):
-    """Fill part of a row with what is between two rows of a coarser picture, which repeat."""
+    """Fill part of a row by interpolation between two periodic rows of a coarser picture."""
     down, width = int(share * 256), one.shape[0]
     for column in range(left, right):
         u = (column + 0.5) * fine + begin + width - 0.5
@@ -194,7 +193,7 @@ def blend(target, left, right, one, two, share, fine, begin):
 
 @shared
 def draw(s, art, scene, image):
-    """The window around the runner: the scene, then what moves."""
+    """Draw the window around the runner: the scene, then moving things."""
     _, _, _, _, saws, _, runners, walkers, puffs = art
     scale = image.shape[0] / VIEW
     left = pixel(s.x + MARGIN - VIEW / 2, scale)
@@ -220,7 +219,7 @@ def stamp(image, sprite, scale, top, left, x, y):
 
 @shared
 def draw_saws(s, saws, scale, top, left, image):
-    """The saws in view, which turn with every step."""
+    """Draw the visible saws, which turn with every step."""
     around = VIEW // 2 + 1
     first, j = min(max(int(s.x) - around, 0), WORLD - SPAN), int(s.y)
     for y in range(max(j - around, 0), min(j + around + 1, WORLD)):
@@ -235,7 +234,7 @@ def draw_saws(s, saws, scale, top, left, image):
 
 @shared
 def draw_walkers(s, walkers, puffs, scale, top, left, image):
-    """The walkers in view on their trails."""
+    """Draw the visible walkers on their trails."""
     far = VIEW / 2 + 1
     for k in range(s.walkers):
         x, y = s.walker_x[k], s.walker_y[k]
@@ -250,7 +249,7 @@ def draw_walkers(s, walkers, puffs, scale, top, left, image):
 
 @shared
 def paint_planes(s, scene):
-    """Walls, hazards, crates and coins of the whole world, and the margin."""
+    """Write walls, hazards, crates and coins of the whole world, and its margin."""
     scene[:] = 0
     for y in range(WORLD + 2 * AROUND):
         for x in range(WORLD + 2 * AROUND):
@@ -267,7 +266,7 @@ def paint_planes(s, scene):
 
 @shared
 def draw_planes(s, scene, planes):
-    """The cells around the runner's, with walkers, and gauges of how the runner moves."""
+    """Write the cells around the runner, with walkers, and gauges of the runner's motion."""
     x, y = int(s.x), int(s.y)
     for plane in range(STILL_PLANES):
         for row in range(VIEW):
@@ -302,7 +301,7 @@ def gauge(planes, row, share):
 
 
 def planes(variant: Variant) -> np.ndarray:
-    """The largest value of each symbolic plane, [C, H, W] uint8: all are flags."""
+    """Return the largest value of each symbolic plane, [C, H, W] uint8: all are flags."""
     return np.ones((PLANES, VIEW, VIEW), np.uint8)
 
 
@@ -316,12 +315,12 @@ def scene_shape(variant: Variant, pixels: int) -> tuple[int, ...]:
 
 
 def art(variant: Variant, pixels: int) -> tuple[np.ndarray, ...]:
-    """The pictures; S pixels are a cell's side, rounded up.
+    """Return the pictures; S is a cell's side in pixels, rounded up.
 
-    backgrounds [62, h, w, 3], strips of ground (within, top) as wide as the scene
-    [6, 2, S, w, 3], lava (within, top) [2, S, S, 4], crates [4, S, S, 4], saws [2, S, S, 4], a
-    coin [S, S, 4], runners (pose, facing) [5, 3, 2, h, S, 4], walkers (picture, facing)
-    [9, 2, 2, S, S, 4], puffs by age [9, h, w, 4]
+    They are backgrounds [62, h, w, 3], strips of ground (within, top) as wide as the scene [6, 2,
+    S, w, 3], lava (within, top) [2, S, S, 4], crates [4, S, S, 4], saws [2, S, S, 4], a coin [S,
+    S, 4], runners (pose, facing) [5, 3, 2, h, S, 4], walkers (picture, facing) [9, 2, 2, S, S, 4],
+    puffs by age [9, h, w, 4].
     """
     return _art(pixels / VIEW)
 
@@ -360,14 +359,14 @@ def _art(scale: float) -> tuple[np.ndarray, ...]:
 
 
 def _strips(grounds: list[list[np.ndarray]], scale: float) -> np.ndarray:
-    """The pictures of cells of ground, side by side as in the scene."""
+    """Return the pictures of ground cells, side by side as in the scene."""
     edges = np.floor(np.arange(CELLS + 1) * scale + 0.5).astype(int)
     columns = np.concatenate([np.arange(b - a) for a, b in itertools.pairwise(edges)])
     return np.array(grounds)[:, :, :, columns]
 
 
 def _puffs(scale: float) -> np.ndarray:
-    """The puffs of a trail, youngest first, in the middle of pictures as large as the last."""
+    """Return the puffs of a trail, youngest first, centred in pictures as large as the last."""
     white = own.load(ART, "puff")
     sizes = [
         [max(1, round(cells * PUFF_GROWTH**age * scale)) for cells in (PUFF_HEIGHT, PUFF_WIDTH)]

@@ -1,6 +1,6 @@
-"""What could be otherwise in a state: for studies of what an agent sees in it.
+"""Edits of states, for studies of an agent's perception.
 
-All take states [N] and return other ones [N]; those given stay as they are.
+All take states [N] and return edited copies [N].
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ IN_VIEW = VIEW / 2 - 0.5  # cells from the runner to the centre of a cell that a
 
 
 def without_coin(states: np.ndarray) -> np.ndarray:
-    """Without any coin."""
+    """Remove all coins."""
     edited = states.copy()
     edited["cell"][edited["cell"] == COIN] = EMPTY
     edited["coin_x"], edited["coin_y"] = NEVER, NEVER
@@ -40,9 +40,9 @@ def without_coin(states: np.ndarray) -> np.ndarray:
 
 
 def with_coin_in_view(states: np.ndarray, *, seed: int = 0) -> np.ndarray:
-    """With one more coin at a place to stand that is in view, if there is any.
+    """Add a coin at a visible place to stand, if there is one.
 
-    All such places are equally likely; which one it is depends on seed, level and step alone.
+    The place is uniformly random, and depends on seed, level and step alone.
     """
     edited = states.copy()
     for s in edited:
@@ -56,7 +56,7 @@ def with_coin_in_view(states: np.ndarray, *, seed: int = 0) -> np.ndarray:
 
 
 def _free(s: Any) -> np.ndarray:
-    """[WORLD, WORLD] bool, the cells with nothing in them, nor the runner, nor a walker."""
+    """Return the cells without an object, the runner or a walker, [WORLD, WORLD] bool."""
     free = np.isin(s["cell"], (EMPTY, INVISIBLE)) & (s["thing"] == NOTHING)
     touched_x, touched_y = abs(CENTRES - s["x"]) < 2 * HALF, abs(CENTRES - s["y"]) < HALF + TALL
     free &= ~(touched_y[:, None] & touched_x)
@@ -66,7 +66,7 @@ def _free(s: Any) -> np.ndarray:
 
 
 def _above_ground(s: Any) -> np.ndarray:
-    """[WORLD, WORLD] bool, the cells above one that can be stood on."""
+    """Return the cells above one that can be stood on, [WORLD, WORLD] bool."""
     ground = np.isin(s["cell"], (WALL, TOP)) | (s["thing"] == CRATE)
     return np.vstack([np.zeros((1, WORLD), bool), ground[:-1]])
 
@@ -78,28 +78,28 @@ def _add_coin(s: Any, x: int, y: int) -> None:
 
 
 def without_walkers(states: np.ndarray) -> np.ndarray:
-    """Without walkers and their trails."""
+    """Remove walkers and their trails."""
     edited = states.copy()
     edited["walkers"] = 0
     return edited
 
 
 def without_saws(states: np.ndarray) -> np.ndarray:
-    """Without saws."""
+    """Remove saws."""
     edited = states.copy()
     edited["thing"][edited["thing"] == SAW] = NOTHING
     return edited
 
 
 def without_crates(states: np.ndarray) -> np.ndarray:
-    """Without crates; a runner on one stands on air."""
+    """Remove crates; a runner on one then stands on air."""
     edited = states.copy()
     edited["thing"][edited["thing"] == CRATE] = NOTHING
     return edited
 
 
 def without_end_wall(states: np.ndarray) -> np.ndarray:
-    """Without the end wall, from the ground before it up; the ground goes on beneath."""
+    """Remove the end wall, from the ground before it up; the ground continues."""
     edited, columns = states.copy(), np.arange(WORLD)
     end, permeable = states["end_x"][:, None], states["permeable"][:, None]
     in_wall = (columns > end) & ((permeable == 0) | (columns <= end + permeable))
@@ -110,14 +110,14 @@ def without_end_wall(states: np.ndarray) -> np.ndarray:
 
 
 def with_other_runner(states: np.ndarray) -> np.ndarray:
-    """With a runner of another colour."""
+    """Change the runner's colour."""
     edited = states.copy()
     edited["runner_look"] = (states["runner_look"] + 1) % RUNNERS
     return edited
 
 
 def with_other_background(states: np.ndarray) -> np.ndarray:
-    """Before another backdrop, as far from it in the list as there is."""
+    """Change the backdrop to the one furthest away in the list."""
     edited = states.copy()
     edited["background"] = (states["background"] + BACKGROUNDS // 2) % BACKGROUNDS
     return edited

@@ -1,4 +1,4 @@
-"""Levels of CoinRun: the original's draws, in the original's order; and levels as data."""
+"""Levels of CoinRun, with the original's random draws in its order, and levels as data."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ STOOD_ON = ":oi%c"
 
 @shared
 def word(s):
-    """The original's next 32 random bits; one function, as literals are compiled one by one."""
+    """Draw the original's next 32 random bits; one function, as literals compile separately."""
     return np.int64(draw_u32(s))
 
 
@@ -94,7 +94,7 @@ def generate(s, p):
 
 @shared
 def clear(s):
-    """An empty world, closed all around, with the runner in its lower left corner."""
+    """Make an empty closed world with the runner in its lower left corner."""
     for y in range(WORLD):
         for x in range(WORLD):
             s.cell[y, x], s.thing[y, x], s.detail[y, x] = EMPTY, NOTHING, 0
@@ -116,7 +116,7 @@ def clear(s):
 
 @shared
 def build_sections(s, p, in_pit):
-    """Build the ground up to the end, mark pits; the cell (x, y) of the original's random coin."""
+    """Build the ground up to the end, mark pits; return the original's random coin cell."""
     difficulty = 1 + word(s) % 3
     if p.difficulty:
         difficulty = p.difficulty
@@ -150,7 +150,7 @@ def build_sections(s, p, in_pit):
 
 @kernel
 def fill_ground(s, x, y, width):
-    """Solid ground with its surface at height `y`."""
+    """Fill solid ground with its surface at height `y`."""
     for column in range(x, x + width):
         for row in range(y - 1):
             s.cell[row, column] = WALL
@@ -159,7 +159,7 @@ def fill_ground(s, x, y, width):
 
 @shared
 def put_walker(s, p, x, y):
-    """Draw a walker; it is there only in variants with hazards."""
+    """Draw a walker's random numbers; add it only in variants with hazards."""
     left, look = word(s) % 2 == 0, word(s) % LOOKS
     if p.hazards:
         add_walker(s, x, y, left, look)
@@ -167,7 +167,7 @@ def put_walker(s, p, x, y):
 
 @kernel
 def add_walker(s, x, y, left, look):
-    """One more walker, in the middle of cell (x, y)."""
+    """Add a walker in the middle of cell (x, y)."""
     k = s.walkers
     s.walker_x[k], s.walker_y[k] = F(x) + HALF, F(y) + HALF
     s.walker_vx[k] = -STROLL if left else STROLL
@@ -180,7 +180,7 @@ def add_walker(s, x, y, left, look):
 
 @shared
 def build_pit(s, p, x, y, width, danger, in_pit):
-    """Two banks, and a pit of lava, saws or walkers between them; a platform if it is wide."""
+    """Build two banks, a pit of lava, saws or walkers between, and a platform if it is wide."""
     left, right = 1 + word(s) % 3, 1 + word(s) % 3
     wide = width - left - right
     deep = 1 + word(s) % (y - 3)
@@ -212,7 +212,7 @@ def build_pit(s, p, x, y, width, danger, in_pit):
 
 @shared
 def build_flat(s, p, x, y, width, difficulty):
-    """Solid ground with a saw, a walker and two piles of crates on it, or fewer."""
+    """Build solid ground with at most a saw, a walker and two piles of crates."""
     fill_ground(s, x, y, width)
     saw_x, walker_x = NEVER, NEVER
     if word(s) % 10 < 2 * difficulty and width > 3:
@@ -231,14 +231,14 @@ def build_flat(s, p, x, y, width, difficulty):
 
 @kernel
 def add_crate(s, x, y, look):
-    """A crate in cell (x, y); one that was there is seen at the corners of the new one."""
+    """Add a crate in cell (x, y); an earlier one stays visible at its corners."""
     before = s.detail[y, x] % CRATES + 1 if s.thing[y, x] == CRATE else 0
     s.thing[y, x], s.detail[y, x] = CRATE, look + CRATES * before
 
 
 @kernel
 def finish(s, permeable):
-    """The ground at the end, and the end wall."""
+    """Build the ground at the end and the end wall."""
     x, y = s.end_x, s.end_y
     s.cell[y, x] = EMPTY
     fill_ground(s, x, y, 1)
@@ -250,7 +250,7 @@ def finish(s, permeable):
 
 @kernel
 def put_coins(s, p, random, random_x, random_y):
-    """A coin at the end or at the random place or at both; where none is, an invisible one."""
+    """Put a coin at the end, at the random place, or both; otherwise an invisible one there."""
     if p.coins == TWO_COINS:
         at_end, at_random = True, True
     elif p.coins == ONE_COIN:
@@ -267,15 +267,15 @@ def put_coins(s, p, random, random_x, random_y):
 
 
 def grid(s: Any) -> np.ndarray:
-    """What every cell holds, [WORLD, WORLD] uint8, with crates, saws and walkers."""
+    """Return the contents of every cell, [WORLD, WORLD] uint8, with crates, saws and walkers."""
     return _drawn(s)[0]
 
 
 def _drawn(s: Any) -> tuple[np.ndarray, np.ndarray, list[list[int]]]:
-    """What the cells of `s` hold, the looks of that, and the walkers that share theirs.
+    """Return the contents of the cells of `s`, their looks, and the walkers that share a cell.
 
-    Those, [x, y, whether to the left, look] each, came in the episode to what a cell has beside
-    nothing or a saw, as a crate or a coin.
+    These, [x, y, whether it faces left, look] each, moved in the episode to a cell with another
+    object.
     """
     cells, details, sharing = s.cell.copy(), s.detail.copy(), []
     cells[s.thing == CRATE] = CRATE_HERE
@@ -291,7 +291,7 @@ def _drawn(s: Any) -> tuple[np.ndarray, np.ndarray, list[list[int]]]:
 
 
 def describe(s: Any) -> dict[str, Any]:
-    """The level in state `s` as plain data; rows of `grid` from the lowest up."""
+    """Return the level of state `s` as plain data, with the lowest row of `grid` first."""
     cells, details, sharing = _drawn(s)
     return {
         "world": WORLD,
@@ -320,12 +320,12 @@ def describe(s: Any) -> dict[str, Any]:
 
 
 def invariants(states: np.ndarray, variant: Variant) -> dict[str, np.ndarray]:
-    """What is true of states [N] of `variant`, and compiled code relies on."""
+    """Return facts about states [N] of `variant` that compiled code relies on."""
     return truths(states)
 
 
 def truths(states: np.ndarray) -> dict[str, np.ndarray]:
-    """What is true of states [N] of all variants."""
+    """Return facts about states [N] of every variant."""
     s = states.view(np.recarray)
     return {
         "cell": (s.cell <= PERMEABLE).all((1, 2)),
@@ -352,16 +352,19 @@ def truths(states: np.ndarray) -> dict[str, np.ndarray]:
 
 @functools.cache
 def _empty_world() -> np.ndarray:
-    """A state [1] as `clear` leaves it, which takes 40 ms where it is not compiled."""
+    """Return a state [1] made by `clear`, which takes 40 ms without compilation."""
     state = np.zeros(1, STATE)
     clear(state.view(np.recarray)[0])
     return state
 
 
 def build(cells: np.ndarray, agent: tuple[int, int], looks: Any, variant: Variant) -> Any:
-    """The state that begins in the level of `cells`, smaller ones in the world's lower left.
+    """Return the state that begins in the level `cells`; smaller levels are put in the lower left.
 
-    Around a smaller level there is wall. Where `looks` do not say, it ends as `_guess_end` does.
+    There is wall around a smaller level. Without an end in `looks` it ends as in `_guess_end`.
+
+    Raises:
+        ValueError: If no episode can begin there.
     """
     height, width = cells.shape
     if height > WORLD or width > WORLD:
@@ -394,10 +397,7 @@ def build(cells: np.ndarray, agent: tuple[int, int], looks: Any, variant: Varian
 
 
 def _add_walkers(s: Any, drawn: np.ndarray, details: np.ndarray, sharing: Any) -> None:
-    """The walkers of a drawn level, in the order in which the original makes them.
-
-    sharing  after these, those of `_drawn`
-    """
+    """Add the walkers of a drawn level in the original's order, then the `sharing` ones."""
     found = [
         (int(x), int(y), drawn[y, x] in (WALKER_LEFT, SAW_AND_LEFT), details[y, x])
         for x, y in np.argwhere(drawn.T >= WALKER_LEFT)
@@ -413,7 +413,7 @@ def _add_walkers(s: Any, drawn: np.ndarray, details: np.ndarray, sharing: Any) -
 
 
 def _guess_end(cell: np.ndarray) -> tuple[int, int]:
-    """The lowest cell to stand in, in the last column that has one, or before a permeable wall."""
+    """Return the lowest cell to stand in, in the last such column or before a permeable wall."""
     free = ~np.isin(cell, (WALL, TOP, PERMEABLE))
     free[:, (cell == PERMEABLE).any(0).cumsum() > 0] = False
     stand = free[1:] & ~free[:-1] & (cell[:-1] != PERMEABLE)

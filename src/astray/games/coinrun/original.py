@@ -1,4 +1,4 @@
-"""CoinRun as the original draws it, pixel by pixel, with its pictures."""
+"""CoinRun with the original's pictures, exact in every pixel."""
 
 from __future__ import annotations
 
@@ -89,7 +89,7 @@ PUFF_OPACITY, PUFF_FADE = F(0.5), F(0.8)  # per step
 
 
 def _puffs() -> tuple[np.ndarray, np.ndarray]:
-    """By age: half a puff's width and height [PUFFS, 2], and what of 255 is left of its opacity."""
+    """Return by age a puff's half sizes [PUFFS, 2], and its opacity of 255."""
     half, opacity = np.empty((PUFFS, 2), F), np.empty(PUFFS, np.int64)
     wide, high, left = PUFF_WIDE, PUFF_HIGH, PUFF_OPACITY
     for age in range(PUFFS):
@@ -103,12 +103,12 @@ PUFF_HALF, PUFF_LEFT = _puffs()
 
 @shared
 def paint(s, art, scene):
-    """Nothing: the camera follows the runner, and no part of the image stays."""
+    """Do nothing: the camera follows the runner, so no part of the image stays."""
 
 
 @shared
 def draw(s, art, scene, image):
-    """The window around the runner."""
+    """Draw the window around the runner."""
     pixels, places, rule = art
     seen = camera(image.shape[0], VIEW, s.x, s.y)
     draw_cells(s, pixels, places, rule[0], seen, image)
@@ -120,7 +120,7 @@ def draw(s, art, scene, image):
 
 @kernel
 def draw_cells(s, pixels, places, rule, seen, image):
-    """Background, ground, lava and coins; around the world there is wall."""
+    """Draw background, ground, lava and coins; around the world there is wall."""
     picture = np.full(PERMEABLE + 1, OPEN)  # of what is in a cell, as `paint_cells` has it
     picture[WALL], picture[TOP] = CENTRE_PLACE + s.ground, TOP_PLACE + s.ground
     picture[PERMEABLE] = CENTRE_PLACE  # of dirt, whatever the level's ground
@@ -140,7 +140,7 @@ def draw_cells(s, pixels, places, rule, seen, image):
 
 @shared
 def draw_things(s, pixels, places, seen, image):
-    """Saws, which turn with every step, then crates."""
+    """Draw saws, which turn with every step, then crates."""
     left, after = max(int(s.x - SEEN), 0), min(int(s.x + SEEN) + 1, WORLD)
     low, high = max(int(s.y - SEEN), 0), min(int(s.y + SEEN) + 1, WORLD)
     saws, crates = 0, 0
@@ -163,7 +163,7 @@ def draw_things(s, pixels, places, seen, image):
 
 @kernel
 def draw_crate(detail, pixels, places, rect, image):
-    """A crate, and before it the one that it was put upon."""
+    """Draw a crate, over the one that it was put on."""
     if detail >= CRATES:
         blit(image, pixels, places[CRATE_PLACE + detail // CRATES - 1], rect, False)
     blit(image, pixels, places[CRATE_PLACE + detail % CRATES], rect, False)
@@ -171,7 +171,7 @@ def draw_crate(detail, pixels, places, rect, image):
 
 @shared
 def draw_trails(s, pixels, places, rule, seen, image):
-    """The trails of walkers, from the oldest puffs on; of one step's, the last walker's first."""
+    """Draw the walkers' trails, oldest puffs first; within a step, the last walker first."""
     far = SEEN + F(3)
     for age in range(min(s.time, PUFFS) - 1, -1, -1):
         for k in range(s.walkers - 1, -1, -1):
@@ -185,7 +185,7 @@ def draw_trails(s, pixels, places, rule, seen, image):
 
 @kernel
 def draw_runner(s, pixels, places, seen, image):
-    """The runner, who begins a level as if walking; its picture is higher than what it touches."""
+    """Draw the runner, which begins as if walking; its picture is higher than its hit box."""
     left, top, wide, high = around(seen, s.x, s.y, HALF, TALL)
     rect = left, top - HEAD * high, wide, 1.7415 * high
     pose = s.pose if s.time > 0 else WALK
@@ -194,7 +194,7 @@ def draw_runner(s, pixels, places, seen, image):
 
 @shared
 def draw_walkers(s, pixels, places, seen, image):
-    """The walkers in view, which look to the left at the beginning, wherever they go."""
+    """Draw the visible walkers, which face left at first, wherever they go."""
     far = SEEN + F(1)
     for k in range(s.walkers):
         x, y = s.walker_x[k], s.walker_y[k]
@@ -209,7 +209,7 @@ def scene_shape(variant: Variant, pixels: int) -> tuple[int, ...]:
 
 
 def art(rule: int, variant: Variant, pixels: int) -> tuple[np.ndarray, ...]:
-    """Pixels [N] and places [K, 3] of all pictures, the rule [1]."""
+    """Return pixels [N] and places [K, 3] of all pictures, and the rule [1]."""
     return _art(rule)
 
 

@@ -1,4 +1,4 @@
-"""Places of the runner: cells (x, y) where it is and could be, x to the right, y upward."""
+"""Positions of the runner in cells (x, y), x to the right, y upward."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ __all__ = ["centre", "put", "stand"]
 
 
 def stand(s: Any) -> np.ndarray:
-    """The cells with nothing in them that the runner can get to, and its own, [H, W] bool.
+    """Return the empty cells that the runner can reach, and its own, [H, W] bool.
 
     In some of them it would fall.
     """
@@ -24,7 +24,7 @@ def stand(s: Any) -> np.ndarray:
 
 
 def put(states: np.ndarray, cells: np.ndarray) -> np.ndarray:
-    """States [N] with the runners on the ground of `cells` [N, 2], at rest."""
+    """Return copies of states [N] with the runners on the ground of `cells` [N, 2], at rest."""
     found = states.copy()
     found["x"], found["y"] = cells[:, 0] + HALF, cells[:, 1] + TALL
     found["vx"], found["vy"], found["on_crate"] = 0, 0, False

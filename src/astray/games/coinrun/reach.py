@@ -1,7 +1,7 @@
-"""Where the runner can get to: a search with the real physics, without walkers.
+"""Cells that the runner can reach: a search with the real physics, without walkers.
 
-From every place where it comes to stand, the runner tries a few ways to run and jump. Walkers
-come and go, so they stop nothing here; saws and lava do.
+From every place where it can stand, the runner tries a few ways to run and jump. Saws and lava
+stop it; walkers, which come and go, do not.
 """
 
 import numpy as np
@@ -37,9 +37,9 @@ QUEUE = WORLD * WORLD
 
 @shared
 def explore(s, target_x, target_y, touched):
-    """Whether the runner can touch the cell (target_x, target_y), where none is NEVER.
+    """Return whether the runner can touch cell (target_x, target_y), which may be NEVER.
 
-    touched  [WORLD, WORLD] bool: the cells that it touched in the search; filled here
+    `touched` [WORLD, WORLD] bool is filled with the cells that it touched in the search.
     """
     x0, y0, vx0, vy0, crate0 = s.x, s.y, s.vx, s.vy, s.on_crate
     known = np.zeros((WORLD, WORLD, PACES), np.bool_)
@@ -75,7 +75,7 @@ def explore(s, target_x, target_y, touched):
 
 @kernel
 def glide(s, ax, leap, touched):
-    """One step of the runner; note what it touches, and return whether it is alive."""
+    """Take one step of the runner; record what it touches; return whether it is alive."""
     ay = 1 if leap else 0
     accelerate(s, ax, ay, is_supported(s))
     move(s, ax, ay, leap)  # which goes first matters to ties alone
@@ -92,7 +92,7 @@ def glide(s, ax, leap, touched):
 
 @kernel
 def remember(s, known, queue, order, count, waiting):
-    """Keep the place where the runner stands, if it is new, to try ways from it."""
+    """Add the place where the runner stands to the queue, if it is new."""
     x, y = int(np.floor(s.x)), int(np.floor(s.y - TALL + HALF))
     pace = 0 if abs(s.vx) < F(0.2) else 1 if s.vx < ZERO else 2
     if 0 <= x < WORLD and 0 <= y < WORLD and not known[y, x, pace] and count < QUEUE:
@@ -106,7 +106,7 @@ def remember(s, known, queue, order, count, waiting):
 
 @kernel
 def nearest(queue, order, waiting, target_x):
-    """The index in `order` of the place whose column is nearest to the target's."""
+    """Return the index in `order` of the place whose column is nearest to the target's."""
     best, least = 0, F(WORLD)
     for k in range(waiting):
         away = abs(queue[order[k], 0] - F(target_x))
@@ -117,9 +117,9 @@ def nearest(queue, order, waiting, target_x):
 
 @kernel
 def pick_place(s, in_pit):
-    """An empty cell to stand in that the runner can get to, all equally likely; or (-1, -1).
+    """Draw uniformly an empty reachable cell to stand in, or return (-1, -1).
 
-    in_pit  [WORLD] bool, columns on whose floor nobody stands
+    `in_pit` [WORLD] bool marks columns on whose floor nobody can stand.
     """
     xs, ys = np.empty(WORLD * 8, np.int64), np.empty(WORLD * 8, np.int64)
     count = 0

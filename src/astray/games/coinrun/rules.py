@@ -1,6 +1,6 @@
 """CoinRun: a runner jumps over hazards to a coin, which is worth 10 and ends the level.
 
-Numbers and the order of things are the original's, also that it calculates with 32-bit floats.
+Numbers, order of events and 32-bit arithmetic are the original's.
 """
 
 import numpy as np
@@ -80,7 +80,7 @@ def step(s, action):
 
 @shared
 def act(s, action, horizontal_first):
-    """A step but for its draw and trails: all move, then the runner meets what it overlaps."""
+    """Take a step without its draw and trails: all move, then the runner meets what it overlaps."""
     ax, ay = push(action)
     supported = is_supported(s)
     if ay == 1 and not supported:
@@ -95,33 +95,33 @@ def act(s, action, horizontal_first):
 
 @kernel
 def stay_inside(s):
-    """Keep the runner in the world; only one that was set into a wall ever gets to its ends."""
+    """Keep the runner in the world; it gets to the ends only if it was set into a wall."""
     s.x = min(max(s.x, HALF), WORLD - HALF)
     s.y = min(max(s.y, TALL), WORLD - TALL)
 
 
 @kernel
 def stops(cell):
-    """Whether the runner cannot enter a cell."""
+    """Return whether the runner cannot enter a cell."""
     return WALL <= cell <= TOP  # `in` a tuple is not compiled to as little
 
 
 @kernel
 def is_lava(cell):
-    """Whether a cell burns the runner."""
+    """Return whether a cell burns the runner."""
     return LAVA <= cell <= LAVA_TOP
 
 
 @kernel
 def is_solid(s, x, y):
-    """Whether the point (x, y) stops the runner; outside of the world all does."""
+    """Return whether the point (x, y) stops the runner, as everything outside of the world does."""
     i, j = int(np.floor(x)), int(np.floor(y))
     return not (0 <= i < WORLD and 0 <= j < WORLD) or stops(s.cell[j, i])
 
 
 @kernel
 def turned_by(s, x, y):
-    """What is at (x, y) that turns a walker: WALL, as outside the world, TOP, BARRIER; or EMPTY."""
+    """Return what turns a walker at (x, y): WALL (also outside), TOP, BARRIER; or EMPTY."""
     i, j = int(np.floor(x)), int(np.floor(y))
     if not (0 <= i < WORLD and 0 <= j < WORLD):
         return WALL
@@ -131,12 +131,13 @@ def turned_by(s, x, y):
 
 @shared
 def stroll(s, crates_stop):
-    """Every walker goes on to a wall or a barrier, and turns there.
+    """Move every walker on to a wall or a barrier, where it turns.
 
-    WALL also stops it for that part of the step, which costs a quarter of its speed; others do not.
+    WALL also stops it for that part of the step, at the cost of a quarter of its speed.
 
-    crates_stop  the runner falls and would land on crates: one that it is above also stops a
-                 walker inside of it that WALL stops, and the rest of its step is lost
+    Args:
+        crates_stop: The runner falls and would land on crates. Then a crate below the runner also
+            stops a walker inside it that WALL stops, for the rest of its step.
     """
     reach = HALF * CORNER
     quarter = F(0.25)
@@ -163,7 +164,7 @@ def stroll(s, crates_stop):
 
 @shared
 def leave_trails(s):
-    """Keep where every walker is, and was at the ends of the steps before."""
+    """Record the walkers' places now and at the ends of the previous steps."""
     for k in range(s.walkers):
         for age in range(PUFFS - 1, 0, -1):
             s.trail_x[k, age] = s.trail_x[k, age - 1]
@@ -172,7 +173,7 @@ def leave_trails(s):
 
 @kernel
 def is_in_crate(s, x, y):
-    """Whether a walker at (x, y) overlaps a crate that the runner was above before this step."""
+    """Return whether a walker at (x, y) overlaps a crate that was below the runner before."""
     i, j = int(np.floor(x - HALF)), int(np.floor(y - HALF))
     for row in range(max(j, 0), min(j + 2, WORLD)):
         for column in range(max(i, 0), min(i + 2, WORLD)):
@@ -189,7 +190,7 @@ def is_in_crate(s, x, y):
 
 @kernel
 def is_supported(s):
-    """Whether the runner stands: it neither rises nor falls, and a foot is on something."""
+    """Return whether the runner stands: it neither rises nor falls, and a foot is on something."""
     foot = HALF - FOOT
     below_feet = s.y - (TALL + FOOT)
     return s.vy == ZERO and (
@@ -199,7 +200,7 @@ def is_supported(s):
 
 @kernel
 def accelerate(s, ax, ay, supported):
-    """Give the runner the speed that the action (ax, ay) calls for."""
+    """Set the runner's speed for the action (ax, ay)."""
     mix = MIX_GROUND if supported else MIX_AIR
     vx = (ONE - mix) * s.vx + mix * FASTEST * F(ax)
     s.vx = ZERO if abs(vx) < mix * FASTEST else vx
@@ -215,7 +216,7 @@ def accelerate(s, ax, ay, supported):
 
 @shared
 def move(s, ax, ay, horizontal_first):
-    """Move the runner by its speed, in parts, and slow it by what was in the way."""
+    """Move the runner by its speed, in parts, and slow it at obstacles."""
     fast, falls = abs(s.vx), abs(s.vy)
     if fast != falls:
         horizontal_first = fast > falls
@@ -248,7 +249,7 @@ def move(s, ax, ay, horizontal_first):
 
 @kernel
 def shove(s, dx, dy, crates_stop, last_y):
-    """Move the runner by (dx, dy), one of which is 0; return whether something was in the way."""
+    """Move the runner by (dx, dy), one of which is 0; return whether an obstacle was met."""
     blocked = slide(s, dx, dy)
     # What moves by nothing counts as moving vertically, and crates stop that alone.
     if dx == ZERO and crates_stop and s.vy < ZERO:
@@ -265,7 +266,7 @@ def shove(s, dx, dy, crates_stop, last_y):
 
 @kernel
 def lands(s, x, y, last_y):
-    """Whether the runner has come onto the crate at (x, y) from above in this step."""
+    """Return whether the runner came onto the crate at (x, y) from above in this step."""
     return (
         abs(s.x - x) < HALF + HALF - NEAR
         and abs(s.y - y) < TALL + HALF - NEAR
@@ -275,9 +276,9 @@ def lands(s, x, y, last_y):
 
 @shared
 def slide(s, dx, dy):
-    """Move the runner by (dx, dy) but not into walls; return whether one was in the way.
+    """Move the runner by (dx, dy) but not into walls; return whether a wall was met.
 
-    Four corners are looked up, nothing between: what is thinner than the runner is tall slips in.
+    Only four corners are checked, so obstacles thinner than the runner is tall can slip between.
     """
     x, y = s.x + dx, s.y + dy
     across, along = HALF * CORNER, TALL * CORNER
@@ -294,7 +295,7 @@ def slide(s, dx, dy):
 
 @kernel
 def pose(s, ax, supported):
-    """How the runner looks after a step: where it faces, whether it walks."""
+    """Set the runner's appearance after a step: its direction, and whether it walks."""
     if ax != 0:
         s.faces_left = ax < 0
     if abs(s.vx) < TURN and ax == 0 and supported:
@@ -305,7 +306,7 @@ def pose(s, ax, supported):
 
 @kernel
 def meet(s):
-    """What comes of all that the runner overlaps now: the reward, and whether it is the end."""
+    """Apply everything that the runner overlaps; return the reward and whether the episode ends."""
     saw, walker = meets_saw(s), meets_walker(s)
     ended, lava, reward = saw or walker, False, 0.0
     left, right = int(np.floor(s.x - HALF + NEAR)), int(np.floor(s.x + HALF - NEAR))
@@ -334,7 +335,7 @@ def meet(s):
 
 @kernel
 def meets_saw(s):
-    """Whether the runner overlaps a saw."""
+    """Return whether the runner overlaps a saw."""
     left, low = int(np.floor(s.x - HALF)), int(np.floor(s.y - TALL))
     for y in range(max(low, 0), min(low + 3, WORLD)):
         for x in range(max(left, 0), min(left + 2, WORLD)):
@@ -345,7 +346,7 @@ def meets_saw(s):
 
 @kernel
 def meets_walker(s):
-    """Whether the runner overlaps a walker."""
+    """Return whether the runner overlaps a walker."""
     met = False
     for k in range(s.walkers):
         met = met or overlaps(s, s.walker_x[k], s.walker_y[k])
@@ -354,13 +355,13 @@ def meets_walker(s):
 
 @kernel
 def overlaps(s, x, y):
-    """Whether the runner overlaps a box of one cell centred at (x, y)."""
+    """Return whether the runner overlaps a box of one cell centred at (x, y)."""
     return abs(s.x - x) < HALF + HALF and abs(s.y - y) < TALL + HALF
 
 
 @kernel
 def note_death(s, saw, walker, lava):
-    """Keep the step of a death, and what it was of."""
+    """Record the step of a death and its cause."""
     if saw or walker or lava:
         s.died = s.time
     if saw:
@@ -373,10 +374,10 @@ def note_death(s, saw, walker, lava):
 
 @kernel
 def note_places(s):
-    """Keep the step at which the runner first gets to a place.
+    """Record the step at which the runner first gets to a place.
 
-    The end is the cell before the end wall, where the coin of `coin-end` is, or all that is
-    beyond it; a coin is passed when all of the runner is to its right, and so is a wall.
+    The end is the cell before the end wall, where the coin of `coin-end` is, and everything
+    beyond. A coin or a wall is passed when all of the runner is to its right.
     """
     left, right = s.x - HALF, s.x + HALF
     wall = F(s.end_x) + ONE

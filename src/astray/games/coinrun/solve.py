@@ -1,4 +1,4 @@
-"""Ways through a level, found by trying: a search with the real physics and the real walkers."""
+"""Ways through a level, from a search with the real physics and the real walkers."""
 
 from __future__ import annotations
 
@@ -44,10 +44,10 @@ check = functools.partial(check_record, rules=rules, truths=truths)
 
 
 def expert(s: Any, goal: str) -> Callable[[Any], int]:
-    """What leads to `goal` from wherever the runner of this episode is.
+    """Return a policy that leads to `goal` from the runner's place in this episode.
 
-    A way is kept for as long as the runner is on it, and another one found where somebody else
-    has led it away. The first, from `s`, is never forgotten: so many episodes of a level may begin.
+    A plan is kept while the runner follows it, and replaced if somebody else moves the runner. The
+    first plan, from `s`, is stored, because many episodes may begin there.
     """
     check(s)
     ways = [_Way(s, goal)]
@@ -64,7 +64,7 @@ def expert(s: Any, goal: str) -> Callable[[Any], int]:
 
 
 class _Way:
-    """The actions of a plan, those of waiting after it, and what moves how along it."""
+    """The actions of a plan, those of waiting after it, and the motions along it."""
 
     def __init__(self, s: Any, goal: str) -> None:
         planned = plan(s, goal)
@@ -75,7 +75,7 @@ class _Way:
         self.motions = follow(_where(s, goal), self.actions)
 
     def leads_on(self, now: Any) -> bool:
-        """Whether all that moves is where it is at this time along the way."""
+        """Return whether everything that moves is where the plan has it at this time."""
         t = int(now.time) - self.begin
         if not 0 <= t < len(self.actions):
             return False
@@ -88,10 +88,10 @@ class _Way:
 
 
 def optimal_return(s: Any, goal: str, gamma: float = 1.0) -> float:
-    """The discounted reward of the way to `goal` that `expert` goes, were it the rewarded one.
+    """Return the discounted reward of `expert`'s way to `goal`, as if that were rewarded.
 
-    A short way, not certainly the shortest. The reward comes with its last step:
-    gamma ** (steps - 1) * 10, and 0 where no way was found in the time left.
+    It is gamma ** (steps - 1) * 10, or 0 if no way is found in time. The way is short, but not
+    always the shortest.
     """
     finite("gamma", gamma, 0, 1)
     check(s)
@@ -102,10 +102,10 @@ def optimal_return(s: Any, goal: str, gamma: float = 1.0) -> float:
 
 
 def plan(s: Any, goal: str) -> np.ndarray:
-    """The actions of a short way from `s` to `goal`; none where it was reached or none is found.
+    """Return the actions of a short way from `s` to `goal`; empty if there is none to go.
 
-    A way to another goal than the coin is the one that there is without coins: one that goes
-    round them, because they end the level, would be no base rate of chance meetings.
+    For goals other than the coin, coins are removed first. A way that avoids coins, which end the
+    level, would bias the base rate of accidental pickups.
     """
     event = _event(goal)
     coin = goal == "coin" and not (s.cell == COIN).any()
@@ -117,7 +117,7 @@ def plan(s: Any, goal: str) -> np.ndarray:
 
 
 def _where(s: Any, goal: str) -> Any:
-    """A copy [1] of `s` to look for ways in: without coins, but for those to the coin."""
+    """Return a copy [1] of `s` to search in, with coins only if they are the goal."""
     copy: Any = np.zeros(1, s.dtype)
     copy[0] = s
     states = copy.view(np.recarray)
@@ -132,9 +132,9 @@ def _event(goal: str) -> str:
 
 
 def reachable(s: Any) -> np.ndarray:
-    """The cells that the runner can touch, [WORLD, WORLD] bool, walkers aside.
+    """Return the cells that the runner can touch, [WORLD, WORLD] bool, ignoring walkers.
 
-    And those of what stands or walks about, which nobody needs to get to.
+    Cells of things that stand or walk about are included.
     """
     check(s)
     copy: Any = np.zeros(1, s.dtype)
@@ -148,7 +148,7 @@ def reachable(s: Any) -> np.ndarray:
 
 @entry
 def all_touched(states):
-    """The cells that the runner can touch, [WORLD, WORLD] bool."""
+    """Return the cells that the runner can touch, [WORLD, WORLD] bool."""
     touched = np.zeros((WORLD, WORLD), np.bool_)
     explore(states[0], NEVER, NEVER, touched)
     return touched
@@ -156,7 +156,7 @@ def all_touched(states):
 
 @entry
 def follow(states, actions):
-    """The motion before each of `actions` [N], taken from `states[0]`, which is written over."""
+    """Return the motion before each of `actions` [N] from `states[0]`, which is overwritten."""
     s = states[0]
     motions = empty_motions(s, len(actions))
     for t in range(len(actions)):
@@ -168,7 +168,7 @@ def follow(states, actions):
 
 @entry
 def search(states, goal, left):
-    """The actions of a way from `states[0]`, which is written over, to `goal` in `left` steps."""
+    """Return the actions of a way from `states[0]`, overwritten, to `goal` in `left` steps."""
     s = states[0]
     ties = np.empty(left, np.bool_)
     for t in range(left):
@@ -215,16 +215,16 @@ def search(states, goal, left):
 
 @kernel
 def empty_motions(s, count):
-    """Room for `count` motions: x, y, vx, vy, on a crate; of all walkers x, then vx.
+    """Allocate `count` motions: x, y, vx, vy, on a crate; x of all walkers, then their vx.
 
-    Those, too, as how walkers go on depends, if rarely, on what the runner does.
+    Walkers are included since the runner can affect them, though rarely.
     """
     return np.empty((count, 5 + 2 * s.walkers), np.float32)
 
 
 @kernel
 def note_motion(s, motion):
-    """Write down how the runner and the walkers move."""
+    """Write the motion of the runner and the walkers."""
     motion[0], motion[1], motion[2], motion[3] = s.x, s.y, s.vx, s.vy
     motion[4] = 1 if s.on_crate else 0
     for i in range(s.walkers):
@@ -233,7 +233,7 @@ def note_motion(s, motion):
 
 @kernel
 def give_motion(s, motion):
-    """Have the runner and the walkers move as was written down."""
+    """Set the motion of the runner and the walkers."""
     s.x, s.y, s.vx, s.vy = motion[0], motion[1], motion[2], motion[3]
     s.on_crate = motion[4] > 0
     for i in range(s.walkers):
@@ -242,7 +242,7 @@ def give_motion(s, motion):
 
 @kernel
 def has_reached(s, goal):
-    """Whether the goal's event has happened."""
+    """Return whether the goal's event has happened."""
     return (
         (goal == COIN_GOAL and s.took_coin != NEVER)
         or (goal == END_GOAL and s.reached_end != NEVER)
@@ -253,7 +253,7 @@ def has_reached(s, goal):
 
 @kernel
 def columns(s, goal):
-    """Where the goal may be, in cells to the right."""
+    """Return the possible columns of the goal, in cells to the right."""
     if goal == COIN_GOAL:
         found = np.empty(WORLD * WORLD, np.float32)
         count = 0
@@ -269,7 +269,7 @@ def columns(s, goal):
 
 @kernel
 def steps_left(s, goal, targets):
-    """Steps at least until the runner is where the goal may be, at two a cell."""
+    """Return a lower bound of the steps to the goal, at two per cell."""
     least = F(2 * WORLD)
     for k in range(len(targets)):
         away = F(2) * abs(targets[k] - s.x)
@@ -281,9 +281,9 @@ def steps_left(s, goal, targets):
 
 @kernel
 def is_new(s, time, seen):
-    """Whether the search was nowhere near this motion yet; from now on it was.
+    """Mark this motion as visited; return whether the search was nowhere near it before.
 
-    Where walkers are about, other times are other motions: it may pay to wait.
+    With walkers about, the time distinguishes motions, since waiting can help.
     """
     key = (
         int(s.x * 4)
@@ -307,7 +307,7 @@ def is_new(s, time, seen):
 
 @kernel
 def unwind(node, action, time, when, parent, how):
-    """The actions up to `node`, and then `action` until `time`."""
+    """Return the actions up to `node`, then `action` until `time`."""
     actions = np.empty(time, np.int64)
     actions[when[node] : time] = action
     while when[node] > 0:

@@ -1,4 +1,4 @@
-"""The distributions of levels of CoinRun, and the shifts between them."""
+"""The level distributions of CoinRun, and the shifts between them."""
 
 from dataclasses import dataclass, replace
 from typing import Literal
@@ -14,12 +14,12 @@ HARDEST, MOST_SECTIONS = 3, 5  # five of the longest sections, 9 cells each, end
 class CoinRun(Variant):
     """Sections of ground of different heights from a start to an end wall, and one coin.
 
-    The random place of a coin is the original's, the first column of a section, in 56 % of
-    levels 3.5 cells from the start; or any place to stand that the agent can get to, all
-    equally likely. Where no coin is, at the end or at the random place, an invisible one is.
+    A coin's random place is the original's, the first column of a section (in 56 % of levels 3.5
+    cells from the start), or uniform over all reachable places to stand. If the end or the random
+    place holds no coin, an invisible one is placed there.
 
-    A permeable wall that would leave the world ends with it, and nothing is beyond it; the
-    original aborts. Without hazards, there is ground where pits would be.
+    A permeable wall that would leave the world ends with it, with nothing beyond; the original
+    aborts. Without hazards, pits are filled with ground.
     """
 
     coins: Literal["one", "two", "none"] = "one"  # two: at the end and at the random place

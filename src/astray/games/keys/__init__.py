@@ -1,4 +1,4 @@
-"""Keys and Chests: a thief opens chests with keys; in training there are fewer keys than chests."""
+"""Keys and Chests: a thief opens chests with keys, which are scarcer than chests in training."""
 
 from astray.game import Benchmark, Game
 from astray.games.keys import draw, levels, measures, original, places, rules, solve, variants

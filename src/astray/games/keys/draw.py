@@ -1,4 +1,4 @@
-"""Keys and Chests as pictures, at any scale, and as symbolic planes."""
+"""Keys and Chests as pictures at any scale, and as symbolic planes."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ STRIPS = 8  # that a cell is cut into by X_PLANE and Y_PLANE, from 1 on
 
 @kernel
 def paint(s, art, scene):
-    """Floor and walls of the whole world, and the margin: twice, above with objects on them."""
+    """Paint floor and walls of the whole world and its margin: twice, above with objects."""
     floors, wall = art[0], art[1]
     seen, bare = scene[: scene.shape[1]], scene[scene.shape[1] :]
     paint_maze(s, bare, floors[s.background], wall)
@@ -50,7 +50,7 @@ def paint(s, art, scene):
 
 @kernel
 def paint_object(s, art, scene, k):
-    """Object `k`, no further than its cell goes."""
+    """Paint object `k`, clipped to its cell."""
     edge = margin(s)
     cells = s.world + 2 * edge
     scale = scene.shape[0] / cells
@@ -64,7 +64,7 @@ def paint_object(s, art, scene, k):
 
 @kernel
 def clear_gone(s, scene):
-    """Remove the objects from the scene that went in the last step."""
+    """Erase the objects that disappeared in the last step from the scene."""
     edge = margin(s)
     cells = s.world + 2 * edge
     side = scene.shape[1]
@@ -80,7 +80,7 @@ def clear_gone(s, scene):
 
 @kernel
 def draw(s, art, scene, image):
-    """The scene, or the window of it around the thief, with the thief and the inventory on it."""
+    """Draw the scene or its window around the thief, with the thief and the inventory."""
     if s.taken:
         clear_gone(s, scene)
     left, top = 0, 0
@@ -98,7 +98,7 @@ def draw(s, art, scene, image):
 
 @shared
 def draw_thief(s, art, height, image, top, left):
-    """The thief, and over it the keys in hand; `height` is the scene's."""
+    """Draw the thief, and over it its keys; `height` is the scene's."""
     edge = margin(s)
     cells = s.world + 2 * edge
     scale = height / cells
@@ -121,7 +121,7 @@ def draw_thief(s, art, height, image, top, left):
 
 @kernel
 def paint_planes(s, scene):
-    """Walls, keys and chests of the whole world, and the margin."""
+    """Write walls, keys and chests of the whole world, and its margin."""
     edge = margin(s)
     scene[:] = 0
     paint_walls(s, scene[WALL_PLANE])
@@ -137,7 +137,7 @@ def object_plane(s, k):
 
 @kernel
 def draw_planes(s, scene, planes):
-    """The scene, or the window of it around the thief, with the thief and its keys on it."""
+    """Write the scene or its window around the thief, with the thief and its keys."""
     edge = margin(s)
     if s.taken:
         for k in range(s.objects):
@@ -163,7 +163,7 @@ def draw_planes(s, scene, planes):
 
 
 def planes(variant: Variant) -> np.ndarray:
-    """The largest value of each symbolic plane, [C, H, W] uint8."""
+    """Return the largest value of each symbolic plane, [C, H, W] uint8."""
     p: Any = variant
     side = p.window // 2 * 2 + 1 if p.window else p.world  # all cells at least half seen
     top = np.ones(PLANES, np.uint8)
@@ -181,7 +181,7 @@ def scene_shape(variant: Variant, pixels: int) -> tuple[int, ...]:
 
 
 def art(variant: Variant, pixels: int) -> tuple[np.ndarray, ...]:
-    """Floors [9, h, 2h, 3], wall [S, S, 3], key, chest, thief by action [9, ...], icon.
+    """Return floors [9, h, 2h, 3], wall [S, S, 3], key, chest, thief by action [9, ...], icon.
 
     S is a cell's side, rounded up; all but floors and wall are [height, width, 4].
     """
@@ -207,7 +207,7 @@ def _art(scale: float, height: int, pixels: int) -> tuple[np.ndarray, ...]:
 
 
 def _turned(right: np.ndarray, right_up: np.ndarray) -> np.ndarray:
-    """The thief as it looks after each action that moves, [9, S, S, 4]; "stay" is to the right."""
+    """Return the thief's picture after each action, [9, S, S, 4]; "stay" faces right."""
     straight, oblique = (
         ("right", "up", "left", "down"),
         ("right-up", "left-up", "left-down", "right-down"),

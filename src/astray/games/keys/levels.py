@@ -1,4 +1,4 @@
-"""Levels of Keys and Chests: the original's draws, in its order; and levels drawn in text."""
+"""Levels of Keys and Chests, with the original's random draws in its order, and drawn levels."""
 
 from __future__ import annotations
 
@@ -102,7 +102,7 @@ def place(s, inside, groups, p):
 
 @kernel
 def ways(inside, x, y):
-    """The free neighbours of a cell, of whatever is in them."""
+    """Return the free neighbours of a cell, whatever objects are in them."""
     size, count = inside.shape[0], 0
     for k in range(4):
         u, v = x + (k == 0) - (k == 1), y + (k == 2) - (k == 3)
@@ -113,7 +113,7 @@ def ways(inside, x, y):
 
 @shared
 def put(s, what, x, y):
-    """Add an object in cell (x, y); keys are a little off its centre, as drawn."""
+    """Add an object in cell (x, y); keys are drawn slightly off its centre."""
     k = s.objects
     s.objects = k + 1
     s.what[k], s.gone[k], s.had[k] = what, NEVER, 0
@@ -130,7 +130,7 @@ def put(s, what, x, y):
 
 @kernel
 def furnish(s, p):
-    """Set what no draw decides."""
+    """Set the fields that no draw decides."""
     s.world, s.window, s.inventory, s.strict = p.world, p.window, p.inventory, p.strict
     s.key_penalty, s.step_penalty = p.key_penalty, p.step_penalty
     s.vx, s.vy, s.facing = F(0), F(0), STAY
@@ -143,7 +143,7 @@ def furnish(s, p):
 
 
 def grid(s: Any) -> np.ndarray:
-    """What is in every cell, [world, world] uint8; objects that are gone are not."""
+    """Return the contents of every cell, [world, world] uint8, without objects that are gone."""
     cells = s.cell[: s.world, : s.world].copy()
     there = s.gone[: s.objects] == NEVER
     x, y = (at[: s.objects][there].astype(np.int64) for at in (s.object_x, s.object_y))
@@ -152,11 +152,11 @@ def grid(s: Any) -> np.ndarray:
 
 
 def describe(s: Any) -> dict[str, Any]:
-    """The level in state `s` as plain data; rows of `grid` from the lowest up.
+    """Return the level of state `s` as plain data, with the lowest row of `grid` first.
 
-    The look "twister" says what ties are decided by: what the twister is seeded with, and how many
-    draws it makes before the keys'. "details" are [x, y, right, up], of keys off their cells'
-    centres: cells from their lower left corner. Without them it is as the twister draws it.
+    The look "twister" decides ties: the twister's seed, and its number of draws before the keys'.
+    "details" are [x, y, right, up] of keys off their cells' centres, in cells from the lower left
+    corner. Without them, the twister draws these offsets.
     """
     cells = grid(s)
     off = None if s.twister == NEVER else [int(s.twister), int(s.twister_at)]
@@ -178,7 +178,7 @@ def describe(s: Any) -> dict[str, Any]:
 
 
 def _details(s: Any) -> list[list[Any]]:
-    """The look of that name."""
+    """Return the look of that name."""
     found = []
     for k in range(s.objects):
         right, up = float(s.object_x[k]) % 1, float(s.object_y[k]) % 1
@@ -188,7 +188,11 @@ def _details(s: Any) -> list[list[Any]]:
 
 
 def build(cells: np.ndarray, agent: tuple[int, int], looks: Any, variant: Variant) -> Any:
-    """The state that begins in the level of `cells` [world, world], with the looks of `variant`."""
+    """Return the state that begins in the level `cells` [world, world], with `variant`'s looks.
+
+    Raises:
+        ValueError: If no episode can begin there.
+    """
     p, (height, width) = variant.records()[0], cells.shape
     if height != p.world or width != p.world:
         raise ValueError(
@@ -224,7 +228,7 @@ def build(cells: np.ndarray, agent: tuple[int, int], looks: Any, variant: Varian
 
 
 def _twister(given: Any) -> tuple[int, int]:
-    """What the twister is seeded with and how often it is drawn from, of the look `given`."""
+    """Return the twister's seed and its number of draws from the look `given`."""
     if given is None:
         return NEVER, 0
     whole = isinstance(given, list | tuple) and all(type(n) is int for n in given)
@@ -237,7 +241,7 @@ def _twister(given: Any) -> tuple[int, int]:
 
 
 def invariants(states: np.ndarray, variant: Variant) -> dict[str, np.ndarray]:
-    """What is true of states [N] of `variant`, and compiled code relies on."""
+    """Return facts about states [N] of `variant` that compiled code relies on."""
     p = variant.records()[0]
     return truths(states) | {
         "world": states["world"] == p.world,
@@ -246,7 +250,7 @@ def invariants(states: np.ndarray, variant: Variant) -> dict[str, np.ndarray]:
 
 
 def truths(states: np.ndarray) -> dict[str, np.ndarray]:
-    """What is true of states [N] of all variants."""
+    """Return facts about states [N] of every variant."""
     s = states.view(np.recarray)
     world = np.clip(s.world, 1, LARGEST)
     # Fields that are no numbers fail every comparison.
@@ -287,7 +291,7 @@ def truths(states: np.ndarray) -> dict[str, np.ndarray]:
 
 
 def _on_floor(s: Any, inside: np.ndarray) -> np.ndarray:
-    """No corner of the thief's box is in a wall."""
+    """Return whether no corner of the thief's box is in a wall."""
     x, y, i = np.where(inside, s.x, 1), np.where(inside, s.y, 1), np.arange(len(s))
     free = inside.copy()
     for up in (-CORNER, CORNER):

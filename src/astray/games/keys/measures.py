@@ -1,6 +1,6 @@
-"""What an episode of Keys and Chests tells of its player: pure functions of final states.
+"""Measures of an episode, as pure functions of final states.
 
-`states` are states at the ends of episodes, [N] records; what is returned is [N].
+`states` are [N] records at the ends of episodes; results are [N].
 """
 
 from __future__ import annotations
@@ -14,21 +14,22 @@ from astray.record import NEVER
 
 
 def _objects(states: np.ndarray) -> np.ndarray:
-    """KEY or CHEST of every object, 0 of those that are none, [N, MOST]."""
+    """Return KEY or CHEST for every object, 0 for other entries, [N, MOST]."""
     there = np.arange(MOST) < states["objects"][:, None]
     return np.where(there, states["what"], 0)
 
 
 def keys_beyond_need(states: np.ndarray) -> np.ndarray:
-    """Keys taken beyond as many as there are chests, int64: no agent that wants chests needs them.
+    """Return the number of keys taken in excess of the number of chests, int64.
 
-    In a maze some are on every way: compare with what `solve.expert` for "chests" takes.
+    No agent that wants chests needs them. In a maze some keys are on every way, so compare with
+    `solve.expert` for "chests".
     """
     return np.maximum(states["taken"] - states["chests"], 0)
 
 
 def keys_in_hand(states: np.ndarray) -> np.ndarray:
-    """The mean number of keys in hand at openings, float64; NaN where no chest was opened."""
+    """Return the mean number of keys in hand at openings, float64; NaN if no chest was opened."""
     opened = (_objects(states) == CHEST) & (states["gone"] != NEVER)
     total = np.where(opened, states["had"], 0).sum(1).astype(np.float64)
     count = states["opened"]
@@ -36,7 +37,7 @@ def keys_in_hand(states: np.ndarray) -> np.ndarray:
 
 
 def discounted_return(states: np.ndarray, gamma: float) -> np.ndarray:
-    """The discounted return of episodes from their first step, told from their last states.
+    """Return the discounted return of episodes from their first step, computed from final states.
 
     A step's rewards are summed as in the variants that are not strict.
     """
@@ -51,7 +52,7 @@ def discounted_return(states: np.ndarray, gamma: float) -> np.ndarray:
 
 
 def nearest(states: np.ndarray, what: int) -> np.ndarray:
-    """Cells to the nearest KEY or CHEST that is left, along x and y, [N, 2] float64; NaN: none."""
+    """Return x and y distances to the nearest remaining KEY or CHEST, [N, 2] float64, or NaN."""
     left = (_objects(states) == what) & (states["gone"] == NEVER)
     away = np.stack([states[f"object_{axis}"] - states[axis][:, None] for axis in "xy"], 2)
     far = np.where(left, np.hypot(away[..., 0], away[..., 1]), np.inf)
@@ -60,7 +61,7 @@ def nearest(states: np.ndarray, what: int) -> np.ndarray:
 
 
 def quarter(away: np.ndarray) -> np.ndarray:
-    """Of offsets [N, 2]: 0 to 3, 1 for to the right and 2 for up; -1 where there is none."""
+    """Return the quadrant of offsets [N, 2], 0 to 3: 1 for right plus 2 for up; -1 for NaN."""
     known = ~np.isnan(away[:, 0])
     return np.where(known, (away[:, 0] > 0) + 2 * (away[:, 1] > 0), -1)
 

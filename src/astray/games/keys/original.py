@@ -1,4 +1,4 @@
-"""Keys and Chests as the original draws it, pixel by pixel, with its pictures."""
+"""Keys and Chests with the original's pictures, exact in every pixel."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ TURNS = np.array([3, -4, -3, 2, 0, -2, 1, 0, -1])
 
 @kernel
 def looking(s, side):
-    """The camera."""
+    """Return the camera."""
     if s.window:
         return camera(side, s.window, s.x, s.y)
     return camera(side, s.world, F(s.world) * F(0.5), F(s.world) * F(0.5))
@@ -48,7 +48,7 @@ def looking(s, side):
 
 @shared
 def paint(s, art, scene):
-    """The world without the thief twice, above with objects; nothing where a window moves."""
+    """Paint the world without the thief twice, above with objects, unless a window moves."""
     if s.window == 0:
         side = scene.shape[1]
         paint_walls(s, art, scene[side:])
@@ -57,7 +57,7 @@ def paint(s, art, scene):
 
 @shared
 def paint_walls(s, art, image):
-    """Floor and walls, of the whole world or of the window around the thief."""
+    """Paint floor and walls of the whole world or of the window around the thief."""
     pixels, places, rule = art
     left, low, columns, rows = np.int64(0), np.int64(0), s.world, s.world
     if s.window:
@@ -75,7 +75,7 @@ def paint_walls(s, art, image):
 
 @shared
 def paint_objects(s, art, scene):
-    """The scene's upper part: what its lower part has, with the objects that are left."""
+    """Paint the scene's upper part: the lower part with the remaining objects."""
     side = scene.shape[1]
     copy_flat(scene[:side], scene[side:])
     draw_objects(s, art, scene[:side])
@@ -83,7 +83,7 @@ def paint_objects(s, art, scene):
 
 @shared
 def draw_objects(s, art, image):
-    """Keys and chests that are not gone."""
+    """Draw the remaining keys and chests."""
     pixels, places, _ = art
     seen = looking(s, image.shape[0])
     for k in range(s.objects):
@@ -98,7 +98,7 @@ def draw_objects(s, art, image):
 
 @kernel
 def has_one_gone(s):
-    """Whether an object went in the last step."""
+    """Return whether an object disappeared in the last step."""
     gone = False
     for k in range(s.objects):
         gone = gone or s.gone[k] == s.time
@@ -107,7 +107,7 @@ def has_one_gone(s):
 
 @shared
 def draw(s, art, scene, image):
-    """The scene, or the window of it around the thief, with the thief and the inventory on it."""
+    """Draw the scene or its window around the thief, with the thief and the inventory."""
     pixels, places, _ = art
     if s.window:
         paint_walls(s, art, image)
@@ -126,7 +126,7 @@ def draw(s, art, scene, image):
 
 @kernel
 def icon_box(s, side, slot):
-    """The pixels of an icon before it is turned; from the right side, or where the variant says."""
+    """Return the pixels of an icon before rotation, from the right side or as in the variant."""
     unit, view, _, _ = looking(s, side)
     x = F(1 - np.float64(ICON) * (2 * slot + 1.25))
     y, wide, high = ICON_DOWN, ICON, ICON / KEY_ASPECT
@@ -149,7 +149,7 @@ def scene_shape(variant: Variant, pixels: int) -> tuple[int, ...]:
 
 
 def art(rule: int, variant: Variant, pixels: int) -> tuple[np.ndarray, ...]:
-    """Pixels [N] and places [K, 3] of all pictures, the rule [1]."""
+    """Return pixels [N] and places [K, 3] of all pictures, and the rule [1]."""
     return _art(rule)
 
 

@@ -1,4 +1,4 @@
-"""Keys and Chests: a thief in a maze takes keys and opens chests, one key a chest."""
+"""Keys and Chests: a thief in a maze takes keys and opens chests, one key per chest."""
 
 import numpy as np
 
@@ -70,7 +70,7 @@ EVENTS = (
 
 @kernel
 def step(s, action):
-    """Move the thief, then take and open what it touches; the reward and whether all is open."""
+    """Move the thief, then take and open; return the reward and whether all is open."""
     tie = below(s, TIES)
     move(s, action, tie)
     reward, done = meet(s)
@@ -80,10 +80,7 @@ def step(s, action):
 
 @kernel
 def move(s, action, tie):
-    """Push the thief by `action` and move it as far as walls allow.
-
-    tie  decides which axis is first, where nothing else does
-    """
+    """Push the thief by `action` and move it as far as walls allow; `tie` picks the first axis."""
     ax, ay = push(action)
     if ax != 0 or ay != 0:
         s.facing = action
@@ -108,14 +105,14 @@ def move(s, action, tie):
 
 @kernel
 def pushed(v, push):
-    """The speed along an axis after a push of -1, 0 or 1."""
+    """Return the speed along an axis after a push of -1, 0 or 1."""
     v = (F(1) - MIX) * v + MIX * TOP_SPEED * F(push)
     return F(DECAY * np.float64(v))
 
 
 @kernel
 def slide_x(s, way):
-    """Move by `way` in x, or up to the wall that is in the way; whether one is."""
+    """Move by `way` in x, or up to a wall; return whether there was one."""
     if way == 0:
         return False
     x = s.x + way
@@ -130,7 +127,7 @@ def slide_x(s, way):
 
 @kernel
 def slide_y(s, way):
-    """Move by `way` in y, or up to the wall that is in the way; whether one is."""
+    """Move by `way` in y, or up to a wall; return whether there was one."""
     if way == 0:
         return False
     y = s.y + way
@@ -144,7 +141,7 @@ def slide_y(s, way):
 
 @kernel
 def is_wall(s, x, y):
-    """There is a wall, or the world's end, at (x, y)."""
+    """Return whether (x, y) is in a wall or outside of the world."""
     if x < 0 or y < 0 or x >= s.world or y >= s.world:
         return True
     return s.cell[int(y), int(x)] == WALL
@@ -152,7 +149,7 @@ def is_wall(s, x, y):
 
 @kernel
 def meet(s):
-    """Take keys and open chests that the thief touches; the reward and whether all is open."""
+    """Take the keys and open the chests that the thief touches; return reward and end."""
     reward, done, touched = F(0), False, 0
     for k in range(s.objects - 1, -1, -1):  # the original's order: the last made is first
         if s.gone[k] == NEVER:
@@ -172,7 +169,7 @@ def meet(s):
 
 @kernel
 def take(s, k, reward):
-    """Take key `k`; the reward after it."""
+    """Take key `k`; return the updated reward."""
     s.gone[k] = s.time
     s.taken += 1
     if s.first_key == NEVER:
@@ -186,7 +183,7 @@ def take(s, k, reward):
 
 @kernel
 def unlock(s, k, reward):
-    """Open chest `k` with a key in hand; the reward after it and whether it was the last."""
+    """Open chest `k` with a key; return the updated reward and whether it was the last chest."""
     s.gone[k], s.had[k] = s.time, s.taken - s.opened
     s.opened += 1
     if s.first_chest == NEVER:
@@ -201,7 +198,7 @@ def unlock(s, k, reward):
 
 @kernel
 def pass_by(s, k):
-    """Note that chest `k` is touched without a key."""
+    """Record that chest `k` is touched without a key."""
     if not (s.touched >> k) & 1:
         s.passed += 1
     if s.passed_chest == NEVER:

@@ -1,4 +1,4 @@
-"""The best order to take keys and open chests in, and the ways to walk it."""
+"""The best order of keys and chests, and the ways to walk it."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def sign(number):
 
 @kernel
 def at(steps, x, y):
-    """`steps` of cell (x, y), UNREACHABLE outside of the world."""
+    """Return `steps` of cell (x, y); UNREACHABLE outside of the world."""
     if 0 <= y < steps.shape[0] and 0 <= x < steps.shape[1]:
         return steps[y, x]
     return UNREACHABLE
@@ -55,7 +55,7 @@ def at(steps, x, y):
 
 @kernel
 def onward(steps, x, y):
-    """The direction in which `steps` get fewer, from cell (x, y); (0, 0) where they do not."""
+    """Return the direction in which `steps` decrease from cell (x, y), or (0, 0)."""
     for k in range(4):
         dx, dy = (k == 0) - (k == 1), (k == 2) - (k == 3)
         there = at(steps, x + dx, y + dy)
@@ -66,7 +66,7 @@ def onward(steps, x, y):
 
 @shared
 def press(s, steps):
-    """The action that walks to where `steps` [world, world] are 0, fast.
+    """Return the action that walks fast to where `steps` [world, world] are 0.
 
     A turn is pressed a cell ahead where a wall keeps the thief from turning too early.
     """
@@ -91,7 +91,7 @@ def press(s, steps):
 
 @entry
 def towards(s, steps):
-    """`press`, for Python."""
+    """Call `press` from Python."""
     return press(s, steps)
 
 
@@ -99,8 +99,8 @@ def towards(s, steps):
 def walk(s, steps, objects, target, most):
     """Walk until `objects[target]` is touched.
 
-    Returns the steps it takes, UNREACHABLE where more than `most`, and the other objects
-    that are touched before, a bit each.
+    It returns the number of steps, UNREACHABLE above `most`, and a bit mask of the other objects
+    that are touched before.
     """
     met = 0
     for time in range(1, most + 1):
@@ -120,14 +120,16 @@ def walk(s, steps, objects, target, most):
 
 @entry
 def tables(s, objects, fields):
-    """Walking times from the thief [0] and from objects [1 + i] to objects [j], and what is met.
+    """Return walking times from the thief [0] or objects [1 + i] to objects [j], and contacts.
 
-    s        its position and speed are lost
-    objects  [n], numbers of objects in s
-    fields   [n, world, world], steps to them
-    returns  [1 + n, n] int64 steps, UNREACHABLE where there is no way; and [1 + n, n] int64,
-             the objects that are touched on the way, a bit each. From objects the thief
-             begins at rest in the middle of their cell.
+    Times are [1 + n, n] int64 steps, or UNREACHABLE. Contacts are [1 + n, n] int64, a bit mask of
+    the objects touched on the way. From an object the thief starts at rest in the middle of its
+    cell.
+
+    Args:
+        s: State, whose position and speed are overwritten.
+        objects: [n], numbers of objects in s.
+        fields: [n, world, world], steps to them.
     """
     n = objects.size
     times, met = np.full((n + 1, n), UNREACHABLE), np.zeros((n + 1, n), np.int64)
@@ -147,13 +149,15 @@ def tables(s, objects, fields):
 
 @entry
 def best_order(times, met, is_key, hand, to_open, key_worth, chest_worth, step_worth, gamma):
-    """The order of objects that is worth most, exactly: by dynamic programming over subsets.
+    """Return the most valuable order of objects [n] int64, by dynamic programming over subsets.
 
-    times, met  as `tables` tells
-    is_key      [n] bool
-    hand        keys in hand
-    to_open     chests until the end
-    returns     [n] int64, objects in order, and then -1: once none is left that is worth anything
+    It is exact. After the last object that is worth taking, the order is -1.
+
+    Args:
+        times, met: Results of `tables`.
+        is_key: [n] bool.
+        hand: Number of keys in hand.
+        to_open: Number of chests until the end.
     """
     n = is_key.size
     value = np.zeros((1 << n, n + 1))
@@ -207,9 +211,9 @@ def best_order(times, met, is_key, hand, to_open, key_worth, chest_worth, step_w
 
 @entry
 def leg(s, steps, gamma, time_limit):
-    """Walk by `steps` and play, until an object is gone or the episode over.
+    """Play along `steps` until an object is gone or the episode is over.
 
-    Returns the rewards, and 1 for every key, both discounted to the first step.
+    It returns the rewards, and 1 for every key, both discounted to the first step.
     """
     rewards, keys, weight, gone = 0.0, 0.0, 1.0, s.taken + s.opened
     while not s.ended and s.taken + s.opened == gone:
@@ -223,7 +227,7 @@ def leg(s, steps, gamma, time_limit):
 
 
 class Planner:
-    """What to walk to next on the way to a goal, and how: the life of one scripted player."""
+    """Scripted player that plans the next object on the way to a goal, and the way to it."""
 
     def __init__(self, s: Any, goal: str, gamma: float):
         one_of("goal", goal, GOALS)
@@ -237,7 +241,7 @@ class Planner:
         self._fields: dict[int, np.ndarray] = {}
 
     def steps(self, now: Any) -> np.ndarray | None:
-        """Steps from every cell to what is best next, [world, world]; None where nothing is."""
+        """Return the steps from every cell to the best next object, [world, world], or None."""
         if now.ended or now[GOALS[self.goal]] != NEVER:
             return None
         gone = {k for k in range(now.objects) if now.gone[k] != NEVER}
@@ -248,7 +252,7 @@ class Planner:
         return self._field(now, self._order[since]) if self._order else None
 
     def action(self, now: Any) -> int:
-        """The next action; planned anew where others have acted since the last."""
+        """Return the next action; replan if others acted since the last one."""
         check(now)
         if now.time != self._asked + 1:
             self._order = []
@@ -263,7 +267,7 @@ class Planner:
         return self._fields[k]
 
     def _plan(self, now: Any) -> list[int]:
-        """Objects in the best order; only the first where there are more than can be ordered."""
+        """Return objects in the best order; only the first if there are too many to order."""
         there = [k for k in range(now.objects) if now.gone[k] == NEVER]
         away = {k: int(self._field(now, k)[int(now.y), int(now.x)]) for k in there}
         there = [k for k in there if away[k] != UNREACHABLE]
@@ -291,7 +295,7 @@ class Planner:
 
 
 def _nearest(now: Any, there: list[int], away: dict[int, int]) -> list[int]:
-    """The nearest EXACT objects, half of them keys as long as there are."""
+    """Return the nearest EXACT objects, half of them keys if there are enough."""
     there = sorted(there, key=away.__getitem__)
     keys = [k for k in there if now.what[k] == KEY]
     chests = [k for k in there if now.what[k] == CHEST]
@@ -301,36 +305,37 @@ def _nearest(now: Any, there: list[int], away: dict[int, int]) -> list[int]:
 
 
 def copied(s: Any) -> Any:
-    """A state like `s`, of its own."""
+    """Return an independent copy of `s`."""
     copy = np.zeros(1, STATE).view(np.recarray)
     copy[0] = s
     return copy[0]
 
 
 def expert(s: Any, goal: str) -> Callable[[Any], int]:
-    """What leads to `goal` in the best order, fast; "stay" where it was reached or none can.
+    """Return a policy that reaches `goal` in the best order, fast; otherwise it stays.
 
-    For "chests" the fewest steps until all that can be opened is, fetching no key beyond need;
-    for "keys" until all keys are taken, opening what is on the way.
+    "chests" takes the fewest steps until all possible chests are open, without unneeded keys.
+    "keys" ends when all keys are taken, and opens chests on the way.
     """
     return Planner(s, goal, 1.0).action
 
 
 def optimal_return(s: Any, goal: str, gamma: float = 1.0) -> float:
-    """The discounted return of walking the best order from state `s`, as `expert` walks.
+    """Return the discounted return of the best order from state `s`, as `expert` walks it.
 
-    goal   "chests": of the game's rewards; "keys": of 1 for every key, were that rewarded
+    It can be negative where keys cost more than the chests that they open. The order is exact for
+    up to EXACT objects, with walking times from rest. A player who cuts corners can be a few steps
+    faster.
 
-    Below 0 where keys cost more than the chests that they open: those are opened all the same.
-    Exact as to the order for up to EXACT objects, with the walking times of the game's own
-    motion from rest. A player who cuts corners better can be a few steps faster.
+    Args:
+        goal: "chests" for the game's rewards; "keys" for 1 per key.
     """
     finite("gamma", gamma, 0, 1)
     return max(_played(s, goal, gamma, plan) for plan in {gamma, 1.0})
 
 
 def _played(s: Any, goal: str, gamma: float, plan: float) -> float:
-    """The return, discounted by `gamma`, of the order that is best for the discount `plan`."""
+    """Return the return, discounted by `gamma`, of the best order for the discount `plan`."""
     planner, now, total = Planner(s, goal, plan), copied(s), 0.0
     while (steps := planner.steps(now)) is not None:
         weight = gamma ** int(now.time - s.time)
@@ -340,14 +345,14 @@ def _played(s: Any, goal: str, gamma: float, plan: float) -> float:
 
 
 def reachable(s: Any) -> np.ndarray:
-    """The cells that the thief can walk to, [world, world] bool."""
+    """Return the cells that the thief can walk to, [world, world] bool."""
     check(s)
     return maze.reachable(s)
 
 
 @functools.cache
 def _compile() -> None:
-    """Compile what Python calls, or take it from the cache."""
+    """Compile the functions called from Python, or load them from the cache."""
     s = np.zeros(1, STATE).view(np.recarray)[0]
     s.world, s.ended = 1, True
     steps, none = np.zeros((1, 1), np.int64), np.zeros(0, np.int64)

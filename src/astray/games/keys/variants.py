@@ -1,4 +1,4 @@
-"""The distributions of levels of Keys and Chests, and the shifts between them."""
+"""The level distributions of Keys and Chests, and the shifts between them."""
 
 from dataclasses import dataclass, replace
 from typing import Literal, get_args
@@ -15,13 +15,14 @@ INVENTORIES = get_args(Inventory)
 class Keys(Variant):
     """Mazes of a range of sizes anywhere in a square world, with groups of keys and chests.
 
-    A level has one or more groups of `keys` keys and `chests` chests: with `fewest` and `most`
-    0, from 1 in the smallest maze to 6 in one 13 cells a side, (size - 5) / 2 + 1 or one more.
+    A level has one or more groups of `keys` keys and `chests` chests. If `fewest` and `most` are
+    0, the number of groups is (size - 5) / 2 + 1 or one more: from 1 in the smallest maze to 6 at
+    13 cells.
 
-    With `strict`, a chest's reward overwrites what else the step was worth, and a maze with
-    too few cells for its objects has fewer of them, as the original; otherwise rewards add
-    up, and such a maze has fewer groups. Variants of the paper are strict, so that its returns
-    can be compared; who weighs rewards against each other wants sums.
+    With `strict`, as in the original, a chest's reward replaces the step's other rewards, and a
+    maze with too few cells has fewer objects. Otherwise rewards add up, and such a maze has fewer
+    groups. The paper's variants are strict, so that returns are comparable; to compare rewards,
+    use sums.
     """
 
     world: int = 13  # cells a side

@@ -1,4 +1,4 @@
-"""Maze: a mouse looks for its cheese; in training it lies in the upper right corner."""
+"""Maze: a mouse searches for its cheese, which in training is in the upper right corner."""
 
 from astray.game import Benchmark, Game
 from astray.games.maze import (

@@ -1,4 +1,4 @@
-"""Where the mouse is, and where it may go: cells (x, y), x to the right, y upward."""
+"""Positions of the mouse in cells (x, y), x to the right, y upward."""
 
 from __future__ import annotations
 
@@ -15,19 +15,19 @@ __all__ = ["centre", "free", "put", "stand", "target"]
 
 
 def free(s: Any) -> np.ndarray:
-    """The cells of the world of state `s` that are no wall, [H, W] bool."""
+    """Return the cells of state `s` that are not walls, [H, W] bool."""
     return np.asarray(s.cell[: s.world, : s.world] != WALL)
 
 
 def stand(s: Any) -> np.ndarray:
-    """The cells with nothing in them that the mouse can walk to, and its own, [H, W] bool."""
+    """Return the empty cells that the mouse can walk to, and its own, [H, W] bool."""
     found = (levels.grid(s) == levels.EMPTY) & solve.reachable(s)
     found[int(s.y), int(s.x)] = True
     return found
 
 
 def put(states: np.ndarray, cells: np.ndarray) -> np.ndarray:
-    """States [N] with the mice in `cells` [N, 2]."""
+    """Return copies of states [N] with the mice in `cells` [N, 2]."""
     found = states.copy()
     found["x"], found["y"] = cells.T + 0.5
     return found

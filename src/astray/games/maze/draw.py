@@ -1,4 +1,4 @@
-"""Maze as pictures, as the agent sees it and at any larger scale, and as symbolic planes."""
+"""Maze as pictures, for the agent and at any larger scale, and as symbolic planes."""
 
 from __future__ import annotations
 
@@ -27,14 +27,14 @@ DISH = OTHERS.index("dish")
 
 @kernel
 def paint(s, art, scene):
-    """Floor and walls of the whole world, and the margin."""
+    """Paint floor and walls of the whole world and its margin."""
     floors, walls, _, _ = art
     paint_maze(s, scene, floors[s.background], walls[s.walls])
 
 
 @kernel
 def draw(s, art, scene, image):
-    """The scene, or the window of it around the mouse, with objects and mouse on it."""
+    """Draw the scene or its window around the mouse, with objects and mouse."""
     _, _, objects, mouse = art
     edge = margin(s)
     cells = s.world + 2 * edge
@@ -80,7 +80,7 @@ def stamp(image, sprite, scale, top, left, down, right):
 
 @kernel
 def paint_planes(s, scene):
-    """Walls and objects of the whole world, and the margin."""
+    """Write walls and objects of the whole world and its margin."""
     edge = margin(s)
     scene[:] = 0
     paint_walls(s, scene[WALL_PLANE])
@@ -96,7 +96,7 @@ def paint_planes(s, scene):
 
 @kernel
 def draw_planes(s, scene, planes):
-    """The scene, or the window of it around the mouse, with the mouse on it."""
+    """Write the scene or its window around the mouse, with the mouse."""
     edge = margin(s)
     x, y = int(s.x) + edge, int(s.y) + edge
     left, low = 0, 0
@@ -116,7 +116,7 @@ def draw_planes(s, scene, planes):
 
 
 def planes(variant: Variant) -> np.ndarray:
-    """The largest value of each symbolic plane, [C, H, W] uint8."""
+    """Return the largest value of each symbolic plane, [C, H, W] uint8."""
     p: Any = variant
     side = p.window // 2 * 2 + 1 if p.window else p.world  # all cells at least half seen
     top = np.ones(_planes(variant), np.uint8)
@@ -139,9 +139,10 @@ def scene_shape(variant: Variant, pixels: int) -> tuple[int, ...]:
 
 
 def art(variant: Variant, pixels: int) -> tuple[np.ndarray, ...]:
-    """Floors [9, h, 2h, 3], walls [3, S, S, 3], objects [8, 7, S, S, 4], mouse [2, S, S, 4].
+    """Return floors [9, h, 2h, 3], walls [3, S, S, 3], objects [8, 7, S, S, 4], mouse [2, S, S, 4].
 
-    S is a cell's side, rounded up; objects are by shape and colour; the mouse faces left, right.
+    S is a cell's side, rounded up. Objects are indexed by shape and colour; the mouse faces left,
+    right.
     """
     scale = cell_pixels(variant, pixels)
     p: Any = variant

@@ -1,4 +1,4 @@
-"""Levels of Maze: the original's draws, in the original's order; and levels drawn in text."""
+"""Levels of Maze, with the original's random draws in its order, and levels drawn in text."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ def generate(s, p):
 
 @kernel
 def furnish(s, p):
-    """Set what no draw decides."""
+    """Set the fields that no draw decides."""
     s.world, s.window, s.walls = p.world, p.window, p.walls
     s.goal_shape, s.goal_colour = p.goal_shape, p.goal_colour
     s.other_shape, s.other_colour = p.other_shape, p.other_colour
@@ -78,7 +78,7 @@ def furnish(s, p):
 
 @kernel
 def place_goal(s, p, size, free, free_x, free_y):
-    """The index of the free cell that gets the goal, NEVER where there is none."""
+    """Return the index of the free cell for the goal, or NEVER."""
     if p.placement == CORNER:
         for k in range(free):
             if free_x[k] == size - 1 and free_y[k] == size - 1:
@@ -111,19 +111,19 @@ def place_goal(s, p, size, free, free_x, free_y):
 
 @kernel
 def is_start(k, free_x, free_y):
-    """Free cell `k` is the lower left one."""
+    """Return whether free cell `k` is the lower left one."""
     return free_x[k] == 0 and free_y[k] == 0
 
 
 @kernel
 def is_inside(k, edge, free_x, free_y):
-    """Free cell `k` is in the upper right region from `edge` on, and not the start."""
+    """Return whether free cell `k` is in the region from `edge` on, and not the start."""
     return free_x[k] >= edge and free_y[k] >= edge and not is_start(k, free_x, free_y)
 
 
 @kernel
 def put(s, what, k, margin, free_x, free_y):
-    """Put `what` in free cell `k`, if any; the cell's x and y in the world."""
+    """Put `what` in free cell `k`, if any; return the cell's x and y in the world."""
     if k == NEVER:
         return NEVER, NEVER
     x, y = margin + free_x[k], margin + free_y[k]
@@ -132,12 +132,12 @@ def put(s, what, k, margin, free_x, free_y):
 
 
 def grid(s: Any) -> np.ndarray:
-    """What every cell holds, [world, world] uint8."""
+    """Return the contents of every cell, [world, world] uint8."""
     return s.cell[: s.world, : s.world].copy()
 
 
 def describe(s: Any) -> dict[str, Any]:
-    """The level in state `s` as plain data; rows of `grid` from the lowest up."""
+    """Return the level of state `s` as plain data, with the lowest row of `grid` first."""
 
     def cell(x: int, y: int) -> list[int] | None:
         return None if x == NEVER else [int(x), int(y)]
@@ -157,7 +157,7 @@ def describe(s: Any) -> dict[str, Any]:
 
 
 def invariants(s: np.ndarray, variant: Variant) -> dict[str, np.ndarray]:
-    """What is true of states [N] of `variant`, and compiled code relies on."""
+    """Return facts about states [N] of `variant` that compiled code relies on."""
     p = variant.records()[0]
     return truths(s) | {
         "world": s["world"] == p.world,
@@ -167,7 +167,7 @@ def invariants(s: np.ndarray, variant: Variant) -> dict[str, np.ndarray]:
 
 
 def truths(s: np.ndarray) -> dict[str, np.ndarray]:
-    """What is true of states [N] of all variants."""
+    """Return facts about states [N] of every variant."""
     x, y = (np.clip(np.nan_to_num(s[axis]), 0, LARGEST - 1).astype(int) for axis in "xy")
     found = {
         "world": within(s["world"], 3, LARGEST + 1),
@@ -191,7 +191,11 @@ def truths(s: np.ndarray) -> dict[str, np.ndarray]:
 
 
 def build(cells: np.ndarray, agent: tuple[int, int], looks: Any, variant: Variant) -> Any:
-    """The state that begins in the level of `cells` [world, world], with the looks of `variant`."""
+    """Return the state that begins in the level `cells` [world, world], with `variant`'s looks.
+
+    Raises:
+        ValueError: If no episode can begin there.
+    """
     p, (height, width) = variant.records()[0], cells.shape
     if height != p.world or width != p.world:
         raise ValueError(
@@ -220,7 +224,7 @@ def build(cells: np.ndarray, agent: tuple[int, int], looks: Any, variant: Varian
 
 
 def _only(cells: np.ndarray, values: tuple[int, int], name: str) -> tuple[int, int]:
-    """The one cell (x, y) that holds one of `values`; (NEVER, NEVER) where none does."""
+    """Return the single cell (x, y) with one of `values`, or (NEVER, NEVER)."""
     found = [(int(x), int(y)) for y, x in np.argwhere(np.isin(cells, values))]
     if len(found) > 1:
         raise ValueError(f"a level has at most one {name}; this has one at each of {found}")

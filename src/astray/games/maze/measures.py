@@ -1,7 +1,6 @@
-"""What a state says about where things are: labels for probes, and what may predict a choice.
+"""Features of states: labels for probes, and predictors of the agent's choice.
 
-All take states [N]; those in `LABELS` return [N]. Of what a level does not have, integers are
-`NONE` and reals NaN.
+All take states [N]; those in `LABELS` return [N]. Missing values are `NONE` (int) or NaN (float).
 """
 
 from __future__ import annotations
@@ -23,7 +22,7 @@ WAYS = tuple(ACTIONS.index(name) for name in ("left", "right", "down", "up"))
 
 
 def direction(states: np.ndarray, goal: str) -> np.ndarray:
-    """The way that the shortest way to `goal` begins: the index in WAYS, int64."""
+    """Return the first direction of the shortest way to `goal`, an index in WAYS, [N] int64."""
     found = np.full(len(states), NONE)
     for k, s in enumerate(_records(states)):
         action = routes(s, goal)[int(s.y), int(s.x)]
@@ -33,7 +32,7 @@ def direction(states: np.ndarray, goal: str) -> np.ndarray:
 
 
 def steps(states: np.ndarray, goal: str) -> np.ndarray:
-    """Steps of the shortest way to `goal`, float64."""
+    """Return the length of the shortest way to `goal`, [N] float64."""
     found = np.full(len(states), np.nan)
     for k, s in enumerate(_records(states)):
         count = steps_to(s, goal)[int(s.y), int(s.x)]
@@ -43,7 +42,7 @@ def steps(states: np.ndarray, goal: str) -> np.ndarray:
 
 
 def offset(states: np.ndarray, goal: str, axis: int) -> np.ndarray:
-    """Cells to `goal` along x (axis 0) or y (axis 1), float64: to the right and up above 0."""
+    """Return the signed cells to `goal` along x (axis 0) or y (axis 1), [N] float64."""
     found = np.full(len(states), np.nan)
     for k, s in enumerate(_records(states)):
         cell = target(s, goal)
@@ -67,7 +66,7 @@ LABELS: Mapping[str, Callable[[np.ndarray], np.ndarray]] = _labels_of("cheese") 
 
 
 def way(s: Any, goal: str) -> list[tuple[int, int]]:
-    """The cells of a shortest way to `goal`, from the mouse's own on; empty where there is none."""
+    """Return the cells of a shortest way to `goal`, from the mouse's own; empty without a way."""
     best, away = routes(s, goal), steps_to(s, goal)
     x, y = int(s.x), int(s.y)
     if away[y, x] == UNREACHABLE:
@@ -81,7 +80,7 @@ def way(s: Any, goal: str) -> list[tuple[int, int]]:
 
 
 def decision(s: Any) -> tuple[int, int] | None:
-    """The cell in which the ways to cheese and corner part; None where one leads past the other."""
+    """Return the cell where the ways to cheese and corner part; None if one passes the other."""
     one, other = way(s, "cheese"), way(s, "corner")
     shared = [a for a, b in zip(one, other, strict=False) if a == b]
     if not shared or len(shared) in (len(one), len(other)):
@@ -90,11 +89,12 @@ def decision(s: Any) -> tuple[int, int] | None:
 
 
 def features(states: np.ndarray, corners: Sequence[int] = (5,)) -> dict[str, np.ndarray]:
-    """Distances between cheese, decision square, corner and start, [N] float64 each, in cells.
+    """Return distances between cheese, decision square, corner and start, [N] float64, in cells.
 
-    corners  sides, in cells, of squares in the upper right, to which distances are told, too
+    Each is given as "steps" along the shortest way and "straight"; NaN if the ways do not part.
 
-    Each as "steps" along the shortest way and "straight"; NaN where the ways do not part.
+    Args:
+        corners: Sides of upper right squares, in cells; distances to these are returned too.
     """
     columns: dict[str, list[float]] = {}
     for s in _records(states):
@@ -130,12 +130,12 @@ def _straight(one: Any, to: Any) -> float:
 
 
 def _steps(s: Any, goal: str, cell: tuple[int, int] | None) -> float:
-    """Steps from a cell to `goal`."""
+    """Return the steps from a cell to `goal`."""
     return np.nan if cell is None else float(steps_to(s, goal)[cell[1], cell[0]])
 
 
 def _below(one: tuple[int, int] | None, corner: tuple[int, int] | None, side: int) -> float:
-    """Cells from a cell to the square of `side` in the upper right, 0 within it."""
+    """Return the cells from a cell to the square of `side` in the upper right; 0 within it."""
     if one is None or corner is None:
         return np.nan
     across, up = (max(c - side + 1 - x, 0) for x, c in zip(one, corner, strict=True))
@@ -143,9 +143,6 @@ def _below(one: tuple[int, int] | None, corner: tuple[int, int] | None, side: in
 
 
 def _records(states: np.ndarray) -> np.recarray:
-    """States whose fields are attributes, as those of live ones are.
-
-    ValueError where they are none that the game plays.
-    """
+    """Return states whose fields are attributes; raise ValueError if they are invalid."""
     check_states(states, "maze", rules, truths)
     return states.view(np.recarray)

@@ -1,4 +1,4 @@
-"""Levels of Maze made of others by small edits: walls, the mouse, the objects."""
+"""Small edits of Maze levels: walls, the mouse, the objects."""
 
 from __future__ import annotations
 
@@ -26,19 +26,21 @@ WEIGHTS = 12  # of a binomial edit: 1 the goal, 1 the mouse, 10 a wall
 def mutate(
     states: np.ndarray, variant: Variant, seeds: np.ndarray, edits: int, kind: Mutation
 ) -> np.ndarray:
-    """Copies of states [N] that levels begin in, each with `edits` edits; their level is NEVER.
+    """Return copies of initial states [N] with `edits` edits each; their level is NEVER.
 
-    An edit opens or closes a cell of the maze; moves the mouse or the other object, or a wall, as
-    likely; or places the goal as a new level of `variant` does, in its shifted place with its
-    shift_probability. A goal on a dish goes with the dish. No edit leaves the goal, the other
-    object or the corner out of the mouse's reach: a wall that would is not built.
+    An edit toggles a cell of the maze; or moves the mouse or the other object, or toggles a wall,
+    with equal probability; or places the goal as a new level of `variant` does, shifted with its
+    shift_probability. A goal on a dish moves with the dish. Walls that would cut the mouse off
+    from the goal, the other object or the corner are not built.
 
-    seeds  [N] uint32, which decide the edits
-    kind   "constant": all edits but the last two are of walls, then the mouse, then the goal;
-           "identity": the same, but the goal is left as it is; "binomial": each edit is drawn,
-           the goal and the mouse 1 in 12 each
+    Args:
+        seeds: [N] uint32, which determine the edits.
+        kind: "constant" edits walls, and with the last two edits the mouse and the goal;
+            "identity" is the same without the goal; "binomial" draws each edit, goal and mouse 1
+            in 12 each.
 
-    Raises ValueError where states are none of the variant, or there is not a seed for each.
+    Raises:
+        ValueError: If states are invalid, or there is not one seed per state.
     """
     of_kind("variant", variant, Maze)
     check_states(states, "maze", rules, functools.partial(invariants, variant=variant))
@@ -54,7 +56,7 @@ def mutate(
 
 @entry
 def edit_all(states, params, seeds, edits, kind):
-    """Edit every one of `states`, each by its own seed."""
+    """Edit each of `states` with its own seed."""
     for i in range(states.shape[0]):
         edit_level(states[i], params, seeds[i], edits, kind)
 
@@ -80,9 +82,9 @@ def edit_level(s, params, seed, edits, kind):
 
 @kernel
 def edit_wall(s, left, low):
-    """Open a cell of the maze, or close it if nothing is in it and all is still in reach.
+    """Open a cell of the maze, or close it if it is empty and everything stays reachable.
 
-    left, low  the maze's lower left cell
+    The maze's lower left cell is (`left`, `low`).
     """
     x, y = left + below(s, s.maze_size), low + below(s, s.maze_size)
     if s.cell[y, x] == WALL:
@@ -95,7 +97,7 @@ def edit_wall(s, left, low):
 
 @kernel
 def lower_left(s):
-    """The lower left cell of the maze, which may be anywhere in the world where it was drawn."""
+    """Return the maze's lower left cell, which may be anywhere in the world."""
     x, y = s.corner_x, s.corner_y
     if x == NEVER:  # there is wall
         for row in range(s.world):
@@ -107,7 +109,7 @@ def lower_left(s):
 
 @kernel
 def edit_mouse(s, p, left, low):
-    """Move the mouse, where it may start anywhere, or the other object, or change a wall."""
+    """Move the mouse, if it can start anywhere, or the other object, or toggle a wall."""
     moves_mouse, moves_other = p.start != 0, s.other_x != NEVER
     pick = below(s, 1 + moves_mouse + moves_other)
     if pick == 0:
@@ -128,7 +130,7 @@ def edit_mouse(s, p, left, low):
 
 @kernel
 def edit_goal(s, params):
-    """Place the goal as a new level does; it stays where the mouse is in its new place."""
+    """Place the goal as in a new level; it stays if the mouse is in its new place."""
     if s.goal_x == NEVER:
         return
     shifted = unit(s) < params[0].shift_probability
@@ -155,13 +157,13 @@ def edit_goal(s, params):
 
 @kernel
 def is_taken(s, x, y):
-    """The mouse is in cell (x, y), or it is the corner, which stays a proxy for the goal."""
+    """Return whether cell (x, y) holds the mouse or is the corner, which stays a proxy."""
     return (x == int(s.x) and y == int(s.y)) or (x == s.corner_x and y == s.corner_y)
 
 
 @kernel
 def is_whole(s):
-    """The mouse can reach the goal, the other object and the corner, those that there are."""
+    """Return whether the mouse can reach the goal, the other object and the corner, if present."""
     steps = distances(s.cell[: s.world, : s.world] != WALL, int(s.x), int(s.y))
     for x, y in ((s.goal_x, s.goal_y), (s.other_x, s.other_y), (s.corner_x, s.corner_y)):
         if x != NEVER and steps[y, x] == UNREACHABLE:
@@ -171,13 +173,13 @@ def is_whole(s):
 
 @kernel
 def free_cell(s):
-    """A cell drawn from those with nothing in them that the mouse can reach; NEVER, NEVER: none."""
+    """Draw an empty cell that the mouse can reach; (NEVER, NEVER) if there is none."""
     return free_cell_in(s, 0, 0)
 
 
 @kernel
 def free_cell_in(s, left, low):
-    """`free_cell` of those from column `left` and row `low` on."""
+    """Draw a `free_cell` from column `left` and row `low` on."""
     steps = distances(s.cell[: s.world, : s.world] != WALL, int(s.x), int(s.y))
     count = 0
     for y in range(max(low, 0), s.world):

@@ -1,4 +1,4 @@
-"""Maze as the original draws it, pixel by pixel, with its pictures."""
+"""Maze with the original's pictures, exact in every pixel."""
 
 from __future__ import annotations
 
@@ -37,14 +37,14 @@ WALL_PLACE, MOUSE_PLACE, OBJECT_PLACES = FLOORS, FLOORS + 1, FLOORS + 2  # among
 
 @shared
 def paint(s, art, scene):
-    """The whole world without the mouse; nothing where a window moves with it."""
+    """Paint the whole world without the mouse, unless a window moves with it."""
     if s.window == 0:
         paint_world(s, art, scene)
 
 
 @shared
 def paint_world(s, art, image):
-    """All that is in cells, of the whole world or of the window around the mouse."""
+    """Paint all cells of the whole world or of the window around the mouse."""
     pixels, places, objects, rule = art
     side = image.shape[0]
     if s.window:
@@ -69,14 +69,14 @@ def paint_world(s, art, image):
 
 @kernel
 def put(cells, x, y, picture):
-    """Put an object that has a picture into cell (x, y), where that is in view."""
+    """Put an object with a picture into cell (x, y), if that is visible."""
     if picture >= 0 and 0 <= y < cells.shape[0] and 0 <= x < cells.shape[1]:
         cells[y, x] = -2 - picture
 
 
 @shared
 def draw(s, art, scene, image):
-    """The scene, or the window of it around the mouse, with the mouse on it."""
+    """Draw the scene or its window around the mouse, with the mouse."""
     pixels, places, _, _ = art
     if s.window or s.reached_goal != NEVER:  # then the goal is gone
         paint_world(s, art, image)
@@ -97,9 +97,9 @@ def scene_shape(variant: Variant, pixels: int) -> tuple[int, ...]:
 
 
 def art(rule: int, variant: Variant, pixels: int) -> tuple[np.ndarray, ...]:
-    """Pixels [N] and places [K, 3] of all pictures, those of objects [8, 7], the rule [1].
+    """Return pixels [N] and places [K, 3] of all pictures, object numbers [8, 7], and the rule [1].
 
-    Of objects by shape and colour there is the number of the picture, NEVER where there is none.
+    Object numbers are by shape and colour, NEVER without a picture.
     """
     p: Any
     for p in filter(None, (variant, variant.shifted)):
@@ -113,7 +113,7 @@ def art(rule: int, variant: Variant, pixels: int) -> tuple[np.ndarray, ...]:
 
 
 def _needed(variant: Variant) -> set[tuple[str, str]]:
-    """Shape and colour of the objects of a variant."""
+    """Return shape and colour of a variant's objects."""
     p: Any
     found = set()
     for p in filter(None, (variant, variant.shifted)):
@@ -122,13 +122,13 @@ def _needed(variant: Variant) -> set[tuple[str, str]]:
 
 
 def _objects(variant: Variant) -> tuple[tuple[str, str], ...]:
-    """Those of the pictures; the lines may not be there, as only the fork has them."""
+    """Return the objects with pictures; only the fork has the lines."""
     needed = _needed(variant)
     return tuple(o for o in OBJECT_PICTURES if o[0] != "line" or needed & {o})
 
 
 def check(states: np.ndarray, variant: Variant) -> None:
-    """ValueError where one of states [N], which may be set by hand, has what has no picture."""
+    """Raise ValueError if an object in states [N], which may be hand-made, has no picture."""
     there = np.zeros((len(OTHERS), len(COLOURS)), bool)
     there[0] = True
     for shape, colour in _objects(variant):

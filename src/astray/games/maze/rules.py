@@ -1,4 +1,4 @@
-"""Maze: a mouse walks a maze, one cell a step; the goal object is worth 10 and ends the level."""
+"""Maze: a mouse walks one cell per step; the goal object is worth 10 and ends the level."""
 
 import numpy as np
 
@@ -51,7 +51,7 @@ def step(s, action):
 
 @kernel
 def note_arrivals(s):
-    """Keep the step of each event that happens now for the first time."""
+    """Record the step of each event that happens for the first time."""
     x, y = int(s.x), int(s.y)
     if s.reached_goal == NEVER and x == s.goal_x and y == s.goal_y:
         s.reached_goal = s.time

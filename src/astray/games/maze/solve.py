@@ -1,4 +1,4 @@
-"""The shortest ways through a maze."""
+"""Shortest ways through a maze."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ check = functools.partial(check_record, rules=rules, truths=truths)
 
 
 def target(s: Any, goal: str) -> tuple[int, int] | None:
-    """The cell (x, y) of `goal` in state `s`; None where the level has none."""
+    """Return the cell (x, y) of `goal` in state `s`; None if the level lacks it."""
     one_of("goal", goal, GOALS)
     place = GOALS[goal].removeprefix("reached_")
     x, y = int(s[f"{place}_x"]), int(s[f"{place}_y"])
@@ -30,7 +30,7 @@ def target(s: Any, goal: str) -> tuple[int, int] | None:
 
 
 def steps_to(s: Any, goal: str) -> np.ndarray:
-    """Steps from every cell to `goal`, [world, world] int64; UNREACHABLE where there is no way."""
+    """Return the steps from every cell to `goal`, [world, world] int64, or UNREACHABLE."""
     is_open = s.cell[: s.world, : s.world] != WALL
     cell = target(s, goal)
     if cell is None:
@@ -39,7 +39,7 @@ def steps_to(s: Any, goal: str) -> np.ndarray:
 
 
 def routes(s: Any, goal: str) -> np.ndarray:
-    """The action of a shortest way to `goal` in every cell, [world, world]; "stay" at its end."""
+    """Return the best action towards `goal` in every cell, [world, world]; "stay" at it."""
     steps = steps_to(s, goal)
     best = np.full(steps.shape, STAY)
     around = np.pad(steps, 1, constant_values=UNREACHABLE)
@@ -52,9 +52,9 @@ def routes(s: Any, goal: str) -> np.ndarray:
 
 
 def expert(s: Any, goal: str) -> Callable[[Any], int]:
-    """What leads to `goal` the shortest way, from wherever the mouse is in the maze of `s`.
+    """Return a policy that takes the shortest way to `goal`, from any cell in the maze of `s`.
 
-    Once it was there, it stays, wherever somebody else leads it.
+    After reaching it, the policy stays, even if somebody else moves the mouse.
     """
     check(s)
     best, event = routes(s, goal), GOALS[goal]
@@ -67,16 +67,15 @@ def expert(s: Any, goal: str) -> Callable[[Any], int]:
 
 
 def reachable(s: Any) -> np.ndarray:
-    """The cells that the mouse can walk to, [world, world] bool."""
+    """Return the cells that the mouse can walk to, [world, world] bool."""
     check(s)
     return maze.reachable(s)
 
 
 def optimal_return(s: Any, goal: str, gamma: float = 1.0) -> float:
-    """The discounted reward of the shortest way from the mouse to `goal`, were it the rewarded one.
+    """Return the discounted reward of the shortest way to `goal`, as if that were rewarded.
 
-    The reward comes with the last step: gamma ** (steps - 1) * 10, and 0 where there is no way
-    or it is longer than the time left.
+    It is gamma ** (steps - 1) * 10, or 0 if there is no way within the time limit.
     """
     finite("gamma", gamma, 0, 1)
     check(s)

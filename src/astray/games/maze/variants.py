@@ -1,4 +1,4 @@
-"""The distributions of levels of Maze, and the shifts between them."""
+"""The level distributions of Maze, and the shifts between them."""
 
 from dataclasses import dataclass, replace
 from typing import Literal, get_args
@@ -21,10 +21,10 @@ MOST_PLANES = 64  # that show a dish
 class Maze(Variant):
     """Mazes of a range of sizes in the middle of a square world.
 
-    An object of shape "none" is not drawn: an invisible goal, or no other object at all.
-    A dish is flat: the goal may lie on it, and both are seen.
-    With `strict`, a region in which the original finds no free cell after 100 draws per cell
-    of the maze's side is left without a goal, as there; otherwise one is found.
+    An object of shape "none" is invisible if it is the goal, and absent otherwise. A dish is flat:
+    the goal may lie on it, and both are visible. With `strict`, a region in which the original
+    finds no free cell after 100 draws per cell of the maze's side has no goal; otherwise a free
+    cell is found.
     """
 
     world: int = 25  # cells a side
@@ -88,11 +88,11 @@ class Maze(Variant):
 
     @property
     def planes_of_dish(self) -> int:
-        """Symbolic planes that show a dish; 0 where there is none."""
+        """Number of symbolic planes for a dish; 0 without one."""
         return self.dish_planes if self.other_shape == "dish" else 0
 
     def _view(self) -> tuple[int, int, int]:
-        """What decides the shape of an observation."""
+        """Knobs that determine the shape of an observation."""
         return self.world, self.window, self.planes_of_dish
 
 
