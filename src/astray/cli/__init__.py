@@ -1,4 +1,4 @@
-"""The command line: one plain function per verb, and one place where what goes wrong is told."""
+"""The command line: one plain function per verb, with readable errors."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ TERMINATED = 143  # likewise SIGTERM
 
 
 class Terminated(KeyboardInterrupt):
-    """The process was asked to end, as by a cluster: what is half written is cleared away."""
+    """The process was asked to end, for instance by a cluster; partial files are removed."""
 
 
 def main() -> None:
-    """Entry point of the `astray` command; a mistake is told in a sentence, not by a traceback."""
+    """Run the `astray` command; report a user's mistake in a sentence, without a traceback."""
     code = 0
     try:
         _open_streams()
@@ -66,10 +66,10 @@ def _terminate(*_: object) -> None:
 
 
 def _open_streams() -> None:
-    """Open nothing in place of standard streams that are closed, and write any text to the others.
+    """Replace closed standard streams, and make the others accept any text.
 
-    A file that is opened takes the lowest free number: with standard output closed, what libraries
-    print there would be written into, say, a checkpoint.
+    A newly opened file takes the lowest free number: without standard output, prints of libraries
+    would go into, say, a checkpoint.
     """
     for number in range(3):
         try:
@@ -86,7 +86,7 @@ def _open_streams() -> None:
 
 
 def _check_folder() -> None:
-    """See that there is a working folder, without which libraries fail in ways of their own."""
+    """Raise FileNotFoundError if the working folder is gone, which libraries handle badly."""
     try:
         os.getcwd()
     except FileNotFoundError:
@@ -104,17 +104,14 @@ def _tell(what: str) -> None:
 
 
 def guess(line: str) -> str:
-    """Return the question whether another name was meant, which a mistake's list of names has."""
+    """Return a question with the nearest name from the list in an error, or ""."""
     found = re.match(r"unknown [^']*'([^']+)'.*; there are: (.*)", line)
     near = get_close_matches(found[1], re.split(r",? (?:and )?", found[2]), 1) if found else []
     return f"; did you mean {near[0]!r}?" if near else ""
 
 
 def _tell_of_thread(what: threading.ExceptHookArgs) -> None:
-    """Tell in a line what a library's thread could not write; all else is a mistake of a program.
-
-    TensorBoard's writes its events.
-    """
+    """Report an OSError of a library's thread, as TensorBoard's, in a line; others as usual."""
     if isinstance(what.exc_value, OSError):
         _tell(str(what.exc_value))
     else:
@@ -122,12 +119,12 @@ def _tell_of_thread(what: threading.ExceptHookArgs) -> None:
 
 
 def shortened(line: str) -> str:
-    """`line`, of which the middle may be left out where it is longer than a few lines."""
+    """Cut out the middle of a `line` that is longer than a few lines."""
     return line if len(line) <= LONGEST else f"{line[: LONGEST // 2]} ... {line[-LONGEST // 2 :]}"
 
 
 def _give_up_output() -> None:
-    """Let go of what cannot be written, of which the interpreter would complain at its end."""
+    """Discard unwritable output, about which the interpreter would complain on exit."""
     for stream in (sys.stdout, sys.stderr):
         with contextlib.suppress(OSError, ValueError, AttributeError):
             try:

@@ -168,7 +168,7 @@ class GivenLevel:
     level_file: Annotated[Path | None, otherwise("none")] = None
 
     def find(self, game: Game, variant: Variant, solvable: bool = False) -> int | Level | None:
-        """Return the level that was asked for by number or file; None where neither was."""
+        """Return the level given by number or file; None if neither is given."""
         self.check()
         if self.level_file is None:
             return self.level
@@ -178,7 +178,7 @@ class GivenLevel:
         return next(iter(found.values()))
 
     def check(self) -> None:
-        """Raise ValueError where it is no number of a level, or given twice."""
+        """Raise ValueError if the number is not a level's, or a file is given too."""
         if self.level is not None:
             bounded("level", self.level, LEVELS.start, LEVELS.stop - 1)
             if self.level_file is not None:
@@ -193,12 +193,12 @@ class PlayedLevel(GivenLevel):
     unsolvable: bool = False
 
     def begun(self, game: Game, variant: Variant) -> int | Level | None:
-        """Return the level that was asked for, whose objects can be reached if they need be."""
+        """Return the given level; check that its objects can be reached if that is required."""
         return self.find(game, variant, solvable=not self.unsolvable)
 
 
 def level_numbers(text: str) -> np.ndarray:
-    """Level numbers from text like 5,17,100:200."""
+    """Parse level numbers such as 5,17,100:200."""
     spans = []
     try:
         for part in text.split(","):
@@ -220,9 +220,10 @@ def level_numbers(text: str) -> np.ndarray:
 
 
 def pairs(knobs: Words) -> dict[str, Any]:
-    """Return values by name, as text; `variant.NAME` is NAME.
+    """Parse NAME=VALUE pairs into text by name; `variant.NAME` is NAME.
 
-    Raises ValueError where a knob has no value, or two.
+    Raises:
+        ValueError: If a knob has no value, or two.
     """
     found: dict[str, Any] = {}
     for knob in (knob for together in knobs for knob in together):
@@ -241,7 +242,7 @@ def varied(game: Game, variant: str, knobs: Words) -> Variant:
 
 
 def action_numbers(game: Game, text: str) -> list[int]:
-    """Actions by name or number."""
+    """Parse actions given by name or number."""
     found = []
     for word in text.replace(",", " ").replace("[", " ").replace("]", " ").split():
         name = word.strip("\"'")
@@ -256,7 +257,7 @@ def action_numbers(game: Game, text: str) -> list[int]:
 
 
 def show(*what: RenderableType, width: int | None = None) -> None:
-    """Print tables and marked up text, as wide as the terminal or `width` characters."""
+    """Print tables and markup, as wide as the terminal or `width` characters."""
     console = Console(width=width)
     with console.capture() as shown:  # rich ends the process by itself where nobody reads
         for one in what:
@@ -265,7 +266,7 @@ def show(*what: RenderableType, width: int | None = None) -> None:
 
 
 def standard_input(most: int) -> str:
-    """All that is written to this process, if it is no more than `most` characters."""
+    """Read standard input; raise ValueError if it has more than `most` characters."""
     if sys.stdin is None:
         raise ValueError("standard input is closed; there is nothing to read")
     text = sys.stdin.read(most + 1)

@@ -1,4 +1,4 @@
-"""The verb for pictures: import the original's, and say what is there."""
+"""The verb for pictures: list them, or import the original's."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The verb for compiled code: where it is kept, and what of it can go."""
+"""The verb for compiled code: list it, or remove outdated code."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ def _is_this(one: Version) -> bool:
 
 
 def _prune(home: Path) -> int:
-    """Remove from `home` what nothing runs any more; how many bytes that were."""
+    """Remove unused code from `home`; return the number of bytes."""
     before = sum(one.size for one in versions(home))
     for one in versions(home):
         if not _is_this(one):

@@ -1,4 +1,4 @@
-"""The verb that writes what policies do as data sets for others."""
+"""The verb that exports episodes of policies as data sets."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The verb for distillation: a student of another network, or of other observations."""
+"""The verb for distillation, to another network or other observations."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Verbs for what is more than one agent: what there is, experiments, measured speed."""
+"""Verbs for lists, experiments and benchmarks."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ def _game(game: Game) -> dict[str, Any]:
 
 
 def _agent(name: str) -> dict[str, Any]:
-    """The settings of an agent that is here; where they cannot be read, what is wrong."""
+    """Return the settings of an available agent, or the error in reading them."""
     try:
         return folders.read_config(folders.find(name)).flat()
     except (ValueError, OSError) as error:

@@ -1,4 +1,4 @@
-"""The verb that looks into an agent."""
+"""The verb that explains an agent."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The verb that opens the lab, or writes it as files."""
+"""The verb that opens the lab or exports it."""
 
 from __future__ import annotations
 

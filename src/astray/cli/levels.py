@@ -1,4 +1,4 @@
-"""Verbs for levels: print, play, replay, compare them."""
+"""Verbs that print, play, replay and compare levels."""
 
 from __future__ import annotations
 
@@ -143,9 +143,9 @@ def overlap(
 
 
 def _states(game: Game, variant: Variant, levels: np.ndarray) -> Iterator[Any]:
-    """The state that each level begins in, so that the first are printed before the last are made.
+    """Yield the initial state of each level, so that the first can be printed at once.
 
-    Many levels take no more memory than few.
+    Memory does not grow with the number of levels.
     """
     for first in range(0, len(levels), CHUNK):
         yield from initial_states(game, variant, levels[first : first + CHUNK])

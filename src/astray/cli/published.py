@@ -1,4 +1,4 @@
-"""Verbs for agents that others published: import a file, see what there is, fetch, check."""
+"""Verbs for published agents: import a file, list, fetch, check."""
 
 from __future__ import annotations
 

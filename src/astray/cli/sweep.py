@@ -1,4 +1,4 @@
-"""The verb for sweeps: agents of every combination of some settings."""
+"""The verb for sweeps: agents for every combination of settings."""
 
 from __future__ import annotations
 

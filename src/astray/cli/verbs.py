@@ -1,4 +1,4 @@
-"""The verbs of the command line, and how they are read from it."""
+"""The table of verbs, and the parsing of the command line."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ SWITCHES = tuple(f"--{name}" for name in ("fused-cpu", "bfloat16", "channels-las
 
 
 def run() -> None:
-    """Do what the command line says."""
+    """Run the verb on the command line."""
     given = in_todays_words(sys.argv[1:])
     warnings.showwarning = functools.partial(_warn, warnings.showwarning)
     if given == ["--version"]:
@@ -67,7 +67,7 @@ def run() -> None:
 
 
 def _warn(show: Callable[..., None], message: Any, category: type, *where: Any) -> None:
-    """Tell in a sentence what astray warns of; `show` the warnings of libraries as they are."""
+    """Print astray's warnings as a sentence, and those of libraries unchanged through `show`."""
     if category.__module__.startswith("astray."):
         print(f"astray: {message}", file=sys.stderr)
     else:
@@ -75,10 +75,10 @@ def _warn(show: Callable[..., None], message: Any, category: type, *where: Any) 
 
 
 def in_todays_words(given: list[str]) -> list[str]:
-    """Return the words of a command; those of older versions as they are today, with a note.
+    """Translate words of older versions into today's, with a note.
 
-    `--agent NAME` is NAME, switches that were followed by True or False are flags of their own, and
-    nothing is set to None.
+    `--agent NAME` is now NAME, switches followed by True or False are now flags, and nothing is
+    set to None.
     """
     first, *words = [part for word in given for part in _parted(word)] or [""]
     names, rest, notes = [], [], []
@@ -101,14 +101,14 @@ def in_todays_words(given: list[str]) -> list[str]:
 
 
 def _parted(word: str) -> list[str]:
-    """Return an older option and its value apart, where they are joined."""
+    """Split an older option from its value."""
     name, is_joined, value = word.partition("=")
     old = name == "--agent" or (name in SWITCHES and value in ("True", "False", "None"))
     return [name, value] if is_joined and old else [word]
 
 
 def find(name: str) -> Callable[..., Any]:
-    """What a verb does; settings of a training have the defaults of the preset asked for."""
+    """Return the function of a verb; `train` and `sweep` get the preset's defaults."""
     module, _, function = VERBS[name].partition(":")
     verb = getattr(import_module(f"astray.cli.{module}"), function)
     if name not in ("train", "sweep"):

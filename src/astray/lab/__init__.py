@@ -1,4 +1,4 @@
-"""The lab: a page to edit a level on, and to see at once what an agent would do from everywhere.
+"""The lab: a page to edit a level and see at once what an agent would do from everywhere.
 
 `astray lab` opens it; `astray lab --export FOLDER` writes it as files; in a notebook:
 
@@ -6,9 +6,9 @@
 
     astray.lab.show("maze-corner", 17)
 
-The page is `page/`, plain modules that a browser reads as they are. It asks questions, in JSON, and
-`session.py` answers them, over a WebSocket (`server.py`) or a notebook's channel (`notebook.py`);
-without Python, `page/engine/local.js` answers the same questions with the same words.
+The page is `page/`, plain browser modules. It sends JSON messages, which `session.py` answers over
+a WebSocket (`server.py`) or a notebook's channel (`notebook.py`). Without Python,
+`page/engine/local.js` gives the same answers.
 """
 
 from astray.lab.notebook import show

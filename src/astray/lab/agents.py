@@ -1,4 +1,4 @@
-"""What agents would do, value and pursue, as plain data for a page."""
+"""Agents' policies, values and facts as plain data for a page."""
 
 from __future__ import annotations
 
@@ -31,9 +31,10 @@ LARGE = 32  # cells a side of such a world
 
 @dataclass(eq=False)
 class Agents:
-    """The agents that a page may name: pretrained, imported, and those that it was started with.
+    """The agents available to a page: pretrained, imported, and those of the start.
 
-    paths  of run folders, by name
+    Attributes:
+        paths: Name -> run folder.
     """
 
     paths: Mapping[str, Path]
@@ -43,12 +44,12 @@ class Agents:
 
     @classmethod
     def of(cls, runs: Mapping[str, Path]) -> Agents:
-        """`runs` by name, and all agents that have a name."""
+        """Return `runs` by name, with all named agents."""
         named = {name: folders.find(name) for name in folders.names()}
         return cls(named | dict(runs))
 
     def open(self, name: str) -> tuple[Agent, Config]:
-        """The agent of that name, and the settings that it was trained with."""
+        """Return the agent of that name and the settings of its training."""
         if name not in self.paths:
             raise ValueError(f"unknown agent {name!r}; there are: {', '.join(self.paths)}")
         if name not in self._opened:
@@ -56,9 +57,10 @@ class Agents:
         return self._opened[name]
 
     def of_message(self, message: Message, world: World) -> Agent:
-        """The agent that a message names, which plays the world's game, as the message wants it.
+        """Return the agent that a message asks for, with its changes, for the world's game.
 
-        Raises ValueError where there is none, or its layers cannot be changed so.
+        Raises:
+            ValueError: If there is none, or its layers cannot be changed so.
         """
         agent, _ = self.open(message.agent)
         game = world.game
@@ -69,7 +71,7 @@ class Agents:
         return agent
 
     def _steered(self, agent: Agent, message: Message, world: World) -> Agent:
-        """A copy of the agent whose layers are changed; the last one is remembered."""
+        """Return a copy of the agent with changed layers; the last one is cached."""
         key = (message.agent, repr(message.steering), world.key)
         if self._last is None or self._last[0] != key:
             other = copy.copy(agent)
@@ -80,7 +82,7 @@ class Agents:
         return self._last[1]
 
     def visited(self, name: str, world: World) -> np.ndarray:
-        """States of the agent's own episodes in the world's variant, to fit probes in."""
+        """Return states of the agent's own episodes in the world's variant, for fitting probes."""
         agent, _ = self.open(name)
         numbers = range(FIRST_VISITED, FIRST_VISITED + VISITED + 1)
         asked = world.number
@@ -92,7 +94,7 @@ class Agents:
         return self._visited[key]
 
     def about(self, name: str) -> dict[str, Any]:
-        """What a page is told of an agent."""
+        """Return the page's description of an agent."""
         agent, config = self.open(name)
         game = config.find_game()
         try:
@@ -112,7 +114,7 @@ class Agents:
 
 
 def _knobs(config: Config, game: Game) -> dict[str, dict[str, Any]]:
-    """The knobs that are changed for the agent, of each variant where any is."""
+    """Return the knobs that are changed for the agent, by variant."""
     found = {}
     for name, own in _own_variants(config, game):
         plain = game.variants[name]
@@ -127,7 +129,7 @@ def _knobs(config: Config, game: Game) -> dict[str, dict[str, Any]]:
 
 
 def _own_variants(config: Config, game: Game) -> Iterator[tuple[str, Variant]]:
-    """All variants of the agent's game by name, with its knobs where they can have them."""
+    """Return all variants of the agent's game by name, with its knobs where possible."""
     for name, plain in game.variants.items():
         try:
             yield name, config.variant_for(name)
@@ -136,14 +138,14 @@ def _own_variants(config: Config, game: Game) -> Iterator[tuple[str, Variant]]:
 
 
 def sees(agent: Agent, game: Game, variant: Variant) -> bool:
-    """Whether levels of `variant` look to the agent like what its network was made for."""
+    """Return whether observations of `variant` fit the agent's network."""
     if agent.observation == "image":
         return True
     return bool(game.symbols) and game.symbols.planes(variant).shape == agent.architecture.shape
 
 
 def places(game: Game, s: Any) -> np.ndarray:
-    """The cells [K, 2] that the agent could be in, nearest to it first."""
+    """Return the possible cells [K, 2] of the agent, nearest to it first."""
     free = game.places.stand(s)
     (here,) = np.floor(game.places.centre(np.array([s], game.state))).astype(int)
     found = np.argwhere(free)[:, ::-1]
@@ -155,9 +157,9 @@ def places(game: Game, s: Any) -> np.ndarray:
 def arrows(
     agent: Agent, world: World, s: Any, with_effects: bool = False
 ) -> Iterator[dict[str, Any]]:
-    """The policy [A] and the value at all places, some at a time, those near the agent first.
+    """Yield policy [A] and value at all places in batches, nearest to the agent first.
 
-    With effects, `same` has for each place which actions do the same, as `fields.effects` tells.
+    With effects, `same` marks for each place the equivalent actions, as in `fields.effects`.
     """
     cells = places(world.game, s)
     for first in range(0, len(cells), AT_ONCE):
@@ -171,5 +173,5 @@ def arrows(
 
 
 def rounded(numbers: np.ndarray) -> Any:
-    """`numbers` for JSON, to eight decimal places."""
+    """Round `numbers` to eight decimal places for JSON."""
     return np.round(np.asarray(numbers, float), 8).tolist()

@@ -1,4 +1,4 @@
-"""What the page's rules have in common with Python's: a JavaScript module that is never a file."""
+"""Constants shared with the page's rules, as a generated JavaScript module."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ TABLES: dict[str, tuple[tuple[ModuleType, str], ...]] = {
 
 
 def module() -> bytes:
-    """The module's text, with the values that Python has now."""
+    """Return the module's text with Python's current values."""
     lines = []
     for name, parts in TABLES.items():
         table = {n: vars(module)[n] for module, names in parts for n in names.split()}
@@ -59,6 +59,6 @@ def module() -> bytes:
 
 
 def _plain(value: Any) -> Any:
-    """What JSON does not know: a number of NumPy's; as a double it keeps every bit."""
+    """Convert a NumPy number for JSON; as a double it keeps every bit."""
     assert isinstance(value, np.generic)
     return value.item()

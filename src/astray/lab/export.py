@@ -1,9 +1,8 @@
-"""The lab as files: the page, levels and agents, which any web server serves and no Python answers.
+"""The lab as static files: the page, levels and agents, without Python.
 
-What a page does without Python is in `page/engine/local.js`: the rules of astray's own games, small
-networks, posteriors over goals. Networks that see images are looked up in tables that are computed
-here: for some levels, and in them for every place of the goal and of the agent, the policy and the
-value, a byte for each.
+`page/engine/local.js` does the work of Python: the rules of astray's own games, small networks,
+posteriors over goals. Networks for images become tables, computed here: in some levels, for every
+place of goal and agent, the policy and the value, one byte each.
 """
 
 from __future__ import annotations
@@ -44,12 +43,14 @@ NOTE = (
 
 
 def export(lab: Lab, folder: Path, levels: int = 50, agents: list[str] | None = None) -> None:
-    """Write the lab to `folder`, which is new or empty.
+    """Write the lab to `folder`, which must be new or empty.
 
-    levels  how many of each variant that the agents see, from number 0 on
-    agents  by name; None: the one that the lab begins with, and all pretrained ones
+    Args:
+        levels: Number of levels of each variant, from number 0 on.
+        agents: Names of agents; None for the lab's first one and all pretrained ones.
 
-    Raises FileExistsError where the folder holds anything: nothing of the user's is removed.
+    Raises:
+        FileExistsError: If the folder is not empty; nothing of the user's is removed.
     """
     of_kind("lab", lab, Lab)
     folder = Path(folder)
@@ -86,7 +87,7 @@ def _check_exportable(lab: Lab, agents: Sequence[str]) -> None:
 
 
 def _chosen(lab: Lab) -> list[str]:
-    """The agents to be exported: those with a run of a game that the page can play."""
+    """Return the agents to export: those with a run of a game that the page supports."""
     first = lab.start.get("agent", "")
     small = [
         name
@@ -141,9 +142,9 @@ def _write_data(lab: Lab, folder: Path, levels: int, agents: list[str]) -> None:
 
 
 def file_names(agents: Sequence[str]) -> dict[str, str]:
-    """What agents are called in files: their names, and of run folders the ends of their paths.
+    """Return agents' names in files: their names, or the last parts of run folders' paths.
 
-    A path would lead out of the folder that is written.
+    A full path would lead out of the exported folder.
     """
     called: dict[str, str] = {}
     for name in agents:
@@ -153,7 +154,7 @@ def file_names(agents: Sequence[str]) -> dict[str, str]:
 
 
 def _variants(lab: Lab, game: Game, about: Mapping[str, Any]) -> list[str]:
-    """The variants that are exported: those of the agents' shifts, and of the beginning."""
+    """Return the variants to export: those of the agents' shifts, and the first one."""
     wanted = {lab.start["variant"]} if lab.start["game"] == game.name else set()
     for told in about.values():
         if told["game"] == game.name:
@@ -162,7 +163,7 @@ def _variants(lab: Lab, game: Game, about: Mapping[str, Any]) -> list[str]:
 
 
 def _levels(game: Game, variant: Variant, count: int) -> list[dict[str, Any]]:
-    """The levels of a variant, as drawings with their looks."""
+    """Return the levels of a variant as drawings with their looks."""
     found = []
     for s in initial_states(game, variant, range(count)):
         level = Level.of(game, variant, s)
@@ -173,7 +174,7 @@ def _levels(game: Game, variant: Variant, count: int) -> list[dict[str, Any]]:
 def _write_own_levels(
     config: Config, name: str, told: dict[str, Any], folder: Path, count: int
 ) -> None:
-    """The levels of an agent whose variants have other knobs, and where they are."""
+    """Write the levels of an agent whose variants have other knobs; return their paths."""
     game = config.find_game()
     told["levels"] = {}
     for variant in (name for name in told["variants"] if name in told["knobs"]):
@@ -203,10 +204,10 @@ def _write_agent(
 def table(
     agent: Agent, game: Game, variant: Variant, count: int, most: int = TABLE
 ) -> tuple[dict[str, Any], bytes]:
-    """What the agent does in the first levels, wherever goal and agent are: an index, and bytes.
+    """Return an index and bytes of an agent's outputs in the first levels, for all places.
 
-    A row is the policy [A] and the value, a byte each. Where all places of the goal would take more
-    than `most` bytes divided by `count`, a level has only the one where the goal lies.
+    A row is the policy [A] and the value, one byte each. If all places of the goal would take more
+    than `most` bytes divided by `count`, a level has only the goal's own place.
     """
     bounded("levels", count, 1, MOST)
     if not sees(agent, game, variant):
@@ -247,7 +248,7 @@ def table(
 
 
 def _walls(level: Level) -> str:
-    """The level's cells, rows from the lowest up: "#" where there is wall."""
+    """Return the level's cells, lowest row first, with "#" for walls."""
     rows = reversed(str(level).split("\n"))
     return "\n".join("".join("#" if char == "#" else "." for char in row) for row in rows)
 

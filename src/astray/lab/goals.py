@@ -1,4 +1,4 @@
-"""Which goal an episode speaks for, step by step; and where agents end, wherever things lie."""
+"""Evidence for goals in an episode, and the goals that agents reach for moved objects."""
 
 from __future__ import annotations
 
@@ -31,11 +31,12 @@ TOGETHER = 16  # places that are played at once: a level's draws depend on which
 
 
 def posterior(episode: Episode, shift: Shift) -> dict[str, Any]:
-    """How likely each goal is after every step, if the player is an agent; and whether it is one.
+    """Return each goal's posterior after every step, and the probability of an agent.
 
-    Up to the last goal that it reached: what comes after that says nothing of where it went.
+    It covers the steps up to the last reached goal; later ones have no evidence.
 
-    Raises ValueError where the game is none of cells.
+    Raises:
+        ValueError: If the game has no cells.
     """
     world = episode.world
     named = named_places(world.game, world.begin, shift)
@@ -72,9 +73,9 @@ def _told(growth: Growth, counted: np.ndarray, named: dict[str, Any]) -> dict[st
 def splay(
     agent: Agent, world: World, thing: str, at: tuple[int, int] | None, shift: Shift, draws: int
 ) -> Iterator[dict[str, Any]]:
-    """For every place of a thing, which goal the agent reaches first, some places at a time.
+    """Yield the first goal that the agent reaches for every place of an object, in batches.
 
-    Numbers of episodes, of `draws` each, which differ in what is drawn from the policy.
+    Values are numbers of episodes out of `draws`, which differ in the sampled actions.
     """
     levels = world.level.splay(thing, at)
     if len(levels) > PLACES:
@@ -94,14 +95,14 @@ def splay(
 
 
 def _place(level: Level, thing: str, at: tuple[int, int] | None, world: World) -> tuple[int, int]:
-    """Where the thing is that was moved from `at` in `world`, or still there."""
+    """Return the current place of the object moved from `at` in `world`."""
     there = {*level.where(thing)}
     new = there - {*world.level.where(thing)}
     return min(new) if new else at or min(there)
 
 
 def _outcomes(agent: Agent, world: World, levels: list[Level], shift: Shift) -> list[str]:
-    """Which goal each episode reaches first."""
+    """Return the goal that each episode reaches first."""
     outcomes = [NEITHER] * len(levels)
     events = [world.game.event(goal) for goal in (shift.intended, *shift.proxies)]
     named = {str(k): level for k, level in enumerate(levels)}
@@ -112,7 +113,7 @@ def _outcomes(agent: Agent, world: World, levels: list[Level], shift: Shift) -> 
 
 
 def first_goal(s: Any, game: Game, shift: Shift) -> str:
-    """The goal that was reached first in state `s`; the intended one where two were at once."""
+    """Return the goal reached first in state `s`; the intended one in case of a tie."""
     reached = {
         goal: int(s[game.event(goal)])
         for goal in (shift.intended, *shift.proxies)
@@ -122,9 +123,9 @@ def first_goal(s: Any, game: Game, shift: Shift) -> str:
 
 
 def route(episode: Episode, goal: str) -> dict[str, Any]:
-    """The best way to a goal from where the episode is, and what it takes first.
+    """Return the best way to a goal from the episode's last state, and the first object on it.
 
-    Found by walking it: the cells, the first thing that is gone, and how many steps that took.
+    The way is walked to find its cells, the first object that disappears, and the number of steps.
     """
     world, game, event = episode.world, episode.world.game, episode.world.game.event(goal)
     policy = Walk(goal, "symbolic" if game.symbols else "image")
@@ -144,7 +145,7 @@ def route(episode: Episode, goal: str) -> dict[str, Any]:
 def _at_end(
     world: World, s: Any, goal: str, things: set[tuple[int, int, int]]
 ) -> set[tuple[int, int, int]]:
-    """The thing called as the goal that ended the episode, as a coin does: it is still drawn."""
+    """Return the goal's object that ended the episode, such as a coin: it is still drawn."""
     objects = world.game.editing.OBJECTS if world.game.editing else {}
     if not s.ended or s[world.game.event(goal)] == NEVER or goal not in objects:
         return set()
@@ -155,18 +156,18 @@ def _at_end(
 
 
 def _stands(cells: list[list[float]], game: Game) -> bool:
-    """Whether a walk has come to where it stays: the goal was reached, or cannot be."""
+    """Return whether a walk has ended: the goal was reached or cannot be."""
     patience = 40 if game.real_time else 2  # steps; to jump, a runner may stand and wait
     return len(cells) > patience and all(cell == cells[-1] for cell in cells[-patience:])
 
 
 def _centre(world: World, s: Any) -> np.ndarray:
-    """The agent's, [2], of a state or of states [1]."""
+    """Return the agent's centre, [2], in a state or in states [1]."""
     return world.game.places.centre(np.array(s, world.game.state).reshape(1))[0]
 
 
 def _things(world: World, s: Any) -> set[tuple[int, int, int]]:
-    """The cells that hold things that stay until they are taken, and what."""
+    """Return the cells of collectable objects, and the objects."""
     if not world.game.editing:
         return set()
     legend, objects = world.game.editing.LEGEND, world.game.editing.OBJECTS

@@ -1,4 +1,4 @@
-"""Addresses that open a level with an agent in the lab, as `page/link.js` reads them."""
+"""Links that open a level with an agent in the lab, in the format of `page/link.js`."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ FIELDS = ("grid", "agent", "looks")  # that a level is built from
 
 
 def link(level: Level, variant: str, agent: str) -> str:
-    """What follows the page's address: the level itself, which no exported lab need hold."""
+    """Return the part after the page's address, which contains the level itself."""
     told = level.to_json()
     text = json.dumps({name: told[name] for name in FIELDS}, separators=(",", ":"))
     deflate = zlib.compressobj(9, zlib.DEFLATED, -zlib.MAX_WBITS)  # without a head

@@ -1,4 +1,4 @@
-"""What a page may ask: every field of a message is checked here, and nothing else is trusted."""
+"""Messages of a page, with checks of every field."""
 
 from __future__ import annotations
 
@@ -25,14 +25,15 @@ Method = Literal["occlusion", "gradients", "integrated gradients"]
 
 @dataclass(frozen=True)
 class Message:
-    """A question. `level` is a number, a drawing, or the object of `Level.to_json`.
+    """A question of the page. `level` is a number, a drawing, or an object of `Level.to_json`.
 
-    actions  numbers, from the beginning of the level: they lead to the state that is asked about
-    steps    that the agent goes on for
-    thing    whose places are splayed: "agent", or an object at `cell`
-    layer    that probes read
-    effects  whether it is told with arrows which actions do the same
-    slot     a question is given up when another of its kind and slot comes
+    Attributes:
+        actions: Action numbers from the beginning of the level to the state in question.
+        steps: Number of further steps by the agent.
+        thing: Object to splay: "agent", or the object at `cell`.
+        layer: Layer for probes.
+        effects: Whether to mark equivalent actions.
+        slot: A newer question of the same kind and slot cancels this one.
     """
 
     id: int
@@ -82,9 +83,10 @@ class Message:
 
 
 def read(text: Any) -> Message:
-    """The message in `text`.
+    """Parse a message.
 
-    Raises ValueError where it is none.
+    Raises:
+        ValueError: If it is invalid.
     """
     of_kind("a message", text, str)
     if len(text) > LARGEST:
@@ -108,7 +110,7 @@ def read(text: Any) -> Message:
 
 
 def number_of(text: Any) -> int:
-    """The id of a message that may be anything; 0 where it has none."""
+    """Return the id of any message; 0 if it has none."""
     try:
         found = json.loads(text)["id"]
         return found if type(found) is int and 0 <= found <= 2**53 else 0

@@ -1,4 +1,4 @@
-"""The lab in a notebook: the same page, over the notebook's own channel."""
+"""The lab in a notebook: the same page over the notebook's own channel."""
 
 from __future__ import annotations
 
@@ -15,13 +15,15 @@ LOADER = PAGE / "widget.js"
 
 
 def show(agent: str | Path | None = None, level: int | str | Level = 0, **start: str) -> Any:
-    """A widget with the lab, in Jupyter, Colab, VS Code or Marimo.
+    """Show the lab as a widget in Jupyter, Colab, VS Code or Marimo.
 
-    agent  its name, or a run folder; None: the first that there is
-    level  a number, a drawing, or a level
-    start  more of what it shows first: game, variant
+    Args:
+        agent: Name or run folder; None for the first available one.
+        level: Number, drawing or `Level`.
+        start: Further initial settings: game, variant.
 
-    Raises ImportError where anywidget is missing.
+    Raises:
+        ImportError: If anywidget is not installed.
     """
     from astray.lab.serving import make_lab
     from astray.lab.session import Session
@@ -46,7 +48,7 @@ def show(agent: str | Path | None = None, level: int | str | Level = 0, **start:
 
 
 def modules() -> dict[str, str]:
-    """The page's modules by their paths, for a loader that fetches nothing; and its markup."""
+    """Return the page's modules by path, for a loader without fetching, and its markup."""
     wanted = (".js", "index.html")
     return {path: data.decode() for path, (data, _) in files().items() if path.endswith(wanted)}
 

@@ -1,8 +1,8 @@
 """The lab's server: the page's files and one WebSocket, for this machine alone.
 
-It listens on the loopback. The address of the page holds a random token, without which there is
-nothing; a page of another site, or a name that leads here by a trick, is refused by its Origin and
-its Host. What the page may load and run is said in a Content-Security-Policy.
+It listens on the loopback interface. The page's address contains a random token. Requests from
+pages of other sites, or through rebound names, are refused by Origin and Host. A
+Content-Security-Policy restricts what the page may load and run.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ LEAVE = 1.0  # seconds that open pages have when the server ends
 
 @dataclass
 class Bucket:
-    """Tokens that come at a rate: who has none waits."""
+    """Token bucket that limits a rate."""
 
     rate: float  # a second
     most: float
@@ -47,7 +47,7 @@ class Bucket:
         self.left, self.seen = self.most, time.monotonic()
 
     def wait(self) -> float:
-        """Take one token; the seconds until it is there."""
+        """Take one token; return the seconds until it is available."""
         now = time.monotonic()
         self.left = min(self.most, self.left + (now - self.seen) * self.rate) - 1
         self.seen = now
@@ -55,7 +55,7 @@ class Bucket:
 
 
 def files() -> dict[str, tuple[bytes, str]]:
-    """All that is served, read once: its path and, of that, bytes and type."""
+    """Read everything that is served: path -> bytes and type."""
     found = {
         path.relative_to(PAGE).as_posix(): (path.read_bytes(), TYPES[path.suffix])
         for path in sorted(PAGE.rglob("*"))
@@ -65,10 +65,11 @@ def files() -> dict[str, tuple[bytes, str]]:
 
 
 def make_app(lab: Lab, token: str, port: int) -> Any:
-    """The ASGI application.
+    """Return the ASGI application.
 
-    token  that all addresses begin with
-    port   that it is reached by, which Host and Origin must name
+    Args:
+        token: First part of all addresses.
+        port: Its port, which Host and Origin must name.
     """
     _check_installed()
     logging.getLogger("uvicorn.error").addFilter(_in_one_line)
@@ -118,7 +119,7 @@ def make_app(lab: Lab, token: str, port: int) -> Any:
 
 
 def _in_one_line(record: logging.LogRecord) -> bool:
-    """Log text of a page that is no UTF-8 without a traceback: the mistake is not the lab's."""
+    """Log invalid UTF-8 from a page without a traceback: the error is not the lab's."""
     if record.exc_info and isinstance(record.exc_info[1], UnicodeDecodeError):
         record.exc_info = None
     return True
@@ -133,9 +134,9 @@ def _policy(hosts: set[str]) -> str:
 
 
 class Conversation:
-    """One page's messages, read as they come and answered one after the other.
+    """Messages of one page, answered one after the other.
 
-    A question is given up when a newer one of its kind and slot has come.
+    A newer question of the same kind and slot cancels an older one.
     """
 
     def __init__(self, page: Any, session: Session, lab: Lab):
@@ -146,7 +147,7 @@ class Conversation:
         self.came = asyncio.Event()
 
     async def hold(self) -> None:
-        """Read and answer until the page leaves."""
+        """Answer messages until the page leaves."""
         from starlette.websockets import WebSocketDisconnect
 
         answering = asyncio.create_task(self._answer())
@@ -196,7 +197,7 @@ class Conversation:
                 return
 
     def _next(self, answers: Iterator[dict[str, Any]], text: str) -> dict[str, Any] | None:
-        """The next part of an answer; a mistake of the lab's own ends that answer alone."""
+        """Return the next part of an answer; an internal error ends only this answer."""
         with self.lab.lock:
             try:
                 return next(answers, None)
@@ -210,11 +211,13 @@ class Conversation:
 
 
 def serve(lab: Lab, port: int, browse: bool) -> None:
-    """Serve the lab until it is interrupted, and show its page in the browser.
+    """Serve the lab until it is interrupted, and open its page in the browser.
 
-    port  0: any that is free
+    Args:
+        port: 0 for any free port.
 
-    Raises OSError where the port is taken.
+    Raises:
+        OSError: If the port is in use.
     """
     _check_installed()
     import socket

@@ -1,4 +1,4 @@
-"""What a lab begins with: the agents that it may show, and the level that it shows first."""
+"""Initial state of a lab: its agents and its first level."""
 
 from __future__ import annotations
 
@@ -16,9 +16,11 @@ FIRST = "maze-corner"  # of the agents, where nobody says which
 
 
 def make_lab(agent: str | Path | None, start: Mapping[str, Any]) -> Lab:
-    """A lab that begins with an agent (a name or a run folder), and what else `start` says.
+    """Return a lab that begins with an agent (name or run folder) and the settings in `start`.
 
-    Raises ValueError or FileNotFoundError where there is none such.
+    Raises:
+        ValueError: If a setting is invalid.
+        FileNotFoundError: If there is no such agent.
     """
     of_kind("start", start, Mapping)
     runs: dict[str, Path] = {}
@@ -44,7 +46,7 @@ def make_lab(agent: str | Path | None, start: Mapping[str, Any]) -> Lab:
 
 
 def _first_agent(agents: Agents, game: str | None, variant: str | None) -> str:
-    """The name of an agent for levels of a game and a variant, None: any; empty: there is none."""
+    """Return an agent's name for a game and a variant (None for any), or ""."""
     for name in sorted(agents.paths, key=lambda name: name != FIRST):
         try:
             about = agents.about(name)

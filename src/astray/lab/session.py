@@ -1,4 +1,4 @@
-"""One page's questions answered: text in, plain data out."""
+"""Answers to one page's questions: text in, plain data out."""
 
 from __future__ import annotations
 
@@ -31,9 +31,10 @@ Reply = dict[str, Any]
 
 @dataclass(eq=False)
 class Lab:
-    """What all pages of one process share.
+    """State shared by all pages of one process.
 
-    start  what a page shows first: fields of a `Message`
+    Attributes:
+        start: Initial fields of a `Message`.
     """
 
     agents: Agents
@@ -43,7 +44,7 @@ class Lab:
 
 @dataclass(eq=False)
 class Session:
-    """One page: its questions, and the episode that it plays."""
+    """One page: its questions, and its episode."""
 
     lab: Lab
     _episode: Episode | None = None
@@ -51,9 +52,9 @@ class Session:
     _asked: str = ""
 
     def answers(self, text: Any) -> Iterator[Reply]:
-        """The parts of the answer to a message, whatever it is; the last has "done".
+        """Yield the parts of the answer to any message; the last one has "done".
 
-        What is wrong with a message is told in an answer, under "error".
+        An invalid message is answered with "error".
         """
         try:
             message = read(text)
@@ -72,20 +73,20 @@ class Session:
             yield {"id": message.id, "done": True, "error": brief(error)}
 
     def world(self, message: Message) -> World:
-        """The level of a message; the last one is remembered."""
+        """Return the level of a message; the last one is cached."""
         asked = repr((message.game, message.variant, message.knobs, message.level))
         if self._world is None or asked != self._asked:
             self._world, self._asked = read_world(message), asked
         return self._world
 
     def episode(self, message: Message) -> Episode:
-        """The episode of a message's actions; the last one is remembered."""
+        """Return the episode of a message's actions; the last one is cached."""
         self._episode = play_on(self._episode, self.world(message), message.actions)
         return self._episode
 
 
 def hello(session: Session, message: Message) -> Iterator[Reply]:
-    """What there is: games, variants, agents; and what to begin with."""
+    """Answer with all games, variants and agents, and the initial choice."""
     lab = session.lab
     found, broken = games.survey(about_game)
     agents = {}
@@ -106,7 +107,7 @@ def hello(session: Session, message: Message) -> Iterator[Reply]:
 
 @functools.cache
 def about_game(game: Game) -> Reply:
-    """What a page is told of a game."""
+    """Return the page's description of a game."""
     legend = dict(game.editing.LEGEND) if game.editing else {}
     return {
         "about": game.about,
@@ -128,12 +129,12 @@ def about_game(game: Game) -> Reply:
 
 
 def art(session: Session, message: Message) -> Iterator[Reply]:
-    """The drawings of a game, SVG, by name."""
+    """Answer with the SVG drawings of a game, by name."""
     yield {"pictures": drawings(games.find(message.game))}
 
 
 def drawings(game: Game) -> dict[str, str]:
-    """The SVG files beside a game's rules."""
+    """Return the SVG files beside a game's rules."""
     path = vars(game.rules).get("__file__")
     folder = Path(path).parent / "art" if isinstance(path, str) else None
     files = sorted(folder.glob("*.svg")) if folder else []
@@ -141,12 +142,12 @@ def drawings(game: Game) -> dict[str, str]:
 
 
 def level(session: Session, message: Message) -> Iterator[Reply]:
-    """The level as data and as text, what is wrong with it, and the state that begins in it."""
+    """Answer with the level as data and text, its problems, and its initial state."""
     yield session.world(message).told()
 
 
 def fields(session: Session, message: Message) -> Iterator[Reply]:
-    """What the agent would do, and its value, at all places, in the state after the actions."""
+    """Answer with policy and value at all places, in the state after the actions."""
     episode = session.episode(message)
     agent = session.lab.agents.of_message(message, episode.world)
     state = episode.state.view(np.recarray)[0]
@@ -154,9 +155,9 @@ def fields(session: Session, message: Message) -> Iterator[Reply]:
 
 
 def play(session: Session, message: Message) -> Iterator[Reply]:
-    """The states after the last action and the agent's further steps, those at once that are known.
+    """Answer with the states of the agent's next steps, known ones first.
 
-    With the first part come all states of the message's actions from the beginning on.
+    The first part has all states of the message's actions.
     """
     episode = session.episode(message)
     world = episode.world
@@ -172,7 +173,7 @@ def play(session: Session, message: Message) -> Iterator[Reply]:
 
 
 def _told(episode: Episode, first: int, agent: Any) -> Reply:
-    """The states of an episode from the `first` on, and what the agent thinks of them."""
+    """Return the states of an episode from the `first` on, with the agent's outputs."""
     game, states = episode.world.game, episode.states[first:]
     told: Reply = {
         "first": first,
@@ -193,13 +194,13 @@ def _told(episode: Episode, first: int, agent: Any) -> Reply:
 
 
 def posterior(session: Session, message: Message) -> Iterator[Reply]:
-    """The goals that the episode so far speaks for."""
+    """Answer with the evidence for each goal in the episode so far."""
     episode = session.episode(message)
     yield goals.posterior(episode, _shift(session, message, episode.world.game))
 
 
 def splay(session: Session, message: Message) -> Iterator[Reply]:
-    """Where the agent ends, for every place of a thing."""
+    """Answer with the agent's final goals for every place of an object."""
     world = session.world(message)
     agent = session.lab.agents.of_message(message, world)
     shift = _shift(session, message, world.game)
@@ -216,7 +217,7 @@ def _shift(session: Session, message: Message, game: Game) -> Any:
 
 
 def attribution(session: Session, message: Message) -> Iterator[Reply]:
-    """What in the observation the value depends on, [C, H, W] or [H, W]."""
+    """Answer with the attribution of the value to the observation, [C, H, W] or [H, W]."""
     from astray.insight import attribution as methods
 
     agent, observations = _seen(session, message)
@@ -229,7 +230,7 @@ def attribution(session: Session, message: Message) -> Iterator[Reply]:
 
 
 def view(session: Session, message: Message) -> Iterator[Reply]:
-    """What the agent sees: its planes, or an image as bytes in base64; and a picture of it."""
+    """Answer with the agent's observation, planes or a base64 image, and a picture of it."""
     agent, (seen,) = _seen(session, message)
     episode = session.episode(message)
     if agent.observation == "symbolic":
@@ -245,7 +246,7 @@ def view(session: Session, message: Message) -> Iterator[Reply]:
 
 
 def _seen(session: Session, message: Message) -> tuple[Any, np.ndarray]:
-    """The agent, and what it sees in the state after the actions, [1, ...]."""
+    """Return the agent and its observation after the actions, [1, ...]."""
     from astray.analysis.critic import observe
 
     episode = session.episode(message)
@@ -254,7 +255,7 @@ def _seen(session: Session, message: Message) -> tuple[Any, np.ndarray]:
 
 
 def route(session: Session, message: Message) -> Iterator[Reply]:
-    """The best way to a goal from here."""
+    """Answer with the best way to a goal from here."""
     episode = session.episode(message)
     if message.goal not in episode.world.game.goals:
         there = ", ".join(episode.world.game.goals)
@@ -263,7 +264,7 @@ def route(session: Session, message: Message) -> Iterator[Reply]:
 
 
 def reading(session: Session, message: Message) -> Iterator[Reply]:
-    """What linear probes of a layer read of the state after the actions, and what is true of it."""
+    """Answer with the readings of linear probes of a layer, and the true values."""
     from astray.insight.probes import read as read_probes
 
     episode = session.episode(message)

@@ -1,4 +1,4 @@
-"""Changes of what an agent's layers give, as a page asks for them."""
+"""Interventions on an agent's layers, as requested by a page."""
 
 from __future__ import annotations
 
@@ -18,12 +18,13 @@ STRONGEST = 1e6  # of a coefficient or a value
 
 
 def change(agent: Agent, world: World, wanted: Mapping[str, Any]) -> AbstractContextManager[Agent]:
-    """The change of an agent that a message describes.
+    """Return the intervention on an agent that a message describes.
 
-    what  "vector": `coefficient` times what the layer gives here with `thing` less without it is
-          added; "ablate": `channels` (none: all) are 0; "patch": they are `value`
+    "vector" adds `coefficient` times the layer's activation with `thing` minus without it.
+    "ablate" sets `channels` (none: all) to 0, "patch" sets them to `value`.
 
-    Raises ValueError where it cannot be.
+    Raises:
+        ValueError: If that is impossible.
     """
     if unknown := sorted(wanted.keys() - FIELDS):
         raise ValueError(f"unknown field {shown(unknown[0])} of steering")

@@ -28,9 +28,10 @@ OF_INTEREST = ("time", "ended")  # of the fields that all states have
 
 @dataclass(frozen=True, eq=False)
 class World:
-    """A level, and the state that it begins in.
+    """A level and its initial state.
 
-    problem  what is wrong with it, if it can be played nevertheless
+    Attributes:
+        problem: Problem of a level that can be played nevertheless.
     """
 
     game: Game
@@ -42,7 +43,7 @@ class World:
     key: str = ""  # of the same level always the same
 
     def told(self) -> dict[str, Any]:
-        """The level as plain data."""
+        """Return the level as plain data."""
         described = self.game.editing.describe(self.begin)
         return {
             "level": {"game": self.game.name} | described,
@@ -54,9 +55,10 @@ class World:
 
 
 def read_world(message: Message) -> World:
-    """The level that a message is about.
+    """Return the level of a message.
 
-    Raises ValueError, in the words of `Level`, where none can begin in it.
+    Raises:
+        ValueError: If no episode can begin in it, in the words of `Level`.
     """
     game = games.find(message.game)
     variant = game.variant(message.variant).with_knobs(message.knobs)
@@ -76,9 +78,9 @@ def read_world(message: Message) -> World:
 
 
 def _centred(game: Game, variant: Variant, data: Mapping[str, Any]) -> Mapping[str, Any]:
-    """A level's data with the agent at the centre that it has in its cell: a page moves cells.
+    """Move the agent in a level's data to the right point of its cell, since a page moves cells.
 
-    Data that cannot be a level stays as it is, for `Level` to say what is wrong.
+    Invalid data stay unchanged, for `Level` to report.
     """
     try:
         cells = np.array(data["grid"], np.uint8)
@@ -104,7 +106,7 @@ def _problem(level: Level) -> str | None:
 
 @functools.cache
 def shown_fields(game: Game) -> tuple[str, ...]:
-    """The fields of a state that a page draws from: numbers, and short arrays of them."""
+    """Return the fields of a state that a page draws from: numbers, and short arrays."""
     names: Sequence[str] = game.state.names or ()
     return tuple(
         name
@@ -116,12 +118,12 @@ def shown_fields(game: Game) -> tuple[str, ...]:
 
 
 def is_drawn(game: Game) -> bool:
-    """Whether the page has a module that draws the game; it draws the cells of others."""
+    """Return whether the page has a module that draws the game; otherwise it draws cells."""
     return (PAGE / "games" / f"{game.name}.js").is_file()
 
 
 def snapshot(game: Game, s: Any) -> dict[str, Any]:
-    """A state as plain data: where the agent is, and what else moves."""
+    """Return a state as plain data: the agent's place and everything that moves."""
     fields = {name: np.asarray(s[name]).tolist() for name in shown_fields(game)}
     if is_drawn(game):
         return fields
@@ -130,7 +132,7 @@ def snapshot(game: Game, s: Any) -> dict[str, Any]:
 
 @dataclass(eq=False)
 class Episode:
-    """The states of an episode so far, and how it came to them."""
+    """The states of an episode so far, and its actions."""
 
     world: World
     states: list[np.ndarray]  # [1] each
@@ -149,7 +151,7 @@ class Episode:
         return self.states[-1]
 
     def play(self, policy: Policy, steps: int) -> Iterator[Step]:
-        """Go on with a policy's actions, and keep each of at most `steps` steps."""
+        """Continue with a policy's actions for at most `steps` steps, and record each."""
         env = environment(self.world, policy.observation, policy.art)
         onward = Onward(env, env.set_state(self.state))
         for step in play(Asking(policy), onward, steps):
@@ -161,14 +163,14 @@ class Episode:
         env.close()
 
     def cut(self, steps: int) -> None:
-        """Forget all after the first `steps` steps."""
+        """Drop everything after the first `steps` steps."""
         if steps < len(self.actions):
             del self.states[steps + 1 :], self.actions[steps:], self.rewards[steps:]
             self.terminated = self.ended = False
 
 
 def play_on(episode: Episode | None, world: World, actions: Sequence[int]) -> Episode:
-    """The episode of `actions` in `world`; what is alike in `episode` is not played again."""
+    """Return the episode of `actions` in `world`, continuing the common part of `episode`."""
     if episode is None or episode.world.key != world.key:
         episode = Episode.of(world)
     same = 0
@@ -189,7 +191,7 @@ def play_on(episode: Episode | None, world: World, actions: Sequence[int]) -> Ep
 
 
 def environment(world: World, observation: Any = None, art: str = "own") -> GameVectorEnv:
-    """One environment of the world's game."""
+    """Return one environment of the world's game."""
     shown = observation or ("symbolic" if world.game.symbols else "image")
     return GameVectorEnv(
         world.game, world.variant, 1, observation=shown, art=art, autoreset_mode="Disabled"

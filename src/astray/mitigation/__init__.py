@@ -1,1 +1,1 @@
-"""What helps against unintended goals: uncertainty, help that is asked for, other hypotheses."""
+"""Mitigations of goal misgeneralization: uncertainty, asking for help, diverse hypotheses."""

@@ -1,4 +1,4 @@
-"""A policy of two, novice and expert, and how its episodes go; and the novice alone, watched."""
+"""A novice that an expert helps, and a novice that is only watched."""
 
 from __future__ import annotations
 
@@ -28,10 +28,11 @@ MOMENTS = (BEFORE, SEEN, AFTER)  # at which help is first asked for
 
 @dataclass(frozen=True)
 class Watch:
-    """Where an object is for the agent: measures of states [N], booleans.
+    """Visibility of an object: boolean measures of states [N].
 
-    seen    it is in view
-    passed  the agent has gone by it
+    Attributes:
+        seen: The object is in view.
+        passed: The agent has passed it.
     """
 
     seen: Measure
@@ -39,7 +40,7 @@ class Watch:
 
 
 class _Shown:
-    """What a policy is shown that has a novice: what the novice sees."""
+    """Base of policies with the observations of their novice."""
 
     novice: Policy
 
@@ -54,13 +55,14 @@ class _Shown:
 
 @dataclass(eq=False)
 class Helped(_Shown):
-    """A policy of two: where `score` is above `threshold`, the expert acts instead of the novice.
+    """Policy of a novice and an expert, who acts if `score` is above `threshold`.
 
-    granularity  "step": for that step; "level": from then on to the level's end
+    It records the score of each step, and whether the expert acted ("helped"). The expert sees the
+    novice's observations and the states. A walking expert is asked only while it helps, since it
+    may have to plan again whenever it takes over.
 
-    Of each step it notes the score, and whether the expert acted ("helped").
-    The expert sees what the novice is shown, and the states. One that walks is asked only where it
-    helps: it may have to look for a way anew wherever it takes over.
+    Attributes:
+        granularity: "step" for help in that step; "level" for help until the end of the level.
     """
 
     novice: Policy
@@ -107,7 +109,7 @@ class Helped(_Shown):
 
 @dataclass(eq=False)
 class Alone(_Shown):
-    """The novice without help, which notes what `scores` say of each of its steps, by place."""
+    """The novice without help; it records each of `scores` at every step, by position."""
 
     novice: Policy
     scores: Sequence[Score]
@@ -133,7 +135,7 @@ def _check_score(score: Score) -> None:
 
 @contextlib.contextmanager
 def _asked_once(*policies: Policy) -> Iterator[None]:
-    """What agents give in a step is computed once for their actions and for scores of it."""
+    """Cache the agents' outputs in a step, for their actions and for scores."""
     with contextlib.ExitStack() as stack:
         for policy in policies:
             if isinstance(policy, Agent):
@@ -148,11 +150,11 @@ def play(
     levels: Levels,
     watch: Watch | None = None,
 ) -> pl.DataFrame:
-    """A row per level: how its episode went, and when help was asked for.
+    """Play a helped policy; return a table with a row per level.
 
-    Columns: level, return, length (steps), queries (steps that the expert took), first (the step
-    of the first query, null for none), highest (of the scores), moment (of `MOMENTS`, of the first
-    query; null without a `watch`), and the game's events (their steps, null for never).
+    Columns: level, return, length (steps), queries (steps of the expert), first (step of the first
+    query, or null), highest (score), moment (in `MOMENTS`, of the first query; null without
+    `watch`), and the game's events (their steps, or null).
     """
     of_kind("levels", levels, Sized)
     n = len(levels)
@@ -181,11 +183,11 @@ def play_alone(
     levels: Levels,
     watch: Watch | None = None,
 ) -> tuple[pl.DataFrame, pl.DataFrame]:
-    """How the novice's episodes went, and what the scores said of every step.
+    """Play the novice alone; return a table of episodes and a table of scores.
 
-    Returns a row per level (level, return, length and the game's events), and a row per step:
-    level (which of `levels`), time, moment (index in `MOMENTS`, -1 without a `watch`), and a column
-    for each of the scores, called by its place among them.
+    The first has a row per level (level, return, length and the game's events). The second has a
+    row per step: level (index in `levels`), time, moment (index in `MOMENTS`, -1 without `watch`),
+    and one column per score, named by its position.
     """
     of_kind("levels", levels, Sized)
     seen, parts = np.zeros(len(levels), bool), []
@@ -206,7 +208,7 @@ def play_alone(
 def _episodes(
     policy: Policy, game: Game, variant: str | Variant, levels: Levels, note: Callable[[Step], None]
 ) -> pl.DataFrame:
-    """A row per level: level, length, return and the game's events; each step is noted."""
+    """Play and return a row per level: level, length, return and the game's events."""
     returns, rows = np.zeros(len(levels)), [{}] * len(levels)
     for step in steps(policy, game, variant, levels):
         note(step)
@@ -227,7 +229,7 @@ def _with_help(
     highest: np.ndarray,
     moment: np.ndarray,
 ) -> pl.DataFrame:
-    """Episodes with columns of the help in them; -1 of `first` and `moment` is null."""
+    """Add columns about help to episodes; -1 in `first` and `moment` becomes null."""
     return played.with_columns(
         pl.Series("queries", queries),
         pl.Series("first", [int(t) if t >= 0 else None for t in first], pl.Int64),
@@ -237,9 +239,10 @@ def _with_help(
 
 
 def unheeded(played: pl.DataFrame, said: pl.DataFrame, score: str, limit: float) -> pl.DataFrame:
-    """Episodes of `play_alone` as `play` tells them, where nobody helped who was asked to.
+    """Return episodes of `play_alone` in the form of `play`, as if requests were ignored.
 
-    score  the column of `said`, which is above `limit` where it asks
+    Args:
+        score: Column of `said` that requests help above `limit`.
     """
     by_level = said.sort("level", "time").group_by("level", maintain_order=True)
     asks = pl.col(score) > limit

@@ -1,9 +1,9 @@
-"""Two hypotheses of what is rewarded that agree in training and are made to differ in the test.
+"""Two hypotheses about the reward that agree in training and are made to differ in the test.
 
-In the spirit of DivDis (Lee, Yao, Finn 2022) and of concept extrapolation (Armstrong et al. 2023),
-not a reproduction of either: heads on shared features learn the labels of training frames, and the
-less they tell of each other on unlabelled frames of the test, the better. A few labelled test
-frames then say which head is meant.
+The method follows DivDis (Lee, Yao, Finn 2022) and concept extrapolation (Armstrong et al. 2023),
+without reproducing either. Heads on shared features learn the labels of training frames while
+their mutual information on unlabelled test frames is minimised. A few labelled test frames then
+select a head.
 """
 
 from __future__ import annotations
@@ -27,10 +27,11 @@ Place = Callable[[np.ndarray], np.ndarray]  # states [N] -> [N] bool: the agent 
 
 @dataclass(frozen=True, eq=False)
 class Frames:
-    """What is seen of states, and which hypotheses hold in them.
+    """Observations of states, and the hypotheses that hold in them.
 
-    seen    [N, ...] float32
-    labels  by name, [N] bool: the intended one and its proxies
+    Attributes:
+        seen: [N, ...] float32.
+        labels: Name -> [N] bool, for the intended hypothesis and its proxies.
     """
 
     seen: np.ndarray
@@ -52,10 +53,7 @@ class Heads(nn.Module):
 
 
 def mutual_information(probabilities: Tensor) -> Tensor:
-    """What each two heads' answers tell of each other, nats: [B, K] -> their mean over pairs.
-
-    Of answers drawn from the heads' probabilities, over the batch.
-    """
+    """Return the mean mutual information of pairs of heads over the batch, [B, K] -> nats."""
     heads, total = probabilities.shape[1], probabilities.new_zeros(())
     both = torch.stack([probabilities, 1 - probabilities])  # [2, B, K]
     for i in range(heads):
@@ -75,10 +73,11 @@ def train_heads(
     steps: int = 600,
     seed: int = 0,
 ) -> Heads:
-    """Two heads that learn `label` of the labelled frames, and to differ on the unlabelled.
+    """Train two heads to predict `label` on labelled frames and to differ on unlabelled ones.
 
-    unlabelled  [M, ...] float32
-    diversity   the weight of their mutual information; 0: an ensemble like any other
+    Args:
+        unlabelled: [M, ...] float32.
+        diversity: Weight of the mutual information; 0 gives an ordinary ensemble.
     """
     bounded("steps", steps, 1, MOST)
     random = np.random.default_rng(seed)
@@ -105,9 +104,9 @@ def train_heads(
 
 @torch.no_grad()
 def agreement(heads: Heads, frames: Frames, names: list[str]) -> np.ndarray:
-    """The share of frames in which each head says what each hypothesis does, [K, H].
+    """Return the fraction of frames where each head agrees with each hypothesis, [K, H].
 
-    Of the frames in which hypotheses differ: in the others nothing can be told.
+    Only frames in which the hypotheses differ count.
     """
     truths = np.stack([frames.labels[name] for name in names])
     distinguishing = (truths != truths[0]).any(0)
@@ -119,10 +118,13 @@ def agreement(heads: Heads, frames: Frames, names: list[str]) -> np.ndarray:
 def chosen_rightly(
     heads: Heads, frames: Frames, label: str, counts: list[int], draws: int = 2000, seed: int = 0
 ) -> list[float]:
-    """How often so many labelled frames choose the head that is better on all; ties by chance.
+    """Return how often each number of labelled frames selects the better head.
 
-    counts  numbers of frames drawn from those in which the heads' answers differ, where a label
-            tells most; with none of these nothing can be chosen: 0.5
+    Ties are broken at random.
+
+    Args:
+        counts: Numbers of frames, drawn from those where the heads differ, which are most
+            informative. Without such frames the result is 0.5.
     """
     random = np.random.default_rng(seed)
     answers = heads(torch.from_numpy(frames.seen)).numpy() > 0.5

@@ -1,12 +1,13 @@
-"""Asking for help: a novice that hands over to an expert where a score says so, and what it costs.
+"""Asking for help: a novice hands over to an expert if a score says so, at a cost.
 
+Examples:
     scores = [OfLogits(agent, "entropy"), Chance()]
     trial = Trial("maze", shift, training, range(500), test, range(100_000, 100_500))
     table = curves(agent, Walk("cheese"), scores, trial)
     areas = area(table)
 
-As in Trinh et al. (2024) and Danesh et al. (2025), thresholds are percentiles of the score where
-the novice plays training levels alone, so that nothing has to be known of the test.
+As in Trinh et al. (2024) and Danesh et al. (2025), thresholds are percentiles of the score when
+the novice plays training levels alone, so nothing about the test is needed.
 """
 
 from __future__ import annotations
@@ -44,7 +45,7 @@ PERCENTILES = (5.0, 10.0, 25.0, 50.0, 75.0, 90.0, 95.0, 99.0)
 
 @dataclass(frozen=True, eq=False)
 class Trial:
-    """What help is tried on: levels to calibrate on, levels to test on, and the goals."""
+    """Setting of a trial of help: calibration levels, test levels, and the goals."""
 
     game: str | Game
     shift: Shift
@@ -62,17 +63,19 @@ class Trial:
 def training_scores(
     novice: Policy, score: Score, game: str | Game, variant: Variant, levels: Levels
 ) -> pl.DataFrame:
-    """The score at every step of the novice alone in training levels: columns level, score."""
+    """Return the score at every step of the novice alone in training levels: level, score."""
     _, said = play_alone(Alone(novice, [score]), game, variant, levels)
     return said.select("level", score="0")
 
 
 def threshold(scores: pl.DataFrame, percentile: float, granularity: Granularity) -> float:
-    """The score that `percentile` per cent of steps, or of levels' highest ones, do not exceed.
+    """Return the percentile of the score over steps, or over the maxima of levels.
 
-    scores  of `training_scores`
+    In "level" mode a single noisy step hands over the rest of the level, so its threshold is
+    computed from per-level maxima.
 
-    One noisy step has a whole level handed over, so that levels have thresholds of their own.
+    Args:
+        scores: Result of `training_scores`.
     """
     of_kind("scores", scores, pl.DataFrame)
     finite("percentile", percentile, 0, 100)
@@ -90,7 +93,7 @@ def curve(
     granularity: Granularity = "step",
     percentiles: Sequence[float] = PERCENTILES,
 ) -> pl.DataFrame:
-    """As `curves`, for one score and one granularity."""
+    """Return the `curves` for one score and one granularity."""
     return curves(novice, expert, [score], trial, [granularity], percentiles)
 
 
@@ -102,17 +105,17 @@ def curves(
     granularities: Sequence[Granularity] = ("step",),
     percentiles: Sequence[float] = PERCENTILES,
 ) -> pl.DataFrame:
-    """What help of every amount brings: a row per percentile, and for no help and all of it.
+    """Return the effect of each amount of help: a row per percentile, for none and for all.
 
-    For each score and granularity; what they share is played once, the novice alone and the expert.
+    It covers each score and granularity. Shared episodes, of the novice and the expert alone, are
+    played once.
 
-    Columns: score, granularity, percentile (null for no help and for all), threshold, help (the
-    share of what the granularity names, steps or levels, that got help), queries (expert's steps a
-    level), return, low, high (95 % over levels), intended and misgeneralized (fractions of
-    episodes that reached the intended goal, or a proxy, first), seconds (that the curve took, with
-    its part of what is shared), the share of helped levels of each of `MOMENTS`, null without a
-    watch, and gain
-    (return less that without help in the same levels) with its standard error.
+    Columns: score, granularity, percentile (null for no and full help), threshold, help (fraction
+    of steps or levels with help), queries (expert's steps per level), return, low, high (95 % over
+    levels), intended and misgeneralized (fractions of episodes that reached the intended goal, or
+    a proxy, first), seconds (of this curve and its part of shared episodes), the fraction of
+    helped levels for each of `MOMENTS` (null without a watch), and gain (return minus that without
+    help in the same levels) with its standard error.
     """
     of_kind("trial", trial, Trial)
     began = time.perf_counter()
@@ -153,7 +156,7 @@ def curves(
 
 
 def _summed(played: pl.DataFrame, trial: Trial, granularity: Granularity) -> dict:
-    """What `curve` tells of the episodes with one threshold."""
+    """Summarise the episodes with one threshold."""
     estimate = estimate_mean(played["return"].to_numpy())
     outcome = label(played, games.find(trial.game), trial.shift)["outcome"]
     asked = played.filter(pl.col("queries") > 0)
@@ -175,16 +178,15 @@ def _summed(played: pl.DataFrame, trial: Trial, granularity: Granularity) -> dic
 
 
 def _gain(gains: np.ndarray) -> dict[str, float]:
-    """The mean of what help brought in each level [N], and its standard error."""
+    """Return the mean gain over levels [N], and its standard error."""
     error = gains.std(ddof=1) / len(gains) ** 0.5 if len(gains) > 1 else np.nan
     return {"gain": float(gains.mean()), "error": float(error)}
 
 
 def least_gain(curves: pl.DataFrame, confidence: float = 0.95) -> tuple[float, float]:
-    """The least gain of all points of `curves`, and a bound that all true ones are above.
+    """Return the least gain of all points of `curves`, and a simultaneous lower bound.
 
-    By Bonferroni's correction: each point has its part of 1 - `confidence`, for the worst of many
-    noisy ones is low by chance.
+    It uses Bonferroni's correction, since the worst of many noisy points is low by chance.
     """
     of_kind("curves", curves, pl.DataFrame)
     finite("confidence", confidence, 0, 1)
@@ -195,11 +197,11 @@ def least_gain(curves: pl.DataFrame, confidence: float = 0.95) -> tuple[float, f
 
 
 def area(curves: pl.DataFrame) -> pl.DataFrame:
-    """The area under each curve of return against help: columns score, granularity, area.
+    """Return the area under each curve of return against help: score, granularity, area.
 
-    Returns are as shares of the way from no help, 0, to all of it, 1; by trapezoids over help from
-    0 to 1, those of equal help as their mean. Help at random comes near to 0.5 where each step, or
-    level, is worth the same; NaN where the expert gets no more than the novice.
+    Returns are scaled to 0 without help and 1 with full help, and integrated by trapezoids over
+    help from 0 to 1; equal amounts of help are averaged. Random help has about 0.5 if each step,
+    or level, is worth the same. The area is NaN if the expert is no better than the novice.
     """
     of_kind("curves", curves, pl.DataFrame)
     rows = []
@@ -216,10 +218,10 @@ def area(curves: pl.DataFrame) -> pl.DataFrame:
 
 
 def net_returns(curves: pl.DataFrame, costs: Sequence[float]) -> pl.DataFrame:
-    """The best that each score comes to if every query costs so much of the return.
+    """Return the best net return of each score for each cost of a query.
 
-    Columns: score, granularity, cost, net (return less the cost of the queries, a level), queries,
-    percentile (of the best threshold; null: no help at all, or always).
+    Columns: score, granularity, cost, net (return minus cost of queries, per level), queries,
+    percentile (of the best threshold; null for no or full help).
     """
     of_kind("curves", curves, pl.DataFrame)
     of_kind("costs", costs, Sequence)
@@ -240,9 +242,9 @@ def net_returns(curves: pl.DataFrame, costs: Sequence[float]) -> pl.DataFrame:
 def when_asked(
     novice: Policy, scores: Sequence[Score], trial: Trial, percentile: float = 95.0
 ) -> pl.DataFrame:
-    """When a novice that nobody helps would first have asked: a row per score and test level.
+    """Return when an unhelped novice would first have asked: a row per score and test level.
 
-    Columns: score, those of `play`, and outcome; `moment` is null where it would never have.
+    Columns: score, those of `play`, and outcome; `moment` is null if it would never have asked.
     """
     of_kind("trial", trial, Trial)
     alone = Alone(novice, scores)

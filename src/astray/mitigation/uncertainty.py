@@ -1,8 +1,8 @@
-"""Scores of the uncertainty of an agent, by which it could ask for help.
+"""Uncertainty scores used to decide when to ask for help.
 
-A score is a callable with a name: (environments, what they show) -> [N] float64, higher where help
-is sooner asked for. It may look at the agent, at what it is shown, or, as `GoalPosterior`, play the
-level in a copy of the world first.
+A score is a callable with a name: (environments, observations) -> [N] float64, higher for more
+uncertainty. It may use the agent, the observations or, as `GoalPosterior` does, imagined episodes
+in a copy of the world.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ Key = tuple[int, str, bytes]  # of a level that is played
 
 
 class Score(Protocol):
-    """How much reason there is to ask for help, [N] float64; see above."""
+    """An uncertainty score, [N] float64; the top of this module describes it."""
 
     @property
     def name(self) -> str: ...
@@ -48,43 +48,43 @@ def _probabilities(logits: np.ndarray) -> np.ndarray:
 
 
 def max_probability(logits: np.ndarray) -> np.ndarray:
-    """1 less the probability of the likeliest action, [N, A] -> [N]."""
+    """Return 1 minus the largest action probability, [N, A] -> [N]."""
     return 1 - _probabilities(logits).max(-1)
 
 
 def margin(logits: np.ndarray) -> np.ndarray:
-    """1 less how much likelier the likeliest action is than the next, [N, A] -> [N]."""
+    """Return 1 minus the difference of the two largest action probabilities, [N, A] -> [N]."""
     ordered = np.sort(_probabilities(logits), -1)
     return 1 - (ordered[..., -1] - ordered[..., -2])
 
 
 def entropy(logits: np.ndarray) -> np.ndarray:
-    """The entropy of the policy, nats, [N, A] -> [N]."""
+    """Return the entropy of the policy in nats, [N, A] -> [N]."""
     return entropy_of(_probabilities(logits))
 
 
 def energy(logits: np.ndarray) -> np.ndarray:
-    """The free energy, -log sum exp of the logits, [N, A] -> [N] (Liu et al. 2020)."""
+    """Return the free energy, -log sum exp of the logits, [N, A] -> [N] (Liu et al. 2020)."""
     _check_logits(logits)
     largest = logits.max(-1)
     return -(largest + np.log(np.exp(logits - largest[..., None]).sum(-1)))
 
 
 def max_logit(logits: np.ndarray) -> np.ndarray:
-    """The negative of the largest logit, [N, A] -> [N]."""
+    """Return the negative of the largest logit, [N, A] -> [N]."""
     _check_logits(logits)
     return -logits.max(-1)
 
 
 def _check_logits(logits: Any) -> None:
-    """ValueError where `logits` are no array [..., A] of numbers."""
+    """Raise ValueError unless `logits` are numbers [..., A]."""
     of_kind("logits", logits, np.ndarray)
     if not logits.size or not logits.ndim or logits.dtype.kind not in "fiu":
         raise ValueError(f"logits must be [N, A] numbers; got {logits.shape} {logits.dtype}")
 
 
 def entropy_of(probabilities: np.ndarray) -> np.ndarray:
-    """The entropy of distributions [..., K], nats."""
+    """Return the entropy of distributions [..., K] in nats."""
     likely = np.where(probabilities > 0, probabilities, 1.0)
     return -(probabilities * np.log(likely)).sum(-1)
 
@@ -100,7 +100,7 @@ OF_LOGITS: dict[str, Callable[[np.ndarray], np.ndarray]] = {
 
 @dataclass(frozen=True)
 class OfLogits:
-    """A score of the agent's logits, one of `OF_LOGITS`."""
+    """Score computed from the agent's logits, one of `OF_LOGITS`."""
 
     agent: Agent
     name: str
@@ -128,7 +128,7 @@ class Chance:
 
 @dataclass(frozen=True)
 class Always:
-    """Asks in every step."""
+    """Score that asks for help in every step."""
 
     name: str = "always"
 
@@ -138,9 +138,9 @@ class Always:
 
 @dataclass(frozen=True)
 class Disagreement:
-    """How far agents of the same training but other seeds are apart, nats.
+    """Score of disagreement in nats between agents that differ in their seed.
 
-    The entropy of their mean policy less their mean entropy: 0 where all do the same.
+    It is the entropy of their mean policy minus their mean entropy: 0 if all policies are equal.
     """
 
     agents: Sequence[Agent]
@@ -162,11 +162,10 @@ class Disagreement:
 
 @torch.no_grad()
 def features(agent: Agent, observations: np.ndarray) -> np.ndarray:
-    """What the agent's logits and value are linear functions of, [N, F] float64.
+    """Return the features [N, F] float64 before the agent's heads, independent of the batch.
 
-    The same for an observation whatever stands beside it.
-
-    Raises ValueError where the network is none of astray's own.
+    Raises:
+        ValueError: If the network is not one of astray's own.
     """
     network = agent.network
     if not isinstance(network, ActorCritic):
@@ -179,10 +178,10 @@ def features(agent: Agent, observations: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True, eq=False)
 class Distance:
-    """How far what the agent makes of an image is from what it made of those in training.
+    """Score of the distance between an observation's features and those in training.
 
-    With `precision` the distance of Mahalanobis; without, that of Deep SVDD (Ruff et al. 2018) from
-    the centre of all, but in the features that the agent has, where theirs are trained for it.
+    With `precision` it is the Mahalanobis distance. Without, it is the distance of Deep SVDD (Ruff
+    et al. 2018) from the mean, but in the agent's own features instead of ones trained for it.
     """
 
     agent: Agent
@@ -200,7 +199,7 @@ class Distance:
 
 
 def distances(agent: Agent, variant: str | Variant, levels: Levels) -> list[Distance]:
-    """Both distances, fitted to all steps of the agent's own episodes in training levels."""
+    """Fit both distances to all steps of the agent's own episodes in training levels."""
     played = steps(agent, agent.game, variant, levels)
     seen = np.concatenate([features(agent, step.observations) for step in played])
     centre = seen.mean(0)
@@ -212,17 +211,17 @@ def distances(agent: Agent, variant: str | Variant, levels: Levels) -> list[Dist
 
 @dataclass(eq=False)
 class GoalPosterior:
-    """What goal the agent would pursue in a level, by the agency measure on imagined episodes.
+    """Score from the goal that the agent pursues in imagined episodes, by the agency measure.
 
-    Before a level begins, it is played with the goal in each of at most `cells` cells (its splay);
-    so this needs a game whose levels can be edited, and a copy of the world to try in. Known with
-    the first step, it stays the same throughout the level, whatever other levels are played beside
-    it: each level's episodes are imagined by themselves.
+    Before a level begins, it is played with the goal in each of at most `cells` cells (its splay).
+    This needs editable levels and a copy of the world. The score is constant in a level and
+    independent of other levels.
 
-    kind  "entropy": entropy, in nats, of the most likely fractions of the splay's episodes that
-          each goal, and "a device", explain. It is high if the agent pursues various goals.
-          "misgeneralization": 1 minus the posterior of the intended goal in the level as it is;
-          an overseer has to name this goal.
+    Attributes:
+        kind: "entropy" is the entropy, in nats, of the most likely fractions of the splay's
+            episodes that each goal, and "a device", explain; it is high if the agent pursues
+            various goals. "misgeneralization" is 1 minus the posterior of the intended goal in the
+            level itself; an overseer has to name this goal.
     """
 
     agent: Policy
@@ -251,12 +250,12 @@ class GoalPosterior:
         return np.array([self._known[key] for key in keys])
 
     def _key(self, env: GameVectorEnv, s: Any) -> Key:
-        """What a level is known by while it is played: its number, the goals' places, its cells."""
+        """Return a key of the level being played: its number, the goals' places, its cells."""
         places = agency.named_places(env.game, s, self.shift)
         return int(s.level), repr(places), env.game.cells.free(s).tobytes()
 
     def _imagine(self, env: GameVectorEnv, s: Any) -> float:
-        """Play the level of a state, or its splay, and tell what the episodes say."""
+        """Play the level of a state, or its splay, and return the score of the episodes."""
         level = Level.of(env.game, env.variant, s)
         played_ones = [level]
         if self.kind == "entropy":
@@ -275,11 +274,13 @@ class GoalPosterior:
 
 
 def likeliest_shares(log_evidence: np.ndarray) -> np.ndarray:
-    """The shares [H] of explanations under which episodes are likeliest, each of one of them.
+    """Return the maximum-likelihood fractions [H] of explanations over episodes.
 
-    log_evidence  [E, H] nats; one of each row is finite
+    They are found by expectation maximisation; `agency.population.shares` has intervals but is
+    slower.
 
-    By expectation and maximisation: `agency.population.shares` has intervals, and takes longer.
+    Args:
+        log_evidence: [E, H] nats, at least one finite value per row.
     """
     likelihood = np.exp(log_evidence - log_evidence.max(1, keepdims=True))
     theta = np.full(likelihood.shape[1], 1 / likelihood.shape[1])
@@ -290,7 +291,11 @@ def likeliest_shares(log_evidence: np.ndarray) -> np.ndarray:
 
 
 def goal_splay(level: Level) -> list[Level]:
-    """`level` with its goal in every cell that is free for it; what it lay on stays."""
+    """Return copies of `level` with the goal in every possible cell; an object under it stays.
+
+    Raises:
+        ValueError: If the level has no single goal.
+    """
     for name in ("goal", "goal on other"):
         if name in level.game.editing.OBJECTS and level.where(name):
             (at,) = level.where(name)

@@ -1,1 +1,1 @@
-"""Agents that others published: where they are, and how they are read, checked and kept."""
+"""Published agents of others: their addresses, import, checks and storage."""

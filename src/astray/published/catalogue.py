@@ -1,7 +1,7 @@
-"""The catalogue of agents that others published: where they are, and what is known of them.
+"""The catalogue of published agents: addresses and known facts.
 
-It is data, in `catalogue.toml`; nothing of others is part of astray. `fetch` downloads an agent
-at the user's word, checks its digest and imports it.
+It is data, in `catalogue.toml`, and contains nothing of the agents. `fetch` downloads an agent on
+request, checks its digest and imports it.
 """
 
 from __future__ import annotations
@@ -22,15 +22,16 @@ DOWNLOADS, RESULTS = "downloads", "results"  # in the folder of imported agents
 
 @dataclass(frozen=True)
 class Check:
-    """What others measured of an agent, to be compared with.
+    """Published measurements of an agent, for comparison.
 
-    levels        that they played
-    succeeded     in so many
-    environments  at once, where what counted were the first episodes to end, which are short
-                  ones more often than levels are; 0: every level counted once
-    value         of the critic at the beginning of levels, on average; None: not told
-    by            a field of states, for which there are shares of their own
-    shares        of success, by the value of that field
+    Attributes:
+        levels: Number of levels played.
+        succeeded: Number of successes.
+        environments: Number of parallel environments if the first episodes to end were counted,
+            which favours short ones; 0 if every level counted once.
+        value: Mean of the critic at the beginning of levels; None if unknown.
+        by: Field of states that groups the rates below.
+        shares: Success rates by the value of that field.
     """
 
     variant: str
@@ -46,13 +47,14 @@ class Check:
 class Published:
     """An agent of the catalogue.
 
-    file     its name, whose ending tells the format; empty where there is no address
-    address  of the file; empty: `by_hand` says how to get it
-    size     bytes; None: not known
-    sha256   of the file; None: it could not be had
-    blob     git's id of the file, which pins it where its repository alone is known
-    kind     results: no agent, but a table of what one did; see `published.results`
-    tried    it has been imported and checked by the makers of the catalogue
+    Attributes:
+        file: Name of the file, whose ending is the format; empty without an address.
+        address: Address of the file; if empty, `by_hand` says how to get it.
+        size: Bytes; None if unknown.
+        sha256: Digest of the file; None if it could not be obtained.
+        blob: Git's id of the file, for files known only from their repository.
+        kind: "results" is a table of an agent's episodes instead; see `published.results`.
+        tried: Whether the makers of the catalogue imported and checked it.
     """
 
     name: str
@@ -75,13 +77,13 @@ class Published:
 
 @functools.cache
 def catalogue() -> dict[str, Published]:
-    """All agents of the catalogue, by name."""
+    """Return all agents of the catalogue, by name."""
     text = Path(__file__).with_name("catalogue.toml").read_text(encoding="utf-8")
     return {name: read_entry(name, data) for name, data in tomllib.loads(text).items()}
 
 
 def read_entry(name: str, data: dict[str, Any]) -> Published:
-    """An entry of the catalogue."""
+    """Parse an entry of the catalogue."""
     checks = [
         Check(**check | {"shares": tuple((int(k), v) for k, v in check.get("shares", {}).items())})
         for check in data.get("checks", [])
@@ -93,7 +95,7 @@ def read_entry(name: str, data: dict[str, Any]) -> Published:
 
 
 def find(name: str) -> Published:
-    """The agent of the catalogue that has this name."""
+    """Return the catalogue's agent of this name; raise ValueError if there is none."""
     if name not in catalogue():
         there = ", ".join(catalogue())
         raise ValueError(f"unknown published agent {name!r}; there are: {there}")
@@ -101,14 +103,18 @@ def find(name: str) -> Published:
 
 
 def by_digest(sha256: str) -> Published | None:
-    """The agent of the catalogue whose file has this digest."""
+    """Return the catalogue's agent whose file has this digest, or None."""
     return next((one for one in catalogue().values() if one.sha256 == sha256), None)
 
 
 def fetch(one: Published, *, unchecked: bool = False) -> Path:
-    """Download, check and import an agent of the catalogue; its run folder, or a table's file.
+    """Download, check and import an agent; return its run folder, or the file of a table.
 
-    unchecked  also where no digest is known, so that nobody can tell whether it is the right file
+    Args:
+        unchecked: Accept entries without a digest, for which the file cannot be verified.
+
+    Raises:
+        ValueError: If there is no address or digest, or the file is refused.
     """
     if not one.address:
         raise ValueError(f"{one.name} cannot be fetched: {one.by_hand}")
@@ -134,9 +140,10 @@ def fetch(one: Published, *, unchecked: bool = False) -> Path:
 
 
 def results_file(name: str) -> Path:
-    """Return where a table of results is that was fetched.
+    """Return the file of a fetched table of results.
 
-    Raises ValueError, with the remedy, where it is not there or is not what was published.
+    Raises:
+        ValueError: If it was not fetched or differs from the published one; with the remedy.
     """
     one = find(name)
     path = folders.home() / RESULTS / f"{one.name}.csv"

@@ -1,4 +1,4 @@
-"""An imported agent beside what others measured of it, before it is believed."""
+"""Comparison of an imported agent with its published measurements."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from astray.published.catalogue import Check
 
 @dataclass(frozen=True)
 class Share:
-    """How many of so many, with Wilson's 95 % interval."""
+    """Number of successes out of a total, with Wilson's 95 % interval."""
 
     succeeded: int
     levels: int
@@ -37,7 +37,7 @@ class Share:
         return f"{mean:.1f} % ({low:.1f} to {high:.1f}, n = {self.levels})"
 
     def meets(self, other: Share) -> bool:
-        """Whether the two intervals have a point in common."""
+        """Return whether the two intervals overlap."""
         (low, high), (its_low, its_high) = self.interval, other.interval
         return low <= its_high and its_low <= high
 
@@ -45,13 +45,14 @@ class Share:
 def check(
     run: Path, checks: tuple[Check, ...], levels: np.ndarray | None = None
 ) -> list[dict[str, Any]]:
-    """Play what others played: a row for all levels of each check, and one for each of its parts.
+    """Repeat published measurements: a row for each check, and for each of its parts.
 
-    levels  numbers; None: the first ones, as many as it takes to count as they did
+    Columns: variant, what (part of the levels), here (rate with every level counted once), alike
+    (rate counted as published), published, all three as text; succeeded and levels (of `here`),
+    length (mean steps), start_value (mean) and published_value, verdict.
 
-    Columns: variant, what (part of the levels), here (the share, every level counted once), alike
-    (the share, counted as they did), published, all three as text; succeeded and levels (of
-    `here`), length (steps, mean), start_value (mean) and published_value, verdict.
+    Args:
+        levels: Level numbers; None for as many first ones as the published count needs.
     """
     agent, config = open_run(run)
     rows = []
@@ -74,10 +75,10 @@ def check(
 
 
 def first_to_end(lengths: np.ndarray, count: int, environments: int) -> np.ndarray:
-    """Which of episodes in turn are the first `count` to end, played `environments` at once.
+    """Return which episodes are the first `count` to end with parallel `environments`.
 
-    Whoever stops when so many have ended has left out long ones that were under way; where
-    agents fail by being slow, that are failures. 0 environments: all episodes, in turn.
+    Stopping at a count leaves out long episodes, which are failures of slow agents. With 0
+    environments all episodes are counted in order.
     """
     if not environments:
         return np.arange(len(lengths))

@@ -1,7 +1,6 @@
-"""Files from elsewhere: whole and the right ones, or not there; an interrupted one goes on.
+"""Verified downloads that can be resumed.
 
-Two processes that download the same file do so one after the other, and what is put in place is
-what was checked.
+Two processes that download the same file take turns, and only verified bytes are put in place.
 """
 
 from __future__ import annotations
@@ -33,16 +32,18 @@ LARGEST = 512_000_000  # bytes, of a file whose size is not known
 
 
 def download(address: str, to: Path, *, size: int | None, digest: str | None) -> None:
-    """Download a file to `to`, and see that it is the one with this size and digest.
+    """Download a file to `to` and verify its size and digest.
 
-    What arrives is kept in `to`.part, and a later call goes on from there. Without a digest it
-    begins anew, since nobody could tell whether the parts belong together. Where another process
-    downloads to this folder, wait for it; where it brought this very file, that stays.
+    Partial data are kept in `to`.part and resumed by a later call. Without a digest the download
+    starts anew, because the parts could belong to different files. If another process downloads to
+    this folder, wait for it, and keep the file if it is the right one.
 
-    digest  SHA-256 (64 hexadecimal digits) or git's blob id (40); None: not known
+    Args:
+        digest: SHA-256 (64 hexadecimal digits) or git's blob id (40); None if unknown.
 
-    Raises OSError where it is interrupted, or where something else is at `to`, which stays;
-    ValueError where what comes is another file; that is removed.
+    Raises:
+        OSError: If the download is interrupted, or `to` is something else, which stays.
+        ValueError: If another file arrives, which is removed.
     """
     _check_address(address)
     to.parent.mkdir(parents=True, exist_ok=True)
@@ -69,10 +70,10 @@ def download(address: str, to: Path, *, size: int | None, digest: str | None) ->
 
 
 def digest_of(data: bytes, like: str) -> str:
-    """Return the digest of a file's bytes that is of the same kind as `like`.
+    """Return the digest of a file's bytes in the same form as `like`.
 
-    Git's blob id is the SHA-1 of the file after a header. It pins files of public repositories
-    that nobody here could download; who can forge a SHA-1 could forge such a file.
+    Git's blob id is the SHA-1 of the file after a header. It pins files that could not be
+    downloaded here; whoever can forge a SHA-1 could forge such a file.
     """
     if len(like) == BLOB:
         return hashlib.sha1(b"blob %d\0" % len(data) + data, usedforsecurity=False).hexdigest()
@@ -80,7 +81,7 @@ def digest_of(data: bytes, like: str) -> str:
 
 
 def _fetch(address: str, part: Path, most: int) -> None:
-    """Append to `part` what it lacks of the file at `address`."""
+    """Append the missing bytes of the file at `address` to `part`."""
     begun = part.stat().st_size if part.exists() else 0
     if begun >= most:
         return
@@ -110,9 +111,9 @@ def _fetch(address: str, part: Path, most: int) -> None:
 
 
 def _answer(request: urllib.request.Request) -> http.client.HTTPResponse:
-    """The head of what the server answers, which has so long to come whole, and not only to begin.
+    """Return the head of the server's answer, with a time limit for all of it.
 
-    Asked in a thread of its own: a server can say `100 Continue` for ever, and http.client listens.
+    It runs in its own thread: a server can send `100 Continue` for ever, and http.client listens.
     """
     came: Future[http.client.HTTPResponse] = Future()
     opened: list[http.client.HTTPConnection] = []
@@ -150,7 +151,7 @@ def _answer(request: urllib.request.Request) -> http.client.HTTPResponse:
 
 
 def _checked(address: str, part: Path, size: int | None, digest: str | None) -> bytes:
-    """Return what came, if it is the file with this size and digest."""
+    """Return the downloaded bytes if their size and digest are right."""
     data = read(part, LARGEST)
     if digest is None:
         return data
@@ -170,7 +171,7 @@ def _checked(address: str, part: Path, size: int | None, digest: str | None) -> 
 
 
 def _check_address(address: str) -> None:
-    """ValueError where somebody on the way could change what comes."""
+    """Raise ValueError if the address is not protected from changes on the way."""
     parts = urlsplit(address)
     if parts.scheme != "https" and not (parts.scheme == "http" and parts.hostname in LOOPBACK):
         raise ValueError(f"an address must be https; got {address}")

@@ -1,11 +1,9 @@
-"""Importing an agent that others published: a run folder with all that is known of it.
+"""Import of a published agent into a run folder.
 
-config.json                          its training's settings; those that nobody told are the paper's
-origin.json                          where it came from, its digest and licence, and which settings
-                                     were told
-checks.json                          how it did when it was checked; see `published.check`
-README.md                            its card, of all these
-checkpoints/<steps>/agent.safetensors  the network; 0 steps: not known how many
+config.json: its training's settings; unknown ones are the paper's. origin.json: its source, digest
+and licence, and which settings are known. checks.json: results of its check; see
+`published.check`. README.md: its card, made from these. checkpoints/<steps>/agent.safetensors: the
+network; 0 steps if unknown.
 """
 
 from __future__ import annotations
@@ -38,13 +36,14 @@ SPARED = 1_000_000  # numbers after the training levels, where all levels were t
 
 @dataclass(frozen=True)
 class Known:
-    """What is known of an agent beside its file. Empty text and None: not known.
+    """Facts about an agent that are not in its file. Empty text and None mean unknown.
 
-    variant  that it was trained on
-    actions  how they are chosen of its policy, where its numbers were measured
-    steps    of its environments, that it was trained for
-    about    what it is, a sentence
-    facts    what others measured of it, a sentence each
+    Attributes:
+        variant: Variant of its training.
+        actions: Choice of actions from the policy in its published measurements.
+        steps: Environment steps of its training.
+        about: Description, one sentence.
+        facts: Published results, one sentence each.
     """
 
     game: str | None = None
@@ -59,12 +58,14 @@ class Known:
 
 
 def import_agent(file: Path, name: str, known: Known, *, expected: str | None = None) -> Path:
-    """Import the agent in a file of others as `name`; its run folder.
+    """Import the agent in an outside file as `name`; return its run folder.
 
-    expected  the SHA-256 that the file must have
+    Args:
+        expected: SHA-256 that the file must have.
 
-    Raises ValueError where the file is refused, the name is none or taken, or it is not known
-    what the agent was trained on.
+    Raises:
+        ValueError: If the file is refused, the name is invalid or taken, or the training's game
+            and variant are unknown.
     """
     folders.check_new(name)
     digest = files.digest(file)
@@ -91,13 +92,13 @@ def import_agent(file: Path, name: str, known: Known, *, expected: str | None = 
 
 
 def write_checks(run: Path, checks: list[dict[str, Any]]) -> None:
-    """Write how the agent did when it was checked, and its card anew."""
+    """Write the results of an agent's check, and update its card."""
     _write(run / CHECKS, checks)
     write_card(run, run.name)
 
 
 def write_card(run: Path, name: str) -> None:
-    """Write `README.md` of the agent in `run`."""
+    """Write `README.md` of the agent in `run`; raise ValueError if its files are damaged."""
     its, checks = AgentFolder.open(run), run / CHECKS
     config, said = its.config(), its.origin()
     network, architecture = policy.load(its.weights, config.game)
@@ -121,12 +122,12 @@ def write_card(run: Path, name: str) -> None:
 
 
 def _cell(value: Any) -> str:
-    """A value as one cell of a table, whatever lines and bars are in it."""
+    """Escape a value for one cell of a table."""
     return " ".join(str(value).split()).replace("|", "\\|")
 
 
 def _config(file: Path, found: Imported, known: Known) -> tuple[Config, list[str]]:
-    """The settings of its training, and which of them were told."""
+    """Return the settings of its training, and which of them are known."""
     game, variant = known.game, known.variant
     if found.world and not game and not variant:
         if found.world not in games.PROCGEN:
@@ -154,7 +155,7 @@ def _config(file: Path, found: Imported, known: Known) -> tuple[Config, list[str
 
 
 def _on_all_levels(found: Imported) -> bool:
-    """The file tells of its training, and names no number of levels: Procgen then takes all."""
+    """Return whether the file has the training's settings without a number of levels: all, then."""
     return bool(found.told) and "levels" not in found.settings
 
 
@@ -163,7 +164,7 @@ def _write(path: Path, data: Mapping[str, Any] | list[Any]) -> None:
 
 
 def known_as(data: Mapping[str, Any]) -> Known:
-    """`Known` of plain data, as a catalogue's entry; what is none of its fields is left out."""
+    """Build `Known` from plain data such as a catalogue entry; other fields are ignored."""
     names = asdict(Known())
     values: dict[str, Any] = {name: value for name, value in data.items() if name in names}
     values["facts"] = tuple(values.get("facts", ()))

@@ -1,7 +1,7 @@
-"""Result files of others: tables in the format of the original's metrics, an episode a row.
+"""Result files of others: tables in the original's metrics format, a row per episode.
 
-The original's `run_coinrun.py` and its forks write one for each agent, metrics_agent_seed_*.csv.
-With a level's number they can be joined with anything that is played here in the same level.
+The original's `run_coinrun.py` and its forks write one per agent, metrics_agent_seed_*.csv. Level
+numbers relate them to episodes played here.
 """
 
 from __future__ import annotations
@@ -28,13 +28,13 @@ LEFT = -1  # of what nobody knows, as the episode was left when it came to the e
 
 
 def read_results(path: Path) -> pl.DataFrame:
-    """A row per episode: level, length (steps), and as booleans coin, end (reached without the
-    coin), died, timed_out.
+    """Return a row per episode: level, length (steps), and booleans coin, end, died, timed_out.
 
-    The program leaves an episode at the invisible coin at the level's end, and writes -1 for what
-    it then does not know.
+    The column end means the end without the coin. The program leaves an episode at the invisible
+    coin at the level's end, and writes -1 for unknown values.
 
-    Raises ValueError where the file is no such table.
+    Raises:
+        ValueError: If the file is not such a table.
     """
     try:
         table = pl.read_csv(io.BytesIO(read(path, LARGEST)), infer_schema_length=None)
