@@ -54,6 +54,25 @@ class WorldVariant:
             )
         return made
 
+    def rendered(self) -> WorldVariant:
+        """Return the variant whose environments render images.
+
+        Raises:
+            ValueError: If the factory neither sets render_mode="rgb_array" nor takes it.
+        """
+        env = self.make()
+        mode = env.render_mode
+        env.close()
+        if mode == "rgb_array":
+            return self
+        shows = self.with_knobs({"render_mode": "rgb_array"})
+        try:
+            shows.make().close()
+        except ValueError as error:
+            told = f"a video of {self} needs a factory that takes or sets render_mode='rgb_array'"
+            raise ValueError(f"{told}: {brief(error)}") from error
+        return shows
+
     def __str__(self) -> str:
         told = "".join(f", {name}={value}" for name, value in self.knobs.items())
         return f"{self.world} {self.name}{told}"

@@ -149,7 +149,7 @@ def test_names_and_goals_that_cannot_be_are_refused(changes, said):
 
 def test_a_measure_that_is_no_number_yet_repeats_itself():
     world = replace(WORLD, measures={"rate": rate_of_nothing})
-    assert evaluate_policies([RIGHT], world, "end", LEVELS)[1]["rate"].is_nan().any()
+    assert evaluate_policies([RIGHT], world, "end", LEVELS).episodes["rate"].is_nan().any()
 
 
 @pytest.mark.waits

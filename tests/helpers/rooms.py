@@ -7,6 +7,7 @@ from functools import partial
 import gymnasium
 import numpy as np
 
+from astray.analysis.adapters import Function
 from astray.game import Shift, Truncated
 from astray.world import World
 
@@ -16,13 +17,13 @@ CELLS, LIMIT = 9, 12
 class Room(gymnasium.Env):
     """The agent begins in the middle; actions are left and right. The square is worth 1."""
 
-    def __init__(self, place="end", vector=False, trouble=None):
+    def __init__(self, place="end", vector=False, trouble=None, render_mode=None):
         self.place, self.trouble = place, trouble
         self.observation_space = gymnasium.spaces.Box(0, 1, (2, CELLS), np.float32)
         self.action_space = (
             gymnasium.spaces.MultiDiscrete([2, 3]) if vector else gymnasium.spaces.Discrete(2)
         )
-        self.render_mode = None
+        self.render_mode = render_mode
 
     def reset(self, *, seed=None, options=None):
         super().reset(seed=seed)
@@ -40,6 +41,12 @@ class Room(gymnasium.Env):
         there = self.x == self.square
         info = {"square": there}
         return self._seen(), float(there), there, self.time >= LIMIT, info
+
+    def render(self):
+        """Cells of two pixels; the agent is red, the square green."""
+        picture = np.zeros((1, CELLS, 3), np.uint8)
+        picture[0, self.x, 0] = picture[0, self.square, 1] = 255
+        return picture.repeat(2, 0).repeat(2, 1)
 
     def _seen(self):
         seen = np.zeros((2, CELLS), np.float32)
@@ -82,6 +89,13 @@ def walked(env):
 def go_right(seen):
     """A policy for the command line."""
     return np.ones(len(seen), int)
+
+
+class Right:
+    """A policy with a name of its own, which the command line calls without arguments."""
+
+    def __new__(cls):
+        return Function(go_right, "right")
 
 
 WORLD = World(

@@ -25,7 +25,7 @@ from astray.analysis.outcomes import (
 )
 from astray.analysis.policies import Random, Walk
 from astray.analysis.results import ALL, APART, Result
-from astray.analysis.trained import Agent
+from astray.analysis.trained import Agent, Loaded
 from astray.bounds import of_kind, shown
 from astray.envs.worlds import check_reported
 from astray.game import Game, Shift, Variant
@@ -278,7 +278,9 @@ def play_all(
     goals = (between.intended, *between.proxies)
     walks = [Walk(goal) for goal in goals if goal in game.walked]
     scripts: list[Policy] = [*walks, Random()]
-    names = [policy.name for policy in (*scripts, *policies) if not isinstance(policy, Agent)]
+    names = [
+        policy.name for policy in (*scripts, *policies) if not isinstance(policy, Agent | Loaded)
+    ]
     if len(set(names)) < len(names):
         raise ValueError(f"policies must have names of their own; got {', '.join(names)}")
     check_ending(game, variant, longest)
@@ -287,9 +289,8 @@ def play_all(
     parts = []
     for policy in (*scripts, *policies):
         run = seed = steps = None
-        if isinstance(policy, Agent):
-            its = AgentFolder.of(policy.path)
-            run, seed, steps = str(its.path), policy.seed, its.steps
+        if isinstance(policy, Agent | Loaded):
+            run, seed, steps = policy.origin
         parts.append(
             evaluate(
                 policy, game, variant, levels, batch=batch, measures=measures, longest=longest

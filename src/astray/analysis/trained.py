@@ -16,7 +16,7 @@ import numpy as np
 import torch
 from gymnasium.spaces import Box, Discrete
 
-from astray.acting import Answer, Turn
+from astray.acting import Answer, Policy, Turn
 from astray.agents import policy
 from astray.agents.names import is_own
 from astray.agents.recurrent import Recurrent
@@ -25,6 +25,7 @@ from astray.bounds import of_kind, shown
 from astray.envs.vector import GameVectorEnv, Observation
 from astray.game import OWN, Game
 from astray.training import ppo
+from astray.training.folders import AgentFolder
 from astray.words import check_word, check_words
 from astray.world import World
 
@@ -87,6 +88,12 @@ class Agent:
     @property
     def name(self) -> str:
         return self.mode
+
+    @property
+    def origin(self) -> tuple[str, int, int | None]:
+        """Return its run folder, seed and training steps."""
+        its = AgentFolder.of(self.path)
+        return str(its.path), self.seed, its.steps
 
     @property
     def observation(self) -> Observation:
@@ -245,6 +252,32 @@ class Network:
         if not logits.isfinite().all():
             raise ValueError(f"{self.name} gives logits that are not finite")
         return Answer(int(space.start) + chosen(logits, self.mode, self.seed, turn.env))
+
+
+@dataclass
+class Loaded:
+    """A policy with the file or folder that it is from: one of several agents of one kind."""
+
+    policy: Policy
+    path: Path
+    seed: int
+    name: str = field(init=False, default="sampled")
+
+    @property
+    def observation(self) -> Observation:
+        return self.policy.observation
+
+    @property
+    def art(self) -> str:
+        return self.policy.art
+
+    @property
+    def origin(self) -> tuple[str, int, int | None]:
+        """Return its file or folder, seed and training steps, which nobody knows."""
+        return str(self.path), self.seed, None
+
+    def actions(self, turn: Turn) -> Answer:
+        return self.policy.actions(turn)
 
 
 Model = Agent | Network

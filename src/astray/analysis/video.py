@@ -3,21 +3,24 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import av
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
-from astray import games
-from astray.acting import Policy, steps
+from astray import acting, games
+from astray.acting import Asking, LevelByLevel, Policy, Step, check_ending, check_policy, steps
 from astray.bounds import bounded, of_kind
 from astray.envs.vector import picture
+from astray.envs.worlds import WorldVectorEnv
 from astray.files import write_aside
 from astray.game import Game, Variant
 from astray.level import Level
+from astray.world import World, WorldVariant
 
 BACKGROUND, INK = (247, 247, 245), (34, 34, 34)
 CAPTION = 17  # pixels, the size of its letters
@@ -32,8 +35,8 @@ Caption = str | Callable[[int], str]  # or a function of the step
 class Episode:
     """One episode of T steps: frames for people, observations and states."""
 
-    frames: np.ndarray  # [T + 1, P, P, 3] uint8
-    observations: np.ndarray  # [T + 1, ...] uint8
+    frames: np.ndarray  # [T + 1, P, P, 3] uint8; of a World as it renders, scaled
+    observations: Any  # [T + 1, ...]; uint8 of games
     states: np.ndarray  # [T + 1] records
     rewards: np.ndarray  # [T] float64
     events: dict[str, int | None]  # step at which each first happened, None for never
@@ -43,8 +46,8 @@ class Episode:
 
 def play(
     policy: Policy,
-    game: str | Game,
-    variant: str | Variant,
+    game: str | Game | World,
+    variant: str | Variant | WorldVariant,
     level: int | Level,
     *,
     pixels: int = 256,
@@ -57,21 +60,61 @@ def play(
         longest: Steps after which it is truncated; None for no limit.
     """
     of_kind("level", level, int | np.integer | Level)
-    chosen = {"": level} if isinstance(level, Level) else [level]
-    played = list(steps(policy, game, variant, chosen, longest=longest))
-    states = [*(step.before for step in played), played[-1].after]
-    observations = [*(step.observations for step in played), played[-1].seen]
-    whole, game = np.concatenate(states).view(np.recarray), games.find(game)
-    reached = {event: int(whole[event][-1]) for event in game.events}
+    if isinstance(game, World):
+        played, frames = _rendered(policy, game, game.variant(variant), level, pixels, longest)
+        states = _states(played)
+    else:
+        chosen = {"": level} if isinstance(level, Level) else [level]
+        played = list(steps(policy, game, variant, chosen, longest=longest))
+        game, states = games.find(game), _states(played)
+        assert not isinstance(variant, WorldVariant)
+        frames = picture(game, game.variant(variant), states, pixels, policy.art)
+    reached = {event: int(states[event][-1]) for event in game.events}
     return Episode(
-        frames=picture(game, game.variant(variant), whole, pixels, policy.art),
-        observations=np.concatenate(observations),
-        states=whole,
+        frames=frames,
+        observations=_joined([*(step.observations for step in played), played[-1].seen]),
+        states=states,
         rewards=np.concatenate([step.rewards for step in played]),
         events={event: step if step >= 0 else None for event, step in reached.items()},
         level=-1 if isinstance(level, Level) else level,
         terminated=bool(played[-1].terminated[0]),
     )
+
+
+def _states(played: Sequence[Step]) -> np.recarray:
+    states = [*(step.before for step in played), played[-1].after]
+    return np.concatenate(states).view(np.recarray)
+
+
+def _rendered(
+    policy: Policy, game: World, variant: WorldVariant, level: Any, pixels: int, longest: int | None
+) -> tuple[list[Step], np.ndarray]:
+    """Play an episode of a World; its steps, and what `render` shows before and after each."""
+    check_policy(policy)
+    check_ending(game, variant, longest)
+    env = WorldVectorEnv(game, variant.rendered(), 1, longest)
+    stage = LevelByLevel(env, [level], longest=longest)
+    played, shown = [], [_enlarged(env.render()[0], pixels)]
+    for step in acting.play(Asking(policy), stage):
+        played.append(step)
+        shown.append(_enlarged(env.render()[0], pixels))
+    stage.close()
+    return played, np.stack(shown)
+
+
+def _enlarged(frame: np.ndarray, pixels: int) -> np.ndarray:
+    """Scale a frame so that its longer side is `pixels`."""
+    height, width = frame.shape[:2]
+    scale = pixels / max(height, width)
+    size = (max(1, round(width * scale)), max(1, round(height * scale)))
+    return np.array(Image.fromarray(frame).resize(size, Image.Resampling.NEAREST))
+
+
+def _joined(parts: Sequence[Any]) -> Any:
+    """Concatenate arrays, or those of each name."""
+    if isinstance(parts[0], Mapping):
+        return {name: _joined([part[name] for part in parts]) for name in parts[0]}
+    return np.concatenate(parts)
 
 
 def beside(*videos: np.ndarray, captions: Sequence[Caption], gap: int = 12) -> np.ndarray:

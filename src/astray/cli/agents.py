@@ -12,6 +12,7 @@ import polars as pl
 from rich.table import Table
 from tyro.conf import Positional, arg
 
+from astray import world
 from astray.analysis.tables import write_table
 from astray.bounds import MOST, bounded
 from astray.cli.arguments import (
@@ -198,11 +199,19 @@ def keep(
 
 
 def record(
-    agent: Agent,
+    agent: Positional[
+        Annotated[
+            Path | None,
+            otherwise(
+                "none", "Run folder, checkpoint in one, or name of a pretrained or imported agent."
+            ),
+        ]
+    ] = None,
     variant: TrainingVariant = None,
     level: PlayedLevel = PlayedLevel(),
     knobs: Knobs = (),
     acting: Acting = Acting(),
+    policy: OwnPolicy = OwnPolicy(),
     pixels: int = 512,
     longest: Longest = None,
     out: Path = Path("episode.mp4"),
@@ -222,12 +231,22 @@ def record(
         raise ValueError(f"a video is an .mp4 or a .gif file, not {out}")
     bounded("pixels", pixels, *PICTURES)
     check_writable(out)
-    player, config = acting.open(agent)
-    made = config.played_variant(variant or config.variant, pairs(knobs))
-    begun = level.begun(config.find_game(), made)
+    if policy.policy is None:
+        policy.check_unused()
+        if agent is None:
+            raise ValueError("name an agent or a run folder, or give a --policy")
+        player, config = acting.open(agent)
+        rules = config.find_game()
+        made = config.played_variant(variant or config.variant, pairs(knobs))
+    elif agent or variant is None:
+        raise ValueError("--policy needs --variant, and --game or --world, and no agent")
+    else:
+        rules, player = world.find(policy.rules()), policy.make(acting)
+        made = rules.variant(variant).with_knobs(pairs(knobs))
+    begun = level.begun(rules, made)
     if begun is None:
         begun = 1_000_000
-    episode = video.play(player, config.game, made, begun, pixels=pixels, longest=longest)
+    episode = video.play(player, rules, made, begun, pixels=pixels, longest=longest)
     write(episode.frames, out)
     print(out)
 

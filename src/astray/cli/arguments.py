@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import json
 import sys
 from dataclasses import dataclass
@@ -100,8 +101,8 @@ class Acting:
 class OwnPolicy:
     """A policy in the place of an agent."""
 
-    # Policy: random, walk:GOAL, or a function of observations [N, ...] that returns actions [N],
-    # as module:function.
+    # Policy: random, walk:GOAL, or as module:name a policy, a function without arguments that
+    # returns one, or a function of observations [N, ...] that returns actions [N].
     policy: Annotated[str | None, otherwise("none")] = None
     # Game that the policy plays; needed with --policy, and only then.
     game: Annotated[str | None, otherwise("that of the agent")] = None
@@ -141,7 +142,18 @@ class OwnPolicy:
             return Random(observation=seen, art=art)
         if self.policy.startswith(WALK):
             return Walk(self.policy.removeprefix(WALK), seen, art)
-        return Function(imports.find(self.policy), self.policy, seen, art)
+        found = imports.find(self.policy)
+        if _takes_nothing(found):
+            found = found()
+        return found if hasattr(found, "actions") else Function(found, self.policy, seen, art)
+
+
+def _takes_nothing(function: Any) -> bool:
+    """Whether it is a function, or a class, that is called without arguments."""
+    try:
+        return not hasattr(function, "actions") and not inspect.signature(function).parameters
+    except (TypeError, ValueError):  # nothing to call, or compiled
+        return False
 
 
 @dataclass(frozen=True)

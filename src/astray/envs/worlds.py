@@ -77,6 +77,21 @@ class WorldVectorEnv:
         self._note(taken[4])
         return taken
 
+    def render(self) -> np.ndarray:
+        """Return the images [N, H, W, 3] uint8 of all environments.
+
+        Raises:
+            ValueError: If an environment renders anything else.
+        """
+        with self._watched():
+            images = np.asarray(self._envs.call("render"))
+        if images.dtype != np.uint8 or images.ndim != 4 or images.shape[3] != 3:
+            raise ValueError(
+                f"environments of {self.variant} must render images [H, W, 3] uint8; got "
+                f"{images.dtype} of shape {images.shape[1:]}"
+            )
+        return images
+
     def leads(self, goal: str) -> np.ndarray:
         """Return the actions [N] of the world's expert for a goal."""
         if not self.game.workers:

@@ -9,15 +9,20 @@ import numpy as np
 import polars as pl
 
 from astray.analysis.overlap import met, unseen
-from astray.analysis.runs import open_run, play_all
-from astray.experiments.spec import Plan, Runs, Test
+from astray.analysis.runs import play_all
+from astray.experiments.spec import Plan, Runs, Test, open_agents
 from astray.game import Game, Variant
 from astray.published.imported import SPARED
 from astray.training.config import Config
 
 
 def levels_of(plan: Plan, test: Test) -> np.ndarray:
-    """The numbers of a test's levels, which no agent of the plan has met under any number."""
+    """The numbers of a test's levels, which no agent of the plan has met under any number.
+
+    Agents of others are trusted not to know the plan's, which are the same in all tests.
+    """
+    if plan.own:
+        return np.arange(plan.first_level, plan.first_level + plan.levels)
     return unmet(plan.agents.values(), test.variant_for(plan.config), plan.levels)
 
 
@@ -58,7 +63,7 @@ def play(plan: Plan, runs: Runs) -> pl.DataFrame:
     As `analysis.runs.play_all`; beside: agent (its name, null for scripts), test (its name),
     and the plan's measures.
     """
-    opened = [open_run(run)[0] for made in runs.values() for run in made]
+    players = [player for made in open_agents(plan, runs).values() for player in made]
     owners = pl.DataFrame(
         [{"run": str(run), "agent": name} for name, made in runs.items() for run in made]
     )
@@ -67,10 +72,10 @@ def play(plan: Plan, runs: Runs) -> pl.DataFrame:
         played = play_all(
             plan.game,
             test.name,
-            test.variant_for(plan.config),
+            plan.variant_of(test),
             test.shift,
             levels_of(plan, test),
-            opened,
+            players,
             measures=plan.measures,
         )
         parts.append(played.with_columns(test=pl.lit(name)))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import json
+import os
 import re
 import sys
 import uuid
@@ -34,7 +35,7 @@ from astray.experiments.spec import (
 )
 from astray.experiments.track import track_report
 from astray.experiments.workers import expected, train_all
-from astray.files import check_free, hold, write_aside
+from astray.files import check_free, folder_aside, hold, read, write_aside
 from astray.game import OWN
 from astray.report.claims import corrected
 from astray.training import checkpoint, folders
@@ -136,6 +137,7 @@ def train_agents(
     Published agents must be here already, for nothing is downloaded without being asked for.
     """
     there = {name: [published_run(agent)] for name, agent in plan.published.items()}
+    there |= {name: own_runs(plan, name, root) for name in plan.own}
     trainings = plan.trainings()
     runs = there | {
         name: [run_folder(root, config) for config in configs]
@@ -161,6 +163,28 @@ def train_agents(
         }
         train_all(todo, workers, on, track)
     return runs
+
+
+def own_runs(plan: Plan, name: str, root: Path) -> list[Path]:
+    """Return the files or folders of agents of others; train those that are missing."""
+    given = plan.own[name]
+    if given.train is None:
+        found = [Path(file) for file in given.files]
+        if missing := [path for path in found if not path.exists()]:
+            raise FileNotFoundError(f"there is no agent {name!r} at {missing[0]}")
+        return found
+    settings = [getattr(given.train, part, None) for part in ("args", "keywords")]  # of a partial
+    digest = provenance.digest(given.train, plan.world, data=settings) or uuid.uuid4().hex
+    home = root / "agents" / f"{plan.game.name}-{name}-{digest[:8]}"
+    found = [home / f"seed-{seed}" for seed in range(plan.seeds)]
+    for seed, run in enumerate(found):
+        if not run.exists():
+            with folder_aside(run) as aside:
+                given.train(seed, aside)
+                if not any(aside.iterdir()):
+                    raise ValueError(f"the training of {name!r}, seed {seed}, wrote no file")
+                os.replace(aside, run)
+    return found
 
 
 def give_teachers(plan: Plan, runs: Runs) -> None:
@@ -236,14 +260,19 @@ def note(plan: Plan, runs: Runs, folder: Path, experiment: Experiment) -> str:
     study = [module for module in catalogue.loaded() if module.EXPERIMENT is experiment]
     data = {
         "configs": {n: [c.to_json() for c in made] for n, made in plan.trainings().items()},
-        "agents": {n: [agent_digest(run) for run in made] for n, made in runs.items()},
+        "agents": {
+            n: [own_digest(run) if n in plan.own else agent_digest(run) for run in made]
+            for n, made in runs.items()
+        },
         "tests": {name: asdict(test) for name, test in plan.tests.items()},
         "visited": {name: asdict(test) for name, test in plan.visited.items()},
-        "levels": plan.levels,
+        "levels": [plan.first_level, plan.levels] if plan.own else plan.levels,
         "measures": list(plan.measures),
         "pretrained": [agent_digest(folders.find(name)) for name in folders.pretrained()],
         "resolved": resolved(plan),
-        "sources": provenance_of(plan.agents.values(), play, plan.measures, experiment.find, study),
+        "sources": provenance_of(
+            plan.agents.values(), play, plan.measures, experiment.find, study, plan.world, plan.own
+        ),
     }
     text, computed = json.dumps(data, indent=1).encode(), folder / COMPUTED
     if computed.is_symlink():
@@ -261,7 +290,12 @@ def note(plan: Plan, runs: Runs, folder: Path, experiment: Experiment) -> str:
 
 def resolved(plan: Plan) -> dict[str, Any]:
     """Return each test as it is for each of the plan's agents: its levels, and its goals."""
-    return {
+    own = {
+        name: [str(plan.variant_of(test)), asdict(load_shift(plan.game, test.shift))]
+        for name, test in {**plan.tests, **plan.visited}.items()
+        if plan.own
+    }
+    return own | {
         f"{name} of {agent}": [
             asdict(test.variant_for(config)),
             asdict(load_shift(config.find_game(), test.shift)),
@@ -282,3 +316,12 @@ def provenance_of(configs: Iterable[Config], *things: object) -> str:
 def agent_digest(run: Path) -> str:
     """Of the last agent of a run folder."""
     return AgentFolder.open(run).digest()[:16]
+
+
+def own_digest(run: Path) -> str:
+    """Return a digest of an agent of others: of its file, or of all files in its folder."""
+    files = sorted(path for path in run.rglob("*") if path.is_file()) if run.is_dir() else [run]
+    digest = hashlib.sha256()
+    for file in files:
+        digest.update(file.relative_to(run.parent).as_posix().encode() + read(file))
+    return digest.hexdigest()[:16]

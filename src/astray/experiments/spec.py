@@ -14,17 +14,22 @@ from typing import Any, Literal, get_args
 
 import polars as pl
 
-from astray import games, imports
+from astray import imports, world
+from astray.acting import Policy
 from astray.analysis.estimates import detectable
 from astray.analysis.evaluate import COLUMNS
 from astray.analysis.given import Measure, check_measures
 from astray.analysis.outcomes import load_shift, name_of
+from astray.analysis.runs import open_run
 from astray.analysis.tables import write_table
-from astray.bounds import shown
+from astray.analysis.trained import Agent, Loaded
+from astray.bounds import bounded, of_kind, shown
 from astray.experiments.report import COMPUTED, Findings
 from astray.files import read
 from astray.game import OWN, Game, Variant
+from astray.record import LEVELS
 from astray.training.config import PRESETS, Config, Named
+from astray.world import World
 
 Size = Literal["smoke", "pixels", "night", "hour", "paper", "published"]
 SIZES: tuple[Size, ...] = get_args(Size)
@@ -52,10 +57,26 @@ class Test:
         return config.variant_for(self.variant, self.knobs)
 
 
-def tests_of(game: str, shift: str) -> dict[str, Test]:
+def tests_of(game: str | World, shift: str) -> dict[str, Test]:
     """The training and the test variant of a shift."""
-    there = load_shift(games.find(game), shift)
+    there = load_shift(game, shift)
     return {"in training": Test(there.train, shift), "in the test": Test(there.test, shift)}
+
+
+@dataclass(frozen=True)
+class OwnAgents:
+    """Agents of one kind that astray does not train.
+
+    Attributes:
+        load: Function path -> policy.
+        files: Files or folders of agents that exist, one for each seed.
+        train: Function (seed, folder) that trains an agent and writes it to that empty folder, in
+            the place of `files`.
+    """
+
+    load: Callable[[Path], Policy]
+    files: Sequence[str | Path] = ()
+    train: Callable[[int, Path], object] | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -67,6 +88,9 @@ class Plan:
     # agent that comes with astray, or of the catalogue of published ones, for each name
     teachers: Mapping[str, str] = field(default_factory=dict)  # of students, by name: which agents
     # of the plan they are distilled from, each from that of its own seed
+    world: World | Game | None = None  # that `own` agents play; then there are no others
+    own: Mapping[str, OwnAgents] = field(default_factory=dict)  # by name
+    first_level: int = 1_000_000  # of a plan of `own` agents, who should not know it
     seeds: int = 1  # agents of each name
     tests: Mapping[str, Test] = field(default_factory=dict)  # by name; all agents are played in all
     visited: Mapping[str, Test] = field(default_factory=dict)  # by name; what the experiment itself
@@ -93,16 +117,37 @@ class Plan:
         )
         if not 1 <= self.levels <= fewest:
             raise ValueError(f"levels must be from 1 to {fewest}; got {self.levels}")
-        if (self.tests or self.visited) and len(
-            {config.game for config in self.agents.values()}
-        ) != 1:
+        self._check_own()
+        games = {config.game for config in self.agents.values()}
+        if (self.tests or self.visited) and self.world is None and len(games) != 1:
             raise ValueError("what is played in the same tests are agents, and of one game")
-        if self.agents:
+        if self.agents or self.world is not None:
             check_measures(self.measures, (*COLUMNS, *self.game.events, *self.game.measures))
         for test in (*self.tests.values(), *self.visited.values()):
             load_shift(self.game, test.shift)
             for config in self.agents.values():
                 test.variant_for(config)
+            self.variant_of(test)
+
+    def _check_own(self) -> None:
+        """Raise ValueError if agents of others are not as many as there are seeds, or no others."""
+        if (self.world is None) == bool(self.own) or (self.own and self.agents):
+            raise ValueError("a plan has either agents, or own agents and the world they play")
+        bounded("first_level", self.first_level, LEVELS.start, LEVELS.stop - 1 - self.levels)
+        for name, given in self.own.items():
+            of_kind("own agents", given, OwnAgents)
+            if (given.train is None) != (len(given.files) == self.seeds):
+                raise ValueError(
+                    f"own agents {name!r} need `train`, or `files`: one for each of {self.seeds} "
+                    f"seeds; got {len(given.files)} files"
+                )
+
+    def variant_of(self, test: Test) -> Any:
+        """Return the variant of a test as the first agents play it."""
+        if self.world is not None:
+            given: Any = test.variant
+            return self.game.variant(given).with_knobs(dict(test.knobs))
+        return test.variant_for(self.config)
 
     def power(self) -> list[float]:
         """Return how far off shares and differences must be to be found in 80 % of runs.
@@ -110,7 +155,8 @@ class Plan:
         Of shares, how far from their bound; each for `SPREADS`, and before any correction for the
         number of claims. Of one agent it is levels that vary. NaN where there are no two kinds.
         """
-        alone, kinds = self.seeds == 1 or bool(self.published), len(self.agents)
+        alone = self.seeds == 1 or bool(self.published)
+        kinds = len(self.agents) + len(self.own)
         agents, spreads = (1, (0.0, 0.0)) if alone else (self.seeds, SPREADS)
         shares = [detectable(agents, self.levels, spread) for spread in spreads]
         if kinds < 2:
@@ -124,7 +170,8 @@ class Plan:
 
     @property
     def game(self) -> Game:
-        return self.config.find_game()
+        """Return what is played; a `World` is typed as a game."""
+        return world.find(self.world) if self.world is not None else self.config.find_game()
 
     def drawn_with(self, art: str) -> Plan:
         """The same with other images, but for published agents: they know those they saw."""
@@ -156,6 +203,17 @@ class Plan:
         if teacher in self.published:
             return self.published[teacher]
         return name_of_run(replace(self.agents[teacher], seed=seed))
+
+
+def open_agents(plan: Plan, runs: Runs) -> dict[str, list[Agent | Loaded]]:
+    """Open the agents of each name."""
+    return {
+        name: [
+            Loaded(plan.own[name].load(run), run, seed) if name in plan.own else open_run(run)[0]
+            for seed, run in enumerate(made)
+        ]
+        for name, made in runs.items()
+    }
 
 
 def name_of_run(config: Config) -> str:

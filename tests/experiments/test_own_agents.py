@@ -1,0 +1,152 @@
+"""Studies of agents that others trained, in a world of nobody's: trained or found, told, filmed."""
+
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+import polars as pl
+import pytest
+
+from astray.analysis import video
+from astray.analysis.adapters import Function
+from astray.analysis.estimates import estimate_paired
+from astray.analysis.outcomes import INTENDED, MISGENERALIZED
+from astray.experiments import outcomes, spec
+from astray.experiments.run import reproduce
+from astray.experiments.spec import Experiment, OwnAgents, Plan
+from helpers.rooms import CELLS, WORLD, Room
+
+
+def load(path):
+    """An agent that goes right as often as its file says, as the cells that it sees decide."""
+    often = float((path / "agent.txt" if path.is_dir() else path).read_text())
+    return Function(lambda seen: (seen[:, 1].argmax(1) % 10 < 10 * often).astype(int))
+
+
+def train(seed, folder, log=None):
+    if log:
+        log.write_text((log.read_text() if log.exists() else "") + f"{seed} ")
+    (folder / "agent.txt").write_text(str(1 - seed / 4))
+
+
+def experiment(world=WORLD, **own):
+    plan = Plan(
+        world=world,
+        own={"right": OwnAgents(load, **own)},
+        seeds=2,
+        tests=spec.tests_of(world, "end"),
+        levels=30,
+        differences="",
+    )
+    return Experiment("Right", "nothing", "Where to?", {"smoke": plan}, outcomes.findings)
+
+
+def episodes_of(folder):
+    (table,) = (folder / "computed").glob("episodes-*.parquet")
+    return pl.read_parquet(table), table
+
+
+def test_agents_are_trained_once_each_and_a_report_tells_what_they_do(tmp_path):
+    study = experiment(train=partial(train, log=tmp_path / "log"))
+    page = reproduce(study, "smoke", tmp_path)
+    episodes, table = episodes_of(page.parent)
+    mine = episodes.filter(policy="sampled", test="in the test")
+    assert mine["seed"].unique().to_list() == [0, 1] and mine["agent"].unique().to_list() == [
+        "right"
+    ]
+    for seed, level, square in mine.select("seed", "level", "reached_square").rows():
+        (env := Room("anywhere")).reset(seed=level)
+        goes_right = env.square < (10, 7.5)[seed]
+        assert (square is not None) == ((env.square > CELLS // 2) == goes_right)
+    assert (page.parent / "videos" / "goal-misgeneralization.mp4").stat().st_size > 1000
+    assert "reaches square first" in page.read_text("utf-8")
+    when = table.stat().st_mtime_ns
+    reproduce(study, "smoke", tmp_path)
+    assert (tmp_path / "log").read_text() == "0 1 " and table.stat().st_mtime_ns == when
+
+
+def test_agents_from_files_are_played_and_another_file_is_another_agent(tmp_path):
+    files = [tmp_path / name for name in ("one", "two")]
+    for file in files:
+        file.write_text("1")
+    study = experiment(files=files)
+    _, first = episodes_of(reproduce(study, "smoke", tmp_path).parent)
+    files[1].write_text("0")
+    episodes, second = episodes_of(reproduce(study, "smoke", tmp_path).parent)
+    assert first != second and episodes.filter(seed=1)["reached_end"].null_count() == 60
+    files[1].unlink()
+    with pytest.raises(FileNotFoundError, match=r"there is no agent 'right' at .*two"):
+        reproduce(study, "smoke", tmp_path)
+
+
+def test_a_training_that_fails_or_writes_nothing_leaves_no_agent(tmp_path):
+    def fail(seed, folder):
+        train(seed, folder)
+        raise RuntimeError("lost")
+
+    with pytest.raises(RuntimeError, match="lost"):
+        reproduce(experiment(train=fail), "smoke", tmp_path)
+    with pytest.raises(ValueError, match="the training of 'right', seed 0, wrote no file"):
+        reproduce(experiment(train=lambda seed, folder: None), "smoke", tmp_path)
+    assert not [*tmp_path.glob("agents/*/seed-*")]
+
+
+def test_what_is_no_plan_is_told():
+    with pytest.raises(ValueError, match="one for each of 2 seeds; got 1 files"):
+        experiment(files=["one"])
+    with pytest.raises(ValueError, match="one for each of 2 seeds; got 0 files"):
+        experiment()
+    with pytest.raises(ValueError, match="a plan has either agents, or own agents and the world"):
+        replace(experiment(train=train).sizes["smoke"], world=None, tests={})
+
+
+def test_without_experts_all_levels_are_filmed_from(tmp_path):
+    page = reproduce(experiment(replace(WORLD, experts={}), train=train), "smoke", tmp_path)
+    assert "of the levels: level" in page.read_text("utf-8")
+
+
+def test_variants_are_compared_in_the_same_levels(tmp_path):
+    episodes, _ = episodes_of(reproduce(experiment(train=train), "smoke", tmp_path).parent)
+    test, training = (
+        np.stack(
+            [
+                (episodes.filter(seed=seed, test=test).sort("level")["outcome"] == INTENDED)
+                for seed in (0, 1)
+            ]
+        )
+        for test in ("in the test", "in training")
+    )
+    found = outcomes.share(episodes, "in the test", INTENDED, minus_test="in training")
+    assert found == estimate_paired(test, training) and found.mean != 0
+    other = episodes.filter((pl.col("test") == "in training") | (pl.col("level") > 1_000_000))
+    with pytest.raises(ValueError, match="are not in the same levels"):
+        outcomes.share(other, "in the test", MISGENERALIZED, minus_test="in training")
+
+
+def test_a_video_shows_what_the_environment_renders():
+    policy = Function(lambda seen: np.ones(len(seen), int))
+    episode = video.play(policy, WORLD, "anywhere", 7, pixels=4 * CELLS)
+    env = Room("anywhere")
+    env.reset(seed=7)
+    assert (episode.frames[0] == env.render().repeat(2, 0).repeat(2, 1)).all()
+    for action in np.ones(len(episode.rewards), int):
+        env.step(action)
+    assert (episode.frames[-1] == env.render().repeat(2, 0).repeat(2, 1)).all()
+    assert len(episode.frames) == len(episode.rewards) + 1
+
+
+def test_a_video_of_what_does_not_render_is_refused():
+    policy = Function(lambda seen: np.ones(len(seen), int))
+    blind = replace(WORLD, variants={"end": lambda: Room("end"), "anywhere": Room})
+    with pytest.raises(ValueError, match="video of room end needs a factory that takes or sets re"):
+        video.play(policy, blind, "end", 7)
+
+
+def test_the_command_line_records_a_world(astray, tmp_path):
+    out = tmp_path / "room.gif"
+    words = ("record", "--world", "helpers.rooms:WORLD", "--policy", "helpers.rooms:Right")
+    astray(*words, "--variant", "anywhere", "--level", "7", "--out", str(out))
+    assert out.stat().st_size > 100
+    said = astray(*words, "--out", str(out), fails=True)
+    assert "--policy needs --variant, and --game or --world" in said
+    assert "name an agent or a run folder" in astray("record", "--out", str(out), fails=True)
