@@ -5,7 +5,8 @@ from __future__ import annotations
 import itertools
 import math
 import reprlib
-from collections.abc import Collection, Sequence
+import warnings
+from collections.abc import Collection, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -63,6 +64,25 @@ def array_of(given: Any) -> np.ndarray:
         return np.asarray(given)
     except ValueError:
         return np.empty(1, object)
+
+
+def renamed(data: Any, names: Mapping[str, str], where: str) -> Any:
+    """Return `data`, if it is a dict, with new names in the place of old ones, and warn of these.
+
+    Args:
+        data: Values as read from a file of any version.
+        names: New names by old ones.
+        where: The file, or whatever else has them, for the warning.
+    """
+    if not isinstance(data, dict) or names.keys().isdisjoint(data):
+        return data
+    for old in names.keys() & data.keys():
+        warnings.warn(
+            f"{where} says {old!r}; this is now {names[old]!r}, and is read until version 0.2",
+            FutureWarning,
+            stacklevel=2,
+        )
+    return {names.get(name, name): value for name, value in data.items()}
 
 
 def shown(given: Any) -> str:

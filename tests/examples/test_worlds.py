@@ -25,5 +25,5 @@ def test_an_agent_of_stable_baselines3_goes_to_the_corner_of_a_minigrid_room(tmp
     plan = replace(example.EXPERIMENT.sizes["smoke"], seeds=1, levels=80)
     page = reproduce(replace(example.EXPERIMENT, sizes={"smoke": plan}), "smoke", tmp_path)
     told = page.read_text("utf-8")
-    assert told.count("✓") == 2 and "did not hold" not in told
+    assert told.count("✓") == 2 and "not supported" not in told
     assert (page.parent / "videos" / "goal-misgeneralization.gif").exists()

@@ -145,15 +145,15 @@ def attributed(wall, coin, network):
 
 
 @pytest.mark.parametrize(
-    "wall, coin, held",
+    "wall, coin, supported",
     [
         (1.0, 1.2, (False, False)),  # as networks that were never trained: all places are alike
         (1.5, 4.4, (False, True)),  # most on the wall, and for their size on the coin
         (2.1, 0.7, (True, True)),
     ],
 )
-def test_the_wall_is_not_highlighted_for_being_large(wall, coin, held):
+def test_the_wall_is_not_highlighted_for_being_large(wall, coin, supported):
     untrained = attributed(1.0, 1.2, "never trained")
     told = attribution.claims(attributed(wall, coin, "trained"), untrained)
-    assert tuple(claim.held for claim in told) == held
-    assert not any(claim.held for claim in attribution.claims(untrained, untrained))
+    assert tuple(claim.supported for claim in told) == supported
+    assert not any(claim.supported for claim in attribution.claims(untrained, untrained))

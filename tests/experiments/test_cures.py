@@ -60,10 +60,10 @@ def test_a_claim_about_help_holds_by_its_bound():
     areas = pl.DataFrame({"agent": ["runner"], "score": ["entropy"], "granularity": ["step"]})
     late = pl.DataFrame({"agent": ["runner"], "score": ["entropy"], "late": [0.6]})
     table = pl.DataFrame(rows)
-    assert [v.held for v in asking_for_help.claims(table, areas, late)] == [True, True]
+    assert [v.supported for v in asking_for_help.claims(table, areas, late)] == [True, True]
     worse = table.with_columns(pl.col("gain").replace(4.9 - 5, -1.0))
     soon = late.with_columns(late=0.4)
-    assert [v.held for v in asking_for_help.claims(worse, areas, soon)] == [False, False]
+    assert [v.supported for v in asking_for_help.claims(worse, areas, soon)] == [False, False]
 
 
 @pytest.mark.parametrize("variant, apart", [("corner-small", False), ("anywhere-small", True)])

@@ -328,9 +328,9 @@ def wait_for(true, seconds):
 
 
 @pytest.mark.parametrize(
-    "misgeneralized, failed, held", [(50, 10, True), (32, 30, False), (10, 50, False)]
+    "misgeneralized, failed, supported", [(50, 10, True), (32, 30, False), (10, 50, False)]
 )
-def test_a_claim_holds_only_where_its_whole_interval_does(misgeneralized, failed, held):
+def test_a_claim_is_supported_only_where_its_whole_interval_does(misgeneralized, failed, supported):
     outcomes = [MISGENERALIZED] * misgeneralized + [FAILED] * failed
     outcomes += [INTENDED] * (100 - len(outcomes))
     episodes = pl.DataFrame(
@@ -338,7 +338,7 @@ def test_a_claim_holds_only_where_its_whole_interval_does(misgeneralized, failed
     )
     less = share(episodes, "test", MISGENERALIZED, minus=FAILED)
     told = above("it misgeneralizes", "often", "share", less, 0.0)
-    assert told.held == held
+    assert told.supported == supported
     assert f"{misgeneralized - failed}.0" in told.ours
 
 

@@ -189,7 +189,7 @@ def test_a_file_with_another_digest_is_refused_and_forgotten(pushed, tmp_path, p
         ours.pull("ada/mouse")
     assert nothing_is_left(tmp_path)
     pushed.changed.clear()
-    ours.pull("ada/mouse")  # the cache does not hold the wrong one
+    ours.pull("ada/mouse")  # the cache is not supported the wrong one
 
 
 def rewritten(server, changes):

@@ -23,7 +23,9 @@ def test_studies_of_kept_agents_run_in_miniature(name, tmp_path):
     page = run.reproduce(small, "smoke", tmp_path)
     found = json.loads((page.parent / "findings.json").read_text())
     claims = found["claims"]
-    assert claims and all("; holds " in one["ours"] and "; p = " in one["ours"] for one in claims)
+    assert claims and all(
+        "; supported if " in one["ours"] and "; p = " in one["ours"] for one in claims
+    )
     told = [Claim(**{k: one[k] for k in one if k != "beside"}) for one in claims]
     assert not register.unstated(name, told)
     assert "nan" not in found["answer"], found["answer"]
@@ -32,13 +34,13 @@ def test_studies_of_kept_agents_run_in_miniature(name, tmp_path):
     assert not list(tmp_path.glob("agents/*")), "nothing is trained"
 
 
-def test_a_claim_holds_only_where_its_whole_interval_does():
+def test_a_claim_is_supported_only_where_its_whole_interval_does():
     low = within("c", "p", "w", estimate(0.2, 0.3), (0.1, 0.25))
     high = within("c", "p", "w", estimate(0.2, 0.3), (0.1, 0.35))
-    assert (low.held, high.held) == (False, True)
+    assert (low.supported, high.supported) == (False, True)
     assert "between 0.1 and 0.35" in high.ours
     assert above("c", "p", "w", estimate(0.2, 0.3), 0.1).ours.endswith("above 10\u00a0%")
-    assert below("c", "p", "w", estimate(0.2, 0.3), 0.1).held is False
+    assert below("c", "p", "w", estimate(0.2, 0.3), 0.1).supported is False
 
 
 def estimate(low, high):

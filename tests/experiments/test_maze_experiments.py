@@ -82,12 +82,12 @@ def test_the_gap_at_the_end_is_judged_by_its_interval():
     (row,) = training_curves.ends(measured()).to_dicts()
     assert (row[TRAIN], row[TEST]) == (pytest.approx(9, abs=0.1), 3)
     assert row["lower by"] == pytest.approx(6, abs=0.1)
-    assert training_curves.ends_lower(row).held
-    assert not training_curves.ends_lower(row | {"low": -0.1}).held
+    assert training_curves.ends_lower(row).supported
+    assert not training_curves.ends_lower(row | {"low": -0.1}).supported
     (row,) = training_curves.ends(measured(seeds=1)).to_dicts()
-    assert row["low"] is None and not training_curves.ends_lower(row).held
+    assert row["low"] is None and not training_curves.ends_lower(row).supported
     (row,) = training_curves.ends(measured().with_columns(pl.lit(None).alias(TEST))).to_dicts()
-    assert not training_curves.ends_lower(row).held
+    assert not training_curves.ends_lower(row).supported
 
 
 def offered(outcome):
@@ -122,11 +122,11 @@ def test_shares_are_of_those_that_go_to_either():
 def test_a_preference_flips_where_agents_surely_differ():
     pairs = offered(lambda colour, shape: MISGENERALIZED)
     told = colour_or_shape.flips(colour_or_shape.by_agent(pairs))
-    assert not told.held and "2 of 2 agents go to the gem, 0 to the line" in told.ours
+    assert not told.supported and "2 of 2 agents go to the gem, 0 to the line" in told.ours
     seldom = pl.when(seed=1, outcome=MISGENERALIZED).then(pl.lit(INTENDED))
     pairs = pairs.with_columns(outcome=seldom.otherwise("outcome"))
     told = colour_or_shape.flips(colour_or_shape.by_agent(pairs))
-    assert told.held and "1 of 2 agents go to the gem, 1 to the line" in told.ours
+    assert told.supported and "1 of 2 agents go to the gem, 1 to the line" in told.ours
 
 
 @pytest.mark.parametrize("sign, share", [(1, "100.0"), (-1, "0.0")])
@@ -139,4 +139,4 @@ def test_near_codes_are_told_from_far_ones(sign, share):
 
     work = SimpleNamespace(plan=colour_or_shape.EXPERIMENT.sizes["smoke"])
     told = colour_or_shape.near_codes(work, offered(outcome))
-    assert share in told.ours and told.held == (sign > 0)
+    assert share in told.ours and told.supported == (sign > 0)

@@ -192,19 +192,30 @@ def test_what_agents_trained_here_do_stands_beside_the_published(tmp_path):
         (tmp_path / name).mkdir()
     report.write(HEADING, mine, tmp_path / "n-smoke")
     beside = report.of_claims(tmp_path / "n-smoke")
-    assert beside == {"It runs.": "7 % (did not hold)"}
+    assert beside == {"It runs.": "7 % (not supported)"}
     page = report.write(HEADING, mine, tmp_path / "n-published", beside).read_text()
-    assert "<dt>trained here</dt><dd>7 % (did not hold)</dd>" in page
+    assert "<dt>trained here</dt><dd>7 % (not supported)</dd>" in page
     assert report.of_claims(tmp_path / "nothing") == {}
 
 
-@pytest.mark.parametrize("held", [True, False])
-def test_a_report_says_why_a_claim_did_not_hold(tmp_path, held):
+def test_findings_of_an_older_report_are_read_with_a_note(tmp_path):
+    mine = report.Findings(answer="", claims=[Claim("It runs.", "p", "7 %", True)], settings={})
+    report.write(HEADING, mine, tmp_path)
+    path = tmp_path / "findings.json"
+    path.write_text(path.read_text().replace('"supported"', '"supported"'))
+    with pytest.warns(
+        FutureWarning, match=r"findings\.json says 'supported'; this is now 'supported'"
+    ):
+        assert report.of_claims(tmp_path) == {"It runs.": "7 % (supported)"}
+
+
+@pytest.mark.parametrize("supported", [True, False])
+def test_a_report_says_why_a_claim_is_not_supported(tmp_path, supported):
     mine = report.Findings(
-        answer="", claims=[Claim("It runs.", "p", "7 %", held, "it is tired")], settings={}
+        answer="", claims=[Claim("It runs.", "p", "7 %", supported, "it is tired")], settings={}
     )
     page = report.write(HEADING, mine, tmp_path).read_text()
-    assert ("<dt>why</dt><dd>it is tired</dd>" in page) != held
+    assert ("<dt>why</dt><dd>it is tired</dd>" in page) != supported
 
 
 def test_plans_name_the_same_agents_as_the_catalogue():
@@ -224,7 +235,7 @@ def test_the_control_runs_in_miniature(tmp_path, monkeypatch):
     page = run.reproduce(small, "smoke", tmp_path)
     found = json.loads((page.parent / "findings.json").read_text())["claims"]
     assert len(found) == 4
-    assert found[3]["held"], "our mouse of the corner is one of the corner"
+    assert found[3]["supported"], "our mouse of the corner is one of the corner"
     sizes = pl.read_parquet(page.parent / "tables" / "sizes.parquet")
     sums = sizes.group_by("size").agg(pl.col("mean").sum())["mean"]
     assert sums.to_list() == [pytest.approx(1)] * len(sums)

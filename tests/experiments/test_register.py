@@ -33,8 +33,8 @@ def test_the_rule_of_a_claim_is_read_off_its_report():
     rules = [register.rule_of(claim) for claim in (one, other, both, Claim("s", "p", "m", True))]
     assert rules == [
         "above 90 %",
-        "where all of it is within 10 % of 0",
-        "above 90 % and where all of it is within 10 % of 0",
+        "all of it is within 10 % of 0",
+        "above 90 % and all of it is within 10 % of 0",
         "",
     ]
     assert [register.rule_of(claim) for claim in corrected([one, other])] == rules[:2]

@@ -72,8 +72,8 @@ def told(frames, tmp_path):
     findings = report.Findings(
         answer="It goes to the corner.",
         claims=[
-            Claim("It learns.", "reliably", "98.4 % [97.9, 98.9]", held=True),
-            Claim("It looks for cheese.", "no", "29.2 % [25.1, 33.0]", held=False),
+            Claim("It learns.", "reliably", "98.4 % [97.9, 98.9]", supported=True),
+            Claim("It looks for cheese.", "no", "29.2 % [25.1, 33.0]", supported=False),
         ],
         videos=[report.Video("A walk.", tmp_path / "walk.mp4")],
         plots=[
@@ -191,13 +191,13 @@ def test_a_report_needs_nothing_from_outside(told, tmp_path):
     assert not re.search("https?:", page)
 
 
-def test_a_report_contains_every_claim_and_whether_it_held(told, tmp_path):
+def test_a_report_contains_every_claim_and_whether_it_is_supported(told, tmp_path):
     page = report.write(*told, tmp_path).read_text()
     shown = re.findall(r'<li class="(\w+)">(.*?)</li>', page, re.DOTALL)
-    assert [kind for kind, _ in shown] == ["held", "not"]
+    assert [kind for kind, _ in shown] == ["supported", "not"]
     for claim, (_, text) in zip(told[1].claims, shown, strict=True):
         assert claim.sentence in text and claim.paper in text and claim.ours in text
-        assert ("did not hold" in text) is not claim.held
+        assert ("not supported" in text) is not claim.supported
 
 
 def test_all_that_is_shown_is_in_files_too(told, tmp_path):
@@ -225,7 +225,7 @@ def test_the_index_leads_to_every_report_and_counts_its_claims(told, tmp_path):
         report.write(replace(told[0], title=name), told[1], tmp_path / name)
     page = report.write_index(tmp_path).read_text()
     assert re.findall('href="(.*?)"', page) == ["./one/report.html", "./two/report.html"]
-    assert "2 experiments" in page and re.search(r"2 of\s+4 claims held", page)
+    assert "2 experiments" in page and re.search(r"2 of\s+4 claims supported", page)
 
 
 @pytest.mark.parametrize("name", ["javascript:alert(1);", "data:text,", 'a"b', "a#b?c%20", "c:"])
@@ -276,7 +276,8 @@ def without_claims(told, folder, claims):
 
 
 @pytest.mark.parametrize(
-    "text", ["", "{}", "[]", "[" * 99_999, '{"claims": [1], "answer": ""}', None, 7, [{"held": 1}]]
+    "text",
+    ["", "{}", "[]", "[" * 99_999, '{"claims": [1], "answer": ""}', None, 7, [{"supported": 1}]],
 )
 def test_ruined_findings_are_told_and_hide_no_other_report(told, tmp_path, capsys, text):
     report.write(*told, tmp_path / "whole")

@@ -16,7 +16,7 @@ def found(mean, half, freedom=9.0):
 
 
 @pytest.mark.parametrize(
-    "kind, bounds, held",
+    "kind, bounds, supported",
     [
         (above, [(0.3, 0.1, 0.19), (0.3, 0.1, -1)], [(0.3, 0.1, 0.21)]),
         (below, [(0.3, 0.1, 0.41)], [(0.3, 0.1, 0.39)]),
@@ -24,12 +24,12 @@ def found(mean, half, freedom=9.0):
         (within, [(0.3, 0.1, (0.1, 0.5))], [(0.3, 0.1, (0.25, 0.5)), (0.3, 0.1, (0.1, 0.35))]),
     ],
 )
-def test_a_claim_holds_where_all_of_its_interval_does(kind, bounds, held):
-    for held_so, cases in ((True, bounds), (False, held)):
+def test_a_claim_is_supported_where_all_of_its_interval_does(kind, bounds, supported):
+    for supported_so, cases in ((True, bounds), (False, supported)):
         for mean, half, bound in cases:
             claim = kind(*WORDS, found(mean, half), bound)
-            assert claim.held is held_so
-            assert (claim.chance < 0.025) is held_so
+            assert claim.supported is supported_so
+            assert (claim.chance < 0.025) is supported_so
 
 
 def test_no_effect_is_not_shown_by_measuring_little():
@@ -37,13 +37,13 @@ def test_no_effect_is_not_shown_by_measuring_little():
     random = np.random.default_rng(0)
     few, many = (estimate_mean(random.normal(0, 1, count)) for count in (8, 40_000))
     assert few.low < 0 < few.high
-    assert not near_zero(*WORDS, few, 0.1).held and near_zero(*WORDS, many, 0.1).held
+    assert not near_zero(*WORDS, few, 0.1).supported and near_zero(*WORDS, many, 0.1).supported
 
 
 def test_of_nothing_nothing_holds():
     for claim in (above, below, near_zero):
         told = claim(*WORDS, Estimate.nothing(), 0.5)
-        assert not told.held and told.chance == 1
+        assert not told.supported and told.chance == 1
 
 
 def test_the_chance_is_that_of_students_test():
@@ -61,27 +61,27 @@ def test_among_many_claims_each_must_be_surer():
         above(*WORDS, found(0.3, 0.3 * stats.t.ppf(0.975, 9) / stats.t.isf(p, 9))) for p in chances
     ]
     assert [claim.chance for claim in claims] == pytest.approx(chances)
-    assert all(claim.held for claim in claims)
-    assert [claim.held for claim in corrected(claims)] == [True, True, True]
+    assert all(claim.supported for claim in claims)
+    assert [claim.supported for claim in corrected(claims)] == [True, True, True]
     lonely = [claims[1], claims[1], claims[0]]  # 0.02 is more than a half of 0.025
-    held = corrected(lonely)
-    assert [claim.held for claim in held] == [False, False, True]
-    assert "not enough among 3 claims" in held[0].ours and "p = 0.004" in held[2].ours
-    assert corrected([claims[1]])[0].held
+    supported = corrected(lonely)
+    assert [claim.supported for claim in supported] == [False, False, True]
+    assert "not enough among 3 claims" in supported[0].ours and "p = 0.004" in supported[2].ours
+    assert corrected([claims[1]])[0].supported
 
 
-def test_by_chance_no_more_than_one_page_in_forty_has_a_claim_that_holds():
+def test_by_chance_no_more_than_one_page_in_forty_has_a_supported_claim():
     random = np.random.default_rng(0)
     pages, wrong = 400, np.zeros(2)
     for _ in range(pages):
         claims = [above(*WORDS, estimate_mean(random.normal(0, 1, (5, 1)))) for _ in range(6)]
-        wrong += any(c.held for c in claims), any(c.held for c in corrected(claims))
+        wrong += any(c.supported for c in claims), any(c.supported for c in corrected(claims))
     assert wrong[0] / pages > 0.1 and wrong[1] / pages < 0.04
 
 
 def test_parts_hold_together_or_not_at_all():
     good, bad = above(*WORDS, found(0.3, 0.1)), above(*WORDS, found(0.05, 0.1))
     both = every("All do.", "", [good, bad])
-    assert not both.held and both.chance == bad.chance
+    assert not both.supported and both.chance == bad.chance
     assert good.ours in both.ours and bad.ours in both.ours
-    assert every("All do.", "", [good, good]).held and not every("All do.", "", []).held
+    assert every("All do.", "", [good, good]).supported and not every("All do.", "", []).supported

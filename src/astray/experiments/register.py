@@ -35,8 +35,8 @@ def _data(name: str) -> str:
 
 
 def rule_of(claim: Claim) -> str:
-    """Return when a claim holds, in words, as its report tells it; "" where it does not say."""
-    rules = re.findall(r"; holds (.*?)(?=;|, which is not enough|$)", claim.ours)
+    """Return when a claim is supported, in words of its report; "" if it does not say."""
+    rules = re.findall(r"; supported if (.*?)(?=;|, which is not enough|$)", claim.ours)
     return " and ".join(dict.fromkeys(rules)).replace("\u00a0", " ")
 
 
@@ -44,7 +44,7 @@ def unstated(name: str, claims: Iterable[Claim]) -> list[str]:
     """Return the claims of a study's report that the register has not, or with another rule."""
     stated = register().get(name, {}).get("claims", [])
     return [
-        f"{claim.sentence} Holds {rule_of(claim)}."
+        f"{claim.sentence} Supported if {rule_of(claim)}."
         for claim in claims
         if not any(
             _is(one["sentence"], claim.sentence.replace("\u00a0", " "))
@@ -66,7 +66,7 @@ def page() -> str:
         lines += [f"## `{name}`: {whole.title}", "", _about(study), ""]
         lines += [f"- {change}" for change in study.get("changes", [])]
         lines += [""] if study.get("changes") else []
-        lines += ["| claim | holds | set | |", "| --- | --- | --- | --- |"]
+        lines += ["| claim | supported if | set | |", "| --- | --- | --- | --- |"]
         lines += [
             f"| {one['sentence']} | {one['rule'] or 'see the report'} | {one['set']} | "
             f"{one.get('note', '')} |"

@@ -16,7 +16,7 @@ import polars as pl
 
 from astray.analysis.pages import templates
 from astray.analysis.tables import write_table
-from astray.bounds import shown
+from astray.bounds import renamed, shown
 from astray.files import read, remove_left, write_aside
 from astray.report.claims import Claim
 from astray.training import folders
@@ -142,8 +142,9 @@ def of_claims(folder: Path) -> dict[str, str]:
     path = folder / "findings.json"
     if not path.exists():
         return {}
+    said = {True: "supported", False: "not supported"}
     return {
-        claim["sentence"]: f"{claim['ours']} ({'held' if claim['held'] else 'did not hold'})"
+        claim["sentence"]: f"{claim['ours']} ({said[bool(claim['supported'])]})"
         for claim in _findings(path)["claims"]
     }
 
@@ -172,13 +173,17 @@ def _findings(path: Path) -> dict[str, Any]:
     names = ("claims", "answer", *(f.name for f in fields(Heading)))
     missing = [name for name in names if not isinstance(found, dict) or name not in found]
     claims = [] if missing else found["claims"]
+    if isinstance(claims, list):
+        claims = [renamed(claim, {"supported": "supported"}, str(path)) for claim in claims]
     if missing or not isinstance(claims, list) or not all(map(_is_claim, claims)):
         raise ValueError(f"{path} must be the findings of a report; got {shown(found)}")
-    return found
+    return found | {"claims": claims}
 
 
 def _is_claim(given: Any) -> bool:
-    return isinstance(given, dict) and all(name in given for name in ("sentence", "ours", "held"))
+    return isinstance(given, dict) and all(
+        name in given for name in ("sentence", "ours", "supported")
+    )
 
 
 def _render(template: str, **what: Any) -> str:

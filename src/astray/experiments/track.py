@@ -43,8 +43,10 @@ def track_report(heading: Heading, findings: Findings, folder: Path, by: Trackin
     """Tell a tracker what a report in a folder says: claims, tables, figures, videos."""
     settings = {"answer": findings.answer, **vars(heading), **findings.settings}
     tracker = Tracker(by, f"{heading.name}-{heading.size}", folder, settings)
-    claims = [[claim.sentence, claim.paper, claim.ours, claim.held] for claim in findings.claims]
-    tracker.table(0, "claims", ("claim", "paper", "ours", "held"), claims)
+    claims = [
+        [claim.sentence, claim.paper, claim.ours, claim.supported] for claim in findings.claims
+    ]
+    tracker.table(0, "claims", ("claim", "paper", "ours", "supported"), claims)
     for table in findings.tables:
         _table(tracker, 0, f"tables/{table.name}", table.frame)
     for plot in findings.plots:

@@ -38,7 +38,7 @@ def train_all(
     on: Place = "here",
     track: Tracking | None = None,
 ) -> None:
-    """Train every agent whose run folder does not hold it finished.
+    """Train every agent whose run folder is not supported it finished.
 
     workers  how many at once, here; None: one for each processor
     track    who else is told how the trainings go

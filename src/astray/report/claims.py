@@ -1,8 +1,8 @@
 """Claims: sentences with a bound that was stated before anything was measured.
 
 There are four kinds: what was measured is `above` a bound, `below` one, `within` two, or
-`near_zero`, which is what "no effect" means here. Each holds where the whole 95 % interval does, so
-that each is harder to hold the less was measured. Claims of one page are `corrected` for their
+`near_zero`, which is what "no effect" means here. Each is supported if its whole 95 % interval is,
+so less data make support harder. Claims of one page are `corrected` for their
 number.
 """
 
@@ -24,9 +24,9 @@ class Claim:
 
     sentence: str
     paper: str  # what the paper says of it
-    ours: str  # what was measured, its interval, and when the claim holds
-    held: bool
-    why: str = ""  # where it did not hold: what else was measured of the reason
+    ours: str  # what was measured, its interval, and when the claim is supported
+    supported: bool
+    why: str = ""  # where it not supported: what else was measured of the reason
     chance: float | None = None  # of measuring as much where the bound is just the truth: p; None:
     # there is no test
 
@@ -50,9 +50,9 @@ def above(
         estimate: What was measured.
         bound: What all of the interval must be above.
         told: How the estimate is told, a method of it; `Estimate.percent` tells bounds so, too.
-        why: What else was measured of the reason, told where the claim does not hold.
+        why: What else was measured of the reason, told where the claim is not supported.
     """
-    rule = f"holds above {_bound(bound, told)}"
+    rule = f"supported if above {_bound(bound, told)}"
     return _claim(sentence, paper, measured, estimate, (bound, math.inf), rule, told, why)
 
 
@@ -67,7 +67,7 @@ def below(
     why: str = "",
 ) -> Claim:
     """Return the claim that what was measured is below `bound`; else as `above`."""
-    rule = f"holds below {_bound(bound, told)}"
+    rule = f"supported if below {_bound(bound, told)}"
     return _claim(sentence, paper, measured, estimate, (-math.inf, bound), rule, told, why)
 
 
@@ -83,7 +83,7 @@ def within(
 ) -> Claim:
     """Return the claim that what was measured is between two bounds; else as `above`."""
     low, high = (_bound(bound, told) for bound in bounds)
-    rule = f"holds between {low} and {high}"
+    rule = f"supported if between {low} and {high}"
     return _claim(sentence, paper, measured, estimate, bounds, rule, told, why)
 
 
@@ -102,40 +102,40 @@ def near_zero(
     It is a test of equivalence (two one-sided tests): that an interval contains 0 shows nothing, as
     it does so the more surely the less was measured.
     """
-    rule = f"holds where all of it is within {_bound(margin, told)} of 0"
+    rule = f"supported if all of it is within {_bound(margin, told)} of 0"
     return _claim(sentence, paper, measured, estimate, (-margin, margin), rule, told, why)
 
 
 def every(sentence: str, paper: str, parts: Sequence[Claim], why: str = "") -> Claim:
-    """Return the claim that all `parts` hold, whose own sentences are not told.
+    """Return the claim that all `parts` are supported, without their sentences.
 
-    Each part is a test at the whole level: all of them hold by chance no more often than one.
+    Each part is a test at the whole level: chance supports all no more often than one.
     """
     chances = [part.chance for part in parts if part.chance is not None]
     return Claim(
         sentence,
         paper,
         "; ".join(part.ours for part in parts),
-        bool(parts) and all(part.held for part in parts),
+        bool(parts) and all(part.supported for part in parts),
         why,
         max(chances, default=1.0),
     )
 
 
 def corrected(claims: Sequence[Claim]) -> list[Claim]:
-    """Return the claims of one page, held only where they hold among so many (Holm 1979).
+    """Return the claims of one page, corrected for their number (Holm 1979).
 
     The most certain of N must be as certain as if there were N of the kind, the next as N - 1, and
-    so on; those after the first that is not do not hold. Claims without a test stay as they are.
+    so on; those after the first that fails are not supported. Claims without a test stay.
     """
     tested = sorted((claim.chance, k) for k, claim in enumerate(claims) if claim.chance is not None)
-    found, holding = list(claims), True
+    found, passing = list(claims), True
     for rank, (chance, k) in enumerate(tested):
-        holding &= chance * (len(tested) - rank) < ALPHA
+        passing &= chance * (len(tested) - rank) < ALPHA
         told = f"{claims[k].ours}; p = {chance:.2g}"
-        if len(tested) > 1 and claims[k].held and not holding:
+        if len(tested) > 1 and claims[k].supported and not passing:
             told += f", which is not enough among {len(tested)} claims"
-        found[k] = replace(claims[k], ours=told, held=claims[k].held and holding)
+        found[k] = replace(claims[k], ours=told, supported=claims[k].supported and passing)
     return found
 
 
@@ -160,9 +160,9 @@ def _claim(
 ) -> Claim:
     low, high = bounds
     ours = f"{measured}: {told(estimate)}; {rule}"
-    held = bool(low < estimate.low and estimate.high < high)
+    supported = bool(low < estimate.low and estimate.high < high)
     chance = max(_chance(estimate, low, 1), _chance(estimate, high, -1))
-    return Claim(sentence, paper, ours, held, why, chance)
+    return Claim(sentence, paper, ours, supported, why, chance)
 
 
 def _chance(estimate: Estimate, bound: float, sign: int) -> float:

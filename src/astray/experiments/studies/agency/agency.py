@@ -208,8 +208,8 @@ def claims_of(table: pl.DataFrame, goals: pl.DataFrame, called: pl.DataFrame) ->
         part = table.filter(pl.col("type").is_in(kinds), pl.col("preset") == preset)
         low, high = span(part["log factor"])
         ours = f"mean log Bayes factor from {low:+.1f} to {high:+.1f} nats over the maps"
-        held = span(part["low"])[0] > 0 if sign > 0 else span(part["high"])[1] < 0
-        claims.append(Claim(text, paper, ours, held))
+        supported = span(part["low"])[0] > 0 if sign > 0 else span(part["high"])[1] < 0
+        claims.append(Claim(text, paper, ours, supported))
 
     claims: list[Claim] = []
     about(

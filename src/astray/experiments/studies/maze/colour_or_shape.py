@@ -169,7 +169,7 @@ def flips(agents: pl.DataFrame) -> Claim:
         "not measured; Ramanauskas and Simsek (2023) found that it does",
         f"in {rounded(both)} of {len(sure)} pairs both are clear, each by an interval over "
         f"levels; before a red line and a yellow gem, {offered['to_colour']} of {count} agents go "
-        f"to the gem, {offered['to_shape']} to the line; holds above 50\u00a0%",
+        f"to the gem, {offered['to_shape']} to the line; supported if above 50\u00a0%",
         both > 0.5,
     )
 

@@ -205,7 +205,8 @@ def claims(work: Work, buffers: pl.DataFrame) -> list[Claim]:
         Claim(
             "The buffers hold more distinguishing levels than are generated, at "
             f"{percent[1]}.", "amplified (no figure at hand)",
-            f"least of {len(amplified)} agents: {least:.1f} times; holds above {MORE:g} times",
+            f"least of {len(amplified)} agents: {least:.1f} times; "
+            f"supported if above {MORE:g} times",
             least > MORE,
         ),
         above(

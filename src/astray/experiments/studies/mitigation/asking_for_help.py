@@ -246,14 +246,14 @@ def claims(table: pl.DataFrame, areas: pl.DataFrame, late: pl.DataFrame) -> list
             "Help of any amount, asked for by any score, does no harm.",
             "help always improves (Trinh et al. 2024)",
             f"least gain of all points: {least:.2f} of a return of 10, all of them above "
-            f"{bound:.2f} with 95\u00a0% confidence; holds above -{HARM:g}",
+            f"{bound:.2f} with 95\u00a0% confidence; supported if above -{HARM:g}",
             bound > -HARM,
         ),
         Claim(
             "A runner's scores ask too late: when the coin was passed, or never.",
             "they ask too late (Trinh et al. 2024)",
             f"in {rounded(soonest)} of the episodes that misgeneralize, of the score of the logits "
-            f"that is soonest; holds above {100 * LATE:g}\u00a0%",
+            f"that is soonest; supported if above {100 * LATE:g}\u00a0%",
             soonest > LATE,
         ),
     ]
@@ -267,7 +267,7 @@ def claims(table: pl.DataFrame, areas: pl.DataFrame, late: pl.DataFrame) -> list
             "entropy.",
             "none",
             f"area under the curve by level: {ASTRAY} {ahead:.2f} above the entropy's, the least "
-            f"of all agents; holds above {AHEAD:g}",
+            f"of all agents; supported if above {AHEAD:g}",
             ahead > AHEAD,
         ),
     ]

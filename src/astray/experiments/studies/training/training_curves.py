@@ -128,10 +128,13 @@ def ends_lower(row: dict) -> Claim:
     )
     if row["lower by"] is None:
         return Claim(
-            sentence, "lower (a curve)", "too few episodes ended to tell; holds above 0", False
+            sentence,
+            "lower (a curve)",
+            "too few episodes ended to tell; supported if above 0",
+            False,
         )
     if row["low"] is None:
-        one = f"lower by {row['lower by']:.2f}: of one agent there is no interval; holds above 0"
+        one = f"lower by {row['lower by']:.2f}, without an interval; supported if above 0"
         return Claim(sentence, "lower (a curve)", one, False)
     agents = row["agents"]
     lower = Estimate(row["lower by"], row["low"], row["high"], agents, 1, agents, agents - 1)
