@@ -1,6 +1,5 @@
 """Drop-in replacements for Procgen's interfaces: change the import and nothing else.
 
-Examples:
     from astray.compat import ProcgenEnv  # was: from procgen import ProcgenEnv
 
 With the same `rand_seed`, levels, images, rewards, ends and infos equal those of Procgen 0.10.7

@@ -1,6 +1,5 @@
 """Checks that every game must pass, for use in a game's own tests.
 
-Examples:
     def test_my_game():
         astray.testing.check_game(my_package.GAME)
 

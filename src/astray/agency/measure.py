@@ -110,12 +110,12 @@ class Evidence:
 
     @property
     def log_agent(self) -> float:
-        """log p(trajectories | agents), in nats."""
+        """Evidence for agents, log p(trajectories | agents), in nats."""
         return float(logsumexp(self.log_prior + self.log_goals))
 
     @property
     def log_factor(self) -> float:
-        """Logarithm of the Bayes factor of agents over devices, in nats."""
+        """Log Bayes factor of agents over devices, in nats."""
         return self.log_agent - self.log_device
 
     @property

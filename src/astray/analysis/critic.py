@@ -1,6 +1,5 @@
 """The critic's values and the policy along episodes, and in edited states.
 
-Examples:
     rows, states = visit(agent, "coin-anywhere", range(200_000, 201_000), per_episode=5,
                          measures={"stage": measures.stage, "coin": measures.coin_in_view})
     bars = group_means(rows, "value", ["stage", "coin"])

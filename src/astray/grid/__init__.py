@@ -43,26 +43,25 @@ def world(
     """Make the game of a module that has the rules and levels of a grid world.
 
     Args:
-        module: has `ACTIONS`, `STATE` (of `rules.state`), `EVENTS`, `step`, `generate` and
-            `furnish(s, p)`, which sets the numbers that a level begins with, and its events
-        name: of the game
-        about: a sentence
-        things: character in drawings -> name, which is its picture's; the first is "#", a wall
-        movers: likewise, of what moves on things
-        agents: names of the agent's pictures, one for each value of `held`
-        variants: as of a `Game`
-        goals: as of a `Game`
-        shifts: as of a `Game`
-        seek: (s, goal) -> what a script does to reach a goal that is an event: the cells to go to
-            the nearest of, an action, or None for nothing
-        hazards: names of what scripts walk around
-        solid: names of what nobody walks on
-        stood: characters of what the agent may stand on
-        level_fields: fields of the state that a level decides beside its cells -> their value where
-            a level as data does not say
-        bounds: field -> first value, and the one after the last, which compiled code relies on
-        centred: whether the agent is in the middle of the symbolic planes
-        rest: of a `Game`
+        module: Module with `ACTIONS`, `STATE` (of `rules.state`), `EVENTS`, `step`, `generate` and
+            `furnish(s, p)`, which sets the initial numbers and events of a level.
+        name: Name of the game.
+        about: Description, a sentence.
+        things: Character in drawings -> name, which is its picture's; the first is "#", a wall.
+        movers: The same for kinds that move on things.
+        agents: Names of the agent's pictures, one for each value of `held`.
+        variants: As in a `Game`.
+        goals: As in a `Game`.
+        shifts: As in a `Game`.
+        seek: Function (s, goal) -> what a script does to reach a goal that is an event: the cells
+            of which it goes to the nearest, an action, or None for nothing.
+        hazards: Names of kinds that scripts walk around.
+        solid: Names of kinds that nobody can walk on.
+        stood: Characters of kinds that the agent may stand on.
+        level_fields: State fields that a level decides besides its cells -> their default values.
+        bounds: Field -> first value, and the one after the last, which compiled code relies on.
+        centred: Whether the agent is in the middle of the symbolic planes.
+        rest: Further fields of a `Game`.
     """
     movers, side = movers or {}, module.STATE["cell"].shape[0]
     kinds = [*things.values(), *movers.values()]

@@ -1,4 +1,4 @@
-"""What every grid world can do: levels as data, places and cells, scripts that walk to a goal."""
+"""Abilities of every grid world: levels as data, places and cells, scripts that walk to a goal."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ Cells = Sequence[tuple[int, int]]
 
 @dataclass(frozen=True)
 class World:
-    """What the abilities of a grid world are made of; see `astray.grid.world`."""
+    """Description of a grid world for its abilities; see `astray.grid.world`."""
 
     rules: Rules
     side: int
@@ -41,12 +41,12 @@ class World:
     bounds: Mapping[str, tuple[int, int]]
 
     def codes(self, names: Sequence[str]) -> list[int]:
-        """The codes of kinds, by name."""
+        """Return the codes of kinds, by name."""
         all_names = [*self.things.values(), *self.movers.values()]
         return [1 + all_names.index(name) for name in names]
 
     def legend(self) -> dict[str, int]:
-        """Characters of drawings: of nothing, of things, of movers, and of movers on things."""
+        """Return the characters of drawings: for nothing, things, movers, and movers on things."""
         first = 1 + len(self.things)
         things = {char: code for code, char in enumerate(self.things, 1)}
         movers = {char: OVER * code for code, char in enumerate(self.movers, first)}
@@ -59,7 +59,7 @@ class World:
         return {".": 0} | things | movers | both
 
     def truths(self, s: np.ndarray) -> dict[str, np.ndarray]:
-        """What is true of states [N], and compiled code relies on."""
+        """Return facts about states [N] that compiled code relies on."""
         things, kinds = len(self.things), len(self.things) + len(self.movers)
         x, y = (np.clip(s[axis], 0, self.side - 1) for axis in "xy")
         beneath = s["cell"][np.arange(len(s)), y, x]
@@ -77,7 +77,7 @@ class World:
         check_record(s, self.rules, self.truths)
 
     def free(self, s: Any) -> np.ndarray:
-        """The cells that an agent may stand in without harm, [H, W] bool."""
+        """Return the cells in which an agent may stand without harm, [H, W] bool."""
         kept_out = self.codes([*self.solid, *self.hazards])
         return ~(np.isin(s.cell, kept_out) | np.isin(s.mover, kept_out))
 
@@ -140,14 +140,14 @@ def places(world: World) -> Any:
 
 
 def reachable(world: World, s: Any) -> np.ndarray:
-    """The cells that the agent can get to without harm, and hazards themselves, [H, W] bool."""
+    """Return the cells that the agent can reach without harm, and hazards, [H, W] bool."""
     steps = distances(_with(world.free(s), [(int(s.x), int(s.y))]), int(s.x), int(s.y))
     hazards = world.codes(world.hazards)
     return (steps != UNREACHABLE) | np.isin(s.cell, hazards) | np.isin(s.mover, hazards)
 
 
 def solver(world: World) -> Any:
-    """Return the solver: scripts that go the shortest way to what `seek` names."""
+    """Return the solver: scripts that take the shortest way to what `seek` returns."""
 
     def expert(s: Any, goal: str) -> Callable[[Any], int]:
         one_of("goal", goal, world.events)
@@ -183,7 +183,7 @@ def solver(world: World) -> Any:
 
 
 def towards(world: World, s: Any, cells: Cells) -> int:
-    """The action that leads to the nearest of `cells` around hazards; to stay where none does."""
+    """Return the action that leads to the nearest of `cells` around hazards, or "stay"."""
     here = int(s.x), int(s.y)
     free = _with(world.free(s), [*cells, here])
     away = distances(free, *here)
@@ -201,12 +201,12 @@ def towards(world: World, s: Any, cells: Cells) -> int:
 
 
 def _with(free: np.ndarray, cells: Cells) -> np.ndarray:
-    """With some cells free, too."""
+    """Return the free cells with some more added."""
     for x, y in cells:
         free[y, x] = True
     return free
 
 
 def where(layer: np.ndarray, *codes: int) -> list[tuple[int, int]]:
-    """The cells (x, y) of a layer that hold one of these codes."""
+    """Return the cells (x, y) of a layer that hold one of these codes."""
     return [(int(x), int(y)) for y, x in np.argwhere(np.isin(layer, codes))]

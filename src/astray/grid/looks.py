@@ -1,4 +1,4 @@
-"""How grid worlds look: a picture of small drawings, and one symbolic plane of 0 and 1 a kind."""
+"""Appearance of grid worlds: pictures of cells, and one binary symbolic plane per kind."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ FLOORS = ("floor-a", "floor-b")  # by turns
 
 @shared
 def paint(s, art, scene):
-    """The floor."""
+    """Paint the floor."""
     side = s.cell.shape[0]
     scale = scene.shape[0] / side
     for y in range(side):
@@ -33,7 +33,7 @@ def paint(s, art, scene):
 
 @shared
 def draw(s, art, scene, image):
-    """Things, movers on them, and the agent on all."""
+    """Draw things, movers on them, and the agent on top."""
     _, kinds, agents = art
     side = s.cell.shape[0]
     scale = image.shape[0] / side
@@ -49,9 +49,9 @@ def draw(s, art, scene, image):
 
 @kernel
 def draw_planes(s, scene, planes):
-    """A plane of each kind, then those of what is held, then the agent's.
+    """Write a plane for each kind, then those of held things, then the agent's.
 
-    Where planes are larger than the world, the agent is in their middle, and walls are around.
+    In planes larger than the world, the agent is in the middle, with walls around.
     """
     side, seen, agent = s.cell.shape[0], planes.shape[1], planes.shape[0] - 1
     flat = planes.reshape(-1)
@@ -76,16 +76,16 @@ def draw_planes(s, scene, planes):
 
 @kernel
 def paint_planes(s, scene):
-    """Nothing: all may move."""
+    """Write nothing, because everything may move."""
 
 
 def symbols(side: int, planes: int, centred: bool) -> Any:
-    """Return the symbols of a world of so many planes.
+    """Return the symbols of a world with so many planes.
 
     Args:
-        side: cells a side of the world
-        planes: one for each kind and each thing that can be held, and the agent's
-        centred: whether the agent is in the middle of what it sees
+        side: Cells a side of the world.
+        planes: One for each kind and each thing that can be held, and the agent's.
+        centred: Whether the agent is in the middle of its observation.
     """
     seen = 2 * side - 1 if centred else side
     return SimpleNamespace(
@@ -97,13 +97,13 @@ def symbols(side: int, planes: int, centred: bool) -> Any:
 
 
 def looks(folder: Path, side: int, kinds: Sequence[str], agents: Sequence[str]) -> dict:
-    """Return the looks of a world whose drawings are in `folder`, or those that worlds share.
+    """Return the appearance of a world with drawings in `folder`, or shared ones.
 
     Args:
-        folder: of pictures `NAME.png`; a wall's is called `wall-grid`, floors' as in `FLOORS`
-        side: cells a side of the world
-        kinds: names of things and movers, in the order of their codes
-        agents: names of the agent's pictures, by what it holds
+        folder: Folder of pictures `NAME.png`; a wall's is `wall-grid`, floors' are in `FLOORS`.
+        side: Cells a side of the world.
+        kinds: Names of things and movers, in the order of their codes.
+        agents: Names of the agent's pictures, by what it holds.
     """
 
     def scene_shape(variant, pixels: int) -> tuple[int, ...]:
@@ -119,7 +119,7 @@ def looks(folder: Path, side: int, kinds: Sequence[str], agents: Sequence[str]) 
 def _art(
     folder: Path, side: int, kinds: tuple[str, ...], agents: tuple[str, ...]
 ) -> tuple[np.ndarray, ...]:
-    """Floors [2, S, S, 3], kinds [K, S, S, 4], agents [H, S, S, 4], of S pixels a side."""
+    """Return floors [2, S, S, 3], kinds [K, S, S, 4], agents [H, S, S, 4], of S pixels a side."""
 
     def load(name: str) -> np.ndarray:
         name = "wall-grid" if name == "wall" else name

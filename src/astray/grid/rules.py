@@ -1,4 +1,4 @@
-"""What moves on a grid: kernels that the rules and levels of grid worlds are made of."""
+"""Kernels for the rules and levels of grid worlds."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ def state(side: int, events: Sequence[str], *numbers: str) -> np.dtype:
     """Return the record of a grid world: things, movers on them, the agent, numbers and events.
 
     Args:
-        side: cells a side, 3 to 32
-        events: as `Rules.EVENTS`
-        numbers: fields of the world's own, int64
+        side: Cells a side, 3 to 32.
+        events: As `Rules.EVENTS`.
+        numbers: Fields of the world's own, int64.
 
     Returns:
-        `cell` [side, side] are codes of things, `mover` [side, side] codes of what moves on them,
-        `x` and `y` the agent's cell, `held` is what it shows to hold, as a number
+        Dtype with `cell` [side, side] (codes of things), `mover` [side, side] (codes of movers),
+        `x` and `y` (the agent's cell), `held` (the number of the thing it holds).
     """
     layers = [(name, np.uint8, (side, side)) for name in ("cell", "mover")]
     return state_dtype(*layers, *[(n, np.int64) for n in ("x", "y", "held", *numbers, *events)])
@@ -33,7 +33,7 @@ def state(side: int, events: Sequence[str], *numbers: str) -> np.dtype:
 
 @kernel
 def clear(s):
-    """Empty all cells, and take the agent out of them."""
+    """Empty all cells and remove the agent from them."""
     s.cell[:] = EMPTY
     s.mover[:] = EMPTY
     s.x, s.y, s.held = NEVER, NEVER, 0
@@ -49,7 +49,7 @@ def surround(s):
 
 @shared
 def any_empty(s):
-    """A random cell with nothing in it, as its number: y times the side, plus x."""
+    """Draw a random empty cell, as its number: y times the side, plus x."""
     side = s.cell.shape[0]
     while True:
         i = below(s, side * side)
@@ -60,7 +60,7 @@ def any_empty(s):
 
 @kernel
 def scatter(s, code, count):
-    """Put so many things of a code into random empty cells."""
+    """Put `count` things of a code into random empty cells."""
     side = s.cell.shape[0]
     for _ in range(count):
         i = any_empty(s)
@@ -69,7 +69,7 @@ def scatter(s, code, count):
 
 @kernel
 def scatter_movers(s, code, count):
-    """Put so many movers of a code into random empty cells."""
+    """Put `count` movers of a code into random empty cells."""
     side = s.cell.shape[0]
     for _ in range(count):
         i = any_empty(s)
@@ -85,14 +85,14 @@ def begin_anywhere(s):
 
 @kernel
 def is_open(s, x, y):
-    """The cell is one of the world, and no wall."""
+    """Return whether the cell is in the world and not a wall."""
     side = s.cell.shape[0]
     return 0 <= x < side and 0 <= y < side and s.cell[y, x] != WALL
 
 
 @kernel
 def walk(s, action):
-    """Move the agent a cell, where no wall is."""
+    """Move the agent one cell, unless there is a wall."""
     x, y = s.x + DX[action], s.y + DY[action]
     if is_open(s, x, y):
         s.x, s.y = x, y
@@ -100,13 +100,13 @@ def walk(s, action):
 
 @kernel
 def first(s, event):
-    """The step that an event first happened, as it happens now."""
+    """Return the step at which an event first happened, given that it happens now."""
     return s.time if event == NEVER else event
 
 
 @kernel
 def count(layer, code):
-    """The number of cells with that code."""
+    """Return the number of cells with that code."""
     found = 0
     for y in range(layer.shape[0]):
         for x in range(layer.shape[1]):

@@ -1,1 +1,1 @@
-"""Looking inside agents: activations, interventions, fields, vectors, probes, attribution."""
+"""Interpretability: activations, interventions, fields, vectors, probes, attribution."""

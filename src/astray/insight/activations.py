@@ -1,11 +1,11 @@
-"""What the layers of an agent's network give for states, with labels.
+"""Activations of an agent's network in states, with labels.
 
     found = capture(agent, "anywhere-small", states, ["features.relu1"])
     found.values["features.relu1"]  # [N, 64] float32
-    found.labels  # N rows: level, step, and the measures that were asked for
+    found.labels  # N rows: level, step, and the requested measures
 
-A layer is a module of the network by its name, as `block2.residual1`; what it gives is what it
-returns. That holds for every network: astray's own, imported ones, and those of guests.
+A layer is a named module of the network, such as `block2.residual1`, and its activation is the
+module's output. This works for every network: astray's own, imported and custom ones.
 """
 
 from __future__ import annotations
@@ -42,10 +42,11 @@ LABEL = "label:"  # before the names of labels in an .npz file
 
 @dataclass(frozen=True, eq=False)
 class Activations:
-    """What layers gave for N states, and what those states were.
+    """Activations of layers in N states, and labels of the states.
 
-    values  layer -> [N, ...] float32; of convolutions [N, channels, rows, columns]
-    labels  N rows: level, step, and measures of the states
+    Attributes:
+        values: Layer -> [N, ...] float32; for convolutions [N, channels, rows, columns].
+        labels: N rows: level, step, and measures of the states.
     """
 
     values: Mapping[str, np.ndarray]
@@ -57,7 +58,11 @@ class Activations:
             raise ValueError(f"activations and labels must be equally long; got {sorted(lengths)}")
 
     def save(self, path: Path) -> None:
-        """Write all to one .npz file, which any NumPy reads; labels have "label:" before."""
+        """Write everything to one .npz file; names of labels begin with "label:".
+
+        Raises:
+            ValueError: If a label cannot be stored.
+        """
         labels = {LABEL + name: self.labels[name].to_numpy() for name in self.labels.columns}
         odd = [name for name, column in labels.items() if column.dtype.kind not in "biuf"]
         if odd:
@@ -68,10 +73,10 @@ class Activations:
 
 
 def layers(agent: Model) -> dict[str, tuple[int, ...]]:
-    """The layers that can be read and changed, in the network's order: name -> shape of one.
+    """Return the readable and changeable layers in the network's order: name -> output shape.
 
-    Those are the modules that are used once in a pass and return a tensor of reals, an
-    observation a row.
+    These are the modules that are used once per pass and return a real tensor with one row per
+    observation.
     """
     of_kind("agent", agent, Model)
     calls: dict[str, list[Any]] = {}
@@ -98,7 +103,7 @@ def _is_layer(output: Any) -> bool:
 
 
 def check_layers(agent: Model, names: Sequence[str]) -> dict[str, tuple[int, ...]]:
-    """The shapes of the layers called so; ValueError where one of them is none."""
+    """Return the shapes of the named layers; raise ValueError if one does not exist."""
     if isinstance(names, str) or not isinstance(names, Sequence | Mapping) or not names:
         raise ValueError(f"layers must be a list of names, at least one; got {shown(names)}")
     shapes = layers(agent)
@@ -110,10 +115,12 @@ def check_layers(agent: Model, names: Sequence[str]) -> dict[str, tuple[int, ...
 def activations(
     agent: Model, observations: np.ndarray, names: Sequence[str]
 ) -> dict[str, np.ndarray]:
-    """What layers give for observations [N, ...]: layer -> [N, ...] float32.
+    """Return the activations of layers for observations [N, ...]: layer -> [N, ...] float32.
 
-    What is given for an observation does not depend on the others. Raises ValueError where a
-    layer is unknown or the agent does not see such observations.
+    They do not depend on the batch.
+
+    Raises:
+        ValueError: If a layer is unknown, or the observations are not the agent's.
     """
     shapes = check_layers(agent, names)
     parts: dict[str, list[Any]] = {name: [] for name in shapes}  # of tensors
@@ -144,16 +151,19 @@ def capture(
     folder: Path | None = None,
     batch: int = 1024,
 ) -> Activations:
-    """What `layers` give in `states` [N] of the agent's game, with labels.
+    """Capture the activations of `layers` in `states` [N] of the agent's game, with labels.
 
-    Of a World states are those that `critic.visit` returns.
+    States of a `World` are those that `critic.visit` returns.
 
-    measures  further labels, functions of states
-    folder    a new folder to write to, for what is more than memory holds: an .npy file a layer,
-              from which what is returned is read as needed
-    batch     states at a time; what comes out does not depend on it
+    Args:
+        measures: Further labels, functions of states.
+        folder: New folder for an .npy file per layer if memory does not suffice; results are then
+            read on demand.
+        batch: States per pass; results do not depend on it.
 
-    Raises ValueError where a layer is unknown, a state is none of the variant, or memory is short.
+    Raises:
+        ValueError: If a layer is unknown or a state is not one of the variant.
+        MemoryError: If they do not fit in memory.
     """
     of_kind("states", states, np.ndarray)
     bounded("batch", batch, 1, MOST)
@@ -182,7 +192,7 @@ def _fill(
     states: np.ndarray,
     batch: int,
 ) -> None:
-    """Write into `values` what each layer gives in `states`."""
+    """Write each layer's activations in `states` into `values`."""
     for first in range(0, len(states), batch):
         part = slice(first, first + batch)
         shown = observe(agent, variant, states[part])
@@ -199,7 +209,7 @@ def _capture_aside(
     folder: Path,
     batch: int,
 ) -> Activations:
-    """`capture` to a folder, which is there whole or not at all."""
+    """Capture to a folder, which is complete or absent."""
     folder = Path(folder)
     if os.path.lexists(folder):
         raise ValueError(f"{folder} must be a new folder; there is something already")
@@ -223,10 +233,13 @@ def _capture_aside(
 
 
 def load_activations(path: Path) -> Activations:
-    """What `Activations.save` or `capture` with a folder wrote; nothing in it is executed.
+    """Load the files of `Activations.save` or `capture`, without executing anything in them.
 
-    From a folder arrays are read only where they are looked at. Raises FileNotFoundError where
-    nothing is at `path`, ValueError where it is something else.
+    Arrays in a folder are read on access.
+
+    Raises:
+        FileNotFoundError: If nothing is at `path`.
+        ValueError: If it is something else.
     """
     path = Path(path)
     if not path.exists():

@@ -1,13 +1,12 @@
-"""What in an observation the critic's value depends on: maps of it, and what is where.
+"""Attribution of the critic's value to parts of the observation.
 
     maps = gradients(agent, observe(agent, variant, states))
     where = masks(agent, variant, states, edits.PARTS)
     group_means(shares(rows, maps, where), "attribution", ["part"], per="area")
 
-A map is [N, H, W] for an agent that sees images, the mean over colours as in the paper, and
-[N, C, H, W] for one that sees symbolic planes; for a `Network` it is of what that is given. The
-methods are Captum's, of the extra `insight`. What a part amounts to as a whole tells
-`critic.counterfactual`.
+A map is [N, H, W] for images, the mean over colours as in the paper, and [N, C, H, W] for symbolic
+planes; for a `Network` it has the shape of its inputs. The methods are Captum's, of the extra
+`insight`. `critic.counterfactual` measures the effect of a whole part.
 """
 
 from __future__ import annotations
@@ -33,10 +32,10 @@ REST, NOTHING = "rest", "nothing"  # parts that are what no other is
 
 
 def gradients(agent: Model, observations: np.ndarray) -> np.ndarray:
-    """The value's gradient, as in the paper (Simonyan et al. 2013), float64.
+    """Return the value's gradient by the observation, as in the paper (Simonyan et al. 2013).
 
-    Of images it is per unit of brightness, from 0 to 1. Of planes of 0 and 1 it is per unit; of
-    planes of categories it is towards more of the category that is there, 0 where none is.
+    It is float64. For images it is per unit of brightness from 0 to 1, for binary planes per unit.
+    For planes of categories it is towards more of the present category, and 0 without one.
     """
     _check(agent, observations)
     method = _captum().Saliency(_value(agent))
@@ -54,13 +53,14 @@ def gradients(agent: Model, observations: np.ndarray) -> np.ndarray:
 def integrated_gradients(
     agent: Model, observations: np.ndarray, baseline: np.ndarray | None = None, *, steps: int = 64
 ) -> np.ndarray:
-    """Gradients along the way from a baseline (Sundararajan et al. 2017), float64.
+    """Return integrated gradients from a baseline (Sundararajan et al. 2017), float64.
 
-    A map adds up to the value's difference from that of the baseline; one of images to a third
-    of it, being the mean over three colours.
+    A map sums to the value's difference from the baseline; for images to a third of that, because
+    it is the mean over three colours.
 
-    baseline  one observation, or one for each, as of the states without a coin; None: black
-              images, planes with nothing in them
+    Args:
+        baseline: One observation or one per observation, such as states without the coin; None for
+            black images or empty planes.
     """
     _check(agent, observations)
     bounded("steps", steps, 1, MOST)
@@ -78,12 +78,13 @@ def integrated_gradients(
 def occlusion(
     agent: Model, observations: np.ndarray, *, window: int = 4, colour: int = 0
 ) -> np.ndarray:
-    """How much higher the value is than with a part covered (Zeiler & Fergus 2014), float64.
+    """Return how much the value falls if a part is covered (Zeiler & Fergus 2014), float64.
 
-    Images are covered square by square; of planes, one cell of one plane at a time becomes 0.
+    Images are covered square by square. In planes, one cell of one plane at a time becomes 0.
 
-    window  pixels a side of a square, for images; 4 are most of a cell of CoinRun
-    colour  of the squares, from 0 (black) to 255
+    Args:
+        window: Side of a square in pixels, for images; 4 are most of a cell of CoinRun.
+        colour: Brightness of the squares, from 0 (black) to 255.
     """
     _check(agent, observations)
     bounded("window", window, 1, IMAGE)
@@ -107,14 +108,15 @@ def occlusion(
 def masks(
     agent: Model, variant: str | Variant, states: np.ndarray, parts: Mapping[str, Edit]
 ) -> dict[str, np.ndarray]:
-    """Where each part is seen in `states` [N], bool, of the shape of maps; and REST.
+    """Return boolean masks of each part in `states` [N], with the shape of maps, and REST.
 
-    parts  an edit for each, that takes it away (or changes nothing but its look, of what cannot
-           be absent): the part is where the observation then differs. What would be of several,
-           as the soft edge of a coin before the sky, is of the first of them.
+    In planes only cells with contents belong to these; all cells of 0 are NOTHING, which gets much
+    gradient but no other attribution.
 
-    Of planes, only cells that hold something are of these; all that hold 0 are NOTHING, to
-    which a gradient gives much, and the other methods nothing.
+    Args:
+        parts: Edits that each remove a part (or change the look of an indispensable one). The part
+            is where the observation then differs. Pixels of several parts, such as a coin's soft
+            edge, belong to the first.
     """
     shown = observe(agent, variant, states)
     if agent.observation == "image":
@@ -129,11 +131,11 @@ def masks(
 
 
 def shares(rows: pl.DataFrame, maps: np.ndarray, where: Mapping[str, np.ndarray]) -> pl.DataFrame:
-    """`rows` [N], once for each part, with how much of each map is on it.
+    """Return `rows` [N] once for each part, with the fraction of each map on it.
 
-    More columns: part; attribution, the part's share of the sum of absolute values (null where
-    all is 0); area, its share of pixels, or of cells of planes. Both are from 0 to 1, and their
-    ratio is 1 for what matters no more than its size.
+    New columns: part; attribution, the part's fraction of the sum of absolute values (null if all
+    are 0); area, its fraction of pixels or plane cells. Their ratio is 1 for a part that matters
+    no more than its size.
     """
     size, found = maps[0].size, []
     absolute = abs(maps).reshape(len(maps), size)
@@ -160,7 +162,7 @@ def _captum() -> Any:
 
 
 def _is_image(agent: Model) -> bool:
-    """Whether it sees astray's images: of a network of your own maps are of what it is given."""
+    """Return whether the agent sees astray's images; other maps follow the inputs."""
     return isinstance(agent, Agent) and agent.observation == "image"
 
 
@@ -178,7 +180,7 @@ def _mlp(agent: Model) -> MLP:
 
 
 def _value(agent: Model) -> Callable[[Tensor], Tensor]:
-    """The value [N] as a function of what `_inputs` returns, with gradients."""
+    """Return the differentiable value [N] as a function of the result of `_inputs`."""
     if not _is_planes(agent):
         return lambda x: agent.asked(255 * x if _is_image(agent) else x)[1]
     network = _mlp(agent)
@@ -186,7 +188,7 @@ def _value(agent: Model) -> Callable[[Tensor], Tensor]:
 
 
 def _inputs(agent: Model, observations: np.ndarray) -> Tensor:
-    """What there are gradients of: images from 0 to 1, or planes as the mlp embeds them."""
+    """Return the differentiable inputs: images from 0 to 1, or planes as the mlp embeds them."""
     x = torch.from_numpy(observations.copy()).to(agent.device)
     if _is_planes(agent):
         return _mlp(agent).spread(x)
@@ -194,7 +196,7 @@ def _inputs(agent: Model, observations: np.ndarray) -> Tensor:
 
 
 def _maps(agent: Model, attribute: Callable[..., Tensor], *observations: np.ndarray) -> np.ndarray:
-    """`attribute` of the inputs, chunk by chunk, as maps; see the top."""
+    """Apply `attribute` to the inputs in chunks and return maps."""
     _check(agent, observations[0])
     found = []
     for first in range(0, len(observations[0]), CHUNK):

@@ -1,12 +1,11 @@
-"""What about a level predicts what an agent does in it: features, and a regression that is tested.
+"""Level features that predict an agent's behaviour, and a tested regression on them.
 
     table = level_features("maze", "anywhere-easy", levels)
     found = predict(table.join(outcomes, on="level"), "cheese", FEATURES)
 
-After Mini et al. (2023, arXiv 2310.08043), who regressed whether a mouse takes the cheese on
-distances in the maze, and were unsure of these features. So each coefficient comes with its
-interval, with how much it shares with the others (the variance inflation factor), and with how
-often its sign holds when other features are there or not.
+Mini et al. (2023, arXiv 2310.08043) regressed whether a mouse takes the cheese on distances in the
+maze, and were unsure of these features. Here each coefficient has an interval, its variance
+inflation factor, and the frequency of its sign among subsets of the features.
 """
 
 from __future__ import annotations
@@ -32,11 +31,13 @@ PENALTIES = np.logspace(-3, 1, 9)  # C of the regression: the larger, the less i
 
 
 def level_features(game: str | Game, variant: str | Variant, levels: Levels) -> pl.DataFrame:
-    """What a game's `features` says of each of `levels`, a row each: level, then reals.
+    """Return a game's `features` of each of `levels`, a row each: level, then reals.
 
-    Of Maze, distances in cells between cheese, corner, start and the decision square, where the
-    ways to cheese and corner part; null where they do not. Raises ValueError where the game has
-    none.
+    In Maze these are distances in cells between cheese, corner, start and the decision square,
+    where the ways to cheese and corner part; null if they do not.
+
+    Raises:
+        ValueError: If the game has no features.
     """
     found = games.find(game)
     if found.features is None:
@@ -57,17 +58,17 @@ def level_features(game: str | Game, variant: str | Variant, levels: Levels) -> 
 
 @dataclass(frozen=True)
 class Prediction:
-    """How well features tell an outcome, and which of them do.
+    """Quality of a prediction, and the effect of each feature.
 
-    accuracy   of levels that were left out, with its interval over them
-    always     that of saying in every level what is commoner
-    auc        area under the ROC curve of levels that were left out, with its interval over them:
-               0.5 tells nothing, 1 all
-    features   a row for each: feature, coefficient (log odds for one standard deviation), low,
-               high, vif, sign (the share of subsets of features in which the coefficient has the
-               same sign), alone (the auc of that feature by itself), deviation (in cells)
-    outcomes   [levels] bool, what came out
-    chances    [levels] of it, by what was learned without the level
+    Attributes:
+        accuracy: On left-out levels, with its interval over them.
+        always: Accuracy of always predicting the more common outcome.
+        auc: Area under the ROC curve on left-out levels, with its interval: 0.5 is chance.
+        features: A row each: feature, coefficient (log odds per standard deviation), low, high,
+            vif, sign (fraction of subsets of features with the same sign), alone (auc of that
+            feature by itself), deviation (in cells).
+        outcomes: [levels] bool, observed.
+        chances: [levels] predicted probability from folds that exclude the level.
     """
 
     levels: int
@@ -79,10 +80,12 @@ class Prediction:
     chances: np.ndarray
 
     def better_than(self, other: Prediction) -> Estimate:
-        """The area under this curve less that under another's of the same levels.
+        """Return this area under the curve minus another's in the same levels, with its interval.
 
-        Its interval is over the levels, drawn once for both. Raises ValueError where the levels
-        are others.
+        The interval is over levels, resampled jointly.
+
+        Raises:
+            ValueError: If the levels differ.
         """
         if not np.array_equal(self.outcomes, other.outcomes):
             raise ValueError("predictions must be of the same levels")
@@ -98,10 +101,11 @@ class Prediction:
 def predict(
     rows: pl.DataFrame, outcome: str, features: Sequence[str], *, seed: int = 0
 ) -> Prediction:
-    """Regress an outcome on features: logistic, with an L1 penalty chosen by cross-validation.
+    """Fit a logistic regression with an L1 penalty chosen by cross-validation.
 
-    rows     a row for each level, with the columns `outcome` (boolean) and `features` (reals);
-             those where one is null do not count
+    Args:
+        rows: A row per level, with columns `outcome` (boolean) and `features` (reals); rows with
+            nulls are ignored.
     """
     LogisticRegression, roc_auc_score = _sklearn()
     bounded("seed", seed, 0, MOST)
@@ -161,9 +165,9 @@ def predict(
 
 
 def variance_inflation(x: np.ndarray) -> np.ndarray:
-    """[F] how many times the variance of a coefficient is that without the other features.
+    """Return each feature's variance inflation factor [F], given x [N, F].
 
-    x  [N, F]; 1 where a feature has nothing in common with the others, infinite where they tell it
+    It is 1 for an uncorrelated feature and infinite for one that others determine.
     """
     correlation = np.corrcoef(x, rowvar=False).reshape(x.shape[1], x.shape[1])
     if np.linalg.matrix_rank(correlation, tol=1e-8) < len(correlation):
@@ -172,7 +176,7 @@ def variance_inflation(x: np.ndarray) -> np.ndarray:
 
 
 def _inflation(x: np.ndarray, k: int) -> float:
-    """That of one feature, where some are told by others without error."""
+    """Return the variance inflation of one feature, also if others are collinear."""
     others = np.column_stack([np.delete(x, k, 1), np.ones(len(x))])
     left = x[:, k] - others @ np.linalg.lstsq(others, x[:, k], rcond=None)[0]
     share = left.var() / x[:, k].var()
@@ -180,7 +184,7 @@ def _inflation(x: np.ndarray, k: int) -> float:
 
 
 def _resample(y: np.ndarray, random: np.random.Generator) -> np.ndarray:
-    """Levels drawn anew, among which there are both outcomes."""
+    """Resample levels so that both outcomes occur."""
     while True:
         some = random.integers(len(y), size=len(y))
         if 0 < y[some].sum() < len(y):
@@ -188,7 +192,7 @@ def _resample(y: np.ndarray, random: np.random.Generator) -> np.ndarray:
 
 
 def _area(y: np.ndarray, chances: np.ndarray, auc: Any, random: np.random.Generator) -> Estimate:
-    """The area under the curve of chances [N, ...], and its interval over levels."""
+    """Return the area under the curve of chances [N, ...], with its interval over levels."""
     drawn = [_resample(y, random) for _ in range(RESAMPLES)]
     again = [auc(y[some], chances[some]) for some in drawn]
     low, high = np.quantile(again, [0.025, 0.975])
@@ -196,7 +200,7 @@ def _area(y: np.ndarray, chances: np.ndarray, auc: Any, random: np.random.Genera
 
 
 def _alone(x: np.ndarray, y: np.ndarray, auc: Any) -> float:
-    """The area under the curve of a feature by itself, in the direction in which it tells more."""
+    """Return the area under the curve of one feature, in its better direction."""
     found = float(auc(y, x))
     return max(found, 1 - found)
 
@@ -204,9 +208,9 @@ def _alone(x: np.ndarray, y: np.ndarray, auc: Any) -> float:
 def _signs(
     coefficients: Any, rows: np.ndarray, whole: np.ndarray, random: np.random.Generator
 ) -> list[float | None]:
-    """For each feature the share of random subsets with it in which its sign is that of `whole`.
+    """Return for each feature the fraction of random subsets that agree with its sign in the whole.
 
-    None where it is 0 in the whole.
+    It is None for features with coefficient 0.
     """
     count = len(whole)
     same: list[list[bool]] = [[] for _ in range(count)]
@@ -226,7 +230,7 @@ def _signs(
 def _left_out(
     x: np.ndarray, y: np.ndarray, fold: np.ndarray, strength: float, model: Any
 ) -> tuple[np.ndarray, float]:
-    """The chance of the outcome in each level by a fit without its fold; mean log likelihood."""
+    """Return each level's probability from a fit without its fold, and mean log likelihood."""
     chances = np.empty(len(y))
     for k in range(FOLDS):
         fitted = _model(model, strength).fit(x[fold != k], y[fold != k])

@@ -3,9 +3,9 @@
     measured = directedness(field, {"cheese": (5, 1), "corner": (5, 5)})
     measured["corner"].fraction  # 1: as directed as shortest ways are, 0: as random actions
 
-`agency.meg` defines the measure. A level is a decision process of its places: actions that lead to
-the same place count as one, and a cell in which the agent cannot stay, as that of cheese, ends the
-episode. It needs a game whose places follow from place and action alone, as in Maze.
+`agency.meg` defines the measure. A level is a decision process of its places. Equivalent actions
+count as one, and a cell in which the agent cannot stay, such as the cheese's, ends the episode.
+The game's places must follow from place and action alone, as in Maze.
 """
 
 from __future__ import annotations

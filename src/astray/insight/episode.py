@@ -1,4 +1,4 @@
-"""One episode from within: value, policy and advantage step by step, and what was in view.
+"""One episode from within: value, policy, advantage and visible objects, step by step.
 
 found = along(agent, "coin-anywhere", 200_003)
 found.table  # a row for each step
@@ -35,15 +35,16 @@ MOST_SHOWN = 5  # actions
 
 @dataclass(frozen=True, eq=False)
 class Course:
-    """An episode of T steps, and what the agent made of each.
+    """An episode of T steps with the agent's outputs.
 
-    table   a row for each step: step, x and y (of the agent before it, in cells), value, reward,
-            advantage (generalised, of the action that was taken), action, its name, the marks, and
-            the probability of each action under its name
-    states  [T] before each step
-    events  the step that each first happened; None for never
-    marks   columns of the table that say what was in view
-    actions  those of probabilities
+    Attributes:
+        table: A row per step: step, x and y (of the agent before it, in cells), value, reward,
+            advantage (generalised, of the taken action), action, its name, the marks, and each
+            action's probability under its name.
+        states: [T] states before each step.
+        events: Step at which each first happened; None for never.
+        marks: Columns of the table for visible objects.
+        actions: Columns of probabilities.
     """
 
     table: pl.DataFrame
@@ -63,14 +64,16 @@ def along(
     lam: float = LAMBDA,
     deviation: float | None = None,
 ) -> Course:
-    """Play an agent's episode in a level, and tell what it made of every step.
+    """Play an agent's episode in a level and record its outputs at every step.
 
-    deviation  what rewards were divided by in its training (`AgentFolder.deviation`):
-               values are of such rewards, and then advantages, too; None: of rewards as they are
-    marks  functions of states that are true or false, as whether a coin is in view; None: those of
-           the game's labels that are
+    Args:
+        marks: Boolean functions of states, such as whether a coin is in view; None for the game's
+            boolean labels.
+        deviation: Reward-normalisation scale of its training (`AgentFolder.deviation`), the unit
+            of values and advantages; None if rewards were not normalised.
 
-    Raises ValueError where a mark is neither.
+    Raises:
+        ValueError: If a mark is not boolean.
     """
     of_kind("agent", agent, Agent)
     finite("gamma", gamma, 0, 1)
@@ -118,10 +121,7 @@ def along(
 def _advantages(
     rewards: np.ndarray, value: np.ndarray, terminated: bool, gamma: float, lam: float
 ) -> np.ndarray:
-    """Generalised advantages of an episode [T], by the estimator that agents are trained with.
-
-    value  [T + 1], of each state and of the last one
-    """
+    """Return generalised advantages [T], given values [T + 1] including the last state's."""
     count = len(rewards)
     ends = torch.zeros((count, 1), dtype=torch.bool)
     ends[-1] = terminated
@@ -141,8 +141,10 @@ def _advantages(
 
 @matplotlib.rc_context(STYLE)
 def figure(course: Course) -> Figure:
-    """Value, advantage and policy along an episode; bars below say what was in view, lines what
-    happened."""
+    """Draw value, advantage and policy along an episode.
+
+    Bars below show visible objects, lines show events.
+    """
     table, marks = course.table, course.marks
     shown = Figure(figsize=(WIDTH, 5.6 + 0.22 * len(marks)))
     heights = [1.3, 1, 1.3, max(0.2 * len(marks), 0.05)]
@@ -184,7 +186,7 @@ def figure(course: Course) -> Figure:
 
 
 def _policy(axes: Axes, table: pl.DataFrame, names: Sequence[str]) -> None:
-    """The likeliest actions as bands above each other, the others as one."""
+    """Draw the most likely actions as stacked bands, and the others as one."""
     chances = table.select(names).to_numpy().T
     order = np.argsort(-chances.mean(1))[:MOST_SHOWN]
     order = [k for k in order if chances[k].mean() >= LIKELY]
@@ -203,6 +205,6 @@ def _policy(axes: Axes, table: pl.DataFrame, names: Sequence[str]) -> None:
 
 
 def _spans(true: np.ndarray, step: np.ndarray) -> list[tuple[int, int]]:
-    """Where `true` [T] holds, as (first step, how many)."""
+    """Return the runs in which `true` [T] holds, as (first step, length)."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], true, [False]]).astype(int)))
     return [(int(step[a]), int(b - a)) for a, b in edges.reshape(-1, 2)]

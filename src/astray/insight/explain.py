@@ -1,4 +1,4 @@
-"""One page about an agent in a level: what it would do everywhere, and what that depends on."""
+"""A page about an agent in a level: its behaviour everywhere, and what that depends on."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ PLACES, FEWER = 128, 32  # of an object, at most; fewer where levels are large a
 
 @dataclass(frozen=True)
 class Part:
-    """A part of the page: a heading, what it says, a figure, and a table; each may be missing."""
+    """A part of the page: heading, text, figure and table; each may be missing."""
 
     name: str  # of its files
     heading: str
@@ -53,10 +53,13 @@ class Part:
 
 @dataclass(frozen=True, eq=False)
 class Asked:
-    """What is to be explained.
+    """Request for an explanation.
 
-    layers      that probes read; others  numbers of levels that they learn from
-    gamma, lam  of its training, for advantages; deviation  what its rewards were divided by there
+    Attributes:
+        layers: Layers for probes.
+        others: Level numbers that the probes learn from.
+        gamma, lam: Of its training, for advantages.
+        deviation: Reward-normalisation scale of its training.
     """
 
     agent: Agent
@@ -71,11 +74,12 @@ class Asked:
 
 
 def explain(asked: Asked, folder: Path, heading: str) -> Path:
-    """Write the page, its figures (PNG and SVG) and tables (Parquet) to `folder`; the page's path.
+    """Write the page, its figures (PNG and SVG) and tables (Parquet); return the page's path.
 
-    What an agent or a game does not allow, as goals without a cell, is told in its place.
+    Parts that an agent or a game does not support, such as goals without cells, say so.
 
-    Raises OSError where files of their names are in the folder, and no such page yet.
+    Raises:
+        OSError: If the folder has files of these names that astray did not write.
     """
     makers: Mapping[str, Callable[[Asked], list[Part]]] = {
         "Where it would go": _fields,
@@ -115,7 +119,7 @@ def explain(asked: Asked, folder: Path, heading: str) -> Path:
 
 
 def slug(name: str) -> str:
-    """An object's name as part of a file's."""
+    """Return an object's name as a part of a file name."""
     return name.replace(" ", "-")
 
 
@@ -127,7 +131,7 @@ def _embedded(folder: Path, part: Part) -> str | None:
 
 
 def _cells(table: pl.DataFrame) -> list[list[str]]:
-    """A table as text, reals to three places."""
+    """Format a table as text, with reals to three places."""
     return [
         [
             "—" if value is None else f"{value:.3f}" if isinstance(value, float) else str(value)
@@ -138,7 +142,7 @@ def _cells(table: pl.DataFrame) -> list[list[str]]:
 
 
 def _fields(asked: Asked) -> list[Part]:
-    """Policy and value everywhere, and the ways it takes to."""
+    """Show policy and value everywhere, and the preferred ways."""
     (found,) = fields(asked.agent, asked.variant, {"level": asked.level})
     begin = found.places.number[asked.level.agent]
     order = np.argsort(-found.policy[begin])[:LIKELIEST]
@@ -164,7 +168,7 @@ def _fields(asked: Asked) -> list[Part]:
 
 
 def _edits(asked: Asked) -> list[Part]:
-    """What is otherwise without each object, and with the first object in any other place."""
+    """Show the differences without each object, and with the first object elsewhere."""
     agent, level = asked.agent, asked.level
     (plain,) = fields(agent, asked.variant, {"level": level})
     parts = []
@@ -196,7 +200,7 @@ def _edits(asked: Asked) -> list[Part]:
 
 @matplotlib.rc_context(STYLE)
 def _moved(asked: Asked, name: str) -> Part:
-    """What the agent reaches first for every place of an object."""
+    """Show the first goal for every place of an object."""
     game, shift = asked.level.game, load_shift(asked.level.game, asked.shift)
     everywhere = asked.level.splay(name)
     most = PLACES if sees_world(asked.variant) else FEWER
@@ -227,7 +231,7 @@ def _moved(asked: Asked, name: str) -> Part:
 
 @matplotlib.rc_context(STYLE)
 def _attribution(asked: Asked) -> list[Part]:
-    """Integrated gradients of the value, over what the agent sees at the beginning."""
+    """Show integrated gradients of the value at the beginning."""
     agent = asked.agent
     states = np.array([asked.level.state(solvable=False)], asked.level.game.state)
     shown = observe(agent, asked.variant, states)
@@ -257,7 +261,7 @@ def _attribution(asked: Asked) -> list[Part]:
 
 
 def _probes(asked: Asked) -> list[Part]:
-    """What linear probes read of this level at its beginning, and how well they read elsewhere."""
+    """Show the readings of linear probes at the beginning, and their quality elsewhere."""
     game = asked.level.game
     if not game.labels:
         raise ValueError(f"{game.name} has no labels that probes could look for")
@@ -278,7 +282,7 @@ def _probes(asked: Asked) -> list[Part]:
 
 
 def _goals(asked: Asked) -> list[Part]:
-    """The posterior over the goals that its episode in the level may be of."""
+    """Show the posterior over the goals of its episode."""
     shift = load_shift(asked.level.game, asked.shift)
     for goal in (shift.intended, *shift.proxies):
         cell_of(asked.level, goal)
@@ -308,7 +312,7 @@ def _goals(asked: Asked) -> list[Part]:
 
 
 def _episode(asked: Asked) -> list[Part]:
-    """Its value, advantage and policy along the episode."""
+    """Show value, advantage and policy along the episode."""
     course = episode.along(
         asked.agent,
         asked.variant,
@@ -324,7 +328,7 @@ def _episode(asked: Asked) -> list[Part]:
 
 
 def default_layers(agent: Agent, count: int = 3) -> tuple[str, ...]:
-    """Some layers, evenly spread over the network, the last but the heads among them."""
+    """Return some layers, evenly spread over the network up to the heads."""
     names = [name for name in layers(agent) if name not in ("policy", "value")]
     which = np.unique(np.linspace(0, len(names) - 1, count + 1).round().astype(int))[1:]
     bounded("count", count, 1, len(names))

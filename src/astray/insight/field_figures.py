@@ -1,4 +1,4 @@
-"""Fields as pictures: arrows and values over the level, beside each other."""
+"""Figures of fields: arrows and values over levels, side by side."""
 
 from __future__ import annotations
 
@@ -30,10 +30,10 @@ LEAST_CHANGE = 1e-6  # of values, so that a change of none has a scale
 
 @matplotlib.rc_context(STYLE)
 def draw(panels: Mapping[str, Field | Change], *, art: str = OWN) -> Figure:
-    """Fields and their differences in a row, by their titles.
+    """Draw fields and differences in a row, with titles.
 
-    A cell's colour is the value there, an arrow the step to be expected, at most a cell long; of
-    a difference, both are changes. Fields share one scale of colours.
+    A cell's colour is its value and an arrow its expected step, at most a cell long; in a
+    difference both are changes. Fields share one colour scale.
     """
     of_kind("panels", panels, Mapping)
     if not panels:
@@ -60,7 +60,7 @@ def draw(panels: Mapping[str, Field | Change], *, art: str = OWN) -> Figure:
 
 @matplotlib.rc_context(STYLE)
 def draw_paths(panels: Mapping[str, Field], *, art: str = OWN) -> Figure:
-    """How the agent takes to the way to each cell: geometric means of its steps' probabilities."""
+    """Draw the preference for the way to each cell: geometric means of step probabilities."""
     if not panels:
         raise ValueError("panels must be fields by title, at least one; none is given")
     figure, row = _row(len(panels))
@@ -89,7 +89,7 @@ def heat_map(
     scale: Normalize | None = None,
     colours: str = PATHS,
 ) -> Any:
-    """Colour cells of a level by numbers; what `Figure.colorbar` takes."""
+    """Colour cells of a level by numbers; return the argument for `Figure.colorbar`."""
     _background(axes, level, art)
     cells, values = np.array(list(heat)), np.array(list(heat.values()))
     return _shade(axes, level, cells, values, scale or Normalize(0, 1), colours)
@@ -101,9 +101,9 @@ def _row(count: int) -> tuple[Figure, list[Axes]]:
 
 
 def _background(axes: Axes, level: Level, art: str) -> None:
-    """The level's picture behind a veil; a cell is a unit of the axes.
+    """Draw the level's picture, faded; a cell is a unit of the axes.
 
-    Where the agent sees a window of the world, there is no such picture: then walls are grey.
+    If the agent sees only a window of the world, walls are grey instead.
     """
     if not sees_world(level.variant):
         legend = level.game.editing.LEGEND

@@ -1,11 +1,11 @@
-"""What an agent would do at every place of a level: its policy and value there.
+"""Fields: an agent's policy and value at every place of a level.
 
     (before,) = fields(agent, "anywhere-small", {"mine": level})
     (after,) = fields(agent, "anywhere-small", {"mine": level.moved("goal", (5, 1))})
     change = difference(before, after)
     before.table()  # a row for each place
 
-Fields of other agents, or of one that is steered, are compared likewise. `field_figures` draws
+Fields of other agents, or of a steered one, are compared in the same way. `field_figures` draws
 them.
 """
 
@@ -36,10 +36,11 @@ AT_ONCE = 2048  # states; CoinRun's take 17 kB each
 
 @dataclass(frozen=True, eq=False)
 class Places:
-    """The K places of a level in which an agent may stand, and where its actions lead from them.
+    """The K possible places of an agent in a level, and the results of its actions there.
 
-    centres  [K, 2] float64, the agent's centre in each place, in cells from the lower left
-    after    [K, A, 2] float64, that after each action
+    Attributes:
+        centres: [K, 2] float64, agent's centre in each place, in cells from the lower left.
+        after: [K, A, 2] float64, agent's centre after each action.
     """
 
     level: Level
@@ -53,21 +54,21 @@ class Places:
 
     @functools.cached_property
     def number(self) -> Mapping[Cell, int]:
-        """Which of the places a cell is."""
+        """Index of each cell's place."""
         return {(x, y): k for k, (x, y) in enumerate(self.cells.tolist())}
 
     @functools.cached_property
     def same(self) -> np.ndarray:
-        """[K, A] the first action that has the same effect as each: see `effects`."""
+        """[K, A] first action that is equivalent to each: see `effects`."""
         return effects(self.level.game, self.level.variant, splay(self.level))
 
     @functools.cached_property
     def leads(self) -> list[list[Cell]]:
-        """[K][A] the cell that each action leads to."""
+        """[K][A] cell after each action."""
         return [[(x, y) for x, y in row] for row in np.floor(self.after).astype(int).tolist()]
 
     def distances(self, to: Cell) -> dict[Cell, int]:
-        """Steps to the cell `to`, from it and from each place from which there is a way."""
+        """Return the steps to the cell `to` from each place with a way to it."""
         to = check_cell(to)
         before: dict[Cell, set[Cell]] = {}
         for here, ways in zip(self.number, self.leads, strict=True):
@@ -82,9 +83,9 @@ class Places:
         return found
 
     def advancing(self, to: Cell) -> np.ndarray:
-        """[K, A] bool, the actions that are a step of a shortest way to the cell `to`.
+        """Return [K, A] bool, the actions along a shortest way to the cell `to`.
 
-        None is in that cell, nor where there is no way to it.
+        There is none in that cell or without a way.
         """
         away = self.distances(to)
         return np.array(
@@ -95,11 +96,12 @@ class Places:
         )
 
     def way(self, to: Cell, start: Cell | None = None) -> list[Cell]:
-        """The cells of a shortest way, from `start` on to `to`; empty where there is none.
+        """Return the cells of a shortest way from `start` to `to`; empty without a way.
 
-        start  None: where the level begins
+        Among equally short ways the one whose cells come first is returned.
 
-        Of ways equally short it is the one whose cells come first in their order.
+        Args:
+            start: None for the beginning of the level.
         """
         here = self.level.agent if start is None else check_cell(start)
         away = self.distances(to)
@@ -117,8 +119,9 @@ class Places:
 class Field:
     """Policy and value of an agent at all K places of a level.
 
-    policy  [K, A] float64, the probability of each action
-    value   [K] float64
+    Attributes:
+        policy: [K, A] float64, action probabilities.
+        value: [K] float64.
     """
 
     places: Places
@@ -136,22 +139,23 @@ class Field:
 
     @functools.cached_property
     def arrows(self) -> np.ndarray:
-        """[K, 2] the step to be expected, in cells: the mean over actions of where each leads."""
+        """[K, 2] expected step in cells: the mean over actions of their displacement."""
         moved = self.places.after - self.places.centres[:, None]
         return np.einsum("ka,kad->kd", self.policy, moved)
 
     def towards(self, to: Cell) -> np.ndarray:
-        """[K] the probability that the next step is one of a shortest way to the cell `to`.
-
-        NaN at that cell, and where there is no way.
-        """
+        """Return [K], the probability of a step along a shortest way to `to`; NaN without one."""
         away = self.places.distances(to)
         there = [away.get(cell, 0) > 0 for cell in self.places.number]
         chance = (self.policy * self.places.advancing(to)).sum(1)
         return np.where(there, chance, np.nan)
 
     def step(self, here: Cell, there: Cell) -> float:
-        """The probability that the next step leads from one cell to the other."""
+        """Return the probability that the next step leads from one cell to the other.
+
+        Raises:
+            ValueError: If the agent cannot be in the first cell.
+        """
         if check_cell(here) not in self.places.number:
             raise ValueError(f"here must be a place of the field; got {shown(here)}")
         k = self.places.number[here]
@@ -159,10 +163,13 @@ class Field:
         return float(sum(p for p, c in zip(self.policy[k], leads, strict=True) if c == there))
 
     def path_probability(self, start: Cell | None = None) -> dict[Cell, float]:
-        """How the agent takes to the way to each cell: from 0 to 1, 1 at the start.
+        """Return the preference for the way to each cell, from 0 to 1 (at the start).
 
-        The geometric mean of the probabilities of the steps of a shortest way from `start`,
-        None: where the level begins. Of ways equally short it is the one that is found first.
+        It is the geometric mean of the step probabilities of the first-found shortest way from
+        `start`, None for the beginning of the level.
+
+        Raises:
+            ValueError: If the agent cannot be at the start.
         """
         start = self.level.agent if start is None else check_cell(start)
         number, leads = self.places.number, self.places.leads
@@ -180,8 +187,11 @@ class Field:
         return {cell: float(np.exp(log / max(n, 1))) for cell, (log, n) in found.items()}
 
     def table(self) -> pl.DataFrame:
-        """A row for each place: x, y, dx and dy (the arrow), value, path (its probability from the
-        start), and the probability of each action, under its name."""
+        """Return a row per place.
+
+        Columns: x, y, dx and dy (the arrow), value, path (its probability from the start), and the
+        probability of each action under its name.
+        """
         ways = self.path_probability()
         path = [ways.get(cell) for cell in self.places.number]
         actions = {name: self.policy[:, k] for k, name in enumerate(self.level.game.actions)}
@@ -190,13 +200,14 @@ class Field:
 
 @dataclass(frozen=True, eq=False)
 class Change:
-    """By how much a field differs from another, at the places of both.
+    """Difference of two fields at their common places.
 
-    cells   [K, 2] int64
-    value   [K] float64, the second's less the first's
-    arrows  [K, 2] float64, likewise
-    policy  [K] float64, total variation between the policies: 0 the same, 1 nothing in common;
-            actions that have the same effect in both are one
+    Attributes:
+        cells: [K, 2] int64.
+        value: [K] float64, second minus first.
+        arrows: [K, 2] float64, second minus first.
+        policy: [K] float64, total variation distance (0 to 1); actions that are equivalent in both
+            count as one.
     """
 
     level: Level  # the second's
@@ -206,7 +217,7 @@ class Change:
     policy: np.ndarray
 
     def table(self) -> pl.DataFrame:
-        """A row for each place: x, y, value, policy, dx, dy, all changes."""
+        """Return a row per place with the changes: x, y, value, policy, dx, dy."""
         return _table(self, {"value": self.value, "policy": self.policy})
 
 
@@ -216,9 +227,10 @@ def _table(field: Field | Change, columns: Mapping[str, object]) -> pl.DataFrame
 
 
 def difference(one: Field, other: Field) -> Change:
-    """How `other` differs from `one`: of two levels, two agents, or with and without a change.
+    """Return the change from `one` to `other`: of levels, agents, or an intervention.
 
-    Raises ValueError where they have no place in common, or are of agents with other actions.
+    Raises:
+        ValueError: If they have no common place, or agents with different actions.
     """
     for field in (one, other):
         of_kind("a field", field, Field)
@@ -247,9 +259,9 @@ def difference(one: Field, other: Field) -> Change:
 
 
 def splay(level: Level) -> np.ndarray:
-    """The states that begin at every place of a level, [K]: the agent there, all else as it is.
+    """Return the states [K] of a level with the agent in every possible place.
 
-    Places are in the order of `Level.splay("agent")`, from the lowest row up.
+    Places are ordered as in `Level.splay("agent")`, lowest row first.
     """
     of_kind("level", level, Level)
     begun = level.state(solvable=False)
@@ -257,28 +269,30 @@ def splay(level: Level) -> np.ndarray:
 
 
 def states_at(level: Level, cells: Sequence[Cell]) -> np.ndarray:
-    """The states that begin in a level with the agent in each of some cells, [K]."""
+    """Return the initial states [K] of a level with the agent in each of some cells."""
     of_kind("level", level, Level)
     return _put(level.game, level.state(solvable=False), np.array(cells).reshape(-1, 2))
 
 
 def _put(game: Game, s: Any, cells: np.ndarray) -> np.ndarray:
-    """States that are as `s`, but for the agent, which is in each of cells [K, 2]."""
+    """Return copies of `s` with the agent in each of cells [K, 2]."""
     return game.places.put(np.repeat(np.array([s], game.state), len(cells)), cells)
 
 
 def fields(agent: Agent, variant: str | Variant, levels: Levels) -> list[Field]:
-    """The fields of an agent in `levels`, in their order.
+    """Return the fields of an agent in `levels`, in order.
 
-    levels  numbers, or levels that were drawn, by name
+    Args:
+        levels: Level numbers, or drawn levels by name.
 
-    Raises ValueError where the game has no `places`, or the agent does not see such levels.
+    Raises:
+        ValueError: If the game has no `places`, or the levels do not fit the agent.
     """
     return list(each_field(agent, variant, levels))
 
 
 def each_field(agent: Agent, variant: str | Variant, levels: Levels) -> Iterator[Field]:
-    """As `fields`, one after the other: of many levels, no more memory than of few."""
+    """Yield the fields one by one, with constant memory."""
     of_kind("agent", agent, Agent)
     game = games.find(agent.game)
     variant = game.variant(variant)
@@ -293,7 +307,7 @@ def each_field(agent: Agent, variant: str | Variant, levels: Levels) -> Iterator
 
 
 def _batches(game: Game, variant: Variant, levels: Levels) -> Iterator[list[Level]]:
-    """The levels, so many at a time that they have some AT_ONCE places."""
+    """Yield batches of levels with about AT_ONCE places each."""
     waiting: list[Level] = []
     room = 0
     for level in drawn(game, variant, levels):
@@ -307,7 +321,7 @@ def _batches(game: Game, variant: Variant, levels: Levels) -> Iterator[list[Leve
 
 
 def places_of(levels: Sequence[Level]) -> tuple[list[Places], list[np.ndarray]]:
-    """The places of levels of one variant, and the states [K] of each, the agent in each place."""
+    """Return the places of levels of one variant, and for each the states [K] there."""
     if not levels:
         return [], []
     splayed = [splay(level) for level in levels]
@@ -323,7 +337,7 @@ def places_of(levels: Sequence[Level]) -> tuple[list[Places], list[np.ndarray]]:
 
 
 def drawn(game: Game, variant: Variant, levels: Levels) -> Iterator[Level]:
-    """The levels as data."""
+    """Yield the levels as data."""
     if isinstance(levels, Mapping):
         yield from levels.values()
         return
@@ -334,16 +348,16 @@ def drawn(game: Game, variant: Variant, levels: Levels) -> Iterator[Level]:
 
 
 def outcomes(game: str | Game, variant: str | Variant, states: np.ndarray) -> np.ndarray:
-    """Where the agent's centre is after each action in each of `states`, [N, A, 2], in cells.
+    """Return the agent's centre after each action in each state, [N, A, 2], in cells.
 
-    By the rules themselves: what they draw at random is drawn as the states have it.
+    It comes from the rules, with the random numbers of the states.
     """
     found = games.find(game)
     return np.stack([found.places.centre(s) for s in _after(found, variant, states)], 1)
 
 
 def _after(game: Game, variant: str | Variant, states: np.ndarray) -> Iterator[np.ndarray]:
-    """Yield the states that `states` [N] become by each action."""
+    """Yield the successors of `states` [N] for each action."""
     count = len(states)
     shown_as = "symbolic" if game.symbols else "image"  # symbols take less time
     env = GameVectorEnv(game, variant, count, observation=shown_as, autoreset_mode="Disabled")
@@ -354,10 +368,9 @@ def _after(game: Game, variant: str | Variant, states: np.ndarray) -> Iterator[n
 
 
 def effects(game: str | Game, variant: str | Variant, states: np.ndarray) -> np.ndarray:
-    """Return for each of `states` and actions the first action with the same next state, [N, A].
+    """Return for each state and action the first action with the same next state, [N, A].
 
-    Games have names for actions that do the same, and some do the same in one state alone, as two
-    moves into walls.
+    Some actions are always equivalent, and others in single states, such as two moves into walls.
     """
     found = games.find(game)
     first = np.empty((len(states), len(found.actions)), np.int64)
@@ -369,8 +382,9 @@ def effects(game: str | Game, variant: str | Variant, states: np.ndarray) -> np.
 
 
 def cell_of(level: Level, goal: str) -> Cell | None:
-    """The cell of a goal of the level's game, as the cheese or the corner; None where none is.
+    """Return the cell of a goal of the level's game, such as the cheese; None if it is absent.
 
-    Raises ValueError where the game has no such goal, or no `cells`.
+    Raises:
+        ValueError: If the game has no such goal, or no `cells`.
     """
     return level.game.cells.target(level.state(solvable=False), goal)

@@ -1,11 +1,11 @@
-"""Changes of what layers give, for as long as a `with` lasts.
+"""Context managers that modify a network's activations.
 
     with steer(agent, {"block2.residual1": vector}, -1.0):
         shares, episodes = astray.evaluate_policies([agent], "maze", "corner-easy")
 
-They nest, the inner ones changing what the outer ones gave; they end with their `with`, also where
-an error leaves it, and then the agent gives what it gave before, to the bit. Whatever asks the
-agent feels them: episodes, fields, videos, gradients.
+They can be nested; inner ones see the outer ones' results. Afterwards, also after an error, the
+agent is unchanged to the bit. They affect everything that asks the agent: episodes, fields,
+videos, gradients.
 """
 
 from __future__ import annotations
@@ -31,12 +31,14 @@ Change = Callable[[Tensor], Tensor]  # what a layer gave [B, ...] -> what it giv
 
 @contextlib.contextmanager
 def changed(agent: AnyModel, changes: Mapping[str, Change]) -> Iterator[AnyModel]:
-    """The agent with what some layers give changed by functions: what all others here are made of.
+    """Apply functions to the outputs of the named layers; other interventions use this.
 
-    changes  layer -> a function of what it gives, [B, ...], that returns what goes on instead,
-             of the same shape, and changes nothing in place
+    Args:
+        changes: Layer -> function of its output [B, ...] that returns a replacement of the same
+            shape without changing it in place.
 
-    Raises ValueError where a layer is unknown.
+    Raises:
+        ValueError: If a layer is unknown.
     """
     of_kind("changes", changes, Mapping)
     check_layers(agent, list(changes))
@@ -56,12 +58,14 @@ def changed(agent: AnyModel, changes: Mapping[str, Change]) -> Iterator[AnyModel
 def steer(
     agent: AnyModel, vectors: Mapping[str, np.ndarray], coefficient: float = 1.0
 ) -> AbstractContextManager[AnyModel]:
-    """Add vectors to what layers give: `coefficient` times each, in every state.
+    """Add `coefficient` times a vector to the output of each named layer, in every state.
 
-    vectors  layer -> an array that goes with what the layer gives for one observation: of its
-             shape, or a shape that NumPy can broadcast to it, as [channels, 1, 1] for all places
+    Args:
+        vectors: Layer -> array that broadcasts to the layer's output for one observation, such as
+            [channels, 1, 1] for all places.
 
-    Raises ValueError where a layer is unknown, or a vector does not go with it.
+    Raises:
+        ValueError: If a layer is unknown, or a vector does not fit.
     """
     of_kind("vectors", vectors, Mapping)
     finite("coefficient", coefficient)
@@ -84,13 +88,15 @@ def patch(
     value: float | np.ndarray,
     cell: tuple[int, int] | None = None,
 ) -> AbstractContextManager[AnyModel]:
-    """Set what a layer gives: some channels, at one place or everywhere.
+    """Set channels of a layer's output, at one place or everywhere.
 
-    channels  of the layer, or units of one without places; None: all
-    value     a number, or one for each of the channels
-    cell      (row, column) of the layer: `place` finds that of a level's cell
+    Args:
+        channels: Channels, or units of a layer without places; None for all.
+        value: A number, or one for each channel.
+        cell: (row, column) of the layer: `place` finds that of a level's cell.
 
-    Raises ValueError where the layer has no such channels or place.
+    Raises:
+        ValueError: If the layer has no such channels or place.
     """
     shape = check_layers(agent, [layer])[layer]
     which = _channels(channels, shape[0])
@@ -121,10 +127,12 @@ def ablate(
 ) -> AbstractContextManager[AnyModel]:
     """Set channels of a layer to 0, or to their mean at each place.
 
-    channels  None: all
-    mean_of   what the layer gave in some states, [M, ...], as `capture` returns it
+    Args:
+        channels: None for all.
+        mean_of: Activations in some states, [M, ...], as returned by `capture`.
 
-    Raises ValueError where the layer is not of these shapes.
+    Raises:
+        ValueError: If the layer has other shapes.
     """
     shape = check_layers(agent, [layer])[layer]
     which = _channels(channels, shape[0])
@@ -147,13 +155,13 @@ def resample(
     *,
     seed: int = 0,
 ) -> AbstractContextManager[AnyModel]:
-    """Let channels of a layer give what they gave in other states, one of them drawn for each.
+    """Replace channels of a layer by their values in random other states.
 
-    donors    what the layer gave in some states, [M, ...], as `capture` returns it
-    channels  None: all
+    The replacement depends on `seed` and on the original output, so it is the same in every batch.
 
-    Which donor an observation gets depends on `seed` and on what the layer would have given for
-    it, so that it is the same in every batch.
+    Args:
+        donors: Activations in some states, [M, ...], as returned by `capture`.
+        channels: None for all.
     """
     shape = check_layers(agent, [layer])[layer]
     which = _channels(channels, shape[0])
@@ -171,14 +179,16 @@ def resample(
 
 
 def place(agent: Model, variant: Variant, cell: Cell, shape: Sequence[int]) -> tuple[int, int]:
-    """The (row, column) of a layer that sees the middle of a level's cell.
+    """Return the (row, column) of a layer at the middle of a level's cell.
 
-    Of images the first row is the highest; of symbolic planes it is the lowest, as in levels.
+    The first row of images is the highest, of symbolic planes the lowest, as in levels.
 
-    cell   (x, y) of the level, from the lower left
-    shape  of what the layer gives, [channels, rows, columns]
+    Args:
+        cell: (x, y) of the level, from the lower left.
+        shape: Shape of the layer's output, [channels, rows, columns].
 
-    Raises ValueError where the agent sees only a part of the world, or the layer has no places.
+    Raises:
+        ValueError: If the agent sees only a part of the world, or the layer has no places.
     """
     of_kind("variant", variant, Variant)
     of_kind("shape", shape, Sequence)
@@ -195,13 +205,13 @@ def place(agent: Model, variant: Variant, cell: Cell, shape: Sequence[int]) -> t
 
 
 def sees_world(variant: Variant) -> bool:
-    """Whether images of the variant show all the world: a cell has a fixed place in them."""
+    """Return whether images of the variant show the whole world, with fixed places of cells."""
     names = variant.records().dtype.names or ()
     return "world" in names and not ("window" in names and variant.records()[0]["window"])
 
 
 def _check_cell(cell: Any, names: Sequence[str], sizes: Sequence[int]) -> None:
-    """ValueError unless `cell` is two integers, each of them below its size."""
+    """Raise ValueError unless `cell` is two integers below their sizes."""
     if np.shape(cell) != (2,):
         raise ValueError(f"a cell must be two integers, {' and '.join(names)}; got {shown(cell)}")
     for name, number, size in zip(names, cell, sizes, strict=True):
@@ -209,7 +219,7 @@ def _check_cell(cell: Any, names: Sequence[str], sizes: Sequence[int]) -> None:
 
 
 def _channels(channels: Sequence[int] | None, count: int) -> np.ndarray:
-    """`channels` as an array; all of them where None."""
+    """Return `channels` as an array; all channels for None."""
     if channels is None:
         return np.arange(count)
     found = np.asarray(channels)
@@ -221,7 +231,7 @@ def _channels(channels: Sequence[int] | None, count: int) -> np.ndarray:
 
 
 def _fitting(name: str, given: Any, shape: tuple[int, ...]) -> np.ndarray:
-    """`given` as finite reals that NumPy can broadcast to `shape`."""
+    """Return `given` as finite reals that broadcast to `shape`."""
     try:
         array = np.asarray(given, np.float64)
         np.broadcast_to(array, shape)
@@ -235,7 +245,7 @@ def _fitting(name: str, given: Any, shape: tuple[int, ...]) -> np.ndarray:
 
 
 def _given(values: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
-    """What a layer of `shape` gave in some states, checked."""
+    """Return checked activations of a layer of `shape` in some states."""
     of_kind("what the layer gave", values, np.ndarray)
     if values.shape[1:] != shape or not len(values):
         raise ValueError(f"what the layer gave must be [M, {shape}]; got {values.shape}")

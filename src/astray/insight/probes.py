@@ -1,13 +1,12 @@
-"""What can be read off a layer: linear probes, with the controls without which they say little.
+"""Linear probes of layers, with the controls that make them meaningful.
 
-    probe(agent, "coin-anywhere", states, ["block4.pool"], COINRUN.labels)
+    rows = probe(agent, "coin-anywhere", states, ["block4.pool"], COINRUN.labels)
 
-returns a row for each label and layer, with intervals over levels.
+The result has a row for each label and layer, with intervals over levels.
 
-A score is what a probe reads in levels that it was not fitted on. Beside it stand the score of the
-same probe fitted to labels that were shuffled, that on a network of the same shape that was never
-trained, and that on the picture itself: what is in the picture can be read off any layer that
-loses nothing, so that alone does not make it something that the agent attends to.
+A score is the accuracy in levels outside of the fit. Controls are the scores with shuffled labels,
+on an untrained network of the same shape, and on the picture itself: everything in the picture can
+be read from any layer that loses nothing, which alone does not show that the agent uses it.
 """
 
 from __future__ import annotations
@@ -51,24 +50,25 @@ def probe(
     *,
     folds: int = 5,
 ) -> pl.DataFrame:
-    """What linear probes of each layer, and of the observation, read of each label.
+    """Fit linear probes of each label to each layer and to the observation, and score them.
 
-    states  of several episodes; levels are split, so that no level is in both parts
-    labels  functions of states, as `game.labels`: booleans and integers are classes, for logistic
-            regression; reals are numbers, for ridge regression; states with -1 or NaN do not count
-    folds   parts of the levels; each is told by a probe that was fitted on the others, with its own
-            shuffling and its own untrained network
+    Columns: label, layer, kind ("class" or "number"), states, levels, chance (of guessing); score,
+    shuffled (labels), untrained (network; null for the observation), selectivity (score minus
+    shuffled), gain (score minus untrained), each with its 95 % interval ("score low", "score
+    high"). Scores are balanced accuracy for classes, and R squared for numbers (below 0 if worse
+    than the mean), over the predictions in all levels. Intervals are over levels, of this agent
+    alone; a level counts once. Labels with too few states or a single class are left out.
 
-    Columns: label, layer, kind ("class" or "number"), states, levels, chance (what is right
-    without looking); score, shuffled (labels), untrained (network; null for the observation),
-    selectivity (score less shuffled), gain (score less untrained), each with its 95 % interval
-    ("score low", "score high"). Scores are the mean share of each class that is right (balanced
-    accuracy), or of numbers the share of their variance that is told (R squared, which is below 0
-    where the mean would tell more), of what was told of all levels. Intervals are over levels, of
-    this agent alone: every level is told once, and those that hold many states count as one.
+    Args:
+        states: From several episodes; levels are split, so no level is in both parts.
+        labels: Functions of states, as `game.labels`. Booleans and integers are classes, for
+            logistic regression; reals are numbers, for ridge regression; -1 and NaN do not count.
+        folds: Parts of the levels. Each is predicted by a probe fitted on the others, with its own
+            shuffling and its own untrained network.
 
-    Labels with too few states, or of one class alone, are left out. Raises ImportError without
-    scikit-learn, ValueError where a layer is unknown or no label is left.
+    Raises:
+        ImportError: If scikit-learn is not installed.
+        ValueError: If a layer is unknown or no label is left.
     """
     of_kind("states", states, np.ndarray)
     bounded("folds", folds, 2, MOST)
@@ -92,7 +92,7 @@ def probe(
 
 
 def untrained(agent: AnyModel, seed: int) -> AnyModel:
-    """The same agent with a network of the same shape that was never trained."""
+    """Return the agent with an untrained network of the same shape."""
     bounded("seed", seed, 0, MOST)
     other = copy.copy(agent)
     with torch.random.fork_rng(devices=[]):
@@ -113,7 +113,7 @@ def untrained(agent: AnyModel, seed: int) -> AnyModel:
 
 
 def is_class(y: np.ndarray) -> bool:
-    """Whether a label's values are classes: booleans or integers."""
+    """Return whether a label's values are classes: booleans or integers."""
     return y.dtype.kind in "biu"
 
 
@@ -125,7 +125,7 @@ def _enough(y: np.ndarray) -> bool:
 
 
 def _folds(levels: np.ndarray, folds: int) -> np.ndarray:
-    """Which part the level of each state is in, [N] from 0 on: all parts of as many levels."""
+    """Return the fold of each state's level, [N] from 0, with equally many levels each."""
     names, which = np.unique(levels, return_inverse=True)
     if len(names) < folds:
         raise ValueError(f"probes need states of at least {folds} levels; got {len(names)}")
@@ -139,9 +139,10 @@ def _told(
     levels: np.ndarray,
     fold: np.ndarray,
 ) -> dict[str, Any]:
-    """The scores of one label at one layer, and their intervals.
+    """Return the scores of one label at one layer, with intervals.
 
-    fresh  what the same layer of a network that was never trained gives, for each fold
+    Args:
+        fresh: Activations of the layer in an untrained network, for each fold.
     """
     if is_class(y):
         y = y.astype(np.int64)
@@ -187,8 +188,10 @@ def _told(
 
 
 def _by_level(y: np.ndarray, told: np.ndarray, levels: np.ndarray) -> np.ndarray:
-    """[levels] numbers whose mean is the score, and that vary as much as the score does by levels:
-    the score and what each level adds to it, to first order."""
+    """Return numbers [levels] with the score as mean and its variance over levels.
+
+    They are the score plus each level's contribution, to first order.
+    """
     _, level = np.unique(levels, return_inverse=True)
     count = level.max() + 1
 
@@ -206,7 +209,7 @@ def _by_level(y: np.ndarray, told: np.ndarray, levels: np.ndarray) -> np.ndarray
 
 
 def split(levels: np.ndarray, seed: int) -> np.ndarray:
-    """[N] bool, the states to learn from: of levels [N], a share of TEST is for the test."""
+    """Return a mask [N] of the states to learn from; a fraction TEST of `levels` is held out."""
     bounded("seed", seed, 0, MOST)
     names = np.unique(levels)
     if len(names) < 2:
@@ -223,10 +226,13 @@ def read(
     layers: Sequence[str],
     labels: Mapping[str, Measure],
 ) -> pl.DataFrame:
-    """What probes that are fitted in `states` read of one other state, `here` [1].
+    """Return readings of one state `here` [1] by probes fitted in `states`.
 
-    Columns: label, layer, read, true (null where the state does not have it), score (of a probe
-    that was fitted on most levels, in the others).
+    Columns: label, layer, read, true (null if undefined), score (of a probe fitted on most levels,
+    in the others).
+
+    Raises:
+        ValueError: If a layer is unknown or no label is left.
     """
     check_measures(labels, ())
     _sklearn()
@@ -260,17 +266,18 @@ def read(
 
 
 def fit(x: np.ndarray, y: np.ndarray, learn: np.ndarray, seed: int) -> float:
-    """The score of a probe that is fitted on the states in `learn` [N] bool, on the others.
+    """Fit a probe on the states in `learn` [N] bool and return its score on the others.
 
-    x  [N, ...] what a layer gave
-    y  [N] classes (integers), or numbers
+    Args:
+        x: [N, ...] activations.
+        y: [N] classes (integers), or numbers.
     """
     told = _predicted(x, y, learn, seed)
     return float(_by_level(y[~learn], told, np.zeros(len(told)))[0])
 
 
 def _predicted(x: np.ndarray, y: np.ndarray, learn: np.ndarray, seed: int) -> np.ndarray:
-    """What a probe that is fitted on the states in `learn` tells of the others."""
+    """Fit a probe on the states in `learn` and return its predictions for the others."""
     _sklearn()
     if not np.ptp(x[learn].reshape(np.count_nonzero(learn), -1), axis=0).any():  # nothing varies
         values, counts = np.unique(y[learn], return_counts=True)
@@ -281,7 +288,7 @@ def _predicted(x: np.ndarray, y: np.ndarray, learn: np.ndarray, seed: int) -> np
 
 
 def _fitted(x: np.ndarray, y: np.ndarray, seed: int) -> tuple[Any, np.ndarray]:
-    """The probe, and which of what a layer gives varies [D] bool, which is all that it is shown."""
+    """Return the probe, and the mask [D] of activations that vary, its inputs."""
     from sklearn.decomposition import PCA
     from sklearn.exceptions import ConvergenceWarning
     from sklearn.linear_model import LogisticRegression, RidgeCV

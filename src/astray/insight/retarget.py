@@ -1,11 +1,11 @@
-"""Sending an agent elsewhere by what one of its layers holds, beside moving the real object.
+"""Retargeting: lead an agent elsewhere by setting activations, compared with moving the object.
 
     follow = following(agent, "anywhere-easy", range(20), "block2.residual1")
     clamp = Clamp("block2.residual1", tuple(follow["channel"][:8]), tuple(follow["there"][:8]))
     rows = retarget(agent, "anywhere-easy", range(100, 200), clamp)
 
-After Mini et al. (2023, arXiv 2310.08043), who found eleven channels of their mouse by eye. Here
-they are found in any network with places, by how what they give goes with where the object is.
+Mini et al. (2023, arXiv 2310.08043) found eleven channels of their mouse by eye. Here channels are
+found in any network with places, by their correlation with the object's place.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ WAYS = (AS_IS, CLAMPED, ALONE, MOVED)
 
 @dataclass(frozen=True)
 class Clamp:
-    """What is set at one place of a layer: some channels, each to a value."""
+    """Values to set in some channels at one place of a layer."""
 
     layer: str
     channels: tuple[int, ...]
@@ -59,20 +59,22 @@ def following(
     places: int = 16,
     seed: int = 0,
 ) -> pl.DataFrame:
-    """How what each channel gives goes with where an object is, those that go with it most first.
+    """Rank channels by how much their activation follows an object.
 
-    The object is moved about each level, the agent stays where it begins; at every cell of the
-    layer, what a channel gives is compared with its mean over the object's places. So walls, which
-    stay, count for nothing.
+    The object is moved about each level while the agent stays. At every cell of the layer a
+    channel's activation is compared with its mean over the object's places, so fixed walls do not
+    count.
 
-    name    of the object; Maze's cheese is its "goal"
-    places  of the object in each level, drawn with `seed`
-
-    Columns: channel; correlation, over all places, levels and cells of the layer, between that
+    Columns: channel; correlation, over places, levels and cells of the layer, between that
     difference and whether the object is in the middle of that cell; there and elsewhere, the mean
-    of what the channel gives where the object is, and at the other cells.
+    activation at the object and at other cells.
 
-    Raises ValueError where the layer has no places, or the agent sees only part of the world.
+    Args:
+        name: Object; Maze's cheese is its "goal".
+        places: Places of the object in each level, drawn with `seed`.
+
+    Raises:
+        ValueError: If the layer has no places, or the agent sees only part of the world.
     """
     bounded("places", places, 2, MOST)
     shape = check_layers(agent, [layer])[layer]
@@ -119,7 +121,7 @@ def following(
 
 
 def _family(level: Level, name: str, count: int, random: np.random.Generator) -> list[Level]:
-    """The level with the object at some of the places where it could be."""
+    """Return the level with the object at some of its possible places."""
     if not level.where(name):
         return []
     family = level.splay(name)
@@ -137,17 +139,20 @@ def retarget(
     how: Sequence[str] = WAYS,
     seed: int = 0,
 ) -> pl.DataFrame:
-    """How an agent takes to the way to cells that it is sent to: with and without a clamp.
+    """Measure an agent's preference for ways to target cells, with and without a clamp.
 
-    targets  cells of each level, drawn with `seed` from the places where the object could be
+    A row per level, target and method has level (index in `levels`), x and y of the target, steps
+    of the way, how (of WAYS: nothing; the clamp at the target, with the object in place; the clamp
+    in a level without the object; the object moved to the target) and path, the geometric mean of
+    the step probabilities of the shortest way from the beginning. Targets behind the object are
+    left out.
 
-    A row for each level, target and way to send it: level (its place in `levels`), x and y of the
-    target, steps of the way there, how (of WAYS: nothing done; the clamp at the target, the object
-    in its place; the clamp in a level without the object; the object moved to the target) and path,
-    the geometric mean of the probabilities of the steps of the shortest way from the beginning.
-    how      the ways to send it that are tried; others cost time
+    Args:
+        targets: Cells of each level, drawn with `seed` from the object's possible places.
+        how: Methods to try; each costs time.
 
-    Targets beyond the object, to which the way leads through it, are not among them.
+    Raises:
+        ValueError: If an argument is invalid.
     """
     bounded("targets", targets, 1, MOST)
     unknown = [one for one in how if one not in WAYS]
@@ -184,7 +189,7 @@ def _paths(
     name: str,
     how: Sequence[str],
 ) -> Iterator[tuple[str, float]]:
-    """How the agent takes to a way, sent along it in each of some WAYS."""
+    """Return the preference for a way under each of some WAYS."""
     level = around.level
     gone = level.removed(name)
     sees = {AS_IS: level, CLAMPED: level, ALONE: gone, MOVED: gone.added(name, way[-1])}
@@ -198,9 +203,10 @@ def _paths(
 
 
 def path_along(agent: Agent, level: Level, way: list[Cell], around: Places) -> float:
-    """The geometric mean of the probabilities of the steps along the cells of a way.
+    """Return the geometric mean of the step probabilities along the cells of a way.
 
-    around  the places of the level, or of one with the same walls
+    Args:
+        around: Places of the level, or of one with the same walls.
     """
     policy, _ = policy_and_value(agent, observe(agent, level.variant, states_at(level, way[:-1])))
     chances = [

@@ -1,10 +1,9 @@
-"""Directions in what a layer gives: with an object less without it, and between sets of states.
+"""Steering vectors: mean activation differences, with and without an object or between sets.
 
     cheese = object_vectors(agent, "anywhere-easy", range(200), "block2.residual1")
     with steer(agent, {cheese.layer: cheese.mean}, -1.0): ...
 
-`effects` measures what steering by such vectors does, beside vectors of the same length that point
-anywhere.
+`effects` measures steering by such vectors, compared with random vectors of the same length.
 """
 
 from __future__ import annotations
@@ -33,9 +32,10 @@ Edit = Callable[[Level], Level]
 
 @dataclass(frozen=True, eq=False)
 class Vectors:
-    """Differences of what a layer gives, one for each of N pairs of states.
+    """Activation differences of a layer for N pairs of states.
 
-    each  [N, ...] float32
+    Attributes:
+        each: [N, ...] float32.
     """
 
     layer: str
@@ -43,17 +43,17 @@ class Vectors:
 
     @functools.cached_property
     def mean(self) -> np.ndarray:
-        """[...] over the pairs."""
+        """[...] mean over the pairs."""
         return self.each.mean(0)
 
     @property
     def norms(self) -> np.ndarray:
-        """[N] the lengths."""
+        """[N] lengths."""
         return np.linalg.norm(self._flat, axis=1)
 
     @property
     def cosines(self) -> np.ndarray:
-        """[N, N] the cosines between them; 0 with one of no length."""
+        """[N, N] cosines between them; 0 for a vector of length 0."""
         lengths = np.maximum(self.norms, np.finfo(np.float32).tiny)
         unit = self._flat / lengths[:, None]
         return unit @ unit.T
@@ -63,14 +63,14 @@ class Vectors:
         return self.each.reshape(len(self.each), -1).astype(np.float64)
 
     def alike(self) -> float:
-        """The mean cosine between two different ones: 1 where the direction is the same in all."""
+        """Return the mean cosine between different ones: 1 if all directions are equal."""
         n = len(self.each)
         if n < 2:
             return np.nan
         return float((self.cosines.sum() - np.trace(self.cosines)) / (n * (n - 1)))
 
     def random(self, seed: int) -> Vectors:
-        """As many of the same lengths, in directions drawn with `seed`, all equally likely."""
+        """Return vectors of the same lengths in uniformly random directions."""
         bounded("seed", seed, 0, MOST)
         drawn_at = np.random.default_rng(seed).normal(size=self._flat.shape)
         drawn_at *= (self.norms / np.linalg.norm(drawn_at, axis=1))[:, None]
@@ -80,7 +80,7 @@ class Vectors:
 def pair_vectors(
     agent: Agent, variant: str | Variant, layer: str, states: np.ndarray, others: np.ndarray
 ) -> Vectors:
-    """What `layer` gives in each of `states` [N] less what it gives in each of `others` [N]."""
+    """Return the activations of `layer` in each of `states` [N] minus those in `others` [N]."""
     of_kind("states", states, np.ndarray)
     of_kind("others", others, np.ndarray)
     if len(states) != len(others):
@@ -95,7 +95,7 @@ def pair_vectors(
 def set_vector(
     agent: Agent, variant: str | Variant, layer: str, states: np.ndarray, others: np.ndarray
 ) -> Vectors:
-    """What `layer` gives on the mean in `states` less that in `others`: two sets of any sizes."""
+    """Return the difference of mean activations of `layer` between two sets of states."""
     one, other = (
         activations(agent, observe(agent, variant, some), [layer])[layer].mean(0)
         for some in (states, others)
@@ -106,9 +106,12 @@ def set_vector(
 def object_vectors(
     agent: Agent, variant: str | Variant, levels: Levels, layer: str, name: str = "goal"
 ) -> Vectors:
-    """With an object less without it, where each level begins: Maze's cheese is its "goal".
+    """Return activation differences with minus without an object, at the beginning of each level.
 
-    Raises ValueError where a level has no such object, or several.
+    Maze's cheese is its "goal".
+
+    Raises:
+        ValueError: If a level has no such object, or several.
     """
     return edit_vectors(agent, variant, levels, layer, lambda level: level.removed(name))
 
@@ -116,10 +119,12 @@ def object_vectors(
 def corner_vectors(
     agent: Agent, variant: str | Variant, levels: Levels, layer: str, goal: str = "corner"
 ) -> Vectors:
-    """With the way to a goal's cell open less with that cell walled up, where each level begins.
+    """Return activation differences with the goal's cell open minus walled up.
 
-    The level's object in that cell, if any, is missing in both. Raises ValueError where a level
-    has no cell of that goal, or begins in it.
+    They are at the beginning of each level. An object in that cell is removed in both.
+
+    Raises:
+        ValueError: If a level has no cell of that goal, or begins in it.
     """
 
     def open_(level: Level) -> Level:
@@ -139,7 +144,7 @@ def edit_vectors(
     edit: Edit,
     first: Edit | None = None,
 ) -> Vectors:
-    """Each level as it is (or as `first` makes it) less as `edit` makes it, where it begins."""
+    """Return activation differences of each level, or `first` of it, minus `edit` of it."""
     of_kind("agent", agent, Agent)
     for function in (edit, first):
         if function is not None and not callable(function):
@@ -161,7 +166,7 @@ def _cell(level: Level, goal: str) -> Cell:
 
 
 def _filled(level: Level, cell: Cell, char: str) -> Level:
-    """With what the legend calls `char` in a cell."""
+    """Return the level with the contents `char` of the legend in a cell."""
     legend = level.game.editing.LEGEND
     if char not in legend:
         raise ValueError(f"{level.game.name} has no {char!r} in its legend")
@@ -172,11 +177,12 @@ def _filled(level: Level, cell: Cell, char: str) -> Level:
 
 @dataclass(frozen=True, eq=False)
 class Condition:
-    """How agent or levels are otherwise, for `effects`.
+    """Change of agent or levels, for `effects`.
 
-    vectors      added to what their layers give: each level's own, or the mean of all
-    coefficient  of the vectors
-    edit         of the levels
+    Attributes:
+        vectors: Added to their layer's output: each level's own, or the mean of all.
+        coefficient: Factor of the vectors.
+        edit: Edit of the levels.
     """
 
     vectors: Sequence[Vectors] = ()
@@ -208,19 +214,22 @@ def effects(
     at: Callable[[Any], Cell | None] | None = None,
     seed: int = 0,
 ) -> pl.DataFrame:
-    """How likely the next step is one to `goal`, in each level under each condition.
+    """Return the probability of a step towards `goal` in each level under each condition.
 
-    places  of each level that are looked at: its beginning, then others drawn with `seed`; for a
-            network that sees images, multiples of 16 take the least time
+    Columns: level (index in `levels`), condition, towards (mean over places of the probability of
+    a step along a shortest way to the goal's place in the unedited level), start (that at the
+    beginning), at (that at the further place, or null), value (mean over places), places. Levels
+    without the goal, or that begin at it, are left out. `estimates.group_means` gives means with
+    intervals.
 
-    at      one more place that is looked at, as the decision square: a function of the state that
-            a level begins in; None where a level has none
+    Args:
+        places: Places per level: its beginning, then random ones drawn with `seed`. Multiples of
+            16 are fastest for networks that see images.
+        at: Function from a level's initial state to one more place, such as the decision square,
+            or None.
 
-    Columns: level (its place in `levels`), condition, towards (the probability of a step of a
-    shortest way to where the goal is in the unedited level, the mean over places), start (that at
-    the beginning), at (that at the further place, null where there is none), value (the mean over
-    places), places. Levels without the goal, or that begin at it, are left out. For means with
-    intervals: `statistics.group_means`.
+    Raises:
+        ValueError: If an argument is invalid.
     """
     of_kind("agent", agent, Agent)
     of_kind("conditions", conditions, Mapping)
@@ -271,7 +280,7 @@ def effects(
 
 
 def _some(around: Places, to: Cell, count: int, random: np.random.Generator) -> list[Cell]:
-    """The beginning of a level and some other of its places from which there is a way."""
+    """Return the beginning of a level and other random places with a way."""
     away = around.distances(to)
     others = [c for c in around.number if away.get(c, 0) > 0 and c != around.level.agent]
     drawn_at = random.permutation(len(others))[: max(count - 1, 0)]
@@ -281,7 +290,7 @@ def _some(around: Places, to: Cell, count: int, random: np.random.Generator) -> 
 def _seen(
     agent: Agent, variant: Variant, level: Level, cells: Sequence[Cell], to: Cell
 ) -> tuple[np.ndarray, np.ndarray]:
-    """What is seen at some places of a level, and which actions lead from there to a cell."""
+    """Return the observations at some places of a level, and the actions towards a cell."""
     (around,), (states,) = places_of([level])
     which = [around.number[cell] for cell in cells]
     return observe(agent, variant, states[which]), around.advancing(to)[which]

@@ -1,6 +1,5 @@
 """Asking for help: a novice hands over to an expert if a score says so, at a cost.
 
-Examples:
     scores = [OfLogits(agent, "entropy"), Chance()]
     trial = Trial("maze", shift, training, range(500), test, range(100_000, 100_500))
     table = curves(agent, Walk("cheese"), scores, trial)

@@ -1,1 +1,1 @@
-"""Claims about what was measured, below the studies that make them."""
+"""Claims about results, for the studies that make them."""

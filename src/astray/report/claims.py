@@ -1,9 +1,8 @@
 """Claims: sentences with a bound that was stated before anything was measured.
 
-There are four kinds: what was measured is `above` a bound, `below` one, `within` two, or
-`near_zero`, which is what "no effect" means here. Each is supported if its whole 95 % interval is,
-so less data make support harder. Claims of one page are `corrected` for their
-number.
+There are four kinds: a result is `above` a bound, `below` one, `within` two, or `near_zero`, which
+stands for "no effect". A claim holds if the whole 95 % interval satisfies it, so fewer data make
+it harder to support. Claims of one page are `corrected` for their number.
 """
 
 from __future__ import annotations
@@ -20,7 +19,7 @@ ALPHA = (1 - CONFIDENCE) / 2  # each end of an interval is a test of one side
 
 @dataclass(frozen=True)
 class Claim:
-    """A claim that was tested."""
+    """A tested claim."""
 
     sentence: str
     paper: str  # what the paper says of it
@@ -41,16 +40,16 @@ def above(
     told: Callable[[Estimate], str] = Estimate.percent,
     why: str = "",
 ) -> Claim:
-    """Return the claim that what was measured is above `bound`.
+    """Test the claim that a result is above `bound`.
 
     Args:
         sentence: The claim.
-        paper: What the paper says of it.
-        measured: What was measured, in words.
-        estimate: What was measured.
-        bound: What all of the interval must be above.
-        told: How the estimate is told, a method of it; `Estimate.percent` tells bounds so, too.
-        why: What else was measured of the reason, told where the claim is not supported.
+        paper: The paper's statement about it.
+        measured: Description of the result.
+        estimate: The result.
+        bound: Lower bound of the whole interval.
+        told: Method that formats the estimate; `Estimate.percent` formats bounds too.
+        why: Further evidence about the reason, shown if the claim is not supported.
     """
     rule = f"supported if above {_bound(bound, told)}"
     return _claim(sentence, paper, measured, estimate, (bound, math.inf), rule, told, why)
@@ -66,7 +65,7 @@ def below(
     told: Callable[[Estimate], str] = Estimate.percent,
     why: str = "",
 ) -> Claim:
-    """Return the claim that what was measured is below `bound`; else as `above`."""
+    """Test the claim that a result is below `bound`; arguments as in `above`."""
     rule = f"supported if below {_bound(bound, told)}"
     return _claim(sentence, paper, measured, estimate, (-math.inf, bound), rule, told, why)
 
@@ -81,7 +80,7 @@ def within(
     told: Callable[[Estimate], str] = Estimate.amount,
     why: str = "",
 ) -> Claim:
-    """Return the claim that what was measured is between two bounds; else as `above`."""
+    """Test the claim that a result is between two bounds; arguments as in `above`."""
     low, high = (_bound(bound, told) for bound in bounds)
     rule = f"supported if between {low} and {high}"
     return _claim(sentence, paper, measured, estimate, bounds, rule, told, why)
@@ -97,19 +96,19 @@ def near_zero(
     told: Callable[[Estimate], str] = Estimate.percent,
     why: str = "",
 ) -> Claim:
-    """Return the claim that there is no effect beyond `margin`; else as `above`.
+    """Test the claim that there is no effect beyond `margin`; arguments as in `above`.
 
-    It is a test of equivalence (two one-sided tests): that an interval contains 0 shows nothing, as
-    it does so the more surely the less was measured.
+    It is an equivalence test (two one-sided tests). An interval that contains 0 shows nothing,
+    since fewer data make that more likely.
     """
     rule = f"supported if all of it is within {_bound(margin, told)} of 0"
     return _claim(sentence, paper, measured, estimate, (-margin, margin), rule, told, why)
 
 
 def every(sentence: str, paper: str, parts: Sequence[Claim], why: str = "") -> Claim:
-    """Return the claim that all `parts` are supported, without their sentences.
+    """Test the claim that all `parts` are supported; their own sentences are not shown.
 
-    Each part is a test at the whole level: chance supports all no more often than one.
+    Each part is tested at the full level: all hold by chance no more often than one.
     """
     chances = [part.chance for part in parts if part.chance is not None]
     return Claim(
@@ -123,10 +122,10 @@ def every(sentence: str, paper: str, parts: Sequence[Claim], why: str = "") -> C
 
 
 def corrected(claims: Sequence[Claim]) -> list[Claim]:
-    """Return the claims of one page, corrected for their number (Holm 1979).
+    """Return the claims of one page with Holm's correction (1979) for their number.
 
-    The most certain of N must be as certain as if there were N of the kind, the next as N - 1, and
-    so on; those after the first that fails are not supported. Claims without a test stay.
+    The most certain of N must be as certain as required among N tests, the next among N - 1, and
+    so on; after the first failure no claim is supported. Claims without a test stay unchanged.
     """
     tested = sorted((claim.chance, k) for k, claim in enumerate(claims) if claim.chance is not None)
     found, passing = list(claims), True
@@ -140,7 +139,7 @@ def corrected(claims: Sequence[Claim]) -> list[Claim]:
 
 
 def rounded(share: float) -> str:
-    """Return a share without its interval, for a sentence."""
+    """Format a rate without its interval, for a sentence."""
     return "none" if math.isnan(share) else f"{100 * share:.0f}\u00a0%"
 
 
@@ -166,7 +165,7 @@ def _claim(
 
 
 def _chance(estimate: Estimate, bound: float, sign: int) -> float:
-    """The chance of measuring so much, or more, on one side of a bound that is just the truth."""
+    """Return the one-sided p-value of a result if its bound is exactly true."""
     from scipy.special import stdtr  # here, as it takes a second to import
 
     if math.isinf(bound) or math.isnan(estimate.mean):

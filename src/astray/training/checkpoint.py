@@ -1,9 +1,8 @@
-"""A run's folder: what is written, when a kill loses nothing, and how it is read back.
+"""Checkpoints of a run folder, written so that a kill loses nothing.
 
-config.json              all settings, versions, a digest of the sources
-metrics.jsonl            a line per iteration
-checkpoints/<steps>/     agent.safetensors: the network (`agents.policy.load` reads it);
-                         trainer.safetensors: all else that training needs to go on
+config.json: all settings, versions, a digest of the sources. metrics.jsonl: one line per
+iteration. checkpoints/<steps>/agent.safetensors: the network (`agents.policy.load` reads it).
+checkpoints/<steps>/trainer.safetensors: all other state of the training.
 """
 
 from __future__ import annotations
@@ -54,10 +53,14 @@ class Claimed(RuntimeError):
 
 @contextlib.contextmanager
 def claim(folder: Path, config: Config, wait: bool = False) -> Iterator[None]:
-    """Hold the run folder for this process alone, and see that it is this configuration's.
+    """Lock the run folder for this process and check that it has this configuration.
 
-    Where another process trains in it, wait until it has ended, or `Claimed`.
-    Of several processes that train one agent the first holds it for all.
+    Of several processes that train one agent, the first holds the lock for all.
+
+    Raises:
+        Claimed: If another process trains in it and `wait` is False.
+        ValueError: If it holds a run with other settings.
+        OSError: If it cannot be written.
     """
     if not parallel.first():
         parallel.wait()
@@ -110,12 +113,12 @@ def claim(folder: Path, config: Config, wait: bool = False) -> Iterator[None]:
 
 
 def check(folder: Path, config: Config) -> None:
-    """See that the run in `folder` has these settings."""
+    """Raise ValueError unless the run in `folder` has these settings."""
     _compare(read_config(folder), config, f"{folder} holds a run with other settings")
 
 
 def _compare(there: Config, here: Config, what: str) -> None:
-    """ValueError where two trainings would differ."""
+    """Raise ValueError if two trainings would differ."""
     one, two = (json.loads(json.dumps(c.to_json())) for c in (there, here))
     differ = [f"{n} is {one[n]!r} there, {two[n]!r} here" for n in two if one[n] != two[n]]
     if differ:
@@ -123,7 +126,7 @@ def _compare(there: Config, here: Config, what: str) -> None:
 
 
 def save(folder: Path, trainer: Trainer) -> None:
-    """Write a checkpoint; of those before the last two keep the agents of milestones alone."""
+    """Write a checkpoint; of older ones keep the last two, and the agents of milestones."""
     there = folder / "checkpoints"
     game = trainer.config.game
     tensors = {name: tensor.contiguous() for name, tensor in trainer.tensors().items()}
@@ -150,7 +153,7 @@ def save(folder: Path, trainer: Trainer) -> None:
 
 
 def restore(folder: Path, trainer: Trainer) -> None:
-    """Bring `trainer` to the last checkpoint, if there is one."""
+    """Restore the last checkpoint into `trainer`, if there is one."""
     if not steps_saved(folder):
         return
     config, path = trainer.config, latest(folder)
@@ -169,13 +172,13 @@ def restore(folder: Path, trainer: Trainer) -> None:
 
 
 def _metadata(data: bytes) -> dict[str, str]:
-    """What was saved beside the tensors of a safetensors file, which has been checked."""
+    """Return the metadata of a checked safetensors file."""
     size = int.from_bytes(data[:8], "little")
     return json.loads(data[8 : 8 + size]).get("__metadata__", {})
 
 
 def finished(folder: Path, config: Config) -> bool:
-    """The run in `folder` has its last checkpoint; it is an error if its settings are others."""
+    """Return whether the run in `folder` is complete; raise ValueError for other settings."""
     steps = steps_saved(folder)
     if steps:
         check(folder, config)
@@ -183,5 +186,5 @@ def finished(folder: Path, config: Config) -> bool:
 
 
 def metrics(folder: Path) -> list[dict[str, Any]]:
-    """The lines of metrics.jsonl, the whole ones."""
+    """Return the complete lines of metrics.jsonl."""
     return [measured for _, measured in read_metrics(folder / METRICS)]

@@ -1,10 +1,9 @@
-"""The folders of agents, whether trained here, pretrained, imported or pulled, and their names.
+"""Folders of trained, pretrained, imported and pulled agents, and their names.
 
-config.json                             the settings of its training
-README.md                               its card, of an agent that was kept, imported or pulled
-origin.json, hub.json                   where it came from, if it was brought from elsewhere
-checkpoints/<steps>/agent.safetensors   its weights
-checkpoints/<steps>/trainer.safetensors what else its training needs to go on
+config.json: the settings of its training. README.md: the card of a kept, imported or pulled agent.
+origin.json, hub.json: the source of an imported or pulled agent.
+checkpoints/<steps>/agent.safetensors: its weights. checkpoints/<steps>/trainer.safetensors: all
+other state of its training.
 """
 
 from __future__ import annotations
@@ -41,10 +40,11 @@ NAME = re.compile(r"[a-z0-9]+(-[a-z0-9]+)*")
 
 @dataclass(frozen=True)
 class AgentFolder:
-    """An agent in a folder: where all that is known of it lies.
+    """An agent in a folder, with access to everything that is known of it.
 
-    path     of the folder
-    weights  the file of one of its checkpoints
+    Attributes:
+        path: The folder.
+        weights: File of one of its checkpoints.
     """
 
     path: Path
@@ -52,9 +52,10 @@ class AgentFolder:
 
     @classmethod
     def open(cls, agent: str | Path) -> AgentFolder:
-        """Return the last agent of a run folder, that of a checkpoint in one, or one by its name.
+        """Open the last agent of a run folder, one of its checkpoints, or a named agent.
 
-        Raises FileNotFoundError where there is none.
+        Raises:
+            FileNotFoundError: If there is none.
         """
         run, name = Path(agent), str(agent)
         if not run.exists() and name in names():
@@ -71,7 +72,7 @@ class AgentFolder:
 
     @classmethod
     def of(cls, weights: Path) -> AgentFolder:
-        """Return the folder that a file of weights lies in."""
+        """Return the folder of a file of weights."""
         return cls(weights.parents[2], weights)
 
     @property
@@ -92,23 +93,24 @@ class AgentFolder:
         return read_config(self.path)
 
     def noted(self) -> dict[str, Any]:
-        """Return what `config.json` holds: "config", and what was noted beside it."""
+        """Return the contents of `config.json`: "config", and further entries."""
         return json.loads(read(self.path / CONFIG, LARGEST))
 
     def origin(self) -> dict[str, Any]:
-        """Return what `origin.json` of an imported agent says.
+        """Return the contents of an imported agent's `origin.json`.
 
-        Raises ValueError where it is not as `published.imported.import_agent` writes it.
+        Raises:
+            ValueError: If `published.imported.import_agent` did not write it.
         """
         told = ("file", "sha256", "format", "settings_told", "file_says")
         return read_json(self.path / ORIGIN, dict, told)
 
     def deviation(self) -> float | None:
-        """Return what rewards were divided by when the agent was saved; None: nobody knows.
+        """Return the reward-normalisation scale at the checkpoint.
 
-        Its values are of rewards so divided. A training's last two checkpoints tell by what, and
-        so does the folder of an agent that was kept from one of them. None also where they were
-        divided by nothing.
+        It is None if rewards were not normalised or the scale is unknown. The agent's values are
+        in this unit. A training's last two checkpoints have it, and so do agents kept from one of
+        them.
         """
         if not self.config().normalise_reward:
             return None
@@ -121,7 +123,7 @@ class AgentFolder:
         return deviation or None
 
     def digest(self) -> str:
-        """Return the SHA-256 of its weights' file."""
+        """Return the SHA-256 of its file of weights."""
         return hashlib.sha256(read(self.weights)).hexdigest()
 
 
@@ -137,7 +139,9 @@ def _of_moments(trainer: Path) -> float:
 def read_config(run: Path) -> Config:
     """Return the settings of the run in a folder.
 
-    Raises FileNotFoundError where there is none, ValueError where its settings cannot be read.
+    Raises:
+        FileNotFoundError: If there is no run.
+        ValueError: If its settings cannot be read.
     """
     path = run / CONFIG
     try:
@@ -149,7 +153,7 @@ def read_config(run: Path) -> Config:
 
 
 def read_json(path: Path, kind: type, names: Sequence[str] = ()) -> Any:
-    """Return what is in a file of JSON, of that `kind`, with these `names`; else ValueError."""
+    """Return a JSON file's contents; raise ValueError unless it has this `kind` and `names`."""
     try:
         data = json.loads(read(path, LARGEST))
     except (ValueError, RecursionError) as error:
@@ -163,13 +167,13 @@ def read_json(path: Path, kind: type, names: Sequence[str] = ()) -> Any:
 
 
 def steps_saved(folder: Path) -> list[int]:
-    """The steps of all checkpoints, ascending."""
+    """Return the steps of all checkpoints, ascending."""
     found = (path for path in (folder / "checkpoints").glob("[0-9]*") if path.is_dir())
     return sorted(int(path.name) for path in found if STEPS.fullmatch(path.name))
 
 
 def latest(folder: Path) -> Path:
-    """The last checkpoint of the run in `folder`."""
+    """Return the last checkpoint of the run in `folder`."""
     steps = steps_saved(folder)
     if not steps:
         raise FileNotFoundError(f"{folder} has no checkpoint")
@@ -177,7 +181,7 @@ def latest(folder: Path) -> Path:
 
 
 def home() -> Path:
-    """Where imported agents are: the environment's ASTRAY_AGENTS, else the user's data folder."""
+    """Return the folder of imported agents: ASTRAY_AGENTS, or in the user's data folder."""
     chosen = os.environ.get("ASTRAY_AGENTS")
     return Path(chosen) if chosen else platformdirs.user_data_path("astray", False) / "agents"
 
@@ -193,12 +197,12 @@ def imported() -> list[str]:
 
 
 def names() -> list[str]:
-    """Return the names of all agents that verbs find by their names."""
+    """Return the names of all named agents."""
     return [*pretrained(), *imported()]
 
 
 def find(name: str) -> Path:
-    """The run folder of a pretrained or imported agent."""
+    """Return the run folder of a pretrained or imported agent."""
     for one in (PRETRAINED, home()):
         if name in _names(one):
             return one / name
@@ -206,15 +210,12 @@ def find(name: str) -> Path:
 
 
 def name_of(run: Path) -> str:
-    """Return the name by which verbs find the agent in a folder; else the path."""
+    """Return the name of the agent in a folder, or the path if it has none."""
     return run.name if run.name in names() and find(run.name) == run else str(run)
 
 
 def check_new(name: str, *homes: Path) -> None:
-    """ValueError where this is no name of an agent, or one of `homes` has an agent of that name.
-
-    homes  none: those in which verbs find agents
-    """
+    """Raise ValueError if a name is invalid or taken in `homes`, by default in all of them."""
     if not isinstance(name, str) or not NAME.fullmatch(name):
         raise ValueError(
             f"an agent's name must be of a-z, 0-9 and -, as maze-corner; got {shown(name)}"
@@ -226,7 +227,7 @@ def check_new(name: str, *homes: Path) -> None:
 
 @contextlib.contextmanager
 def made(home: Path, name: str) -> Iterator[Path]:
-    """A new folder that becomes `home`/`name` when it is whole; nothing is left if it was not."""
+    """Yield a new folder that becomes `home`/`name` on success and is removed on failure."""
     check_new(name, home)
     with folder_aside(home / name) as aside:
         yield aside

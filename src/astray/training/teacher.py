@@ -1,8 +1,8 @@
-"""Distillation: a student learns what its teacher would do in the episodes that the student plays.
+"""Distillation: a student learns its teacher's policy and values in its own episodes.
 
-The student acts, in the training levels alone, so that what these leave open stays open; of every
-state that it comes to, the teacher says how likely it would take each action, and what it values.
-The teacher is an agent, or the game's exact solver; it may fall silent before the training ends.
+The student acts, in training levels alone, so that the student's ambiguity about goals stays. In
+each of its states the teacher gives action probabilities and a value. The teacher is an agent or
+the game's exact solver, and may stop before the training ends.
 """
 
 from __future__ import annotations
@@ -35,14 +35,14 @@ SURE = 0.9  # the chance that a solver gives its action; all others share what i
 
 @dataclass(frozen=True)
 class Taught(Samples):
-    """Samples whose `target` is the teacher's value; advantages are not used, and 0."""
+    """Samples whose `target` is the teacher's value; advantages are unused and 0."""
 
     wanted: Tensor  # [..., actions] float32, logarithms of the teacher's probabilities
 
 
 @contextlib.contextmanager
 def teaching(weights: Path, run: Path) -> Iterator[None]:
-    """As `give`, and take them back where no training begins with them."""
+    """Give the teacher's weights, and remove them again if no training begins."""
     missing = make_folder(run)
     give(weights, run)
     try:
@@ -57,7 +57,7 @@ def teaching(weights: Path, run: Path) -> Iterator[None]:
 
 
 def give(weights: Path, run: Path) -> None:
-    """Write the teacher's weights to a student's run folder; ValueError where it has another's."""
+    """Write the teacher's weights to a student's run folder, unless it has others'."""
     path, data = run / TEACHER, read(weights)
     if path.exists():
         if read(path) != data:
@@ -69,7 +69,7 @@ def give(weights: Path, run: Path) -> None:
 
 
 class Lessons:
-    """Somebody is asked about the states in which a student, another actor, acts."""
+    """Actor that asks a teacher about the states of another actor, the student."""
 
     def __init__(self, config: Config, student: Actor, rollout: Rollout):
         self.config, self.student, self.rollout = config, student, rollout
@@ -86,19 +86,20 @@ class Lessons:
         return self.student.receive(group)
 
     def samples(self) -> Taught:
-        """What the student did in a rollout, and what this would have done."""
+        """Return the student's samples of a rollout, with the teacher's policies and values."""
         own = vars(self.rollout.samples())
         return Taught(**own | {"target": self._value}, wanted=self._wanted)
 
     def says(self) -> tuple[Tensor, Tensor]:
-        """Logarithms of its probabilities [N, actions], and its values [N], of what is now."""
+        """Return log-probabilities [N, actions] and values [N] for the current states."""
         raise NotImplementedError
 
 
 class Teacher(Lessons):
-    """An agent that is asked.
+    """Lessons of an agent.
 
-    Raises ValueError where it does not know the variant's observations.
+    Raises:
+        ValueError: If it does not support the variant's observations.
     """
 
     def __init__(self, path: Path, config: Config, student: Actor, rollout: Rollout):
@@ -135,10 +136,10 @@ class Teacher(Lessons):
 
 
 class Solver(Lessons):
-    """The game's exact solver is asked which action leads the shortest way to the intended goal.
+    """Lessons of the game's exact solver, which takes the shortest way to the intended goal.
 
-    What it values is the best discounted return; a student is told that normalised, as its rewards
-    are once the rollout is over.
+    Its value is the optimal discounted return, normalised like the student's rewards after the
+    rollout.
     """
 
     def __init__(self, config: Config, student: Actor, rollout: Rollout):
@@ -169,12 +170,10 @@ class Solver(Lessons):
 
 
 def loss(network: Callable, minibatch: Samples, config: Config) -> dict[str, Tensor]:
-    """How far a student is from its teacher on a minibatch; the arguments of `ppo.loss`.
+    """Return the student's distillation loss on a minibatch, as for `ppo.loss`.
 
-    Of samples of which the teacher said nothing, it is `ppo.loss`.
-
-    kl     KL(teacher || student) of their policies
-    agree  share of samples in which the likeliest action is the same
+    Samples without the teacher use `ppo.loss` itself. Logged are kl, KL(teacher || student), and
+    agree, the fraction of samples with the same most likely action.
     """
     if not isinstance(minibatch, Taught):
         return ppo.loss(network, minibatch, config)

@@ -22,7 +22,7 @@ STATE = state(SIDE, EVENTS, "burnt")  # steps on lava
 
 @dataclass(frozen=True, kw_only=True)
 class LavaLand(Variant):
-    """An open room with lava in so many cells."""
+    """An open room with lava in a number of cells."""
 
     lava: int = 0  # cells
     time_limit: int = 50  # steps
@@ -35,13 +35,13 @@ class LavaLand(Variant):
 
 @kernel
 def furnish(s, p):
-    """Set what no draw decides."""
+    """Set the fields that no draw decides."""
     s.burnt, s.reached_cheese, s.reached_lava = 0, NEVER, NEVER
 
 
 @shared
 def generate(s, p):
-    """Put mouse, cheese and lava anywhere."""
+    """Put mouse, cheese and lava into random cells."""
     clear(s)
     furnish(s, p)
     begin_anywhere(s)
@@ -51,7 +51,7 @@ def generate(s, p):
 
 @kernel
 def step(s, action):
-    """Walk; the cheese is worth 1 and ends the level, a step on lava costs 1."""
+    """Walk; the cheese is worth 1 and ends the level, and a step on lava costs 1."""
     walk(s, action)
     if s.cell[s.y, s.x] == LAVA:
         s.burnt += 1
@@ -64,7 +64,7 @@ def step(s, action):
 
 
 def seek(s, goal):
-    """The cells that a goal is reached in."""
+    """Return the cells in which a goal is reached."""
     return grid.where(s.cell, CHEESE if goal == "cheese" else LAVA)
 
 
