@@ -24,10 +24,11 @@ from astray.analysis.outcomes import (
 )
 from astray.analysis.replay import replay
 from astray.analysis.runs import evaluate_policies
-from astray.experiments import figures, spec
+from astray.experiments import spec
 from astray.experiments.outcomes import outcome_plots, outcome_tables
 from astray.experiments.spec import Plan, Work
 from astray.game import More, Shift
+from astray.report import charts
 from astray.training.config import PRESETS
 from helpers.lava import GAME, START
 
@@ -136,7 +137,7 @@ def test_reports_tell_other_ends_in_tables_and_bars(monkeypatch):
     (legend,) = outcome_plots(work, tables)[0].figure.legends
     named = [text.get_text() for text in legend.get_texts()]
     assert named[:5] == [MISGENERALIZED, INTENDED, "burnt", "time ran out", FAILED]
-    assert len(set(figures.outcome_colours(named[:5]).values())) == 5
+    assert len(set(charts.outcome_colours(named[:5]).values())) == 5
 
 
 def test_a_data_set_and_a_replay_are_of_lives_without_end_too(tmp_path, monkeypatch):

@@ -55,9 +55,8 @@ def _activations(path: Path, place: Place) -> None:
 
 
 def _figure(path: Path, place: Place) -> None:
-    from matplotlib.figure import Figure
-
     from astray.analysis.style import save
+    from matplotlib.figure import Figure
 
     save(Figure(), path.parent, path.stem)
 

@@ -7,7 +7,7 @@ import pytest
 from astray.analysis.outcomes import INTENDED, MISGENERALIZED
 from astray.experiments.studies.mitigation import _regret as regret
 from astray.experiments.studies.mitigation import asking_for_help, early_or_late, reward_ensembles
-from astray.experiments.studies.mitigation._help_figures import NEVER
+from astray.experiments.studies.mitigation.asking_for_help import NEVER
 from astray.mitigation.helped import AFTER, BEFORE
 
 

@@ -14,10 +14,12 @@ from PIL import Image
 from astray.analysis import video
 from astray.analysis.outcomes import FAILED, INTENDED, MISGENERALIZED
 from astray.analysis.policies import Walk
-from astray.experiments import figures, report, spec
+from astray.experiments import report, spec
 from astray.files import aside_of
 from astray.games.maze.solve import steps_to
+from astray.report import charts
 from astray.report.claims import Claim
+from astray.report.style import save
 
 T, H, W = 7, 31, 45  # odd sizes, which yuv420p cannot have
 LEVEL = 8
@@ -77,9 +79,7 @@ def told(frames, tmp_path):
         ],
         videos=[report.Video("A walk.", tmp_path / "walk.mp4")],
         plots=[
-            report.Plot(
-                "bars", "Ends where x < 3 & <b>y</b>.", figures.outcome_bars(SHARES), SHARES
-            )
+            report.Plot("bars", "Ends where x < 3 & <b>y</b>.", charts.outcome_bars(SHARES), SHARES)
         ],
         tables=[report.Table("shares", "Shares.", SHARES)],
         settings={"agents": "2"},
@@ -152,14 +152,14 @@ def test_the_shorter_video_holds_its_last_frame(frames):
 
 
 def test_the_interval_is_drawn_where_the_share_is(tmp_path):
-    axes = figures.outcome_bars(SHARES).axes[0]
+    axes = charts.outcome_bars(SHARES).axes[0]
     assert [np.asarray(line.get_xdata()).tolist() for line in axes.lines] == [[0.62, 0.74]]
     assert axes.get_title(loc="left") == "test"
     assert [text.get_text() for text in axes.texts] == ["68 %", "30 %", "100 %"]
 
 
 def test_curves_skip_what_is_missing_and_the_mean_is_over_seeds():
-    axes = figures.learning_curves(CURVES, {"training": "a", "test": "b"}, "return").axes[0]
+    axes = charts.learning_curves(CURVES, {"training": "a", "test": "b"}, "return").axes[0]
     points = {str(line.get_label()): np.array(line.get_xydata()).tolist() for line in axes.lines}
     assert len(axes.lines) == 2 * (2 + 1)  # the seeds and their mean
     assert points["a"] == [[0, 0], [1, 3], [2, 9]]
@@ -170,10 +170,10 @@ def test_curves_skip_what_is_missing_and_the_mean_is_over_seeds():
 def test_a_figure_is_the_same_bytes_twice_and_its_text_is_text(name, tmp_path):
     for folder in (tmp_path / "one", tmp_path / "two"):
         figure = {
-            "bars": lambda: figures.outcome_bars(SHARES),
-            "curves": lambda: figures.learning_curves(CURVES, {"test": "return"}, "return"),
+            "bars": lambda: charts.outcome_bars(SHARES),
+            "curves": lambda: charts.learning_curves(CURVES, {"test": "return"}, "return"),
         }[name]()
-        figures.save(figure, folder, name)
+        save(figure, folder, name)
     for suffix in (".svg", ".png"):
         one, two = ((tmp_path / k / name).with_suffix(suffix) for k in ("one", "two"))
         assert one.read_bytes() == two.read_bytes()
@@ -304,11 +304,11 @@ def test_a_table_that_was_cut_short_is_told(tmp_path):
 def test_agents_of_several_names_have_curves_of_their_own():
     names = ["one", "two", "three", "four"]  # of six places two are empty
     every = pl.concat([CURVES.with_columns(agent=pl.lit(name)) for name in names])
-    figure = figures.learning_curves(every, {"training": "a", "test": "b"}, "return")
+    figure = charts.learning_curves(every, {"training": "a", "test": "b"}, "return")
     (legend,) = figure.legends
     assert [text.get_text() for text in legend.get_texts()] == ["a", "b"]
-    axes = figures.learning_curves(every, {"training": "a"}, "return").axes
-    assert [one.get_title(loc="left") for one in axes] == [f"{name}: return" for name in names]
+    axes = charts.learning_curves(every, {"training": "a"}, "return").axes
+    assert [one.get_title(loc="left") for one in axes] == names
     for one in axes:
         points = {str(line.get_label()): line.get_xydata().tolist() for line in one.lines}
         assert len(one.lines) == 2 + 1 and points["a"] == [[0, 0], [1, 3], [2, 9]]

@@ -75,7 +75,7 @@ def keep(
 
 def draw_curve(run: Path, config: Config, steps: int, folder: Path) -> None:
     """Write `curve.csv`, some of the run's metrics up to `steps`, and `curve.png` of them."""
-    from astray.experiments import figures  # here, as matplotlib takes a second to import
+    from astray.report import charts  # here, as matplotlib takes a second to import
 
     metrics = pl.DataFrame(checkpoint.metrics(run), infer_schema_length=None)
     there = {"training/return": config.variant}
@@ -91,7 +91,7 @@ def draw_curve(run: Path, config: Config, steps: int, folder: Path) -> None:
     data = data.gather_every(every, (len(data) - 1) % every)  # with the last
     write_table(data, folder / "curve.csv")
     label = "reward per step" if per_step else "return"
-    drawn = figures.learning_curves(data.with_columns(seed=pl.lit(config.seed)), there, label)
+    drawn = charts.learning_curves(data.with_columns(seed=pl.lit(config.seed)), there, label)
     drawn.savefig(folder / "curve.png")
 
 

@@ -22,9 +22,9 @@ from astray.analysis.outcomes import (
     shares,
 )
 from astray.analysis.policies import Walk
-from astray.experiments import figures
 from astray.experiments.report import Findings, Plot, Scene, Table, Video
 from astray.experiments.spec import SPREADS, Plan, Test, Work, open_agents
+from astray.report import charts
 from astray.report.claims import above, rounded
 from astray.training import checkpoint
 from astray.training.config import Config
@@ -122,13 +122,13 @@ def outcome_plots(work: Work, tables: Sequence[Table]) -> list[Plot]:
     )
     shown = [_who_and_where(work.plan, table.frame) for table in tables]
     return [
-        Plot(table.name, caption, figures.outcome_bars(data), data)
+        Plot(table.name, caption, charts.outcome_bars(data), data)
         for table, caption, data in zip(tables, captions, shown, strict=False)
     ]
 
 
 def _who_and_where(plan: Plan, table: pl.DataFrame) -> pl.DataFrame:
-    """`shares` as `figures.outcome_bars` wants them, the agents first."""
+    """`shares` as `charts.outcome_bars` wants them, the agents first."""
     shift = load_shift(plan.game, next(iter(plan.tests.values())).shift)
     scripts = {Walk(goal).name: f"walks to the {goal}, blind to all else" for goal in shift.proxies}
     scripts |= {Walk(shift.intended).name: f"walks to the {shift.intended}", "random": "random"}
@@ -196,7 +196,7 @@ def curve_plot(
     series = {f"training/{metric}": "training variant", f"validation/{metric}": "test variant"}
     there = {column: name for column, name in series.items() if column in data.columns}
     name = "curves" if metric == "return" else f"curves-{metric.replace('_', '-')}"
-    return Plot(name, caption, figures.learning_curves(data, there, label), data)
+    return Plot(name, caption, charts.learning_curves(data, there, label), data)
 
 
 def settings(plan: Plan) -> dict[str, str]:

@@ -111,7 +111,7 @@ def write(
     beside  what other agents' report says of some of the claims, as `of_claims` reads it
     links   to scenes of videos in a lab, from the report's folder
     """
-    from astray.experiments.figures import save  # here, as matplotlib takes a second to import
+    from astray.report.style import save  # here, as matplotlib takes a second to import
 
     for plot in findings.plots:
         save(plot.figure, folder / "figures", plot.name)

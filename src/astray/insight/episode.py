@@ -21,11 +21,11 @@ from astray import games
 from astray.acting import steps
 from astray.analysis.critic import policy_and_value
 from astray.analysis.given import Measure, measured
-from astray.analysis.style import FAINT, INK, OTHERS, STYLE, WIDTH
 from astray.analysis.trained import Agent
 from astray.bounds import finite, of_kind
 from astray.game import Variant
 from astray.level import Level
+from astray.report.style import FAINT, INK, OTHERS, STYLE, WIDTH
 from astray.training import ppo
 
 GAMMA, LAMBDA = 0.999, 0.95  # the paper's

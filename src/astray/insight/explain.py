@@ -20,7 +20,6 @@ from astray.analysis.critic import observe, policy_and_value, visit
 from astray.analysis.evaluate import evaluate
 from astray.analysis.outcomes import label, load_shift
 from astray.analysis.pages import templates
-from astray.analysis.style import STYLE, save
 from astray.analysis.tables import write_table
 from astray.analysis.trained import Agent
 from astray.bounds import bounded
@@ -32,6 +31,7 @@ from astray.insight.activations import layers
 from astray.insight.fields import cell_of, difference, fields
 from astray.insight.interventions import sees_world
 from astray.level import Level
+from astray.report.style import STYLE, save
 
 PAGE = "explain.html"
 SIGN = b'<meta name="generator" content="astray explain">'  # in it

@@ -11,13 +11,13 @@ from matplotlib.axes import Axes
 from matplotlib.colors import Normalize, TwoSlopeNorm
 from matplotlib.figure import Figure
 
-from astray.analysis.style import INK, STYLE, save
 from astray.bounds import of_kind
 from astray.envs.vector import picture
 from astray.game import OWN
 from astray.insight.fields import Change, Field
 from astray.insight.interventions import sees_world
 from astray.level import EMPTY, Level
+from astray.report.style import INK, STYLE, save
 
 __all__ = ["draw", "draw_paths", "heat_map", "save"]
 PIXELS = 480  # a side of a level's picture

@@ -15,8 +15,10 @@ from astray.analysis.outcomes import INTENDED, MISGENERALIZED, matrix
 from astray.analysis.runs import LEVELS_PLAYED
 from astray.experiments.outcomes import AGENTS
 from astray.experiments.report import Findings, Heading, Plot, Table
-from astray.experiments.sweep.figures import grid, line
 from astray.experiments.sweep.settings import Sweep
+from astray.report import charts
+from astray.report.axes import COLOURS
+from astray.report.grids import cells
 from astray.training.config import PRESETS, Config
 from astray.training.settings import KNOB
 
@@ -106,5 +108,13 @@ def _plots(sweep: Sweep, episodes: pl.DataFrame) -> Iterator[Plot]:
         caption = f"What agents do, by {' and '.join(pair)}; shares of episodes"
         if others:
             caption += f", over all values of {', '.join(others)}"
-        draw = grid if len(pair) == 2 else line
-        yield Plot(name, f"{caption}.", draw(data, *pair), data)
+        x, *y = pair
+        drawn = (
+            cells(data, COLOURS, x=x, y=y[0], panel="what")
+            if y
+            else charts.curves(
+                data, x=x, line="what", label="share of episodes", x_label=x, even=True,
+                whiskers=True, percent="y", limits=(-0.03, 1.03),
+            )
+        )  # fmt: skip
+        yield Plot(name, f"{caption}.", drawn, data)

@@ -8,19 +8,21 @@ import numpy as np
 import polars as pl
 
 from astray.agency import generators
-from astray.agency.generators import TYPES, Setting, wander
+from astray.agency.generators import TYPES, Setting, Type, wander
 from astray.agency.gridworld import World
 from astray.agency.maps import MAPS
-from astray.agency.measure import PAPER, PRESETS, TRUE, Episode, measure
+from astray.agency.measure import CALIBRATED, PAPER, PRESETS, TRUE, Episode, measure
 from astray.analysis.estimates import estimate_mean
 from astray.experiments.report import Findings, Plot, Table
 from astray.experiments.spec import Experiment, Plan, Work
-from astray.experiments.studies.agency._figures import draw_factors, draw_types
+from astray.report import charts
 from astray.report.claims import Claim
+from astray.report.grids import Picture, images
 
 LOST = "capability failure"
 NEVER_ON_WAY = "capability failure, never on its way"
 GOAL_DIRECTED = tuple(kind for kind in TYPES if kind != LOST)
+KINDS = (*GOAL_DIRECTED, LOST, NEVER_ON_WAY)
 PAPERS = {  # its table: -log p_agt, -log p_dev, p(agent)
     "in-distribution": ("5.7", "20.8", "0.9999"),
     "goal misgeneralization": ("14.1", "30", "0.9999"),
@@ -48,6 +50,15 @@ def find(work: Work) -> Findings:
     measured = pl.concat([measure_types(m, s, count) for m, s in settings.items()])
     table, called = summary(measured), call_agents(settings, count // 4)
     goals = inferred(settings)
+    order = pl.col("type").replace_strict(KINDS, range(len(KINDS)))
+    factors = charts.points(
+        table.with_columns(mean="log factor", measure=pl.format("the measure '{}'", "preset")).sort(
+            order, maintain_order=True
+        ),
+        row="type", group="map", panel="measure", at={"": 0}, symlog=2,
+        label="mean log Bayes factor, agents against devices (nats)",
+    )  # fmt: skip
+    drawn = [trajectory(settings[DRAWN], kind) for kind in TYPES]
     return Findings(
         answer=answer(table),
         claims=claims_of(table, goals, called),
@@ -55,14 +66,14 @@ def find(work: Work) -> Findings:
             Plot(
                 "trajectories",
                 f"One trajectory of each type ({DRAWN}), and what the paper's measure says of it.",
-                draw_types(settings[DRAWN]),
+                images([drawn[:2], drawn[2:]], (3.5, 3.8)),
                 table.filter(map=DRAWN),
             ),
             Plot(
                 "factors",
                 "How much a trajectory speaks for an agent, on average, with 95 % "
                 "intervals: by the paper's measure and by the calibrated one.",
-                draw_factors(table, (*GOAL_DIRECTED, LOST, NEVER_ON_WAY)),
+                factors,
                 table,
             ),
         ],
@@ -83,6 +94,19 @@ def find(work: Work) -> Findings:
             **{preset: str(options) for preset, options in PRESETS.items()},
         },
     )
+
+
+def trajectory(setting: Setting, kind: Type) -> Picture:
+    """A trajectory of a type on its map: its start is brown, the goal that is shown green."""
+    episode = max(setting.episodes(kind, 12), key=lambda e: len(e.trajectory))
+    world, evidence = episode.world, measure(episode, PAPER)
+    way = world.cells[episode.trajectory.cells]
+    marks = {tuple(way[0]): "#8a5a2b"} | ({episode.true: "#2e9e4f"} if episode.true else {})
+    return Picture(
+        kind, 0.35 + 0.65 * world.free[::-1], way=way, marks=marks,
+        note=f"{-evidence.log_agent:.1f} nats as agent, {-evidence.log_device:.1f} as device:\n"
+        f"p(agent) = {evidence.agent:.4f}; calibrated {measure(episode, CALIBRATED).agent:.4f}",
+    )  # fmt: skip
 
 
 def setting(world: World) -> Setting:

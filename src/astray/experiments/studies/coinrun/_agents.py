@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import polars as pl
+from matplotlib.figure import Figure
 
 from astray.analysis.adapters import Function
 from astray.analysis.evaluate import evaluate
@@ -18,8 +19,10 @@ from astray.game import Variant
 from astray.games.coinrun.rules import ACTIONS
 from astray.published.imported import SPARED
 from astray.record import LEVELS
+from astray.report import charts
 from astray.training.config import PRESETS, Config
 
+FATES = ("#2fa393", "#f0a03c", "#8c8c92", "#d2d2ce")  # as of outcomes; who died is darker
 ABOUT = {"game": "coinrun", "variant": "coin-end", "validation": "coin-anywhere"}
 LARGE = replace(PRESETS["paper"], **ABOUT, device="cuda")
 AGENTS: Mapping[Size, Config] = {
@@ -96,3 +99,9 @@ def play(runs: Sequence[Path], variant: Variant, levels: np.ndarray | range) -> 
         played = evaluate(agent, config.game, variant, levels)
         parts.append(played.with_columns(run=pl.lit(str(run)), seed=pl.lit(config.seed)))
     return pl.concat(parts)
+
+
+def fate_bars(fates: pl.DataFrame, order: Sequence[str]) -> Figure:
+    """A bar for each test, of what became of its episodes: columns test, fate and mean."""
+    colours = dict(zip(order, FATES, strict=True))
+    return charts.bars(fates, colours, row="test", part="fate", label="share of episodes")

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import polars as pl
@@ -17,13 +19,15 @@ from astray.experiments import outcomes
 from astray.experiments.levels import levels_of
 from astray.experiments.report import Findings, Plot, Table
 from astray.experiments.spec import Experiment, Test, Work
-from astray.experiments.studies.coinrun import _agents, _figures
+from astray.experiments.studies.coinrun import _agents
 from astray.experiments.studies.coinrun._agents import RUNNER
 from astray.games.coinrun.edits import PARTS
 from astray.insight import attribution
 from astray.insight.probes import untrained
+from astray.report import charts
 from astray.report.claims import Claim, above
 from astray.report.claims import every as every_one
+from astray.report.grids import Picture, images
 
 TESTS = {
     "in training": Test("coin-end", "coin-end"),
@@ -54,6 +58,10 @@ def find(work: Work) -> Findings:
     dense, chance = (per_area(part.filter(method="gradient")) for part in (table, blanks))
     ratios = group_means(blanks, "attribution", ["test", "method", "part"], per="area")
     examples = work.keep("maps", lambda: maps_of_some(work))
+    parts = charts.points(
+        pl.concat([sizes(table), bars], how="diagonal_relaxed"), row="part", group="method",
+        panel="test", percent=True, label="share of attribution",
+    )  # fmt: skip
     return Findings(
         answer="Where both are in view, the end wall has "
         + "; ".join(
@@ -71,13 +79,13 @@ def find(work: Work) -> Findings:
                 "The share of attribution on each part, by three methods, with 95\u00a0% "
                 "intervals; the mark is the part's share of what is seen, "
                 "which it would have if it mattered no more than its size.",
-                _figures.parts(bars, sizes(table)),
+                parts,
                 bars,
             ),
             Plot(
                 "maps",
                 "Maps of some states: blue is what raises the value, red what lowers it.",
-                _figures.maps(examples),
+                images([pictures(one) for one in examples.to_dicts()], (2.0, 2.2)),
                 examples,
             ),
         ],
@@ -200,8 +208,10 @@ def per_area(table: pl.DataFrame) -> Gap:
 
 
 def sizes(table: pl.DataFrame) -> pl.DataFrame:
-    """The mean area of each part in each test."""
-    return table.group_by("test", "part", maintain_order=True).agg(pl.col("area").mean())
+    """The mean area of each part in each test, as if it were a method's."""
+    return table.group_by("test", "part", maintain_order=True).agg(
+        mean=pl.col("area").mean(), method=pl.lit("share of what is seen")
+    )
 
 
 def maps_of_some(work: Work) -> pl.DataFrame:
@@ -224,6 +234,20 @@ def maps_of_some(work: Work) -> pl.DataFrame:
                 row[method] = flat(attribute(agent, shown)[0]).tolist()
             found.append(row)
     return pl.DataFrame(found)
+
+
+def pictures(example: dict[str, Any]) -> list[Picture]:
+    """The picture of a row of `maps_of_some`, and each method's map over a pale one."""
+    image = np.array(example["picture"]) / 255
+    found = [Picture(textwrap.fill(example["name"], 26), image)]
+    for method in METHODS:
+        map_ = np.array(example[method])
+        found.append(
+            Picture(
+                method, 1 - 0.35 * (1 - image), map_, (-1, 1), "RdBu", opacity=np.sqrt(abs(map_))
+            )
+        )
+    return found
 
 
 def grey(agent, variant, states: np.ndarray) -> list:

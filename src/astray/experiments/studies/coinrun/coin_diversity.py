@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import polars as pl
+from matplotlib.figure import Figure
 
 from astray.analysis.estimates import Estimate, estimate_difference, estimate_mean, estimate_paired
 from astray.analysis.outcomes import (
@@ -20,7 +21,8 @@ from astray.experiments.levels import levels_of
 from astray.experiments.outcomes import AGENTS
 from astray.experiments.report import Findings, Plot, Table
 from astray.experiments.spec import Experiment, Plan, Size, Test, Work
-from astray.experiments.studies.coinrun import _agents, _figures
+from astray.experiments.studies.coinrun import _agents
+from astray.report import charts
 from astray.report.claims import above, rounded
 
 SHARES = (0, 1, 2, 4, 6, 8, 10, 20)  # per cent of training levels whose coin is at a random place
@@ -100,7 +102,7 @@ def find(work: Work) -> Findings:
                 "the coin is at any place that can be got to, right at the original's random "
                 "place, the first column of a section. The base rates are of the runners without "
                 "random coins, to whom the coin is invisible, and of a scripted walk to the end.",
-                _figures.diversity(table.filter(levels_counted=ALL)),
+                draw(table.filter(levels_counted=ALL)),
                 table,
             ),
             Plot(
@@ -108,7 +110,7 @@ def find(work: Work) -> Findings:
                 "As the original's code counts: only levels in which a runner without random "
                 "coins does not touch the invisible coin by chance; capability failure is any "
                 "episode without the coin.",
-                _figures.diversity(table.filter(levels_counted=MISSED)),
+                draw(table.filter(levels_counted=MISSED)),
                 table,
             ),
             outcomes.curve_plot(replace(work, runs={NEVER: work.runs[NEVER]})),
@@ -127,6 +129,14 @@ def find(work: Work) -> Findings:
             "it seems, four times the channels, one agent each.",
         },
     )
+
+
+def draw(table: pl.DataFrame) -> Figure:
+    """Draw both failures against random_coins, a panel a test; a base rate is a level line."""
+    return charts.curves(
+        table, x="random_coins", line="what", panel="test", label="share of episodes",
+        x_label="training levels with a random coin (%)", percent="y", limits=(0, 1),
+    )  # fmt: skip
 
 
 def in_training(work: Work) -> pl.DataFrame:

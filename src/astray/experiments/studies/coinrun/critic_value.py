@@ -14,10 +14,11 @@ from astray.experiments import outcomes
 from astray.experiments.levels import levels_of
 from astray.experiments.report import Findings, Plot, Table
 from astray.experiments.spec import Experiment, Test, Work
-from astray.experiments.studies.coinrun import _agents, _figures
+from astray.experiments.studies.coinrun import _agents
 from astray.experiments.studies.coinrun._agents import RUNNER
 from astray.games.coinrun import edits, measures
 from astray.games.coinrun.measures import STAGES
+from astray.report import charts
 from astray.report.claims import Claim, above, every, near_zero, rounded
 
 BEGINNING, MIDDLE, END, BEYOND = STAGES
@@ -64,6 +65,22 @@ def find(work: Work) -> Findings:
             for stage, effect in removed.items()
         ]
 
+    came_figure = charts.curves(
+        pl.concat([came.with_columns(what=pl.lit("what came")), as_expected(came)],
+                  how="diagonal_relaxed"),
+        x="expected", line="what", x_label="the critic's value", base=["as expected"],
+        label="discounted return that came", whiskers=True,
+    )  # fmt: skip
+    seen = pl.when("coin").then(pl.lit("coin in view")).otherwise(pl.lit("no coin in view"))
+    stages = charts.points(
+        bars.with_columns(seen=seen, n=pl.format("n = {}", "rows")),
+        row="stage", group="seen", note="n", label="the critic's value",
+    )  # fmt: skip
+    coins = charts.points(
+        effects.with_columns(coin=pl.format("coin {}", "coin_is")),
+        row="stage", group="coin", at={"": 0}, label="value with the coin, less without it",
+    )  # fmt: skip
+
     return Findings(
         answer=f"From the beginning of a level to its end the value rises by {rise.mean:.2f} "
         f"(in the unit of the training's rewards); what a coin in view adds to the value of the "
@@ -103,7 +120,7 @@ def find(work: Work) -> Findings:
                 "What the critic expects and what came of it, in levels as in training: the "
                 f"discounted return from a state on, of {BINS} groups of states by their value, "
                 f"with 95\u00a0% intervals. {unit}",
-                _figures.calibration(came),
+                came_figure,
                 came,
             ),
             Plot(
@@ -112,14 +129,14 @@ def find(work: Work) -> Findings:
                 "view, as in the paper; with 95\u00a0% intervals over agents and levels. Stages "
                 "are thirds of the way to the end, and what is beyond the face of a wall that "
                 "lets pass.",
-                _figures.stages(bars),
+                stages,
                 bars,
             ),
             Plot(
                 "coins",
                 "What a coin adds to the value of the same state: where one is in view it is "
                 "taken away, where none is one is put at a random place to stand that is in view.",
-                _figures.effects(effects),
+                coins,
                 effects,
             ),
         ],
@@ -196,6 +213,13 @@ def by_stage(rows: pl.DataFrame, value: str, by: list[str]) -> pl.DataFrame:
     """Means of `value` in stages and `by`, in the order of STAGES."""
     order = pl.col("stage").replace_strict(STAGES, range(len(STAGES)))
     return group_means(rows, value, ["stage", *by]).sort(order, *by)
+
+
+def as_expected(came: pl.DataFrame) -> pl.DataFrame:
+    """The line on which what came is what was expected, over the range of both."""
+    both = came.select("expected", "mean").to_numpy()
+    ends = [both.min(), both.max()]
+    return pl.DataFrame({"expected": ends, "mean": ends, "what": "as expected"})
 
 
 def calibration(table: pl.DataFrame) -> pl.DataFrame:

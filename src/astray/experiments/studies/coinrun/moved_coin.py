@@ -15,9 +15,10 @@ from astray.experiments import outcomes
 from astray.experiments.levels import levels_of
 from astray.experiments.report import Findings, Plot, Scene, Table, Video
 from astray.experiments.spec import Experiment, Test, Work
-from astray.experiments.studies.coinrun import _agents, _figures
+from astray.experiments.studies.coinrun import _agents
 from astray.experiments.studies.coinrun._agents import RIGHT_AND_JUMP, RUNNER
 from astray.games.coinrun.rules import HALF, TALL
+from astray.report import charts
 from astray.report.claims import above, near_zero, rounded
 
 AT_END, ANYWHERE, GHOST, NONE, LEDGE = (
@@ -73,6 +74,10 @@ def find(work: Work) -> Findings:
     past, script = share_of(table, ANYWHERE, END), share_of(table, RIGHT_AND_JUMP.name, TAKEN)
     gain, touched = mean_of(pairs, "gain"), mean_of(pairs, "touched")
     off = mean_of(pairs.filter(way=OFF_WAY), "gain")
+    by_group = charts.points(
+        gains.with_columns(n=pl.format("n = {}", "rows")), row="group", note="n", at={"": 0},
+        percent=True, label="taken where it is seen, less touched where it is not",
+    )  # fmt: skip
     return Findings(
         answer=f"At the end of the level the coin is taken in {rounded(share[AT_END].mean)} of "
         f"levels. At a place that can be reached, all equally likely, it is taken in "
@@ -136,7 +141,7 @@ def find(work: Work) -> Findings:
                 "fates",
                 "What became of episodes, which are left at the coin, its ghost, or the "
                 "end of the level.",
-                _figures.fates(fates, FATES),
+                _agents.fate_bars(fates, FATES),
                 fates,
             ),
             Plot(
@@ -145,7 +150,7 @@ def find(work: Work) -> Findings:
                 "same places of the same levels: in all, by whether a runner that only holds "
                 "right and jump touches it, by where it is on the way to the end, and by its "
                 "height over the start; with 95\u00a0% intervals.",
-                _figures.gains(gains),
+                by_group,
                 gains,
             ),
         ],

@@ -17,10 +17,12 @@ from astray.experiments.levels import levels_of
 from astray.experiments.outcomes import AGENTS
 from astray.experiments.report import Findings, Plot, Table, Video
 from astray.experiments.spec import Experiment, Test, Work
-from astray.experiments.studies.coinrun import _agents, _figures
+from astray.experiments.studies.coinrun import _agents
 from astray.experiments.studies.coinrun._agents import RUNNER
 from astray.games.coinrun import measures
+from astray.report import charts
 from astray.report.claims import above, rounded
+from astray.report.grids import Picture, images
 
 COLUMNS = 15  # of the wall
 ANYWHERE, AT_END, NONE = "coin anywhere", "coin at the end", "no coin"
@@ -69,6 +71,11 @@ def find(work: Work) -> Findings:
     before = mean_of(peaks, pl.col("to_wall").is_between(*JUST_LEFT))
     typical = pick(peaks)
     shown = [show(work, typical)] if typical else []
+    near = charts.curves(
+        ways.with_columns(pl.col("cells") + 0.5), x="cells", shade=(0, COLUMNS),
+        x_label="cells from the wall's face to the runner's front; shaded: the wall",
+        label="the critic's value",
+    )  # fmt: skip
     return Findings(
         answer=f"Of the runners that reach the wall, {rounded(through.mean)} go through it, and "
         f"{rounded(entered.mean)} at least into it. The critic's value is highest just left of the "
@@ -100,13 +107,13 @@ def find(work: Work) -> Findings:
         ],
         videos=[video for video, _ in shown],
         plots=[
-            *[plot for _, plot in shown],
+            *[plot for _, plots in shown for plot in plots],
             Plot(
                 "approach",
                 "The critic's value by the distance to the wall's face, over all episodes that "
                 "reach it, with 95\u00a0% intervals over agents and levels; in their first "
                 f"{LONGEST} steps.",
-                _figures.approach(ways, COLUMNS),
+                near,
                 ways,
             ),
         ],
@@ -209,8 +216,8 @@ def pick(peaks: pl.DataFrame) -> dict[str, Any] | None:
     return mine.row(len(mine) // 2, named=True) if len(mine) else None
 
 
-def show(work: Work, typical: dict[str, Any]) -> tuple[Video, Plot]:
-    """One episode: a video with the critic's value, and its curve with pictures above."""
+def show(work: Work, typical: dict[str, Any]) -> tuple[Video, list[Plot]]:
+    """One episode: a video with the critic's value, and its curve and pictures."""
     run = next(run for run in work.runs[RUNNER] if open_run(run)[1].seed == typical["agent"])
     player, config = open_run(run)
     variant = work.plan.tests[ANYWHERE].variant_for(work.plan.config)
@@ -232,19 +239,40 @@ def show(work: Work, typical: dict[str, Any]) -> tuple[Video, Plot]:
         {"step": np.arange(len(value)), "value": value, "to_wall": measures.to_wall(episode.states)}
     )
     drawn = moments(data)
+    inside = data.filter(pl.col("to_wall") < 0)["step"]
+    shade = (inside[0], len(data) - 1) if len(inside) else None
     about = (
         f"level {typical['level']}, in which the first agent takes the median time to the wall "
         f"of those in which it reaches it"
     )
     return (
         Video(f"A typical episode: {about}, with the critic's value.", path),
-        Plot(
-            "episode",
-            f"The critic's value in a typical episode: {about}. Shaded: the runner is in the wall, "
-            "or was.",
-            _figures.episode(data, drawn, episode.frames[drawn]),
-            data,
-        ),
+        [
+            Plot(
+                "episode",
+                f"The critic's value in a typical episode: {about}. Shaded: the runner is in the "
+                "wall, or was.",
+                charts.curves(
+                    data.rename({"value": "mean"}),
+                    x="step",
+                    x_label="step",
+                    label="the critic's value",
+                    shade=shade,
+                ),
+                data,
+            ),
+            Plot(
+                "episode-steps",
+                "Steps of that episode.",
+                images(
+                    [
+                        [Picture(texts[k], episode.frames[k]) for k in drawn[i : i + 3]]
+                        for i in range(0, len(drawn), 3)
+                    ]
+                ),
+                data[drawn],
+            ),
+        ],
     )
 
 

@@ -10,8 +10,7 @@ from astray.analysis.evaluate import evaluate
 from astray.analysis.policies import Random
 from astray.experiments.report import Findings, Plot, Table
 from astray.experiments.spec import Experiment, Plan, Work
-from astray.experiments.studies.coinrun import _figures
-from astray.experiments.studies.coinrun._agents import RIGHT_AND_JUMP
+from astray.experiments.studies.coinrun._agents import RIGHT_AND_JUMP, fate_bars
 from astray.games.coinrun.levels import BEGIN
 from astray.published import catalogue
 from astray.published.results import read_results
@@ -65,10 +64,7 @@ def find(work: Work) -> Findings:
         ],
         plots=[
             Plot(
-                "fates",
-                "What became of episodes in the same levels.",
-                _figures.fates(bars, FATES),
-                bars,
+                "fates", "What became of episodes in the same levels.", fate_bars(bars, FATES), bars
             )
         ],
         tables=[

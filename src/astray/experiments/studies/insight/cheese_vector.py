@@ -12,15 +12,17 @@ from astray.analysis.trained import Agent
 from astray.estimate import Estimate
 from astray.experiments.report import Findings, Plot, Table
 from astray.experiments.spec import Experiment, Size, Work
-from astray.experiments.studies.insight import _figures, _plans
+from astray.experiments.studies.insight import _plans
 from astray.experiments.studies.insight._plans import of_levels, opened, table_of
 from astray.game import Variant
 from astray.games.maze.measures import decision
 from astray.insight.vectors import Condition, effects, object_vectors
+from astray.report import charts
 from astray.report.claims import Claim, above, below, near_zero
 
 WHERE = "cheese anywhere"
 PLAIN, WITHOUT, RANDOM = "as it is", "level without cheese", "random vector of that length"
+RANDOMS = "random vectors of the same length"
 SUBTRACTED, ADDED, MEAN = "subtracted", "added", "mean of all levels subtracted"
 COEFFICIENTS = (-3.0, -2.0, -0.5, 0.5, 2.0)  # beside -1 and 1
 SQUARE, START, ALL = "at", "start", "towards"  # columns: the decision square, the beginning, places
@@ -66,6 +68,16 @@ def find(work: Work) -> Findings:
         means(few, names, "coefficient").sort("coefficient") for names in (by_dose, by_chance)
     )
     shape = work.keep("vectors", lambda: shapes(work.size, agent, variant, levels))
+    by_layer = charts.points(
+        depth, row="layer", at=dict(zip(("nothing changed", "no cheese"), base, strict=True)),
+        label="probability of the next step to the cheese", limits=(0, 1),
+    )  # fmt: skip
+    vectors = {"cheese vectors": dose, RANDOMS: chance}
+    by_coefficient = charts.curves(
+        pl.concat(one.with_columns(vector=pl.lit(name)) for name, one in vectors.items()),
+        x="coefficient", line="vector", x_label="coefficient", base=[RANDOMS], limits=(0, 1),
+        label="probability of the next step to the cheese",
+    )  # fmt: skip
     return Findings(
         answer="Where the ways to cheese and corner part, the next step is one to the cheese with "
         f"a probability of {said[PLAIN].mean:.3f}; "
@@ -78,13 +90,13 @@ def find(work: Work) -> Findings:
                 "depth",
                 "The probability of the next step to the cheese, the cheese vector of "
                 "each layer subtracted there. Dashed: as it is; dotted: a level without cheese.",
-                _figures.depth(depth, *base),
+                by_layer,
                 depth,
             ),
             Plot(
                 "dose",
-                f"Likewise at {main}, by the coefficient; grey: random vectors.",
-                _figures.dose(dose, chance),
+                f"Likewise at {main}, by the coefficient; dashed: random vectors.",
+                by_coefficient,
                 dose,
             ),
         ],

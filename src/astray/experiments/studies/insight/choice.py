@@ -11,10 +11,11 @@ from astray.analysis.trained import Agent
 from astray.estimate import Estimate
 from astray.experiments.report import Findings, Plot, Table
 from astray.experiments.spec import Experiment, Test, Work
-from astray.experiments.studies.insight import _figures, _plans
+from astray.experiments.studies.insight import _plans
 from astray.experiments.studies.insight._plans import opened
 from astray.game import Variant
 from astray.insight.behaviour import Prediction, level_features, predict
+from astray.report import charts
 from astray.report.claims import Claim, above, below
 
 WHERE = "cheese anywhere"
@@ -43,6 +44,13 @@ def find(work: Work) -> Findings:
     every = predict(told, CHEESE, names)
     four = predict(told, CHEESE, [name for name in PUBLISHED if name in names])
     taken = told[CHEESE].to_numpy().mean()
+    largest = every.features.rename({"coefficient": "mean"}).sort(-pl.col("mean").abs())
+    coefficients = charts.points(
+        largest,
+        row="feature",
+        at={"": 0},
+        label="log odds of the cheese, a standard deviation more",
+    )
     return Findings(
         answer=f"Of {len(rows):,} episodes the ways to cheese and corner part in {every.levels:,}; "
         f"the cheese is reached first in {100 * taken:.1f}\u00a0% of these. All "
@@ -72,7 +80,7 @@ def find(work: Work) -> Findings:
                 "coefficients",
                 "Log odds of taking the cheese for a standard deviation more of "
                 "each distance, with 95\u00a0% intervals over levels; all distances together.",
-                _figures.coefficients(every.features),
+                coefficients,
                 every.features,
             )
         ],

@@ -7,6 +7,7 @@ from collections.abc import Mapping
 
 import numpy as np
 import polars as pl
+from matplotlib.figure import Figure
 
 from astray.analysis.critic import counterfactual, visit
 from astray.analysis.estimates import group_means
@@ -15,12 +16,13 @@ from astray.estimate import Estimate
 from astray.experiments.report import Findings, Plot, Table
 from astray.experiments.spec import Experiment, Size, Test, Work
 from astray.experiments.studies.coinrun import _agents
-from astray.experiments.studies.insight import _figures, _plans
+from astray.experiments.studies.insight import _plans
 from astray.experiments.studies.insight._plans import opened
 from astray.game import Variant
 from astray.games.coinrun.edits import with_coin_in_view, without_coin
 from astray.games.coinrun.measures import LABELS, coin_in_view
 from astray.insight import probes
+from astray.report import charts
 from astray.report.claims import above, below
 
 WHERE = "coin anywhere"
@@ -92,7 +94,7 @@ def find(work: Work) -> Findings:
                 "probes",
                 "What linear probes read in levels that they were not fitted on, layer "
                 "by layer, with intervals over levels.",
-                _figures.probes(table, list(READ)),
+                draw(table),
                 table,
             )
         ],
@@ -108,6 +110,27 @@ def find(work: Work) -> Findings:
             "value": f"{REMOVED}: {value[REMOVED].amount()}; {ADDED}: {value[ADDED].amount()}",
         },
     )
+
+
+def draw(table: pl.DataFrame) -> Figure:
+    """What probes read, layer by layer, beside their controls: a panel a label."""
+    told = {"score": "trained network", "untrained": "never trained", "shuffled": "labels shuffled"}
+    kind = pl.when(kind="number").then(pl.lit("R squared")).otherwise(pl.lit("balanced accuracy"))
+    table = table.with_columns(panel=pl.format("{} ({})", "label", kind))
+    parts = [
+        table.select(
+            "panel", "layer", what=pl.lit(called), mean=name, low=f"{name} low",
+            high=f"{name} high",
+        ).fill_nan(None)
+        for name, called in told.items()
+    ]  # fmt: skip
+    chance = table.group_by("panel", maintain_order=True).agg(
+        mean=pl.col("chance").first(), what=pl.lit("without looking")
+    )
+    return charts.curves(
+        pl.concat([*parts, chance], how="diagonal_relaxed"), x="layer", line="what", panel="panel",
+        limits=(-0.25, 1.03), label="score",
+    )  # fmt: skip
 
 
 def visited(size: Size, agent: Agent, variant: Variant, levels: np.ndarray) -> np.ndarray:

@@ -13,11 +13,12 @@ from astray.analysis.trained import Agent
 from astray.estimate import Estimate
 from astray.experiments.report import Findings, Plot, Table
 from astray.experiments.spec import Experiment, Size, Work
-from astray.experiments.studies.insight import _figures, _plans
+from astray.experiments.studies.insight import _plans
 from astray.experiments.studies.insight._plans import opened, table_of
 from astray.game import Variant
 from astray.insight.retarget import ALONE, AS_IS, CLAMPED, MOVED, WAYS, Clamp, following, retarget
 from astray.report.claims import Claim, above, near_zero
+from astray.report.grids import Picture, images
 
 WHERE = "cheese anywhere"
 LAYER: Mapping[Size, str] = {"smoke": "spread", "published": "block2.residual1"}
@@ -55,7 +56,7 @@ def find(work: Work) -> Findings:
                 "targets",
                 "Path probability to each cell: the geometric mean of the "
                 "probabilities of the steps of the shortest way there, the mean over levels.",
-                _figures.targets(maps, variant_side(variant)),
+                images([[heat(how, one, variant) for how, one in maps.items()]], (2.45, 3.0)),
                 pl.concat([m.with_columns(how=pl.lit(how)) for how, m in maps.items()]),
             )
         ],
@@ -79,9 +80,13 @@ def find(work: Work) -> Findings:
     )
 
 
-def variant_side(variant: Variant) -> int:
-    """Cells a side of the world."""
-    return int(variant.records()[0]["world"])
+def heat(how: str, table: pl.DataFrame, variant: Variant) -> Picture:
+    """The means of `by_cell` in the cells of the world, its highest row first."""
+    side = int(variant.records()[0]["world"])
+    grid = np.full((side, side), np.nan)
+    grid[table["y"].to_numpy(), table["x"].to_numpy()] = table["mean"].to_numpy()
+    label = "path probability" if how == WAYS[-1] else ""
+    return Picture(how, heat=grid[::-1], colours="magma", label=label, opacity=1)
 
 
 def clamp_of(found: pl.DataFrame, layer: str, count: int, factor: float) -> Clamp:

@@ -2,24 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from functools import partial
 
-import matplotlib
 import numpy as np
 import polars as pl
-from matplotlib.figure import Figure
 
 from astray.acting import initial_states
 from astray.analysis.estimates import Estimate, estimate_mean, estimate_paired
 from astray.analysis.given import Measure
 from astray.analysis.outcomes import matrix
 from astray.analysis.policies import Walk
-from astray.experiments import figures
 from astray.experiments.outcomes import AGENTS
 from astray.experiments.report import Plot, Table
 from astray.experiments.spec import Work
 from astray.games.keys.measures import discounted_return, keys_beyond_need, keys_in_hand
+from astray.report import charts
 
 NEED = Walk("chests").name  # fetches only what it needs
 POLICIES = {
@@ -130,46 +127,15 @@ def table(work: Work, episodes: pl.DataFrame) -> Table:
 def plot(work: Work, table: Table) -> Plot:
     """A panel a measure of the table, a row a policy, a mark a test."""
     names = {name: f"{test.variant}: {name}" for name, test in work.plan.tests.items()}
+    drawn = table.frame.with_columns(
+        pl.col("test").replace(names), pl.col("measure").replace(MEASURES)
+    )
     return Plot(
         "hoarding",
         "What was done with the keys: by the agents, by a thief that opens all chests in the "
         "fewest steps, by one that cares for keys alone, and by chance. Lines are 95 % intervals.",
-        draw(table.frame, names),
+        charts.points(
+            drawn, row="policy", group="test", panel="measure", columns=2, sharex=False, label=""
+        ),
         table.frame,
     )
-
-
-@matplotlib.rc_context(figures.STYLE)
-def draw(table: pl.DataFrame, tests: Mapping[str, str]) -> Figure:
-    """The figure of `plot`; `tests` are what the tests are called."""
-    figure = Figure(figsize=(figures.WIDTH, 6.2))
-    panels = list(figure.subplots(3, 2, sharey=True).flat)
-    policies = list(POLICIES.values())
-    looks = zip(tests.items(), ("o", "D"), ("white", figures.OTHERS[0]), (-0.14, 0.14), strict=True)
-    for (test, name), marker, face, shift in looks:
-        for axes, measure in zip(panels, MEASURES, strict=True):
-            rows = table.filter(test=test, measure=measure).to_dicts()
-            part = {row["policy"]: row for row in rows}
-            mean, low, high = (
-                np.array([part[policy][end] for policy in policies])
-                for end in ("mean", "low", "high")
-            )
-            axes.errorbar(
-                mean,
-                np.arange(len(policies)) + shift,
-                xerr=[mean - low, high - mean],
-                fmt=marker,
-                markersize=5,
-                color=figures.OTHERS[0],
-                markerfacecolor=face,
-                linewidth=1.3,
-                label=name,
-            )
-    for axes, unit in zip(panels, MEASURES.values(), strict=True):
-        axes.set_title(unit, fontsize=9.5, fontweight="normal")
-        axes.set_yticks(range(len(policies)), policies)
-        axes.set_ylim(len(policies) - 0.5, -0.5)
-        axes.grid(axis="x")
-        axes.tick_params(axis="y", length=0)
-    figure.legend(*panels[0].get_legend_handles_labels(), loc="outside upper left", ncols=2)
-    return figure

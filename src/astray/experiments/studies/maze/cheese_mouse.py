@@ -19,8 +19,8 @@ from astray.experiments.levels import levels_of, unmet
 from astray.experiments.outcomes import AGENTS, share
 from astray.experiments.report import Findings, Plot, Scene, Table, Video
 from astray.experiments.spec import Experiment, Plan, Test, Work
-from astray.experiments.studies.maze import _figures
 from astray.game import Variant
+from astray.report import charts
 from astray.report.claims import Claim, above, rounded
 from astray.training import folders
 from astray.training.config import PRESETS
@@ -48,6 +48,10 @@ def find(work: Work) -> Findings:
     )
     largest = max(sizes.filter(outcome=INTENDED).to_dicts(), key=lambda row: row["size"])
     first = {o: share(work.episodes, WHERE, o).mean for o in OUTCOMES}
+    by_side = charts.curves(
+        sizes, x="size", line="outcome", label="share of episodes", percent="y", limits=(0, 1),
+        even=True, x_label="cells a side of the maze",
+    )  # fmt: skip
     return Findings(
         answer=f"In mazes of {sizes['size'].min()} to {sizes['size'].max()} cells it finds the "
         f"cheese in {rounded(reached.mean)}, passes the corner before in "
@@ -89,7 +93,7 @@ def find(work: Work) -> Findings:
             Plot(
                 "sizes",
                 "Which goal is reached first, by the size of the maze, with 95\u00a0% intervals.",
-                _figures.by_size(sizes),
+                by_side,
                 sizes,
             ),
             *outcomes.outcome_plots(work, tables),

@@ -15,15 +15,21 @@ from astray.experiments.outcomes import AGENTS, share
 from astray.experiments.report import Findings, Plot, Table
 from astray.experiments.spec import Experiment, Plan, Work, tests_of
 from astray.experiments.studies.maze import maze_corner
-from astray.experiments.studies.maze._figures import pair_maps
 from astray.games.maze.variants import COLOURS, EASY, SHAPES
+from astray.report.axes import COLOURS as OF_OUTCOMES
+from astray.report.axes import LINES
 from astray.report.claims import Claim, above, rounded
+from astray.report.grids import cells
 from astray.training.config import PRESETS
 
 COLOUR, SHAPE = "yellow", "line"  # of the object in training
 COLOURED = (COLOUR, *(c for c in COLOURS[1:] if c != COLOUR))
 SHAPED = (SHAPE, *(s for s in SHAPES[1:] if s != SHAPE))
 PAPER = "red", "gem"  # what the paper offered: a line in this colour, or a yellow one of this
+PANELS = {
+    "keeps_colour": f"go to the {COLOUR} object,\nof those that go to either",
+    "neither": "go to neither\n",
+}
 PAIRED = 1000  # levels, at most, in which every pair is offered
 
 
@@ -39,6 +45,13 @@ def find(work: Work) -> Findings:
     new = table.filter(pl.col("colour") != COLOUR, pl.col("shape") != SHAPE)
     colours = new["keeps_colour"].drop_nulls().to_numpy()
     low, high = colours.min(), colours.max()
+    measured = table.drop("low", "high").rename(PANELS)
+    preferred = cells(
+        measured.unpivot(list(PANELS.values()), index=["colour", "shape"], value_name="mean"),
+        {"go to the": OF_OUTCOMES[MISGENERALIZED], "go to neither": LINES[FAILED]},
+        x="shape", y="colour", panel="variable", x_label=f"shape of the {COLOUR} object",
+        y_label=f"colour of the {SHAPE}", apart=True,
+    )  # fmt: skip
     return Findings(
         answer="A mouse that always found a yellow line goes to a yellow gem rather than to a "
         f"red line in {rounded(gem.mean)} of the levels in which it goes to either and neither "
@@ -70,7 +83,7 @@ def find(work: Work) -> Findings:
                 f"{SHAPE}, in % of episodes: left, to that which keeps the colour. In the first "
                 f"row the {SHAPE} is just as in training, in the first column the {COLOUR} "
                 "object; in their corner the two are alike.",
-                pair_maps(table, (COLOUR, SHAPE)),
+                preferred,
                 table,
             ),
             *outcomes.outcome_plots(work, tables),

@@ -15,9 +15,9 @@ from astray.experiments.outcomes import AGENTS
 from astray.experiments.report import Findings, Plot, Table
 from astray.experiments.spec import Experiment, Plan, Test, Work, tests_of
 from astray.experiments.studies.maze import maze_corner
-from astray.experiments.studies.maze._figures import region_lines
 from astray.games.maze.rules import REWARD
 from astray.games.maze.variants import EASY, SMALL
+from astray.report import charts
 from astray.report.claims import above, rounded
 from astray.training.config import PRESETS, Config
 
@@ -37,6 +37,14 @@ def find(work: Work) -> Findings:
     shown = pl.concat([success_table(work, regions), at_end_of_training(work, regions)])
     first = first_table(apart, regions)
     sides = {name: f"{side} x {side} cells" for name, side in regions.items()}
+    both = pl.concat([shown, first.rename({"outcome": "who"})])
+    titles = ["The cheese is reached"] * len(shown)
+    titles += ["Reached first, in levels that tell the goals apart"] * len(first)
+    lines = charts.curves(
+        both.with_columns(panel=pl.Series(titles)), x="region", line="who", panel="panel",
+        columns=1, percent="y", limits=(-0.02, 1.02), label="share of levels",
+        x_label="region of the cheese in training (cells a side)",
+    )  # fmt: skip
     return Findings(
         answer="Where the cheese is anywhere, a mouse whose cheese was in the corner's "
         f"{sides[smallest]} reaches it in {rounded(success[smallest].mean())} of levels, one "
@@ -76,8 +84,8 @@ def find(work: Work) -> Findings:
                 "How often the cheese is reached within the time limit, which is the "
                 "paper's measure, and what is reached first, with 95 % intervals. In training: "
                 "the last tenth of it, on its own levels.",
-                region_lines(shown, first),
-                pl.concat([shown, first.rename({"outcome": "who"})]),
+                lines,
+                both,
             )
         ],
         tables=[

@@ -6,18 +6,16 @@ from dataclasses import replace
 from functools import partial
 from typing import Any
 
-import matplotlib
-import numpy as np
 import polars as pl
 from matplotlib.figure import Figure
-from matplotlib.ticker import PercentFormatter
 
 from astray.analysis.estimates import Estimate, estimate_difference, estimate_mean
 from astray.analysis.outcomes import INTENDED, MISGENERALIZED, matrix
-from astray.experiments import figures, outcomes
+from astray.experiments import outcomes
 from astray.experiments.outcomes import AGENTS
 from astray.experiments.report import Findings, Plot, Table
 from astray.experiments.spec import Experiment, Plan, Work, tests_of
+from astray.report import charts
 from astray.report.claims import Claim, above, below, rounded
 from astray.training.config import PRESETS, Config
 
@@ -29,7 +27,6 @@ METHODS: dict[str, dict[str, Any]] = {
     IDENTITY: {"sampler": "accel", "score": "regret", "mutation": "identity"},
     CONSTANT: {"sampler": "accel", "score": "regret", "mutation": "constant"},
 }
-LINES = dict(zip(METHODS, (figures.INK, *figures.OTHERS[:3]), strict=True))
 FEW, SOME, MANY = SHARES[1:]
 OFTEN, SELDOM, BETTER, MORE = 0.5, 0.2, 0.1, 2.0  # bounds of the claims
 LAST = 0.25  # of a training, over which the buffer is looked at
@@ -90,7 +87,7 @@ def find(proxy: str, work: Work) -> Findings:
             Plot(
                 "buffer",
                 "The share of the buffer's levels whose goal is placed as in the test, in the "
-                "last quarter of training, a dot an agent; dotted: the share of new "
+                "last quarter of training, a dot an agent; dashed: the share of new "
                 "levels.",
                 buffer_figure(buffers),
                 buffers,
@@ -216,61 +213,29 @@ def claims(work: Work, buffers: pl.DataFrame) -> list[Claim]:
     ]  # fmt: skip
 
 
-@matplotlib.rc_context(figures.STYLE)
 def by_share_figure(table: pl.DataFrame, label: str) -> Figure:
-    """A line for each method over the shares, which are spaced alike.
-
-    table  columns method, share, mean, low, high
-    """
-    figure = Figure(figsize=(figures.WIDTH, 3.6))
-    axes = figure.subplots()
-    for k, (method, colour) in enumerate(LINES.items()):
-        part = table.filter(method=method)
-        x = np.arange(len(part)) + 0.06 * (k - (len(LINES) - 1) / 2)
-        spread = [part["mean"] - part["low"], part["high"] - part["mean"]]
-        axes.errorbar(
-            x,
-            part["mean"],
-            yerr=spread,
-            fmt="o-",
-            color=colour,
-            linewidth=1.8,
-            markersize=4.5,
-            capsize=3,
-            label=method,
-        )
-    _shares_below(axes)
-    if label != "return":
-        axes.set_ylim(-0.02, 1.02)
-        axes.yaxis.set_major_formatter(PercentFormatter(1, symbol=" %"))
-    axes.set_title(label, fontweight="normal", fontsize=10.5)
-    figure.legend(loc="outside upper left", ncols=4)
-    return figure
+    """A line for each method over the shares: columns method, share, mean, low, high."""
+    told: dict[str, Any] = {} if label == "return" else {"limits": (-0.02, 1.02), "percent": "y"}
+    return _over_shares(table, label, whiskers=True, **told)
 
 
-@matplotlib.rc_context(figures.STYLE)
 def buffer_figure(buffers: pl.DataFrame) -> Figure:
     """Plot the fraction of distinguishing levels in the buffers over the fraction generated."""
-    figure = Figure(figsize=(figures.WIDTH, 3.6))
-    axes = figure.subplots()
-    for k, (method, colour) in enumerate(list(LINES.items())[1:]):
-        part = buffers.filter(method=method)
-        x = np.array([SHARES.index(share) for share in part["share"]]) + 0.12 * (k - 1)
-        axes.plot(x, part["in_buffer"], "o", color=colour, markersize=4.5, label=method)
-        means = part.group_by("share").agg(pl.col("in_buffer").mean()).sort("share")
-        axes.plot(np.arange(len(means)) + 0.12 * (k - 1), means["in_buffer"], color=colour, lw=1.4)
-    axes.plot(range(len(SHARES)), SHARES, ":", color=figures.INK, label="generated")
-    _shares_below(axes)
-    axes.yaxis.set_major_formatter(PercentFormatter(1, symbol=" %"))
-    axes.set_title("share of the buffer's levels", fontweight="normal", fontsize=10.5)
-    figure.legend(loc="outside upper left", ncols=4)
-    return figure
+    each = buffers.select("method", "share", "seed", mean="in_buffer")
+    means = each.group_by("method", "share", maintain_order=True).agg(pl.col("mean").mean())
+    new = pl.DataFrame({"method": "generated", "share": SHARES, "mean": SHARES})
+    every = pl.concat([each, means, new], how="diagonal_relaxed")
+    return _over_shares(
+        every, "share of the buffer's levels", each="seed", percent="y", base=["generated"]
+    )
 
 
-def _shares_below(axes: Any) -> None:
-    axes.set_xticks(range(len(SHARES)), [f"{100 * share:g} %" for share in SHARES])
-    axes.set_xlabel("training levels that may distinguish the goals")
-    axes.grid(axis="y")
+def _over_shares(table: pl.DataFrame, label: str, **how: Any) -> Figure:
+    named = pl.col("share").replace_strict(SHARES, [f"{100 * share:g} %" for share in SHARES])
+    below = "training levels that may distinguish the goals"
+    return charts.curves(
+        table.with_columns(named), x="share", line="method", label=label, x_label=below, **how
+    )
 
 
 def experiment(

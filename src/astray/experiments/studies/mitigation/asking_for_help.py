@@ -20,8 +20,6 @@ from astray.experiments.levels import unmet
 from astray.experiments.report import Findings, Plot, Table
 from astray.experiments.spec import PUBLISHED, Experiment, Plan, Runs, Work
 from astray.experiments.studies.coinrun import _agents as coin
-from astray.experiments.studies.mitigation import _help_figures as help_figures
-from astray.experiments.studies.mitigation._help_figures import NEVER
 from astray.games.coinrun import measures
 from astray.mitigation import oversight
 from astray.mitigation.helped import AFTER, MOMENTS, Watch
@@ -35,6 +33,7 @@ from astray.mitigation.uncertainty import (
     Score,
     distances,
 )
+from astray.report import charts
 from astray.report.claims import Claim, rounded
 from astray.training import folders
 
@@ -49,6 +48,8 @@ PERCENTILES = (25.0, 50.0, 75.0, 90.0, 95.0, 99.0)
 FEWER = (50.0, 90.0, 99.0)  # of a large network, which takes minutes for each
 COSTS = (0.0, 0.1, 0.5, 1.0)  # of the return, a query
 ASTRAY = "goal misgeneralization"
+NEVER = "never"  # a moment, beside those of an episode
+SHADES = "#2fa393", "#9fd3c7", "#f0a03c", "#d2d2ce"  # of moments
 LATE, AHEAD, HARM = 0.5, 0.1, 0.25  # bounds of the claims
 
 
@@ -163,6 +164,18 @@ def find(work: Work) -> Findings:
     )
     entropy = {row["agent"]: row["late"] for row in late.filter(score="entropy").to_dicts()}
     asks = "; ".join(f"{rounded(x)} of a {name}'s" for name, x in sorted(entropy.items()))
+    firsts = of_firsts(table)
+    helped = charts.curves(
+        firsts.select("score", "help", pl.format("{}: help by the {}", "agent", "granularity")
+                      .alias("panel"), mean="return"),
+        x="help", line="score", panel="panel", label="return", percent="x", sharey=False,
+        x_label="share of steps or levels with help",
+    )  # fmt: skip
+    moments = charts.bars(
+        shown.rename({"share": "mean"}), dict(zip((*MOMENTS, NEVER), SHADES, strict=True)),
+        row="score", part="moment", panel="agent",
+        label="share of the episodes that misgeneralize without help",
+    )  # fmt: skip
     return Findings(
         answer=f"Help by the step: {told}. Of the episodes that misgeneralize, and need not, the "
         "entropy of the policy would have asked only after the goal was passed, or never, in "
@@ -174,8 +187,8 @@ def find(work: Work) -> Findings:
                 "Return against the share of help, thresholds at percentiles of the "
                 "scores in training; the first agent of each name. The expert walks the shortest "
                 "way to the goal.",
-                help_figures.help_curves(of_firsts(table)),
-                of_firsts(table),
+                helped,
+                firsts,
             ),
             Plot(
                 "moments",
@@ -183,7 +196,7 @@ def find(work: Work) -> Findings:
                 "of its steps in training, in episodes that misgeneralize without help, in levels "
                 "in which the expert does not. The runner sees or passes the coin; the "
                 "mouse sees all, and has passed the cheese when it is in the corner.",
-                help_figures.moments(shown, [*MOMENTS, NEVER]),
+                moments,
                 shown,
             ),
         ],

@@ -2,20 +2,17 @@
 
 from __future__ import annotations
 
-import matplotlib
 import numpy as np
 import polars as pl
-from matplotlib.figure import Figure
-from matplotlib.ticker import PercentFormatter
 
 from astray import games
 from astray.acting import initial_states
 from astray.analysis.estimates import Estimate, estimate_mean
 from astray.envs.vector import GameVectorEnv
-from astray.experiments import figures
 from astray.experiments.report import Findings, Plot, Table
 from astray.experiments.spec import Experiment, Plan, Work
 from astray.mitigation.hypotheses import Frames, agreement, chosen_rightly, train_heads
+from astray.report import charts
 from astray.report.claims import above, below, rounded
 
 CHEESE, CORNER = "cheese", "corner"
@@ -65,6 +62,16 @@ def find(work: Work) -> Findings:
     held = {kind: holding(table, kind, CHEESE) for kind in KINDS}
     labels = choosing(table)
     four = estimate_mean(of_ensembles(table, MADE, "chosen with 4"))
+    both = charts.curves(
+        table.select("kind", "seed", CORNER, mean=CHEESE), x=CORNER, panel="kind", each="seed",
+        percent="xy", limits=(-0.03, 1.03), label="answers as the cheese does",
+        x_label="answers as the corner does",
+    )  # fmt: skip
+    chosen = charts.curves(
+        labels, x="labels", even=True, percent="y", limits=(0.45, 1.02),
+        x_label="labelled frames of the test, among those on which the heads differ",
+        label="the better head is chosen",
+    )  # fmt: skip
     return Findings(
         answer="Of two heads that learned what is rewarded where the cheese is in the corner, one "
         f"holds the cheese in {rounded(held[MADE].mean)} of ensembles that were made to differ on "
@@ -104,14 +111,14 @@ def find(work: Work) -> Findings:
                 "heads",
                 "Every head by how often it answers as either hypothesis does, in frames where "
                 "the two differ: a line joins the heads of an ensemble.",
-                heads_figure(table),
+                both,
                 table,
             ),
             Plot(
                 "labels",
                 "How often so many labels choose the better head of ensembles that "
                 "were made to differ.",
-                labels_figure(labels),
+                chosen,
                 labels,
             ),
         ],
@@ -182,45 +189,6 @@ def choosing(table: pl.DataFrame) -> pl.DataFrame:
             for count in LABELS
         ]
     )
-
-
-@matplotlib.rc_context(figures.STYLE)
-def heads_figure(table: pl.DataFrame) -> Figure:
-    """Agreement with the cheese against that with the corner, a panel a kind of ensemble."""
-    figure = Figure(figsize=(figures.WIDTH, 3.8))
-    row = figure.subplots(1, len(KINDS), sharey=True)
-    for axes, kind in zip(row, KINDS, strict=True):
-        for (seed,), pair in table.filter(kind=kind).group_by(["seed"], maintain_order=True):
-            assert seed is not None
-            axes.plot(pair[CORNER], pair[CHEESE], color=figures.FAINT, lw=0.8, zorder=0)
-            axes.plot(pair[CORNER], pair[CHEESE], "o", color=figures.OTHERS[0], ms=4, alpha=0.7)
-        axes.set_title(kind)
-        axes.set_xlabel("answers as the corner does")
-        axes.set_xticks([0, 0.5, 1])
-        axes.set_xlim(-0.03, 1.03)
-        axes.set_ylim(-0.03, 1.03)
-        axes.grid()
-        for axis in (axes.xaxis, axes.yaxis):
-            axis.set_major_formatter(PercentFormatter(1, symbol=" %"))
-    row[0].set_ylabel("answers as the cheese does")
-    return figure
-
-
-@matplotlib.rc_context(figures.STYLE)
-def labels_figure(labels: pl.DataFrame) -> Figure:
-    """The share of draws that choose the better head, against the number of labels."""
-    figure = Figure(figsize=(figures.WIDTH, 3.2))
-    axes = figure.subplots()
-    x, colour = range(len(labels)), figures.OTHERS[0]
-    axes.plot(x, labels["mean"], "o-", color=colour)
-    axes.fill_between(x, labels["low"], labels["high"], color=colour, alpha=0.2, lw=0)
-    axes.set_xticks(x, [str(count) for count in labels["labels"]])
-    axes.set_xlabel("labelled frames of the test, among those on which the heads differ")
-    axes.set_title("the better head is chosen", fontweight="normal", fontsize=10.5)
-    axes.set_ylim(0.45, 1.02)
-    axes.yaxis.set_major_formatter(PercentFormatter(1, symbol=" %"))
-    axes.grid(axis="y")
-    return figure
 
 
 EXPERIMENT = Experiment(

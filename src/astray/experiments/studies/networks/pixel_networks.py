@@ -3,17 +3,15 @@
 import itertools
 from dataclasses import replace
 
-import matplotlib
 import numpy as np
 import polars as pl
-from matplotlib.figure import Figure
 
 from astray.analysis.estimates import estimate_difference, over_agents
 from astray.estimate import Estimate
 from astray.experiments import outcomes
-from astray.experiments.figures import INK, OTHERS, STYLE, WIDTH
 from astray.experiments.report import Findings, Plot, Table
 from astray.experiments.spec import Experiment, Plan, Work
+from astray.report import charts
 from astray.report.claims import Claim, above
 from astray.training.config import PRESETS, Config
 
@@ -28,7 +26,6 @@ GAMES = {
         PRESETS["pixels"], game="coinrun", variant="coin-end-calm", gamma=0.99, entropy_weight=0.01
     ),
 }
-LINES = dict(zip(SPEEDS, (INK, *OTHERS[:4]), strict=True))
 LAST = 0.1  # the end of a training, as a share of its steps
 
 
@@ -59,6 +56,14 @@ def find(work: Work) -> Findings:
         f"{game}: {row['network']} with {row['throughout']:.1f}, and {row['mean']:.1f} at the end"
         for game, row in best.items()
     )
+    names = pl.col("agent").str.split(", ").list
+    returns = charts.curves(
+        measured.with_columns(game=names[0], network=names[1], mean="return").with_columns(
+            seconds=pl.col("steps") / pl.col("network").replace_strict(SPEEDS)
+        ),
+        x="seconds", line="network", panel="game", each="seed", label="return in training",
+        x_label="seconds of one processor",
+    )  # fmt: skip
     return Findings(
         answer=f"In {SECONDS} seconds of one processor, as the benchmark times them, these return "
         f"most throughout training: {told}, of 10.",
@@ -69,7 +74,7 @@ def find(work: Work) -> Findings:
                 "Return of recent training episodes by seconds of one processor, a "
                 "line an agent; seconds are steps divided by the steps per second of the "
                 "network.",
-                curve_panels(measured),
+                returns,
                 measured,
             )
         ],
@@ -95,30 +100,6 @@ def sooner(game: str, ours: np.ndarray, papers: np.ndarray) -> Claim:
         estimate_difference(ours[:, None], papers[:, None]),
         told=Estimate.change,
     )
-
-
-@matplotlib.rc_context(STYLE)
-def curve_panels(measured: pl.DataFrame) -> Figure:
-    """A panel for each game."""
-    figure = Figure(figsize=(WIDTH, 2.8))
-    for axes, game in zip(figure.subplots(1, len(GAMES), sharey=True), GAMES, strict=True):
-        for network, speed in SPEEDS.items():
-            mine = measured.filter(agent=name_of(game, network)).drop_nulls("return")
-            for k, (_, one) in enumerate(mine.group_by("seed", maintain_order=True)):
-                axes.plot(
-                    one["steps"] / speed,
-                    one["return"],
-                    color=LINES[network],
-                    linewidth=1,
-                    label=network if k == 0 else None,
-                )
-        axes.set_title(game)
-        axes.set_xlabel("seconds of one processor")
-        axes.grid(axis="y")
-    figure.axes[0].set_ylabel("return in training")
-    handles, labels = figure.axes[0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside upper left", ncols=len(SPEEDS))
-    return figure
 
 
 def budgeted(config: Config, network: str) -> Config:

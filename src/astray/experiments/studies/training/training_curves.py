@@ -1,19 +1,17 @@
 """Returns while training, of the first agents of every study that trains its own."""
 
-import matplotlib
 import numpy as np
 import polars as pl
-from matplotlib.figure import Figure
 
 from astray.analysis.estimates import over_agents
 from astray.estimate import Estimate
 from astray.experiments import outcomes
-from astray.experiments.figures import OTHERS, STYLE, WIDTH
 from astray.experiments.report import Findings, Plot, Table
 from astray.experiments.spec import PUBLISHED, Experiment, Plan, Size, Work
 from astray.experiments.studies.coinrun import critic_value
 from astray.experiments.studies.keys import keys_and_chests
 from astray.experiments.studies.maze import colour_or_shape, maze_corner, maze_region
+from astray.report import charts
 from astray.report.claims import Claim, above
 
 # The other studies of CoinRun have the runners of this one.
@@ -26,7 +24,6 @@ STUDIES = (
 )
 TRAIN, TEST = "training variant", "test variant"
 SERIES = {TRAIN: "training/return", TEST: "validation/return"}
-LINES = {TRAIN: (OTHERS[0], "-"), TEST: (OTHERS[1], "--")}
 POINTS = 100  # of a curve, at most; each is the mean over several iterations
 LAST = 10  # the end of a training: its last tenth
 
@@ -39,6 +36,10 @@ def find(work: Work) -> Findings:
         f"{row['agent']}: {row[TRAIN]:.1f} and {row[TEST]:.1f}"
         for row in ended.drop_nulls(TEST).to_dicts()
     ]
+    lines = charts.curves(
+        shown.with_columns(pl.col("steps") / 1e6), x="steps", line="series", panel="agent",
+        label="return", x_label="million environment steps", sharey=False,
+    )  # fmt: skip
     return Findings(
         answer="Returns at the end of training, on the training and on the test variant. "
         f"{'; '.join(told)}.",
@@ -51,7 +52,7 @@ def find(work: Work) -> Findings:
                 "Return of recent episodes while training: the mean of "
                 f"{outcomes.settings(work.plan)['seeds']} agents and its 95 % interval over them. "
                 "What there is to get can differ between the variants.",
-                curve_panels(shown),
+                lines,
                 shown,
             )
         ],
@@ -139,34 +140,6 @@ def ends_lower(row: dict) -> Claim:
     agents = row["agents"]
     lower = Estimate(row["lower by"], row["low"], row["high"], agents, 1, agents, agents - 1)
     return above(sentence, "lower (a curve)", "lower by", lower, told=Estimate.change)
-
-
-@matplotlib.rc_context(STYLE)
-def curve_panels(shown: pl.DataFrame) -> Figure:
-    """A panel for each agent of `curves`."""
-    panels = shown.partition_by("agent", maintain_order=True)
-    rows = -(-len(panels) // 2)
-    figure = Figure(figsize=(WIDTH, 0.5 + 2.3 * rows))
-    grid = figure.subplots(rows, 2, squeeze=False)
-    for axes in grid.flat[len(panels) :]:
-        axes.remove()
-    for axes, panel in zip(grid.flat, panels, strict=False):
-        for name, (colour, style) in LINES.items():
-            line = panel.filter(series=name).with_columns(pl.col("steps") / 1e6)
-            axes.plot(line["steps"], line["mean"], style, color=colour, linewidth=2, label=name)
-            band = line.drop_nulls()
-            axes.fill_between(
-                band["steps"], band["low"], band["high"], color=colour, alpha=0.25, linewidth=0
-            )
-        axes.set_title(panel["agent"][0])
-        axes.set_xlabel("million environment steps")
-        axes.grid(axis="y")
-        axes.margins(x=0)
-    for axes in grid[:, 0]:
-        axes.set_ylabel("return")
-    handles, labels = grid[0, 0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside upper left", ncols=2)
-    return figure
 
 
 def collected(size: Size) -> Plan:

@@ -23,8 +23,10 @@ STYLE: dict[Any, Any] = {
     "figure.facecolor": "white", "figure.constrained_layout.h_pad": 0.08,
     "figure.constrained_layout.use": True,
     "font.family": ["DejaVu Sans"],  # comes with matplotlib, so it is the same everywhere
-    "font.size": 10.5, "grid.color": FAINT, "legend.frameon": False, "legend.fontsize": 10,
+    "font.size": 10.5, "grid.color": FAINT, "hatch.linewidth": 0.6, "legend.fontsize": 10,
+    "legend.frameon": False,
     "savefig.dpi": 150, "svg.fonttype": "none", "svg.hashsalt": "astray", "text.color": INK,
+    "text.parse_math": False,  # names are as they are given
     "xtick.color": INK, "ytick.color": INK,
 }  # fmt: skip
 

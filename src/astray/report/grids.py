@@ -1,0 +1,165 @@
+"""Charts in cells: heat maps of two settings, and pictures with what is drawn over them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import matplotlib
+import numpy as np
+import polars as pl
+from matplotlib.colors import LinearSegmentedColormap
+from matplotlib.figure import Figure
+
+from astray.report.axes import parts_of, ticks_of
+from astray.report.style import INK, OTHERS, STYLE, WIDTH
+
+EMPTY = "#eeeeec"  # where a picture shows nothing
+
+
+@matplotlib.rc_context(STYLE)
+def cells(
+    data: pl.DataFrame,
+    colours: Mapping[str, str],
+    *,
+    x: str,
+    y: str,
+    panel: str,
+    x_label: str = "",
+    y_label: str = "",
+    apart: bool = False,
+) -> Figure:
+    """Draw shares as cells, with their intervals where they have one.
+
+    Args:
+        data: Columns x, y, panel and mean, low and high if there are intervals; a null cell is
+            empty.
+        colours: The colour of the largest share, by the beginning of the panel's name.
+        x: Column of what is beside each other.
+        y: Column of what is above each other.
+        panel: Column of panels.
+        x_label: What `x` is.
+        y_label: What `y` is.
+        apart: Whether a line sets the first row and column apart.
+    """
+    xs, ys, panels = ticks_of(data[x], True), ticks_of(data[y], True), parts_of(data, panel)
+    wide = (1.05 if "low" in data else 0.55) * len(xs) * len(panels)
+    figure = Figure(figsize=(max(WIDTH, 1.2 + wide), 1.3 + 0.62 * len(ys)))
+    grid = figure.subplots(1, len(panels), sharey=True, squeeze=False)[0]
+    for axes, (name, table) in zip(grid, panels.items(), strict=True):
+        (colour,) = (c for begins, c in colours.items() if name.startswith(begins))
+        shares = np.full((len(ys), len(xs)), np.nan)
+        for one in table.drop_nulls("mean").to_dicts():
+            i, k = ys.index(one[y]), xs.index(one[x])
+            shares[i, k] = one["mean"]
+            interval = one.get("low") is not None
+            axes.text(
+                k,
+                i,
+                f"{100 * one['mean']:.0f} %",
+                ha="center",
+                va="bottom" if interval else "center_baseline",
+            )
+            if interval:
+                text = f"{100 * one['low']:.0f} to {100 * one['high']:.0f}"
+                axes.text(k, i + 0.08, text, ha="center", va="top", fontsize=7.5)
+        shades = LinearSegmentedColormap.from_list(name, ["#ffffff", colour])
+        axes.imshow(shares, cmap=shades, vmin=0, vmax=1, aspect="auto")
+        axes.set_title(name, fontsize=9.5)
+        axes.set_xticks(range(len(xs)), [f"{one}" for one in xs])
+        axes.set_yticks(range(len(ys)), [f"{one}" for one in ys])
+        axes.set_xlabel(x_label or x)
+        axes.tick_params(length=0)
+        axes.spines[:].set_visible(False)
+        if apart:
+            axes.axhline(0.5, color=INK, linewidth=1)
+            axes.axvline(0.5, color=INK, linewidth=1)
+    grid[0].set_ylabel(y_label or y)
+    return figure
+
+
+@dataclass(frozen=True, eq=False)
+class Picture:
+    """A picture, and what is drawn over it; a cell of it is a unit, x to the right, y upward.
+
+    Attributes:
+        title: Its title.
+        image: [H, W, 3] uint8, or grey [H, W] from 0 (black) to 1; None: there is none.
+        heat: [h, w] values that colour it, the highest row first; NaN: none.
+        limits: The values at the ends of the colours.
+        colours: The colours, a name of matplotlib's.
+        label: What the values are, beside a bar of the colours; empty: without one.
+        opacity: That of the colours, one or [h, w].
+        arrows: Cells [N, 2] and arrows [N, 2] from their middles, at most a cell long.
+        way: [N, 2] cells in order.
+        marks: Colour of marked cells.
+        window: Left, right, lowest and highest of the cells that are shown; None: all.
+        note: Text below.
+    """
+
+    title: str = ""
+    image: np.ndarray | None = None
+    heat: np.ndarray | None = None
+    limits: tuple[float, float] = (0.0, 1.0)
+    colours: str = "viridis"
+    label: str = ""
+    opacity: Any = 0.62
+    arrows: tuple[np.ndarray, np.ndarray] | None = None
+    way: np.ndarray | None = None
+    marks: Mapping[Any, str] = field(default_factory=dict)
+    window: tuple[float, float, float, float] | None = None
+    note: str = ""
+
+
+@matplotlib.rc_context(STYLE)
+def images(rows: Sequence[Sequence[Picture]], size: tuple[float, float] = (2.3, 2.5)) -> Figure:
+    """Draw pictures in rows, each of a size in inches."""
+    width, height = size
+    most = max(map(len, rows))
+    figure = Figure(figsize=(width * most, height * len(rows)))
+    grid = figure.subplots(len(rows), most, squeeze=False)
+    for line, pictures in zip(grid, rows, strict=True):
+        for axes in line[len(pictures) :]:
+            axes.remove()
+        for axes, one in zip(line, pictures, strict=False):
+            _show(figure, axes, one)
+    return figure
+
+
+def _show(figure: Figure, axes: Any, one: Picture) -> None:
+    shape = one.heat if one.heat is not None else one.image
+    assert shape is not None, "a picture shows an image or values"
+    extent = (0, shape.shape[1], 0, shape.shape[0])
+    axes.set_facecolor(EMPTY)
+    if one.image is not None:
+        smooth = "lanczos" if one.image.ndim == 3 else "nearest"
+        axes.imshow(one.image, extent=extent, cmap="gray", vmin=0, vmax=1, interpolation=smooth)
+    if one.heat is not None:
+        low, high = one.limits
+        shaded = axes.imshow(
+            one.heat, extent=extent, cmap=one.colours, vmin=low, vmax=high, alpha=one.opacity
+        )
+        if one.label:
+            figure.colorbar(shaded, ax=axes, shrink=0.82, label=one.label, pad=0.02)
+    if one.arrows is not None:
+        cells, arrows = one.arrows
+        x, y = (cells + 0.5).T - 0.45 * arrows.T
+        axes.quiver(
+            x, y, *(0.9 * arrows.T), angles="xy", scale_units="xy", scale=1, color=INK,
+            pivot="tail", units="x", width=0.09, headwidth=3.2, headlength=3.2, headaxislength=3,
+            edgecolor="white", linewidth=0.4,
+        )  # fmt: skip
+    if one.way is not None:
+        shift = np.linspace(0.38, 0.62, len(one.way))  # so that a way back can be seen
+        axes.plot(one.way[:, 0] + shift, one.way[:, 1] + 1 - shift, color=OTHERS[0], linewidth=1.6)
+    for (x, y), colour in one.marks.items():
+        axes.plot(x + 0.5, y + 0.5, "s", color=colour, markersize=8)
+    if one.window:
+        axes.set_xlim(*one.window[:2])
+        axes.set_ylim(*one.window[2:])
+    axes.set_title(one.title, fontsize=9.5)
+    axes.set_xlabel(one.note, fontsize=9)
+    axes.set_xticks([])
+    axes.set_yticks([])
+    axes.spines[["left", "bottom"]].set_visible(False)

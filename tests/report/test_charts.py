@@ -1,0 +1,99 @@
+"""Charts show the numbers of their tables, and tell series apart without colour."""
+
+import numpy as np
+import polars as pl
+import pytest
+
+from astray.analysis.outcomes import FAILED, INTENDED, MISGENERALIZED
+from astray.report import charts
+from astray.report.grids import Picture, cells, images
+from astray.report.style import OTHERS, save
+
+VALUES = pl.DataFrame(
+    {
+        "who": ["a", "b", "a", "b"], "when": [3.0, 3.0, 10.0, 10.0],
+        "mean": [0.1, 0.2, 0.3, 0.4], "low": [0.0, 0.1, 0.2, None], "high": [0.2, 0.3, 0.5, None],
+    }
+)  # fmt: skip
+
+
+def named(axes):
+    return dict(zip(*axes.get_legend_handles_labels()[::-1], strict=True))
+
+
+def test_parts_of_a_bar_lie_beside_each_other_and_differ_in_hatching():
+    ends = pl.DataFrame({"test": "one", "end": [INTENDED, MISGENERALIZED], "mean": [0.75, 0.25]})
+    colours = charts.outcome_colours([])
+    (axes,) = charts.bars(ends, colours, row="test", part="end", label="").axes
+    boxes = [(round(p.get_x(), 2), round(p.get_width(), 2)) for p in axes.patches]
+    assert boxes == [(0, 0.25), (0.25, 0.75), (1, 0)]
+    assert list(colours) == [MISGENERALIZED, INTENDED, FAILED]
+    assert len({p.get_hatch() for p in axes.patches}) == 3
+
+
+def test_no_bars_are_refused():
+    with pytest.raises(ValueError, match="there are no bars to draw; got an empty table"):
+        charts.bars(VALUES.clear(), {}, row="who", part="when", label="")
+
+
+def test_points_have_a_row_each_and_their_intervals():
+    (axes,) = charts.points(VALUES.head(2), row="who", label="share", at={"": 0}).axes
+    assert [tick.get_text() for tick in axes.get_yticklabels()] == ["a", "b"]
+    assert axes.get_ylim() == (1.5, -0.5), "the first is on top"
+    (ends,) = axes.collections
+    assert [s[:, 0].round(6).tolist() for s in ends.get_segments()] == [[0.0, 0.2], [0.1, 0.3]]
+
+
+@pytest.mark.parametrize("count", [2, 5, 9])
+def test_no_two_series_look_alike_without_colour(count):
+    data = pl.DataFrame({"who": [f"{k}" for k in range(count)], "x": 1, "mean": 0.5})
+    (axes,) = charts.curves(data, x="x", line="who", label="").axes
+    looks = {(line.get_marker(), line.get_linestyle()) for line in axes.lines}
+    assert len(looks) == count
+    assert len({line.get_color() for line in axes.lines}) == min(count, len(OTHERS))
+
+
+def test_what_has_no_place_is_a_level_line_and_what_has_no_interval_no_band():
+    base = pl.DataFrame({"who": ["base rate"], "mean": [0.6]})
+    both = pl.concat([VALUES, base], how="diagonal")
+    (axes,) = charts.curves(both, x="when", line="who", label="share").axes
+    assert named(axes)["a"].get_xydata().tolist() == [[3, 0.1], [10, 0.3]]
+    assert named(axes)["base rate"].get_ydata() == [0.6, 0.6]
+    bands = [np.array(band.get_paths()[0].vertices)[:, 0].tolist() for band in axes.collections]
+    assert {max(band) for band in bands} == {10, 3}  # of b, the last has no interval
+
+
+def test_numbers_are_spaced_evenly_where_that_is_asked_for():
+    (axes,) = charts.curves(
+        VALUES, x="when", line="who", label="", even=True, whiskers=True, base=["b"]
+    ).axes
+    assert [tick.get_text() for tick in axes.get_xticklabels()] == ["3.0", "10.0"]
+    middles = {round(float(x), 2) for line in axes.lines for x in np.array(line.get_xdata())}
+    assert middles == {-0.03, 0.97, 0.03, 1.03}
+
+
+def test_cells_are_where_their_settings_are_and_missing_ones_empty():
+    data = VALUES.head(3).with_columns(what=pl.lit(INTENDED))
+    (axes,) = cells(data, {INTENDED: "#000000"}, x="who", y="when", panel="what").axes
+    (shown,) = axes.images
+    assert np.ma.filled(shown.get_array(), -1).tolist() == [[0.1, 0.2], [0.3, -1]]
+    assert [t.get_text() for t in axes.texts] == [
+        "10 %", "0 to 20", "20 %", "10 to 30", "30 %", "20 to 50",
+    ]  # fmt: skip
+
+
+def test_a_picture_has_its_highest_row_on_top_and_arrows_in_the_middle_of_cells():
+    heat = np.array([[1.0, 2.0], [3.0, 4.0]])
+    arrows = np.array([[0, 1]]), np.array([[0.0, 0.0]])
+    figure = images([[Picture("one", heat=heat, limits=(1, 4), label="value", arrows=arrows)], []])
+    axes = figure.axes[0]
+    (shown,) = axes.images
+    assert tuple(shown.get_extent()) == (0, 2, 0, 2) and shown.origin == "upper"
+    assert [c.get_offsets().tolist() for c in axes.collections] == [[[0.5, 1.5]]]
+    assert figure.axes[-1].get_ylabel() == "value"
+
+
+def test_a_name_is_written_as_it_is_given(tmp_path):
+    odd = VALUES.with_columns(who=pl.lit("costs $x_{$"))
+    save(charts.curves(odd, x="when", line="who", label=""), tmp_path, "odd")
+    assert ">costs $x_{$</text>" in (tmp_path / "odd.svg").read_text()
