@@ -55,8 +55,9 @@ def _activations(path: Path, place: Place) -> None:
 
 
 def _figure(path: Path, place: Place) -> None:
-    from astray.analysis.style import save
     from matplotlib.figure import Figure
+
+    from astray.report.style import save
 
     save(Figure(), path.parent, path.stem)
 
