@@ -78,9 +78,20 @@ def test_an_edit_of_its_rules_is_seen_by_the_next_process(beside, tmp_path):
 
 
 def test_the_page_on_extending_runs_as_it_stands(tmp_path):
-    page = (EXAMPLE.parents[1] / "docs" / "extending.md").read_text("utf-8")
-    blocks = [part.partition("```")[0] for part in page.split("```python\n")[1:]]
-    assert len(blocks) == 9
-    (tmp_path / "page.py").write_text("\n".join(blocks), "utf-8")
-    run(os.environ | {}, tmp_path, "page.py")
+    run_page("extending", 8, tmp_path)
     assert '"update/size"' in (tmp_path / "mouse" / "metrics.jsonl").read_text("utf-8")
+
+
+def test_the_page_on_worlds_runs_as_it_stands(tmp_path):
+    said = run_page("worlds", 7, tmp_path)
+    assert "right misgeneralizes: it pursues end, not bell" in said
+    assert (tmp_path / "reports" / "the-bell-smoke" / "report.html").exists(), said
+
+
+def run_page(name, count, folder):
+    """Run the Python code of a page of the documentation; what it prints."""
+    page = (EXAMPLE.parents[1] / "docs" / f"{name}.md").read_text("utf-8")
+    blocks = [part.partition("```")[0] for part in page.split("```python\n")[1:]]
+    assert len(blocks) == count
+    (folder / "page.py").write_text("\n".join(blocks), "utf-8")
+    return run(os.environ | {}, folder, "page.py")
