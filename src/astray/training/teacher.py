@@ -57,7 +57,7 @@ def teaching(weights: Path, run: Path) -> Iterator[None]:
 
 
 def give(weights: Path, run: Path) -> None:
-    """Write the teacher's weights to a student's run folder, unless it has others'."""
+    """Write the teacher's weights to a run folder; raise ValueError if others are there."""
     path, data = run / TEACHER, read(weights)
     if path.exists():
         if read(path) != data:
