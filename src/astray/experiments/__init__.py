@@ -1,1 +1,1 @@
-"""Experiments: what is trained and played for a figure or table, run, and reported."""
+"""Experiments: train and play what a figure or table needs, and report it."""

@@ -1,7 +1,7 @@
-"""The catalogue: a file in a folder of `studies` is one figure or table. Nothing lists them.
+"""The catalogue: every file in a folder of `studies` is one figure or table, without a list.
 
-Files whose names begin with an underscore are what the studies beside them share. Others' studies
-live in their own modules or files; `find` takes them too.
+Files that begin with an underscore are shared by the studies beside them. Studies of your own live
+in other modules or files; `find` accepts them too.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ LARGEST = 2**20  # bytes of a file of Python
 
 
 def _modules() -> Iterator[tuple[str, str]]:
-    """The name and the module of every study."""
+    """Return the name and module of every study."""
     for group in pkgutil.iter_modules(studies.__path__):
         folders = [str(Path(path) / group.name) for path in studies.__path__]
         for study in pkgutil.iter_modules(folders):
@@ -40,7 +40,7 @@ NAMES = tuple(MODULES)
 
 
 def load(name: str) -> Experiment:
-    """The experiment called `name`."""
+    """Return the experiment called `name`; raise ValueError if there is none."""
     if name not in MODULES:
         raise ValueError(f"unknown experiment {name!r}; there are: {', '.join(NAMES)}")
     return importlib.import_module(MODULES[name]).EXPERIMENT
@@ -52,12 +52,14 @@ def loaded() -> list[ModuleType]:
 
 
 def find(experiment: str | Experiment) -> tuple[str, Experiment]:
-    """An experiment, and the name that its report has.
+    """Return an experiment and the name of its report.
 
-    experiment  the name of one in the catalogue; or one of your own: the object, "module:OBJECT",
-                or the path of a Python file that defines EXPERIMENT, which is run
+    Args:
+        experiment: Name in the catalogue; or your own: an object, "module:OBJECT", or the path of
+            a Python file that defines EXPERIMENT, which is run.
 
-    Raises ValueError where there is none.
+    Raises:
+        ValueError: If there is none.
     """
     of_kind("experiment", experiment, str | Experiment)
     if isinstance(experiment, Experiment):
@@ -74,7 +76,7 @@ def find(experiment: str | Experiment) -> tuple[str, Experiment]:
 
 
 def _run(path: Path) -> object:
-    """What a Python file defines as EXPERIMENT."""
+    """Return the EXPERIMENT that a Python file defines."""
     spec = importlib.util.spec_from_file_location(path.stem, path)
     if not path.is_file() or spec is None or spec.loader is None:
         raise ValueError(f"there is no experiment at {path}")

@@ -1,4 +1,4 @@
-"""Training agents on a Ray cluster, whose nodes all see the run folders."""
+"""Training on a Ray cluster whose nodes all see the run folders."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ Submit = Callable[[Config, Path, Tracking | None], Future[None]]
 
 @contextlib.contextmanager
 def on_ray() -> Iterator[Submit]:
-    """Trainings wait until the cluster has processors, and a GPU if they want one; all end here."""
+    """Run trainings on the cluster, with processors and a GPU if needed; end all on exit."""
     try:
         import ray  # pyright: ignore[reportMissingImports]
     except ImportError as error:
@@ -51,7 +51,7 @@ def on_ray() -> Iterator[Submit]:
 
 
 def train_on_node(config: Config, run: Path, track: Tracking | None) -> None:
-    """Train in `run`, once the process that did so before is surely gone."""
+    """Train in `run` after the previous process there has surely ended."""
     if not run.is_dir():
         raise ValueError(f"{run} is not seen by every node; --folder is to be one that is")
     until = time.monotonic() + PATIENCE

@@ -1,7 +1,7 @@
-"""A connection to the Hub: its answers are checked, and its errors are said in a sentence.
+"""Connection to the Hub, with checked answers and readable errors.
 
-huggingface_hub makes paths in its cache of a commit and an ETag that a server names. A path in
-their place would have it write elsewhere, or make a link to a file of the user's.
+huggingface_hub builds paths in its cache from a server's commit and ETag. If these contained a
+path, it would write elsewhere or link to a file of the user's.
 """
 
 from __future__ import annotations
@@ -21,19 +21,20 @@ ETAG = re.compile(r'(W/)?"?[0-9A-Za-z_-]{8,128}"?')  # the Hub's are digests
 
 @dataclass
 class Wary:
-    """What an answer of the Hub may be.
+    """Limits on answers of the Hub.
 
-    most  bytes of the next file
+    Attributes:
+        most: Largest size of the next file in bytes.
     """
 
     most: int = 0
 
     def ask(self, request: Any) -> None:
-        """Ask for files as they are: a few compressed bytes may unpack to any number."""
+        """Request files uncompressed: a few compressed bytes could unpack to any size."""
         request.headers["Accept-Encoding"] = "identity"
 
     def see(self, answer: Any) -> None:
-        """ValueError where an answer names a path, is compressed, or is larger than it may be."""
+        """Raise ValueError if an answer contains a path, is compressed, or is too large."""
         headers, asked = answer.headers, answer.request.method
         commit, etag = headers.get("X-Repo-Commit"), headers.get("X-Linked-Etag")
         _check_name("commit", commit, COMMIT)
@@ -88,12 +89,12 @@ def wary() -> Iterator[Wary]:
 
 
 def unreachable() -> tuple[type[Exception], ...]:
-    """Return what huggingface_hub's connections raise if nobody answers, or an answer is none."""
+    """Return the exceptions of huggingface_hub for missing or broken answers."""
     return (http().RequestError, http().InvalidURL, ConnectionError)
 
 
 def http() -> Any:
-    """The library of connections that huggingface_hub uses."""
+    """Return the HTTP library that huggingface_hub uses."""
     try:
         import httpx2 as http  # pyright: ignore[reportMissingImports]
     except ImportError:
@@ -103,7 +104,7 @@ def http() -> Any:
 
 @contextlib.contextmanager
 def reached(repository: str, revision: str | None, what: str, lacking: str) -> Iterator[None]:
-    """Say in a sentence why something of a repository could not be pushed or pulled."""
+    """Translate failures to push or pull into readable errors."""
     from huggingface_hub import errors
 
     of = f"{repository} at {revision}" if revision else repository
@@ -143,7 +144,7 @@ def reached(repository: str, revision: str | None, what: str, lacking: str) -> I
 
 @contextlib.contextmanager
 def _uncovered() -> Iterator[None]:
-    """Raise what the Hub said where huggingface_hub raises RuntimeError because of it."""
+    """Raise the Hub's error that huggingface_hub wrapped in a RuntimeError."""
     try:
         yield
     except RuntimeError as error:

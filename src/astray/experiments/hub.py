@@ -1,9 +1,8 @@
-"""Sharing agents on the Hugging Face Hub: a repository is a run folder with a card, and digests.
+"""Agents on the Hugging Face Hub: a repository is a run folder with a card and digests.
 
-README.md                              the card, which is the repository's page
-config.json, curve.csv, curve.png, episode.gif
-checkpoints/<steps>/agent.safetensors  the network
-digests.json                           the size and the SHA-256 of each of these
+README.md: the card, which is the repository's page. config.json, curve.csv, curve.png,
+episode.gif: settings, learning curve, an episode. checkpoints/<steps>/agent.safetensors: the
+network. digests.json: the size and SHA-256 of each of these.
 """
 
 from __future__ import annotations
@@ -63,18 +62,21 @@ def push(
     levels: int = 1000,
     endpoint: str | None = None,
 ) -> Commit:
-    """Upload the agent of a run, or a pretrained one, with its card; the commit that this made.
+    """Upload a run's agent or a pretrained one, with its card; return the commit.
 
-    The repository is made where there is none. What was in it of an earlier agent is replaced.
+    The repository is created if needed. Files of an earlier agent in it are replaced.
 
-    shift     which goals are intended and proxies; None: the one that the run trained for
-    revision  a branch, which is made where there is none; None: the main one
-    private   who else may see a repository that is made: nobody
-    levels    that the card of a run is measured on
-    endpoint  of the Hub; None: as huggingface_hub is set up
+    Args:
+        shift: Shift with intended goal and proxies; None for the one of its training.
+        revision: Branch, created if needed; None for the main branch.
+        private: Make a new repository private.
+        levels: Number of levels for the card's measurements.
+        endpoint: Address of the Hub; None for huggingface_hub's setting.
 
-    Raises ValueError where the agent is none of yours or the repository no name, PermissionError
-    where the Hub says no, OSError where it cannot be reached or has no room.
+    Raises:
+        ValueError: If the agent is not your own, or the repository's name is invalid.
+        PermissionError: If the Hub denies it.
+        OSError: If the Hub cannot be reached or has no room.
     """
     _check_name(repository, revision)
     api = _api(endpoint)
@@ -108,17 +110,22 @@ def pull(
     offline: bool = False,
     endpoint: str | None = None,
 ) -> Path:
-    """Download an agent, check it and put it among the imported ones; its run folder.
+    """Download an agent, check it and add it to the imported ones; return its run folder.
 
-    Every file has the digest that digests.json promises, the settings are read, and the weights are
-    those of the network that the game needs. Nothing of it is run.
+    Files are checked against digests.json, and weights against the game's network. Nothing is
+    executed.
 
-    name      that verbs find it by; None: the repository's
-    revision  a branch, a tag or a commit; None: the main branch
-    offline   from huggingface_hub's cache alone
+    Args:
+        name: Its new name; None for the repository's.
+        revision: Branch, tag or commit; None for the main branch.
+        offline: Use only huggingface_hub's cache.
+        endpoint: Address of the Hub; None for huggingface_hub's setting.
 
-    Raises ValueError where something is not what it should be, FileNotFoundError where there is no
-    such repository, PermissionError where the Hub says no, OSError where it cannot be reached.
+    Raises:
+        ValueError: If a file is not as it should be.
+        FileNotFoundError: If there is no such repository.
+        PermissionError: If the Hub denies it.
+        OSError: If the Hub cannot be reached.
     """
     _check_name(repository, revision)
     name = name or _slug(repository)
@@ -150,7 +157,7 @@ def _api(endpoint: str | None) -> HfApi:
 
 
 def _check_name(repository: str, revision: str | None) -> None:
-    """ValueError where these name no repository, or no revision; the cache has paths of both."""
+    """Raise ValueError if a repository or revision is invalid: both become paths in the cache."""
     if not REPOSITORY.fullmatch(repository):
         raise ValueError(f"a repository must be USER/NAME, as ada/mouse; got {shown(repository)}")
     if revision is not None and (not REVISION.fullmatch(revision) or ".." in revision):
@@ -166,7 +173,7 @@ def _slug(repository: str) -> str:
 def _with_card(
     its: AgentFolder, repository: str, shift: str | None, levels: int, passing: Path
 ) -> Path:
-    """A copy of the agent and its card, whose first lines the Hub reads."""
+    """Copy the agent with a card, whose first lines the Hub reads."""
     name = _slug(repository)
     if _has_card(its):
         if shift is not None:
@@ -191,7 +198,7 @@ def _with_card(
 
 
 def _has_card(its: AgentFolder) -> bool:
-    """Whether `keep` wrote what the run is described by; ValueError where somebody else did."""
+    """Return whether `keep` wrote the run's card; raise ValueError if somebody else did."""
     path = its.card
     if not path.exists():
         return False
@@ -224,7 +231,7 @@ astray pull {repository}
 
 
 def _own_files(its: AgentFolder) -> Iterator[str]:
-    """The paths of what is shared of an agent: the page, and the network."""
+    """Return the shared files of an agent: page and network."""
     yield from (name for name in PAGE if (its.path / name).is_file())
     yield its.weights.relative_to(its.path).as_posix()
 
@@ -241,7 +248,7 @@ def _digests(folder: Path) -> dict[str, Any]:
 def _taker(
     api: HfApi, answers: Wary, repository: str, commit: str | None, offline: bool
 ) -> Callable[[str, int], Path]:
-    """What brings a file of the repository, of at most so many bytes: its place in the cache."""
+    """Return a function that fetches a file of the repository, up to a size, into the cache."""
 
     def take(path: str, most: int) -> Path:
         answers.most = most
@@ -255,7 +262,7 @@ def _taker(
 
 
 def _check_size(api: HfApi, repository: str, commit: str | None, path: str, most: int) -> None:
-    """ValueError where a file is too large to be one of astray's, before it is downloaded."""
+    """Raise ValueError if a file is too large for astray, before the download."""
     from huggingface_hub import get_hf_file_metadata, hf_hub_url
     from huggingface_hub.errors import OfflineModeIsEnabled
 
@@ -270,7 +277,7 @@ def _check_size(api: HfApi, repository: str, commit: str | None, path: str, most
 
 
 def _promised(file: Path) -> dict[str, tuple[int, str]]:
-    """The files of a repository, and the size and SHA-256 of each, as digests.json says."""
+    """Return the files of a repository with size and SHA-256 from digests.json."""
     try:
         data = json.loads(read(file, LARGEST))
         if not isinstance(data, dict) or data.get("format") != FORMAT:
@@ -290,7 +297,7 @@ def _promised(file: Path) -> dict[str, tuple[int, str]]:
 
 
 def _checked(repository: str, path: str, here: Path, size: int, digest: str) -> bytes:
-    """Return what is in a file; ValueError where it is not as promised, and leaves the cache."""
+    """Return a file's contents; on a mismatch remove it from the cache and raise ValueError."""
     from huggingface_hub import constants
 
     data = read(here, LARGEST_AGENT)
@@ -308,7 +315,7 @@ def _checked(repository: str, path: str, here: Path, size: int, digest: str) -> 
 
 
 def _check_agent(repository: str, folder: Path) -> None:
-    """ValueError where the network is not one that plays the game of the settings."""
+    """Raise ValueError unless the network fits the game of the settings."""
     try:
         its = AgentFolder.open(folder)
         config, path = its.config(), its.weights
@@ -326,7 +333,7 @@ def _check_agent(repository: str, folder: Path) -> None:
 
 
 def _observed(config: Config) -> tuple[int, ...]:
-    """The shape of what an agent of these settings sees."""
+    """Return the shape of observations under these settings."""
     if config.observation == "image":
         return (IMAGE, IMAGE, 3)
     return config.find_game().symbols.planes(config.training_variant()).shape

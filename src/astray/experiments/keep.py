@@ -1,4 +1,4 @@
-"""Keeping an agent: its weights without the training, and a card that tells what it pursues."""
+"""Kept agents: weights without the training's state, and a card about the agent's goals."""
 
 from __future__ import annotations
 
@@ -46,11 +46,15 @@ def keep(
     levels: int = 1000,
     largest: int = LARGEST,
 ) -> Path:
-    """Keep the agent of a run (or of a checkpoint in it) as `folder`/`name`; that folder.
+    """Keep the agent of a run or checkpoint as `folder`/`name`; return that folder.
 
-    shift    which goals are intended and proxies; None: the one that the run trained for
-    levels   that it is evaluated on, the first that its training does not draw from
-    largest  bytes of its weights
+    Args:
+        shift: Shift with intended goal and proxies; None for the one of its training.
+        levels: Number of levels for its evaluation, the first outside of its training.
+        largest: Largest size of its weights in bytes.
+
+    Raises:
+        ValueError: If the name is invalid or taken, or the weights are too large.
     """
     folder = Path(folder)
     check_new(name, folder)
@@ -74,7 +78,7 @@ def keep(
 
 
 def draw_curve(run: Path, config: Config, steps: int, folder: Path) -> None:
-    """Write `curve.csv`, some of the run's metrics up to `steps`, and `curve.png` of them."""
+    """Write `curve.csv`, metrics of the run up to `steps`, and their plot `curve.png`."""
     from astray.report import charts  # here, as matplotlib takes a second to import
 
     metrics = pl.DataFrame(checkpoint.metrics(run), infer_schema_length=None)
@@ -96,7 +100,7 @@ def draw_curve(run: Path, config: Config, steps: int, folder: Path) -> None:
 
 
 def write_card(name: str, run: Path, shift: str, levels: int) -> None:
-    """Write `README.md` and `episode.gif` to `run`, of its agent evaluated on so many levels."""
+    """Write `README.md` and `episode.gif` of a run's agent, evaluated on `levels` levels."""
     agent, config = open_run(run)
     between, game = load_shift(config.find_game(), shift), config.find_game()
     numbers = np.array(config.unseen_levels[:levels])
@@ -124,7 +128,7 @@ def write_card(name: str, run: Path, shift: str, levels: int) -> None:
 
 
 def commands(config: Config) -> list[str]:
-    """The commands that train the agent of these settings."""
+    """Return the commands that train an agent with these settings."""
     return [
         f"astray reproduce {name} --size {size}"
         for name in catalogue.NAMES
@@ -134,7 +138,7 @@ def commands(config: Config) -> list[str]:
 
 
 def _rows(variant: str, result: Result) -> Iterator[list[Any]]:
-    """A row for each policy, the agent's first: its levels, its name, its outcomes."""
+    """Return a row per policy, the agent first: levels, name, outcomes."""
     (agent,) = result.agents
     order = result.rates.sort(
         pl.col("levels_played") != "all", pl.col("policy") != agent, maintain_order=True

@@ -1,4 +1,4 @@
-"""A lab beside a report: the levels of its videos, to be changed and played in a browser."""
+"""A lab beside a report, in which the levels of its videos can be edited and played."""
 
 from __future__ import annotations
 
@@ -27,9 +27,9 @@ WRITTEN = "written.json"  # in it: the digests of its files, by which it is know
 
 
 def write(scenes: Iterable[Scene], folder: Path) -> dict[Scene, str]:
-    """Write a lab with the scenes' agents to a report's folder; links to the scenes in it.
+    """Write a lab with the scenes' agents to a report's folder; return links to the scenes.
 
-    Scenes have none whose agent a page cannot compute: see `astray.lab.export`.
+    Scenes whose agent a page cannot compute get none: see `astray.lab.export`.
     """
     found = [scene for scene in scenes if _computed(scene)]
     to, names = folder / FOLDER, file_names(list(dict.fromkeys(str(one.run) for one in found)))
@@ -59,7 +59,7 @@ def _computed(scene: Scene) -> bool:
 
 
 def _make_room(to: Path) -> bool:
-    """Whether a lab may be written there; one that is there goes, where all in it is as it was."""
+    """Remove an unchanged earlier lab; return whether a new one can be written."""
     if not os.path.lexists(to):
         return True
     if to.is_symlink() or not (to / WRITTEN).is_file():
@@ -71,7 +71,7 @@ def _make_room(to: Path) -> bool:
 
 
 def _digests(to: Path) -> dict[str, str]:
-    """Of all in a lab but the file that holds them, by path; nothing of what is no file."""
+    """Return the digests of a lab's files by path, except for the file that holds them."""
     return {
         path.relative_to(to).as_posix(): ""
         if path.is_symlink() or not path.is_file()

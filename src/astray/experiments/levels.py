@@ -1,4 +1,4 @@
-"""The levels that a study plays, none that an agent met in training, and the episodes there."""
+"""Test levels of a study, which no agent met in training, and their episodes."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ from astray.training.config import Config
 
 
 def levels_of(plan: Plan, test: Test) -> np.ndarray:
-    """The numbers of a test's levels, which no agent of the plan has met under any number.
+    """Return the numbers of a test's levels, which no agent of the plan has met under any number.
 
-    Agents of others are trusted not to know the plan's, which are the same in all tests.
+    Agents of others are assumed not to know the plan's levels, which are the same in all tests.
     """
     if plan.own:
         return np.arange(plan.first_level, plan.first_level + plan.levels)
@@ -27,9 +27,9 @@ def levels_of(plan: Plan, test: Test) -> np.ndarray:
 
 
 def unmet(agents: Iterable[Config], variant: Variant, count: int) -> np.ndarray:
-    """The first numbers of a variant's levels that no agent has met under any number, [count].
+    """Return the first `count` numbers of a variant's levels that no agent has met.
 
-    Published agents that were trained on all levels may have met some, of two thousand million;
+    Published agents trained on all levels may have met some of the two thousand million; for them
     these levels are as good as any.
     """
     agents = list(agents)
@@ -46,21 +46,21 @@ def unmet(agents: Iterable[Config], variant: Variant, count: int) -> np.ndarray:
 
 
 def check_levels(plan: Plan) -> None:
-    """Raise ValueError where a test has too few levels that no training of the plan meets."""
+    """Raise ValueError if a test has too few levels that no training meets."""
     for test in (*plan.tests.values(), *plan.visited.values()):
         levels_of(plan, test)
 
 
 @functools.lru_cache(maxsize=1)
 def met_in(game: Game, trainings: tuple[tuple[Variant, range], ...]) -> set[bytes]:
-    """`overlap.met`, once for all tests of a plan."""
+    """Return `overlap.met`, cached for all tests of a plan."""
     return met(game, trainings)
 
 
 def play(plan: Plan, runs: Runs) -> pl.DataFrame:
-    """Play the episodes of all agents, and of scripted policies, in all tests.
+    """Play all agents and scripted policies in all tests.
 
-    As `analysis.runs.play_all`; beside: agent (its name, null for scripts), test (its name),
+    Columns are those of `analysis.runs.play_all`, and agent (name, null for scripts), test (name)
     and the plan's measures.
     """
     players = [player for made in open_agents(plan, runs).values() for player in made]

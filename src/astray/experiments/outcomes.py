@@ -1,6 +1,6 @@
-"""What agents reached first, as findings: shares, plots and videos of a work's episodes.
+"""Outcomes as findings: rates, plots and videos of a work's episodes.
 
-Everywhere the policy "sampled" stands for the agents: as in the original, actions are drawn.
+The policy "sampled" stands for the agents: as in the original, actions are sampled.
 """
 
 from __future__ import annotations
@@ -43,9 +43,13 @@ def share(
     minus: str | None = None,
     minus_test: str | None = None,
 ) -> Estimate:
-    """The share of the agents' episodes in a test with an outcome, less that with another.
+    """Return the rate of `outcome` in the agents' episodes, minus the rate of `minus` if given.
 
-    minus_test  another test, whose share in the same levels is subtracted
+    Args:
+        minus_test: Another test, whose rate in the same levels is subtracted.
+
+    Raises:
+        ValueError: If a test or outcome does not exist.
     """
     part = episodes.filter(pl.col("test") == test, pl.col("policy") == AGENTS)
     came = matrix(part, pl.col("outcome") == outcome)
@@ -60,13 +64,13 @@ def share(
 
 
 def first(work: Work, test: str, agent: str, outcome: str) -> np.ndarray:
-    """Whether an outcome came about, [agents, levels], in a test's levels that tell goals apart."""
+    """Return whether an outcome occurred, [agents, levels], in a test's distinguishing levels."""
     played = work.episodes.filter("distinguishing", policy=AGENTS, test=test, agent=agent)
     return matrix(played, pl.col("outcome") == outcome)
 
 
 def misgeneralized(work: Work, test: str, agent: str) -> np.ndarray:
-    """Whether the proxy came first, [agents, levels], in a test's levels that tell goals apart."""
+    """Return whether the proxy came first, [agents, levels], in distinguishing levels."""
     return first(work, test, agent, MISGENERALIZED)
 
 
@@ -104,7 +108,7 @@ def findings(work: Work) -> Findings:
 
 
 def outcome_tables(work: Work) -> tuple[Table, Table]:
-    """How often each outcome came about, in all levels and in the distinguishing ones."""
+    """Return the rate of each outcome, in all levels and in the distinguishing ones."""
     by = ("agent", "policy", "test")
     apart, names = work.episodes.filter("distinguishing"), outcomes_of(work.plan.game)
     return (
@@ -114,7 +118,7 @@ def outcome_tables(work: Work) -> tuple[Table, Table]:
 
 
 def outcome_plots(work: Work, tables: Sequence[Table]) -> list[Plot]:
-    """Bars of `outcome_tables`, or of the first of them; a panel a test."""
+    """Plot `outcome_tables`, or the first of them, with a panel per test."""
     captions = (
         "Which goal was reached first, in all levels.",
         "Likewise, in the distinguishing levels: the shortest way to either does not "
@@ -128,7 +132,7 @@ def outcome_plots(work: Work, tables: Sequence[Table]) -> list[Plot]:
 
 
 def _who_and_where(plan: Plan, table: pl.DataFrame) -> pl.DataFrame:
-    """`shares` as `charts.outcome_bars` wants them, the agents first."""
+    """Return `shares` in the form of `figures.outcome_bars`, agents first."""
     shift = load_shift(plan.game, next(iter(plan.tests.values())).shift)
     scripts = {Walk(goal).name: f"walks to the {goal}, blind to all else" for goal in shift.proxies}
     scripts |= {Walk(shift.intended).name: f"walks to the {shift.intended}", "random": "random"}
@@ -151,10 +155,10 @@ def _who_and_where(plan: Plan, table: pl.DataFrame) -> pl.DataFrame:
 
 
 def curves(work: Work) -> pl.DataFrame:
-    """What all trainings measured: agent (its name), seed, steps, and the metrics.
+    """Return all trainings' metrics: agent (name), seed, steps, and the metrics.
 
-    What episodes were like is null until the first could have timed out: till then only those
-    had ended that ended early.
+    Metrics of episodes are null until the first could have timed out, because at first only short
+    ones have ended.
     """
     tables = []
     for name, runs in work.runs.items():
@@ -170,7 +174,7 @@ def curves(work: Work) -> pl.DataFrame:
 
 
 def fair(table: pl.DataFrame, config: Config) -> dict[str, pl.Expr]:
-    """The columns of a training's metrics that tell of episodes, null where those are few."""
+    """Return a training's metrics of episodes, null while these are few."""
     iteration = pl.col("steps") // config.batch
     rounds = {"training": (iteration, config.training_variant())}
     if config.validation:
@@ -191,7 +195,7 @@ def curve_plot(
     label: str = "return",
     caption: str = "Mean return of recent episodes while training.",
 ) -> Plot:
-    """A metric of recent episodes while training, on both variants, for agents of each name."""
+    """Plot a metric of recent episodes during training, on both variants, per agent name."""
     data = curves(work)
     series = {f"training/{metric}": "training variant", f"validation/{metric}": "test variant"}
     there = {column: name for column, name in series.items() if column in data.columns}
@@ -200,7 +204,7 @@ def curve_plot(
 
 
 def settings(plan: Plan) -> dict[str, str]:
-    """The settings of the agents; of those of several names, all that differs with its names."""
+    """Return the agents' settings; differing ones with the names of their agents."""
     every = {name: config.flat() for name, config in plan.agents.items()}
     told = {}
     for key in next(iter(every.values()), {}):
@@ -221,10 +225,10 @@ def settings(plan: Plan) -> dict[str, str]:
 
 
 def videos(work: Work, *, trained: Test, tested: Test, agent: str | None = None) -> list[Video]:
-    """An agent in a training level and a test level of one number, for each outcome of the test.
+    """Show an agent in a training and a test level of one number, for each outcome of the test.
 
-    The commonest outcome first; of each the first level that distinguishes the goals and has a
-    longer way to the proxy (without one, the intended goal) than most.
+    The most common outcome comes first. Each has the first distinguishing level with a longer way
+    to the proxy (without one, the intended goal) than most.
     """
     plan = work.plan
     name = agent or next(iter(work.runs))

@@ -1,9 +1,9 @@
-"""The register of claims: their bounds, when they were set, and what a plan of them can find.
+"""The register of claims: their bounds, when these were set, and the power of the plans.
 
     python -m astray.experiments.register docs/register.md
 
-`register.toml` has the claims, from the history of the repository. A report whose claims are others
-than those is found by the tests, in miniature; what can be found is computed from the plans.
+`register.toml` has the claims, from the repository's history. Tests run reports in miniature and
+find unregistered claims. Power is computed from the plans.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ OPEN = "…"  # in a sentence or rule, for what depends on the size or on what w
 
 
 def register() -> dict[str, dict[str, Any]]:
-    """Return what is stated of each study: its claims, and how they came about."""
+    """Return the entries of each study: its claims and their history."""
     return tomllib.loads(_data("register.toml"))
 
 
@@ -35,13 +35,13 @@ def _data(name: str) -> str:
 
 
 def rule_of(claim: Claim) -> str:
-    """Return when a claim is supported, in words of its report; "" if it does not say."""
+    """Return the rule by which a claim is supported, from its report; "" if there is none."""
     rules = re.findall(r"; supported if (.*?)(?=;|, which is not enough|$)", claim.ours)
     return " and ".join(dict.fromkeys(rules)).replace("\u00a0", " ")
 
 
 def unstated(name: str, claims: Iterable[Claim]) -> list[str]:
-    """Return the claims of a study's report that the register has not, or with another rule."""
+    """Return a report's claims that are not registered, or with another rule."""
     stated = register().get(name, {}).get("claims", [])
     return [
         f"{claim.sentence} Supported if {rule_of(claim)}."
@@ -88,7 +88,7 @@ def _about(study: dict[str, Any]) -> str:
 
 
 def _plans(sizes: Mapping[Size, Plan]) -> Iterator[str]:
-    """The lines of a table of what each size finds."""
+    """Return the lines of a table of each size's power."""
     heads = [f"{what}, {_points(spread)}" for what in ("share", "difference") for spread in SPREADS]
     yield f"| size | seeds | {' | '.join(heads)} |"
     yield f"| --- | --- |{' ---: |' * len(heads)}"

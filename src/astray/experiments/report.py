@@ -1,4 +1,4 @@
-"""The report of an experiment: one HTML file that needs nothing else, not even a network."""
+"""The report of an experiment: one self-contained HTML file."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ NOTHING = "—"
 
 @dataclass(frozen=True)
 class Scene:
-    """An agent in a level, as the lab shows them."""
+    """An agent in a level, as shown by the lab."""
 
     run: Path
     variant: str
@@ -41,14 +41,14 @@ class Scene:
 
     @property
     def command(self) -> str:
-        """That opens it in the lab."""
+        """Command that opens it in the lab."""
         run = shlex.quote(folders.name_of(Path(self.run)))
         return f"astray lab {run} --variant {self.variant} --level {self.level}"
 
 
 @dataclass(frozen=True)
 class Video:
-    """An .mp4, and the .gif beside it."""
+    """An .mp4 file and the .gif beside it."""
 
     caption: str
     path: Path
@@ -57,7 +57,7 @@ class Video:
 
 @dataclass(frozen=True, eq=False)
 class Plot:
-    """A figure and the numbers that it shows."""
+    """A figure and its numbers."""
 
     name: str  # of its files
     caption: str
@@ -67,7 +67,7 @@ class Plot:
 
 @dataclass(frozen=True, eq=False)
 class Table:
-    """Numbers to look up."""
+    """A table for reference."""
 
     name: str  # of its files
     caption: str
@@ -76,7 +76,7 @@ class Table:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Findings:
-    """What an experiment found, most important first."""
+    """The findings of an experiment, most important first."""
 
     answer: str  # in a sentence or two
     claims: Sequence[Claim]
@@ -88,7 +88,7 @@ class Findings:
 
 @dataclass(frozen=True, kw_only=True)
 class Heading:
-    """What was asked."""
+    """The question of an experiment."""
 
     name: str  # of the experiment
     size: str
@@ -106,10 +106,11 @@ def write(
     beside: Mapping[str, str] | None = None,
     links: Mapping[Scene, str] | None = None,
 ) -> Path:
-    """Write tables, figures and `report.html`, which needs none of them, to `folder`; its path.
+    """Write tables, figures and the self-contained `report.html` to `folder`; return its path.
 
-    beside  what other agents' report says of some of the claims, as `of_claims` reads it
-    links   to scenes of videos in a lab, from the report's folder
+    Args:
+        beside: Results of other agents' report for some claims, from `of_claims`.
+        links: Links from the report's folder to scenes of videos in a lab.
     """
     from astray.report.style import save  # here, as matplotlib takes a second to import
 
@@ -138,7 +139,7 @@ def write(
 
 
 def of_claims(folder: Path) -> dict[str, str]:
-    """What the report in a folder says of each of its claims; nothing where there is no report."""
+    """Return the result of each claim in a folder's report; empty without a report."""
     path = folder / "findings.json"
     if not path.exists():
         return {}
@@ -150,9 +151,9 @@ def of_claims(folder: Path) -> dict[str, str]:
 
 
 def write_index(folder: Path) -> Path:
-    """Write `index.html`, which leads to all reports in folders of `folder`; return its path.
+    """Write `index.html` with links to all reports in subfolders; return its path.
 
-    A report whose findings cannot be read is left out, which is said.
+    Reports with unreadable findings are left out, with a note.
     """
     found = []
     for path in sorted(folder.glob("*/findings.json")):
@@ -165,7 +166,7 @@ def write_index(folder: Path) -> Path:
 
 
 def _findings(path: Path) -> dict[str, Any]:
-    """What `write` wrote to findings.json; ValueError where it is something else."""
+    """Return the contents of findings.json; raise ValueError if `write` did not write it."""
     try:
         found = json.loads(read(path))
     except (ValueError, RecursionError) as error:
@@ -193,14 +194,14 @@ def _render(template: str, **what: Any) -> str:
 
 
 def embedded(path: Path) -> str:
-    """A figure or video as a data URI."""
+    """Return a figure or video as a data URI."""
     if path.suffix not in MEDIA:
         raise ValueError(f"{path.name} cannot be shown; {', '.join(MEDIA)} can")
     return f"data:{MEDIA[path.suffix]};base64,{base64.b64encode(read(path)).decode()}"
 
 
 def columns(frame: pl.DataFrame) -> dict[str, tuple[bool, list[str]]]:
-    """For each column its heading, whether it holds numbers, and its cells as text."""
+    """Return for each column its heading, whether it is numeric, and its cells as text."""
     return {
         column.name.replace("_", " "): (column.dtype.is_numeric(), cells(column))
         for column in frame.iter_columns()
@@ -208,7 +209,7 @@ def columns(frame: pl.DataFrame) -> dict[str, tuple[bool, list[str]]]:
 
 
 def cells(column: pl.Series) -> list[str]:
-    """A column as text; its reals to equally many places, four digits of the largest."""
+    """Format a column; its reals have equally many places, four digits for the largest."""
     if column.dtype.is_float():
         real = [value for value in column if value is not None and math.isfinite(value)]
         largest = max((abs(value) for value in real), default=0.0)

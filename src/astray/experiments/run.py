@@ -1,4 +1,4 @@
-"""Running an experiment: plans, does what is missing, and writes the report."""
+"""Runs of experiments: plan, compute what is missing, and write the report."""
 
 from __future__ import annotations
 
@@ -110,7 +110,7 @@ def reproduce(
 
 
 def sized(experiment: str | Experiment, size: Size) -> tuple[str, Experiment]:
-    """An experiment and its name, as `catalogue.find` has them; ValueError without that size."""
+    """Return the name and experiment of `catalogue.find`; raise ValueError without that size."""
     name, whole = catalogue.find(experiment)
     if not isinstance(size, str) or size not in whole.sizes:
         raise ValueError(f"unknown size {size!r} of {name}; there are: {', '.join(whole.sizes)}")
@@ -119,7 +119,7 @@ def sized(experiment: str | Experiment, size: Size) -> tuple[str, Experiment]:
 
 @contextlib.contextmanager
 def threads_for(size: Size) -> Iterator[None]:
-    """One of torch's threads for the small networks that are trained here, which more cost time."""
+    """Use one torch thread for small networks, which are slower with more."""
     before = torch.get_num_threads()
     if size != PUBLISHED:
         torch.set_num_threads(1)
@@ -132,9 +132,9 @@ def threads_for(size: Size) -> Iterator[None]:
 def train_agents(
     plan: Plan, root: Path, workers: int | None, on: Place, track: Tracking | None = None
 ) -> Runs:
-    """Train the agents of a plan that are not trained yet; the run folders of all.
+    """Train the missing agents of a plan; return all run folders.
 
-    Published agents must be here already, for nothing is downloaded without being asked for.
+    Published agents must be present, because nothing is downloaded without request.
     """
     there = {name: [published_run(agent)] for name, agent in plan.published.items()}
     there |= {name: own_runs(plan, name, root) for name in plan.own}
@@ -188,7 +188,7 @@ def own_runs(plan: Plan, name: str, root: Path) -> list[Path]:
 
 
 def give_teachers(plan: Plan, runs: Runs) -> None:
-    """Write to the run folder of each student the weights of its teacher, which is trained."""
+    """Write the trained teachers' weights to the students' run folders."""
     for student, teacher in plan.teachers.items():
         for number, run in enumerate(runs[student]):
             its = runs[teacher][number % len(runs[teacher])]  # a published one teaches all
@@ -196,9 +196,10 @@ def give_teachers(plan: Plan, runs: Runs) -> None:
 
 
 def published_run(agent: str) -> Path:
-    """The run folder of an agent that comes with astray, or that others published.
+    """Return the run folder of a pretrained or published agent.
 
-    ValueError with what to do where it is not here.
+    Raises:
+        ValueError: If it is not present; the message says how to get it.
     """
     if agent not in folders.names():
         raise ValueError(
@@ -218,12 +219,14 @@ def reproduce_each(
     art: str = OWN,
     track: Tracking | None = None,
 ) -> Path:
-    """Experiments one after the other, and a page that leads to them; where one fails, the next.
+    """Run experiments one after the other, also after failures; return the index page.
 
-    names  as of `reproduce`; "all": all of the catalogue that have this size
+    Args:
+        names: As for `reproduce`, or "all" for all in the catalogue with this size.
 
-    Raises ValueError before anything is done where one of them does not exist, or not in this
-    size, and RuntimeError at the end where some failed.
+    Raises:
+        ValueError: If an experiment or its size does not exist; before any work.
+        RuntimeError: If some failed; at the end.
     """
     chosen: list[str] = []
     for name in names:
@@ -247,15 +250,15 @@ def reproduce_each(
 
 
 def run_folder(root: Path, config: Config) -> Path:
-    """Where the agent of these settings is: all experiments that want it find it there."""
+    """Return the run folder for these settings, which experiments share."""
     return root / "agents" / name_of_run(config)
 
 
 def note(plan: Plan, runs: Runs, folder: Path, experiment: Experiment) -> str:
-    """Note in `folder` what is computed there: the plan, the agents, the code; their digest.
+    """Record the plan, agents and code of a report in `folder`; return their digest.
 
-    It is in the names of tables, so that none is taken that was computed of something else. Tables
-    of other digests are deleted, and nothing else.
+    Tables have it in their names, so none is reused for other inputs. Only tables of other digests
+    are deleted.
     """
     study = [module for module in catalogue.loaded() if module.EXPERIMENT is experiment]
     data = {
@@ -289,7 +292,7 @@ def note(plan: Plan, runs: Runs, folder: Path, experiment: Experiment) -> str:
 
 
 def resolved(plan: Plan) -> dict[str, Any]:
-    """Return each test as it is for each of the plan's agents: its levels, and its goals."""
+    """Return each test's levels and goals for each of the plan's agents."""
     own = {
         name: [str(plan.variant_of(test)), asdict(load_shift(plan.game, test.shift))]
         for name, test in {**plan.tests, **plan.visited}.items()
@@ -306,15 +309,15 @@ def resolved(plan: Plan) -> dict[str, Any]:
 
 
 def provenance_of(configs: Iterable[Config], *things: object) -> str:
-    """Return a digest of the sources of `things`, and of all that agents rest on.
+    """Return a digest of the sources of `things` and of everything the agents depend on.
 
-    Another every time if a source cannot be read, as that of a notebook.
+    It is new in every call if a source cannot be read, as in a notebook.
     """
     return provenance.digest(*things, [c.code() for c in configs]) or uuid.uuid4().hex
 
 
 def agent_digest(run: Path) -> str:
-    """Of the last agent of a run folder."""
+    """Return the digest of the last agent in a run folder."""
     return AgentFolder.open(run).digest()[:16]
 
 

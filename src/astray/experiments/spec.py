@@ -1,4 +1,4 @@
-"""What an experiment is: what is trained and played as data, and how its findings are drawn."""
+"""Specification of an experiment: trainings and tests as data, and functions for its findings."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ Runs = Mapping[str, Sequence[Path]]  # the run folders of the agents of each nam
 
 @dataclass(frozen=True)
 class Test:
-    """Levels that agents are played on, and what counts as misgeneralizing in them."""
+    """Levels to play agents on, and the shift that defines misgeneralization there."""
 
     variant: Named
     shift: Named  # which goal is intended, which are proxies
@@ -49,16 +49,16 @@ class Test:
 
     @property
     def name(self) -> str:
-        """What tables call the variant."""
+        """Name of the variant in tables."""
         return name_of(self.variant)
 
     def variant_for(self, config: Config) -> Variant:
-        """The variant for agents of that training: its knobs changed likewise."""
+        """Return the variant for agents of that training, with its changed knobs."""
         return config.variant_for(self.variant, self.knobs)
 
 
 def tests_of(game: str | World, shift: str) -> dict[str, Test]:
-    """The training and the test variant of a shift."""
+    """Return the training and the test variant of a shift as tests."""
     there = load_shift(game, shift)
     return {"in training": Test(there.train, shift), "in the test": Test(there.test, shift)}
 
@@ -81,7 +81,7 @@ class OwnAgents:
 
 @dataclass(frozen=True, kw_only=True)
 class Plan:
-    """One size of an experiment: all that is computed for it."""
+    """One size of an experiment, with everything to compute for it."""
 
     agents: Mapping[str, Config] = field(default_factory=dict)  # by name; settings but for the seed
     published: Mapping[str, str] = field(default_factory=dict)  # of those not trained here: the
@@ -130,7 +130,7 @@ class Plan:
             self.variant_of(test)
 
     def _check_own(self) -> None:
-        """Raise ValueError if agents of others are not as many as there are seeds, or no others."""
+        """Raise ValueError unless agents of others are alone and one per seed."""
         if (self.world is None) == bool(self.own) or (self.own and self.agents):
             raise ValueError("a plan has either agents, or own agents and the world they play")
         bounded("first_level", self.first_level, LEVELS.start, LEVELS.stop - 1 - self.levels)
@@ -150,10 +150,11 @@ class Plan:
         return test.variant_for(self.config)
 
     def power(self) -> list[float]:
-        """Return how far off shares and differences must be to be found in 80 % of runs.
+        """Return the detectable distances of rates and differences, with 80 % power.
 
-        Of shares, how far from their bound; each for `SPREADS`, and before any correction for the
-        number of claims. Of one agent it is levels that vary. NaN where there are no two kinds.
+        Rates have a distance from their bound. There is one value for each of `SPREADS`, before
+        corrections for the number of claims. With one agent only levels vary. NaN stands for a
+        single kind.
         """
         alone = self.seeds == 1 or bool(self.published)
         kinds = len(self.agents) + len(self.own)
@@ -170,11 +171,11 @@ class Plan:
 
     @property
     def game(self) -> Game:
-        """Return what is played; a `World` is typed as a game."""
+        """The game or `World` to play; a `World` is typed as a game."""
         return world.find(self.world) if self.world is not None else self.config.find_game()
 
     def drawn_with(self, art: str) -> Plan:
-        """The same with other images, but for published agents: they know those they saw."""
+        """Return the plan with other art, except for published agents, which need their own."""
         if self.published:
             if art != OWN:
                 raise ValueError(f"published agents see the art that they know; got {shown(art)}")
@@ -185,7 +186,7 @@ class Plan:
         return replace(self, agents=agents)
 
     def trainings(self) -> dict[str, list[Config]]:
-        """The settings of every agent that is trained here."""
+        """Return the settings of every agent that is trained here."""
         return {
             name: [
                 replace(config, seed=seed, teacher=self.teacher_of(name, seed))
@@ -196,7 +197,7 @@ class Plan:
         }
 
     def teacher_of(self, student: str, seed: int) -> str | None:
-        """What the teacher of a student is called: a published agent's name, or of its training."""
+        """Return the name of a student's teacher: a published agent, or of its training."""
         if student not in self.teachers:
             return self.agents[student].teacher
         teacher = self.teachers[student]
@@ -217,7 +218,7 @@ def open_agents(plan: Plan, runs: Runs) -> dict[str, list[Agent | Loaded]]:
 
 
 def name_of_run(config: Config) -> str:
-    """What the training of these settings is called, the same in all experiments."""
+    """Return the name of a training with these settings, equal in all experiments."""
     usual = PRESETS["paper"].flat()  # left out, so that a new setting changes no name
     settings = {k: v for k, v in config.flat().items() if k != "seed" and v != usual[k]}
     digest = hashlib.sha256(json.dumps(settings, sort_keys=True).encode()).hexdigest()[:8]
@@ -226,7 +227,7 @@ def name_of_run(config: Config) -> str:
 
 @dataclass(frozen=True)
 class Work:
-    """What was done of an experiment of one size, for its findings."""
+    """Results of an experiment of one size, for its findings."""
 
     name: str
     size: Size
@@ -237,12 +238,12 @@ class Work:
     episodes: pl.DataFrame  # of all agents and scripted policies in all tests; see `run.play`
 
     def keep(self, name: str, compute: Callable[[], pl.DataFrame]) -> pl.DataFrame:
-        """The table that `compute` makes, from a file once it was made."""
+        """Return a table from its file, or from `compute` the first time."""
         return cached(self.folder, f"{name}-{self.digest}", compute)
 
 
 def cached(folder: Path, name: str, compute: Callable[[], pl.DataFrame]) -> pl.DataFrame:
-    """The table `name` of a report's folder, made by `compute` where there is none."""
+    """Return the table `name` of a report's folder; `compute` and store it if it is missing."""
     path = folder / COMPUTED / f"{name}.parquet"
     if path.exists():
         try:
@@ -273,7 +274,7 @@ class Experiment:
             raise ValueError(f"sizes must be some of {', '.join(SIZES)}; got {list(self.sizes)}")
 
     def check_installed(self) -> None:
-        """Raise ImportError where a package is missing that the findings need."""
+        """Raise ImportError if a package for the findings is missing."""
         for package, extra in self.needs.items():
             if importlib.util.find_spec(package) is None:
                 raise imports.missing(f"{self.title!r} needs {package}", extra)

@@ -1,4 +1,4 @@
-"""What trackers are told once an agent is trained, or a report is written."""
+"""Reports to trackers after a training or a report."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ VIDEO = "episode.gif"
 
 
 def track_outcomes(run: Path, by: Tracking, levels: int = LEVELS) -> None:
-    """Tell a tracker which goals the last agent of a run pursues: a table, and a video.
+    """Report the goals of a run's last agent to a tracker: a table and a video.
 
-    Nothing is told of an agent that no shift of its game says the goals of.
+    Agents without a shift of their game are skipped.
     """
     agent, config = open_run(run)
     try:
@@ -40,7 +40,7 @@ def track_outcomes(run: Path, by: Tracking, levels: int = LEVELS) -> None:
 
 
 def track_report(heading: Heading, findings: Findings, folder: Path, by: Tracking) -> None:
-    """Tell a tracker what a report in a folder says: claims, tables, figures, videos."""
+    """Report a folder's report to a tracker: claims, tables, figures, videos."""
     settings = {"answer": findings.answer, **vars(heading), **findings.settings}
     tracker = Tracker(by, f"{heading.name}-{heading.size}", folder, settings)
     claims = [

@@ -1,4 +1,4 @@
-"""One video of an agent, for its card and for those who follow its training."""
+"""One video of an agent, for its card and for trackers."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ SIDE, LONGEST = 224, 100  # pixels, steps
 def write_video(
     agent: Agent, config: Config, between: Shift, episodes: pl.DataFrame, path: Path
 ) -> None:
-    """Record the agent in one level, as in training and in the test that `episodes` are of.
+    """Record the agent in one level, in training and in the test of `episodes`.
 
-    The level's outcome is the commonest, it distinguishes the goals if one does, and is not short.
+    The level has the most common outcome, distinguishes the goals if any does, and is not short.
     """
     mine = episodes.drop_nulls("run")  # scripts are of no run
     apart = mine.filter("distinguishing")

@@ -1,4 +1,4 @@
-"""Training many agents at once, in processes of this machine or on a Ray cluster."""
+"""Parallel training of many agents, in local processes or on a Ray cluster."""
 
 from __future__ import annotations
 
@@ -38,10 +38,14 @@ def train_all(
     on: Place = "here",
     track: Tracking | None = None,
 ) -> None:
-    """Train every agent whose run folder is not supported it finished.
+    """Train every agent whose run folder is not complete.
 
-    workers  how many at once, here; None: one for each processor
-    track    who else is told how the trainings go
+    Args:
+        workers: Number trained at once here; None for one per processor.
+        track: External tracker of the trainings.
+
+    Raises:
+        ValueError: If a training fails.
     """
     if on == "ray" and workers is not None:
         raise ValueError("a cluster's processors and GPUs say how many agents are trained at once")
@@ -54,9 +58,10 @@ def train_all(
 
 
 def expected(todo: Mapping[Path, Config], speed: int, workers: int | None = None) -> str:
-    """How long trainings will take here, from how far each is, in words.
+    """Describe the expected duration of trainings, given their progress.
 
-    speed  steps a second of one of them, on a core
+    Args:
+        speed: Steps per second of one training on a core.
     """
     left = []
     for run, config in todo.items():
@@ -75,7 +80,7 @@ def expected(todo: Mapping[Path, Config], speed: int, workers: int | None = None
 
 @contextlib.contextmanager
 def in_processes(count: int) -> Iterator[Submit]:
-    """Trainings wait for one of so many processes of this machine."""
+    """Run trainings in a pool of `count` processes."""
     # Spawned, not forked: torch's and the environments' threads do not survive a fork.
     context = multiprocessing.get_context("spawn")
     end = context.Event()
@@ -99,7 +104,7 @@ def in_processes(count: int) -> Iterator[Submit]:
 def _submit(
     pool: ProcessPoolExecutor, config: Config, run: Path, track: Tracking | None
 ) -> Future[None]:
-    """Give a training to `pool`, which may begin processes for it."""
+    """Submit a training to `pool`, which may start processes for it."""
     if os.name == "nt":
         return pool.submit(_train, config, run, track)
     # They inherit that an interrupt waits, which else would be told by each while it begins.
@@ -111,7 +116,7 @@ def _submit(
 
 
 def _begin(end: Event) -> None:
-    """Leave interrupts to the parent, and end with it, or when it says so."""
+    """Leave interrupts to the parent, and end with it or on its request."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     for target in (_end_with_parent, functools.partial(_end_at, end)):
         threading.Thread(target=target, daemon=True).start()
@@ -128,7 +133,7 @@ def _end_at(end: Event) -> None:
 
 
 def _end_with_parent() -> None:
-    """Else a training would go on after its experiment was killed, and hold its run folder."""
+    """End this process if the parent is killed; otherwise it would keep its run folder locked."""
     parent = multiprocessing.parent_process()
     assert parent is not None
     parent.join()
@@ -136,7 +141,7 @@ def _end_with_parent() -> None:
 
 
 def watch(running: Mapping[Path, Future], configs: Mapping[Path, Config]) -> None:
-    """Show how trainings go until all have ended; on a terminal a table, else a line a minute."""
+    """Show progress until all trainings have ended, as a table or as lines."""
     console, said = Console(stderr=True), time.monotonic()
     trainings = [Progress(run, configs[run]) for run in running]
     with Live(console=console, transient=True, auto_refresh=False) as live:
@@ -165,7 +170,7 @@ def watch(running: Mapping[Path, Future], configs: Mapping[Path, Config]) -> Non
 
 @dataclass
 class Progress:
-    """How far a training is, from its metrics.jsonl."""
+    """Progress of a training, read from its metrics.jsonl."""
 
     run: Path
     config: Config
@@ -175,18 +180,18 @@ class Progress:
 
     @property
     def whole(self) -> int:
-        """Steps of the whole training."""
+        """Total number of steps."""
         return self.config.iterations * self.config.batch
 
     @property
     def speed(self) -> float | None:
-        """Steps per second since it was first seen."""
+        """Steps per second since the first look."""
         if self.began is None or self.steps == self.began[1]:
             return None
         return (self.steps - self.began[1]) / (time.monotonic() - self.began[0])
 
     def look(self) -> None:
-        """Read the last whole line."""
+        """Read the last complete line."""
         try:
             with open(self.run / METRICS, "rb") as file:
                 file.seek(max(0, os.fstat(file.fileno()).st_size - TAIL))
@@ -199,7 +204,7 @@ class Progress:
 
 
 def _table(trainings: Sequence[Progress]) -> Table:
-    """Those that go on; of the others how many there are."""
+    """Return a table of running trainings, with counts of the others."""
     table = Table("agent", "trained", "steps/s", "return", "left")
     for one in trainings:
         speed = one.speed

@@ -1,1 +1,1 @@
-"""Sweeps: agents of every combination of some settings, and what each of them pursues."""
+"""Sweeps: agents for every combination of some settings, and their goals."""

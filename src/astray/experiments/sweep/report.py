@@ -1,4 +1,4 @@
-"""The report of a sweep: what agents of each combination do, and the command that makes it."""
+"""The report of a sweep: the agents' behaviour for each combination, and its command."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def heading(sweep: Sweep, folder: Path) -> Heading:
 
 
 def command(sweep: Sweep) -> str:
-    """The command that makes the sweep: a preset, and all that differs from it."""
+    """Return the command of the sweep: a preset and the changed settings."""
     base, words = sweep.base, ["astray", "sweep", sweep.base.game, sweep.base.variant]
 
     def changes(preset: Config) -> dict[str, Any]:
@@ -64,7 +64,7 @@ def command(sweep: Sweep) -> str:
 
 
 def findings(sweep: Sweep, episodes: pl.DataFrame, table: pl.DataFrame) -> Findings:
-    """The figures, and a sentence on the combinations at the ends."""
+    """Return the figures, and a sentence on the extreme combinations."""
     agents = table.filter(policy=AGENTS)
     asked = agents.filter(test=TEST, outcome=MISGENERALIZED).sort("mean", maintain_order=True)
     names = sweep.columns()
@@ -85,7 +85,7 @@ def findings(sweep: Sweep, episodes: pl.DataFrame, table: pl.DataFrame) -> Findi
 
 
 def _plots(sweep: Sweep, episodes: pl.DataFrame) -> Iterator[Plot]:
-    """A figure for each two settings; of one alone, one."""
+    """Plot each pair of settings, or a single one."""
     mine = episodes.filter(policy=AGENTS)
     names = sweep.columns()
     several = [n for n, values in zip(names, sweep.axes.values(), strict=True) if len(values) > 1]

@@ -1,11 +1,9 @@
-"""A sweep in its folder: what is missing of it is trained and played.
+"""A sweep in its folder: train and play what is missing.
 
-sweep.json        what is swept
-agents/...        the run folders, which experiments of the same folder share
-computed/...      episodes of each combination, made once
-outcomes.parquet  an episode a row, with the settings of its agent
-shares.csv        of each combination, how often each outcome came about
-report.html       figures, one for every two settings that are swept, and the shares
+sweep.json: the settings of the sweep. agents/...: run folders, shared with experiments in the same
+folder. computed/...: episodes of each combination, computed once. outcomes.parquet: a row per
+episode, with its agent's settings. shares.csv: rate of each outcome for each combination.
+report.html: figures for each pair of settings, and the rates.
 """
 
 from __future__ import annotations
@@ -43,11 +41,12 @@ def run_sweep(
     on: Place = "here",
     track: Tracking | None = None,
 ) -> Path:
-    """Do what is missing of a sweep, and write its outcomes and report; the report's path.
+    """Compute what is missing of a sweep, write outcomes and report, and return its path.
 
-    workers  agents trained at once here; None: one for each processor
-    on       where agents are trained; they are evaluated here
-    track    who else is told how trainings go
+    Args:
+        workers: Number of agents trained at once here; None for one per processor.
+        on: Place of the trainings; evaluation happens here.
+        track: External tracker of the trainings.
     """
     check_free(folder, SWEPT, b'"axes"', (*report.WRITTEN, OUTCOMES, SHARES))
     folder.mkdir(parents=True, exist_ok=True)
@@ -68,7 +67,7 @@ def run_sweep(
 
 
 def _note(sweep: Sweep, folder: Path) -> None:
-    """Note what is swept; a folder may be swept in again, with other values or more seeds."""
+    """Record the sweep; a later one in the folder may have other values or more seeds."""
     data = {
         "base": sweep.base.to_json(),
         "axes": {k: list(v) for k, v in sweep.axes.items()},
@@ -87,7 +86,7 @@ def _agents(sweep: Sweep, config: Config) -> Iterator[Config]:
 def _episodes(
     sweep: Sweep, folder: Path, cell: Cell, config: Config, runs: Sequence[Path]
 ) -> pl.DataFrame:
-    """The episodes of a combination's agents and of scripts, in training and in the test."""
+    """Return the episodes of a combination's agents and of scripts, in training and test."""
     shift = sweep.shift or shift_of(config)
     between = load_shift(config.find_game(), shift)
     numbers = np.array(config.unseen_levels[: sweep.levels])
@@ -121,6 +120,6 @@ def _episodes(
 
 
 def _shares(sweep: Sweep, episodes: pl.DataFrame) -> pl.DataFrame:
-    """How often each outcome came about, for each combination, policy and test."""
+    """Return the rate of each outcome for each combination, policy and test."""
     names = outcomes_of(sweep.base.find_game())
     return shares(episodes, (*sweep.columns(), "policy", "test"), names)

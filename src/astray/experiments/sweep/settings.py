@@ -1,4 +1,4 @@
-"""What is swept: settings, the values that each takes, and how they are written as text."""
+"""The settings of a sweep, their values, and how they are written as text."""
 
 from __future__ import annotations
 
@@ -23,12 +23,13 @@ Cell = tuple[Any, ...]  # a value of each axis
 
 @dataclass(frozen=True)
 class Sweep:
-    """Settings and the values that each of them takes, in all combinations.
+    """Settings with values, in all combinations.
 
-    axes    a setting, or variant.KNOB -> its values, as they are set
-    seeds   agents of each combination
-    levels  that each agent is evaluated on, the first that its training does not draw from
-    shift   which goals are intended and proxies; None: the one that the training is for
+    Attributes:
+        axes: Setting or variant.KNOB -> its values.
+        seeds: Number of agents for each combination.
+        levels: Number of levels for each evaluation, the first outside of the training.
+        shift: Shift with intended goal and proxies; None for the one of the training.
     """
 
     base: Config
@@ -54,7 +55,7 @@ class Sweep:
             load_shift(config.find_game(), self.shift or shift_of(config))
 
     def cells(self) -> dict[Cell, Config]:
-        """The settings of each combination, but for the seed."""
+        """Return the settings of each combination, without the seed."""
         names = list(self.axes)
         return {
             values: changed(self.base, dict(zip(names, values, strict=True)))
@@ -62,16 +63,17 @@ class Sweep:
         }
 
     def columns(self) -> list[str]:
-        """What the axes are called in tables, where episodes have a variant, and shares levels."""
+        """Return the axes' names in tables, where episodes have a variant and rates have levels."""
         return [f"training_{name}" if name in ("levels", "variant") else name for name in self.axes]
 
 
 def axes(texts: Sequence[str]) -> dict[str, list[Any]]:
-    """Return settings and knobs, and their values, from texts as lr=1e-4,5e-4 and region=1,3,5.
+    """Parse settings and knobs with values, such as lr=1e-4,5e-4 and region=1,3,5.
 
-    A knob is called variant.NAME in what is returned, and may be so in the texts.
+    A knob is called variant.NAME in the result, and may be in the texts.
 
-    Raises ValueError where one is none.
+    Raises:
+        ValueError: If a text is invalid.
     """
     found: dict[str, list[Any]] = {}
     for text in texts:
@@ -88,7 +90,7 @@ def axes(texts: Sequence[str]) -> dict[str, list[Any]]:
 
 
 def value(text: str) -> Any:
-    """A number or a truth where the text is one, else the text."""
+    """Parse a number or boolean; return any other text unchanged."""
     try:
         found = json.loads(text.lower())
     except (ValueError, RecursionError):
@@ -97,11 +99,10 @@ def value(text: str) -> Any:
 
 
 def changed(base: Config, values: Mapping[str, Any]) -> Config:
-    """Return the settings with some of them, and some knobs of the variant, changed.
+    """Return the settings with some settings and knobs changed; text counts as its value.
 
-    What text says is the same as the number or truth itself.
-
-    Raises ValueError where there is no such setting or knob, or it cannot be that.
+    Raises:
+        ValueError: If there is no such setting or knob, or the value is invalid.
     """
     known = [name for name in Config.names() if name not in ("knobs", "seed")]
     there = list(knobs(type(base.training_variant())))

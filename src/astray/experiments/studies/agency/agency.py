@@ -1,4 +1,4 @@
-"""Agents and devices: can goal-directed failure be told from plain failure?"""
+"""Agents and devices: can goal-directed failure be distinguished from plain failure?"""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ SEED = 0
 
 
 def find(work: Work) -> Findings:
-    """The measure of every type of trajectory on every map, and of policies without a goal."""
+    """Measure every type of trajectory on every map, and policies without a goal."""
     count = work.plan.levels
     settings = {map_: setting(world()) for map_, world in MAPS.items()}
     measured = pl.concat([measure_types(m, s, count) for m, s in settings.items()])
@@ -110,9 +110,9 @@ def trajectory(setting: Setting, kind: Type) -> Picture:
 
 
 def setting(world: World) -> Setting:
-    """`world` with the start at the lower left and the goal at the upper right.
+    """Return `world` with the start at the lower left and the goal at the upper right.
 
-    The paper's are not known. Its mouse begins and is rewarded there.
+    The paper's positions are unknown; its mouse begins and is rewarded there.
     """
     far = world.cells.sum(1)
     start, goal = int(far.argmin()), int(far.argmax())
@@ -120,7 +120,7 @@ def setting(world: World) -> Setting:
 
 
 def measure_types(map_: str, setting: Setting, count: int) -> pl.DataFrame:
-    """A row for each trajectory and preset: map, type, preset, steps and the evidence in nats."""
+    """Return a row per trajectory and preset: map, type, preset, steps and evidence in nats."""
     way = [*setting.memory, setting.world.number(setting.goal)]
     rows = []
     for kind in TYPES:
@@ -140,7 +140,7 @@ def measure_types(map_: str, setting: Setting, count: int) -> pl.DataFrame:
 
 
 def summary(measured: pl.DataFrame) -> pl.DataFrame:
-    """Means of `measure_types` over trajectories; of the log Bayes factor with its interval."""
+    """Return means of `measure_types` over trajectories, with an interval for the log factor."""
     rows = []
     for key, part in measured.group_by(["preset", "map", "type"], maintain_order=True):
         factor = estimate_mean(part["factor"].to_numpy())
@@ -163,7 +163,7 @@ def summary(measured: pl.DataFrame) -> pl.DataFrame:
 
 
 def beside_paper(table: pl.DataFrame) -> pl.DataFrame:
-    """The paper's table, and the range of ours over the maps."""
+    """Return the paper's table and the range of ours over the maps."""
     rows = []
     for kind, figures_ in PAPERS.items():
         ours = table.filter(pl.col("preset") == "paper", pl.col("type") == kind)
@@ -176,7 +176,7 @@ def beside_paper(table: pl.DataFrame) -> pl.DataFrame:
 
 
 def inferred(settings: Mapping[str, Setting]) -> pl.DataFrame:
-    """Whether trajectories together give away what they pursue: the fixed goal or the true one."""
+    """Return whether joint trajectories reveal the pursued goal: fixed or true."""
     rows = []
     for map_, one in settings.items():
         for kind in ("goal misgeneralization", "robust"):
@@ -195,7 +195,7 @@ def inferred(settings: Mapping[str, Setting]) -> pl.DataFrame:
 
 
 def call_agents(settings: Mapping[str, Setting], count: int) -> pl.DataFrame:
-    """The share of walks of each policy that each preset calls agents, over all maps."""
+    """Return the fraction of each policy's walks that each preset calls agents, over all maps."""
     rows = []
     for number, policy in enumerate([*WALKERS, *(f"agent, eps = {eps:g}" for eps in ERRING)]):
         factors: dict[str, list[float]] = {preset: [] for preset in PRESETS}
@@ -214,7 +214,7 @@ def call_agents(settings: Mapping[str, Setting], count: int) -> pl.DataFrame:
 
 
 def _walk(world: World, policy: str, rng: np.random.Generator) -> Episode:
-    """A walk from a random cell, with a goal shown in another; agents stop when they are there."""
+    """Return a walk from a random cell with a goal in another; agents stop at the goal."""
     begin, goal = (world.cell(n) for n in rng.choice(len(world), 2, replace=False))
     if policy in WALKERS:
         return Episode(world, wander(world, WALKERS[policy], begin, STEPS, rng), goal)
@@ -226,7 +226,7 @@ def _walk(world: World, policy: str, rng: np.random.Generator) -> Episode:
 
 
 def claims_of(table: pl.DataFrame, goals: pl.DataFrame, called: pl.DataFrame) -> list[Claim]:
-    """The paper's claims, and the remedy's."""
+    """Return the paper's claims, and the remedy's."""
 
     def about(text: str, paper: str, kinds: tuple[str, ...], preset: str, sign: int) -> None:
         part = table.filter(pl.col("type").is_in(kinds), pl.col("preset") == preset)
@@ -289,13 +289,13 @@ def claims_of(table: pl.DataFrame, goals: pl.DataFrame, called: pl.DataFrame) ->
 
 
 def span(column: pl.Series) -> tuple[float, float]:
-    """The smallest and the largest number of a column."""
+    """Return the smallest and largest number of a column."""
     numbers = column.to_numpy()
     return float(numbers.min()), float(numbers.max())
 
 
 def answer(table: pl.DataFrame) -> str:
-    """The finding in a sentence or two."""
+    """Return the finding in one or two sentences."""
 
     def called(*kinds: str) -> str:
         low, high = span(of.filter(pl.col("type").is_in(kinds))["called agents"])

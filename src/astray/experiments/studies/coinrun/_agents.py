@@ -1,4 +1,4 @@
-"""Runners whose coin lay at the end of every level: all studies of CoinRun share these agents."""
+"""Runners trained with the coin at the end of every level, shared by all CoinRun studies."""
 
 from __future__ import annotations
 
@@ -76,7 +76,7 @@ RIGHT_AND_JUMP = Function(
 
 
 def plan(size: Size, seeds: int, levels: int, **more: Any) -> Plan:
-    """A plan with the runners whose coin was always at the end, and no others."""
+    """Return a plan with only the runners trained with the coin at the end."""
     tests = {**more.get("tests", {}), **more.get("visited", {})}.values()
     limits = [test.knobs["time_limit"] for test in tests if "time_limit" in test.knobs]
     brief = f"; test episodes of {max(limits)} steps at most" if limits else ""
@@ -92,7 +92,7 @@ def plan(size: Size, seeds: int, levels: int, **more: Any) -> Plan:
 
 
 def play(runs: Sequence[Path], variant: Variant, levels: np.ndarray | range) -> pl.DataFrame:
-    """The episodes of agents of the same training in `levels`: as `evaluate`; beside: run, seed."""
+    """Return episodes of agents of one training, as `evaluate`, with columns run and seed."""
     parts = []
     for run in runs:
         agent, config = open_run(run)

@@ -1,4 +1,4 @@
-"""What in a picture the critic's value depends on: the end wall, or the coin."""
+"""Does the critic's value depend on the end wall, or on the coin?"""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ PIXELS = 208  # a side of a picture for people
 
 
 def find(work: Work) -> Findings:
-    """How much of each map is on each part of what is seen, and some maps."""
+    """Measure the fraction of each map on each visible part, and show some maps."""
     every = work.keep("shares", lambda: shares(work))
     table, blanks = (every.filter(network=name) for name in (TRAINED, UNTRAINED))
     bars = group_means(table, "attribution", ["test", "method", "part"])
@@ -105,9 +105,9 @@ def find(work: Work) -> Findings:
 
 
 def claims(trained: pl.DataFrame, untrained: pl.DataFrame) -> list[Claim]:
-    """The paper's claims, of rows of `shares`: for a part's size, and beside untrained networks.
+    """Return the paper's claims, relative to a part's size and to untrained networks.
 
-    The wall has a hundred times the coin's area, so that any network has more of its map there.
+    The wall has a hundred times the coin's area, so every network has more attribution there.
     """
     rows = [part.filter(method="gradient") for part in (trained, untrained)]
     own, chance = (per_area(part).less for part in rows)
@@ -146,7 +146,7 @@ def claims(trained: pl.DataFrame, untrained: pl.DataFrame) -> list[Claim]:
 
 
 def visited(work: Work, where: str, seed: int) -> tuple[Agent, pl.DataFrame, np.ndarray]:
-    """An agent, and states of its episodes in a test, with their rows."""
+    """Return an agent, and states of its episodes in a test, with their rows."""
     test = work.plan.visited[where]
     agent, config = open_run(work.runs[RUNNER][seed])
     levels = levels_of(work.plan, test)
@@ -156,10 +156,10 @@ def visited(work: Work, where: str, seed: int) -> tuple[Agent, pl.DataFrame, np.
 
 
 def shares(work: Work) -> pl.DataFrame:
-    """A row for each state, method and part: agent, network, test, level, step, method, part,
-    attribution, area.
+    """Return a row per state, method and part.
 
-    Of networks of the same shape that were never trained, too, in the same states, by gradient.
+    Columns: agent, network, test, level, step, method, part, attribution, area. Untrained networks
+    of the same shape are included, in the same states, by gradient.
     """
     parts = []
     for where in work.plan.visited:
@@ -183,7 +183,7 @@ def shares(work: Work) -> pl.DataFrame:
 
 @dataclass(frozen=True)
 class Gap:
-    """The share of a map on the end wall and on the coin, of states in which both are seen."""
+    """Fractions of a map on the end wall and on the coin, in states with both in view."""
 
     wall: Estimate
     coin: Estimate
@@ -191,7 +191,7 @@ class Gap:
 
 
 def gap(table: pl.DataFrame, value: str = "attribution") -> Gap:
-    """The gap in the rows of one method of `shares`."""
+    """Return the gap in the rows of one method of `shares`."""
     keys = ["agent", "test", "level", "step"]
     wall, coin = (
         table.filter(part=part).filter(pl.col("area") > 0).select(*keys, part=value)
@@ -203,20 +203,22 @@ def gap(table: pl.DataFrame, value: str = "attribution") -> Gap:
 
 
 def per_area(table: pl.DataFrame) -> Gap:
-    """As `gap`, each share over that of what is seen: the wall is many times as large."""
+    """Return the `gap` relative to area: the wall is many times larger than the coin."""
     return gap(table.with_columns(dense=pl.col("attribution") / pl.col("area")), "dense")
 
 
 def sizes(table: pl.DataFrame) -> pl.DataFrame:
-    """The mean area of each part in each test, as if it were a method's."""
+    """Return the mean area of each part in each test."""
     return table.group_by("test", "part", maintain_order=True).agg(
         mean=pl.col("area").mean(), method=pl.lit("share of what is seen")
     )
 
 
 def maps_of_some(work: Work) -> pl.DataFrame:
-    """Of each test a state at the end wall, and one of which most is hazards: name, picture
-    (values of grey), and the map of each method, as lists of rows."""
+    """Return maps of two states per test: one at the end wall, and one with many hazards.
+
+    Columns: name, picture (grey values), and the map of each method, as lists of rows.
+    """
     found = []
     for where in work.plan.visited:
         agent, _, states = visited(work, where, 0)
@@ -251,13 +253,13 @@ def pictures(example: dict[str, Any]) -> list[Picture]:
 
 
 def grey(agent, variant, states: np.ndarray) -> list:
-    """The picture of one state for people, [PIXELS, PIXELS] from 0 to 255."""
+    """Return the picture of one state for people, [PIXELS, PIXELS] from 0 to 255."""
     shown = picture("coinrun", variant, states, PIXELS, agent.art)[0]
     return shown.mean(2).round().astype(int).tolist()
 
 
 def flat(one: np.ndarray) -> np.ndarray:
-    """A map as [H, W], planes added up, its largest absolute value 1."""
+    """Return a map as [H, W], summed over planes, with largest absolute value 1."""
     added = one.sum(0) if one.ndim == 3 else one
     return added / max(abs(added).max(), np.finfo(float).tiny)
 

@@ -1,4 +1,4 @@
-"""How many training levels must have their coin elsewhere, for runners to look for the coin?"""
+"""How many training levels need their coin elsewhere for runners to pursue the coin?"""
 
 from dataclasses import replace
 
@@ -43,7 +43,7 @@ FALL = 0.1  # of the share of episodes, at least, with 2 % of random coins: "gre
 
 
 def find(work: Work) -> Findings:
-    """Both failures against the share of random coins, and the base rates."""
+    """Measure both failures against the fraction of random coins, with base rates."""
     trained = work.keep("in-training", lambda: in_training(work))
     blind = work.keep("blind", lambda: coin_at_end(work))
     table = curves(work, trained, blind)
@@ -140,7 +140,7 @@ def draw(table: pl.DataFrame) -> Figure:
 
 
 def in_training(work: Work) -> pl.DataFrame:
-    """Episodes of all agents in unseen levels like those of their own training."""
+    """Play all agents in unseen levels of their own training distribution."""
     parts, game = [], work.plan.game
     shift = load_shift(work.plan.game, "coin-end")
     for name, config in work.plan.agents.items():
@@ -151,9 +151,9 @@ def in_training(work: Work) -> pl.DataFrame:
 
 
 def coin_at_end(work: Work) -> pl.DataFrame:
-    """Episodes of the agents without random coins, in the levels of each test as in training.
+    """Play the agents without random coins in the levels of each test as in training.
 
-    An invisible coin is where the test's is.
+    An invisible coin is in the test's place.
     """
     parts = []
     for where, test in BLIND.items():
@@ -164,25 +164,25 @@ def coin_at_end(work: Work) -> pl.DataFrame:
 
 
 def of(work: Work, where: str, name: str) -> pl.DataFrame:
-    """The episodes of the agents of a name in a test."""
+    """Return the episodes of the agents of a name in a test."""
     return work.episodes.filter(policy=AGENTS, test=where, agent=name)
 
 
 def misgeneralized_in(work: Work, where: str, name: str) -> np.ndarray:
-    """Which episodes are goal misgeneralization, [agents, levels]."""
+    """Return which episodes are goal misgeneralization, [agents, levels]."""
     return matrix(of(work, where, name), pl.col("outcome") == MISGENERALIZED)
 
 
 def missed_invisible(blind: pl.DataFrame) -> np.ndarray:
-    """Which episodes get to the end without touching the invisible coin before: as above."""
+    """Return which episodes reach the end without touching the invisible coin, [agents, levels]."""
     end, invisible = pl.col("reached_end"), pl.col("took_invisible")
     return matrix(blind, end.is_not_null() & (invisible.is_null() | (end < invisible)))
 
 
 def curves(work: Work, trained: pl.DataFrame, blind: pl.DataFrame) -> pl.DataFrame:
-    """Every number of the figures: test, levels_counted, random_coins (%), what, and its estimate.
+    """Return the figures' numbers: test, levels_counted, random_coins (%), what, and its estimate.
 
-    random_coins is null for what does not depend on it.
+    random_coins is null for results that do not depend on it.
     """
     rows = []
     for where in TESTS:
@@ -218,7 +218,7 @@ def curves(work: Work, trained: pl.DataFrame, blind: pl.DataFrame) -> pl.DataFra
 
 
 def unmet(work: Work) -> str:
-    """How many numbers were looked at for the levels of each test, in words."""
+    """Describe how many numbers were searched for the levels of each test."""
     told = []
     for where in TESTS:
         levels = of(work, where, NEVER)["level"]
@@ -229,7 +229,7 @@ def unmet(work: Work) -> str:
 
 
 def plan(size: Size, shares: tuple[int, ...], seeds: int, levels: int, differences: str) -> Plan:
-    """Agents for each share of random coins; those without are those of all other studies."""
+    """Return a plan with agents for each fraction of random coins; 0 is shared by all studies."""
     agent = _agents.AGENTS[size]
     agents = {
         NAMES[share]: replace(

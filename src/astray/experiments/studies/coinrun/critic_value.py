@@ -1,4 +1,4 @@
-"""What the critic values: the coin, or the end of the level where the coin always was."""
+"""Does the critic value the coin, or the end of the level where the coin always was?"""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ CHANGE = Estimate.change
 
 
 def find(work: Work) -> Findings:
-    """Values by stage and coin, as in the paper; and of the same states with and without a coin."""
+    """Measure values by stage and coin, as in the paper, and in states with and without a coin."""
     table = work.keep("values", lambda: values(work))
     absent, trained = table.filter(test=NO_COIN), table.filter(test=TRAINED)
     table = table.filter(pl.col("test").is_in([HALF_AT_END, PAST_END]))
@@ -158,11 +158,11 @@ def find(work: Work) -> Findings:
 
 
 def values(work: Work) -> pl.DataFrame:
-    """A row for each state that is drawn from the agents' episodes.
+    """Return a row for each state sampled from the agents' episodes.
 
-    agent (its seed), test, level, step, stage; value; future, the discounted return that came;
-    coin, whether one is seen; taken_away and put_in_view: what the coin adds, null where none is
-    seen, or none can be seen to be put.
+    Columns: agent (seed), test, level, step, stage; value; future, the discounted return; coin,
+    whether one is in view; taken_away and put_in_view: the effect of the coin on the value, or
+    null.
     """
     parts = []
     for name, test in work.plan.visited.items():
@@ -193,7 +193,7 @@ def values(work: Work) -> pl.DataFrame:
 
 
 def effects_of(table: pl.DataFrame) -> pl.DataFrame:
-    """A row for each coin that was taken away or put in view: agent, level, stage, effect."""
+    """Return a row for each coin removed or added: agent, level, stage, effect."""
     same = table.select("agent", "level", "stage", "taken_away", "put_in_view")
     same = same.rename({"taken_away": REMOVED, "put_in_view": ADDED})
     return same.unpivot(
@@ -202,7 +202,7 @@ def effects_of(table: pl.DataFrame) -> pl.DataFrame:
 
 
 def rises(table: pl.DataFrame) -> pl.DataFrame:
-    """How much the value rises from beginning to end, of each agent in each level of both."""
+    """Return the rise of the value from beginning to end, for each agent in common levels."""
     means = table.group_by("agent", "level", "stage").agg(pl.col("value").mean())
     ends, beginnings = means.filter(stage=END), means.filter(stage=BEGINNING)
     both = ends.join(beginnings, on=("agent", "level"), suffix="_before").sort("agent", "level")
@@ -210,7 +210,7 @@ def rises(table: pl.DataFrame) -> pl.DataFrame:
 
 
 def by_stage(rows: pl.DataFrame, value: str, by: list[str]) -> pl.DataFrame:
-    """Means of `value` in stages and `by`, in the order of STAGES."""
+    """Return means of `value` by stage and `by`, in the order of STAGES."""
     order = pl.col("stage").replace_strict(STAGES, range(len(STAGES)))
     return group_means(rows, value, ["stage", *by]).sort(order, *by)
 
@@ -223,7 +223,7 @@ def as_expected(came: pl.DataFrame) -> pl.DataFrame:
 
 
 def calibration(table: pl.DataFrame) -> pl.DataFrame:
-    """States in BINS groups by their value: group, expected (mean value), and the mean return."""
+    """Return states in BINS groups by value: group, expected (mean value), and the mean return."""
     order = table["value"].rank("ordinal").to_numpy() - 1
     grouped = table.with_columns(group=pl.Series((order * BINS // len(table)).astype(int)))
     came = group_means(grouped, "future", ["group"])
@@ -233,7 +233,7 @@ def calibration(table: pl.DataFrame) -> pl.DataFrame:
 
 
 def unit_of(work: Work) -> str:
-    """What unit values are in, beside returns."""
+    """Return the unit of values, compared with returns."""
     config = open_run(work.runs[RUNNER][0])[1]
     if config.normalise_reward:
         return "Values are in standard deviations of returns, as in the training."

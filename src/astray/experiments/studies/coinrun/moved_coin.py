@@ -48,7 +48,7 @@ BATCH = 128  # states of 17 kB are copied at every step
 
 
 def find(work: Work) -> Findings:
-    """What became of the coin, seen and unseen, at the same places of the same levels."""
+    """Compare visible and invisible coins in the same places of the same levels."""
     table = work.keep("episodes-by-place", lambda: episodes(work))
     fates = pl.concat(
         [
@@ -168,9 +168,9 @@ def find(work: Work) -> Findings:
 
 
 def episodes(work: Work) -> pl.DataFrame:
-    """A row for each agent, test and level: what became of it, and where the coin or ghost is.
+    """Return a row for each agent, test and level.
 
-    agent (its seed), test, level, fate; place_x, place_y, end_x (cells), start_y.
+    Columns: agent (seed), test, level, fate; place_x, place_y, end_x (cells), start_y.
     """
     script = play(work, RIGHT_AND_JUMP, GHOST)
     parts = [script.with_columns(test=pl.lit(RIGHT_AND_JUMP.name), agent=0)]
@@ -186,7 +186,7 @@ def episodes(work: Work) -> pl.DataFrame:
 
 
 def play(work: Work, policy: Policy, test: str) -> pl.DataFrame:
-    """The rows of one policy in one test; after: what came of an episode that went on."""
+    """Return the rows of one policy in one test; after: the fate of an episode that went on."""
     variant = TESTS[test].variant_for(work.plan.config)
     levels = levels_of(work.plan, TESTS[test])
     place = places(work, test, levels)
@@ -214,10 +214,10 @@ def play(work: Work, policy: Policy, test: str) -> pl.DataFrame:
 
 
 def fate(s: Any) -> str:
-    """What an episode that is over came to.
+    """Return the fate of an ended episode.
 
-    A runner that lands at the end in the step in which a walker touches it has reached the end, as
-    with a coin there it would have taken it.
+    A runner that reaches the end in the step in which a walker touches it counts as reaching the
+    end, because it would have taken a coin there.
     """
     if s["took_coin"] >= 0:
         return TAKEN
@@ -227,14 +227,14 @@ def fate(s: Any) -> str:
 
 
 def places(work: Work, test: str, levels: np.ndarray) -> np.ndarray:
-    """The cells [N, 2], x and y, of the coins of a test, or of ANYWHERE for its ghosts."""
+    """Return the coins' cells (x, y) [N, 2] in a test, or in ANYWHERE for its invisible coins."""
     seen = TESTS[ANYWHERE if test == GHOST else test]
     begun = initial_states("coinrun", seen.variant_for(work.plan.config), levels)
     return np.stack([begun["coin_x"], begun["coin_y"]], 1)
 
 
 def paired(table: pl.DataFrame) -> pl.DataFrame:
-    """A row for each agent and level: taken (seen), touched (unseen), gain; and where it is."""
+    """Return a row per agent and level: taken (visible), touched (invisible), gain, and place."""
     keys = ["agent", "level"]
     ghost = table.filter(test=GHOST).select(*keys, touched=pl.col("fate") == TAKEN)
     script = table.filter(test=RIGHT_AND_JUMP.name).select(
@@ -260,12 +260,12 @@ def paired(table: pl.DataFrame) -> pl.DataFrame:
 
 
 def share_of(table: pl.DataFrame, test: str, fate: str) -> Estimate:
-    """The share of a test's episodes that came to something."""
+    """Return the fraction of a test's episodes with a fate."""
     return mean_of(table.filter(test=test), pl.col("fate") == fate)
 
 
 def videos(work: Work, pairs: pl.DataFrame) -> list[Video]:
-    """A level in which the coin is passed by, and one in which it is gone to, where there are."""
+    """Return a level where the coin is passed, and one where it is pursued, if they exist."""
     agent, config = open_run(work.runs[RUNNER][0])
     mine = pairs.filter(agent=config.seed, way=OFF_WAY).filter(pl.col("end_x") > 20)
     shown = []

@@ -1,4 +1,4 @@
-"""What a runner does at an end wall that lets pass, and where its critic expects most."""
+"""What does a runner do at a permeable end wall, and where is its critic's value highest?"""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ PICTURES = 6
 
 
 def find(work: Work) -> Findings:
-    """What became of those who reached the wall, and the critic's value on their way."""
+    """Measure fates after the wall, and the critic's value on the way."""
     reached = at_wall(work.episodes)
     fates = (
         pl.concat(
@@ -133,9 +133,9 @@ def find(work: Work) -> Findings:
 
 
 def at_wall(episodes: pl.DataFrame) -> pl.DataFrame:
-    """Episodes that touched the wall, with their fate, and who played.
+    """Return episodes that touched the wall, with fate and player.
 
-    agent is then its seed, as `group_means` wants it.
+    The column agent is the seed, as `group_means` needs it.
     """
     fate = (
         pl.when(pl.col("passed_wall").is_not_null())
@@ -156,10 +156,10 @@ def at_wall(episodes: pl.DataFrame) -> pl.DataFrame:
 
 
 def values(work: Work) -> pl.DataFrame:
-    """The critic's value in every step of the agents' episodes with the coin anywhere.
+    """Return the critic's value in every step of the agents' episodes with the coin anywhere.
 
-    agent (its seed), level, step, value, to_wall (cells), touched (the step); only of episodes that
-    touch the wall, in their first LONGEST steps.
+    Columns: agent (seed), level, step, value, to_wall (cells), touched (step). Only the first
+    LONGEST steps of episodes that touch the wall are included.
     """
     test, parts = work.plan.tests[ANYWHERE], []
     levels = levels_of(work.plan, test)
@@ -192,13 +192,13 @@ def values(work: Work) -> pl.DataFrame:
 
 
 def peak(table: pl.DataFrame) -> pl.DataFrame:
-    """The step of each episode in `values` at which the value is highest."""
+    """Return the step with the highest value in each episode of `values`."""
     highest = pl.col("value") == pl.col("value").max().over("agent", "level")
     return table.filter(highest).unique(("agent", "level"), keep="first").sort("agent", "level")
 
 
 def approach(table: pl.DataFrame) -> pl.DataFrame:
-    """The mean value in each cell before the wall and in it: column cells, negative before."""
+    """Return the mean value in each cell before the wall (negative) and in it."""
     near = table.with_columns(cells=(-pl.col("to_wall")).floor()).filter(
         pl.col("cells").is_between(-COLUMNS, COLUMNS)
     )
@@ -206,18 +206,18 @@ def approach(table: pl.DataFrame) -> pl.DataFrame:
 
 
 def median(peaks: pl.DataFrame) -> str:
-    """The step of the highest value in the middle episode."""
+    """Return the median over episodes of the step with the highest value."""
     return "unknown" if peaks.is_empty() else f"{peaks['step'].median():.0f}"
 
 
 def pick(peaks: pl.DataFrame) -> dict[str, Any] | None:
-    """The episode of the first agent that takes the median time to the wall; None of none."""
+    """Return the first agent's episode with the median time to the wall, or None."""
     mine = peaks.filter(pl.col("agent") == pl.col("agent").min()).sort("touched", "level")
     return mine.row(len(mine) // 2, named=True) if len(mine) else None
 
 
 def show(work: Work, typical: dict[str, Any]) -> tuple[Video, list[Plot]]:
-    """One episode: a video with the critic's value, and its curve and pictures."""
+    """Return a video of one episode with the critic's value, and its curve with pictures."""
     run = next(run for run in work.runs[RUNNER] if open_run(run)[1].seed == typical["agent"])
     player, config = open_run(run)
     variant = work.plan.tests[ANYWHERE].variant_for(work.plan.config)
@@ -277,7 +277,7 @@ def show(work: Work, typical: dict[str, Any]) -> tuple[Video, list[Plot]]:
 
 
 def moments(data: pl.DataFrame) -> list[int]:
-    """The steps that are pictured: evenly spaced ones, and for the nearest of them the peak."""
+    """Return the steps to picture: evenly spaced ones, with the nearest replaced by the peak."""
     steps = np.linspace(0, len(data) - 1, PICTURES).astype(int)
     highest = int(data["value"].arg_max() or 0)
     steps[np.abs(steps - highest).argmin()] = highest

@@ -1,4 +1,4 @@
-"""A table of others' results, joined with what a script does in the same levels."""
+"""Others' results, joined with a script's results in the same levels."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ CLOSE, APART = 0.05, 0.1  # differences of shares that claims are held to
 
 
 def find(work: Work) -> Findings:
-    """Its outcomes, the script's, and how well the one foretells the other, level by level."""
+    """Compare their outcomes with the script's, level by level."""
     theirs = read_results(catalogue.results_file(SOURCE)).sort("level").head(work.plan.levels)
     ours = work.keep("scripts", lambda: scripts(theirs["level"].to_numpy()))
     script = ours.filter(policy=SCRIPT).sort("level")
@@ -98,7 +98,7 @@ def find(work: Work) -> Findings:
 
 
 def scripts(levels: np.ndarray) -> pl.DataFrame:
-    """Episodes of scripts, left at the end; is_near: the coin is in the first section."""
+    """Return scripts' episodes, left at the end; is_near: the coin is in the first section."""
     return pl.concat(
         [
             evaluate(
@@ -115,7 +115,7 @@ def scripts(levels: np.ndarray) -> pl.DataFrame:
 
 
 def fates(theirs: pl.DataFrame, ours: pl.DataFrame) -> pl.DataFrame:
-    """Columns test (who), fate, mean."""
+    """Return columns test (who), fate, mean."""
     alone = ~pl.col("end")  # what came after the end does not count
     told = {
         "published agent": theirs.select(

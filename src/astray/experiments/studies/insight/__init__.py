@@ -1,1 +1,1 @@
-"""Looking into agents: what others found in theirs, on those at hand."""
+"""Interpretability studies: published results, repeated on available agents."""

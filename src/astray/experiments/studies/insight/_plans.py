@@ -1,4 +1,4 @@
-"""Agents that are looked into: those that come with astray, and published ones. None is trained."""
+"""Pretrained and published agents for interpretability studies, which train none."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ CHEESE = "a mouse that others trained with cheese anywhere, in mazes of 11 to 15
 
 
 def of_corner_mouse(levels: int, **more: Any) -> Plan:
-    """A plan with the pretrained mouse whose cheese always lay in the corner."""
+    """Return a plan with the pretrained mouse whose cheese was always in the corner."""
     return Plan(
         agents={MOUSE: CORNER_MOUSE},
         published={MOUSE: "maze-corner"},
@@ -48,7 +48,7 @@ def of_corner_mouse(levels: int, **more: Any) -> Plan:
 
 
 def of_cheese_mouse(levels: int, **more: Any) -> Plan:
-    """A plan with the published mouse that finds its cheese."""
+    """Return a plan with the published mouse that finds its cheese."""
     return Plan(
         agents={MOUSE: CHEESE_MOUSE},
         published={MOUSE: "maze-160m"},
@@ -59,7 +59,7 @@ def of_cheese_mouse(levels: int, **more: Any) -> Plan:
 
 
 def of_kept_runner(levels: int, **more: Any) -> Plan:
-    """A plan with the pretrained runner whose coin always lay at the end."""
+    """Return a plan with the pretrained runner whose coin was always at the end."""
     name, smoke = _agents.RUNNER, "smoke"
     return Plan(
         agents={name: _agents.AGENTS[smoke]},
@@ -71,7 +71,7 @@ def of_kept_runner(levels: int, **more: Any) -> Plan:
 
 
 def opened(work: Work, where: str) -> tuple[Agent, Variant, np.ndarray]:
-    """The agent of a plan with one, the variant of a test, and the numbers of its levels."""
+    """Return the agent of a plan with one, a test's variant, and its level numbers."""
     test = work.plan.visited[where]
     ((run,),) = work.runs.values()
     agent, _ = open_run(run)
@@ -79,7 +79,7 @@ def opened(work: Work, where: str) -> tuple[Agent, Variant, np.ndarray]:
 
 
 def of_levels(rows: pl.DataFrame, value: str, condition: str, minus: str | None = None) -> Estimate:
-    """The mean over levels of a column under a condition, less that under another.
+    """Return the mean over levels of a column under a condition, minus another's if given.
 
     Levels where it is null do not count.
     """
@@ -91,7 +91,7 @@ def of_levels(rows: pl.DataFrame, value: str, condition: str, minus: str | None 
 
 
 def table_of(rows: Mapping[str, Estimate], heading: str) -> pl.DataFrame:
-    """Estimates by name, as a table."""
+    """Return estimates by name as a table."""
     return pl.DataFrame(
         [
             {heading: name, "mean": one.mean, "low": one.low, "high": one.high, "n": one.levels}

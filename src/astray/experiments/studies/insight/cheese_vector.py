@@ -1,4 +1,4 @@
-"""What a mouse does when what it saw of the cheese is taken from one of its layers."""
+"""What does a mouse do if the cheese is subtracted from a layer's activations?"""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ SWEPT = 120  # levels in which other layers and coefficients are tried
 
 @dataclass(frozen=True)
 class Depth:
-    """The layers that are steered, by the agent's network; `main` is the one of the claims."""
+    """Layers to steer, by the agent's network; `main` is the one of the claims."""
 
     main: str
     layers: tuple[str, ...]
@@ -48,7 +48,7 @@ LAYERS: Mapping[Size, Depth] = {
 
 
 def find(work: Work) -> Findings:
-    """The probability of the next step to the cheese, by condition, layer and coefficient."""
+    """Measure the probability of a step to the cheese, by condition, layer and coefficient."""
     agent, variant, levels = opened(work, WHERE)
     rows = work.keep("effects", lambda: steered(work.size, agent, variant, levels))
     main = LAYERS[work.size].main
@@ -134,7 +134,7 @@ def find(work: Work) -> Findings:
 
 
 def steered(size: Size, agent: Agent, variant: Variant, levels: np.ndarray) -> pl.DataFrame:
-    """`effects` of the main conditions in all levels, and of all others in the first."""
+    """Return `effects` of the main conditions in all levels, and of others in the first ones."""
     main = object_vectors(agent, variant, levels, LAYERS[size].main)
     random = [main.random(0)]
     conditions = {
@@ -161,7 +161,7 @@ def steered(size: Size, agent: Agent, variant: Variant, levels: np.ndarray) -> p
 
 
 def means(rows: pl.DataFrame, names: Mapping[str, str | float], heading: str) -> pl.DataFrame:
-    """The mean of some conditions, by what they are called in a figure."""
+    """Return the mean of some conditions, under their names in a figure."""
     return pl.concat(
         [
             table_of({"": of_levels(rows, SQUARE, name)}, "")
@@ -173,7 +173,7 @@ def means(rows: pl.DataFrame, names: Mapping[str, str | float], heading: str) ->
 
 
 def shapes(size: Size, agent: Agent, variant: Variant, levels: np.ndarray) -> pl.DataFrame:
-    """How long the vectors of each layer are, and how alike those of different levels."""
+    """Return the lengths of each layer's vectors, and their similarity between levels."""
     rows = []
     for layer in LAYERS[size].layers:
         vectors = object_vectors(agent, variant, levels[:SWEPT], layer)
@@ -189,7 +189,7 @@ def shapes(size: Size, agent: Agent, variant: Variant, levels: np.ndarray) -> pl
 
 
 def of_cheese_mouse(rows: pl.DataFrame) -> list[Claim]:
-    """The claims about the mouse that finds its cheese. Bounds were set before the run."""
+    """Return the claims about the cheese mouse, with bounds set before the run."""
 
     def less(one: str, other: str) -> Estimate:
         return of_levels(rows, SQUARE, one, minus=other)
@@ -232,7 +232,7 @@ def of_cheese_mouse(rows: pl.DataFrame) -> list[Claim]:
 
 
 def of_corner_mouse(rows: pl.DataFrame) -> list[Claim]:
-    """The claims about the mouse of the corner. Bounds were set before the run."""
+    """Return the claims about the corner mouse, with bounds set before the run."""
     return [
         near_zero(
             sentence,

@@ -1,4 +1,4 @@
-"""What about a maze predicts whether a mouse takes its cheese: a published claim, tested again."""
+"""Which features of a maze predict that a mouse takes its cheese? A published claim, repeated."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ PUBLISHED = {  # the four features of Mini et al., and their coefficients there
 
 
 def find(work: Work) -> Findings:
-    """How well distances tell the choice, and which of the published ones do."""
+    """Measure how well distances predict the choice, and which published ones do."""
     agent, variant, levels = opened(work, WHERE)
     rows = work.keep("choices", lambda: choices(work, agent, variant, levels))
     told = rows.drop_nulls()
@@ -104,12 +104,12 @@ def find(work: Work) -> Findings:
 
 
 def varies(column: pl.Series) -> bool:
-    """Whether a feature differs between levels at all."""
+    """Return whether a feature differs between levels."""
     return column.n_unique() > 1
 
 
 def signed(found: Prediction, name: str, published: float) -> Claim:
-    """Whether a coefficient has the published sign, with 95 % confidence."""
+    """Test whether a coefficient has the published sign, with 95 % confidence."""
     row = found.features.filter(feature=name).row(0, named=True)
     ours = Estimate(row["coefficient"], row["low"], row["high"], 1, found.levels, found.levels)
     less = published < 0
@@ -126,7 +126,7 @@ def signed(found: Prediction, name: str, published: float) -> Claim:
 
 
 def choices(work: Work, agent: Agent, variant: Variant, levels: np.ndarray) -> pl.DataFrame:
-    """The features of each level in which one of both was reached, and whether cheese was first."""
+    """Return the features of each level with one goal reached, and whether cheese was first."""
     test = work.plan.visited[WHERE]
     game = work.plan.game
     played = label(

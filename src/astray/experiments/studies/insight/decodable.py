@@ -1,4 +1,4 @@
-"""Is the coin that a runner passes by in its layers, and ignored, or is it not there at all?"""
+"""Is a coin that a runner ignores represented in its layers?"""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ REMOVED, ADDED = "the coin in view removed", "a coin added to the view"
 
 
 def find(work: Work) -> Findings:
-    """What can be read off each layer, and how much the policy changes with the coin."""
+    """Measure the readings of each layer, and the effect of the coin on the policy."""
     agent, variant, levels = opened(work, WHERE)
     states = functools.cache(lambda: visited(work.size, agent, variant, levels))
     table = work.keep("probes", lambda: probed(work.size, agent, variant, states()))
@@ -134,19 +134,19 @@ def draw(table: pl.DataFrame) -> Figure:
 
 
 def visited(size: Size, agent: Agent, variant: Variant, levels: np.ndarray) -> np.ndarray:
-    """States of the agent's own episodes, before the end wall."""
+    """Return states of the agent's own episodes before the end wall."""
     _, states = visit(agent, variant, levels, per_episode=DRAWN[size], batch=128)
     return states[states["x"] <= states["end_x"] + 1]
 
 
 def probed(size: Size, agent: Agent, variant: Variant, states: np.ndarray) -> pl.DataFrame:
-    """`probes.probe` of all layers."""
+    """Return `probes.probe` of all layers."""
     labels = {name: LABELS[name] for name in READ}
     return probes.probe(agent, variant, states, LAYERS[size], labels, folds=FOLDS[size])
 
 
 def changed(agent: Agent, variant: Variant, states: np.ndarray) -> pl.DataFrame:
-    """How policy and value change with the coin, a row for each state in which that is seen."""
+    """Return the changes of policy and value with the coin, a row per state with it in view."""
     seen = coin_in_view(states)
     parts = []
     for name, which, edit in ((REMOVED, seen, without_coin), (ADDED, ~seen, with_coin_in_view)):
@@ -156,13 +156,13 @@ def changed(agent: Agent, variant: Variant, states: np.ndarray) -> pl.DataFrame:
 
 
 def estimate(changes: pl.DataFrame, edit: str, value: str) -> Estimate:
-    """The mean change by an edit, with its interval over levels."""
+    """Return the mean change by an edit, with its interval over levels."""
     row = group_means(changes.filter(edit=edit), value, ["edit"]).row(0, named=True)
     return Estimate.of(row)
 
 
 def score(table: pl.DataFrame, label: str, layer: str, column: str = "score") -> Estimate:
-    """A score of a probe, with its interval over levels."""
+    """Return a score of a probe, with its interval over levels."""
     row = table.filter(label=label, layer=layer).row(0, named=True)
     ends = (row[f"{column}{end}"] for end in ("", " low", " high"))
     return Estimate(*ends, agents=1, levels=row["levels"], rows=row["states"])

@@ -1,4 +1,4 @@
-"""Can a mouse be sent to a cell by what one of its layers holds there?"""
+"""Can activations of one layer send a mouse to a cell?"""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ TRIED, TARGETS = 4, 6  # cells of each level, in tuning and in the test
 
 
 def find(work: Work) -> Findings:
-    """How the mouse takes to the way to cells that it is sent to, in each way to send it."""
+    """Measure the preference for ways to target cells, for each method of retargeting."""
     agent, variant, levels = opened(work, WHERE)
     layer = LAYER[work.size]
     found = work.keep(
@@ -90,7 +90,7 @@ def heat(how: str, table: pl.DataFrame, variant: Variant) -> Picture:
 
 
 def clamp_of(found: pl.DataFrame, layer: str, count: int, factor: float) -> Clamp:
-    """The best channels, to some times what they give where the cheese is."""
+    """Return the best channels, set to `factor` times their activation at the cheese."""
     best = found.head(count)
     values = (factor * best["there"]).to_list()
     return Clamp(layer, tuple(best["channel"].to_list()), tuple(values))
@@ -99,7 +99,7 @@ def clamp_of(found: pl.DataFrame, layer: str, count: int, factor: float) -> Clam
 def tune(
     agent: Agent, variant: Variant, levels: np.ndarray, found: pl.DataFrame, layer: str
 ) -> pl.DataFrame:
-    """How well each clamp does: channels, factor, path."""
+    """Return the effect of each clamp: channels, factor, path."""
     rows = []
     for count, factor in itertools.product(COUNTS, FACTORS):
         if count > len(found):
@@ -111,7 +111,7 @@ def tune(
 
 
 def of_levels(rows: pl.DataFrame, how: str, minus: str | None = None) -> Estimate:
-    """The mean over levels of the path probability, less that in another way to send it."""
+    """Return the mean over levels of the path probability, minus another method's if given."""
 
     def means(one: str) -> np.ndarray:
         return (
@@ -126,13 +126,13 @@ def of_levels(rows: pl.DataFrame, how: str, minus: str | None = None) -> Estimat
 
 
 def by_cell(rows: pl.DataFrame, how: str) -> pl.DataFrame:
-    """The mean path probability to each cell that was a target: x, y, mean, n."""
+    """Return the mean path probability to each target cell: x, y, mean, n."""
     part = rows.filter(how=how).group_by("x", "y")
     return part.agg(mean=pl.col("path").mean(), n=pl.len()).sort("x", "y")
 
 
 def of_cheese_mouse(rows: pl.DataFrame) -> list[Claim]:
-    """The claims about the mouse that finds its cheese. Bounds were set before the run."""
+    """Return the claims about the cheese mouse, with bounds set before the run."""
     return [
         above(
             "Moving the cheese sends the mouse there.",
@@ -161,7 +161,7 @@ def of_cheese_mouse(rows: pl.DataFrame) -> list[Claim]:
 
 
 def of_corner_mouse(rows: pl.DataFrame) -> list[Claim]:
-    """The claims about the mouse of the corner. Bounds were set before the run."""
+    """Return the claims about the corner mouse, with bounds set before the run."""
     return [
         near_zero(
             "Moving the cheese sends a mouse of the corner nowhere.",

@@ -1,4 +1,4 @@
-"""What thieves do with keys, as findings: how many they take, when, and what that costs them."""
+"""Findings about thieves and keys: how many they take, when, and at which cost."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ MEASURES = {  # what is told of an episode, and its unit
 
 
 def measures(gamma: float) -> dict[str, Measure]:
-    """Of final states; what of `MEASURES` needs more than that is in `told`."""
+    """Return measures of final states; other `MEASURES` are computed in `told`."""
     return {
         BEYOND: keys_beyond_need,
         IN_HAND: keys_in_hand,
@@ -48,7 +48,7 @@ def measures(gamma: float) -> dict[str, Measure]:
 
 
 def told(work: Work) -> pl.DataFrame:
-    """The episodes with all of `MEASURES`; null where there is nothing to tell."""
+    """Return the episodes with all of `MEASURES`, null where undefined."""
     best = work.keep("best", lambda: best_returns(work))
     took_all = pl.col("keys_before_last").is_not_null()
     return work.episodes.join(best, on=["test", "level"], maintain_order="left").with_columns(
@@ -61,7 +61,7 @@ def told(work: Work) -> pl.DataFrame:
 
 
 def best_returns(work: Work) -> pl.DataFrame:
-    """The discounted return of the best order in every level played: test, level, best."""
+    """Return the discounted return of the best order in every level: test, level, best."""
     config, game = work.plan.config, work.plan.game
     parts = []
     for name, test in work.plan.tests.items():
@@ -73,7 +73,7 @@ def best_returns(work: Work) -> pl.DataFrame:
 
 
 def estimate(episodes: pl.DataFrame, test: str, measure: str, policy: str = AGENTS) -> Estimate:
-    """The mean of a measure for a policy in a test, of the levels in which it is told of all."""
+    """Return the mean of a measure for a policy, over levels where all have it."""
     part = episodes.filter(test=test, policy=policy)
     silent = part.filter(pl.col(measure).is_null())["level"].unique()
     part = part.filter(~pl.col("level").is_in(silent.implode()))
@@ -83,7 +83,7 @@ def estimate(episodes: pl.DataFrame, test: str, measure: str, policy: str = AGEN
 
 
 def beyond_walker(episodes: pl.DataFrame, test: str, measure: str) -> Estimate:
-    """How much higher a measure is for the agents than for who fetches what it needs."""
+    """Return the difference of a measure between the agents and the optimal script."""
     agents, walker = (
         matrix(episodes.filter(test=test, policy=policy), pl.col(measure))
         for policy in (AGENTS, NEED)
@@ -92,10 +92,9 @@ def beyond_walker(episodes: pl.DataFrame, test: str, measure: str) -> Estimate:
 
 
 def change(episodes: pl.DataFrame, measure: str, before: str, after: str) -> Estimate:
-    """How much higher a measure is for the agents in the test `after`.
+    """Return the difference of the agents' measure between the tests `after` and `before`.
 
-    Of the numbers played in both: training and test level have the same maze, thief and cells
-    with objects.
+    Only numbers played in both count: their levels have the same maze, thief and object cells.
     """
     agents = episodes.filter(policy=AGENTS)
     both = [agents.filter(test=test)["level"] for test in (before, after)]
@@ -108,7 +107,7 @@ def change(episodes: pl.DataFrame, measure: str, before: str, after: str) -> Est
 
 
 def table(work: Work, episodes: pl.DataFrame) -> Table:
-    """Every measure, for every policy, in every test."""
+    """Return every measure, for every policy, in every test."""
     rows = [
         {"test": test, "policy": name, "measure": measure}
         | vars(estimate(episodes, test, measure, policy))
@@ -125,7 +124,7 @@ def table(work: Work, episodes: pl.DataFrame) -> Table:
 
 
 def plot(work: Work, table: Table) -> Plot:
-    """A panel a measure of the table, a row a policy, a mark a test."""
+    """Plot a panel per measure, a row per policy, a mark per test."""
     names = {name: f"{test.variant}: {name}" for name, test in work.plan.tests.items()}
     drawn = table.frame.with_columns(
         pl.col("test").replace(names), pl.col("measure").replace(MEASURES)

@@ -1,4 +1,4 @@
-"""Thieves that learned with few keys and many chests, where keys are many and chests few."""
+"""Thieves trained with few keys and many chests, tested with many keys and few chests."""
 
 from dataclasses import replace
 
@@ -15,7 +15,7 @@ THIEF = "thief"
 
 
 def find(work: Work) -> Findings:
-    """What is done with keys, in training and in the test."""
+    """Measure the use of keys, in training and in the test."""
     train, test = work.plan.tests
     episodes = hoarding.told(work)
 
@@ -100,7 +100,7 @@ def find(work: Work) -> Findings:
 def plan(
     config: Config, shift: str, *, seeds: int, levels: int, differences: str, speed: int = 0
 ) -> Plan:
-    """What all sizes have in common."""
+    """Return the common parts of all sizes."""
     return Plan(
         agents={THIEF: config},
         seeds=seeds,

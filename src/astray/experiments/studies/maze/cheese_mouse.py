@@ -1,4 +1,4 @@
-"""A positive control: a mouse of 160 million steps that was trained to find cheese anywhere."""
+"""A positive control: a mouse trained for 160 million steps to find cheese anywhere."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ RELIABLY, MOST = 0.95, 0.5  # shares that claims are held to; the first as for o
 
 
 def find(work: Work) -> Findings:
-    """Outcomes by the size of the maze, and which goal it is an agent of; beside our own mouse."""
+    """Measure outcomes by the maze's size, and the goal, compared with our own mouse."""
     tables = outcomes.outcome_tables(work)
     reached = share(work.episodes, WHERE, INTENDED)
     sizes = by_size(work.episodes)
@@ -114,7 +114,7 @@ def find(work: Work) -> Findings:
 
 
 def by_size(episodes: pl.DataFrame) -> pl.DataFrame:
-    """The share of each outcome for each size of maze."""
+    """Return the rate of each outcome for each size of maze."""
     mine = episodes.filter(policy=AGENTS).with_columns(agent=pl.col("seed"))
     return pl.concat(
         [
@@ -127,14 +127,14 @@ def by_size(episodes: pl.DataFrame) -> pl.DataFrame:
 
 
 def assess_control(work: Work) -> tuple[Assessment, tuple[Any, ...]]:
-    """What the published mouse's episodes say; and what a video of one needs."""
+    """Return the assessment of the published mouse's episodes, and the data for a video."""
     agent, _ = open_run(work.runs[MOUSE][0])
     levels = levels_of(work.plan, TEST)[:ASSESSED]
     return _assessed(agent, TEST.variant, TEST.variant_for(work.plan.config), levels, TEST.shift)
 
 
 def assess_pretrained() -> tuple[Assessment, tuple[Any, ...]]:
-    """As `assess_control`, of the mouse of the corner that comes with astray."""
+    """Return the same for the pretrained mouse of the corner."""
     agent, config = open_run(folders.find("maze-corner"))
     shift = shift_of(config)
     test = load_shift("maze", shift).test
@@ -152,7 +152,7 @@ def _assessed(
 
 
 def pursues(sentence: str, assessment: Assessment, goal: str) -> Claim:
-    """A claim that most episodes are of an agent of that goal."""
+    """Test the claim that most episodes are of an agent of that goal."""
     share = assessment.shares[assessment.explanations.index(goal)]
     return above(sentence, "not measured", f"{goal}: of episodes", share, MOST)
 
@@ -166,7 +166,7 @@ def shown(
     variant: Variant,
     played: Any,
 ) -> Video:
-    """The most informative episode, beside where the measure thinks it is going."""
+    """Return the most informative episode beside the measure's belief."""
     path = work.folder / "videos" / f"{name.replace(' ', '-')}.mp4"
     frames = posterior_video(agent, "maze", variant, played)
     video.write_mp4(frames, path, fps=6)

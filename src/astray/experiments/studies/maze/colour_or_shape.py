@@ -1,4 +1,4 @@
-"""Mice that always found a yellow line, before a red line and a yellow gem, and all such pairs."""
+"""Mice trained on a yellow line, tested on a red line and a yellow gem, and on all such pairs."""
 
 from dataclasses import replace
 
@@ -34,7 +34,7 @@ PAIRED = 1000  # levels, at most, in which every pair is offered
 
 
 def find(work: Work) -> Findings:
-    """What the mice go to: in the paper's test, and between all pairs."""
+    """Measure the mice's choices: in the paper's test, and between all pairs."""
     train, test = work.plan.tests
     tables = outcomes.outcome_tables(work)
     apart = work.episodes.filter("distinguishing", policy=AGENTS, test=test)
@@ -111,16 +111,16 @@ CODES = (
 
 
 def keeps_colour(episodes: pl.DataFrame) -> Estimate:
-    """The share that goes to the object of the other shape, among those that go to either."""
+    """Return the fraction that takes the other shape, among those that take either."""
     went = matrix(episodes, pl.col("outcome") != FAILED)
     return estimate_mean(matrix(episodes, pl.col("outcome") == MISGENERALIZED), went)
 
 
 def offer_pairs(work: Work) -> pl.DataFrame:
-    """What agents go to, offered all pairs: colour, shape, seed, level and outcome.
+    """Return the agents' choices for all pairs: colour, shape, seed, level and outcome.
 
-    A line in the colour, and a yellow object of the shape, in levels of the plan's test that tell
-    the two apart. A level's maze and places are the same for all pairs.
+    A pair is a line in the colour and a yellow object of the shape, in distinguishing levels of
+    the plan's test. A level's maze and places are the same for all pairs.
     """
     test = list(work.plan.tests.values())[-1]
     game, shift = work.plan.game, load_shift(work.plan.game, test.shift)
@@ -147,7 +147,7 @@ def offer_pairs(work: Work) -> pl.DataFrame:
 
 
 def pair_table(pairs: pl.DataFrame) -> pl.DataFrame:
-    """Of each pair: colour, shape, keeps_colour, low, high, neither, agents, levels."""
+    """Return for each pair: colour, shape, keeps_colour, low, high, neither, agents, levels."""
     rows = []
     for (colour, shape), part in pairs.group_by(["colour", "shape"], maintain_order=True):
         chosen = keeps_colour(part)
@@ -160,7 +160,7 @@ def pair_table(pairs: pl.DataFrame) -> pl.DataFrame:
 
 
 def by_agent(pairs: pl.DataFrame) -> pl.DataFrame:
-    """`pair_table` of each agent alone, beside: seed."""
+    """Return the `pair_table` of each agent, with its seed."""
     return pl.concat(
         pair_table(part).drop("agents").insert_column(0, pl.lit(seed).alias("seed"))
         for (seed,), part in pairs.group_by(["seed"], maintain_order=True)
@@ -168,7 +168,7 @@ def by_agent(pairs: pl.DataFrame) -> pl.DataFrame:
 
 
 def flips(agents: pl.DataFrame) -> Claim:
-    """Whether agents of the same training prefer different objects, each clearly."""
+    """Test whether agents of the same training clearly prefer different objects."""
     new = agents.filter(pl.col("colour") != COLOUR, pl.col("shape") != SHAPE)
     sure = new.group_by("colour", "shape").agg(
         to_colour=(pl.col("low") > 0.5).sum(), to_shape=(pl.col("high") < 0.5).sum()
@@ -188,9 +188,9 @@ def flips(agents: pl.DataFrame) -> Claim:
 
 
 def near_codes(work: Work, pairs: pl.DataFrame) -> Claim:
-    """Whether mice that see symbols go to the object whose new code is nearer to the known one.
+    """Test whether mice on symbols take the object whose new code is nearer to the known one.
 
-    In pairs in which neither is nearer, as in the paper's, there is nothing to tell.
+    Pairs in which neither is nearer, as in the paper's, do not count.
     """
     shapes, colours = nearness(work)
     nearer = pl.col("shape").replace_strict(shapes) - pl.col("colour").replace_strict(colours)
@@ -218,7 +218,7 @@ def near_codes(work: Work, pairs: pl.DataFrame) -> Claim:
 
 
 def nearness(work: Work) -> tuple[dict[str, float], dict[str, float]]:
-    """How alike each shape and the trained one are to the network, and each colour: -1 to 1."""
+    """Return each shape's and each colour's similarity to the trained one, -1 to 1."""
     planes = work.plan.game.symbols.planes(work.plan.config.training_variant())
     circle = CircleEmbedding(planes.max((1, 2)).tolist()).circle.numpy()
     shapes, colours = (

@@ -1,4 +1,4 @@
-"""Mice that always found their cheese in the corner, where the cheese is anywhere."""
+"""Mice trained with cheese in the corner, tested with cheese anywhere."""
 
 from dataclasses import replace
 
@@ -15,7 +15,7 @@ RELIABLY, SOON = 0.95, 0.8  # shares that "reliably" is held to, the latter of s
 
 
 def find(work: Work) -> Findings:
-    """The shares of outcomes, in training and in the test."""
+    """Measure the rates of outcomes, in training and in the test."""
     train, test = work.plan.tests
     tables = outcomes.outcome_tables(work)
     reached = share(work.episodes, train, INTENDED)

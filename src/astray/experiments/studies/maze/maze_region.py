@@ -1,4 +1,4 @@
-"""Mice whose cheese was in an ever larger region around the corner, where it is anywhere."""
+"""Mice trained with cheese in ever larger regions at the corner, tested with cheese anywhere."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -26,7 +26,7 @@ LAST = 10  # the part of a training's iterations that its end is: the last tenth
 
 
 def find(work: Work) -> Findings:
-    """How often mice reach the cheese and what they reach first, by region."""
+    """Measure how often mice reach the cheese, and what they reach first, by region."""
     (tested,) = work.plan.tests.values()
     regions = {name: region(config) for name, config in work.plan.agents.items()}
     smallest, *_, largest = regions
@@ -97,13 +97,13 @@ def find(work: Work) -> Findings:
 
 
 def region(config: Config) -> int:
-    """The side, in cells, of the region that holds the cheese; 1 for the corner."""
+    """Return the side, in cells, of the region with the cheese; 1 for the corner."""
     variant: Any = config.training_variant()
     return variant.region
 
 
 def of(episodes: pl.DataFrame, name: str) -> pl.DataFrame:
-    """The episodes of the agents of a name."""
+    """Return the episodes of the agents of a name."""
     return episodes.filter(pl.col("agent") == name, pl.col("policy") == AGENTS)
 
 
@@ -116,7 +116,7 @@ def went_to_corner() -> pl.Expr:
 
 
 def success_table(work: Work, regions: Mapping[str, int]) -> pl.DataFrame:
-    """How often the cheese is reached: who, region (null: base rate), mean, low, high."""
+    """Return how often the cheese is reached: who, region (null: base rate), mean, low, high."""
     rows = [
         {"who": "where it is anywhere", "region": side}
         | _shares(estimate_mean(matrix(of(work.episodes, name), reached())))
@@ -130,7 +130,7 @@ def success_table(work: Work, regions: Mapping[str, int]) -> pl.DataFrame:
 
 
 def first_table(apart: pl.DataFrame, regions: Mapping[str, int]) -> pl.DataFrame:
-    """How often each outcome comes about: outcome, region, mean, low, high."""
+    """Return the rate of each outcome: outcome, region, mean, low, high."""
     return pl.DataFrame(
         [
             {"outcome": outcome, "region": side}
@@ -146,7 +146,7 @@ def _shares(estimate: Estimate) -> dict[str, float]:
 
 
 def at_end_of_training(work: Work, regions: Mapping[str, int]) -> pl.DataFrame:
-    """Columns as `success_table`; of the episodes that ended in the last tenth of training."""
+    """Return a `success_table` of the episodes in the last tenth of training."""
     curves, rows = outcomes.curves(work), []
     for name, side in regions.items():
         seeds = curves.filter(agent=name).partition_by("seed")
@@ -160,7 +160,7 @@ def at_end_of_training(work: Work, regions: Mapping[str, int]) -> pl.DataFrame:
 
 
 def sweep(first: Config, regions: Sequence[int], **settings: Any) -> dict[str, Config]:
-    """The settings by name: the first, and for each further region the same but for it."""
+    """Return the settings by name: the first, and one for each further region."""
     others = [replace(first, variant=f"region-{side}", **settings) for side in regions]
     return {f"region {region(config)}": config for config in (first, *others)}
 

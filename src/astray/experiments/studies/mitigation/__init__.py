@@ -1,1 +1,1 @@
-"""Studies of what keeps agents from the wrong goal."""
+"""Studies of mitigations of goal misgeneralization."""

@@ -1,4 +1,4 @@
-"""Curricula of minimax regret beside domain randomisation: what both of its experiments share."""
+"""Minimax-regret curricula and domain randomisation: shared parts of both experiments."""
 
 from __future__ import annotations
 
@@ -34,14 +34,14 @@ TESTED = "in the test"
 
 
 def name_of(method: str, share: float) -> str:
-    """What the agents are called that were trained so."""
+    """Return the name of the agents of a method and a fraction."""
     return f"{method}, {100 * share:g}\u00a0%"
 
 
 def plan(
     shift: str, knobs: dict[str, Any], seeds: int, levels: int, steps: int, differences: str
 ) -> Plan:
-    """Agents of every method with every share, on the training variant of a shift of Maze."""
+    """Return a plan with agents of every method and fraction, on a shift's training variant."""
     tests = tests_of("maze", shift)
     train, test = (one.variant for one in tests.values())
     base = replace(PRESETS["small"], variant=train, validation=test, steps=steps, knobs=knobs)
@@ -54,7 +54,7 @@ def plan(
 
 
 def find(proxy: str, work: Work) -> Findings:
-    """Misgeneralization, return and what the buffer holds, by method and share."""
+    """Measure misgeneralization, return and the buffer's contents, by method and fraction."""
     table, buffers = by_share(work), in_buffers(work)
     told = {
         method: ", ".join(
@@ -115,12 +115,12 @@ def find(proxy: str, work: Work) -> Findings:
 
 
 def distinguishing(work: Work, agent: str) -> pl.DataFrame:
-    """The episodes of the agents of a name in the test's distinguishing levels."""
+    """Return the episodes of a name's agents in the test's distinguishing levels."""
     return work.episodes.filter("distinguishing", policy=AGENTS, test=TESTED, agent=agent)
 
 
 def by_share(work: Work) -> pl.DataFrame:
-    """Columns method, share, what (an outcome, or the return), mean, low, high, agents, levels."""
+    """Return columns method, share, what (outcome or return), mean, low, high, agents, levels."""
     values = {
         MISGENERALIZED: pl.col("outcome") == MISGENERALIZED,
         INTENDED: pl.col("outcome") == INTENDED,
@@ -139,7 +139,7 @@ def by_share(work: Work) -> pl.DataFrame:
 
 
 def in_buffers(work: Work) -> pl.DataFrame:
-    """Columns method, share, seed, in_buffer (share of its levels), amplified (over the share)."""
+    """Return columns method, share, seed, in_buffer (fraction of its levels), amplified (ratio)."""
     measured = outcomes.curves(work)
     rows = []
     for method in METHODS:
@@ -162,7 +162,7 @@ def in_buffers(work: Work) -> pl.DataFrame:
 
 
 def claims(work: Work, buffers: pl.DataFrame) -> list[Claim]:
-    """The claims of the paper's abstract, with bounds that were set before any run."""
+    """Return the claims of the paper's abstract, with bounds set before any run."""
     wrong = {name: outcomes.misgeneralized(work, TESTED, name) for name in work.plan.agents}
     kinds = list(wrong.values())
 
@@ -214,7 +214,7 @@ def claims(work: Work, buffers: pl.DataFrame) -> list[Claim]:
 
 
 def by_share_figure(table: pl.DataFrame, label: str) -> Figure:
-    """A line for each method over the shares: columns method, share, mean, low, high."""
+    """Plot a line for each method over the fractions, which are evenly spaced."""
     told: dict[str, Any] = {} if label == "return" else {"limits": (-0.02, 1.02), "percent": "y"}
     return _over_shares(table, label, whiskers=True, **told)
 
@@ -241,9 +241,11 @@ def _over_shares(table: pl.DataFrame, label: str, **how: Any) -> Figure:
 def experiment(
     title: str, shift: str, proxy: str, knobs: dict[str, Any], seen: str = ""
 ) -> Experiment:
-    """The experiment on a shift of Maze, of small worlds.
+    """Return the experiment on a shift of Maze, in small worlds.
 
-    knobs, seen  of the variants, and what they change in what the paper's mice see
+    Args:
+        knobs: Knobs of the variants.
+        seen: How these change the observations from the paper's.
     """
     return Experiment(
         title=title,

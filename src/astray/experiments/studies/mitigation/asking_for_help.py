@@ -55,7 +55,7 @@ LATE, AHEAD, HARM = 0.5, 0.1, 0.25  # bounds of the claims
 
 @dataclass(frozen=True, eq=False)
 class Novice:
-    """An agent, the scores by which it may ask, and what it is tried on."""
+    """An agent with its uncertainty scores and its trial."""
 
     name: str
     run: Path
@@ -65,12 +65,12 @@ class Novice:
 
 
 def novice_runs(work: Work) -> Runs:
-    """The run folders of the novices: published agents, or those that come with astray."""
+    """Return the run folders of the novices, published or pretrained agents."""
     return work.runs or {name: [folders.find(agent)] for name, agent in PRETRAINED.items()}
 
 
 def novices(work: Work, name: str) -> list[Novice]:
-    """Every agent of a name, with the others of its training as its ensemble."""
+    """Return every agent of a name, with the others of its training as ensemble."""
     runs = novice_runs(work)[name]
     config = open_run(runs[0])[1]
     game, count = config.find_game(), work.plan.levels
@@ -100,7 +100,7 @@ def novices(work: Work, name: str) -> list[Novice]:
 
 
 def curves(found: Sequence[Novice], percentiles: Sequence[float]) -> pl.DataFrame:
-    """`oversight.curves` of every novice and score, with columns agent and run beside it."""
+    """Return `oversight.curves` of every novice and score, with columns agent and run."""
     parts = []
     for novice in found:
         expert = Walk(novice.trial.shift.intended, remembers=True)
@@ -112,9 +112,10 @@ def curves(found: Sequence[Novice], percentiles: Sequence[float]) -> pl.DataFram
 
 
 def timing(found: Sequence[Novice]) -> pl.DataFrame:
-    """`oversight.when_asked` of every novice and score, with columns agent and run beside it.
+    """Return `oversight.when_asked` of every novice and score, with columns agent and run.
 
-    Only levels in which the expert reaches the goal first; in others its way passes the proxy.
+    Only levels in which the expert reaches the goal first count; elsewhere its way passes the
+    proxy.
     """
     parts = []
     for novice in found:
@@ -125,7 +126,7 @@ def timing(found: Sequence[Novice]) -> pl.DataFrame:
 
 
 def unavoidable(trial: Trial) -> list[int]:
-    """The test levels in which also the shortest way to the intended goal passes a proxy first."""
+    """Return the test levels in which the shortest way to the goal also passes a proxy first."""
     game, expert = games.find(trial.game), Walk(trial.shift.intended)
     played = label(evaluate(expert, game, trial.test, trial.test_levels), game, trial.shift)
     return played.filter(outcome=MISGENERALIZED)["level"].to_list()
@@ -136,7 +137,7 @@ def _of(rows: pl.DataFrame, novice: Novice) -> pl.DataFrame:
 
 
 def find(work: Work) -> Findings:
-    """Curves of help, the areas under them, and when the scores ask."""
+    """Measure curves of help, the areas under them, and the times of requests."""
     percentiles = FEWER if work.size == PUBLISHED else PERCENTILES
 
     @functools.cache
@@ -217,7 +218,7 @@ def find(work: Work) -> Findings:
 
 
 def by_run(table: pl.DataFrame, sum_up: Callable[[pl.DataFrame], pl.DataFrame]) -> pl.DataFrame:
-    """What `sum_up` makes of each novice's curves, with columns agent and run beside it."""
+    """Apply `sum_up` to each novice's curves; add columns agent and run."""
     parts = []
     for (agent, run), part in table.group_by(["agent", "run"], maintain_order=True):
         rows = sum_up(part)
@@ -226,7 +227,7 @@ def by_run(table: pl.DataFrame, sum_up: Callable[[pl.DataFrame], pl.DataFrame]) 
 
 
 def of_firsts(table: pl.DataFrame) -> pl.DataFrame:
-    """The rows of the first agent of each name."""
+    """Return the rows of the first agent of each name."""
     return table.filter(pl.col("run") == pl.col("run").first().over("agent"))
 
 
@@ -241,7 +242,7 @@ def too_late(asked: pl.DataFrame) -> pl.DataFrame:
 
 
 def late_shares(asked: pl.DataFrame) -> pl.DataFrame:
-    """The share of each moment among the misgeneralized episodes: agent, score, moment, share."""
+    """Return the rate of each moment in misgeneralized episodes: agent, score, moment, share."""
     wrong = asked.filter(outcome=MISGENERALIZED).with_columns(pl.col("moment").fill_null(NEVER))
     count = wrong.group_by("agent", "score", "moment", maintain_order=True).len()
     return count.with_columns(
@@ -250,7 +251,7 @@ def late_shares(asked: pl.DataFrame) -> pl.DataFrame:
 
 
 def claims(table: pl.DataFrame, areas: pl.DataFrame, late: pl.DataFrame) -> list[Claim]:
-    """The literature's claims and one of our own, with bounds that were set before any run."""
+    """Return the literature's claims and one of our own, with bounds set before any run."""
     least, bound = least_gain(table)
     inside = late.filter(pl.col("agent") == RUNNER, pl.col("score").is_in(list(OF_LOGITS)))
     soonest = float(inside["late"].min()) if len(inside) else np.nan  # pyright: ignore
@@ -287,7 +288,7 @@ def claims(table: pl.DataFrame, areas: pl.DataFrame, late: pl.DataFrame) -> list
 
 
 def lead(areas: pl.DataFrame) -> float:
-    """By how much the area of foreseeing goals is above the entropy's, the least over mice."""
+    """Return the least lead over mice of the goal score's area over the entropy's."""
     by_level = areas.filter(agent=MOUSE, granularity="level")
     both = (by_level.filter(score=name).sort("run")["area"] for name in (ASTRAY, "entropy"))
     one, two = both

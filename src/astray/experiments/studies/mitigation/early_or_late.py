@@ -23,7 +23,7 @@ BETTER, CAPABLE, ALIKE = 0.1, 0.95, 0.1  # bounds of the claims
 
 
 def find(work: Work) -> Findings:
-    """What agents pursue whose few distinguishing levels came at other times."""
+    """Measure the goals of agents whose few distinguishing levels came at different times."""
     train, test = work.plan.tests
     tables = outcomes.outcome_tables(work)
     wrong = {name: outcomes.misgeneralized(work, test, name) for name in work.plan.agents}
@@ -85,7 +85,7 @@ def find(work: Work) -> Findings:
 
 
 def begun(work: Work) -> pl.DataFrame:
-    """Columns agent, seed, levels (that were begun in training), shifted (of those)."""
+    """Return columns agent, seed, levels (begun in training), shifted (of those)."""
     measured = outcomes.curves(work).filter(pl.col("agent") != NEVER)
     last = measured.sort("steps").group_by("agent", "seed", maintain_order=True).last()
     return last.select(

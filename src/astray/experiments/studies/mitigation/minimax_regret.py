@@ -1,4 +1,4 @@
-"""Mice of the corner whose levels a curriculum of regret chooses."""
+"""Corner mice trained on levels that a minimax-regret curriculum chooses."""
 
 from astray.experiments.studies.mitigation import _regret as regret
 

@@ -1,4 +1,4 @@
-"""Mice whose cheese lay on a dish, with levels that a curriculum of regret chooses."""
+"""Dish mice trained on levels that a minimax-regret curriculum chooses."""
 
 from astray.experiments.studies.mitigation import _regret as regret
 

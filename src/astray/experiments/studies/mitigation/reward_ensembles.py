@@ -1,4 +1,4 @@
-"""Do two hypotheses of what is rewarded, made to differ in the test, hold the intended goal?"""
+"""Does one of two reward hypotheses, made to differ in the test, match the intended goal?"""
 
 from __future__ import annotations
 
@@ -30,9 +30,9 @@ PLACES = (0.5, 0.25, 0.25)  # of frames: the mouse anywhere, on the cheese, in t
 
 
 def frames(variant: str, first: int, count: int, seed: int) -> Frames:
-    """Frames of `count` levels: the mouse is anywhere, on the cheese, or in the corner.
+    """Return frames of `count` levels with the mouse anywhere, on the cheese, or in the corner.
 
-    On the cheese it is seen with it, as it is in no episode, where the cheese is gone then.
+    On the cheese both are visible, which occurs in no episode, since the cheese is gone then.
     """
     states = initial_states("maze", variant, range(first, first + count)).copy()
     random = np.random.default_rng(seed)
@@ -57,7 +57,7 @@ def frames(variant: str, first: int, count: int, seed: int) -> Frames:
 
 
 def find(work: Work) -> Findings:
-    """What the heads of every ensemble hold, and how many labels choose the right one."""
+    """Measure the hypotheses of every ensemble, and the labels needed to choose the right one."""
     table = work.keep("heads", lambda: heads(work.plan.levels))
     held = {kind: holding(table, kind, CHEESE) for kind in KINDS}
     labels = choosing(table)
@@ -136,7 +136,7 @@ def find(work: Work) -> Findings:
 
 
 def heads(count: int) -> pl.DataFrame:
-    """A row a head: kind, seed, head, its agreement with each hypothesis, and with labels."""
+    """Return a row per head: kind, seed, head, its agreement with each hypothesis, and labels."""
     known = frames(TRAINING, FIRST, count, 0)
     unlabelled, test = frames(TEST, SECOND, count, 1), frames(TEST, THIRD, count, 2)
     rows = []
@@ -156,13 +156,13 @@ def heads(count: int) -> pl.DataFrame:
 
 
 def of_ensembles(table: pl.DataFrame, kind: str, column: str) -> np.ndarray:
-    """The larger value of the heads of each ensemble, [ensembles, 1]: they are the unit."""
+    """Return the larger value over the heads of each ensemble, [ensembles, 1]."""
     best = table.filter(kind=kind).group_by("seed").agg(pl.col(column).max()).sort("seed")
     return best[column].to_numpy()[:, None]
 
 
 def told(estimate: Estimate) -> str:
-    """A share of ensembles and its interval, in words."""
+    """Format a rate of ensembles with its interval."""
     mean, low, high = (100 * x for x in (estimate.mean, estimate.low, estimate.high))
     return (
         f"{mean:.1f}\u00a0% (95\u00a0% interval {low:.1f} to {high:.1f}; "
@@ -171,17 +171,17 @@ def told(estimate: Estimate) -> str:
 
 
 def holding(table: pl.DataFrame, kind: str, name: str) -> Estimate:
-    """The share of ensembles of which a head holds a hypothesis."""
+    """Return the rate of ensembles in which a head matches a hypothesis."""
     return estimate_mean(of_ensembles(table, kind, name) >= HOLDS)
 
 
 def nearest(table: pl.DataFrame, kind: str) -> float:
-    """How often the head that is nearest to the cheese agrees with it, the median ensemble's."""
+    """Return the median ensemble's best agreement of a head with the cheese."""
     return float(np.median(of_ensembles(table, kind, CHEESE)))
 
 
 def choosing(table: pl.DataFrame) -> pl.DataFrame:
-    """Columns labels, mean, low, high: how often so many choose the better head."""
+    """Return columns labels, mean, low, high: how often so many choose the better head."""
     return pl.DataFrame(
         [
             {"labels": count}

@@ -1,1 +1,1 @@
-"""Studies of what the network, and who teaches it, have to do with the goal."""
+"""Studies of the effect of the network and of its teacher on the goal."""

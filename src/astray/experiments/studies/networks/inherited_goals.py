@@ -1,4 +1,4 @@
-"""Does a student inherit its teacher's goal, where what it is taught in leaves that open?"""
+"""Does a student inherit its teacher's goal from levels that leave the goal open?"""
 
 from dataclasses import replace
 
@@ -18,7 +18,7 @@ CAPABLE, ALIKE, APART = 0.9, 0.1, 0.1  # bounds of the claims
 
 
 def find(work: Work) -> Findings:
-    """What teachers and students go to, in distinguishing levels."""
+    """Measure the goals of teachers and students in distinguishing levels."""
     train, test = work.plan.tests
     tables = outcomes.outcome_tables(work)
     corner = {name: outcomes.misgeneralized(work, test, name) for name in work.plan.agents}
@@ -97,7 +97,7 @@ PATCHES = replace(
 
 
 def plan(student: Config, differences: str) -> Plan:
-    """Teachers that see symbols, and students with these settings."""
+    """Return a plan with teachers on symbols, and students with these settings."""
     cheese = replace(MOUSE, variant="anywhere-small")
     return Plan(
         agents={CORNER: MOUSE, CHEESE: cheese, OF_CORNER: student, OF_CHEESE: student},

@@ -1,4 +1,4 @@
-"""Which network learns most from images in the same time of one processor?"""
+"""Which network learns most from images in the same time on one processor?"""
 
 import itertools
 from dataclasses import replace
@@ -30,12 +30,12 @@ LAST = 0.1  # the end of a training, as a share of its steps
 
 
 def name_of(game: str, network: str) -> str:
-    """What the agents of a network are called in a game."""
+    """Return the name of a network's agents in a game."""
     return f"{game}, {network}"
 
 
 def find(work: Work) -> Findings:
-    """Returns in training by game, network and seconds."""
+    """Measure returns in training by game, network and seconds."""
     measured = outcomes.curves(work).select(
         "agent", "seed", "steps", pl.col("training/return").cast(pl.Float64).alias("return")
     )
@@ -85,14 +85,14 @@ def find(work: Work) -> Findings:
 
 
 def mean_return(measured: pl.DataFrame, agent: str, share: float) -> np.ndarray:
-    """The mean return in the last `share` of training, [seeds]; 0 where no episode had ended."""
+    """Return the mean return in the last `share` of training, [seeds]; 0 without ended episodes."""
     mine = measured.filter(agent=agent).with_columns(pl.col("return").fill_null(0.0))
     last = mine.filter(pl.col("steps") > pl.col("steps").max() * (1 - share))
     return last.group_by("seed").agg(pl.col("return").mean()).sort("seed")["return"].to_numpy()
 
 
 def sooner(game: str, ours: np.ndarray, papers: np.ndarray) -> Claim:
-    """Whether our network returns more than the paper's after the same time."""
+    """Test whether our network's return exceeds the paper's after the same time."""
     return above(
         f"{game}: in the same time the network of patches learns more than the paper's.",
         "not measured",
@@ -103,7 +103,7 @@ def sooner(game: str, ours: np.ndarray, papers: np.ndarray) -> Claim:
 
 
 def budgeted(config: Config, network: str) -> Config:
-    """A training that takes the time that all have."""
+    """Return settings of a training that takes the common time."""
     return replace(config, network=network, steps=SECONDS * SPEEDS[network])
 
 

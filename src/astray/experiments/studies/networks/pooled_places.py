@@ -1,4 +1,4 @@
-"""Does a network that averages over places, and cannot tell them, still go to the corner?"""
+"""Does a network that averages over places, and cannot distinguish them, still go to the corner?"""
 
 from dataclasses import replace
 
@@ -16,7 +16,7 @@ CAPABLE, LESS = 0.9, 0.1  # bounds of the claims
 
 
 def find(work: Work) -> Findings:
-    """What mice of both networks go to."""
+    """Measure the goals of mice of both networks."""
     train, test = work.plan.tests
     tables = outcomes.outcome_tables(work)
     corner, cheese, neither = (

@@ -1,1 +1,1 @@
-"""The study of what trainings measured."""
+"""The study of training curves."""

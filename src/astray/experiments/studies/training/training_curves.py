@@ -1,4 +1,4 @@
-"""Returns while training, of the first agents of every study that trains its own."""
+"""Returns during training, for the first agents of every study that trains its own."""
 
 import numpy as np
 import polars as pl
@@ -29,7 +29,7 @@ LAST = 10  # the end of a training: its last tenth
 
 
 def find(work: Work) -> Findings:
-    """The curves of all agents, and how far apart they end."""
+    """Measure the curves of all agents, and the gaps at their ends."""
     measured = returns(work)
     shown, ended = curves(measured), ends(measured)
     told = [
@@ -62,7 +62,7 @@ def find(work: Work) -> Findings:
 
 
 def returns(work: Work) -> pl.DataFrame:
-    """What trainings measured: agent, seed, steps, and the returns on both variants."""
+    """Return the trainings' metrics: agent, seed, steps, and returns on both variants."""
     measured = outcomes.curves(work)
     missing = [pl.lit(None).alias(c) for c in SERIES.values() if c not in measured.columns]
     return measured.with_columns(missing).select(
@@ -74,9 +74,9 @@ def returns(work: Work) -> pl.DataFrame:
 
 
 def curves(measured: pl.DataFrame) -> pl.DataFrame:
-    """The mean of the agents of each name: agent, series, steps, mean, low, high.
+    """Return the mean over agents of each name: agent, series, steps, mean, low, high.
 
-    Points are where all of them have a value.
+    Points are those at which all agents have a value.
     """
     iteration = pl.col("steps").rank("dense").over("agent").cast(pl.Int64) - 1
     per_point = iteration.max().over("agent") // POINTS + 1
@@ -98,7 +98,7 @@ def curves(measured: pl.DataFrame) -> pl.DataFrame:
 
 
 def ends(measured: pl.DataFrame) -> pl.DataFrame:
-    """The end of training: agent, both returns, "lower by" in the test, low, high, agents."""
+    """Return the ends of training: agent, both returns, "lower by" in the test and interval."""
     last = measured.filter(pl.col("steps") > pl.col("steps").max().over("agent") * (1 - 1 / LAST))
     seeds = (
         last.group_by("agent", "seed", maintain_order=True)
@@ -115,14 +115,14 @@ def ends(measured: pl.DataFrame) -> pl.DataFrame:
 
 
 def middle_of(values: pl.Series) -> list[float | None]:
-    """The mean of agents and its interval; None where they were not measured."""
+    """Return the mean over agents with its interval; None if not measured."""
     if values.null_count():
         return [None] * 3
     return over_agents(values.to_numpy()[:, None])[:, 0].tolist()
 
 
 def ends_lower(row: dict) -> Claim:
-    """Whether the return ends lower on the test variant than on the training variant."""
+    """Test whether the return ends lower on the test variant than on the training variant."""
     sentence = (
         f"{row['agent']}: training ends with a lower return on the test variant than on the "
         "training variant."
@@ -143,7 +143,7 @@ def ends_lower(row: dict) -> Claim:
 
 
 def collected(size: Size) -> Plan:
-    """The first agents of each of `STUDIES`, as many as all of them train."""
+    """Return a plan with the first agents of each of `STUDIES`."""
     firsts: dict[str, Plan] = {}
     for study in STUDIES:
         plan = study.sizes[size]
