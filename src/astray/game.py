@@ -190,8 +190,8 @@ class Looks:
     """
 
     name: str  # key of compiled code; looks of one name have the same functions
-    paint: Callable  # (s, art, scene)
-    draw: Callable  # (s, art, scene, image)
+    background: Callable  # (s, art, scene)
+    foreground: Callable  # (s, art, scene, image)
     art: Callable[[Variant, int], tuple[np.ndarray, ...]]  # (variant, pixels a side of an image)
     scene_shape: Callable[[Variant, int], tuple[int, ...]]  # (variant, pixels)
     check: Callable[[np.ndarray, Variant], None] = lambda states, variant: None

@@ -79,12 +79,12 @@ class Symbols(Protocol):
         ...
 
     @property
-    def paint_planes(self) -> Callable:
+    def background_planes(self) -> Callable:
         """Compiled function (s, scene) that writes the background, which does not move."""
         ...
 
     @property
-    def draw_planes(self) -> Callable:
+    def foreground_planes(self) -> Callable:
         """Compiled function (s, scene, planes) that writes the planes."""
         ...
 

@@ -45,7 +45,7 @@ def step(s, action):
 
 
 @shared
-def draw(s, art, scene, image):
+def foreground(s, art, scene, image):
     for row in range(image.shape[0]):
         for column in range(image.shape[1]):
             for c in range(3):
@@ -58,13 +58,13 @@ def nothing(s, art, scene):
 
 
 @kernel
-def draw_planes(s, scene, planes):
+def foreground_planes(s, scene, planes):
     for x in range(CELLS):
         planes[0, 0, x] = x == s.x
 
 
 @kernel
-def paint_planes(s, scene):
+def background_planes(s, scene):
     """Likewise."""
 
 
@@ -82,7 +82,7 @@ GAME = Game(
     "a row of cells beside lava",
     rules=HERE,
     levels=HERE,
-    looks={OWN: Looks(OWN, nothing, draw, lambda variant, pixels: (), lambda *_: (1, 1, 3))},
+    looks={OWN: Looks(OWN, nothing, foreground, lambda variant, pixels: (), lambda *_: (1, 1, 3))},
     variants={
         "safe": Row(about="no lava", lava=False),
         "lava": Row(about="lava at the left end"),

@@ -26,13 +26,17 @@ def _compiled(game: Game, art: str) -> Callable:
     functions = {
         "generate": game.levels.generate,
         "step": game.rules.step,
-        "paint": looks.paint,
-        "draw": looks.draw,
-        "paint_planes": game.symbols.paint_planes if game.symbols else loops.paint_no_planes,
-        "draw_planes": game.symbols.draw_planes if game.symbols else loops.draw_no_planes,
+        "background": looks.background,
+        "foreground": looks.foreground,
+        "background_planes": game.symbols.background_planes
+        if game.symbols
+        else loops.no_background_planes,
+        "foreground_planes": game.symbols.foreground_planes
+        if game.symbols
+        else loops.no_foreground_planes,
     }
     label = game.name if art == OWN else f"{game.name}_{art}"
-    functions["paint_one"] = specialise(loops.paint_any, label, shared, **functions)
+    functions["background_of"] = specialise(loops.background_of_any, label, shared, **functions)
     functions["begin_one"] = specialise(loops.begin, label, shared, **functions)
     functions["observe_one"] = specialise(loops.observe, label, kernel, **functions)
     run = specialise(loops.run, label, ACTIONS=len(game.actions), **functions)

@@ -27,30 +27,30 @@ def step(s, action) -> tuple[float, bool]:
     raise NotImplementedError
 
 
-def paint(s, art, scene) -> None:
+def background(s, art, scene) -> None:
     raise NotImplementedError
 
 
-def draw(s, art, scene, image) -> None:
+def foreground(s, art, scene, image) -> None:
     raise NotImplementedError
 
 
-def paint_planes(s, scene) -> None:
+def background_planes(s, scene) -> None:
     raise NotImplementedError
 
 
-def draw_planes(s, scene, planes) -> None:
+def foreground_planes(s, scene, planes) -> None:
     raise NotImplementedError
 
 
 # In the place of the two above, where a game has no symbols.
 @kernel
-def paint_no_planes(s, scene):
+def no_background_planes(s, scene):
     """Write no background, for games without symbols."""
 
 
 @kernel
-def draw_no_planes(s, scene, planes):
+def no_foreground_planes(s, scene, planes):
     """Write no planes, for games without symbols."""
 
 
@@ -59,7 +59,7 @@ def begin_one(s, params, level) -> None:
     raise NotImplementedError
 
 
-def paint_one(s, art, symbolic, scene) -> None:
+def background_of(s, art, symbolic, scene) -> None:
     raise NotImplementedError
 
 
@@ -77,20 +77,20 @@ def begin(s, params, level):
     generate(s, p)
 
 
-def paint_any(s, art, symbolic, scene):
+def background_of_any(s, art, symbolic, scene):
     """Write the background of the level that `s` is in."""
     if symbolic:
-        paint_planes(s, scene)
+        background_planes(s, scene)
     else:
-        paint(s, art, scene)
+        background(s, art, scene)
 
 
 def observe(s, art, symbolic, scene, observation):
     """Write the observation of `s`."""
     if symbolic:
-        draw_planes(s, scene, observation)
+        foreground_planes(s, scene, observation)
     else:
-        draw(s, art, scene, observation)
+        foreground(s, art, scene, observation)
 
 
 @kernel
@@ -176,7 +176,7 @@ def run(
             if level >= 0:
                 begin_one(s, params, level)
             if level >= 0 or level == AS_SET:
-                paint_one(s, art, symbolic, scenes[i])
+                background_of(s, art, symbolic, scenes[i])
             observe_one(s, art, symbolic, scenes[i], observations[i])
         low = take(barrier, PIECE)
     arrive(barrier, thread, generation)

@@ -21,7 +21,7 @@ FLOORS = ("floor-a", "floor-b")  # by turns
 
 
 @shared
-def paint(s, art, scene):
+def background(s, art, scene):
     """Paint the floor."""
     side = s.cell.shape[0]
     scale = scene.shape[0] / side
@@ -32,7 +32,7 @@ def paint(s, art, scene):
 
 
 @shared
-def draw(s, art, scene, image):
+def foreground(s, art, scene, image):
     """Draw things, movers on them, and the agent on top."""
     _, kinds, agents = art
     side = s.cell.shape[0]
@@ -48,7 +48,7 @@ def draw(s, art, scene, image):
 
 
 @kernel
-def draw_planes(s, scene, planes):
+def foreground_planes(s, scene, planes):
     """Write a plane for each kind, then those of held things, then the agent's.
 
     In planes larger than the world, the agent is in the middle, with walls around.
@@ -75,7 +75,7 @@ def draw_planes(s, scene, planes):
 
 
 @kernel
-def paint_planes(s, scene):
+def background_planes(s, scene):
     """Write nothing, because everything may move."""
 
 
@@ -91,8 +91,8 @@ def symbols(side: int, planes: int, centred: bool) -> Any:
     return SimpleNamespace(
         planes=lambda variant: np.ones((planes, seen, seen), np.uint8),
         planes_scene_shape=lambda variant: (1, 1, 1),
-        paint_planes=paint_planes,
-        draw_planes=draw_planes,
+        background_planes=background_planes,
+        foreground_planes=foreground_planes,
     )
 
 
@@ -112,7 +112,7 @@ def looks(folder: Path, side: int, kinds: Sequence[str], agents: Sequence[str]) 
     def art(variant, pixels: int) -> tuple[np.ndarray, ...]:
         return _art(folder, -(-pixels // side), tuple(kinds), tuple(agents))
 
-    return {OWN: Looks(OWN, paint, draw, art, scene_shape)}
+    return {OWN: Looks(OWN, background, foreground, art, scene_shape)}
 
 
 @functools.cache

@@ -45,7 +45,7 @@ def step(s, action):
 
 
 @shared
-def draw(s, art, scene, image):
+def foreground(s, art, scene, image):
     cell = image.shape[0] // SIDE
     for row in range(image.shape[0]):
         for column in range(image.shape[1]):
@@ -56,7 +56,7 @@ def draw(s, art, scene, image):
 
 
 @kernel
-def draw_planes(s, scene, planes):
+def foreground_planes(s, scene, planes):
     planes[:] = 0
     planes[0, s.y, s.x] = planes[1, s.cheese_y, s.cheese_x] = 1
 
@@ -67,7 +67,7 @@ def nothing(s, art, scene):
 
 
 @kernel
-def paint_planes(s, scene):
+def background_planes(s, scene):
     """Likewise."""
 
 
@@ -85,7 +85,7 @@ GAME = Game(
     "a mouse looks for its cheese in an open room",
     rules=HERE,
     levels=HERE,
-    looks={OWN: Looks(OWN, nothing, draw, lambda variant, pixels: (), lambda *_: (1, 1, 3))},
+    looks={OWN: Looks(OWN, nothing, foreground, lambda variant, pixels: (), lambda *_: (1, 1, 3))},
     variants={
         "corner": Room(about="the cheese in the upper right corner"),
         "anywhere": Room(about="the cheese anywhere", corner=False),

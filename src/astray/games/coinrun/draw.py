@@ -56,7 +56,7 @@ GAUGE = 2 * VIEW  # marks of a gauge, over two rows
 
 
 @shared
-def paint(s, art, scene):
+def background(s, art, scene):
     """Paint the level without moving things, and its margin, unless no scene is kept."""
     if scene.shape[0] > 1:
         part = up_to_wall(s, scene)
@@ -192,7 +192,7 @@ def blend(target, left, right, one, two, share, fine, begin):
 
 
 @shared
-def draw(s, art, scene, image):
+def foreground(s, art, scene, image):
     """Draw the window around the runner: the scene, then moving things."""
     _, _, _, _, saws, _, runners, walkers, puffs = art
     scale = image.shape[0] / VIEW
@@ -248,7 +248,7 @@ def draw_walkers(s, walkers, puffs, scale, top, left, image):
 
 
 @shared
-def paint_planes(s, scene):
+def background_planes(s, scene):
     """Write walls, hazards, crates and coins of the whole world, and its margin."""
     scene[:] = 0
     for y in range(WORLD + 2 * AROUND):
@@ -265,7 +265,7 @@ def paint_planes(s, scene):
 
 
 @shared
-def draw_planes(s, scene, planes):
+def foreground_planes(s, scene, planes):
     """Write the cells around the runner, with walkers, and gauges of the runner's motion."""
     x, y = int(s.x), int(s.y)
     for plane in range(STILL_PLANES):
@@ -382,4 +382,4 @@ def _puffs(scale: float) -> np.ndarray:
     return puffs
 
 
-LOOKS = {OWN: Looks(OWN, paint, draw, art, scene_shape)}
+LOOKS = {OWN: Looks(OWN, background, foreground, art, scene_shape)}

@@ -102,12 +102,12 @@ PUFF_HALF, PUFF_LEFT = _puffs()
 
 
 @shared
-def paint(s, art, scene):
+def background(s, art, scene):
     """Do nothing: the camera follows the runner, so no part of the image stays."""
 
 
 @shared
-def draw(s, art, scene, image):
+def foreground(s, art, scene, image):
     """Draw the window around the runner."""
     pixels, places, rule = art
     seen = camera(image.shape[0], VIEW, s.x, s.y)
@@ -219,6 +219,6 @@ def _art(rule: int) -> tuple[np.ndarray, ...]:
 
 
 LOOKS = {
-    name: Looks("original", paint, draw, functools.partial(art, rule), scene_shape)
+    name: Looks("original", background, foreground, functools.partial(art, rule), scene_shape)
     for name, rule in {"original": GENERIC, "original-5.12": SPRITE}.items()
 }

@@ -37,7 +37,7 @@ STRIPS = 8  # that a cell is cut into by X_PLANE and Y_PLANE, from 1 on
 
 
 @kernel
-def paint(s, art, scene):
+def background(s, art, scene):
     """Paint floor and walls of the whole world and its margin: twice, above with objects."""
     floors, wall = art[0], art[1]
     seen, bare = scene[: scene.shape[1]], scene[scene.shape[1] :]
@@ -79,7 +79,7 @@ def clear_gone(s, scene):
 
 
 @kernel
-def draw(s, art, scene, image):
+def foreground(s, art, scene, image):
     """Draw the scene or its window around the thief, with the thief and the inventory."""
     if s.taken:
         clear_gone(s, scene)
@@ -120,7 +120,7 @@ def draw_thief(s, art, height, image, top, left):
 
 
 @kernel
-def paint_planes(s, scene):
+def background_planes(s, scene):
     """Write walls, keys and chests of the whole world, and its margin."""
     edge = margin(s)
     scene[:] = 0
@@ -136,7 +136,7 @@ def object_plane(s, k):
 
 
 @kernel
-def draw_planes(s, scene, planes):
+def foreground_planes(s, scene, planes):
     """Write the scene or its window around the thief, with the thief and its keys."""
     edge = margin(s)
     if s.taken:
@@ -219,4 +219,4 @@ def _turned(right: np.ndarray, right_up: np.ndarray) -> np.ndarray:
     return turned
 
 
-LOOKS = {OWN: Looks(OWN, paint, draw, art, scene_shape)}
+LOOKS = {OWN: Looks(OWN, background, foreground, art, scene_shape)}

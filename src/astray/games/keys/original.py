@@ -47,7 +47,7 @@ def looking(s, side):
 
 
 @shared
-def paint(s, art, scene):
+def background(s, art, scene):
     """Paint the world without the thief twice, above with objects, unless a window moves."""
     if s.window == 0:
         side = scene.shape[1]
@@ -106,7 +106,7 @@ def has_one_gone(s):
 
 
 @shared
-def draw(s, art, scene, image):
+def foreground(s, art, scene, image):
     """Draw the scene or its window around the thief, with the thief and the inventory."""
     pixels, places, _ = art
     if s.window:
@@ -159,6 +159,6 @@ def _art(rule: int) -> tuple[np.ndarray, ...]:
 
 
 LOOKS = {
-    name: Looks("original", paint, draw, functools.partial(art, rule), scene_shape)
+    name: Looks("original", background, foreground, functools.partial(art, rule), scene_shape)
     for name, rule in {"original": GENERIC, "original-5.12": SPRITE}.items()
 }

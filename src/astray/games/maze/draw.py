@@ -26,14 +26,14 @@ DISH = OTHERS.index("dish")
 
 
 @kernel
-def paint(s, art, scene):
+def background(s, art, scene):
     """Paint floor and walls of the whole world and its margin."""
     floors, walls, _, _ = art
     paint_maze(s, scene, floors[s.background], walls[s.walls])
 
 
 @kernel
-def draw(s, art, scene, image):
+def foreground(s, art, scene, image):
     """Draw the scene or its window around the mouse, with objects and mouse."""
     _, _, objects, mouse = art
     edge = margin(s)
@@ -79,7 +79,7 @@ def stamp(image, sprite, scale, top, left, down, right):
 
 
 @kernel
-def paint_planes(s, scene):
+def background_planes(s, scene):
     """Write walls and objects of the whole world and its margin."""
     edge = margin(s)
     scene[:] = 0
@@ -95,7 +95,7 @@ def paint_planes(s, scene):
 
 
 @kernel
-def draw_planes(s, scene, planes):
+def foreground_planes(s, scene, planes):
     """Write the scene or its window around the mouse, with the mouse."""
     edge = margin(s)
     x, y = int(s.x) + edge, int(s.y) + edge
@@ -167,4 +167,4 @@ def _art(side: int, height: int) -> tuple[np.ndarray, ...]:
     return tuple(map(np.ascontiguousarray, (floors, walls, objects, pair)))
 
 
-LOOKS = {OWN: Looks(OWN, paint, draw, art, scene_shape)}
+LOOKS = {OWN: Looks(OWN, background, foreground, art, scene_shape)}

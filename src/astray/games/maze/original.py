@@ -36,7 +36,7 @@ WALL_PLACE, MOUSE_PLACE, OBJECT_PLACES = FLOORS, FLOORS + 1, FLOORS + 2  # among
 
 
 @shared
-def paint(s, art, scene):
+def background(s, art, scene):
     """Paint the whole world without the mouse, unless a window moves with it."""
     if s.window == 0:
         paint_world(s, art, scene)
@@ -75,7 +75,7 @@ def put(cells, x, y, picture):
 
 
 @shared
-def draw(s, art, scene, image):
+def foreground(s, art, scene, image):
     """Draw the scene or its window around the mouse, with the mouse."""
     pixels, places, _, _ = art
     if s.window or s.reached_goal != NEVER:  # then the goal is gone
@@ -157,6 +157,8 @@ def _art(rule: int, objects: tuple[tuple[str, str], ...]) -> tuple[np.ndarray, .
 
 
 LOOKS = {
-    name: Looks("original", paint, draw, functools.partial(art, rule), scene_shape, check)
+    name: Looks(
+        "original", background, foreground, functools.partial(art, rule), scene_shape, check
+    )
     for name, rule in {"original": GENERIC, "original-5.12": SPRITE}.items()
 }
