@@ -9,7 +9,7 @@ from __future__ import annotations
 import contextlib
 import functools
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -37,8 +37,6 @@ SPARE = 16  # threads that libraries may start
 # Most consecutive rollouts that are only scored: if 0.01 of them are learned from, longer runs
 # practically never happen.
 SCORED = 2000
-
-
 # Largest difference between a network's outputs in acting and in learning: relative to their
 # deviation (rounding gives 1e-3, also in TF32, hidden state about 1), and to their size.
 APART, ROUNDED = 0.05, 1e-4
@@ -221,20 +219,12 @@ def written(
 def improve(trainer: Trainer) -> tuple[dict[str, float], dict[str, float]]:
     """Play a rollout and learn from it; return reproducible metrics, and speeds."""
     config, began = trainer.config, time.perf_counter()
-    rate = config.learning_rate
-    if config.anneal:
-        rate *= 1 - trainer.steps / config.steps
+    rate = config.learning_rate * (1 - trainer.steps / config.steps if config.anneal else 1)
     if trainer.validation and trainer.iteration % config.validation_every == 0:
         validate(trainer)
     rollout = play(trainer)
     played = time.perf_counter()
-    metrics = {}
-    if trainer.iteration == 0 and not (trainer.fast.using.of_network or trainer.memory):
-        check_memoryless(trainer.network, rollout.flat(), config)
-    if trainer.iteration == 0 and trainer.fast.using.bfloat16:
-        first = torch.arange(config.batch // config.minibatches, device=config.device)
-        minibatch = rollout.flat().at(first)
-        metrics |= acceleration.agreement(trainer.fast, trainer.network, minibatch, config)
+    metrics = check_first(trainer, rollout.flat()) if trainer.iteration == 0 else {}
     metrics |= {f"update/{name}": x for name, x in update(trainer, rollout, rate).items()}
     trainer.steps += config.batch
     for name, player in trainer.players().items():
@@ -243,6 +233,17 @@ def improve(trainer: Trainer) -> tuple[dict[str, float], dict[str, float]]:
     seconds = time.perf_counter() - began
     speed = {"steps_per_second": config.batch / seconds, "playing": (played - began) / seconds}
     return metrics | {"update/learning_rate": rate}, speed
+
+
+def check_first(trainer: Trainer, samples: Samples) -> dict[str, float]:
+    """Check the network on the first rollout; return how far accelerated outputs differ."""
+    config, using = trainer.config, trainer.fast.using
+    if not (using.of_network or trainer.memory):
+        check_memoryless(trainer.network, samples, config)
+    if not using.bfloat16:
+        return {}
+    first = samples.at(torch.arange(config.batch // config.minibatches, device=config.device))
+    return acceleration.agreement(trainer.fast, trainer.network, first, config)
 
 
 @torch.no_grad()
@@ -316,8 +317,6 @@ def collect(trainer: Trainer) -> Samples:
             cut.append((*step.cut, rollout.after[step.cut[0][1]]))
     player.settle()
     if teacher:
-        if config.taught < 1:
-            rollout.take_in()
         return teacher.samples()
     next_value = rollout.value[1:].clone()
     if cut:
@@ -343,33 +342,44 @@ def update(trainer: Trainer, rollout: Samples, rate: float) -> dict[str, float]:
     """Learn from a rollout in several epochs; return the means of the logged values."""
     config, samples = trainer.config, rollout.flat()
     trainer.set_rate(rate)
-    whole = (parallel.joined(x.numpy(force=True)) for x in (samples.value, samples.target))
-    explained = ppo.explained_variance(*map(torch.from_numpy, whole))
     step = functools.partial(trainer.repeat, functools.partial(learn, trainer, samples))
     trainer.network.train()  # dropout is active in learning, not in acting
-    names, sums, first_kl = [], None, None
-    for _ in range(config.epochs):
-        order = torch.randperm(
-            len(samples) * parallel.size(), generator=trainer.player.generator, device=config.device
-        )
-        if parallel.size() > 1:  # processes draw alike
-            order = order[order < len(samples)]
-        for indices in order.split(len(samples) // config.minibatches):
-            measured = step(indices)
-            if names and list(measured) != names:
-                raise ValueError(f"a loss must return the same names in every step, {shown(names)}")
-            names, values = list(measured), torch.stack(list(measured.values()))
-            if sums is None and "approx_kl" in measured:
-                first_kl = measured["approx_kl"].clone()
-            sums = values if sums is None else sums + values
+    epochs = (minibatches(trainer, len(samples)) for _ in range(config.epochs))
+    means = averaged(step(indices) for epoch in epochs for indices in epoch)
     trainer.network.eval()
-    assert sums is not None
-    first = {} if first_kl is None else {"first_kl": first_kl}
-    parallel.average([sums, *first.values()])
-    count = config.epochs * config.minibatches
-    means = {name: x / count for name, x in zip(names, sums.tolist(), strict=True)}
+    return means | {"explained_variance": explained(samples)}
+
+
+def minibatches(trainer: Trainer, count: int) -> Sequence[Tensor]:
+    """Return the indices of an epoch's minibatches: all `count` samples in random order."""
+    random, device = trainer.player.generator, trainer.config.device
+    order = torch.randperm(count * parallel.size(), generator=random, device=device)
+    if parallel.size() > 1:  # processes draw alike
+        order = order[order < count]
+    return order.split(count // trainer.config.minibatches)
+
+
+def averaged(steps: Iterable[dict[str, Tensor]]) -> dict[str, float]:
+    """Return the means of what steps measured, over all processes, and the KL of the first."""
+    names, measured = [], []
+    for step in steps:  # their tensors may be overwritten by the next step's
+        if names and list(step) != names:
+            raise ValueError(f"a loss must return the same names in every step, {shown(names)}")
+        names = list(step)
+        measured.append(torch.stack(list(step.values())))
     # The first is not 0 if acting and learning round differently.
-    return means | {name: float(x) for name, x in first.items()} | {"explained_variance": explained}
+    at = names.index("approx_kl") if "approx_kl" in names else None
+    first = {} if at is None else {"first_kl": measured[0][at].clone()}
+    total = sum(measured[1:], measured[0])
+    parallel.average([total, *first.values()])
+    means = {name: x / len(measured) for name, x in zip(names, total.tolist(), strict=True)}
+    return means | {name: float(x) for name, x in first.items()}
+
+
+def explained(samples: Samples) -> float:
+    """Return the fraction of the targets' variance that the critic explains, in all processes."""
+    whole = (parallel.joined(x.numpy(force=True)) for x in (samples.value, samples.target))
+    return ppo.explained_variance(*map(torch.from_numpy, whole))
 
 
 def learn(trainer: Trainer, samples: Samples, indices: Tensor) -> dict[str, Tensor]:

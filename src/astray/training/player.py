@@ -117,30 +117,27 @@ class Player:
         shown_here = self.images[where].numpy()
         _, reward, terminated, truncated, info = env.step(answer.actions, shown_here)
         self.begins[where] = ended = terminated | truncated
-        self._note(t, where, reward, ended, info)
         if self.sampler is not None and not self._repeats and ended.any():
             self._begin(self.sampler, group, ended)
         cut = None
         if truncated.any():
             which = np.flatnonzero(truncated) + where.start
             cut = np.stack([np.full_like(which, t), which]), np.stack(info["final_obs"][truncated])
-        return Stepped(t, where, reward, terminated, truncated, cut)
+        step = Stepped(t, where, reward, terminated, truncated, cut)
+        self._note(step, info)
+        return step
 
-    def _note(
-        self, t: int, where: slice, reward: np.ndarray, ended: np.ndarray, info: dict[str, Any]
-    ) -> None:
-        """Record the episodes of the environments `where` that `ended`."""
-        running = self.running_return[where]
-        running += reward
-        self._paid.append((t, self.here.start + where.start, reward.copy()))
-        if not ended.any():
-            return
-        final = info["final_info"]
-        for i in np.flatnonzero(ended):
+    def _note(self, step: Stepped, info: dict[str, Any]) -> None:
+        """Record the rewards of a step, and the episodes that ended with it."""
+        running, first = self.running_return[step.where], self.here.start + step.where.start
+        running += step.reward
+        self._paid.append((step.t, first, step.reward.copy()))
+        for i in np.flatnonzero(step.terminated | step.truncated):
+            final = info["final_info"]
             happened = [float(final[event][i] >= 0) for event in self.events]
             row = [float(running[i]), float(final["time"][i]), *happened]
-            self._ended.append((t, self.here.start + where.start + int(i), row))
-        running[ended] = 0.0
+            self._ended.append((step.t, first + int(i), row))
+            running[i] = 0.0
 
     def plan(self, steps: int) -> None:
         """Ask the sampler for the next rollout's plan, and set `learns`."""
@@ -306,30 +303,22 @@ class Rollout:
 
     def note(self, step: Stepped) -> None:
         """Record the results of a step."""
-        at = step.t, step.where
-        self.reward[at], self.terminated[at] = step.reward, step.terminated
-        self.truncated[at] = step.truncated
+        t, where, *results, _ = step
+        self.reward[t, where], self.terminated[t, where], self.truncated[t, where] = results
 
     def estimate(self, config: Config, next_value: Tensor) -> None:
         """Compute advantages and value targets, [T, N], from a rollout's rewards.
 
-        Rewards are normalised with the player's statistics, this rollout included, and advantages
-        over all environments. Rollouts that only score levels leave the statistics unchanged.
+        Rewards are normalised with the player's statistics, advantages over all environments.
         """
-        player, value, reward, given = self.player, self.value[:-1], self.reward, self.reward
-        terminated, truncated = self.terminated, self.truncated
-        if config.normalise_reward and not player.learns:
-            reward = player.normaliser.scaled(reward)
-        elif config.normalise_reward:
-            reward = self.take_in()
-        ends, cuts = (torch.from_numpy(x).to(value.device) for x in (terminated, truncated))
+        player, value, did = self.player, self.value[:-1], (self.terminated, self.truncated)
+        reward = self.take_in() if config.normalise_reward else self.reward
+        paid = torch.from_numpy(reward).float().to(value.device)
+        ends, cuts = (torch.from_numpy(x).to(value.device) for x in did)
         if config.timeouts == "terminate":
             ends = ends | cuts
-        rewarded = torch.from_numpy(reward).float().to(value.device)
-        advantage = ppo.advantages(
-            rewarded, value, next_value, ends, cuts, config.gamma, config.lam
-        )
-        player.scored(lambda: Played(given, advantage.numpy(force=True), terminated, truncated))
+        advantage = ppo.advantages(paid, value, next_value, ends, cuts, config.gamma, config.lam)
+        player.scored(lambda: Played(self.reward, advantage.numpy(force=True), *did))
         self.target[:] = advantage + value
         if config.normalise_advantage:
             joined = torch.from_numpy(parallel.joined(advantage.numpy(force=True), 1))
@@ -337,20 +326,19 @@ class Rollout:
         self.advantage[:] = advantage
 
     def take_in(self) -> np.ndarray:
-        """Return normalised rewards [T, N] of all processes; update the statistics."""
+        """Return normalised rewards [T, N]; what is learned from updates the statistics."""
         player, both = self.player, (self.reward, self.terminated | self.truncated)
+        if not player.learns:
+            return player.normaliser.scaled(self.reward)
         pairs = zip(*(parallel.joined(x, 1) for x in both), strict=True)
         return np.stack([player.normaliser(*pair)[player.here] for pair in pairs])
 
     def samples(self) -> Samples:
         """Return the training data, which the next rollout overwrites."""
-        seen, action, old, value, begins = (
-            x[:-1]
-            for x in (self.observation, self.action, self.log_probability, self.value, self.begins)
-        )
-        whole = seen, action, old, value, self.advantage, self.target
+        acted = self.observation, self.action, self.log_probability, self.value
+        whole: Any = (*(x[:-1] for x in acted), self.advantage, self.target)
         if self.state.shape[1]:
-            return Sequences(*whole, begins, self._first)
+            return Sequences(*whole, begins=self.begins[:-1], state=self._first)
         return Samples(*whole)
 
 

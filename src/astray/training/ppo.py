@@ -90,9 +90,8 @@ def loss(network: Callable, minibatch: Samples, config: Config) -> dict[str, Ten
     mean_entropy = entropy(of_all)
     with torch.no_grad():
         ratio = log_ratio.exp()
-        approx_kl = (
-            (ratio - 1) - log_ratio
-        ).mean()  # Schulman's estimate: unbiased, never negative
+        # Schulman's estimate: unbiased, never negative
+        approx_kl = ((ratio - 1) - log_ratio).mean()
         clip_fraction = ((ratio - 1).abs() > config.clip).float().mean()
     return {
         "loss": actor + config.value_weight * critic - config.entropy_weight * mean_entropy,
@@ -140,13 +139,11 @@ def advantages(
         terminated: Whether the episode ended, so that no value follows.
         truncated: Whether the episode was cut, so that `next_value` counts.
     """
-    result = torch.zeros_like(reward)
-    gae = torch.zeros_like(reward[0])
+    result, gae = torch.zeros_like(reward), torch.zeros_like(reward[0])
     goes_on, same_episode = (~terminated).float(), (~(terminated | truncated)).float()
     delta = reward + gamma * next_value * goes_on - value
     for t in reversed(range(len(reward))):
-        gae = delta[t] + gamma * lam * same_episode[t] * gae
-        result[t] = gae
+        result[t] = gae = delta[t] + gamma * lam * same_episode[t] * gae
     return result
 
 

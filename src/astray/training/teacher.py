@@ -87,8 +87,14 @@ class Lessons:
 
     def samples(self) -> Taught:
         """Return the student's samples of a rollout, with the teacher's policies and values."""
+        if self.config.taught < 1:  # rewards are to teach, too
+            self.rollout.take_in()
         own = vars(self.rollout.samples())
-        return Taught(**own | {"target": self._value}, wanted=self._wanted)
+        return Taught(**own | {"target": self.targets()}, wanted=self._wanted)
+
+    def targets(self) -> Tensor:
+        """Return the values [T, N] that the student is taught."""
+        return self._value
 
     def says(self) -> tuple[Tensor, Tensor]:
         """Return log-probabilities [N, actions] and values [N] for the current states."""
@@ -162,11 +168,11 @@ class Solver(Lessons):
         device = self.config.device
         return torch.from_numpy(wanted).to(device), torch.from_numpy(values).float().to(device)
 
-    def samples(self) -> Taught:
+    def targets(self) -> Tensor:
         if self.config.normalise_reward:
             values = self._value.numpy(force=True)
             self._value[:] = torch.from_numpy(self.rollout.player.normaliser.scaled(values))
-        return super().samples()
+        return self._value
 
 
 def loss(network: Callable, minibatch: Samples, config: Config) -> dict[str, Tensor]:
