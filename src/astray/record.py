@@ -157,11 +157,6 @@ def centre(s: Any) -> list[float]:
     return [float(s.x), float(s.y)]
 
 
-def centres(states: np.ndarray) -> np.ndarray:
-    """Return the agents' centres [N, 2] float64 in states [N] that have fields x and y."""
-    return np.stack([states["x"], states["y"]], -1).astype(np.float64)
-
-
 def within(numbers: np.ndarray, first: int, after: int | np.ndarray) -> np.ndarray:
     """Return a mask of the `numbers` that are at least `first` and below `after`."""
     return (numbers >= first) & (numbers < after)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from astray import games, testing
-from astray.games.maze import GAME, cells
+from astray.games.maze import GAME
 from astray.insight.fields import splay
 from astray.lab import agents
 from astray.level import Level
@@ -18,7 +18,7 @@ SMALL = GAME.variant("anywhere-small")
 
 def with_places(**others):
     """Maze, where some of what tells where its mouse is or could be is otherwise."""
-    own = {name: getattr(cells, name) for name in ("centre", "stand", "put")}
+    own = {name: getattr(GAME.places, name) for name in ("centre", "stand", "put")}
     return replace(GAME, places=SimpleNamespace(**own | others))
 
 
@@ -38,7 +38,7 @@ def test_how_long_a_game_compiles_is_logged_and_many_seconds_are_warned_of(monke
 
 def low(s):
     """The two lowest rows alone."""
-    found = cells.stand(s)
+    found = GAME.places.stand(s)
     found[2:] = False
     return found
 
@@ -49,7 +49,7 @@ def test_a_game_says_where_its_agent_can_be_put():
     expected = [(x, y) for y in range(2) for x in range(7)]
     assert [one.agent for one in level.splay("agent")] == expected
     states = splay(level)
-    assert np.floor(cells.centre(states)).astype(int).tolist() == list(map(list, expected))
+    assert np.floor(GAME.places.centre(states)).astype(int).tolist() == list(map(list, expected))
     assert sorted(map(tuple, agents.places(game, level.state()).tolist())) == sorted(expected)
 
 
@@ -63,7 +63,7 @@ def moves_what_is_given(states, cells_):
 
 
 def loses_the_goal(states, cells_):
-    found = cells.put(states, cells_)
+    found = GAME.places.put(states, cells_)
     found["goal_x"] = 100
     return found
 
@@ -75,7 +75,7 @@ def loses_the_goal(states, cells_):
         ({"put": moves_what_is_given}, "the states given were changed"),
         ({"put": loses_the_goal}, "it is not as it was"),
         ({"stand": lambda s: np.zeros((7, 7), bool)}, "it cannot be at"),
-        ({"centre": lambda states: cells.centre(states) + 1}, "it cannot be at|it is not"),
+        ({"centre": lambda states: GAME.places.centre(states) + 1}, "it cannot be at|it is not"),
     ],
 )
 def test_what_is_wrong_with_places_is_found(wrong, message):

@@ -1,7 +1,8 @@
 """CoinRun: a runner jumps over hazards to a coin, which in training is at the end of the level."""
 
 from astray.game import Benchmark, Game
-from astray.games.coinrun import draw, levels, measures, original, places, rules, solve, variants
+from astray.games.coinrun import draw, levels, measures, original, rules, solve, variants
+from astray.places import Placement
 
 GAME = Game(
     "coinrun",
@@ -16,7 +17,9 @@ GAME = Game(
     editing=levels,
     solver=solve,
     ends=variants.ENDS,
-    places=places,
+    places=Placement(
+        levels, solve, (float(rules.HALF), float(rules.TALL)), vx=0, vy=0, on_crate=False
+    ),
     benchmark=Benchmark("procgen", envpool="CoinrunHard-v0"),
     invariants=levels.invariants,
     labels=measures.LABELS,

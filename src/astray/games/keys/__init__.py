@@ -1,7 +1,8 @@
 """Keys and Chests: a thief opens chests with keys, which are scarcer than chests in training."""
 
 from astray.game import Benchmark, Game
-from astray.games.keys import draw, levels, measures, original, places, rules, solve, variants
+from astray.games.keys import draw, levels, measures, original, rules, solve, variants
+from astray.places import Placement
 
 GAME = Game(
     "keys",
@@ -15,7 +16,7 @@ GAME = Game(
     symbols=draw,
     editing=levels,
     solver=solve,
-    places=places,
+    places=Placement(levels, solve, vx=0, vy=0),
     benchmark=Benchmark("many-chests", envpool="HeistHard-v0"),
     invariants=levels.invariants,
     labels=measures.LABELS,

@@ -1,17 +1,8 @@
 """Maze: a mouse searches for its cheese, which in training is in the upper right corner."""
 
 from astray.game import Benchmark, Game
-from astray.games.maze import (
-    cells,
-    draw,
-    levels,
-    measures,
-    mutate,
-    original,
-    rules,
-    solve,
-    variants,
-)
+from astray.games.maze import draw, levels, measures, mutate, original, rules, solve, variants
+from astray.places import Placement
 
 GAME = Game(
     "maze",
@@ -26,8 +17,8 @@ GAME = Game(
     editing=levels,
     solver=solve,
     mutation=mutate,
-    places=cells,
-    cells=cells,
+    places=Placement(levels, solve),
+    cells=solve,
     benchmark=Benchmark("anywhere", envpool="MazeHard-v0"),
     invariants=levels.invariants,
     labels=measures.LABELS,

@@ -21,6 +21,11 @@ from astray.record import NEVER, check_record
 check = functools.partial(check_record, rules=rules, truths=truths)
 
 
+def free(s: Any) -> np.ndarray:
+    """Return the cells of the world of state `s` that are no wall, [H, W] bool."""
+    return np.asarray(s.cell[: s.world, : s.world] != WALL)
+
+
 def target(s: Any, goal: str) -> tuple[int, int] | None:
     """Return the cell (x, y) of `goal` in state `s`; None if the level lacks it."""
     one_of("goal", goal, GOALS)
@@ -31,7 +36,7 @@ def target(s: Any, goal: str) -> tuple[int, int] | None:
 
 def steps_to(s: Any, goal: str) -> np.ndarray:
     """Return the steps from every cell to `goal`, [world, world] int64, or UNREACHABLE."""
-    is_open = s.cell[: s.world, : s.world] != WALL
+    is_open = free(s)
     cell = target(s, goal)
     if cell is None:
         return np.full(is_open.shape, UNREACHABLE)

@@ -1,0 +1,52 @@
+"""Where an agent is and can be put, in games whose states have its centre as reals x and y."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from astray.protocols import Editing, Solver
+
+
+class Placement:
+    """The ability `places` of such a game.
+
+    An agent may stand in its own cell, and in the empty cells that it can reach.
+    """
+
+    def __init__(
+        self,
+        editing: Editing,
+        solver: Solver,
+        within: tuple[float, float] = (0.5, 0.5),
+        **at_rest: float,
+    ):
+        """Create the ability.
+
+        Args:
+            editing: The game's ability to describe levels.
+            solver: The game's solver.
+            within: Centre of an agent that stands in cell (0, 0).
+            **at_rest: Other fields of the state of an agent that was put somewhere.
+        """
+        self._editing, self._solver, self._within, self._at_rest = editing, solver, within, at_rest
+
+    def centre(self, states: np.ndarray) -> np.ndarray:
+        """Return the agents' centres [N, 2] float64, in cells."""
+        return np.stack([states["x"], states["y"]], -1).astype(np.float64)
+
+    def stand(self, s: Any) -> np.ndarray:
+        """Return the cells in which the agent can be put, [H, W] bool."""
+        empty = self._editing.grid(s) == self._editing.LEGEND["."]
+        found = empty & self._solver.reachable(s)
+        found[int(s.y), int(s.x)] = True
+        return found
+
+    def put(self, states: np.ndarray, cells: np.ndarray) -> np.ndarray:
+        """Return copies of states [N] with the agents in `cells` [N, 2], at rest."""
+        found = states.copy()
+        found["x"], found["y"] = (cells + self._within).T
+        for name, value in self._at_rest.items():
+            found[name] = value
+        return found
