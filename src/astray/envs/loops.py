@@ -108,42 +108,28 @@ def next_level(s, i, n, levels, first, count):
     return first + np.int64(mix_two(s.seed, turn) % np.uint64(count))
 
 
-def run(
-    states,
-    params,
-    art,
-    symbolic,
-    scenes,
-    levels,
-    first,
-    count,
-    begins,
-    mode,
-    what,
-    actions,
-    observations,
-    final_states,
-    final_observations,
-    reward,
-    terminated,
-    truncated,
-    barrier,
-    thread,
-    generation,
-):
-    """Run the command `what` in every environment and observe it; False: an action is invalid.
+def run(states, looks, source, orders, seen, results, barrier, thread, generation):
+    """Run an order in every environment and observe it; False: an action is invalid.
 
     There is a single loop, since each further one would compile the whole game again.
 
     Args:
-        begins: [N] states that replace the next levels, one per environment; or empty.
-        what: [N] int64, the number of the level to begin, or a command. NEXT_LEVEL begins the next
+        looks: Tuple of the art, whether observations are symbolic, and the backgrounds.
+        source: Tuple of the variant's parameters, the arguments `levels`, `first` and `count` of
+            `next_level`, and states [N] that replace the next levels, one per environment, or none.
+        orders: Tuple of the autoreset mode, what to do, and the actions [N]. What to do is [N]
+            int64, the number of the level to begin, or a command. NEXT_LEVEL begins the next
             level, AS_SET redraws the background, STEP steps and restarts ended episodes according
-            to `mode`, NOTHING does nothing.
-        reward, terminated, truncated: [N], written by STEP.
-        final_states, final_observations: [N, ...], written in mode SAME_STEP if an episode ended.
+            to the mode, NOTHING does nothing.
+        seen: Tuple of observations, and of final states and observations, [N, ...], written in mode
+            SAME_STEP if an episode ended.
+        results: Tuple of reward, terminated and truncated [N], written by STEP.
         barrier, thread, generation: See `kernel.barrier`.
     """
+    (art, symbolic, scenes), (mode, what, actions) = looks, orders
+    params, levels, first, count, begins = source
+    observations, final_states, final_observations = seen
+    reward, terminated, truncated = results
     n = states.shape[0]
     for action in actions:
         if not 0 <= action < ACTIONS:

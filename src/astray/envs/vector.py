@@ -36,7 +36,8 @@ MODES = {
 }
 MOST_SEED = 2**63 - 1
 OPTIONS = ("level", "state", "reset_mask")  # of a reset
-NUMBERS, REALS, FLAGS = np.empty(0, np.int64), np.empty(0), np.empty(0, bool)
+NUMBERS, FLAGS = np.empty(0, np.int64), np.empty(0, bool)
+NO_RESULTS = np.empty(0), FLAGS, FLAGS
 Observation = Literal["image", "symbolic"]
 
 
@@ -138,18 +139,16 @@ class GameVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
     def _bind(self) -> None:
         """Create the parts that are not saved: pictures, compiled code, threads and array views."""
         self._loop = compiled_loop(self.game, self._shown)
-        self._scene = (
-            self.variant.records(),
-            self.game.drawn(self._shown).art(self.variant, 1 if self.symbolic else IMAGE),
-            self.symbolic, self._scenes, self._list, self._first, self._count, self._begins,
-        )  # fmt: skip
+        art = self.game.drawn(self._shown).art(self.variant, 1 if self.symbolic else IMAGE)
+        self._looks = art, self.symbolic, self._scenes
+        self._source = self.variant.records(), self._list, self._first, self._count, self._begins
         over = self._final_states if self._mode == SAME_STEP else self._states
         self._begun = Columns(self._states, ("level", "shifted"))
         self._events = Columns(over, ("level", "shifted", "time", *self.game.events))
         self._pool = Pool(self._threads)
 
     def __getstate__(self) -> dict[str, Any]:
-        made = ("_begun", "_events", "_pool", "_loop", "_scene")
+        made = ("_begun", "_events", "_pool", "_loop", "_looks", "_source")
         state = {name: x for name, x in vars(self).items() if name not in made}
         with contextlib.suppress(ValueError):  # a game that was never registered
             if games.find(self.game.name) is self.game:
@@ -268,9 +267,8 @@ class GameVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         if not actions.flags.behaved:  # for read-only arrays all would be compiled once more
             actions = actions.copy()
         reward, terminated, truncated = np.empty(n), np.empty(n, bool), np.empty(n, bool)
-        if actions.shape != (n,) or not self._run(
-            self._steps, out, actions, reward, terminated, truncated
-        ):
+        results = reward, terminated, truncated
+        if actions.shape != (n,) or not self._run(self._steps, out, actions, results):
             raise ValueError(f"actions must be {n} integers from 0 to {largest}; got {actions}")
 
         info: Info = {}
@@ -323,7 +321,7 @@ class GameVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
             if states["ended"].any():
                 raise ValueError(f"the episode of state {states['ended'].argmax()} has ended")
             self._begins = np.array(states, self.game.state)
-        self._scene = (*self._scene[:-1], self._begins)
+        self._source = (*self._source[:-1], self._begins)
 
     def _take(self, states: Any, which: np.ndarray, keep: Sequence[str] = ()) -> None:
         """Replace the states in `which`, except for the fields in `keep`."""
@@ -356,23 +354,15 @@ class GameVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
     def _do(self, what: np.ndarray) -> np.ndarray:
         """Run a command other than STEP in every environment; return the observations."""
         observations = np.empty(self._shape, np.uint8)
-        self._run(what, observations, NUMBERS, REALS, FLAGS, FLAGS)
+        self._run(what, observations, NUMBERS, NO_RESULTS)
         return observations
 
     def _run(
-        self,
-        what: np.ndarray,
-        observations: np.ndarray,
-        actions: np.ndarray,
-        reward: np.ndarray,
-        terminated: np.ndarray,
-        truncated: np.ndarray,
+        self, what: np.ndarray, observations: np.ndarray, actions: np.ndarray, results: tuple
     ) -> bool:
         """Call `loops.run` in all threads."""
-        arguments = (
-            self._states, *self._scene, self._mode, what, actions, observations,
-            self._final_states, self._final, reward, terminated, truncated,
-        )  # fmt: skip
+        orders, seen = (self._mode, what, actions), (observations, self._final_states, self._final)
+        arguments = self._states, self._looks, self._source, orders, seen, results
         return self._pool.run(self._loop, arguments)
 
 
@@ -393,13 +383,12 @@ def picture(
     check_memory(size, f"{len(states):,} pictures of {pixels} x {pixels} pixels")
     scene = np.empty((1, *looks.scene_shape(variant, pixels)), np.uint8)
     images = np.empty((len(states), pixels, pixels, 3), np.uint8)
-    sprites, params, as_set = looks.art(variant, pixels), variant.records(), np.full(1, AS_SET)
+    params, as_set = variant.records(), np.full(1, AS_SET)
+    shown = looks.art(variant, pixels), False, scene
     for k in range(len(states)):
         one = states[k : k + 1].copy().view(np.ndarray)  # may be written to
-        loop(
-            one, params, sprites, False, scene, NUMBERS, 0, 1, one[:0], DISABLED, as_set, NUMBERS,
-            images[k : k + 1], one, images, REALS, FLAGS, FLAGS, *alone(),
-        )  # fmt: skip
+        source, seen = (params, NUMBERS, 0, 1, one[:0]), (images[k : k + 1], one, images)
+        loop(one, shown, source, (DISABLED, as_set, NUMBERS), seen, NO_RESULTS, *alone())
     return images
 
 
