@@ -1,5 +1,7 @@
 """Intervals: what they are made of, and of groups of steps, that come in episodes."""
 
+import itertools
+
 import numpy as np
 import polars as pl
 import pytest
@@ -128,6 +130,13 @@ def test_no_interval_is_without_width():
     assert -1 <= paired.low < 0 < paired.high <= 1
     apart = estimate_paired(np.array([[True, True], [False, False]]), np.zeros((2, 2), bool))
     assert (apart.low, apart.high) == (-1, 1)
+
+
+@pytest.mark.parametrize("succeeds", [False, True])
+def test_an_interval_holds_its_own_mean_where_all_episodes_are_alike(succeeds):
+    for agents, levels in itertools.product(range(1, 6), range(1, 60)):
+        found = estimate_mean(np.full((agents, levels), succeeds))
+        assert 0 <= found.low <= found.mean == succeeds <= found.high <= 1, (agents, levels)
 
 
 def test_a_difference_of_kinds_does_not_depend_on_the_order_of_seeds():

@@ -286,7 +286,8 @@ def _ends(mean: float, square: float, share: bool, least: float) -> tuple[float,
     ratio = square / variance if square and variance > 0 else least
     middle = (mean + ratio / 2) / (1 + ratio)
     half = math.sqrt(ratio * variance + ratio**2 / 4) / (1 + ratio)
-    return float(max(0.0, middle - half)), float(min(1.0, middle + half))
+    # Rounding would leave a mean of 1 above its own interval, which no figure can show.
+    return max(0.0, min(mean, middle - half)), min(1.0, max(mean, middle + half))
 
 
 def _satterthwaite(parts: Sequence[tuple[float, float]]) -> float:
