@@ -20,6 +20,10 @@ Mutation = Literal["constant", "identity", "binomial"]  # kind of edits, and how
 MUTATIONS: tuple[Mutation, ...] = typing.get_args(Mutation)
 MOST_EDITS = 10_000  # of a level; some 50 ms
 ABILITIES = ("symbols", "editing", "solver", "mutation", "places", "cells", "benchmark")
+PARTS = {
+    "rules": Rules, "levels": Levels, "symbols": Symbols, "editing": Editing, "solver": Solver,
+    "mutation": Mutating, "places": Places, "cells": Cells,
+}  # fmt: skip
 KINDS = {int: np.int64, float: np.float64, bool: np.bool_}
 
 
@@ -221,6 +225,16 @@ class Missing:
         raise ValueError(self._said)
 
 
+def _see_whole(game: str, part: str, given: Any, kind: type) -> None:
+    """ValueError where a part of a game lacks a name that its protocol has."""
+    missing = [n for n in vars(kind) if not n.startswith("_") and not hasattr(given, n)]
+    if missing:
+        raise ValueError(
+            f"{part} of the game {game!r} must have {', '.join(missing)}, as "
+            f"astray.protocols.{kind.__name__} says; got {shown(given)}"
+        )
+
+
 @dataclass(frozen=True, eq=False)
 class Game:
     """The rules, levels and appearance of one game, and its optional abilities.
@@ -269,6 +283,9 @@ class Game:
     real_time: bool = False  # things move while the agent stays; otherwise a player may take time
 
     def __post_init__(self) -> None:
+        for part, kind in PARTS.items():
+            if not isinstance(given := getattr(self, part), Missing | None):
+                _see_whole(self.name, part, given, kind)
         for ability in ABILITIES:
             if getattr(self, ability) is None:
                 object.__setattr__(self, ability, Missing(self.name, ability))

@@ -28,6 +28,7 @@ from astray.experiments import spec
 from astray.experiments.outcomes import outcome_plots, outcome_tables
 from astray.experiments.spec import Plan, Work
 from astray.game import More, Shift
+from astray.games.maze import GAME as maze
 from astray.report import charts
 from astray.training.config import PRESETS
 from helpers.lava import GAME, START
@@ -147,7 +148,8 @@ def test_a_data_set_and_a_replay_are_of_lives_without_end_too(tmp_path, monkeypa
     export(always(2), GAME, "for-ever", [0], tmp_path / "set", longest=7)
     (one,) = read_trajectories(tmp_path / "set")
     assert one.actions.tolist() == [2] * 7 and not one.terminated
-    game = replace(GAME, editing=SimpleNamespace(centre=lambda s: [float(s["x"]), 0.0]))
+    own = vars(maze.editing) | {"centre": lambda s: [float(s["x"]), 0.0]}
+    game = replace(GAME, editing=SimpleNamespace(**own))
     told = replay(game, game.variants["for-ever"], 0, [2, 2, 1])
     assert told["steps"][-1]["x"] == START + 2
     assert told["length"] == 3 and not told["terminated"] and not told["truncated"]

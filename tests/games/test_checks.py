@@ -36,6 +36,22 @@ def test_how_long_a_game_compiles_is_logged_and_many_seconds_are_warned_of(monke
         testing.check_game(games.find("maze"), variants=[])
 
 
+def test_a_measure_that_is_not_one_number_of_each_episode_is_found():
+    measures = {"cells": lambda states: states["cell"].reshape(len(states), -1)}
+    with pytest.raises(AssertionError, match="cells"):
+        testing.check_game(replace(GAME, measures=measures), ["corner-small"])
+
+
+@pytest.mark.parametrize("part", ["rules", "levels", "symbols", "editing", "solver", "places"])
+def test_a_part_that_lacks_a_name_is_refused_with_what_it_lacks(part):
+    whole = vars(getattr(GAME, part))
+    lacking = {"rules": "EVENTS", "levels": "generate", "symbols": "planes", "editing": "STOOD_ON",
+               "solver": "expert", "places": "put"}[part]  # fmt: skip
+    few = SimpleNamespace(**{name: each for name, each in whole.items() if name != lacking})
+    with pytest.raises(ValueError, match=rf"{part} of the game 'maze' must have {lacking}, as"):
+        replace(GAME, **{part: few})
+
+
 def low(s):
     """The two lowest rows alone."""
     found = GAME.places.stand(s)
