@@ -5,7 +5,8 @@ from __future__ import annotations
 import importlib
 import re
 import sys
-from importlib.metadata import entry_points
+import warnings
+from importlib.metadata import EntryPoint, distributions
 from typing import Any
 
 NAME = re.compile(r"[^\W\d][\w.]*:[^\W\d][\w.]*")
@@ -46,6 +47,27 @@ def find(name: str) -> Any:
         raise ValueError(f"{name!r} must be a module and what is in it; {error}") from error
 
 
+def offered(group: str) -> list[EntryPoint]:
+    """Return the entry points of `group` of all packages that are installed; none is imported.
+
+    A package whose list of them cannot be read is warned of, and hides no other.
+    """
+    found: dict[str, list[EntryPoint]] = {}
+    for package in distributions():
+        name = "a package"
+        try:
+            name = package.name
+            if name not in found:  # of two of one name the first is the one that is imported
+                found[name] = list(package.entry_points.select(group=group))
+        except Exception as error:  # of a file that anybody may have written
+            warnings.warn(
+                f"what {name} offers {group} is not seen: its entry_points.txt cannot be read "
+                f"({error!r}); to install it anew may mend it",
+                stacklevel=2,
+            )
+    return [point for points in found.values() for point in points]
+
+
 def known(name: str, group: str, kind: type) -> Any:
     """Return the object that a name in a file stands for, without importing anything unasked.
 
@@ -56,7 +78,7 @@ def known(name: str, group: str, kind: type) -> Any:
     Raises:
         ValueError: If it is neither.
     """
-    if name in {p.value for p in entry_points(group=group)}:
+    if name in {point.value for point in offered(group)}:
         return find(name)
     module = name.partition(":")[0]
     if module not in sys.modules:

@@ -4,7 +4,7 @@ import json
 
 import pytest
 
-from astray import games
+from astray import games, imports
 from astray.lab.serving import make_lab
 from astray.lab.session import Session
 from helpers.guests import offer
@@ -47,6 +47,20 @@ def test_what_is_there_is_listed_beside_broken_games_and_why(strangers, astray):
         assert reason in found[name]["error"]
     said = "".join(astray("list").split())
     assert all("".join(f"{n}: broken:".split()) in said for n in REASONS) and "coinrun" in said
+
+
+@pytest.mark.parametrize("text", [b"[astray.games]\nno sign of equality\n", b"[a]\n\xff = b:C\n"])
+def test_a_package_whose_entry_points_cannot_be_read_hides_no_game(strangers, tmp_path, text):
+    ruined = tmp_path / "ruined-2.dist-info"
+    ruined.mkdir()
+    (ruined / "METADATA").write_text("Metadata-Version: 2.1\nName: ruined\nVersion: 2\n")
+    (ruined / "entry_points.txt").write_bytes(text)
+    with pytest.warns(
+        UserWarning, match=r"what ruined offers astray\.games is not seen: its entry"
+    ):
+        assert set(games.names()) == {*games.OWN, *SOURCES}
+    with pytest.warns(UserWarning, match="what ruined offers astray"), pytest.raises(ValueError):
+        imports.known("nobody:Net", "astray.networks", object)
 
 
 def test_the_first_page_of_the_lab_tells_broken_games_and_why(strangers):

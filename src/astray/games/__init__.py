@@ -12,9 +12,10 @@ import json
 import pkgutil
 import re
 from collections.abc import Callable
-from importlib.metadata import EntryPoint, entry_points
+from importlib.metadata import EntryPoint
 from typing import Any
 
+from astray import imports
 from astray.bounds import brief, shown
 from astray.game import Game
 
@@ -98,7 +99,7 @@ def survey(describe: Callable[[Game], Any]) -> tuple[dict[str, Any], dict[str, s
 @functools.cache
 def _offered() -> dict[str, EntryPoint]:
     """Return the entry points of other packages' games, by name; import none."""
-    return {point.name: point for point in entry_points(group=GROUP)}
+    return {point.name: point for point in imports.offered(GROUP)}
 
 
 @functools.cache
