@@ -131,6 +131,17 @@ def test_private_repositories_need_a_token(server, monkeypatch):
         ours.pull("ada/mouse", name="unseen")
 
 
+def test_without_a_token_nothing_is_measured_for_what_is_pushed(server, monkeypatch, tmp_path):
+    from huggingface_hub import constants
+
+    monkeypatch.delenv("HF_TOKEN")
+    monkeypatch.setattr(constants, "HF_TOKEN_PATH", str(tmp_path / "no token"))
+    monkeypatch.setattr(ours, "_with_card", lambda *_: pytest.fail("it measures"))
+    with pytest.raises(PermissionError, match="there is no token; see hf auth login, or HF_TOKEN"):
+        ours.push(kept.find("maze-corner"), "ada/mouse")
+    assert not server.requests
+
+
 def test_without_permission_nothing_is_pushed(server, monkeypatch):
     monkeypatch.setenv("HF_TOKEN", READER)
     with pytest.raises(PermissionError, match="cannot be pushed: the Hub says 403"):

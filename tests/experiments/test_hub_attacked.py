@@ -5,6 +5,7 @@ import shutil
 
 import pytest
 
+from astray.published import download
 from astray.training import folders
 from helpers.hub_server import WRITER, running
 
@@ -109,6 +110,20 @@ def test_what_is_sent_is_no_more_than_was_said(hub, tmp_path, headers, said):
     with pytest.raises(ValueError, match=said):
         ours.pull("ada/mouse")
     assert outside(tmp_path) in (["agents", "mine"], ["mine"])
+
+
+def test_a_hub_that_sends_a_byte_now_and_then_is_not_waited_for(hub, tmp_path, monkeypatch):
+    monkeypatch.setattr(download, "WAIT", 0.5)
+    hub.drips = 1, 0.01
+    with pytest.raises(OSError, match=r"fewer than 10,000 bytes came in 0\.5 seconds"):
+        ours.pull("ada/mouse")
+    assert outside(tmp_path) in (["agents", "mine"], ["mine"]) and not folders.imported()
+
+
+def test_a_slow_hub_that_sends_enough_is_waited_for(hub, monkeypatch):
+    monkeypatch.setattr(download, "WAIT", 0.5)
+    hub.drips = 40_000, 0.1
+    assert ours.pull("ada/mouse").is_dir()
 
 
 def test_what_the_user_set_up_of_connections_is_used_and_comes_back(hub, tmp_path):

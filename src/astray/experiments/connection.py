@@ -9,33 +9,55 @@ from __future__ import annotations
 import contextlib
 import logging
 import re
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeVar
 
 from astray.bounds import brief, shown
+from astray.published.download import LEAST, in_time
 
 COMMIT = re.compile(r"[0-9a-f]{40,64}")
+T = TypeVar("T")
 ETAG = re.compile(r'(W/)?"?[0-9A-Za-z_-]{8,128}"?')  # the Hub's are digests
 
 
 @dataclass
 class Wary:
-    """Limits on answers of the Hub.
+    """Limits on answers of the Hub, and how much of them has arrived.
 
     Attributes:
         most: Largest size of the next file in bytes.
+        arrived: Bytes of all files so far; an answer itself counts as `LEAST`.
+        stopped: Whether all further answers are refused.
     """
 
     most: int = 0
+    arrived: int = 0
+    stopped: bool = False
+
+    def brought(self, ask: Callable[[], T]) -> T:
+        """Return what `ask` does; OSError where the Hub sends a byte now and then, or none."""
+        return in_time(ask, self.stop, lambda: self.arrived)
+
+    def stop(self) -> None:
+        """Have every answer refused from now on, also one that is being read."""
+        self.stopped = True
+
+    def come(self, count: int) -> None:
+        """Count bytes that have come."""
+        if self.stopped:
+            raise ValueError("nobody waits for this answer any more")
+        self.arrived += count
 
     def ask(self, request: Any) -> None:
         """Request files uncompressed: a few compressed bytes could unpack to any size."""
+        self.come(0)
         request.headers["Accept-Encoding"] = "identity"
 
     def see(self, answer: Any) -> None:
         """Raise ValueError if an answer contains a path, is compressed, or is too large."""
         headers, asked = answer.headers, answer.request.method
+        self.come(LEAST)
         commit, etag = headers.get("X-Repo-Commit"), headers.get("X-Linked-Etag")
         _check_name("commit", commit, COMMIT)
         if asked == "HEAD":
@@ -54,6 +76,22 @@ class Wary:
                     f"the Hub's answer must be of at most {self.most:,} bytes; it says "
                     f"{shown(size)}"
                 )
+            answer.stream = _counted(answer.stream, self.come)
+
+
+def _counted(stream: Any, come: Callable[[int], None]) -> Any:
+    """A stream of bytes, of which `come` is told as they come."""
+
+    class Counted(http().SyncByteStream):
+        def __iter__(self) -> Iterator[bytes]:
+            for part in stream:
+                come(len(part))
+                yield part
+
+        def close(self) -> None:
+            stream.close()
+
+    return Counted()
 
 
 def _check_name(what: str, given: str | None, known: re.Pattern[str]) -> None:

@@ -80,6 +80,7 @@ def push(
     """
     _check_name(repository, revision)
     api = _api(endpoint)
+    _check_token(repository)
     its = AgentFolder.open(run)
     if its.is_foreign:
         raise ValueError(
@@ -154,6 +155,16 @@ def _api(endpoint: str | None) -> HfApi:
     except ImportError as error:
         raise imports.missing("the Hub needs huggingface_hub", "hub") from error
     return HfApi(endpoint=endpoint)
+
+
+def _check_token(repository: str) -> None:
+    """PermissionError where nobody is logged in: to measure what the card says takes a minute."""
+    from huggingface_hub import get_token
+
+    if get_token() is None:
+        raise PermissionError(
+            f"{repository} cannot be pushed: there is no token; see hf auth login, or HF_TOKEN"
+        )
 
 
 def _check_name(repository: str, revision: str | None) -> None:
@@ -251,12 +262,14 @@ def _taker(
     """Return a function that fetches a file of the repository, up to a size, into the cache."""
 
     def take(path: str, most: int) -> Path:
-        answers.most = most
-        with reached(repository, commit, "pulled", DIGESTS):
+        def ask() -> str:
             if not offline:
                 _check_size(api, repository, commit, path, most)
-            here = api.hf_hub_download(repository, path, revision=commit, local_files_only=offline)
-        return Path(here)
+            return api.hf_hub_download(repository, path, revision=commit, local_files_only=offline)
+
+        answers.most = most
+        with reached(repository, commit, "pulled", DIGESTS):
+            return Path(answers.brought(ask))
 
     return take
 

@@ -14,9 +14,9 @@ import threading
 import time
 import urllib.request
 from collections.abc import Callable
-from concurrent.futures import Future
+from concurrent.futures import Future, wait
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 from urllib.parse import urlsplit
 
 from astray.bounds import shown
@@ -29,6 +29,7 @@ LOOPBACK = ("127.0.0.1", "::1", "localhost")
 BLOB = 40  # hexadecimal digits of git's blob id; a SHA-256 has 64
 MOST_DIGITS = 20  # of a length that a server tells
 LARGEST = 512_000_000  # bytes, of a file whose size is not known
+T = TypeVar("T")
 
 
 def download(address: str, to: Path, *, size: int | None, digest: str | None) -> None:
@@ -115,7 +116,6 @@ def _answer(request: urllib.request.Request) -> http.client.HTTPResponse:
 
     It runs in its own thread: a server can send `100 Continue` for ever, and http.client listens.
     """
-    came: Future[http.client.HTTPResponse] = Future()
     opened: list[http.client.HTTPConnection] = []
 
     def keep(kind: type[http.client.HTTPConnection]) -> Callable[..., http.client.HTTPConnection]:
@@ -133,21 +133,49 @@ def _answer(request: urllib.request.Request) -> http.client.HTTPResponse:
         def https_open(self, req: urllib.request.Request) -> http.client.HTTPResponse:
             return self.do_open(keep(http.client.HTTPSConnection), req)
 
-    def ask() -> None:
-        try:
-            came.set_result(urllib.request.build_opener(Plain, Secure).open(request, timeout=WAIT))
-        except BaseException as error:
-            came.set_exception(error)
+    def ask() -> http.client.HTTPResponse:
+        return urllib.request.build_opener(Plain, Secure).open(request, timeout=WAIT)
 
-    threading.Thread(target=ask, daemon=True).start()
-    try:
-        return came.result(WAIT)
-    except TimeoutError:
+    def stop() -> None:
         for connection in opened:  # else the thread would listen on
             if connection.sock:
                 with contextlib.suppress(OSError):
                     connection.sock.shutdown(socket.SHUT_RDWR)
-        raise OSError(f"no answer came in {WAIT:g} seconds") from None
+
+    return in_time(ask, stop)
+
+
+def in_time(ask: Callable[[], T], stop: Callable[[], None], arrived: Callable[[], int] = int) -> T:
+    """Return what `ask` does, in a thread of its own, as long as enough comes meanwhile.
+
+    Args:
+        ask: Asks a server.
+        stop: Ends that; called where this is not waited for any longer.
+        arrived: The bytes that have come so far.
+
+    Raises:
+        OSError: In `WAIT` seconds fewer than `LEAST` bytes came.
+    """
+    came: Future[T] = Future()
+
+    def run() -> None:
+        try:
+            came.set_result(ask())
+        except BaseException as error:
+            came.set_exception(error)
+
+    threading.Thread(target=run, daemon=True).start()
+    try:
+        while not came.done():
+            before = arrived()
+            wait([came], WAIT)
+            if not came.done() and (more := arrived() - before) < LEAST:
+                what = f"fewer than {LEAST:,} bytes" if more else "no answer"
+                raise OSError(f"{what} came in {WAIT:g} seconds")
+        return came.result()
+    finally:
+        if not came.done():  # also after an interrupt
+            stop()
 
 
 def _checked(address: str, part: Path, size: int | None, digest: str | None) -> bytes:
