@@ -45,6 +45,38 @@ def test_too_few_unseen_levels_are_told_before_training_and_what_to_do(tmp_path)
         run.reproduce(experiment(plan()), "smoke", tmp_path)
 
 
+@pytest.mark.parametrize(
+    "knobs, said",
+    [
+        (
+            {"world": 9},
+            r"mouse learns from planes \(\d, 5, 5\); the test 'in training' has \(\d, 9, 9\)",
+        ),
+        ({"time_limit": 2_000_000}, r"last up to 2,000,000 steps"),
+    ],
+)
+def test_a_test_that_agents_could_not_play_is_told_before_training(tmp_path, knobs, said):
+    tests = {"in training": spec.Test("corner-small", "corner-small", knobs)}
+    agents = {"mouse": replace(TINY, levels=3)}
+    with pytest.raises(ValueError, match=said):
+        run.reproduce(experiment(plan(agents=agents, tests=tests, levels=2)), "smoke", tmp_path)
+
+
+@pytest.mark.parametrize(
+    "setting, said",
+    [
+        ({"network": "no_such:Net"}, r"second cannot be trained: 'no_such:Net' must be a module"),
+        ({"loss": "no_such:loss"}, r"second cannot be trained: 'no_such:loss' must be a module"),
+        ({"device": "mps"}, r"second cannot be trained: there is no device 'mps'"),
+        ({"teacher": "nobody"}, r"second is a student of nobody: name it in `teachers`"),
+    ],
+)
+def test_a_training_that_could_not_begin_is_told_before_those_before_it(tmp_path, setting, said):
+    agents = {"first": replace(TINY, levels=3), "second": replace(TINY, levels=3, **setting)}
+    with pytest.raises(ValueError, match=said):
+        run.reproduce(experiment(plan(agents=agents, levels=2)), "smoke", tmp_path)
+
+
 def test_a_package_that_findings_need_is_missed_before_training(tmp_path):
     with pytest.raises(ImportError, match=r"'Early' needs no_such: pip install '.\[insight\]"):
         run.reproduce(experiment(plan(), needs={"no_such": "insight"}), "smoke", tmp_path)

@@ -8,6 +8,7 @@ from collections.abc import Iterable
 import numpy as np
 import polars as pl
 
+from astray.acting import check_ending
 from astray.analysis.overlap import met, unseen
 from astray.analysis.runs import play_all
 from astray.experiments.spec import Plan, Runs, Test, open_agents
@@ -45,10 +46,26 @@ def unmet(agents: Iterable[Config], variant: Variant, count: int) -> np.ndarray:
         raise ValueError(f"{error}; lower `levels` of the training, {most:,}") from error
 
 
-def check_levels(plan: Plan) -> None:
-    """Raise ValueError if a test has too few levels that no training meets."""
+def check_tests(plan: Plan) -> None:
+    """Raise ValueError where agents of the plan, once trained, could not be tested.
+
+    As where a test has too few levels that no training of the plan meets, or episodes without end,
+    or shows an agent less or more than its training.
+    """
     for test in (*plan.tests.values(), *plan.visited.values()):
         levels_of(plan, test)
+    for name, test in plan.tests.items():
+        variant = plan.variant_of(test)
+        check_ending(plan.game, variant, None)
+        for agent, config in plan.agents.items():
+            if config.observation == "symbolic":
+                planes = plan.game.symbols.planes
+                trained, tested = (planes(v).shape for v in (config.training_variant(), variant))
+                if trained != tested:
+                    raise ValueError(
+                        f"{agent} learns from planes {trained}; the test {name!r} has {tested}: "
+                        "give both the same world, or window"
+                    )
 
 
 @functools.lru_cache(maxsize=1)

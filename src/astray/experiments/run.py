@@ -9,7 +9,7 @@ import os
 import re
 import sys
 import uuid
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
@@ -21,7 +21,7 @@ from astray import provenance
 from astray.analysis.outcomes import load_shift
 from astray.bounds import brief
 from astray.experiments import catalogue, labs, report
-from astray.experiments.levels import check_levels, play
+from astray.experiments.levels import check_tests, play
 from astray.experiments.report import COMPUTED
 from astray.experiments.spec import (
     PUBLISHED,
@@ -41,6 +41,7 @@ from astray.report.claims import corrected
 from astray.training import checkpoint, folders
 from astray.training.config import Config, Tracking
 from astray.training.folders import AgentFolder
+from astray.training.loop import checked
 from astray.training.teacher import give
 
 ALL = "all"  # experiments of a size
@@ -149,7 +150,9 @@ def train_agents(
         for run, config in zip(runs[name], configs, strict=True)
     }
     if not all(checkpoint.finished(run, config) for run, config in todo.items()):
-        check_levels(plan)  # before hours of training, not after
+        check_tests(plan)  # before hours of training, not after
+        if on == "here":  # else some of these wait for their turn
+            check_trainable(trainings)
         if plan.speed and on == "here":
             print(expected(todo, plan.speed, workers), file=sys.stderr, flush=True)
     for students in (False, True):
@@ -185,6 +188,15 @@ def own_runs(plan: Plan, name: str, root: Path) -> list[Path]:
                     raise ValueError(f"the training of {name!r}, seed {seed}, wrote no file")
                 os.replace(aside, run)
     return found
+
+
+def check_trainable(trainings: Mapping[str, Iterable[Config]]) -> None:
+    """Raise ValueError where one of the trainings, by agents' names, could not begin here."""
+    for name, (config, *_) in trainings.items():
+        try:
+            checked(config, None, None, None).code()
+        except ValueError as error:
+            raise ValueError(f"{name} cannot be trained: {error}") from error
 
 
 def give_teachers(plan: Plan, runs: Runs) -> None:

@@ -28,7 +28,7 @@ from astray.experiments.report import COMPUTED, Findings
 from astray.files import read
 from astray.game import OWN, Game, Variant
 from astray.record import LEVELS
-from astray.training.config import PRESETS, Config, Named
+from astray.training.config import PRESETS, SOLVER, Config, Named
 from astray.world import World
 
 Size = Literal["smoke", "pixels", "night", "hour", "paper", "published"]
@@ -112,6 +112,9 @@ class Plan:
             raise ValueError("teachers and students are agents of the plan")
         if students & {*self.published, *self.teachers.values()}:
             raise ValueError("a student must be trained here, and teach nobody")
+        for name in self.agents.keys() - students - set(self.published):
+            if (teacher := self.agents[name].teacher) not in (None, SOLVER):
+                raise ValueError(f"{name} is a student of {teacher}: name it in `teachers`")
         fewest = min(
             (len(config.unseen_levels) for config in self.agents.values()), default=math.inf
         )
