@@ -84,6 +84,18 @@ class Remembers(MLP):
         return self.state
 
 
+class Drifts(MLP):
+    """Says something else with every call, by less than a rollout shows."""
+
+    def __init__(self, a):
+        super().__init__(a.shape, list(a.largest), a.actions, a.width)
+        self.calls = 0
+
+    def hidden(self, observation):
+        self.calls += 1
+        return super().hidden(observation) * (1 + 1e-5 * self.calls)
+
+
 class Drops(MLP):
     """Is another network in learning than in acting, by as much as is usual."""
 
@@ -95,12 +107,13 @@ class Drops(MLP):
         return self.dropout(super().hidden(observation))
 
 
-def test_a_network_that_keeps_its_memory_itself_is_refused():
+@pytest.mark.parametrize("network", [Remembers, Drifts])
+def test_a_network_that_keeps_its_memory_itself_is_refused(network):
     with (
         pytest.warns(UserWarning, match="as it is written"),
         pytest.raises(ValueError, match="must say the same of an observation whenever"),
     ):
-        next(loop.iterate(CONFIG, network=Remembers))
+        next(loop.iterate(CONFIG, network=network))
 
 
 @pytest.mark.parametrize("network", [Tanh, Drops])

@@ -40,6 +40,7 @@ SCORED = 2000
 # Largest difference between a network's outputs in acting and in learning: relative to their
 # deviation (rounding gives 1e-3, also in TF32, hidden state about 1), and to their size.
 APART, ROUNDED = 0.05, 1e-4
+REPEATED = 1e-6  # likewise in two calls in a row, of its size: float32 is rounded by 6e-8
 
 
 class Diverged(RuntimeError):
@@ -251,20 +252,29 @@ def check_memoryless(network: nn.Module, samples: Samples, config: Config) -> No
     """Raise ValueError if a network's outputs differ between acting and learning.
 
     A network with hidden state of its own does, since learning reorders observations. Rounding
-    differences are allowed.
+    differences are allowed. A slow drift shows in two calls in a row, unless it is below `REPEATED`
+    in each: that is not found.
     """
     some = samples.at(torch.arange(0, len(samples), config.minibatches, device=config.device))
-    logits, value = network(some.observation)
+    (logits, value), again = network(some.observation), network(some.observation)
     of_all = ppo.log_probabilities(logits)
     log_probability = of_all.gather(-1, some.action[:, None]).squeeze(-1)
-    for now, then in ((log_probability, some.log_probability), (value, some.value)):
-        apart, spread = (now - then).square().mean().sqrt(), then.std()
-        if apart > APART * spread + ROUNDED * then.square().mean().sqrt():
+    acted, learned = (some.log_probability, some.value), (log_probability, value)
+    bounds = [APART * then.std() + ROUNDED * _size(then) for then in acted]
+    bounds += [REPEATED * _size(said) for said in (logits, value)]
+    pairs = zip((*acted, logits, value), (*learned, *again), bounds, strict=True)
+    for then, now, most in pairs:
+        if (apart := _size(now - then)) > most:
             raise ValueError(
                 f"a network must say the same of an observation whenever it is shown it; what "
-                f"{type(network).__name__} said in acting and in learning differs by "
-                f"{float(apart / spread):.2g} of its deviation, as with a memory of its own"
+                f"{type(network).__name__} said of some in two calls differs by "
+                f"{float(apart / _size(then)):.2g} of its size, as with a memory of its own"
             )
+
+
+def _size(numbers: Tensor) -> Tensor:
+    """Return the root of the mean square."""
+    return numbers.square().mean().sqrt()
 
 
 def check_losses(losses: Any) -> None:
