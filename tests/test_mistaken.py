@@ -20,7 +20,8 @@ from astray.analysis.overlap import overlap
 from astray.analysis.policies import Random
 from astray.envs.single import GameEnv
 from astray.envs.vector import GameVectorEnv, picture
-from astray.level import Level, read_levels
+from astray.level import Level
+from astray.level_files import read_levels
 from astray.training.config import PRESETS, Config
 from astray.training.trainer import Trainer
 

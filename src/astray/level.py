@@ -2,27 +2,21 @@
 
 from __future__ import annotations
 
-import itertools
-import json
 import textwrap
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any, TypeGuard
 
 import numpy as np
 
 from astray.bounds import of_kind, shown
-from astray.files import read
 from astray.game import Game, Variant
 from astray.record import NEVER, is_trusted
 
 AGENT, EMPTY = "@", "."  # in the drawings of all games
 ON = f"{AGENT} on "  # prefix of the line below a drawing with what the agent stands on
 BYTE_ORDER_MARK = "\ufeff"  # some editors put it at the start of a file
-COMMENT = ";"  # prefix of comment lines in drawings
 CLOSE = 1e-5  # cells; the rounding of a 32-bit position
-LARGEST_FILE = 2**26  # bytes; a level as JSON has about 2,000
 Cell = tuple[int, int]  # x to the right, y upward, from the lower left
 
 
@@ -154,9 +148,12 @@ class Level:
         looks = data.get("looks", {})
         if not isinstance(looks, Mapping):
             raise ValueError(f"a level's looks must be an object; got {shown(looks)}")
-        level = Level(game, variant, cells, _cell(agent), looks)
+        level = Level(game, variant, cells, _cell(agent), looks)._uncovered()
         told = game.editing.describe(level.state(solvable=False))
-        rest = {k: v for k, v in data.items() if k not in ("game", "variant", "level", "looks")}
+        apart = {"game", "variant", "level", "looks"} | (
+            {"grid"} if level.cells is not cells else set()
+        )
+        rest = {k: v for k, v in data.items() if k not in apart}
         _check_told(rest, told, "a level")
         return level
 
@@ -237,11 +234,13 @@ class Level:
             self._check_free(to)
             return replace(self, agent=to)
         at = self._one(name, at)
-        moved = self.removed(name, at).added(name, to)
-        return replace(moved, looks=self._details(at, to))
+        lifted = self.removed(name, at)
+        return replace(lifted.added(name, to), looks=lifted._details(check_cell(to), self, at))
 
     def removed(self, name: str, at: Cell | None = None) -> Level:
         """Return the level without an object.
+
+        What shares the cell, such as a walker that has come to a crate, is drawn there then.
 
         Args:
             at: Cell of the object; needed if there are several.
@@ -249,7 +248,7 @@ class Level:
         x, y = self._one(name, at)
         cells = self.cells.copy()
         cells[y, x] = self.game.editing.LEGEND[EMPTY]
-        return replace(self, cells=cells, looks=self._details((x, y)))
+        return replace(self, cells=cells, looks=self._details((x, y)))._uncovered()
 
     def added(self, name: str, at: Cell) -> Level:
         """Return the level with one more object, in the cell `at`."""
@@ -259,14 +258,27 @@ class Level:
         cells[at[1], at[0]] = self.game.editing.LEGEND[self.game.editing.OBJECTS[name]]
         return replace(self, cells=cells, looks=self._details(check_cell(at)))
 
-    def _details(self, at: Cell, to: Cell | None = None) -> Mapping[str, Any]:
-        """Return the looks without those of the object in cell `at`, or with them moved to `to`."""
-        details = self.looks.get("details")
-        if not isinstance(details, list) or not all(isinstance(one, list) for one in details):
+    def _details(
+        self, at: Cell, before: Level | None = None, where: Cell | None = None
+    ) -> Mapping[str, Any]:
+        """Return the looks without those of cell `at`, or with those of `where` in `before`."""
+        here, there = (one.looks.get("details") if one else [] for one in (self, before))
+        if not _is_of_cells(here) or not _is_of_cells(there):
             return self.looks  # `state` says what is wrong with them
-        kept = [one for one in details if tuple(one[:2]) not in (at, to)]
-        moved = [[*to, *one[2:]] for one in details if tuple(one[:2]) == at] if to else []
-        return {**self.looks, "details": sorted(kept + moved, key=lambda one: one[1::-1])}
+        kept = [one for one in here if tuple(one[:2]) != at]
+        kept += [[*at, *one[2:]] for one in there if tuple(one[:2]) == where]
+        return {**self.looks, "details": sorted(kept, key=lambda one: one[1::-1])}
+
+    def _uncovered(self) -> Level:
+        """Return the level with what looks alone put into a cell that is empty now."""
+        lists = (x for name, x in self.looks.items() if name != "details" and _is_of_cells(x))
+        shared = {(one[0], one[1]) for several in lists for one in several}
+        empty = self.game.editing.LEGEND[EMPTY]
+        if not any(self._is_inside((x, y)) and self.cells[y, x] == empty for x, y in shared):
+            return self
+        s = self.game.editing.build(self.cells, self.agent, self.looks, self.variant)
+        looks = self.game.editing.describe(s)["looks"]
+        return replace(self, cells=self.game.editing.grid(s), looks=looks)
 
     def splay(self, name: str, at: Cell | None = None) -> list[Level]:
         """Return a level for each cell that "agent" or an object could be in, lowest row first.
@@ -280,9 +292,10 @@ class Level:
         cells = [(int(x), int(y)) for y, x in np.argwhere(free)]
         if at is None:
             return [replace(self, agent=cell) for cell in cells]
-        looks = [self._details(at, cell) for cell in cells]
-        others = [lifted.added(name, cell) for cell in cells]
-        return [replace(one, looks=look) for one, look in zip(others, looks, strict=True)]
+        return [
+            replace(lifted.added(name, cell), looks=lifted._details(cell, self, at))
+            for cell in cells
+        ]
 
     def _one(self, name: str, at: Cell | None) -> Cell:
         """Return the cell of the object called `name`: its only one, or `at`."""
@@ -332,6 +345,14 @@ def check_cell(place: Any) -> Cell:
     return int(x), int(y)
 
 
+def _is_of_cells(value: Any) -> TypeGuard[list[list[Any]]]:
+    """Return whether looks are lists [x, y, ...] of cells."""
+    return isinstance(value, list) and all(
+        isinstance(one, list) and len(one) > 1 and type(one[0]) is type(one[1]) is int
+        for one in value
+    )
+
+
 def _is_number(value: Any) -> TypeGuard[int | float]:
     return type(value) in (int, float) and abs(value) < 1e9  # neither infinite nor NaN
 
@@ -352,71 +373,3 @@ def _check_told(given: Mapping[str, Any], true: Mapping[str, Any], what: str) ->
             raise ValueError(f"unknown field {shown(name)} of {what}; there are: {', '.join(true)}")
         if not _is_alike(value, true[name]):
             raise ValueError(f"{name} is {shown(value)}, but in this level {shown(true[name])}")
-
-
-def read_levels(
-    path: Path, game: Game, variant: Variant, *, solvable: bool = True
-) -> dict[str, Level]:
-    """Return the levels in a file or a folder, by name, each checked as by `Level.state`.
-
-    Files named .json or .jsonl hold JSON: one level after the other, or a list. Other files hold
-    drawings, separated by empty lines.
-
-    Raises:
-        FileNotFoundError: If there is nothing at `path`.
-        ValueError: If a level is invalid, or there are none.
-    """
-    if path.is_dir():
-        return _read_folder(path, game, variant, solvable)
-    try:
-        text = (
-            read(path, LARGEST_FILE)
-            .decode("utf-8")
-            .replace("\r\n", "\n")
-            .removeprefix(BYTE_ORDER_MARK)
-        )
-        if path.suffix in (".json", ".jsonl"):
-            found = [Level.from_json(game, variant, value) for value in _json_values(text)]
-        else:
-            found = [Level.from_text(game, variant, drawing) for drawing in _drawings(text)]
-        for level in found:
-            level.state(solvable=solvable)
-    except FileNotFoundError:
-        raise FileNotFoundError(f"there is no level at {path}") from None
-    except (ValueError, RecursionError) as error:
-        raise ValueError(f"{path}: {error}") from error
-    if not found:
-        raise ValueError(f"there are no levels in {path}")
-    names = [path.name] if len(found) == 1 else [f"{path.name}:{k + 1}" for k in range(len(found))]
-    return dict(zip(names, found, strict=True))
-
-
-def _read_folder(path: Path, game: Game, variant: Variant, solvable: bool) -> dict[str, Level]:
-    """Return the levels of every file in a folder that is not hidden."""
-    found: dict[str, Level] = {}
-    for file in sorted(p for p in path.iterdir() if p.is_file() and not p.name.startswith(".")):
-        levels = read_levels(file, game, variant, solvable=solvable)
-        if twice := found.keys() & levels.keys():  # "a:1" is the first level in "a", or a file
-            raise ValueError(f"two levels in {path} are called {min(twice)!r}")
-        found |= levels
-    if not found:
-        raise ValueError(f"there are no levels in {path}")
-    return found
-
-
-def _json_values(text: str) -> list[Any]:
-    """Parse concatenated JSON values; the items of a list count as values."""
-    decoder, found = json.JSONDecoder(), []
-    text = text.lstrip()
-    while text:
-        value, end = decoder.raw_decode(text)
-        found += value if isinstance(value, list) else [value]
-        text = text[end:].lstrip()
-    return found
-
-
-def _drawings(text: str) -> list[str]:
-    """Split `text` at empty lines and leave out comments."""
-    lines = [line for line in text.splitlines() if not line.lstrip().startswith(COMMENT)]
-    groups = itertools.groupby(lines, key=lambda line: bool(line.strip()))
-    return ["\n".join(group) for drawn, group in groups if drawn]

@@ -128,7 +128,8 @@ class Editing(Protocol):
 
         "grid" and "agent" (its centre) are lists; "looks" holds all else that `build` needs. Its
         "details" are lists [x, y, ...] of single cells, which move and are removed with the object
-        in that cell.
+        in that cell. Other such lists are of what shares a cell with an object, and
+        is in `grid` once that is gone.
         """
         ...
 

@@ -150,7 +150,7 @@ def _levels() -> dict[str, Callable[[Place], Any]]:
 
     def act(game: str, change: Callable[[dict[str, Any]], Any], place: Place) -> Any:
         from astray import games
-        from astray.level import read_levels
+        from astray.level_files import read_levels
         from attack.material import SMALLEST
 
         path = place.copy(f"{game}.json")
@@ -258,7 +258,7 @@ def _others() -> dict[str, tuple[Callable[[Place], Any], Any]]:
 
     def marked(ending: str, place: Place) -> Any:
         from astray import games
-        from astray.level import read_levels
+        from astray.level_files import read_levels
 
         path = place.copy(f"maze.{ending}")
         plain = read_levels(path, games.find("maze"), games.find("maze").variant("corner-small"))

@@ -29,7 +29,7 @@ from astray.analysis.trained import Agent, Loaded
 from astray.bounds import of_kind, shown
 from astray.envs.worlds import check_reported
 from astray.game import Game, Shift, Variant
-from astray.level import read_levels
+from astray.level_files import read_levels
 from astray.training import folders
 from astray.training.config import Config
 from astray.training.folders import AgentFolder

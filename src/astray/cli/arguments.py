@@ -16,7 +16,8 @@ from tyro.conf import Positional, UseAppendAction, arg
 from astray import games, imports
 from astray.bounds import bounded, of_kind
 from astray.game import OWN, Game, Variant
-from astray.level import Level, read_levels
+from astray.level import Level
+from astray.level_files import read_levels
 from astray.record import LEVELS, NEVER
 from astray.training.settings import KNOB, otherwise
 from astray.world import World

@@ -174,6 +174,27 @@ def test_what_a_walker_walked_over_is_still_in_the_level(beneath):
         Level(GAME, env.variant, level.cells, level.agent, {"walkers": [[70, 30, 0, 7]]}).state()
 
 
+@pytest.mark.parametrize("beneath", ["crate", "coin", "invisible coin"])
+def test_a_walker_stays_where_the_object_that_it_came_to_is_gone(beneath):
+    variant = VARIANTS["coin-end"]
+    level = Level.of(GAME, variant, levels(variant, 1)[0]).added(beneath, (10, 30))
+    walker = [[10, 30, 0, 7]]  # to the right
+    met = replace(level, looks={**level.looks, "walkers": walker})
+    fewer, moved = met.removed(beneath, (10, 30)), met.moved(beneath, (12, 30), (10, 30))
+    assert (10, 30) in fewer.where("walker to the right") and (12, 30) in moved.where(beneath)
+    for one in (fewer, moved):
+        s = one.state(solvable=False)
+        k = s.walkers - 1
+        assert s.walkers == met.state(solvable=False).walkers and "walkers" not in one.looks
+        assert [10, 30, 7] in one.looks["details"] and (one.cells == GAME.editing.grid(s)).all()
+        assert 10.5 in s.walker_x[s.walker_y == 30.5] and k >= 0
+    by_hand = met.to_json()
+    by_hand["grid"][30][10] = GAME.editing.LEGEND["."]
+    by_hand = {name: by_hand[name] for name in ("grid", "agent", "looks")}
+    again = Level.from_json(GAME, variant, by_hand)
+    assert again.state(solvable=False).tobytes() == fewer.state(solvable=False).tobytes()
+
+
 def test_a_moved_crate_or_walker_looks_as_it_did_and_leaves_no_look_behind():
     level = Level.of(GAME, VARIANTS["coin-end"], levels(VARIANTS["coin-end"], 1)[0])
     level = level.added("crate", (6, 30)).added("walker to the left", (8, 30))

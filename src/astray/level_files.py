@@ -1,0 +1,83 @@
+"""Levels in files, as drawings or JSON."""
+
+from __future__ import annotations
+
+import itertools
+import json
+from pathlib import Path
+from typing import Any
+
+from astray.files import read
+from astray.game import Game, Variant
+from astray.level import BYTE_ORDER_MARK, Level
+
+COMMENT = ";"  # prefix of comment lines in drawings
+LARGEST_FILE = 2**26  # bytes; a level as JSON has about 2,000
+
+
+def read_levels(
+    path: Path, game: Game, variant: Variant, *, solvable: bool = True
+) -> dict[str, Level]:
+    """Return the levels in a file or a folder, by name, each checked as by `Level.state`.
+
+    Files named .json or .jsonl hold JSON: one level after the other, or a list. Other files hold
+    drawings, separated by empty lines.
+
+    Raises:
+        FileNotFoundError: If there is nothing at `path`.
+        ValueError: If a level is invalid, or there are none.
+    """
+    if path.is_dir():
+        return _read_folder(path, game, variant, solvable)
+    try:
+        text = (
+            read(path, LARGEST_FILE)
+            .decode("utf-8")
+            .replace("\r\n", "\n")
+            .removeprefix(BYTE_ORDER_MARK)
+        )
+        if path.suffix in (".json", ".jsonl"):
+            found = [Level.from_json(game, variant, value) for value in _json_values(text)]
+        else:
+            found = [Level.from_text(game, variant, drawing) for drawing in _drawings(text)]
+        for level in found:
+            level.state(solvable=solvable)
+    except FileNotFoundError:
+        raise FileNotFoundError(f"there is no level at {path}") from None
+    except (ValueError, RecursionError) as error:
+        raise ValueError(f"{path}: {error}") from error
+    if not found:
+        raise ValueError(f"there are no levels in {path}")
+    names = [path.name] if len(found) == 1 else [f"{path.name}:{k + 1}" for k in range(len(found))]
+    return dict(zip(names, found, strict=True))
+
+
+def _read_folder(path: Path, game: Game, variant: Variant, solvable: bool) -> dict[str, Level]:
+    """Return the levels of every file in a folder that is not hidden."""
+    found: dict[str, Level] = {}
+    for file in sorted(p for p in path.iterdir() if p.is_file() and not p.name.startswith(".")):
+        levels = read_levels(file, game, variant, solvable=solvable)
+        if twice := found.keys() & levels.keys():  # "a:1" is the first level in "a", or a file
+            raise ValueError(f"two levels in {path} are called {min(twice)!r}")
+        found |= levels
+    if not found:
+        raise ValueError(f"there are no levels in {path}")
+    return found
+
+
+def _json_values(text: str) -> list[Any]:
+    """Parse concatenated JSON values; the items of a list count as values."""
+    decoder, found = json.JSONDecoder(), []
+    text = text.lstrip()
+    while text:
+        value, end = decoder.raw_decode(text)
+        found += value if isinstance(value, list) else [value]
+        text = text[end:].lstrip()
+    return found
+
+
+def _drawings(text: str) -> list[str]:
+    """Split `text` at empty lines and leave out comments."""
+    lines = [line for line in text.splitlines() if not line.lstrip().startswith(COMMENT)]
+    groups = itertools.groupby(lines, key=lambda line: bool(line.strip()))
+    return ["\n".join(group) for drawn, group in groups if drawn]
