@@ -49,6 +49,17 @@ def test_what_is_there_is_listed_beside_broken_games_and_why(strangers, astray):
     assert all("".join(f"{n}: broken:".split()) in said for n in REASONS) and "coinrun" in said
 
 
+def test_text_that_fails_when_it_is_printed_is_listed_as_text(tmp_path, monkeypatch, astray):
+    odd = (
+        "import dataclasses\nfrom astray import games\n"
+        "class Text(str):\n    def __str__(self): raise RuntimeError\n    __format__ = __str__\n"
+        "GAME = dataclasses.replace(games.find('maze'), name='is_odd', about=Text('a riddle'))"
+    )
+    offer(tmp_path, monkeypatch, is_odd=odd)
+    assert "is_odd: a riddle" in astray("list")
+    games._offered.cache_clear()
+
+
 @pytest.mark.parametrize("text", [b"[astray.games]\nno sign of equality\n", b"[a]\n\xff = b:C\n"])
 def test_a_package_whose_entry_points_cannot_be_read_hides_no_game(strangers, tmp_path, text):
     ruined = tmp_path / "ruined-2.dist-info"

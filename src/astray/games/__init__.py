@@ -85,9 +85,8 @@ def survey(describe: Callable[[Game], Any]) -> tuple[dict[str, Any], dict[str, s
     found, broken = {}, {}
     for name in names():
         try:
-            described = describe(find(name))
-            json.dumps(described)  # which is how it is sent and printed
-            found[name] = described
+            # As it is sent: plain data, of which nothing fails when it is printed.
+            found[name] = json.loads(json.dumps(describe(find(name))))
         except KeyboardInterrupt:
             raise
         except BaseException as error:  # also of an exit
