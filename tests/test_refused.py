@@ -24,7 +24,8 @@ from astray.envs.vector import GameVectorEnv, picture
 from astray.files import check_writable, read
 from astray.kernel.grid import distances
 from astray.kernel.rng import fill_noise
-from astray.level import Level, read_levels
+from astray.level import Level
+from astray.level_files import read_levels
 from astray.training import checkpoint, folders
 from astray.training.config import PRESETS
 from astray.training.fast import fused, sparse

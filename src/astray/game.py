@@ -225,8 +225,8 @@ class Missing:
         raise ValueError(self._said)
 
 
-def _see_whole(game: str, part: str, given: Any, kind: type) -> None:
-    """ValueError where a part of a game lacks a name that its protocol has."""
+def _check_whole(game: str, part: str, given: Any, kind: type) -> None:
+    """Raise ValueError if a part of a game lacks a name of its protocol."""
     missing = [n for n in vars(kind) if not n.startswith("_") and not hasattr(given, n)]
     if missing:
         raise ValueError(
@@ -285,7 +285,7 @@ class Game:
     def __post_init__(self) -> None:
         for part, kind in PARTS.items():
             if not isinstance(given := getattr(self, part), Missing | None):
-                _see_whole(self.name, part, given, kind)
+                _check_whole(self.name, part, given, kind)
         for ability in ABILITIES:
             if getattr(self, ability) is None:
                 object.__setattr__(self, ability, Missing(self.name, ability))

@@ -48,9 +48,9 @@ def find(name: str) -> Any:
 
 
 def offered(group: str) -> list[EntryPoint]:
-    """Return the entry points of `group` of all packages that are installed; none is imported.
+    """Return the entry points of `group` in all installed packages; import none.
 
-    A package whose list of them cannot be read is warned of, and hides no other.
+    A package whose list cannot be read causes a warning, and hides no other.
     """
     found: dict[str, list[EntryPoint]] = {}
     for package in distributions():

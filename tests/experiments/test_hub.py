@@ -138,7 +138,7 @@ def test_without_a_token_nothing_is_measured_for_what_is_pushed(server, monkeypa
     monkeypatch.setattr(constants, "HF_TOKEN_PATH", str(tmp_path / "no token"))
     monkeypatch.setattr(ours, "_with_card", lambda *_: pytest.fail("it measures"))
     with pytest.raises(PermissionError, match="there is no token; see hf auth login, or HF_TOKEN"):
-        ours.push(kept.find("maze-corner"), "ada/mouse")
+        ours.push(folders.find("maze-corner"), "ada/mouse")
     assert not server.requests
 
 

@@ -8,7 +8,8 @@ from gymnasium.utils.env_checker import data_equivalence
 
 from astray import games
 from astray.envs.vector import GameVectorEnv
-from astray.level import AGENT, Level, read_levels
+from astray.level import AGENT, Level
+from astray.level_files import read_levels
 from astray.record import NEVER
 from helpers.cases import FEW
 

@@ -36,11 +36,11 @@ class Wary:
     stopped: bool = False
 
     def brought(self, ask: Callable[[], T]) -> T:
-        """Return what `ask` does; OSError where the Hub sends a byte now and then, or none."""
+        """Return the result of `ask`; raise OSError if the Hub sends too few bytes meanwhile."""
         return in_time(ask, self.stop, lambda: self.arrived)
 
     def stop(self) -> None:
-        """Have every answer refused from now on, also one that is being read."""
+        """Refuse every answer from now on, also one that is being read."""
         self.stopped = True
 
     def come(self, count: int) -> None:
@@ -80,7 +80,7 @@ class Wary:
 
 
 def _counted(stream: Any, come: Callable[[int], None]) -> Any:
-    """A stream of bytes, of which `come` is told as they come."""
+    """Return the stream, with a call of `come` for the number of bytes in each part."""
 
     class Counted(http().SyncByteStream):
         def __iter__(self) -> Iterator[bytes]:

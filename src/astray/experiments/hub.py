@@ -158,7 +158,7 @@ def _api(endpoint: str | None) -> HfApi:
 
 
 def _check_token(repository: str) -> None:
-    """PermissionError where nobody is logged in: to measure what the card says takes a minute."""
+    """Raise PermissionError if there is no token, before a minute of measuring for the card."""
     from huggingface_hub import get_token
 
     if get_token() is None:

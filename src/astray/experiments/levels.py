@@ -47,10 +47,10 @@ def unmet(agents: Iterable[Config], variant: Variant, count: int) -> np.ndarray:
 
 
 def check_tests(plan: Plan) -> None:
-    """Raise ValueError where agents of the plan, once trained, could not be tested.
+    """Raise ValueError if agents of the plan could not be tested once they are trained.
 
-    As where a test has too few levels that no training of the plan meets, or episodes without end,
-    or shows an agent less or more than its training.
+    A test needs enough levels that no training of the plan meets, episodes that end, and planes of
+    the shape that the agents are trained on.
     """
     for test in (*plan.tests.values(), *plan.visited.values()):
         levels_of(plan, test)

@@ -191,7 +191,7 @@ def own_runs(plan: Plan, name: str, root: Path) -> list[Path]:
 
 
 def check_trainable(trainings: Mapping[str, Iterable[Config]]) -> None:
-    """Raise ValueError where one of the trainings, by agents' names, could not begin here."""
+    """Raise ValueError if one of the trainings, by agents' names, could not begin here."""
     for name, (config, *_) in trainings.items():
         try:
             checked(config, None, None, None).code()

@@ -146,7 +146,7 @@ def _answer(request: urllib.request.Request) -> http.client.HTTPResponse:
 
 
 def in_time(ask: Callable[[], T], stop: Callable[[], None], arrived: Callable[[], int] = int) -> T:
-    """Return what `ask` does, in a thread of its own, as long as enough comes meanwhile.
+    """Return the result of `ask`, which runs in a thread, as long as enough bytes arrive.
 
     Args:
         ask: Asks a server.
