@@ -335,13 +335,12 @@ def _check_agent(repository: str, folder: Path) -> None:
         _, architecture = policy.load(path, config.game)
     except (ValueError, OSError) as error:
         raise ValueError(f"{repository} holds no agent that can be used: {brief(error)}") from error
-    wanted = (_observed(config), len(config.find_game().actions))
-    if (architecture.shape, architecture.actions) != wanted or not holds_only(
-        path.parent, (path.name,)
-    ):
+    wanted = (config.network, _observed(config), len(config.find_game().actions))
+    given = (architecture.name, architecture.shape, architecture.actions)
+    if given != wanted or not holds_only(path.parent, (path.name,)):
+        told = "{} that sees {} and has {} actions"
         raise ValueError(
-            f"{repository}: its network must see {wanted[0]} and have {wanted[1]} actions; got "
-            f"{architecture.shape} and {architecture.actions}"
+            f"{repository}: its network must be {told.format(*wanted)}; got {told.format(*given)}"
         )
 
 
