@@ -14,6 +14,7 @@ from astray.analysis.outcomes import INTENDED, MISGENERALIZED
 from astray.experiments import outcomes, spec
 from astray.experiments.run import reproduce
 from astray.experiments.spec import Experiment, OwnAgents, Plan
+from helpers.lava import GAME as LAVA
 from helpers.rooms import CELLS, WORLD, Room
 
 
@@ -63,6 +64,19 @@ def test_agents_are_trained_once_each_and_a_report_tells_what_they_do(tmp_path):
     when = table.stat().st_mtime_ns
     reproduce(study, "smoke", tmp_path)
     assert (tmp_path / "log").read_text() == "0 1 " and table.stat().st_mtime_ns == when
+
+
+def test_a_test_without_end_is_told_before_anybody_trains(tmp_path):
+    plan = Plan(
+        world=LAVA,
+        own={"right": OwnAgents(load, train=lambda *_: pytest.fail("it trains"))},
+        tests={"in the test": spec.Test("for-ever", "lava")},
+        levels=3,
+        differences="",
+    )
+    study = Experiment("Right", "nothing", "Where to?", {"smoke": plan}, outcomes.findings)
+    with pytest.raises(ValueError, match="last up to 1,000,000,000 steps"):
+        reproduce(study, "smoke", tmp_path)
 
 
 def test_agents_from_files_are_played_and_another_file_is_another_agent(tmp_path):

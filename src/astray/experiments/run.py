@@ -138,6 +138,8 @@ def train_agents(
     Published agents must be present, because nothing is downloaded without request.
     """
     there = {name: [published_run(agent)] for name, agent in plan.published.items()}
+    if plan.own:
+        check_tests(plan)  # before whatever their training takes
     there |= {name: own_runs(plan, name, root) for name in plan.own}
     trainings = plan.trainings()
     runs = there | {
