@@ -7,14 +7,13 @@ figure(found)
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
-import matplotlib
 import numpy as np
 import polars as pl
 import torch
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from astray import games
@@ -25,12 +24,13 @@ from astray.analysis.trained import Agent
 from astray.bounds import finite, of_kind
 from astray.game import Variant
 from astray.level import Level
-from astray.report.style import FAINT, INK, OTHERS, STYLE, WIDTH
+from astray.report import charts
 from astray.training import ppo
 
 GAMMA, LAMBDA = 0.999, 0.95  # the paper's
 LIKELY = 0.02  # mean probability that an action has to be drawn by itself
 MOST_SHOWN = 5  # actions
+VALUE, ADVANTAGE, POLICY, VIEW = "value", "advantage of the action taken", "policy", "in view"
 
 
 @dataclass(frozen=True, eq=False)
@@ -139,72 +139,34 @@ def _advantages(
     return found[:, 0].numpy()
 
 
-@matplotlib.rc_context(STYLE)
 def figure(course: Course) -> Figure:
-    """Draw value, advantage and policy along an episode.
+    """Plot value, advantage and policy along an episode, and what is in view.
 
-    Bars below show visible objects, lines show events.
+    The likeliest actions have a line each, the others one; lines show events.
     """
     table, marks = course.table, course.marks
-    shown = Figure(figsize=(WIDTH, 5.6 + 0.22 * len(marks)))
-    heights = [1.3, 1, 1.3, max(0.2 * len(marks), 0.05)]
-    value, advantage, policy, view = shown.subplots(4, 1, sharex=True, height_ratios=heights)
-    step = table["step"].to_numpy()
-    value.plot(step, table["value"], color=OTHERS[0], linewidth=1.8)
-    value.set_title("value")
-    advantage.bar(
-        step, table["advantage"], 1.0, color=np.where(table["advantage"] >= 0, OTHERS[0], OTHERS[1])
-    )
-    advantage.axhline(0, color=INK, linewidth=0.8)
-    advantage.set_title("advantage of the action taken")
-    _policy(policy, table, course.actions)
-    for k, name in enumerate(marks):
-        spans = _spans(table[name].to_numpy(), step)
-        view.broken_barh(spans, (len(marks) - 1 - k + 0.15, 0.7), color=OTHERS[k % len(OTHERS)])
-    view.set_yticks([len(marks) - 0.5 - k for k in range(len(marks))], list(marks))
-    view.set_ylim(0, max(len(marks), 1))
-    view.tick_params(length=0)
-    view.spines[["left"]].set_visible(False)
-    view.set_xlabel("step")
-    for name, when in course.events.items():
-        if when is not None:
-            for axes in (value, advantage, policy, view):
-                axes.axvline(when, color=INK, linestyle=":", linewidth=1)
-            value.annotate(
-                name.replace("_", " "),
-                (when, 1.0),
-                (-3, -2),
-                ha="right",
-                va="top",
-                xycoords=("data", "axes fraction"),
-                textcoords="offset points",
-                fontsize=8.5,
-                rotation=90,
-            )
-    value.set_xlim(step[0], step[-1] + 1)
-    return shown
-
-
-def _policy(axes: Axes, table: pl.DataFrame, names: Sequence[str]) -> None:
-    """Draw the most likely actions as stacked bands, and the others as one."""
-    chances = table.select(names).to_numpy().T
+    chances = table.select(course.actions).to_numpy().T
     order = np.argsort(-chances.mean(1))[:MOST_SHOWN]
-    order = [k for k in order if chances[k].mean() >= LIKELY]
-    bands = [chances[k] for k in order] + [1 - sum(chances[k] for k in order)]
-    colours = [*[*OTHERS, "#4c9f8a"][: len(order)], FAINT]
-    axes.stackplot(
-        table["step"],
-        *bands,
-        labels=[*(str(names[k]) for k in order), "others"],
-        colors=colours,
-        step="post",
+    likely = {course.actions[k]: chances[k] for k in order if chances[k].mean() >= LIKELY}
+    lines: dict[tuple[str, str], Any] = {
+        (VALUE, VALUE): table["value"],
+        (ADVANTAGE, ADVANTAGE): table["advantage"],
+    }
+    lines |= {(POLICY, name): chance for name, chance in likely.items()}
+    lines[POLICY, "other actions"] = np.ones(len(table)) - sum(likely.values())
+    parts = [_line(*names, table["step"], values) for names, values in lines.items()]
+    for k, name in enumerate(marks):  # one above the other, from each step to the next
+        seen = np.where(table[name], len(marks) - k, np.nan)  # broken where it is out of view
+        ends = np.stack([table["step"], table["step"] + 1], 1).ravel()
+        parts.append(_line(VIEW, name, ends, seen.repeat(2)))
+    happened = {name.replace("_", " "): k for name, k in course.events.items() if k is not None}
+    return charts.curves(
+        pl.concat(parts), x="step", line="line", panel="panel", label="", x_label="step",
+        at=happened, columns=1, sharey=False,
+    )  # fmt: skip
+
+
+def _line(panel: str, name: str, step: Any, values: Any) -> pl.DataFrame:
+    return pl.DataFrame({"step": step, "mean": np.asarray(values, float)}).with_columns(
+        panel=pl.lit(panel), line=pl.lit(name)
     )
-    axes.set_ylim(0, 1)
-    axes.set_title("policy")
-    axes.legend(loc="upper left", bbox_to_anchor=(1, 1.05), fontsize=8.5)
-
-
-def _spans(true: np.ndarray, step: np.ndarray) -> list[tuple[int, int]]:
-    """Return the runs in which `true` [T] holds, as (first step, length)."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], true, [False]]).astype(int)))
-    return [(int(step[a]), int(b - a)) for a, b in edges.reshape(-1, 2)]

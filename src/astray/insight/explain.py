@@ -9,10 +9,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import matplotlib
 import numpy as np
 import polars as pl
-from matplotlib.colors import TwoSlopeNorm
 from matplotlib.figure import Figure
 
 from astray.analysis import agency
@@ -31,7 +29,8 @@ from astray.insight.activations import layers
 from astray.insight.fields import cell_of, difference, fields
 from astray.insight.interventions import sees_world
 from astray.level import Level
-from astray.report.style import STYLE, save
+from astray.report.grids import Picture, images
+from astray.report.style import save
 
 PAGE = "explain.html"
 SIGN = b'<meta name="generator" content="astray explain">'  # in it
@@ -198,7 +197,6 @@ def _edits(asked: Asked) -> list[Part]:
     return parts
 
 
-@matplotlib.rc_context(STYLE)
 def _moved(asked: Asked, name: str) -> Part:
     """Show the first goal for every place of an object."""
     game, shift = asked.level.game, load_shift(asked.level.game, asked.shift)
@@ -212,24 +210,21 @@ def _moved(asked: Asked, name: str) -> Part:
         one.where(name)[0]: float(outcome == "intended goal")
         for one, outcome in zip(family.values(), played["outcome"], strict=True)
     }
-    figure = Figure(figsize=(4.7, 4.2))
-    axes = figure.subplots()
     shaded = field_figures.heat_map(
-        axes, asked.level.removed(name), reached, art=asked.agent.art, colours="viridis"
-    )
-    figure.colorbar(shaded, ax=axes, shrink=0.82, label="intended goal first")
+        asked.level.removed(name), reached, art=asked.agent.art, colours=field_figures.VALUES,
+        label="intended goal first",
+    )  # fmt: skip
     told = ", ".join(f"{outcome} in {count}" for outcome, count in counts.most_common())
     return Part(
         f"moved-{slug(name)}",
         f"With the {name} anywhere else",
         f"An episode for each of {len(family)} places: {told}. A cell is bright where "
         f"the agent reaches the intended goal first if the {name} lies there.",
-        figure,
+        images([[shaded]], field_figures.SIZE),
         played.select("name", "outcome", "return", "length"),
     )
 
 
-@matplotlib.rc_context(STYLE)
 def _attribution(asked: Asked) -> list[Part]:
     """Show integrated gradients of the value at the beginning."""
     agent = asked.agent
@@ -237,17 +232,13 @@ def _attribution(asked: Asked) -> list[Part]:
     shown = observe(agent, asked.variant, states)
     (found,) = attribution.integrated_gradients(agent, shown)
     image = picture(asked.level.game, asked.variant, states, PIXELS, agent.art)[0]
-    figure = Figure(figsize=(7.0, 3.6))
-    left, right = figure.subplots(1, 2)
-    left.imshow(image)
     flat = found if found.ndim == 2 else found.sum(0)[::-1]  # planes have the lowest row first
     most = max(abs(flat).max(), np.finfo(float).tiny)
-    drawn = right.imshow(flat, norm=TwoSlopeNorm(0, -most, most), cmap="RdBu")
-    figure.colorbar(drawn, ax=right, shrink=0.8, label="share in the value")
-    for axes, title in ((left, "what it is in"), (right, "integrated gradients")):
-        axes.set_title(title)
-        axes.set_xticks([])
-        axes.set_yticks([])
+    figure = images([[
+        Picture("what it is in", image),
+        Picture("integrated gradients", heat=flat, limits=(-most, most), colours="RdBu",
+                label="share in the value", opacity=1),
+    ]], (3.5, 3.6))  # fmt: skip
     _, (value,) = policy_and_value(agent, shown)
     return [
         Part(
