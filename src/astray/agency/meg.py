@@ -161,7 +161,6 @@ def goal_directedness(process: Process, policy: np.ndarray, goal: int) -> Direct
 
 def _largest(process: Process, goal: int, expected: float) -> tuple[float, float]:
     """Return the largest beta E[U] - W(start) over beta from 0 upward, and that beta."""
-
     value = np.zeros(len(process.after))
 
     def lost(log_beta: float) -> float:

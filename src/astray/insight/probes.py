@@ -196,7 +196,7 @@ def _by_level(y: np.ndarray, told: np.ndarray, levels: np.ndarray) -> np.ndarray
     count = level.max() + 1
 
     def ratio(over: np.ndarray, under: np.ndarray) -> np.ndarray:
-        """The ratio of two sums over states, likewise."""
+        """Return the ratio of two sums over states in the same form."""
         tops, bottoms = (np.bincount(level, part, count) for part in (over, under))
         whole = tops.sum() / bottoms.sum()
         return whole + (tops - whole * bottoms) / bottoms.mean()

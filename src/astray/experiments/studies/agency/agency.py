@@ -97,7 +97,7 @@ def find(work: Work) -> Findings:
 
 
 def trajectory(setting: Setting, kind: Type) -> Picture:
-    """A trajectory of a type on its map: its start is brown, the goal that is shown green."""
+    """Draw a trajectory of a type on its map: its start is brown, the visible goal green."""
     episode = max(setting.episodes(kind, 12), key=lambda e: len(e.trajectory))
     world, evidence = episode.world, measure(episode, PAPER)
     way = world.cells[episode.trajectory.cells]

@@ -102,6 +102,6 @@ def play(runs: Sequence[Path], variant: Variant, levels: np.ndarray | range) -> 
 
 
 def fate_bars(fates: pl.DataFrame, order: Sequence[str]) -> Figure:
-    """A bar for each test, of what became of its episodes: columns test, fate and mean."""
+    """Draw a bar of fates for each test; columns test, fate and mean."""
     colours = dict(zip(order, FATES, strict=True))
     return charts.bars(fates, colours, row="test", part="fate", label="share of episodes")

@@ -239,7 +239,7 @@ def maps_of_some(work: Work) -> pl.DataFrame:
 
 
 def pictures(example: dict[str, Any]) -> list[Picture]:
-    """The picture of a row of `maps_of_some`, and each method's map over a pale one."""
+    """Draw a row of `maps_of_some`: its picture, and each method's map over a pale one."""
     image = np.array(example["picture"]) / 255
     found = [Picture(textwrap.fill(example["name"], 26), image)]
     for method in METHODS:

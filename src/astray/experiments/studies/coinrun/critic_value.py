@@ -216,7 +216,7 @@ def by_stage(rows: pl.DataFrame, value: str, by: list[str]) -> pl.DataFrame:
 
 
 def as_expected(came: pl.DataFrame) -> pl.DataFrame:
-    """The line on which what came is what was expected, over the range of both."""
+    """Return the line where returns equal their expectation, over the range of both."""
     both = came.select("expected", "mean").to_numpy()
     ends = [both.min(), both.max()]
     return pl.DataFrame({"expected": ends, "mean": ends, "what": "as expected"})

@@ -113,7 +113,7 @@ def find(work: Work) -> Findings:
 
 
 def draw(table: pl.DataFrame) -> Figure:
-    """What probes read, layer by layer, beside their controls: a panel a label."""
+    """Draw probes' scores by layer beside their controls, a panel per label."""
     told = {"score": "trained network", "untrained": "never trained", "shuffled": "labels shuffled"}
     kind = pl.when(kind="number").then(pl.lit("R squared")).otherwise(pl.lit("balanced accuracy"))
     table = table.with_columns(panel=pl.format("{} ({})", "label", kind))

@@ -81,7 +81,7 @@ def find(work: Work) -> Findings:
 
 
 def heat(how: str, table: pl.DataFrame, variant: Variant) -> Picture:
-    """The means of `by_cell` in the cells of the world, its highest row first."""
+    """Return the means of `by_cell` in the world's cells, highest row first."""
     side = int(variant.records()[0]["world"])
     grid = np.full((side, side), np.nan)
     grid[table["y"].to_numpy(), table["x"].to_numpy()] = table["mean"].to_numpy()
