@@ -309,6 +309,7 @@ class LevelByLevel:
         return self._turn
 
     def step(self, t: int, group: int, answer: Answer) -> Step:
+        """Take a step; raise ValueError if an episode seems to be endless."""
         step = _taken(self._turn, answer, self._playing.copy())
         for event in self._until:
             step.ended[:] |= step.after[event] >= 0

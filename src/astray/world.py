@@ -34,7 +34,7 @@ class WorldVariant:
     time_limit: ClassVar[int] = 0  # steps; unknown for an outside environment
 
     def with_knobs(self, changes: Mapping[str, Any]) -> WorldVariant:
-        """Return the variant with these keyword arguments added."""
+        """Return the variant with arguments added; raise ValueError unless it is a mapping."""
         of_kind("knobs", changes, Mapping)
         return replace(self, knobs={**self.knobs, **changes})
 

@@ -55,7 +55,7 @@ def see(
     *,
     legal: bool = False,
 ) -> Seen:
-    """Return a device's observations along `trajectory`.
+    """Return a device's observations along `trajectory`; raise ValueError for an unknown class.
 
     Args:
         goal: Number of the cell where the goal is shown; None for nowhere.

@@ -57,7 +57,7 @@ class Setting:
         return dict(zip(way.cells[:-1].tolist(), way.actions.tolist(), strict=True))
 
     def episodes(self, kind: Type, count: int) -> list[Episode]:
-        """Generate `count` nonempty episodes of a type."""
+        """Generate `count` nonempty episodes of a type; raise ValueError if it is unknown."""
         check_word("type", kind, Type)
         rng = np.random.default_rng([self.seed, 2, TYPES.index(kind)])
         return [self._episode(kind, rng) for _ in range(count)]

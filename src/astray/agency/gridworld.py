@@ -127,7 +127,7 @@ class World:
         return np.flatnonzero(np.isfinite(self.distance[cell]))
 
     def walk(self, start: Cell, actions: Iterable[int]) -> Trajectory:
-        """Return the trajectory of `actions` (numbers in ACTIONS) from `start`."""
+        """Return the trajectory of `actions` from `start`; raise ValueError for unknown ones."""
         of_kind("actions", actions, Iterable)
         given = list(actions)
         for action in given:

@@ -95,7 +95,7 @@ def log_table(rule: Rule, noise: Noise = "any action") -> np.ndarray:
 
     Args:
         noise: "any action" is uniformly random over all L actions with probability eps, as in the
-            paper; "other actions" takes one that is not best.
+            paper; "other actions" takes one that is not best. ValueError is raised for others.
     """
     check_word("noise", noise, Noise)
     rows = []

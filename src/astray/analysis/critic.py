@@ -54,6 +54,9 @@ def visit(
             state of CoinRun takes 17 kB.
         gamma: Discount of a further column "future", the return from the step on.
         measures: Further columns, functions of the states.
+
+    Raises:
+        ValueError: If an argument is invalid.
     """
     of_kind("agent", agent, Model)
     of_kind("levels", levels, Sized)

@@ -43,7 +43,7 @@ Mode = Literal["sampled", "greedy"]
 def open_run(
     run: str | Path, mode: Mode = "sampled", art: str | None = None
 ) -> tuple[Agent, Config]:
-    """Return the agent of `load_agent` and the settings of its training."""
+    """Return the agent of `load_agent`, with its errors, and the settings of its training."""
     of_kind("run", run, str | Path)
     found = AgentFolder.open(run)
     config = found.config()
@@ -269,7 +269,10 @@ def play_all(
     """Play policies, and scripts that walk to each goal or at random.
 
     Without a solver, the only script is random. The columns are those of `evaluate`, and run,
-    seed, checkpoint (null for scripts), variant (its `name`), outcome, distinguishing.
+    seed, checkpoint (null for scripts), variant (its `name`), outcome, tells_apart.
+
+    Raises:
+        ValueError: If an argument is invalid, or two policies have one name.
     """
     of_kind("policies", policies, Sequence)
     for policy in policies:

@@ -150,6 +150,7 @@ class Agent:
             self._keeps, self._kept = False, None
 
     def actions(self, turn: Turn) -> Answer:
+        """Return an action per state; raise ValueError for other art or nonfinite logits."""
         env = turn.env
         if self.observation == "image" and env.art != self.art:
             raise ValueError(

@@ -58,6 +58,9 @@ def play(
     Args:
         pixels: Side of the frames.
         longest: Steps after which it is truncated; None for no limit.
+
+    Raises:
+        ValueError: If an argument is invalid.
     """
     of_kind("level", level, int | np.integer | Level)
     if isinstance(game, World):

@@ -181,7 +181,7 @@ class GivenLevel:
     level_file: Annotated[Path | None, otherwise("none")] = None
 
     def find(self, game: Game, variant: Variant, solvable: bool = False) -> int | Level | None:
-        """Return the level given by number or file; None if neither is given."""
+        """Return the level given by number or file, or None; raise ValueError for several."""
         self.check()
         if self.level_file is None:
             return self.level
@@ -211,7 +211,7 @@ class PlayedLevel(GivenLevel):
 
 
 def level_numbers(text: str) -> np.ndarray:
-    """Parse level numbers such as 5,17,100:200."""
+    """Parse level numbers such as 5,17,100:200; raise ValueError if they are none."""
     spans = []
     try:
         for part in text.split(","):
@@ -255,7 +255,7 @@ def varied(game: Game, variant: str, knobs: Words) -> Variant:
 
 
 def action_numbers(game: Game, text: str) -> list[int]:
-    """Parse actions given by name or number."""
+    """Parse actions given by name or number; raise ValueError for an unknown one."""
     found = []
     for word in text.replace(",", " ").replace("[", " ").replace("]", " ").split():
         name = word.strip("\"'")

@@ -23,7 +23,12 @@ Submit = Callable[[Config, Path, Tracking | None], Future[None]]
 
 @contextlib.contextmanager
 def on_ray() -> Iterator[Submit]:
-    """Run trainings on the cluster, with processors and a GPU if needed; end all on exit."""
+    """Run trainings on the cluster, with processors and a GPU if needed; end all on exit.
+
+    Raises:
+        ConnectionError: If there is no cluster.
+        ImportError: If Ray is not installed.
+    """
     try:
         import ray  # pyright: ignore[reportMissingImports]
     except ImportError as error:
@@ -51,7 +56,7 @@ def on_ray() -> Iterator[Submit]:
 
 
 def train_on_node(config: Config, run: Path, track: Tracking | None) -> None:
-    """Train in `run` after the previous process there has surely ended."""
+    """Train in `run` after the process before; raise ValueError if the node does not see it."""
     if not run.is_dir():
         raise ValueError(f"{run} is not seen by every node; --folder is to be one that is")
     until = time.monotonic() + PATIENCE

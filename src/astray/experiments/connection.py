@@ -142,7 +142,7 @@ def http() -> Any:
 
 @contextlib.contextmanager
 def reached(repository: str, revision: str | None, what: str, lacking: str) -> Iterator[None]:
-    """Translate failures to push or pull into readable errors."""
+    """Translate failures to push or pull into FileNotFoundError, PermissionError or OSError."""
     from huggingface_hub import errors
 
     of = f"{repository} at {revision}" if revision else repository

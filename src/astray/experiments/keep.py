@@ -78,7 +78,11 @@ def keep(
 
 
 def draw_curve(run: Path, config: Config, steps: int, folder: Path) -> None:
-    """Write `curve.csv`, metrics of the run up to `steps`, and their plot `curve.png`."""
+    """Write `curve.csv`, metrics of the run up to `steps`, and their plot `curve.png`.
+
+    Raises:
+        ValueError: If its metrics lack a column.
+    """
     from astray.report import charts  # here, as matplotlib takes a second to import
 
     metrics = pl.DataFrame(checkpoint.metrics(run), infer_schema_length=None)

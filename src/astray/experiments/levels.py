@@ -31,7 +31,7 @@ def unmet(agents: Iterable[Config], variant: Variant, count: int) -> np.ndarray:
     """Return the first `count` numbers of a variant's levels that no agent has met.
 
     Published agents trained on all levels may have met some of the two thousand million; for them
-    these levels are as good as any.
+    these levels are as good as any. ValueError is raised if there are too few.
     """
     agents = list(agents)
     game = agents[0].find_game()

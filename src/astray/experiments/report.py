@@ -194,7 +194,7 @@ def _render(template: str, **what: Any) -> str:
 
 
 def embedded(path: Path) -> str:
-    """Return a figure or video as a data URI."""
+    """Return a figure or video as a data URI; raise ValueError for another type."""
     if path.suffix not in MEDIA:
         raise ValueError(f"{path.name} cannot be shown; {', '.join(MEDIA)} can")
     return f"data:{MEDIA[path.suffix]};base64,{base64.b64encode(read(path)).decode()}"

@@ -171,7 +171,12 @@ def train_agents(
 
 
 def own_runs(plan: Plan, name: str, root: Path) -> list[Path]:
-    """Return the files or folders of agents of others; train those that are missing."""
+    """Return the files or folders of agents of others; train those that are missing.
+
+    Raises:
+        FileNotFoundError: If a file does not exist.
+        ValueError: If a training function wrote nothing.
+    """
     given = plan.own[name]
     if given.train is None:
         found = [Path(file) for file in given.files]
@@ -272,7 +277,7 @@ def note(plan: Plan, runs: Runs, folder: Path, experiment: Experiment) -> str:
     """Record the plan, agents and code of a report in `folder`; return their digest.
 
     Tables have it in their names, so none is reused for other inputs. Only tables of other digests
-    are deleted.
+    are deleted. OSError is raised if the folder holds files that astray did not write.
     """
     study = [module for module in catalogue.loaded() if module.EXPERIMENT is experiment]
     data = {

@@ -178,7 +178,7 @@ class Plan:
         return world.find(self.world) if self.world is not None else self.config.find_game()
 
     def drawn_with(self, art: str) -> Plan:
-        """Return the plan with other art, except for published agents, which need their own."""
+        """Return the plan with other art; raise ValueError if its agents are published."""
         if self.published:
             if art != OWN:
                 raise ValueError(f"published agents see the art that they know; got {shown(art)}")
@@ -246,7 +246,11 @@ class Work:
 
 
 def cached(folder: Path, name: str, compute: Callable[[], pl.DataFrame]) -> pl.DataFrame:
-    """Return the table `name` of a report's folder; `compute` and store it if it is missing."""
+    """Return the table `name` of a report's folder; `compute` and store it if it is missing.
+
+    Raises:
+        ValueError: If the file is not a table of astray's.
+    """
     path = folder / COMPUTED / f"{name}.parquet"
     if path.exists():
         try:

@@ -83,7 +83,7 @@ class World:
 
 
 def editing(world: World) -> Any:
-    """Return the ability to describe and build levels."""
+    """Return the ability to describe and build levels; raise ValueError for invalid ones."""
     legend = world.legend()
     names = {n: c for c, n in {**world.things, **world.movers}.items() if n not in world.solid}
 

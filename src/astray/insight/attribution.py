@@ -61,6 +61,9 @@ def integrated_gradients(
     Args:
         baseline: One observation or one per observation, such as states without the coin; None for
             black images or empty planes.
+
+    Raises:
+        ValueError: If the baseline has another shape, or `steps` is out of range.
     """
     _check(agent, observations)
     bounded("steps", steps, 1, MOST)
@@ -85,6 +88,9 @@ def occlusion(
     Args:
         window: Side of a square in pixels, for images; 4 are most of a cell of CoinRun.
         colour: Brightness of the squares, from 0 (black) to 255.
+
+    Raises:
+        ValueError: If an argument is out of its range.
     """
     _check(agent, observations)
     bounded("window", window, 1, IMAGE)
@@ -135,7 +141,7 @@ def shares(rows: pl.DataFrame, maps: np.ndarray, where: Mapping[str, np.ndarray]
 
     New columns: part; attribution, the part's fraction of the sum of absolute values (null if all
     are 0); area, its fraction of pixels or plane cells. Their ratio is 1 for a part that matters
-    no more than its size.
+    no more than its size. ValueError is raised unless rows, maps and masks have the same length.
     """
     size, found = maps[0].size, []
     absolute = abs(maps).reshape(len(maps), size)

@@ -106,6 +106,9 @@ def predict(
     Args:
         rows: A row per level, with columns `outcome` (boolean) and `features` (reals); rows with
             nulls are ignored.
+
+    Raises:
+        ValueError: If a column is missing or constant, or an outcome is too rare.
     """
     LogisticRegression, roc_auc_score = _sklearn()
     bounded("seed", seed, 0, MOST)

@@ -26,7 +26,7 @@ LEAST_CHANGE = 1e-6  # of values, so that a change of none has a scale
 
 
 def draw(panels: Mapping[str, Field | Change], *, art: str = OWN) -> Figure:
-    """Draw fields and differences in a row, with titles.
+    """Draw fields and differences in a row, with titles; raise ValueError if there are none.
 
     A cell's colour is its value and an arrow its expected step, at most a cell long; in a
     difference both are changes. Fields share one colour scale.
@@ -52,7 +52,10 @@ def draw(panels: Mapping[str, Field | Change], *, art: str = OWN) -> Figure:
 
 
 def draw_paths(panels: Mapping[str, Field], *, art: str = OWN) -> Figure:
-    """Draw the preference for the way to each cell: geometric means of step probabilities."""
+    """Draw the preference for the way to each cell; raise ValueError if there are no fields.
+
+    The preference is the geometric mean of step probabilities.
+    """
     _check_any(panels)
     ways = {title: (one.level, one.path_probability()) for title, one in panels.items()}
     row = [
@@ -65,11 +68,7 @@ def draw_paths(panels: Mapping[str, Field], *, art: str = OWN) -> Figure:
 def heat_map(
     level: Level, heat: Mapping[Any, float], *, art: str = OWN, colours: str = PATHS, **how: Any
 ) -> Picture:
-    """Return the picture of a level, faded, with cells coloured by numbers.
-
-    If the agent sees only a window of the world, walls are grey instead of the picture, and only
-    the surroundings of the cells are shown, as most of such a world is nothing.
-    """
+    """Colour cells of a level by numbers; return the argument for `Figure.colorbar`."""
     height, width = level.cells.shape
     cells = np.array(list(heat))
     grid = np.full((height, width), np.nan)

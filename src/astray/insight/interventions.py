@@ -162,6 +162,9 @@ def resample(
     Args:
         donors: Activations in some states, [M, ...], as returned by `capture`.
         channels: None for all.
+
+    Raises:
+        ValueError: If the donors have other shapes, or there is no such channel.
     """
     shape = check_layers(agent, [layer])[layer]
     which = _channels(channels, shape[0])

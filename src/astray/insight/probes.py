@@ -92,7 +92,7 @@ def probe(
 
 
 def untrained(agent: AnyModel, seed: int) -> AnyModel:
-    """Return the agent with an untrained network of the same shape."""
+    """Return the agent with an untrained network; raise ValueError if a module cannot be reset."""
     bounded("seed", seed, 0, MOST)
     other = copy.copy(agent)
     with torch.random.fork_rng(devices=[]):
@@ -209,7 +209,10 @@ def _by_level(y: np.ndarray, told: np.ndarray, levels: np.ndarray) -> np.ndarray
 
 
 def split(levels: np.ndarray, seed: int) -> np.ndarray:
-    """Return a mask [N] of the states to learn from; a fraction TEST of `levels` is held out."""
+    """Return a mask [N] of the states to learn from; raise ValueError for a single level.
+
+    A fraction TEST of `levels` [N] is held out.
+    """
     bounded("seed", seed, 0, MOST)
     names = np.unique(levels)
     if len(names) < 2:

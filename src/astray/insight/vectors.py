@@ -80,7 +80,11 @@ class Vectors:
 def pair_vectors(
     agent: Agent, variant: str | Variant, layer: str, states: np.ndarray, others: np.ndarray
 ) -> Vectors:
-    """Return the activations of `layer` in each of `states` [N] minus those in `others` [N]."""
+    """Return activations of `layer` in each of `states` [N] minus those in `others` [N].
+
+    Raises:
+        ValueError: If the numbers of states differ, or a state or layer is invalid.
+    """
     of_kind("states", states, np.ndarray)
     of_kind("others", others, np.ndarray)
     if len(states) != len(others):
@@ -144,7 +148,11 @@ def edit_vectors(
     edit: Edit,
     first: Edit | None = None,
 ) -> Vectors:
-    """Return activation differences of each level, or `first` of it, minus `edit` of it."""
+    """Return activation differences of each level, or `first` of it, minus `edit` of it.
+
+    Raises:
+        ValueError: If `edit` is not a function of levels.
+    """
     of_kind("agent", agent, Agent)
     for function in (edit, first):
         if function is not None and not callable(function):

@@ -49,7 +49,7 @@ class Agents:
         return cls(named | dict(runs))
 
     def open(self, name: str) -> tuple[Agent, Config]:
-        """Return the agent of that name and the settings of its training."""
+        """Return a named agent and its training's settings; raise ValueError if there is none."""
         if name not in self.paths:
             raise ValueError(f"unknown agent {name!r}; there are: {', '.join(self.paths)}")
         if name not in self._opened:

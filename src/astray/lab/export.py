@@ -207,7 +207,8 @@ def table(
     """Return an index and bytes of an agent's outputs in the first levels, for all places.
 
     A row is the policy [A] and the value, one byte each. If all places of the goal would take more
-    than `most` bytes divided by `count`, a level has only the goal's own place.
+    than `most` bytes divided by `count`, a level has only the goal's own place. ValueError is
+    raised if the agent cannot see such levels.
     """
     bounded("levels", count, 1, MOST)
     if not sees(agent, game, variant):

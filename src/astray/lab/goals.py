@@ -75,7 +75,8 @@ def splay(
 ) -> Iterator[dict[str, Any]]:
     """Yield the first goal that the agent reaches for every place of an object, in batches.
 
-    Values are numbers of episodes out of `draws`, which differ in the sampled actions.
+    Values are numbers of episodes out of `draws`, which differ in the sampled actions. ValueError
+    is raised if there are too many places.
     """
     levels = world.level.splay(thing, at)
     if len(levels) > PLACES:

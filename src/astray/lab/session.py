@@ -255,7 +255,7 @@ def _seen(session: Session, message: Message) -> tuple[Any, np.ndarray]:
 
 
 def route(session: Session, message: Message) -> Iterator[Reply]:
-    """Answer with the best way to a goal from here."""
+    """Answer with the best way to a goal; raise ValueError if the goal is unknown."""
     episode = session.episode(message)
     if message.goal not in episode.world.game.goals:
         there = ", ".join(episode.world.game.goals)

@@ -170,7 +170,7 @@ class Episode:
 
 
 def play_on(episode: Episode | None, world: World, actions: Sequence[int]) -> Episode:
-    """Return the episode of `actions` in `world`, continuing the common part of `episode`."""
+    """Return the episode of `actions`, from `episode` on; raise ValueError after its end."""
     if episode is None or episode.world.key != world.key:
         episode = Episode.of(world)
     same = 0

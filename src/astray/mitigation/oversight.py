@@ -75,6 +75,9 @@ def threshold(scores: pl.DataFrame, percentile: float, granularity: Granularity)
 
     Args:
         scores: Result of `training_scores`.
+
+    Raises:
+        ValueError: If an argument is invalid.
     """
     of_kind("scores", scores, pl.DataFrame)
     finite("percentile", percentile, 0, 100)

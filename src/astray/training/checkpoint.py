@@ -153,7 +153,7 @@ def save(folder: Path, trainer: Trainer) -> None:
 
 
 def restore(folder: Path, trainer: Trainer) -> None:
-    """Restore the last checkpoint into `trainer`, if there is one."""
+    """Restore the last checkpoint into `trainer`, if any; raise ValueError if it is damaged."""
     if not steps_saved(folder):
         return
     config, path = trainer.config, latest(folder)

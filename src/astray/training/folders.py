@@ -173,7 +173,7 @@ def steps_saved(folder: Path) -> list[int]:
 
 
 def latest(folder: Path) -> Path:
-    """Return the last checkpoint of the run in `folder`."""
+    """Return the last checkpoint of the run in `folder`; raise FileNotFoundError without one."""
     steps = steps_saved(folder)
     if not steps:
         raise FileNotFoundError(f"{folder} has no checkpoint")
@@ -202,7 +202,7 @@ def names() -> list[str]:
 
 
 def find(name: str) -> Path:
-    """Return the run folder of a pretrained or imported agent."""
+    """Return the run folder of a named agent; raise ValueError if there is none."""
     for one in (PRETRAINED, home()):
         if name in _names(one):
             return one / name

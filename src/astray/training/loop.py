@@ -302,7 +302,11 @@ def check_converging(trainer: Trainer) -> None:
 
 
 def play(trainer: Trainer) -> Samples:
-    """Play a rollout to learn from, after those in which a sampler only scores levels."""
+    """Play a rollout to learn from, after those in which a sampler only scores levels.
+
+    Raises:
+        ValueError: If the sampler hardly ever plans to learn.
+    """
     for _ in range(SCORED):
         trainer.player.plan(trainer.steps)
         rollout = collect(trainer)
@@ -349,7 +353,11 @@ def validate(trainer: Trainer) -> None:
 
 
 def update(trainer: Trainer, rollout: Samples, rate: float) -> dict[str, float]:
-    """Learn from a rollout in several epochs; return the means of the logged values."""
+    """Learn from a rollout in several epochs; return the means of the logged values.
+
+    Raises:
+        ValueError: If a custom loss returns other names than before.
+    """
     config, samples = trainer.config, rollout.flat()
     trainer.set_rate(rate)
     step = functools.partial(trainer.repeat, functools.partial(learn, trainer, samples))

@@ -22,7 +22,7 @@ from torch import distributed as dist
 
 @contextlib.contextmanager
 def processes(device: str) -> Iterator[None]:
-    """Join the process group if torchrun has started several processes."""
+    """Join torchrun's process group, if any; raise ValueError if its variables are invalid."""
     if not dist.is_available() or not dist.is_torchelastic_launched() or dist.is_initialized():
         yield
         return
@@ -65,7 +65,7 @@ def wait() -> None:
 
 
 def share(environments: int) -> slice:
-    """Return the slice of environments that belong to this process."""
+    """Return this process's environments; raise ValueError unless processes divide them evenly."""
     count = size()
     if environments % count:
         raise ValueError(f"{environments} environments are not divided among {count} processes")

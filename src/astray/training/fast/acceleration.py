@@ -127,7 +127,7 @@ def resolve(config: Config, ours: bool = True) -> Acceleration:
 
 
 def microbatch(config: Config, there: bool) -> int:
-    """Return the number of samples per forward pass if it can be chosen; 0 for all."""
+    """Return the samples per forward pass, 0 for all; raise ValueError if none may be chosen."""
     if config.fast.microbatch and not there:
         raise ValueError(
             f"microbatch needs a CPU, a network of convolutions and loss of astray's own; got "
