@@ -38,9 +38,10 @@ def test_scripts_walk_around_hazards_and_stay_where_nothing_can_be_reached():
     assert LAVA.actions[expert(env.states[0])] == "up"
     shut = scene("lavaland", room(8, "~~", "@~.G"))
     assert LAVA.actions[LAVA.solver.expert(shut.states[0], "cheese")(shut.states[0])] == "stay"
-    assert not LAVA.solver.reachable(shut.states[0])[0, 3]
+    assert LAVA.solver.reachable(shut.states[0])[0, 3]
+    walled = Level.from_text(LAVA, LAVA.variant("dry"), room(8, "##", "@#.G"))
     with pytest.raises(ValueError, match=r"the cheese at cell \(3, 0\) cannot be reached"):
-        Level.from_text(LAVA, LAVA.variant("dry"), room(8, "~~", "@~.G")).state()
+        walled.state()
 
 
 @pytest.mark.parametrize("gamma, worth", [(1.0, 1.0), (0.5, 0.5**6)])
@@ -58,8 +59,17 @@ def test_walls_and_the_end_of_the_world_stop_the_agent():
     assert (env.states[0].x, env.states[0].y) == (1, 1)
 
 
+def test_a_level_that_is_full_plays_and_one_that_is_data_draws():
+    monsters = scene("monsters", "\n".join(["a" * 8] * 7 + ["@" + "a" * 7]))
+    assert play(monsters, "right right left") == ([1.0, 1.0, 1.0], False)
+    drawn = scene("monsters", room(8, "@a")).states[0]
+    assert drawn.mt.any() and (drawn.mt == scene("monsters", room(8, ".a@")).states[0].mt).all()
+    assert (drawn.mt != scene("monsters", room(8, "@a.a")).states[0].mt).any()
+
+
 @pytest.mark.parametrize(
-    "field, value", [("x", 8), ("y", -1), ("held", 1), ("cell", 4), ("mover", 1), ("mover", 9)]
+    "field, value",
+    [("x", 8), ("y", -1), ("held", 1), ("cell", 4), ("mover", 1), ("mover", 9), ("mt", 0)],
 )
 def test_a_state_that_compiled_code_could_not_play_is_refused(field, value):
     env = GameVectorEnv("lavaland", "dry", 2)

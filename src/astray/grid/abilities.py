@@ -12,7 +12,7 @@ import numpy as np
 
 from astray.bounds import finite, one_of
 from astray.game import Variant
-from astray.grid.rules import ACTIONS, DX, DY
+from astray.grid.rules import ACTIONS, DX, DY, settle
 from astray.kernel.grid import UNREACHABLE, distances
 from astray.protocols import Rules
 from astray.record import NEVER, check_record, within
@@ -71,6 +71,7 @@ class World:
             "y": within(s["y"], 0, self.side),
             "cell of the agent": ~np.isin(beneath, self.codes(self.solid)),
             "held": within(s["held"], 0, self.held),
+            "mt": (s["mt"] != 0).any(1),  # else all that is drawn is 0
         } | {name: within(s[name], *ends) for name, ends in self.bounds.items()}
 
     def check(self, s: Any) -> None:
@@ -103,6 +104,7 @@ def editing(world: World) -> Any:
         s = np.zeros(1, world.rules.STATE).view(np.recarray)[0]
         s.cell[:], s.mover[:] = cells % OVER, cells // OVER
         s.time_limit, (s.x, s.y) = variant.time_limit, at
+        settle(s)
         for event in world.rules.EVENTS:
             s[event] = NEVER
         world.furnish(s, variant.records().view(np.recarray)[0])
@@ -134,16 +136,18 @@ def places(world: World) -> Any:
 
     def target(s: Any, goal: str) -> tuple[int, int] | None:
         wanted = world.seek(s, goal)
-        return wanted[0] if isinstance(wanted, Sequence) and len(wanted) == 1 else None
+        if not isinstance(wanted, Sequence) or len(wanted) != 1:
+            return None
+        ((x, y),) = wanted
+        return (x, y) if s.mover[y, x] == 0 else None  # what moves has no cell
 
     return SimpleNamespace(centre=centre, stand=stand, put=put, free=world.free, target=target)
 
 
 def reachable(world: World, s: Any) -> np.ndarray:
-    """Return the cells that the agent can reach without harm, and hazards, [H, W] bool."""
-    steps = distances(_with(world.free(s), [(int(s.x), int(s.y))]), int(s.x), int(s.y))
-    hazards = world.codes(world.hazards)
-    return (steps != UNREACHABLE) | np.isin(s.cell, hazards) | np.isin(s.mover, hazards)
+    """Return the cells that the agent can reach, through hazards if need be, [H, W] bool."""
+    is_open = ~np.isin(s.cell, world.codes(world.solid))
+    return distances(is_open, int(s.x), int(s.y)) != UNREACHABLE
 
 
 def solver(world: World) -> Any:

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from astray.kernel.jit import kernel, shared
-from astray.kernel.rng import below
+from astray.kernel.rng import below, mix_two, seed_twister
 from astray.record import NEVER, state_dtype
 
 ACTIONS = ("stay", "left", "right", "down", "up")
@@ -39,23 +39,34 @@ def clear(s):
     s.x, s.y, s.held = NEVER, NEVER, 0
 
 
+def plan(drawing: str, chars: str) -> np.ndarray:
+    """Return the codes of a room that is drawn, the top row first: of `chars`, from 1 on."""
+    rows = drawing.split()[::-1]
+    return np.array([[chars.find(char) + 1 for char in row] for row in rows], np.uint8)
+
+
 @kernel
-def surround(s):
-    """Put walls around the world."""
-    last = s.cell.shape[0] - 1
-    for k in range(last + 1):
-        s.cell[0, k] = s.cell[last, k] = s.cell[k, 0] = s.cell[k, last] = WALL
+def lay(s, room):
+    """Set all things to those of a room that is drawn."""
+    for y in range(s.cell.shape[0]):
+        for x in range(s.cell.shape[1]):
+            s.cell[y, x] = room[y, x]
 
 
 @shared
 def any_empty(s):
-    """Draw a random empty cell, as its number: y times the side, plus x."""
-    side = s.cell.shape[0]
-    while True:
-        i = below(s, side * side)
+    """Draw a random empty cell, as its number: y times the side, plus x.
+
+    It is the agent's cell if none is empty, as in a level that somebody filled.
+    """
+    side, found = s.cell.shape[0], 0
+    cells = np.empty(side * side, np.int64)
+    for i in range(side * side):
         x, y = i % side, i // side
         if s.cell[y, x] == EMPTY and s.mover[y, x] == EMPTY and (x != s.x or y != s.y):
-            return i
+            cells[found] = i
+            found += 1
+    return cells[below(s, found)] if found > 0 else s.y * side + s.x
 
 
 @kernel
@@ -81,6 +92,19 @@ def begin_anywhere(s):
     """Put the agent into a random empty cell."""
     i = any_empty(s)
     s.x, s.y = i % s.cell.shape[0], i // s.cell.shape[0]
+
+
+@kernel
+def settle(s):
+    """Let what will be drawn follow from the cells: a level goes on alike, numbered or drawn.
+
+    Levels of worlds that draw in their steps end with it.
+    """
+    number = np.uint64(0)
+    for y in range(s.cell.shape[0]):
+        for x in range(s.cell.shape[0]):
+            number = mix_two(number, np.int64(s.cell[y, x]) + 256 * np.int64(s.mover[y, x]))
+    seed_twister(s, number)
 
 
 @kernel

@@ -8,6 +8,7 @@ import sys
 from dataclasses import dataclass
 
 from astray import grid
+from astray.bounds import bounded
 from astray.game import Shift, Variant
 from astray.grid.rules import ACTIONS as ACTIONS
 from astray.grid.rules import begin_anywhere, clear, first, scatter, state, walk
@@ -29,8 +30,7 @@ class LavaLand(Variant):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if not 0 <= self.lava <= SIDE * SIDE // 2:
-            raise ValueError(f"lava must be from 0 to {SIDE * SIDE // 2} cells; got {self.lava}")
+        bounded("lava", self.lava, 0, 32)
 
 
 @kernel
