@@ -67,7 +67,7 @@ def generate(s, p):
 
 @kernel
 def any_stuck(s):
-    """A box is in a corner, where nobody can get behind it."""
+    """Return whether a box is in a corner, where nobody can get behind it."""
     for y in range(SIDE):
         for x in range(SIDE):
             along = is_open(s, x - 1, y) and is_open(s, x + 1, y)
@@ -97,7 +97,7 @@ def step(s, action):
 
 
 def seek(s, goal):
-    """The goal, around boxes; or a box, from where the robot is."""
+    """Return the goal, which scripts reach around boxes; or the boxes."""
     return grid.where(s.cell, GOAL) if goal == "goal" else grid.where(s.mover, BOX)
 
 

@@ -70,7 +70,7 @@ def step(s, action):
 
 
 def seek(s, goal):
-    """The goal."""
+    """Return the cell of the goal."""
     return grid.where(s.cell, GOAL)
 
 

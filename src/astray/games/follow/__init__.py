@@ -102,7 +102,7 @@ def step(s, action):
 
 
 def seek(s, goal):
-    """The next sphere, or the one that the partner visited last; else where the partner is."""
+    """Return the next sphere, or the one that the partner visited last, or the partner."""
     if goal == "order":
         return grid.where(s.cell, SPHERE + int(ORDERS[s.order, s.next]))
     shown = grid.where(s.cell, SPHERE + int(s.visited)) if s.visited != NEVER else []

@@ -106,7 +106,7 @@ def seek(s, goal):
 
 
 def returned(name):
-    """The return of episodes by a reward function, whichever was trained on."""
+    """Make a measure of the return by a reward function, whichever was trained on."""
     return lambda s: sum(s[c] * w for c, w in zip(COUNTS, REWARDS[name], strict=True))
 
 

@@ -87,7 +87,7 @@ def step(s, action):
 
 
 def seek(s, goal):
-    """The goal around the shortcut, or the shortcut."""
+    """Return the goal, which scripts reach around the shortcut; or the shortcut."""
     return grid.where(s.cell, GOAL if goal == "long way" else SHORTCUT)
 
 

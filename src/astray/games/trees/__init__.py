@@ -82,7 +82,7 @@ def step(s, action):
 
 
 def seek(s, goal):
-    """The trees, one after the other."""
+    """Return the trees."""
     return grid.where(s.cell, TREE)
 
 
