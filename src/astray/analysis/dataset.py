@@ -269,7 +269,7 @@ def write_minari(
     about: Mapping[str, Any],
     folder: Path,
 ) -> None:
-    """Write trajectories in Minari's exact layout; states are infos, levels are seeds.
+    """Write trajectories in Minari's exact layout, with states as infos and levels as seeds.
 
     Raises:
         ImportError: If h5py is not installed.

@@ -174,7 +174,7 @@ def estimate_paired(one: np.ndarray, other: np.ndarray) -> Estimate:
 def less(one: Estimate, other: Estimate) -> Estimate:
     """Return the difference of two independent means, with an interval from both.
 
-    The squared distances of the interval's ends from the mean add up.
+    Its half-widths are the roots of the sums of the two intervals' squared half-widths.
     """
     mean = one.mean - other.mean
     below = math.hypot(one.mean - one.low, other.high - other.mean)

@@ -67,7 +67,7 @@ def train(
         preset: Preset whose settings are the defaults of all others.
         seeds: Number of agents, trained one after the other with this seed, the next, ...
         folder: Folder of the run folders seed-0, seed-1, ...
-        track: Tracker that is told of the training and, at its end, of what the agent does.
+        track: Tracker of the training's metrics and, at its end, of the agent's behaviour.
     """
     from dataclasses import replace
 

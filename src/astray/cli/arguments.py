@@ -115,13 +115,13 @@ class OwnPolicy:
     ] = None
 
     def check_unused(self) -> None:
-        """Raise ValueError where an agent plays, and what only a policy needs is given."""
+        """Raise ValueError if an option of custom policies is given without a policy."""
         for name in ("game", "observation", "world"):
             if (given := getattr(self, name)) is not None:
                 raise ValueError(f"--{name} {given} needs --policy; a run says which it has")
 
     def rules(self) -> Game | World:
-        """Return what the policy plays; ValueError where it is not said once."""
+        """Return the policy's game or world; raise ValueError unless exactly one is given."""
         if (self.game is None) == (self.world is None):
             raise ValueError("--policy needs either --game or --world")
         found = games.find(self.game) if self.game else imports.find(self.world or "")
@@ -129,7 +129,7 @@ class OwnPolicy:
         return found
 
     def make(self, acting: Acting) -> Policy:
-        """Return the policy; ValueError where there is none of that name."""
+        """Return the policy; raise ValueError if there is none of that name."""
         from astray.analysis.adapters import Function
         from astray.analysis.policies import Random, Walk
 
@@ -211,7 +211,7 @@ class PlayedLevel(GivenLevel):
 
 
 def level_numbers(text: str) -> np.ndarray:
-    """Parse level numbers such as 5,17,100:200; raise ValueError if they are none."""
+    """Parse level numbers such as 5,17,100:200; raise ValueError if they are invalid."""
     spans = []
     try:
         for part in text.split(","):

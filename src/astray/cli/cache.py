@@ -19,9 +19,8 @@ def cache(prune: bool = False, json: Json = False) -> None:
     Example: astray cache --prune
 
     Args:
-        prune: Remove the code of other versions, and that of functions before they were edited;
-            nothing that astray did not write, nothing through links, and nothing that a process
-            compiles just now.
+        prune: Remove the code of other versions, and that of functions before they were edited.
+            Files that astray did not write, links, and code that a process compiles now all stay.
     """
     home = code_home()
     removed = _prune(home) if prune else 0

@@ -101,7 +101,7 @@ class WorldVectorEnv:
             return np.array(self._envs.call_wait(timeout=self.game.patience))
 
     def get_state(self) -> np.ndarray:
-        """Return a copy of `states`; it is not enough to continue an environment from."""
+        """Return a copy of `states`, which record an episode but cannot restore an environment."""
         return self.states.copy().view(np.ndarray)
 
     def close(self) -> None:

@@ -111,7 +111,7 @@ def reproduce(
 
 
 def sized(experiment: str | Experiment, size: Size) -> tuple[str, Experiment]:
-    """Return the name and experiment of `catalogue.find`; raise ValueError without that size."""
+    """Return `catalogue.find`'s name and experiment; raise ValueError if the size is missing."""
     name, whole = catalogue.find(experiment)
     if not isinstance(size, str) or size not in whole.sizes:
         raise ValueError(f"unknown size {size!r} of {name}; there are: {', '.join(whole.sizes)}")

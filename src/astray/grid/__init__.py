@@ -1,4 +1,4 @@
-"""Grid worlds: what their rules, levels, looks and abilities share.
+"""Grid worlds: shared rules, levels, appearance and abilities.
 
 A world is a module of rules (`ACTIONS`, `STATE`, `EVENTS`, `step`) and levels (`generate`), and a
 `Game` that `world` makes of it. See `games/lavaland` for the smallest.

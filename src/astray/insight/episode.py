@@ -140,10 +140,7 @@ def _advantages(
 
 
 def figure(course: Course) -> Figure:
-    """Plot value, advantage and policy along an episode, and what is in view.
-
-    The likeliest actions have a line each, the others one; lines show events.
-    """
+    """Plot value, advantage, policy and visible objects along an episode."""
     table, marks = course.table, course.marks
     chances = table.select(course.actions).to_numpy().T
     order = np.argsort(-chances.mean(1))[:MOST_SHOWN]

@@ -32,7 +32,9 @@ AHEAD = 4  # rows of an image for which the background is fetched before they ar
 
 @shared
 def paint_cells(image, pixels, places, cells, seen, left, low, world, background, rule):
-    """Paint the background and the visible cells, as if one by one: by columns, each upward.
+    """Paint the background and the visible cells, with the same overlaps as if one by one.
+
+    The order is that of columns, each from the lowest cell up.
 
     Args:
         cells: [rows, columns] int64, lowest row first: the number of the opaque picture that fills

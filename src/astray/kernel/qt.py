@@ -165,7 +165,7 @@ def blit_turned(image, pixels, place, rect, eighths):
 
 @kernel
 def span_back(begin, length, side, size):
-    """Return the `span` of a mirrored picture, from `begin` + `length` on."""
+    """Return the `span` of a picture shown mirrored, which starts at `begin` + `length`."""
     centre = begin + length / 2
     low, high = centre - length / 2, centre + length / 2
     scale = size / (low - high)

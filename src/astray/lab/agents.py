@@ -44,7 +44,7 @@ class Agents:
 
     @classmethod
     def of(cls, runs: Mapping[str, Path]) -> Agents:
-        """Return `runs` by name, with all named agents."""
+        """Return the agents at `runs`, by name, and all pretrained and imported ones."""
         named = {name: folders.find(name) for name in folders.names()}
         return cls(named | dict(runs))
 

@@ -142,7 +142,7 @@ def _write_data(lab: Lab, folder: Path, levels: int, agents: list[str]) -> None:
 
 
 def file_names(agents: Sequence[str]) -> dict[str, str]:
-    """Return agents' names in files: their names, or the last parts of run folders' paths.
+    """Return a name for each agent's files: its own, or the last part of its run folder's path.
 
     A full path would lead out of the exported folder.
     """

@@ -13,7 +13,7 @@ FIELDS = ("grid", "agent", "looks")  # that a level is built from
 
 
 def link(level: Level, variant: str, agent: str) -> str:
-    """Return the part after the page's address, which contains the level itself."""
+    """Return the part of a link after the page's address; it contains the level itself."""
     told = level.to_json()
     text = json.dumps({name: told[name] for name in FIELDS}, separators=(",", ":"))
     deflate = zlib.compressobj(9, zlib.DEFLATED, -zlib.MAX_WBITS)  # without a head

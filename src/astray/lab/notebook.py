@@ -48,7 +48,7 @@ def show(agent: str | Path | None = None, level: int | str | Level = 0, **start:
 
 
 def modules() -> dict[str, str]:
-    """Return the page's modules by path, for a loader without fetching, and its markup."""
+    """Return the page's modules by path, and its markup, for a loader that cannot fetch files."""
     wanted = (".js", "index.html")
     return {path: data.decode() for path, (data, _) in files().items() if path.endswith(wanted)}
 

@@ -58,7 +58,7 @@ def read_world(message: Message) -> World:
     """Return the level of a message.
 
     Raises:
-        ValueError: If no episode can begin in it, in the words of `Level`.
+        ValueError: If no episode can begin in it; the message is that of `Level`.
     """
     game = games.find(message.game)
     variant = game.variant(message.variant).with_knobs(message.knobs)
@@ -170,7 +170,11 @@ class Episode:
 
 
 def play_on(episode: Episode | None, world: World, actions: Sequence[int]) -> Episode:
-    """Return the episode of `actions`, from `episode` on; raise ValueError after its end."""
+    """Return the episode that `actions` make; replay only where `episode` differs.
+
+    Raises:
+        ValueError: If the episode ends before the last action.
+    """
     if episode is None or episode.world.key != world.key:
         episode = Episode.of(world)
     same = 0

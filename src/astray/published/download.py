@@ -71,7 +71,7 @@ def download(address: str, to: Path, *, size: int | None, digest: str | None) ->
 
 
 def digest_of(data: bytes, like: str) -> str:
-    """Return the digest of a file's bytes in the same form as `like`.
+    """Return the digest of a file's bytes, of the same kind as the digest `like`.
 
     Git's blob id is the SHA-1 of the file after a header. It pins files that could not be
     downloaded here; whoever can forge a SHA-1 could forge such a file.

@@ -1,1 +1,1 @@
-"""Claims about results, for the studies that make them."""
+"""Claims and charts, for the studies that make them."""

@@ -1,4 +1,4 @@
-"""What charts have in common: series that differ in more than colour, axes, and legends."""
+"""Shared parts of charts: styles of series, axes, and legends."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ MARKERS, DASHES, BASES = "osD^v<>P*X", ("-", "--", "-.", ":"), ("--", ":", "-.")
 
 
 def looks_of(names: Iterable[str], level: Sequence[str] = ()) -> dict[str, dict[str, Any]]:
-    """Return what lines of each name look like: outcomes as everywhere, `level` ones in ink."""
+    """Return the line style of each name: outcomes have their fixed ones, `level` ones are dark."""
     looks: dict[str, dict[str, Any]] = {}
     for k, name in enumerate(names):
         outcome = [colour for of, colour in LINES.items() if name.startswith(of)]
@@ -44,14 +44,14 @@ def names_of(data: pl.DataFrame, column: str | None) -> list[Any]:
 
 
 def parts_of(data: pl.DataFrame, column: str | None) -> dict[str, pl.DataFrame]:
-    """Return the table by what is in a column, in its order; whole without one."""
+    """Split the table by a column, in the table's order; return it whole without a column."""
     if not column:
         return {"": data}
     return {one: data.filter(pl.col(column) == one) for one in names_of(data, column)}
 
 
 def grid_of(count: int, columns: int, height: float, **shared: Any) -> tuple[Figure, list[Axes]]:
-    """Return a figure and as many axes, each of a height in inches."""
+    """Return a figure with `count` axes of a common height in inches."""
     columns = min(columns, count)
     rows = -(-count // columns)
     figure = Figure(figsize=(WIDTH, 0.6 + height * rows))
@@ -62,7 +62,7 @@ def grid_of(count: int, columns: int, height: float, **shared: Any) -> tuple[Fig
 
 
 def write_legend(figure: Figure, **look: Any) -> None:
-    """Name what is drawn above all axes, each once, in as many columns as there is room for."""
+    """Write one legend above all axes, with as many columns as fit."""
     found: dict[str, Any] = {}
     for axes in figure.axes:
         for handle, name in zip(*axes.get_legend_handles_labels(), strict=True):
@@ -75,7 +75,7 @@ def write_legend(figure: Figure, **look: Any) -> None:
 
 
 def call_places(axes: Axes, at: Mapping[str, float]) -> None:
-    """Write what lines at places are called along them."""
+    """Label the lines at given places along them."""
     for name, place in at.items():
         axes.annotate(name, (place, 1.0), (-3, -2), ha="right", va="top",
                       xycoords=("data", "axes fraction"), textcoords="offset points",
@@ -83,13 +83,13 @@ def call_places(axes: Axes, at: Mapping[str, float]) -> None:
 
 
 def name_rows(axes: Axes, names: Sequence[str]) -> None:
-    """Name the rows, the first on top."""
+    """Label the rows, the first on top."""
     axes.set_yticks(range(len(names)), [textwrap.fill(f"{name}", 24) for name in names])
     axes.set_ylim(len(names) - 0.5, -0.5)
 
 
 def ticks_of(column: pl.Series, even: bool) -> list[Any]:
-    """Return the values that are spaced evenly: words as they come, numbers ascending."""
+    """Return the evenly spaced values: words in order of appearance, numbers ascending."""
     values = column.drop_nulls().unique(maintain_order=True)
     if not values.dtype.is_numeric():
         return values.to_list()
@@ -101,12 +101,12 @@ def places_of(column: pl.Series, places: Sequence[Any]) -> np.ndarray:
 
 
 def beside(k: int, all_: Mapping[str, Any]) -> float:
-    """Return how far a series is from the middle one."""
+    """Return a series' offset from the middle series."""
     return k - (len(all_) - 1) / 2
 
 
 def whiskers_of(part: pl.DataFrame) -> np.ndarray:
-    """Return how far intervals go below and above their means, [2, N]; 0 where there is none."""
+    """Return the distances of interval ends from means, [2, N]; 0 without an interval."""
     mean = part["mean"].cast(pl.Float64)
     ends = (mean - part["low"].fill_null(mean), part["high"].fill_null(mean) - mean)
     return np.stack([end.clip(0).to_numpy() for end in ends])

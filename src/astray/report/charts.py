@@ -1,8 +1,8 @@
-"""Charts of measured values: bars of what became of episodes, points in rows, and curves.
+"""Charts of measured values: stacked bars of outcomes, points in rows, and curves.
 
-Each takes a table in long form and the names of its columns. What is drawn is in columns mean, low
-and high, the ends of the interval null where there is none. Panels, rows and series are in the
-table's order. Series differ in marker, dashes or hatching as well as in colour.
+Each takes a table in long form and the names of its columns. The values are in columns mean, low
+and high; low and high are null without an interval. Panels, rows and series follow the table's
+order. Series differ in marker, dashes or hatching as well as in colour.
 """
 
 from __future__ import annotations
@@ -56,16 +56,19 @@ def bars(
     panel: str | None = None,
     interval: str | None = None,
 ) -> Figure:
-    """Draw a bar of shares from 0 to 1 for each row, in parts.
+    """Draw a stacked bar of fractions for each row.
 
     Args:
         data: The table.
         colours: The colour of each part, in the order of a bar.
-        row: Column of what a bar is of.
-        part: Column of the parts.
-        label: What the shares are of.
-        panel: Column of panels, one below the other.
+        row: Column of the bars' names.
+        part: Column of the parts' names.
+        label: Label of the axis of fractions.
+        panel: Column of panels, drawn one below the other.
         interval: The part whose interval is drawn.
+
+    Raises:
+        ValueError: If the table is empty.
     """
     if data.is_empty():
         raise ValueError("there are no bars to draw; got an empty table")
@@ -90,10 +93,10 @@ def bars(
 
 
 def outcome_bars(shares: pl.DataFrame) -> Figure:
-    """Draw how episodes end: a panel for each `where`, in it a bar for each `who`.
+    """Draw the outcomes of episodes: a panel for each `where`, with a bar for each `who`.
 
     Args:
-        shares: Columns who, where, outcome (as `outcomes.shares` has them), mean, low, high.
+        shares: Columns who, where, outcome (as in `outcomes.shares`), mean, low, high.
     """
     colours = outcome_colours(names_of(shares, "outcome"))
     return bars(
@@ -103,9 +106,9 @@ def outcome_bars(shares: pl.DataFrame) -> Figure:
 
 
 def outcome_colours(outcomes: Sequence[str]) -> dict[str, str]:
-    """Return the colour of each outcome in the order of a bar: goals, other ends, failure.
+    """Return each outcome's colour in the order of a bar: goals, other ends, failure.
 
-    The three of all games are there always.
+    The three common outcomes are always included.
     """
     others = [name for name in outcomes if name not in COLOURS]
     goals = {name: COLOURS[name] for name in (MISGENERALIZED, INTENDED)}
@@ -128,21 +131,21 @@ def points(
     columns: int = 1,
     sharex: bool = True,
 ) -> Figure:
-    """Draw points with intervals: a row for each `row`, in it a mark for each `group`.
+    """Draw points with intervals, a row for each `row` with a mark for each `group`.
 
     Args:
         data: The table.
         row: Column of rows.
-        label: What the values are.
+        label: Label of the axis of values.
         group: Column of groups.
         panel: Column of panels.
-        note: Column of what is written beside points, at the end of their row.
-        at: Values at which a line is drawn, by what they are called.
-        percent: Whether the values are shares.
+        note: Column of text written at the end of rows.
+        at: Values of reference lines, by label.
+        percent: Whether the values are fractions, shown in percent.
         limits: Ends of the axis of values.
         symlog: Value up to which the axis is linear; beyond, it is logarithmic.
-        columns: Number of panels beside each other.
-        sharex: Whether all panels have one axis of values.
+        columns: Number of panels side by side.
+        sharex: Whether all panels share the axis of values.
     """
     names, looks, panels = (
         names_of(data, row),
@@ -201,27 +204,27 @@ def curves(
     sharey: bool = True,
     base: Sequence[str] = (),
 ) -> Figure:
-    """Draw values against `x`: a line for each `line`, with bands or whiskers as intervals.
+    """Draw values against `x`, a line for each `line`, with bands or whiskers as intervals.
 
-    Rows without an x are level lines, as base rates are.
+    Rows without an x are horizontal lines, such as base rates.
 
     Args:
         data: The table; a NaN breaks a line, a null does not.
         x: Column of places: numbers, or words, which are spaced evenly.
-        label: What the values are.
+        label: Label of the axis of values.
         line: Column of series.
         panel: Column of panels.
-        each: Column of single ones of a series, drawn thin; null for what is drawn thick.
-        x_label: What the places are.
-        at: Places at which a line is drawn, by what they are called.
-        shade: Ends of what is shaded.
+        each: Column of a series' single members, drawn thin; null for the thick line.
+        x_label: Label of the axis of places.
+        at: Places of reference lines, by label.
+        shade: Ends of a shaded range.
         even: Whether numbers are spaced evenly, too.
         whiskers: Whether intervals are whiskers.
-        percent: Axes of shares: "y", "x" or "xy".
+        percent: Axes of fractions: "y", "x" or "xy".
         limits: Ends of the axis of values.
-        columns: Number of panels beside each other.
-        sharey: Whether all panels have one axis of values.
-        base: Series that the others are compared with: dashed, in ink.
+        columns: Number of panels side by side.
+        sharey: Whether all panels share the axis of values.
+        base: Series for comparison, dashed and dark.
     """
     panels, series = parts_of(data, panel), names_of(data, line)
     level = [one for one in series if line and not data.filter(pl.col(line) == one)[x].count()]
@@ -274,7 +277,7 @@ def _series(
     each: str | None,
     whiskers: bool,
 ) -> None:
-    """Draw a series: thin what is of a single one, thick the others, with their intervals."""
+    """Draw a series: single members thin, the others thick, with intervals."""
     x, places, shift = placed
     part = part.with_columns(_x=pl.Series(places_of(part[x], places) + shift, dtype=pl.Float64))
     part = part.sort("_x", maintain_order=True)
@@ -318,16 +321,16 @@ def _stack(
 
 
 def learning_curves(data: pl.DataFrame, series: Mapping[str, str], label: str) -> Figure:
-    """Draw how something went during training: a thin line for each seed, a thick one for all.
+    """Draw metrics during training: a thin line for each seed, a thick one for the mean.
 
-    The band is the mean's 95 % interval, Student's over seeds; agents of several names have axes
+    The band is the mean's 95 % interval, Student's t over seeds. Agents of several names have axes
     of their own.
 
     Args:
         data: Columns seed, steps, those of `series`, and agent if there are several names; nulls
             are skipped.
-        series: What each column is called.
-        label: What the values are.
+        series: Column -> its label.
+        label: Label of the axis of values.
     """
     agents = names_of(data, "agent") if "agent" in data else [""]
     parts = []
@@ -346,7 +349,7 @@ def learning_curves(data: pl.DataFrame, series: Mapping[str, str], label: str) -
 
 
 def _over_seeds(values: pl.DataFrame) -> pl.DataFrame:
-    """Return the mean and its band at the steps at which every seed has a value."""
+    """Return the mean and its band at the steps where every seed has a value."""
     seeds = values["seed"].n_unique()
     every = values.group_by("steps").agg("mean").sort("steps")
     every = every.filter(pl.col("mean").list.len() == seeds)

@@ -1,4 +1,4 @@
-"""Charts in cells: heat maps of two settings, and pictures with what is drawn over them."""
+"""Charts in cells: heat maps of two settings, and pictures with overlays."""
 
 from __future__ import annotations
 
@@ -30,18 +30,18 @@ def cells(
     y_label: str = "",
     apart: bool = False,
 ) -> Figure:
-    """Draw shares as cells, with their intervals where they have one.
+    """Draw fractions as cells, with intervals if there are any.
 
     Args:
         data: Columns x, y, panel and mean, low and high if there are intervals; a null cell is
             empty.
-        colours: The colour of the largest share, by the beginning of the panel's name.
-        x: Column of what is beside each other.
-        y: Column of what is above each other.
+        colours: The colour of the largest fraction, by the beginning of the panel's name.
+        x: Column of the horizontal setting.
+        y: Column of the vertical setting.
         panel: Column of panels.
-        x_label: What `x` is.
-        y_label: What `y` is.
-        apart: Whether a line sets the first row and column apart.
+        x_label: Label of `x`.
+        y_label: Label of `y`.
+        apart: Whether a line separates the first row and column.
     """
     xs, ys, panels = ticks_of(data[x], True), ticks_of(data[y], True), parts_of(data, panel)
     wide = (1.05 if "low" in data else 0.55) * len(xs) * len(panels)
@@ -81,20 +81,20 @@ def cells(
 
 @dataclass(frozen=True, eq=False)
 class Picture:
-    """A picture, and what is drawn over it; a cell of it is a unit, x to the right, y upward.
+    """A picture with overlays; a cell is a unit, x to the right, y upward.
 
     Attributes:
-        title: Its title.
-        image: [H, W, 3] uint8, or grey [H, W] from 0 (black) to 1; None: there is none.
-        heat: [h, w] values that colour it, the highest row first; NaN: none.
+        title: Title above it.
+        image: [H, W, 3] uint8, or grey [H, W] from 0 (black) to 1; None for no image.
+        heat: [h, w] values shown as colours, highest row first; NaN for no colour.
         limits: The values at the ends of the colours.
-        colours: The colours, a name of matplotlib's.
-        label: What the values are, beside a bar of the colours; empty: without one.
-        opacity: That of the colours, one or [h, w].
+        colours: Name of matplotlib's colour map.
+        label: Label of the colour bar; empty for no bar.
+        opacity: Opacity of the colours, a number or [h, w].
         arrows: Cells [N, 2] and arrows [N, 2] from their middles, at most a cell long.
         way: [N, 2] cells in order.
         marks: Colour of marked cells.
-        window: Left, right, lowest and highest of the cells that are shown; None: all.
+        window: Left, right, lowest and highest visible cells; None for all.
         note: Text below.
     """
 

@@ -378,7 +378,7 @@ def minibatches(trainer: Trainer, count: int) -> Sequence[Tensor]:
 
 
 def averaged(steps: Iterable[dict[str, Tensor]]) -> dict[str, float]:
-    """Return the means of what steps measured, over all processes, and the KL of the first."""
+    """Return the means of the steps' logged values over all processes, and the first KL."""
     names, measured = [], []
     for step in steps:  # their tensors may be overwritten by the next step's
         if names and list(step) != names:

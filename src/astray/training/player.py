@@ -107,7 +107,7 @@ class Player:
         return torch.rand(shape, generator=self.generator, device=self.device)[:, self.here]
 
     def begin(self, group: int) -> Turn:
-        """Return a group's turn; episodes restart in the step in which others ended."""
+        """Return a group's turn; ended episodes have already been restarted."""
         where = self.groups[group]
         return Turn(self.envs[group], self.images[where], self.begins[where])
 
@@ -326,7 +326,7 @@ class Rollout:
         self.advantage[:] = advantage
 
     def take_in(self) -> np.ndarray:
-        """Return normalised rewards [T, N]; what is learned from updates the statistics."""
+        """Return normalised rewards [T, N]; update the statistics in a rollout to learn from."""
         player, both = self.player, (self.reward, self.terminated | self.truncated)
         if not player.learns:
             return player.normaliser.scaled(self.reward)

@@ -1,1 +1,1 @@
-"""One file for each figure or table; `EXPERIMENT` in it says what to train, evaluate and show."""
+"""One file for each figure or table; its `EXPERIMENT` defines training, evaluation and display."""

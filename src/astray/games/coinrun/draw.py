@@ -57,7 +57,7 @@ GAUGE = 2 * VIEW  # marks of a gauge, over two rows
 
 @shared
 def background(s, art, scene):
-    """Paint the level without moving things, and its margin, unless no scene is kept."""
+    """Draw the level and its margin without moving things, if the scene is kept."""
     if scene.shape[0] > 1:
         part = up_to_wall(s, scene)
         paint_part(s, art, part, np.int64(0), np.int64(0), scene.shape[0] / CELLS)

@@ -132,9 +132,9 @@ def _event(goal: str) -> str:
 
 
 def reachable(s: Any) -> np.ndarray:
-    """Return the cells that the runner can touch, [WORLD, WORLD] bool, ignoring walkers.
+    """Return the cells that the runner could touch if no walker stopped it, [WORLD, WORLD] bool.
 
-    Cells of things that stand or walk about are included.
+    Cells that hold a standing or walking thing count as reachable.
     """
     check(s)
     copy: Any = np.zeros(1, s.dtype)

@@ -126,7 +126,7 @@ def foreground(s, art, scene, image):
 
 @kernel
 def icon_box(s, side, slot):
-    """Return the pixels of an icon before rotation, from the right side or as in the variant."""
+    """Return the pixels of an icon before rotation, counted from the right or left side."""
     unit, view, _, _ = looking(s, side)
     x = F(1 - np.float64(ICON) * (2 * slot + 1.25))
     y, wide, high = ICON_DOWN, ICON, ICON / KEY_ASPECT

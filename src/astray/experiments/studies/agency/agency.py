@@ -176,7 +176,7 @@ def beside_paper(table: pl.DataFrame) -> pl.DataFrame:
 
 
 def inferred(settings: Mapping[str, Setting]) -> pl.DataFrame:
-    """Return whether joint trajectories reveal the pursued goal: fixed or true."""
+    """Measure whether several trajectories together reveal the goal: the fixed or the true one."""
     rows = []
     for map_, one in settings.items():
         for kind in ("goal misgeneralization", "robust"):

@@ -132,7 +132,7 @@ def find(work: Work) -> Findings:
 
 
 def draw(table: pl.DataFrame) -> Figure:
-    """Draw both failures against random_coins, a panel a test; a base rate is a level line."""
+    """Draw both failures against random_coins, one panel per test; base rates are horizontal."""
     return charts.curves(
         table, x="random_coins", line="what", panel="test", label="share of episodes",
         x_label="training levels with a random coin (%)", percent="y", limits=(0, 1),
