@@ -1,4 +1,4 @@
-"""Where an agent is and can be put, in games whose states have its centre as reals x and y."""
+"""Positions of an agent in games whose states hold its centre as reals x and y."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from astray.protocols import Editing, Solver
 class Placement:
     """The ability `places` of such a game.
 
-    An agent may stand in its own cell, and in the empty cells that it can reach.
+    An agent may stand in its own cell and in the empty cells that it can reach.
     """
 
     def __init__(
@@ -27,8 +27,8 @@ class Placement:
         Args:
             editing: The game's ability to describe levels.
             solver: The game's solver.
-            within: Centre of an agent that stands in cell (0, 0).
-            **at_rest: Other fields of the state of an agent that was put somewhere.
+            within: Centre of an agent in cell (0, 0).
+            **at_rest: Values of further state fields after the agent was moved.
         """
         self._editing, self._solver, self._within, self._at_rest = editing, solver, within, at_rest
 

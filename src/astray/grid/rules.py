@@ -40,14 +40,14 @@ def clear(s):
 
 
 def plan(drawing: str, chars: str) -> np.ndarray:
-    """Return the codes of a room that is drawn, the top row first: of `chars`, from 1 on."""
+    """Parse the drawing of a room, top row first, into codes: positions in `chars`, from 1 on."""
     rows = drawing.split()[::-1]
     return np.array([[chars.find(char) + 1 for char in row] for row in rows], np.uint8)
 
 
 @kernel
 def lay(s, room):
-    """Set all things to those of a room that is drawn."""
+    """Set all things to those of a parsed room."""
     for y in range(s.cell.shape[0]):
         for x in range(s.cell.shape[1]):
             s.cell[y, x] = room[y, x]
@@ -57,7 +57,7 @@ def lay(s, room):
 def any_empty(s):
     """Draw a random empty cell, as its number: y times the side, plus x.
 
-    It is the agent's cell if none is empty, as in a level that somebody filled.
+    It is the agent's cell if none is empty, which happens in edited levels.
     """
     side, found = s.cell.shape[0], 0
     cells = np.empty(side * side, np.int64)
@@ -96,9 +96,9 @@ def begin_anywhere(s):
 
 @kernel
 def settle(s):
-    """Let what will be drawn follow from the cells: a level goes on alike, numbered or drawn.
+    """Seed later draws from the cells, so that numbered and drawn levels continue identically.
 
-    Levels of worlds that draw in their steps end with it.
+    Worlds that draw in their steps call it last when they make a level.
     """
     number = np.uint64(0)
     for y in range(s.cell.shape[0]):

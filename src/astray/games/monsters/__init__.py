@@ -1,8 +1,8 @@
-"""Monster gridworld: a knight that learned among monsters to fetch shields, where none is left.
+"""Monster gridworld: a knight learned to fetch shields among monsters, and then there are none.
 
-After Shah et al., Goal Misgeneralization (2022). Apples are worth 1; a monster that catches the
-knight costs 1, unless a shield is at hand, which destroys both. Episodes of training end while
-there are monsters. In long ones they run out, and shields become useless.
+After Shah et al., Goal Misgeneralization (2022). Apples are worth 1. A monster that catches the
+knight costs 1, unless a shield destroys it and itself. In training, episodes end while there are
+monsters. In long episodes the monsters run out, and shields become useless.
 """
 
 import sys
@@ -48,7 +48,7 @@ STATE = state(
 
 @dataclass(frozen=True, kw_only=True)
 class Monsters(Variant):
-    """An open field with apples, shields and monsters; what is taken comes again elsewhere."""
+    """An open field with apples, shields and monsters; taken things reappear elsewhere."""
 
     monsters: int = 5
     slowness: int = 2  # steps that a monster takes for one of the knight's, on average
@@ -65,7 +65,7 @@ class Monsters(Variant):
 
 @kernel
 def furnish(s, p):
-    """Set what no draw decides."""
+    """Set the fields that no draw decides."""
     s.slowness, s.shields, s.safe_steps, s.times_caught = p.slowness, 0, 0, 0
     s.apples_taken, s.shields_taken = 0, 0
     s.apple_safe, s.shield_safe, s.caught = NEVER, NEVER, NEVER
@@ -73,7 +73,7 @@ def furnish(s, p):
 
 @shared
 def generate(s, p):
-    """Put all anywhere."""
+    """Put everything into random cells."""
     clear(s)
     furnish(s, p)
     begin_anywhere(s)
@@ -85,7 +85,7 @@ def generate(s, p):
 
 @kernel
 def step(s, action):
-    """Walk, take what lies there, and let the monsters come."""
+    """Walk, take the thing in the cell, and move the monsters."""
     is_safe = count(s.mover, MONSTER) == 0
     s.safe_steps += is_safe
     walk(s, action)
@@ -108,7 +108,7 @@ def step(s, action):
 
 @shared
 def attack(s):
-    """Move each monster towards the knight; the number of those that caught it."""
+    """Move each monster towards the knight; return the number of those that catch it."""
     found, caught = 0, 0
     at = np.empty(SIDE * SIDE, np.int64)
     for i in range(SIDE * SIDE):
@@ -137,7 +137,7 @@ def attack(s):
 
 
 def seek(s, goal):
-    """Apples or shields."""
+    """Return the apples or the shields."""
     return grid.where(s.cell, APPLE if goal == "apple" else SHIELD)
 
 

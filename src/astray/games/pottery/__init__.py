@@ -1,8 +1,8 @@
-"""Pottery shop: a robot clears up shards, and in training the bin always stands in a corner.
+"""Pottery shop: a robot clears up shards; in training the bin is always in a corner.
 
-After the exercise on specification gaming and goal misgeneralization of Farrugia-Roberts (reward-
-lab) that the courses ARENA and Iliad teach. What is worth what is a reward function outside the
-rules: each episode is measured by all of them, whichever was trained on.
+After the exercise on specification gaming and goal misgeneralization by Farrugia-Roberts
+(reward-lab), which the courses ARENA and Iliad teach. Reward functions are outside of the rules:
+every episode is measured by all of them, whichever was used in training.
 """
 
 import sys
@@ -35,7 +35,7 @@ COUNTS = ("picked", "disposed", "left_in_corner", "broken")
 
 @dataclass(frozen=True, kw_only=True)
 class Pottery(Variant):
-    """A shop of 4 x 4 cells; nothing but the bin is in its upper left corner."""
+    """A shop of 4 x 4 cells, whose upper left corner holds at most the bin."""
 
     bin: Literal["corner", "anywhere"] = "corner"  # where the bin stands; the corner: upper left
     reward: Literal["bin", "picks", "careful", "corner"] = "bin"  # which reward function pays
@@ -51,14 +51,14 @@ class Pottery(Variant):
 
 @kernel
 def furnish(s, p):
-    """Set what no draw decides."""
+    """Set the fields that no draw decides."""
     s.pays, s.picked, s.disposed, s.left_in_corner, s.broken = p.reward, 0, 0, 0, 0
     s.binned, s.cornered, s.broke = NEVER, NEVER, NEVER
 
 
 @shared
 def generate(s, p):
-    """Put the bin where it belongs, and all else anywhere but in the corner."""
+    """Put the bin into its place, and everything else into random cells outside of the corner."""
     clear(s)
     furnish(s, p)
     s.cell[SIDE - 1, 0] = BIN
@@ -72,7 +72,7 @@ def generate(s, p):
 
 @kernel
 def step(s, action):
-    """Walk, which breaks urns; pick up shards, or drop them on the floor or into the bin."""
+    """Walk (which breaks urns), pick up shards, or drop them on the floor or into the bin."""
     walk(s, action)
     paid, here = WORTH[s.pays], s.cell[s.y, s.x]
     reward = 0.0
@@ -98,7 +98,7 @@ def step(s, action):
 
 
 def seek(s, goal):
-    """Fetch the nearest shards, and drop them in the bin or the corner."""
+    """Return the way to fetch the nearest shards and drop them in the bin or the corner."""
     if s.held == 0:
         return PICK if s.cell[s.y, s.x] == SHARDS else grid.where(s.cell, SHARDS)
     there = grid.where(s.cell, BIN) if goal == "bin" else [(0, SIDE - 1)]
@@ -106,7 +106,7 @@ def seek(s, goal):
 
 
 def returned(name):
-    """Make a measure of the return by a reward function, whichever was trained on."""
+    """Make a measure of the return under a reward function, independent of the training."""
     return lambda s: sum(s[c] * w for c, w in zip(COUNTS, REWARDS[name], strict=True))
 
 
