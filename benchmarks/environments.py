@@ -49,7 +49,7 @@ class Row:
     to_peer: float | None = None  # ratio to EnvPool
     to_own: float | None = None  # ratio to images with our own art
     to_one_thread: float | None = None  # ratio to the same with one thread
-    of_copy: float | None = None  # share of the bytes per second that a plain copy moves
+    of_copy: float | None = None  # fraction of the bytes per second that a plain copy moves
     note: str = ""
 
     def cells(self) -> dict[str, str]:

@@ -48,7 +48,7 @@ class Row:
     network: str
     pictures: int  # learned from
     largest: int  # cells a side of the largest mazes among them
-    right: float  # share of directions in mazes of all sizes, mice anywhere
+    right: float  # fraction of directions in mazes of all sizes, mice anywhere
     by_size: dict[int, float]  # the same by cells a side
     start: float  # share where mouse and cheese are in opposite corners
 

@@ -14,6 +14,10 @@ import numpy as np
 MOST = 2**31 - 1  # of a knob, and of what is counted
 
 
+class OldName(FutureWarning):
+    """A name of an older version was read."""
+
+
 def bounded(name: str, given: Any, least: float, most: float) -> None:
     """Raise ValueError unless the argument `name` is an integer from `least` to `most`."""
     is_integer = isinstance(given, int | np.integer) and not isinstance(given, bool)
@@ -77,11 +81,8 @@ def renamed(data: Any, names: Mapping[str, str], where: str) -> Any:
     if not isinstance(data, dict) or names.keys().isdisjoint(data):
         return data
     for old in names.keys() & data.keys():
-        warnings.warn(
-            f"{where} says {old!r}; this is now {names[old]!r}, and is read until version 0.2",
-            FutureWarning,
-            stacklevel=2,
-        )
+        said = f"{where} says {old!r}; this is now {names[old]!r}; a later version will not read it"
+        warnings.warn(said, OldName, stacklevel=2)
     return {names.get(name, name): value for name, value in data.items()}
 
 

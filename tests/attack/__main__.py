@@ -41,7 +41,7 @@ def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="attack", description=__doc__)
     parser.add_argument("out", type=Path, help="folder for log.jsonl")
     parser.add_argument("--classes", default="1,2,3,4,5,6,7", help="of attempts, by number")
-    parser.add_argument("--share", type=float, default=1.0, help="of the attempts of each class")
+    parser.add_argument("--fraction", type=float, default=1.0, help="of the attempts of each class")
     parser.add_argument("--seed", type=int, default=0, help="which these are, and their order")
     parser.add_argument("--only", default="", help="attempts that have this in their names")
     parser.add_argument("--patience", type=float, default=1.0, help="times all limits of time")
@@ -160,7 +160,7 @@ def _chosen(found: Sequence[Attempt], given: argparse.Namespace) -> list[Attempt
     for kind in map(int, given.classes.split(",")):
         mine = [one for one in found if one.kind == kind and given.only in one.name]
         draw.shuffle(mine)
-        chosen += mine[: -int(-len(mine) * given.share // 1)]
+        chosen += mine[: -int(-len(mine) * given.fraction // 1)]
     return chosen
 
 

@@ -162,7 +162,7 @@ def test_an_evaluation_that_finds_no_room_leaves_nothing(run_folder, tmp_path):
         ("level maze corner --set region=5", "need placement 'region'"),
         ("train maze corner --seeds 0", "seeds must be an integer from 1 to 134217728; got 0"),
         (
-            "train maze corner --share 0.5",
+            "train maze corner --fraction 0.5",
             "share is for the sampler mixed or growing; got 'uniform'",
         ),
         ("train maze corner --replay 0.5", "replay is for the sampler plr or accel; got 'uniform'"),

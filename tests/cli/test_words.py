@@ -79,7 +79,11 @@ def test_set_means_knobs_and_settings_by_their_names():
         ("evaluate --agent m --json", "evaluate m --json"),
         ("record --level 3 --agent=m", "record m --level 3"),
         ("train maze corner --fused-cpu False", "train maze corner --no-fused-cpu"),
-        ("train maze corner --compile=True --share None", "train maze corner --compile"),
+        (
+            "train maze corner --fraction=0.5 --fraction 0.5",
+            "train maze corner --fraction=0.5 --fraction 0.5",
+        ),
+        ("train maze corner --compile=True --fraction None", "train maze corner --compile"),
     ],
 )
 def test_words_of_older_versions_are_read_with_a_note(capsys, older, today):

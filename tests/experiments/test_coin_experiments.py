@@ -132,7 +132,7 @@ def test_values_rise_within_an_agent_and_level():
 
 
 def attributed(wall, coin, network):
-    """Rows of shares: what the wall and the coin have of a map, over their areas, in 60 levels."""
+    """Fractions of a map on the wall and the coin, over their areas, in 60 levels."""
     random, rows = np.random.default_rng(len(network)), []
     for test in attribution.TESTS:
         for agent in range(4):

@@ -31,7 +31,7 @@ def test_the_schedules_have_the_same_levels_at_other_times():
         "late",
         "throughout",
     ]
-    assert {(c.sampler.share, c.sampler.shifted_levels) for c in mixed.values()} == {
+    assert {(c.sampler.fraction, c.sampler.shifted_levels) for c in mixed.values()} == {
         (early_or_late.WITHIN, early_or_late.BEGUN)
     }
     assert agents[early_or_late.NEVER].training_variant().shift_probability == 0
@@ -47,7 +47,7 @@ def test_late_is_after_the_goal_was_passed_or_never_in_episodes_that_go_astray()
         }
     )
     assert asking_for_help.too_late(asked)["late"].to_list() == [0.75]
-    shares = dict(asking_for_help.late_shares(asked).select("moment", "share").iter_rows())
+    shares = dict(asking_for_help.late_shares(asked).select("moment", "fraction").iter_rows())
     assert shares == {BEFORE: 0.25, AFTER: 0.25, NEVER: 0.5}
 
 

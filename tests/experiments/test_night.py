@@ -45,13 +45,13 @@ def test_a_night_trains_in_the_papers_worlds_on_a_processor(name):
 def test_a_night_ends_with_rewards_alone_in_the_papers_distribution(name):
     for config in plans(name)[0].agents.values():
         assert config.sampler.kind in ("uniform", "growing")
-        grown = config.sampler.share or 0
+        grown = config.sampler.fraction or 0
         assert (1 - max(grown, config.taught if config.teacher else 0)) * config.steps >= PURE
 
 
 def test_the_levels_of_a_night_have_grown_when_its_rewards_alone_teach():
     config: Config = plans("maze-corner")[0].config
-    few, grown = Growing(replace(config, levels=300)), config.sampler.share
+    few, grown = Growing(replace(config, levels=300)), config.sampler.fraction
     assert grown
     few.plan(int(0.9 * grown * config.steps))
     assert few.count < 300

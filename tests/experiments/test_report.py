@@ -177,7 +177,7 @@ def test_a_figure_is_the_same_bytes_twice_and_its_text_is_text(name, tmp_path):
     for suffix in (".svg", ".png"):
         one, two = ((tmp_path / k / name).with_suffix(suffix) for k in ("one", "two"))
         assert one.read_bytes() == two.read_bytes()
-    text = {"bars": "share of episodes", "curves": "million environment steps"}[name]
+    text = {"bars": "fraction of episodes", "curves": "million environment steps"}[name]
     assert f">{text}</text>" in (tmp_path / "one" / f"{name}.svg").read_text()
 
 

@@ -258,7 +258,7 @@ def test_no_round_is_lost_or_done_twice_however_long_threads_wait(processors, mo
 
 
 def pass_rounds(pace, seconds, alone, shared):
-    """Go on for `seconds`; the share of rounds shared, and how much sooner they were done."""
+    """Go on for `seconds`; the fraction of rounds shared, and how much sooner they were done."""
     rounds, together, spent = 0, 0, 0.0
     while spent < seconds:
         round = shared(rounds) if pace.shared else alone

@@ -37,7 +37,7 @@ def test_no_bars_are_refused():
 
 
 def test_points_have_a_row_each_and_their_intervals():
-    (axes,) = charts.points(VALUES.head(2), row="who", label="share", at={"": 0}).axes
+    (axes,) = charts.points(VALUES.head(2), row="who", label="fraction", at={"": 0}).axes
     assert [tick.get_text() for tick in axes.get_yticklabels()] == ["a", "b"]
     assert axes.get_ylim() == (1.5, -0.5), "the first is on top"
     (ends,) = axes.collections
@@ -56,7 +56,7 @@ def test_no_two_series_look_alike_without_colour(count):
 def test_what_has_no_place_is_a_level_line_and_what_has_no_interval_no_band():
     base = pl.DataFrame({"who": ["base rate"], "mean": [0.6]})
     both = pl.concat([VALUES, base], how="diagonal")
-    (axes,) = charts.curves(both, x="when", line="who", label="share").axes
+    (axes,) = charts.curves(both, x="when", line="who", label="fraction").axes
     assert named(axes)["a"].get_xydata().tolist() == [[3, 0.1], [10, 0.3]]
     assert named(axes)["base rate"].get_ydata() == [0.6, 0.6]
     bands = [np.array(band.get_paths()[0].vertices)[:, 0].tolist() for band in axes.collections]

@@ -95,12 +95,12 @@ def test_every_schedule_comes_to_the_same_share(schedule):
 
 
 def test_mixed_levels_are_shifted_with_the_share_and_are_the_variants_own_numbers():
-    sampler = Mixed(MIXED.changed(share=0.5, levels=1000))
+    sampler = Mixed(MIXED.changed(fraction=0.5, levels=1000))
     sampler.plan(0)
     numbers = np.concatenate([sampler.next(np.arange(16)) for _ in range(100)])
     shifted = np.array([share_of(number, SHIFT) < 0.2 for number in numbers])
     assert abs(shifted.mean() - 0.5) < 0.05 and numbers.max() < 1000
-    assert sampler.summary()["shifted_share"] == shifted.mean()
+    assert sampler.summary()["shifted_fraction"] == shifted.mean()
 
 
 def test_early_levels_are_shifted_first_and_late_ones_last():
@@ -117,7 +117,7 @@ def test_early_levels_are_shifted_first_and_late_ones_last():
 
 @pytest.mark.parametrize("schedule", ["throughout", "early", "late", "annealed"])
 def test_every_schedule_begins_as_many_shifted_levels_as_were_asked_for(schedule):
-    config = MIXED.changed(schedule=schedule, share=0.25, shifted_levels=40, steps=40 * 256)
+    config = MIXED.changed(schedule=schedule, fraction=0.25, shifted_levels=40, steps=40 * 256)
     sampler, begun = Mixed(config), []
     for steps in range(0, config.steps, config.batch):
         sampler.plan(steps)
@@ -137,8 +137,8 @@ def test_every_schedule_begins_as_many_shifted_levels_as_were_asked_for(schedule
 
 
 def test_shifted_levels_need_time_to_come_in():
-    with pytest.raises(ValueError, match="shifted_levels needs a share above 0; got 0"):
-        Mixed(MIXED.changed(share=0, shifted_levels=10))
+    with pytest.raises(ValueError, match="shifted_levels needs a fraction above 0; got 0"):
+        Mixed(MIXED.changed(fraction=0, shifted_levels=10))
 
 
 def test_regret_is_what_the_solver_gets_more_than_the_agent():
@@ -220,7 +220,7 @@ def test_a_resumed_run_is_the_one_that_was_not_stopped(config, tmp_path, monkeyp
     assert checkpoint.metrics(tmp_path / "parts") == checkpoint.metrics(tmp_path / "whole")
     counted = checkpoint.metrics(tmp_path / "parts")[-1]
     if config is MIXED:
-        assert 0 < counted["levels/shifted_share"] < 0.5
+        assert 0 < counted["levels/shifted_fraction"] < 0.5
     elif config is GROWING:
         assert counted["levels/part"] == 1
     else:
@@ -259,7 +259,7 @@ def test_levels_grow_from_the_smallest_to_those_of_the_variant_itself():
 
 
 def test_how_long_levels_grow_can_be_said():
-    sampler = Growing(GROWING.changed(share=0.25))
+    sampler = Growing(GROWING.changed(fraction=0.25))
     assert len(set(begun(sampler, GROWING.steps // 8))) == round(0.55 * GROWING.levels)
     assert len(set(begun(sampler, GROWING.steps // 4))) == GROWING.levels
 
@@ -346,8 +346,8 @@ def test_what_a_sampler_must_not_do_is_told(method, message, tmp_path, monkeypat
             "the game 'coinrun' has no mutation",
         ),
         (
-            {"sampler": "mixed", "share": 0.6, "schedule": "annealed", "knobs": SHIFTED},
-            "share must be at most 0.5 to be annealed; got 0.6",
+            {"sampler": "mixed", "fraction": 0.6, "schedule": "annealed", "knobs": SHIFTED},
+            "fraction must be at most 0.5 to be annealed; got 0.6",
         ),
     ],
 )  # fmt: skip

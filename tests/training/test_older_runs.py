@@ -9,6 +9,7 @@ import torch
 
 from astray.agents.policy import Architecture, load, weights
 from astray.analysis.runs import open_run
+from astray.bounds import OldName
 from astray.training import checkpoint
 from astray.training.config import Config
 from astray.training.loop import train
@@ -23,7 +24,10 @@ def in_older_words(data):
 
 
 def test_settings_in_older_words_are_those_of_today():
-    assert Config.from_json(in_older_words(TINY.to_json())) == TINY
+    with pytest.warns(OldName) as notes:
+        assert Config.from_json(in_older_words(TINY.to_json())) == TINY
+    assert len(notes) == len(RENAMED)
+    assert any("says 'share'; this is now 'fraction'" in str(note.message) for note in notes)
     with pytest.raises(ValueError, match="no setting 'environment'"):
         Config.from_json(TINY.to_json() | {"environment": 3})
 
@@ -39,6 +43,7 @@ def test_a_knob_that_came_later_was_as_it_is_by_default():
         Config.from_json(data)
 
 
+@pytest.mark.filterwarnings("ignore:a file of settings says:astray.bounds.OldName")
 def test_an_older_run_is_opened_and_goes_on_as_it_would_have(tmp_path):
     config = replace(TINY, validation=None, checkpoint_every=1, steps=4 * TINY.batch)
     run = tmp_path / "run"

@@ -32,7 +32,7 @@ def shares(log_evidence: np.ndarray, *, seed: int = 0) -> list[Estimate]:
     likelihood, explanations = np.exp(log_evidence - best), log_evidence.shape[1]
     rng = np.random.default_rng(seed)
     theta, drawn = np.full(explanations, 1 / explanations), []
-    for _ in range(FORGOTTEN + DRAWS):  # Gibbs: explanations given their shares, and back
+    for _ in range(FORGOTTEN + DRAWS):  # Gibbs: explanations given their fractions, and back
         cumulative = np.cumsum(likelihood * theta, axis=1)
         chosen = (cumulative < rng.random((len(best), 1)) * cumulative[:, -1:]).sum(1)
         theta = rng.dirichlet(1.0 + np.bincount(chosen, minlength=explanations))

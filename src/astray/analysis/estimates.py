@@ -6,7 +6,7 @@ agents. The interval is for the mean over all agents that the training could giv
 the variant. Its half-width has one part for each; their squares add up (Banerjee 1961):
 
     agents  Student's t with agents - 1 degrees of freedom, times the standard error of their means
-    levels  the normal quantile times the levels' share of the standard error, from the variance
+    levels  the normal quantile times the levels' fraction of the standard error, from the variance
             component of a crossed design, as an analysis of variance estimates it
 
 With one agent, the interval is for this agent alone, over levels. Rates have Wilson's interval for

@@ -47,6 +47,7 @@ MARKERS = (OmitArgPrefixes, PositionalMetavarFromFieldName, DisallowNone)
 OF_AGENTS = ("evaluate", "record", "agency", "export", "lab")
 SWITCHES = tuple(f"--{name}" for name in ("fused-cpu", "bfloat16", "channels-last", "compile",
                                           "cudagraphs"))  # fmt: skip
+RENAMED = {"--fraction": "--fraction"}  # options of older versions
 
 
 def run() -> None:
@@ -77,8 +78,8 @@ def _warn(show: Callable[..., None], message: Any, category: type, *where: Any) 
 def in_todays_words(given: list[str]) -> list[str]:
     """Translate words of older versions into today's, with a note.
 
-    `--agent NAME` is now NAME, switches followed by True or False are now flags, and nothing is
-    set to None.
+    `--agent NAME` is now NAME, options have new names, switches followed by True or False are now
+    flags, and nothing is set to None.
     """
     first, *words = [part for word in given for part in _parted(word)] or [""]
     names, rest, notes = [], [], []
@@ -87,6 +88,10 @@ def in_todays_words(given: list[str]) -> list[str]:
         if word == "--agent" and after and first in OF_AGENTS:
             names.append(words.pop(0))
             notes.append("--agent NAME is now NAME alone")
+        elif word.partition("=")[0] in RENAMED:
+            name, *value = word.split("=", 1)
+            rest.append("=".join([RENAMED[name], *value]))
+            notes.append(f"{name} is now {RENAMED[name]}")
         elif word.startswith("--") and after == "None":
             words.pop(0)
             notes.append(f"{word} None is now said by leaving it out")

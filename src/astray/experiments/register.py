@@ -89,7 +89,9 @@ def _about(study: dict[str, Any]) -> str:
 
 def _plans(sizes: Mapping[Size, Plan]) -> Iterator[str]:
     """Return the lines of a table of each size's power."""
-    heads = [f"{what}, {_points(spread)}" for what in ("share", "difference") for spread in SPREADS]
+    heads = [
+        f"{what}, {_points(spread)}" for what in ("fraction", "difference") for spread in SPREADS
+    ]
     yield f"| size | seeds | {' | '.join(heads)} |"
     yield f"| --- | --- |{' ---: |' * len(heads)}"
     for size, plan in sizes.items():

@@ -31,12 +31,12 @@ from astray.game import Variant
 from astray.insight.activations import activations
 
 SEEN = "observation"  # in the place of a layer: what the agent is shown
-TEST = 0.3  # share of levels that a probe is scored on
+TEST = 0.3  # fraction of levels that a probe is scored on
 DIRECTIONS = 128  # of what a layer gives, those in which it varies most; more would be fitted to
 # noise, and take long
 STRENGTHS = np.logspace(-1, 5, 13)  # of ridge regression's penalty, of which it takes the best
 LEAST = 20  # states of a class, and states with a number, below which there is nothing to fit
-SELDOM = 0.01  # share of states in which something must differ from its median to be shown
+SELDOM = 0.01  # fraction of states in which something must differ from its median to be shown
 FITS = 400  # steps of the solver, at most
 SCORES = ("score", "shuffled", "untrained")
 

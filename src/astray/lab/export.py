@@ -243,7 +243,7 @@ def table(
     data = np.empty((rows, len(game.actions) + 1), np.uint8)
     data[:, :-1] = np.round(SHARE * policy)
     data[:, -1] = np.round(SHARE * (value - low) / spread)
-    index = {"actions": len(game.actions), "share": SHARE, "low": low, "high": high}
+    index = {"actions": len(game.actions), "one": SHARE, "low": low, "high": high}
     index["levels"] = levels
     return index, data.tobytes()
 

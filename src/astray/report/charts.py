@@ -39,7 +39,7 @@ from astray.report.style import FAINT, INK, STYLE, WIDTH
 
 ENDS = ("#a3a39d", "#c9b8a4", "#8f9aa8", "#b9a9b9")  # of other ends than those of all games
 HATCHES = ("//", "", "..", "\\\\", "xx", "--", "||")
-NARROWEST = 0.07  # share of a bar that has room for its percentage
+NARROWEST = 0.07  # fraction of a bar that has room for its percentage
 PALE = 0.2  # opacity of an interval
 FEW = 25  # points of a curve that are marked
 PLAIN: dict[str, Any] = {"fontweight": "normal", "fontsize": 10.5}  # of a title that is a label
@@ -100,7 +100,7 @@ def outcome_bars(shares: pl.DataFrame) -> Figure:
     """
     colours = outcome_colours(names_of(shares, "outcome"))
     return bars(
-        shares, colours, row="who", part="outcome", panel="where", label="share of episodes",
+        shares, colours, row="who", part="outcome", panel="where", label="fraction of episodes",
         interval=MISGENERALIZED,
     )  # fmt: skip
 

@@ -183,12 +183,12 @@ class Mixed:
             )
         self.config, self.share = (
             config,
-            stock if config.sampler.share is None else config.sampler.share,
+            stock if config.sampler.fraction is None else config.sampler.fraction,
         )
         if not self.share and config.sampler.shifted_levels:
-            raise ValueError("shifted_levels needs a share above 0; got 0")
+            raise ValueError("shifted_levels needs a fraction above 0; got 0")
         if config.sampler.schedule == "annealed" and self.share > 0.5:
-            raise ValueError(f"share must be at most 0.5 to be annealed; got {self.share}")
+            raise ValueError(f"fraction must be at most 0.5 to be annealed; got {self.share}")
         check_memory(10 * config.levels, f"{config.levels:,} training levels")
         shares = np.empty(config.levels)
         fill_shares(config.first_level, SHIFT, shares)
@@ -232,7 +232,7 @@ class Mixed:
 
     def summary(self) -> dict[str, float]:
         begun, shifted = map(float, self.begun)
-        return {"begun": begun, "shifted": shifted, "shifted_share": shifted / begun}
+        return {"begun": begun, "shifted": shifted, "shifted_fraction": shifted / begun}
 
     def arrays(self) -> dict[str, np.ndarray]:
         return {"turn": np.array([self.turn]), "begun": self.begun}
@@ -253,7 +253,7 @@ class Growing:
 
     def __init__(self, config: Config):
         self.config, game = config, config.find_game()
-        self.share = GROWS if config.sampler.share is None else config.sampler.share
+        self.share = GROWS if config.sampler.fraction is None else config.sampler.fraction
         reachable, numbers = game.solver.reachable, np.array(config.training_levels)
         check_memory(17 * len(numbers), f"{len(numbers):,} training levels")
         shown, n = "symbolic" if game.symbols else "image", min(len(numbers), MEASURED)

@@ -7,7 +7,7 @@ from dataclasses import MISSING, asdict, fields
 from typing import Any
 
 from astray.agents.names import renamed_network
-from astray.bounds import shown
+from astray.bounds import renamed, shown
 from astray.game import Variant
 
 # Settings as older run folders have them, and what they are called now.
@@ -17,6 +17,7 @@ RENAMED = {
     "kernels": "fused_cpu",
     "compiled": "compile",
     "graphs": "cudagraphs",
+    "share": "fraction",
 }
 
 
@@ -26,8 +27,7 @@ def settings(data: Any) -> dict[str, Any]:
         raise ValueError(f"settings must be an object; got {shown(data)}")
     values: dict[str, Any] = dict(data)
     values.pop("training_variant", None)
-    for old in RENAMED.keys() & values.keys():
-        values[RENAMED[old]] = values.pop(old)
+    values = renamed(values, RENAMED, "a file of settings")
     if "network" in values:
         values["network"] = renamed_network(values["network"])
     return values

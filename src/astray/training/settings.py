@@ -23,7 +23,7 @@ COUNTS = (
     "validation_every", "checkpoint_every", "threads", "microbatch", "groups", "buffer", "edits",
     "shifted_levels",
 )  # fmt: skip
-SHARES = ("gamma", "lam", "reward_gamma", "share", "staleness", "taught")
+SHARES = ("gamma", "lam", "reward_gamma", "fraction", "staleness", "taught")
 AMOUNTS = ("learning_rate", "clip", "value_weight", "entropy_weight", "gradient_norm")
 RANGES = (
     {name: (1, MOST) for name in COUNTS}
@@ -36,7 +36,7 @@ RANGES = (
 SAMPLERS = ("uniform", "mixed", "growing", "plr", "accel")  # astray's own samplers
 SCORING = ("plr", "accel")  # samplers that score levels
 SAMPLED = {  # settings -> their samplers
-    "share": ("mixed", "growing"), "shifted_levels": ("mixed",), "replay": SCORING,
+    "fraction": ("mixed", "growing"), "shifted_levels": ("mixed",), "replay": SCORING,
 }  # fmt: skip
 Schedule = Literal["throughout", "early", "late", "annealed"]
 Score = Literal["regret", "max-monte-carlo", "positive-value-loss"]
@@ -52,7 +52,7 @@ class Sampling:
     """Sampler of training levels.
 
     Examples:
-        >>> astray.Sampling("mixed", share=0.1, schedule="early").share
+        >>> astray.Sampling("mixed", fraction=0.1, schedule="early").fraction
         0.1
 
     Raises:
@@ -63,7 +63,7 @@ class Sampling:
     kind: Annotated[str, arg(name="sampler")] = "uniform"
     # Probability that an episode is in a shifted level, as the mean over steps (mixed); fraction of
     # the steps after which all levels are played (growing).
-    share: Annotated[float | None, otherwise("shift_probability; 0.5 for growing")] = None
+    fraction: Annotated[float | None, otherwise("shift_probability; 0.5 for growing")] = None
     schedule: Schedule = "throughout"  # When the shifted levels are played (mixed).
     # Total number of shifted levels begun; early and late use a fraction of the steps (mixed).
     shifted_levels: Annotated[int | None, otherwise("as many as the chance comes to")] = None

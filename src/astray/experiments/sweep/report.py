@@ -105,7 +105,7 @@ def _plots(sweep: Sweep, episodes: pl.DataFrame) -> Iterator[Plot]:
         )
         name = "-".join(one.replace(".", "-").replace("_", "-") for one in pair)
         others = [one for one in several if one not in pair]
-        caption = f"What agents do, by {' and '.join(pair)}; shares of episodes"
+        caption = f"What agents do, by {' and '.join(pair)}; fractions of episodes"
         if others:
             caption += f", over all values of {', '.join(others)}"
         x, *y = pair
@@ -113,7 +113,7 @@ def _plots(sweep: Sweep, episodes: pl.DataFrame) -> Iterator[Plot]:
             cells(data, COLOURS, x=x, y=y[0], panel="what")
             if y
             else charts.curves(
-                data, x=x, line="what", label="share of episodes", x_label=x, even=True,
+                data, x=x, line="what", label="fraction of episodes", x_label=x, even=True,
                 whiskers=True, percent="y", limits=(-0.03, 1.03),
             )
         )  # fmt: skip

@@ -27,7 +27,7 @@ PARTS = 4  # of a step's way; the original's max(4, int(4 |v|)), where |v| < 0.8
 PART = F(1 / PARTS)
 TIES = 1_000_000  # what the integer of a step is below
 
-# The inventory's icons in shares of the picture's side: of slot i the centre is
+# The inventory's icons in fractions of the picture's side: of slot i the centre is
 # FIRST_SLOT + i SLOT from the side, SLOT_DOWN from the top (or bottom).
 SLOT, FIRST_SLOT, SLOT_DOWN = 0.06, 0.0375, 0.0597
 HALF_ICON = (0.0186, 0.03)  # half its width and height

@@ -86,7 +86,9 @@ def find(work: Work) -> Findings:
             ),
             Table("types", "All maps; intervals of the mean log Bayes factor (nats)", table),
             Table("goals", f"Which goal {POOLED} trajectories together pursue", goals),
-            Table("called-agents", f"Share of policies called agents after {STEPS} steps", called),
+            Table(
+                "called-agents", f"Fraction of policies called agents after {STEPS} steps", called
+            ),
         ],
         settings={
             "maps": ", ".join(MAPS),

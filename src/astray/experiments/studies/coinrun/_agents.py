@@ -104,4 +104,4 @@ def play(runs: Sequence[Path], variant: Variant, levels: np.ndarray | range) -> 
 def fate_bars(fates: pl.DataFrame, order: Sequence[str]) -> Figure:
     """Draw a bar of fates for each test; columns test, fate and mean."""
     colours = dict(zip(order, FATES, strict=True))
-    return charts.bars(fates, colours, row="test", part="fate", label="share of episodes")
+    return charts.bars(fates, colours, row="test", part="fate", label="fraction of episodes")

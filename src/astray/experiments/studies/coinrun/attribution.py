@@ -60,7 +60,7 @@ def find(work: Work) -> Findings:
     examples = work.keep("maps", lambda: maps_of_some(work))
     parts = charts.points(
         pl.concat([sizes(table), bars], how="diagonal_relaxed"), row="part", group="method",
-        panel="test", percent=True, label="share of attribution",
+        panel="test", percent=True, label="fraction of attribution",
     )  # fmt: skip
     return Findings(
         answer="Where both are in view, the end wall has "
@@ -76,8 +76,8 @@ def find(work: Work) -> Findings:
         plots=[
             Plot(
                 "parts",
-                "The share of attribution on each part, by three methods, with 95\u00a0% "
-                "intervals; the mark is the part's share of what is seen, "
+                "The fraction of attribution on each part, by three methods, with 95\u00a0% "
+                "intervals; the mark is the part's fraction of what is seen, "
                 "which it would have if it mattered no more than its size.",
                 parts,
                 bars,
@@ -90,8 +90,8 @@ def find(work: Work) -> Findings:
             ),
         ],
         tables=[
-            Table("shares", "Share of attribution on each part", bars),
-            Table("by-size", "Share of attribution over share of what is seen", by_size),
+            Table("shares", "Fraction of attribution on each part", bars),
+            Table("by-size", "Fraction of attribution over fraction of what is seen", by_size),
             Table("untrained", "The same of networks that were never trained", ratios),
         ],
         settings=outcomes.settings(work.plan)
@@ -210,7 +210,7 @@ def per_area(table: pl.DataFrame) -> Gap:
 def sizes(table: pl.DataFrame) -> pl.DataFrame:
     """Return the mean area of each part in each test."""
     return table.group_by("test", "part", maintain_order=True).agg(
-        mean=pl.col("area").mean(), method=pl.lit("share of what is seen")
+        mean=pl.col("area").mean(), method=pl.lit("fraction of what is seen")
     )
 
 

@@ -39,7 +39,7 @@ BLIND = {
 }
 BASE, WALK = "base rate: coin invisible", "base rate: walk to the end"
 ALL, MISSED = "all", "invisible coin never touched"
-FALL = 0.1  # of the share of episodes, at least, with 2 % of random coins: "greatly"
+FALL = 0.1  # of the fraction of episodes, at least, with 2 % of random coins: "greatly"
 
 
 def find(work: Work) -> Findings:
@@ -115,7 +115,10 @@ def find(work: Work) -> Findings:
             ),
             outcomes.curve_plot(replace(work, runs={NEVER: work.runs[NEVER]})),
         ],
-        tables=[Table("diversity", "Failures against the share of random coins", table), *tables],
+        tables=[
+            Table("diversity", "Failures against the fraction of random coins", table),
+            *tables,
+        ],
         settings=outcomes.settings(work.plan)
         | {
             "levels that no training met": unmet(work),
@@ -134,7 +137,7 @@ def find(work: Work) -> Findings:
 def draw(table: pl.DataFrame) -> Figure:
     """Draw both failures against random_coins, one panel per test; base rates are horizontal."""
     return charts.curves(
-        table, x="random_coins", line="what", panel="test", label="share of episodes",
+        table, x="random_coins", line="what", panel="test", label="fraction of episodes",
         x_label="training levels with a random coin (%)", percent="y", limits=(0, 1),
     )  # fmt: skip
 
@@ -279,7 +282,7 @@ EXPERIMENT = Experiment(
             (0, 2, 10),
             1,
             1000,
-            f"{_agents.DIFFERENCES['hour']}; three shares of random coins instead of eight",
+            f"{_agents.DIFFERENCES['hour']}; three fractions of random coins instead of eight",
         ),
         "paper": plan("paper", SHARES, 3, 10_000, ""),
     },

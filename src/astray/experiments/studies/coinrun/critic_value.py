@@ -58,7 +58,7 @@ def find(work: Work) -> Findings:
     most = f"{largest.mean:+.2f} at the stage “{stage}”"
 
     def adding_at_most(share: float) -> list[Claim]:
-        """Of each stage, that the coin adds no more than a share of the least that the end may."""
+        """Return, for each stage, the claim that the coin adds at most `share` of the end."""
         margin = max(0.0, round(share * rise.low, 3))
         return [
             near_zero("", "", f"with the coin less without, {stage}", effect, margin, told=CHANGE)

@@ -53,7 +53,7 @@ def find(work: Work) -> Findings:
     fates = pl.concat(
         [
             group_means(
-                table.with_columns(share=pl.col("fate") == fate), "share", ["test"]
+                table.with_columns(fraction=pl.col("fate") == fate), "fraction", ["test"]
             ).with_columns(fate=pl.lit(fate))
             for fate in FATES
         ]
@@ -156,7 +156,7 @@ def find(work: Work) -> Findings:
         ],
         tables=[
             Table("fates", "What became of episodes", fates),
-            Table("gains", "What seeing the coin adds to the share in which it is taken", gains),
+            Table("gains", "What seeing the coin adds to the fraction in which it is taken", gains),
         ],
         settings=outcomes.settings(work.plan)
         | {

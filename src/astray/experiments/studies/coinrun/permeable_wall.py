@@ -50,7 +50,9 @@ def find(work: Work) -> Findings:
         pl.concat(
             [
                 group_means(
-                    reached.with_columns(share=pl.col("fate") == fate), "share", ["test", "who"]
+                    reached.with_columns(fraction=pl.col("fate") == fate),
+                    "fraction",
+                    ["test", "who"],
                 ).with_columns(fate=pl.lit(fate))
                 for fate in FATES
             ]

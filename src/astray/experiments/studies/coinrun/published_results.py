@@ -20,7 +20,7 @@ SOURCE = "paper-coinrun-results"  # of the catalogue of published agents
 VARIANT = "coin-ledge"  # its levels: the paper's game, the coin at the random place in all
 SCRIPT, RANDOM = RIGHT_AND_JUMP.name, "random"
 FATES = ("took it", "end without it", "died", "time was up")
-CLOSE, APART = 0.05, 0.1  # differences of shares that claims are held to
+CLOSE, APART = 0.05, 0.1  # differences of fractions that claims are held to
 
 
 def find(work: Work) -> Findings:

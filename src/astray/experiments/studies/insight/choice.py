@@ -88,7 +88,7 @@ def find(work: Work) -> Findings:
             Table(
                 "all",
                 "All distances; vif: how many times the variance of a coefficient is that "
-                "without the others; sign: share of subsets of distances with the same sign",
+                "without the others; sign: fraction of subsets of distances with the same sign",
                 every.features,
             ),
             Table("four", "The four of Mini et al.", four.features),

@@ -56,7 +56,7 @@ def find(work: Work) -> Findings:
             above(
                 "There it routinely takes all keys before it opens the last chest.",
                 "routinely (no figure given)",
-                "share of episodes",
+                "fraction of episodes",
                 first,
                 0.5,
             ),
@@ -83,9 +83,9 @@ def find(work: Work) -> Findings:
             outcomes.curve_plot(
                 work,
                 "keys_before_last",
-                "share of episodes",
-                "Share of recent episodes in which all keys were taken before the last chest was "
-                "opened, while training. In the training variant all keys are needed.",
+                "fraction of episodes",
+                "Fraction of recent episodes in which all keys were taken before the last chest "
+                "was opened, while training. In the training variant all keys are needed.",
             ),
         ],
         tables=[hoards, *shares],

@@ -49,7 +49,7 @@ def find(work: Work) -> Findings:
     largest = max(sizes.filter(outcome=INTENDED).to_dicts(), key=lambda row: row["size"])
     first = {o: share(work.episodes, WHERE, o).mean for o in OUTCOMES}
     by_side = charts.curves(
-        sizes, x="size", line="outcome", label="share of episodes", percent="y", limits=(0, 1),
+        sizes, x="size", line="outcome", label="fraction of episodes", percent="y", limits=(0, 1),
         even=True, x_label="cells a side of the maze",
     )  # fmt: skip
     return Findings(
@@ -100,7 +100,7 @@ def find(work: Work) -> Findings:
         ],
         tables=[
             Table("sizes", "Outcomes by the size of the maze", sizes),
-            Table("goals", "Share of episodes that each explanation holds for", goals),
+            Table("goals", "Fraction of episodes that each explanation holds for", goals),
             *tables,
         ],
         settings=outcomes.settings(work.plan)
@@ -119,7 +119,7 @@ def by_size(episodes: pl.DataFrame) -> pl.DataFrame:
     return pl.concat(
         [
             group_means(
-                mine.with_columns(share=pl.col("outcome") == outcome), "share", ["size"]
+                mine.with_columns(fraction=pl.col("outcome") == outcome), "fraction", ["size"]
             ).with_columns(outcome=pl.lit(outcome))
             for outcome in OUTCOMES
         ]

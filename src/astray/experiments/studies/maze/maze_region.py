@@ -42,7 +42,7 @@ def find(work: Work) -> Findings:
     titles += ["Reached first, in levels that tell the goals apart"] * len(first)
     lines = charts.curves(
         both.with_columns(panel=pl.Series(titles)), x="region", line="who", panel="panel",
-        columns=1, percent="y", limits=(-0.02, 1.02), label="share of levels",
+        columns=1, percent="y", limits=(-0.02, 1.02), label="fraction of levels",
         x_label="region of the cheese in training (cells a side)",
     )  # fmt: skip
     return Findings(

@@ -75,7 +75,7 @@ def find(proxy: str, work: Work) -> Findings:
                 "misgeneralization",
                 f"Episodes that reach the {proxy} first, in distinguishing levels, "
                 "with 95\u00a0% intervals, the spread between agents pooled over all kinds.",
-                by_share_figure(table.filter(what=MISGENERALIZED), "share of episodes"),
+                by_share_figure(table.filter(what=MISGENERALIZED), "fraction of episodes"),
                 table.filter(what=MISGENERALIZED),
             ),
             Plot(
@@ -86,8 +86,8 @@ def find(proxy: str, work: Work) -> Findings:
             ),
             Plot(
                 "buffer",
-                "The share of the buffer's levels whose goal is placed as in the test, in the "
-                "last quarter of training, a dot an agent; dashed: the share of new "
+                "The fraction of the buffer's levels whose goal is placed as in the test, in the "
+                "last quarter of training, a dot an agent; dashed: the fraction of new "
                 "levels.",
                 buffer_figure(buffers),
                 buffers,
@@ -130,7 +130,7 @@ def by_share(work: Work) -> pl.DataFrame:
     for what, value in values.items():
         kinds = {name: matrix(distinguishing(work, name), value) for name in work.plan.agents}
         rows += [
-            {"method": method, "share": share, "what": what}
+            {"method": method, "fraction": share, "what": what}
             | vars(estimate_mean(kinds[name_of(method, share)], pool=list(kinds.values())))
             for method in METHODS
             for share in SHARES
@@ -152,7 +152,7 @@ def in_buffers(work: Work) -> pl.DataFrame:
                 rows.append(
                     {
                         "method": method,
-                        "share": share,
+                        "fraction": share,
                         "seed": seed,
                         "in_buffer": mean,
                         "amplified": amplified,
@@ -173,7 +173,7 @@ def claims(work: Work, buffers: pl.DataFrame) -> list[Claim]:
         names = name_of(DR, share), name_of(method, share)
         return estimate_difference(*(wrong[name] for name in names), pool=kinds)
 
-    amplified = buffers.filter(pl.col("method") != DR, share=SOME)["amplified"].to_list()
+    amplified = buffers.filter(pl.col("method") != DR, fraction=SOME)["amplified"].to_list()
     least = min(amplified)
     without = [often(method, 0.0) for method in METHODS]
     lowest = min(without, key=lambda estimate: estimate.low)
@@ -221,20 +221,20 @@ def by_share_figure(table: pl.DataFrame, label: str) -> Figure:
 
 def buffer_figure(buffers: pl.DataFrame) -> Figure:
     """Plot the fraction of distinguishing levels in the buffers over the fraction generated."""
-    each = buffers.select("method", "share", "seed", mean="in_buffer")
-    means = each.group_by("method", "share", maintain_order=True).agg(pl.col("mean").mean())
-    new = pl.DataFrame({"method": "generated", "share": SHARES, "mean": SHARES})
+    each = buffers.select("method", "fraction", "seed", mean="in_buffer")
+    means = each.group_by("method", "fraction", maintain_order=True).agg(pl.col("mean").mean())
+    new = pl.DataFrame({"method": "generated", "fraction": SHARES, "mean": SHARES})
     every = pl.concat([each, means, new], how="diagonal_relaxed")
     return _over_shares(
-        every, "share of the buffer's levels", each="seed", percent="y", base=["generated"]
+        every, "fraction of the buffer's levels", each="seed", percent="y", base=["generated"]
     )
 
 
 def _over_shares(table: pl.DataFrame, label: str, **how: Any) -> Figure:
-    named = pl.col("share").replace_strict(SHARES, [f"{100 * share:g} %" for share in SHARES])
+    named = pl.col("fraction").replace_strict(SHARES, [f"{100 * share:g} %" for share in SHARES])
     below = "training levels that may distinguish the goals"
     return charts.curves(
-        table.with_columns(named), x="share", line="method", label=label, x_label=below, **how
+        table.with_columns(named), x="fraction", line="method", label=label, x_label=below, **how
     )
 
 

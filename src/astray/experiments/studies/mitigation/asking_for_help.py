@@ -170,12 +170,12 @@ def find(work: Work) -> Findings:
         firsts.select("score", "help", pl.format("{}: help by the {}", "agent", "granularity")
                       .alias("panel"), mean="return"),
         x="help", line="score", panel="panel", label="return", percent="x", sharey=False,
-        x_label="share of steps or levels with help",
+        x_label="fraction of steps or levels with help",
     )  # fmt: skip
     moments = charts.bars(
-        shown.rename({"share": "mean"}), dict(zip((*MOMENTS, NEVER), SHADES, strict=True)),
+        shown.rename({"fraction": "mean"}), dict(zip((*MOMENTS, NEVER), SHADES, strict=True)),
         row="score", part="moment", panel="agent",
-        label="share of the episodes that misgeneralize without help",
+        label="fraction of the episodes that misgeneralize without help",
     )  # fmt: skip
     return Findings(
         answer=f"Help by the step: {told}. Of the episodes that misgeneralize, and need not, the "
@@ -185,7 +185,7 @@ def find(work: Work) -> Findings:
         plots=[
             Plot(
                 "curves",
-                "Return against the share of help, thresholds at percentiles of the "
+                "Return against the fraction of help, thresholds at percentiles of the "
                 "scores in training; the first agent of each name. The expert walks the shortest "
                 "way to the goal.",
                 helped,
@@ -242,11 +242,11 @@ def too_late(asked: pl.DataFrame) -> pl.DataFrame:
 
 
 def late_shares(asked: pl.DataFrame) -> pl.DataFrame:
-    """Return the rate of each moment in misgeneralized episodes: agent, score, moment, share."""
+    """Return the rate of each moment in misgeneralized episodes: agent, score, moment, fraction."""
     wrong = asked.filter(outcome=MISGENERALIZED).with_columns(pl.col("moment").fill_null(NEVER))
     count = wrong.group_by("agent", "score", "moment", maintain_order=True).len()
     return count.with_columns(
-        share=pl.col("len") / pl.col("len").sum().over("agent", "score")
+        fraction=pl.col("len") / pl.col("len").sum().over("agent", "score")
     ).drop("len")
 
 

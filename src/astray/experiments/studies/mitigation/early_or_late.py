@@ -100,7 +100,7 @@ MOUSE = replace(
     PRESETS["small"], variant="corner-small", validation="anywhere-small", steps=4_000_000
 )
 MIXED = MOUSE.changed(
-    knobs={"shift_probability": SHARE}, sampler="mixed", share=WITHIN, shifted_levels=BEGUN
+    knobs={"shift_probability": SHARE}, sampler="mixed", fraction=WITHIN, shifted_levels=BEGUN
 )
 EXPERIMENT = Experiment(
     title="Early, late, or throughout",

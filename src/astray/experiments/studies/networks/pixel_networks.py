@@ -26,7 +26,7 @@ GAMES = {
         PRESETS["pixels"], game="coinrun", variant="coin-end-calm", gamma=0.99, entropy_weight=0.01
     ),
 }
-LAST = 0.1  # the end of a training, as a share of its steps
+LAST = 0.1  # the end of a training, as a fraction of its steps
 
 
 def name_of(game: str, network: str) -> str:

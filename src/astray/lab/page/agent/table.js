@@ -10,7 +10,7 @@ import { NEVER, WALL } from "../rules/common.js";
 export async function readTable(file, about) {
   const index = await file(about.path);
   const bytes = new Uint8Array(await file(about.bytes, "bytes"));
-  const { actions, low, high, share: most } = index; // most: the byte of a probability of 1
+  const { actions, low, high, one: most } = index; // most: the byte of a probability of 1
   const key = (walls, background, offset, other) => [walls, background, offset, other].join(" ");
   const levels = new Map(index.levels.map(({ walls, looks, other, ...level }) =>
     [key(walls, looks.background, looks.background_offset, other), level]));

@@ -14,7 +14,7 @@ export function meanWay(policy, ways) {
   return [x, y];
 }
 
-// The shares of each of the ways that a policy's actions lead: {"1,0": 0.7, ...}.
+// The fractions of each of the ways that a policy's actions lead: {"1,0": 0.7, ...}.
 export function shareOfWays(policy, ways) {
   const shares = {};
   policy.forEach((share, action) => {

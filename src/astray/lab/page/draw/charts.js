@@ -1,4 +1,4 @@
-// Curves of an episode: shares of goals that add up to 1, and values with advantages and events.
+// Curves of an episode: fractions of goals that add up to 1, and values with advantages and events.
 
 import { themed } from "./colours.js";
 
