@@ -47,7 +47,7 @@ MARKERS = (OmitArgPrefixes, PositionalMetavarFromFieldName, DisallowNone)
 OF_AGENTS = ("evaluate", "record", "agency", "export", "lab")
 SWITCHES = tuple(f"--{name}" for name in ("fused-cpu", "bfloat16", "channels-last", "compile",
                                           "cudagraphs"))  # fmt: skip
-RENAMED = {"--fraction": "--fraction"}  # options of older versions
+RENAMED = {"--share": "--fraction"}  # options of older versions
 
 
 def run() -> None:
