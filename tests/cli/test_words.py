@@ -80,7 +80,7 @@ def test_set_means_knobs_and_settings_by_their_names():
         ("record --level 3 --agent=m", "record m --level 3"),
         ("train maze corner --fused-cpu False", "train maze corner --no-fused-cpu"),
         (
-            "train maze corner --fraction=0.5 --fraction 0.5",
+            "train maze corner --share=0.5 --share 0.5",
             "train maze corner --fraction=0.5 --fraction 0.5",
         ),
         ("train maze corner --compile=True --fraction None", "train maze corner --compile"),
