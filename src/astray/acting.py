@@ -172,7 +172,7 @@ class Asking:
 
 
 def rows(memory: Any, kept: np.ndarray) -> Any:
-    """Return the rows `kept` of a policy's memory."""
+    """Return the rows `kept` [n] of a policy's memory [N, ...]."""
     if isinstance(memory, Mapping):
         return {name: rows(part, kept) for name, part in memory.items()}
     if isinstance(memory, tuple | list):
@@ -415,7 +415,7 @@ def initial_states(game: str | Game, variant: str | Variant, levels: Levels) -> 
 
 
 def beginnings(levels: Levels, dtype: np.dtype) -> tuple[str, np.ndarray]:
-    """Return the reset option that begins each of `levels`, and its values.
+    """Return the reset option that begins each of `levels`, and its values [N].
 
     Raises:
         ValueError: If a level number or a drawn level is invalid.

@@ -270,7 +270,7 @@ def _named_agents(episode: Episode, goals: Sequence[Sequence[Cell]], options: Op
 
 
 def mix_devices(log_devices: Mapping[str, float | np.ndarray], options: Options) -> np.ndarray:
-    """Return the log of the mixture of device classes and "noise", of any shape."""
+    """Return the log of the mixture of device classes and "noise", [...] of any shape."""
     share = (1 - options.noise_atom) / (len(log_devices) - 1)
     shares = [options.noise_atom if what == "noise" else share for what in log_devices]
     with np.errstate(divide="ignore"):

@@ -34,7 +34,7 @@ def first_pixels(pixels: int) -> list[int]:
 
 
 class Unit(nn.Module):
-    """Residual unit of every iteration: x + conv2(relu(conv1(relu(x)) + picture features))."""
+    """Residual unit of every iteration, [B, C, h, w]: x + conv2(relu(conv1(relu(x)) + seen))."""
 
     def __init__(self, channels: int):
         super().__init__()

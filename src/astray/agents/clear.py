@@ -25,7 +25,7 @@ TINY = 1e-8  # under the root, whose slope at 0 would be infinite
 
 
 class L2Pool(nn.Module):
-    """Root mean square of each 2 x 2 pixels; the side is halved and rounded up."""
+    """Root mean square of each 2 x 2 pixels, [B, C, H, W]; sides are halved and rounded up."""
 
     def forward(self, x: Tensor) -> Tensor:
         # A square beyond the edge is not counted, as TensorFlow's "same" pools have it.

@@ -18,7 +18,7 @@ FEATURES = 256
 
 
 class Residual(nn.Module):
-    """x + conv(relu(conv(relu(x)))), at the same width."""
+    """Residual unit x + conv(relu(conv(relu(x)))), [B, C, H, W], at the same width."""
 
     def __init__(self, channels: int):
         super().__init__()
@@ -32,7 +32,7 @@ class Residual(nn.Module):
 
 
 class SamePool(nn.Module):
-    """Max-pooling of 3 x 3 pixels with stride 2, padded as TensorFlow's and JAX's "SAME".
+    """Max-pooling [B, C, H, W] of 3 x 3 pixels with stride 2, padded as TensorFlow's "SAME".
 
     An even side is padded after its last pixel alone, so the windows of `nn.MaxPool2d(3, 2, 1)`
     lie one pixel further up and left.

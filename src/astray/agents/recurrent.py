@@ -45,13 +45,13 @@ class Recurrent(nn.Module):
         return logits, values, state
 
     def forward(self, observation: Tensor) -> tuple[Tensor, Tensor]:
-        """Return logits and values for first observations of episodes."""
+        """Return logits [N, A] and values [N] for first observations [N, ...] of episodes."""
         state = torch.zeros((len(observation), self.memory), device=observation.device)
         return self.recall(observation, state, torch.ones_like(state[:, 0], dtype=torch.bool))[:2]
 
 
 class WithCell(Recurrent):
-    """One of astray's networks with a recurrent cell between hidden layer and heads."""
+    """One of astray's networks with a recurrent cell and state [N, memory] before its heads."""
 
     def __init__(self, body: ActorCritic, cell: str):
         super().__init__()

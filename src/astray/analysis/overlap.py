@@ -69,7 +69,7 @@ def met(game: str | Game, trainings: Iterable[tuple[str | Variant, range]]) -> s
 def unseen(
     game: str | Game, known: set[bytes], test: str | Variant, candidates: range, count: int
 ) -> np.ndarray:
-    """Return the first `count` of `candidates` whose level in `test` is in no training.
+    """Return the first `count` candidates [count] int64 whose level in `test` was in no training.
 
     Levels are equal if they differ in looks alone.
 

@@ -211,7 +211,7 @@ class PlayedLevel(GivenLevel):
 
 
 def level_numbers(text: str) -> np.ndarray:
-    """Parse level numbers such as 5,17,100:200; raise ValueError if they are invalid."""
+    """Parse level numbers like 5,17,100:200 to [N] int64; raise ValueError if they are invalid."""
     spans = []
     try:
         for part in text.split(","):

@@ -18,7 +18,7 @@ from astray.training.config import Config
 
 
 def levels_of(plan: Plan, test: Test) -> np.ndarray:
-    """Return the numbers of a test's levels, which no agent of the plan has met under any number.
+    """Return the numbers [N] of a test's levels, which no agent of the plan has met.
 
     Agents of others are assumed not to know the plan's levels, which are the same in all tests.
     """
@@ -28,7 +28,7 @@ def levels_of(plan: Plan, test: Test) -> np.ndarray:
 
 
 def unmet(agents: Iterable[Config], variant: Variant, count: int) -> np.ndarray:
-    """Return the first `count` numbers of a variant's levels that no agent has met.
+    """Return the first `count` numbers [count] of a variant's levels that no agent has met.
 
     Published agents trained on all levels may have met some of the two thousand million; for them
     these levels are as good as any. ValueError is raised if there are too few.

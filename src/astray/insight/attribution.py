@@ -32,7 +32,7 @@ REST, NOTHING = "rest", "nothing"  # parts that are what no other is
 
 
 def gradients(agent: Model, observations: np.ndarray) -> np.ndarray:
-    """Return the value's gradient by the observation, as in the paper (Simonyan et al. 2013).
+    """Return the value's gradient by observations [N, ...] (Simonyan et al. 2013).
 
     It is float64. For images it is per unit of brightness from 0 to 1, for binary planes per unit.
     For planes of categories it is towards more of the present category, and 0 without one.
@@ -53,7 +53,7 @@ def gradients(agent: Model, observations: np.ndarray) -> np.ndarray:
 def integrated_gradients(
     agent: Model, observations: np.ndarray, baseline: np.ndarray | None = None, *, steps: int = 64
 ) -> np.ndarray:
-    """Return integrated gradients from a baseline (Sundararajan et al. 2017), float64.
+    """Return integrated gradients [N, ...] from a baseline (Sundararajan et al. 2017).
 
     A map sums to the value's difference from the baseline; for images to a third of that, because
     it is the mean over three colours.
@@ -81,7 +81,7 @@ def integrated_gradients(
 def occlusion(
     agent: Model, observations: np.ndarray, *, window: int = 4, colour: int = 0
 ) -> np.ndarray:
-    """Return how much the value falls if a part is covered (Zeiler & Fergus 2014), float64.
+    """Return how much the value falls if a part is covered, [N, ...] (Zeiler & Fergus 2014).
 
     Images are covered square by square. In planes, one cell of one plane at a time becomes 0.
 

@@ -113,7 +113,7 @@ def untrained(agent: AnyModel, seed: int) -> AnyModel:
 
 
 def is_class(y: np.ndarray) -> bool:
-    """Return whether a label's values are classes: booleans or integers."""
+    """Return whether a label's values [N] are classes: booleans or integers."""
     return y.dtype.kind in "biu"
 
 

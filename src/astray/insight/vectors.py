@@ -99,7 +99,7 @@ def pair_vectors(
 def set_vector(
     agent: Agent, variant: str | Variant, layer: str, states: np.ndarray, others: np.ndarray
 ) -> Vectors:
-    """Return the difference of mean activations of `layer` between two sets of states."""
+    """Return the difference [...] of mean activations of `layer` between sets of states [N]."""
     one, other = (
         activations(agent, observe(agent, variant, some), [layer])[layer].mean(0)
         for some in (states, others)

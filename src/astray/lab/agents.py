@@ -82,7 +82,7 @@ class Agents:
         return self._last[1]
 
     def visited(self, name: str, world: World) -> np.ndarray:
-        """Return states of the agent's own episodes in the world's variant, for fitting probes."""
+        """Return states [N] of the agent's own episodes in the world's variant, for probes."""
         agent, _ = self.open(name)
         numbers = range(FIRST_VISITED, FIRST_VISITED + VISITED + 1)
         asked = world.number
@@ -173,5 +173,5 @@ def arrows(
 
 
 def rounded(numbers: np.ndarray) -> Any:
-    """Round `numbers` to eight decimal places for JSON."""
+    """Round `numbers` [...] to eight decimal places for JSON."""
     return np.round(np.asarray(numbers, float), 8).tolist()

@@ -75,7 +75,7 @@ def check(
 
 
 def first_to_end(lengths: np.ndarray, count: int, environments: int) -> np.ndarray:
-    """Return which episodes are the first `count` to end with parallel `environments`.
+    """Return which episodes [N] are the first `count` to end in parallel `environments`.
 
     Stopping at a count leaves out long episodes, which are failures of slow agents. With 0
     environments all episodes are counted in order.

@@ -401,7 +401,7 @@ def explained(samples: Samples) -> float:
 
 
 def learn(trainer: Trainer, samples: Samples, indices: Tensor) -> dict[str, Tensor]:
-    """Take an optimizer step on the samples at `indices`; return losses and the gradient norm."""
+    """Take an optimizer step on samples at `indices` [B]; return losses and the gradient norm."""
     losses = trainer.fast.loss(samples.at(indices))
     if not trainer.steps:
         check_losses(losses)

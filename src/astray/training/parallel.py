@@ -93,5 +93,5 @@ def gathered(x: Any) -> list[Any]:
 
 
 def joined(x: np.ndarray, axis: int = 0) -> np.ndarray:
-    """Concatenate the processes' arrays, into a copy that covers all environments."""
+    """Concatenate the processes' arrays [n, ...], into a copy [N, ...] for all environments."""
     return np.concatenate(gathered(x), axis)

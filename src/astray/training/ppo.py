@@ -148,12 +148,12 @@ def advantages(
 
 
 def normalised(x: Tensor) -> Tensor:
-    """Return `x` scaled to mean 0 and (unbiased) standard deviation 1 over all entries."""
+    """Return `x` [...] scaled to mean 0 and (unbiased) standard deviation 1 over all entries."""
     return (x - x.mean()) / (x.std() + 1e-8)
 
 
 def explained_variance(value: Tensor, target: Tensor) -> float:
-    """Return the fraction of the targets' variance that the critic explains; 0 without variance."""
+    """Return the fraction of the targets' [...] variance that the critic explains, or 0."""
     spread = target.var()
     return float(1 - (target - value).var() / spread) if spread > 0 else 0.0
 
@@ -165,7 +165,7 @@ def policy_loss(log_ratio: Tensor, advantage: Tensor, clip: float) -> Tensor:
 
 
 def value_loss(value: Tensor, old: Tensor, target: Tensor, clip: float) -> Tensor:
-    """Return half the mean of the larger squared error of `value`, unclipped or clipped."""
+    """Return half the mean of the larger squared error of `value` [B], unclipped or clipped."""
     clipped = old + (value - old).clamp(-clip, clip)
     return 0.5 * torch.max((value - target) ** 2, (clipped - target) ** 2).mean()
 
@@ -208,5 +208,5 @@ class RewardNormaliser:
         return self.scaled(reward)
 
     def scaled(self, reward: np.ndarray) -> np.ndarray:
-        """Normalise rewards of any shape with the current statistics."""
+        """Normalise rewards [...] of any shape with the current statistics."""
         return np.clip(reward / np.sqrt(self.variance + 1e-8), -self.clip, self.clip)

@@ -176,7 +176,7 @@ class Solver(Lessons):
 
 
 def loss(network: Callable, minibatch: Samples, config: Config) -> dict[str, Tensor]:
-    """Return the student's distillation loss on a minibatch, as for `ppo.loss`.
+    """Return the student's distillation loss on a minibatch [B], as for `ppo.loss`.
 
     Samples without the teacher use `ppo.loss` itself. Logged are kl, KL(teacher || student), and
     agree, the fraction of samples with the same most likely action.

@@ -60,7 +60,7 @@ def build(architecture: Architecture, tensors: Mapping[str, Tensor]) -> nn.Modul
 
 
 def check_actions(policy: Tensor) -> None:
-    """Raise ValueError unless policy weights or biases are for Procgen's 15 actions."""
+    """Raise ValueError unless weights [actions, ...] are for Procgen's 15 actions."""
     count = len(policy) if policy.ndim else 0
     if count != ACTIONS:
         why = ", of CoinRun as it was before Procgen" if count in (7, 9) else ""

@@ -32,7 +32,7 @@ IN_VIEW = VIEW / 2 - 0.5  # cells from the runner to the centre of a cell that a
 
 
 def without_coin(states: np.ndarray) -> np.ndarray:
-    """Remove all coins."""
+    """Remove all coins from states [N]."""
     edited = states.copy()
     edited["cell"][edited["cell"] == COIN] = EMPTY
     edited["coin_x"], edited["coin_y"] = NEVER, NEVER
@@ -40,7 +40,7 @@ def without_coin(states: np.ndarray) -> np.ndarray:
 
 
 def with_coin_in_view(states: np.ndarray, *, seed: int = 0) -> np.ndarray:
-    """Add a coin at a visible place to stand, if there is one.
+    """Add a coin at a visible place to stand, if there is one, to each state [N].
 
     The place is uniformly random, and depends on seed, level and step alone.
     """
@@ -78,28 +78,28 @@ def _add_coin(s: Any, x: int, y: int) -> None:
 
 
 def without_walkers(states: np.ndarray) -> np.ndarray:
-    """Remove walkers and their trails."""
+    """Remove walkers and their trails from states [N]."""
     edited = states.copy()
     edited["walkers"] = 0
     return edited
 
 
 def without_saws(states: np.ndarray) -> np.ndarray:
-    """Remove saws."""
+    """Remove saws from states [N]."""
     edited = states.copy()
     edited["thing"][edited["thing"] == SAW] = NOTHING
     return edited
 
 
 def without_crates(states: np.ndarray) -> np.ndarray:
-    """Remove crates; a runner on one then stands on air."""
+    """Remove crates from states [N]; a runner on one then stands on air."""
     edited = states.copy()
     edited["thing"][edited["thing"] == CRATE] = NOTHING
     return edited
 
 
 def without_end_wall(states: np.ndarray) -> np.ndarray:
-    """Remove the end wall, from the ground before it up; the ground continues."""
+    """Remove the end wall from states [N], above the ground before it; the ground continues."""
     edited, columns = states.copy(), np.arange(WORLD)
     end, permeable = states["end_x"][:, None], states["permeable"][:, None]
     in_wall = (columns > end) & ((permeable == 0) | (columns <= end + permeable))
@@ -110,14 +110,14 @@ def without_end_wall(states: np.ndarray) -> np.ndarray:
 
 
 def with_other_runner(states: np.ndarray) -> np.ndarray:
-    """Change the runner's colour."""
+    """Change the runner's colour in states [N]."""
     edited = states.copy()
     edited["runner_look"] = (states["runner_look"] + 1) % RUNNERS
     return edited
 
 
 def with_other_background(states: np.ndarray) -> np.ndarray:
-    """Change the backdrop to the one furthest away in the list."""
+    """Change the backdrop of states [N] to the one furthest away in the list."""
     edited = states.copy()
     edited["background"] = (states["background"] + BACKGROUNDS // 2) % BACKGROUNDS
     return edited

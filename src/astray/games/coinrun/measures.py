@@ -19,18 +19,18 @@ QUARTER = 0.25  # the picture of a coin begins this far inside of its cell
 
 
 def progress(states: np.ndarray) -> np.ndarray:
-    """Return the fraction of the way from start to end, above 1 beyond it."""
+    """Return the fraction [N] of the way from start to end, above 1 beyond it."""
     return (states["x"] - START) / (states["end_x"] + 0.5 - START)
 
 
 def stage(states: np.ndarray) -> np.ndarray:
-    """Return the index in STAGES."""
+    """Return the index [N] in STAGES."""
     thirds = np.clip((progress(states) * 3).astype(int), 0, 2)
     return np.where(states["x"] > states["end_x"] + 1, 3, thirds)
 
 
 def coin_in_view(states: np.ndarray) -> np.ndarray:
-    """Return whether any part of a coin's picture is in the window around the runner.
+    """Return whether any part of a coin's picture is in the window, [N] bool.
 
     Slivers at the window's edge do not count; `analysis.critic.sees` includes them.
     """
@@ -47,23 +47,23 @@ def _coins_in_view(states: np.ndarray) -> np.ndarray:
 
 
 def to_wall(states: np.ndarray) -> np.ndarray:
-    """Return the cells from the runner's front to the end wall's face; negative beyond it."""
+    """Return the cells [N] from the runner's front to the end wall's face; negative beyond it."""
     return states["end_x"] + 1 - (states["x"] + HALF)
 
 
 def coin_passed(states: np.ndarray) -> np.ndarray:
-    """Return whether the runner is to the right of the coin's cell; False without a coin."""
+    """Return whether the runner is to the right of the coin's cell, [N]; False without a coin."""
     columns = (states["cell"] == COIN).any(1)
     return columns.any(1) & (states["x"] - HALF > columns.argmax(1) + 1)
 
 
 def wall_in_view(states: np.ndarray) -> np.ndarray:
-    """Return whether the face of the end wall is in the window around the runner."""
+    """Return whether the face of the end wall is in the window, [N] bool."""
     return states["end_x"] + 1 - states["x"] < VIEW / 2
 
 
 def coin_offset(states: np.ndarray, axis: str) -> np.ndarray:
-    """Return the cells to the nearest visible coin along "x" or "y", float64; NaN without one."""
+    """Return the cells [N] to the nearest visible coin along "x" or "y"; NaN without one."""
     found = np.full(len(states), np.nan)
     seen = _coins_in_view(states)
     for k in np.flatnonzero(seen.any((1, 2))):
@@ -74,7 +74,7 @@ def coin_offset(states: np.ndarray, axis: str) -> np.ndarray:
 
 
 def hazard_ahead(states: np.ndarray) -> np.ndarray:
-    """Return whether a hazard is at most AHEAD cells before the runner, at any height."""
+    """Return whether a hazard is at most AHEAD cells before the runner, [N], at any height."""
     columns = np.arange(WORLD) + 0.5 - states["x"][:, None]
     near = (columns > 0) & (columns <= AHEAD)
     fixed = np.isin(states["cell"], (LAVA, LAVA_TOP)) | (states["thing"] == SAW)

@@ -102,7 +102,7 @@ def optimal_return(s: Any, goal: str, gamma: float = 1.0) -> float:
 
 
 def plan(s: Any, goal: str) -> np.ndarray:
-    """Return the actions of a short way from `s` to `goal`; empty if there is none to go.
+    """Return the actions [K] of a short way from `s` to `goal`; empty if there is none to go.
 
     For goals other than the coin, coins are removed first. A way that avoids coins, which end the
     level, would bias the base rate of accidental pickups.

@@ -20,7 +20,7 @@ def _objects(states: np.ndarray) -> np.ndarray:
 
 
 def keys_beyond_need(states: np.ndarray) -> np.ndarray:
-    """Return the number of keys taken in excess of the number of chests, int64.
+    """Return the number [N] of keys taken in excess of the number of chests, int64.
 
     No agent that wants chests needs them. In a maze some keys are on every way, so compare with
     `solve.expert` for "chests".
@@ -29,7 +29,7 @@ def keys_beyond_need(states: np.ndarray) -> np.ndarray:
 
 
 def keys_in_hand(states: np.ndarray) -> np.ndarray:
-    """Return the mean number of keys in hand at openings, float64; NaN if no chest was opened."""
+    """Return the mean number [N] of keys in hand at openings; NaN if no chest was opened."""
     opened = (_objects(states) == CHEST) & (states["gone"] != NEVER)
     total = np.where(opened, states["had"], 0).sum(1).astype(np.float64)
     count = states["opened"]
@@ -37,7 +37,7 @@ def keys_in_hand(states: np.ndarray) -> np.ndarray:
 
 
 def discounted_return(states: np.ndarray, gamma: float) -> np.ndarray:
-    """Return the discounted return of episodes from their first step, computed from final states.
+    """Return the discounted return [N] of episodes from their first step, from final states.
 
     A step's rewards are summed as in the variants that are not strict.
     """

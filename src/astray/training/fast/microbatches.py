@@ -34,7 +34,7 @@ def loss(
     batch: Samples,
     size: int,
 ) -> dict[str, Tensor]:
-    """Evaluate `of_samples(batch)` on `size` samples at a time; all results must be means."""
+    """Evaluate `of_samples(batch)`, means over [B], on `size` samples at a time."""
     sums: dict[str, Tensor] = {}
     gradients = [torch.zeros_like(weight) for weight in weights]
     for part in batch.split(size):
