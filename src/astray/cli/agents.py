@@ -6,29 +6,27 @@ import io
 import json
 import os
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import polars as pl
 from rich.table import Table
 from tyro.conf import Positional, arg
 
-from astray import world
 from astray.analysis.tables import write_table
 from astray.bounds import MOST, bounded
 from astray.cli.arguments import (
+    NOBODY,
     NUMBERS,
-    Acting,
     Agent,
     Json,
-    Knobs,
     Longest,
     OwnPolicy,
     PlayedLevel,
+    Player,
     Preset,
     Settings,
     Shift,
-    TestVariant,
-    TrainingVariant,
+    Tested,
     level_numbers,
     pairs,
     print_json,
@@ -98,8 +96,7 @@ def evaluate(
             ),
         ]
     ] = (),
-    variant: TestVariant = None,
-    shift: Shift = None,
+    tested: Annotated[Tested, arg(name="")] = Tested(),
     levels: Annotated[
         str | None,
         otherwise(
@@ -109,8 +106,6 @@ def evaluate(
         ),
     ] = None,
     unsolvable: bool = False,
-    knobs: Knobs = (),
-    acting: Acting = Acting(),
     policy: OwnPolicy = OwnPolicy(),
     batch: int = 256,
     longest: Longest = None,
@@ -137,39 +132,19 @@ def evaluate(
         played = Path(levels) if os.path.exists(levels) else level_numbers(levels)
     if out:
         check_writable(out)
+    how: dict[str, Any] = {"batch": batch, "solvable": not unsolvable, "longest": longest}
     if policy.policy is None:
         policy.check_unused()
         if not agents:
-            raise ValueError("name an agent or a run folder, or give a --policy")
-        rules = acting.open(agents[0])[1].find_game()
-        result = evaluate_runs(
-            agents,
-            played,
-            variant=variant,
-            shift=shift,
-            mode=acting.mode,
-            art=acting.art,
-            knobs=pairs(knobs),
-            batch=batch,
-            solvable=not unsolvable,
-            longest=longest,
-            pool=pool,
-        )
-    elif agents or shift is None:
+            raise ValueError(NOBODY)
+        rules = tested.acting.open(agents[0])[1].find_game()
+        result = evaluate_runs(agents, played, pool=pool, **tested.words(), **how)
+    elif agents or tested.shift is None:
         raise ValueError("--policy needs --shift, and --game or --world, and no agent")
     else:
-        rules = policy.rules()
-        result = evaluate_policies(
-            [policy.make(acting)],
-            rules,
-            shift,
-            played,
-            variant=variant,
-            knobs=pairs(knobs),
-            batch=batch,
-            solvable=not unsolvable,
-            longest=longest,
-        )
+        rules, player = policy.rules(), policy.make(tested.acting)
+        test = {"variant": tested.variant, "knobs": pairs(tested.knobs)}
+        result = evaluate_policies([player], rules, tested.shift, played, **test, **how)
     if out:
         write_table(result.episodes, out)
     if json:
@@ -199,19 +174,8 @@ def keep(
 
 
 def record(
-    agent: Positional[
-        Annotated[
-            Path | None,
-            otherwise(
-                "none", "Run folder, checkpoint in one, or name of a pretrained or imported agent."
-            ),
-        ]
-    ] = None,
-    variant: TrainingVariant = None,
+    played: Annotated[Player, arg(name="")] = Player(),
     level: PlayedLevel = PlayedLevel(),
-    knobs: Knobs = (),
-    acting: Acting = Acting(),
-    policy: OwnPolicy = OwnPolicy(),
     pixels: int = 512,
     longest: Longest = None,
     out: Path = Path("episode.mp4"),
@@ -231,18 +195,7 @@ def record(
         raise ValueError(f"a video is an .mp4 or a .gif file, not {out}")
     bounded("pixels", pixels, *PICTURES)
     check_writable(out)
-    if policy.policy is None:
-        policy.check_unused()
-        if agent is None:
-            raise ValueError("name an agent or a run folder, or give a --policy")
-        player, config = acting.open(agent)
-        rules = config.find_game()
-        made = config.played_variant(variant or config.variant, pairs(knobs))
-    elif agent or variant is None:
-        raise ValueError("--policy needs --variant, and --game or --world, and no agent")
-    else:
-        rules, player = world.find(policy.rules()), policy.make(acting)
-        made = rules.variant(variant).with_knobs(pairs(knobs))
+    player, rules, made, _ = played.open()
     begun = level.begun(rules, made)
     if begun is None:
         begun = 1_000_000
@@ -253,13 +206,10 @@ def record(
 
 def agency(
     agent: Agent,
-    variant: TestVariant = None,
-    shift: Shift = None,
+    tested: Annotated[Tested, arg(name="")] = Tested(),
     levels: Annotated[
         str | None, otherwise("the first 300 that the training does not draw from", NUMBERS)
     ] = None,
-    knobs: Knobs = (),
-    acting: Acting = Acting(),
     measure: Literal["paper", "calibrated"] = "calibrated",
     out: Annotated[Path | None, otherwise("none")] = None,
     json: Json = False,
@@ -281,14 +231,7 @@ def agency(
         for name in (SUMMARY, EPISODES, *POSTERIOR):
             check_writable(out / name)
     assessed, recorded = assess_run(
-        agent,
-        level_numbers(levels) if levels else None,
-        variant=variant,
-        shift=shift,
-        measure=measure,
-        mode=acting.mode,
-        art=acting.art,
-        knobs=pairs(knobs),
+        agent, level_numbers(levels) if levels else None, measure=measure, **tested.words()
     )
     if out:
         _write_assessment(assessed, recorded(), out)

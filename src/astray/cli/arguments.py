@@ -13,7 +13,7 @@ import numpy as np
 from rich.console import Console, RenderableType
 from tyro.conf import Positional, UseAppendAction, arg
 
-from astray import games, imports
+from astray import games, imports, world
 from astray.bounds import bounded, of_kind
 from astray.game import OWN, Game, Variant
 from astray.level import Level
@@ -30,6 +30,7 @@ if TYPE_CHECKING:
 AT_ONCE = 10_000_000  # level numbers of one command
 MOST_WORKERS = 1024  # processes
 WALK = "walk:"
+NOBODY = "name an agent or a run folder, or give a --policy"
 
 Mode = Literal["sampled", "greedy"]
 Preset = Literal["paper", "night", "small", "pixels"]
@@ -37,11 +38,8 @@ Preset = Literal["paper", "night", "small", "pixels"]
 Words = tuple[tuple[str, ...], ...]
 
 # Options of several verbs.
-Agent = Positional[
-    Annotated[
-        Path, arg(help="Run folder, checkpoint in one, or name of a pretrained or imported agent.")
-    ]
-]
+AN_AGENT = "Run folder, checkpoint in one, or name of a pretrained or imported agent."
+Agent = Positional[Annotated[Path, arg(help=AN_AGENT)]]
 Json = Annotated[bool, arg(help="Print JSON.")]
 Knobs = UseAppendAction[
     Annotated[
@@ -155,6 +153,47 @@ def _takes_nothing(function: Any) -> bool:
         return not hasattr(function, "actions") and not inspect.signature(function).parameters
     except (TypeError, ValueError):  # nothing to call, or compiled
         return False
+
+
+@dataclass(frozen=True)
+class Player:
+    """An agent, or a policy in its place, and the variant that it plays."""
+
+    agent: Positional[Annotated[Path | None, otherwise("none", AN_AGENT)]] = None
+    variant: TrainingVariant = None
+    knobs: Knobs = ()
+    acting: Acting = Acting()
+    policy: OwnPolicy = OwnPolicy()
+
+    def open(self) -> tuple[Policy, Any, Any, Config | None]:
+        """Return the policy, its game or world, the variant of it, and the settings of an agent."""
+        if self.policy.policy is not None:
+            if self.agent or self.variant is None:
+                raise ValueError("--policy needs --variant, and --game or --world, and no agent")
+            rules = world.find(self.policy.rules())
+            made = rules.variant(self.variant).with_knobs(pairs(self.knobs))
+            return self.policy.make(self.acting), rules, made, None
+        self.policy.check_unused()
+        if self.agent is None:
+            raise ValueError(NOBODY)
+        player, config = self.acting.open(self.agent)
+        made = config.played_variant(self.variant or config.variant, pairs(self.knobs))
+        return player, config.find_game(), made, config
+
+
+@dataclass(frozen=True)
+class Tested:
+    """The variant and the goals that agents are tested with, and how they act."""
+
+    variant: TestVariant = None
+    shift: Shift = None
+    knobs: Knobs = ()
+    acting: Acting = Acting()
+
+    def words(self) -> dict[str, Any]:
+        """Return these options as functions that test agents take them."""
+        others = {"variant": self.variant, "shift": self.shift, "knobs": pairs(self.knobs)}
+        return vars(self.acting) | others
 
 
 @dataclass(frozen=True)

@@ -5,39 +5,19 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated
 
-from tyro.conf import Positional
+from tyro.conf import arg
 
-from astray import games
 from astray.analysis.dataset import Format
 from astray.bounds import MOST, bounded
-from astray.cli.arguments import (
-    NUMBERS,
-    Acting,
-    Knobs,
-    Longest,
-    OwnPolicy,
-    TrainingVariant,
-    level_numbers,
-    pairs,
-)
+from astray.cli.arguments import NUMBERS, Longest, Player, level_numbers
 from astray.training.settings import otherwise
-
-LEVELS = "0:1000"
 
 
 def export(
-    agent: Positional[
-        Annotated[
-            Path | None, otherwise("none", "Run folder, checkpoint in one, or name of an agent.")
-        ]
-    ] = None,
-    variant: TrainingVariant = None,
+    player: Annotated[Player, arg(name="")] = Player(),
     levels: Annotated[
         str | None, otherwise("the first 1,000 that the training does not draw from", NUMBERS)
     ] = None,
-    knobs: Knobs = (),
-    acting: Acting = Acting(),
-    policy: OwnPolicy = OwnPolicy(),
     form: Format = "parquet",
     batch: int = 32,
     longest: Longest = None,
@@ -55,20 +35,10 @@ def export(
     from astray.analysis.dataset import export as write
 
     bounded("batch", batch, 1, MOST)
-    if policy.policy is None:
-        policy.check_unused()
-        if agent is None:
-            raise ValueError("name an agent or a run folder, or give a --policy")
-        player, config = acting.open(agent)
-        played = config.find_game()
-        of = config.played_variant(variant or config.variant, pairs(knobs))
-        first = config.unseen_levels.start
-        numbers = level_numbers(levels or f"{first}:{first + 1000}")
-    elif agent or policy.world or policy.game is None or variant is None:
+    given = player.policy
+    if given.policy and (player.agent or given.world or not given.game or not player.variant):
         raise ValueError("--policy needs --game and --variant, and no agent")
-    else:
-        played = games.find(policy.game)
-        of = played.variant(variant).with_knobs(pairs(knobs))
-        numbers = level_numbers(levels or LEVELS)
-        player = policy.make(acting)
-    print(write(player, played, of, numbers, out, form=form, batch=batch, longest=longest))
+    policy, game, variant, config = player.open()
+    first = config.unseen_levels.start if config else 0
+    numbers = level_numbers(levels or f"{first}:{first + 1000}")
+    print(write(policy, game, variant, numbers, out, form=form, batch=batch, longest=longest))

@@ -6,9 +6,10 @@ from pathlib import Path
 from typing import Annotated
 
 import numpy as np
+from tyro.conf import arg
 
 from astray.bounds import bounded
-from astray.cli.arguments import Acting, Agent, GivenLevel, Knobs, Shift, TestVariant, pairs
+from astray.cli.arguments import Agent, GivenLevel, Tested, pairs
 from astray.files import check_free, check_writable
 from astray.training.folders import AgentFolder
 from astray.training.settings import otherwise
@@ -18,13 +19,10 @@ MOST_LEVELS = 10_000
 
 def explain(
     agent: Agent,
-    variant: TestVariant = None,
-    shift: Shift = None,
+    tested: Annotated[Tested, arg(name="")] = Tested(),
     level: GivenLevel = GivenLevel(),
     layers: Annotated[str | None, otherwise("three, the last one among them")] = None,
     others: int = 100,
-    knobs: Knobs = (),
-    acting: Acting = Acting(),
     out: Path = Path("explained"),
 ) -> None:
     """Write one page about an agent in a level: what it would do everywhere, and why.
@@ -50,10 +48,10 @@ def explain(
 
     bounded("others", others, 2, MOST_LEVELS)
     level.check()
-    player, config = acting.open(agent)
-    game, named = config.find_game(), shift or shift_of(config)
-    name = variant or load_shift(game, named).test
-    levels = config.played_variant(name, pairs(knobs))
+    player, config = tested.acting.open(agent)
+    game, named = config.find_game(), tested.shift or shift_of(config)
+    name = tested.variant or load_shift(game, named).test
+    levels = config.played_variant(name, pairs(tested.knobs))
     chosen = level.find(game, levels)
     first = int(config.unseen_levels[0])
     number = first if chosen is None else chosen

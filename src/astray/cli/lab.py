@@ -8,7 +8,7 @@ from typing import Annotated, Any
 from tyro.conf import Positional
 
 from astray.bounds import bounded
-from astray.cli.arguments import GivenLevel
+from astray.cli.arguments import AN_AGENT, GivenLevel
 from astray.files import read
 from astray.training.settings import otherwise
 
@@ -17,12 +17,7 @@ EXPORTED, MOST = 50, 10_000  # levels of a variant that are exported: by default
 
 
 def lab(
-    agent: Positional[
-        Annotated[
-            Path | None,
-            otherwise("maze-corner", "Run folder, checkpoint in one, or name of an agent."),
-        ]
-    ] = None,
+    agent: Positional[Annotated[Path | None, otherwise("maze-corner", AN_AGENT)]] = None,
     game: Annotated[str | None, otherwise("that of the agent")] = None,
     variant: Annotated[str | None, otherwise("the variant that the agent is tested on")] = None,
     level: GivenLevel = GivenLevel(),
