@@ -10,7 +10,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import polars as pl
 
@@ -20,9 +20,7 @@ from astray.analysis.estimates import detectable
 from astray.analysis.evaluate import COLUMNS
 from astray.analysis.given import Measure, check_measures
 from astray.analysis.outcomes import load_shift, name_of
-from astray.analysis.runs import open_run
 from astray.analysis.tables import write_table
-from astray.analysis.trained import Agent, Loaded
 from astray.bounds import bounded, of_kind, shown
 from astray.experiments.report import COMPUTED, Findings
 from astray.files import read
@@ -30,6 +28,9 @@ from astray.game import OWN, Game, Variant
 from astray.record import LEVELS
 from astray.training.config import PRESETS, SOLVER, Config, Named
 from astray.world import World
+
+if TYPE_CHECKING:
+    from astray.analysis.trained import Agent, Loaded
 
 Size = Literal["smoke", "pixels", "night", "hour", "paper", "published"]
 SIZES: tuple[Size, ...] = get_args(Size)
@@ -211,6 +212,9 @@ class Plan:
 
 def open_agents(plan: Plan, runs: Runs) -> dict[str, list[Agent | Loaded]]:
     """Open the agents of each name."""
+    from astray.analysis.runs import open_run  # here, as torch takes two seconds to import
+    from astray.analysis.trained import Loaded
+
     return {
         name: [
             Loaded(plan.own[name].load(run), run, seed) if name in plan.own else open_run(run)[0]
