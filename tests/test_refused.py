@@ -241,7 +241,7 @@ WORDS = {  # of each verb, so that nothing but the number is wrong
     "train": ["maze", "corner-small"], "evaluate": ["maze-corner"],
     "record": ["maze-corner"], "reproduce": ["maze-corner"],
     "explain": ["maze-corner"], "export": ["maze-corner"],
-    "lab": ["maze-corner", "--no-browse"],
+    "lab": ["maze-corner", "--no-browser"],
     "sweep": ["maze", "corner-small", "--set", "gamma=0.9,0.99"],
     "distil": ["maze-corner"],
     "play": ["maze", "corner-small"], "replay": ["maze", "corner-small", "--actions", __file__],

@@ -22,7 +22,7 @@ def lab(
     variant: Annotated[str | None, otherwise("the variant that the agent is tested on")] = None,
     level: GivenLevel = GivenLevel(),
     port: int = 0,
-    browse: bool = True,
+    browser: bool = True,
     export: Annotated[Path | None, otherwise("none")] = None,
     levels: Annotated[int | None, otherwise(f"{EXPORTED}")] = None,
 ) -> None:
@@ -34,7 +34,7 @@ def lab(
         game: Game whose levels are shown.
         variant: Variant that levels are drawn from.
         port: Port that this machine alone can reach; 0 for any that is free.
-        browse: Open the page in the browser.
+        browser: Open the page in the browser.
         export: Folder to write the page to, with the agents, to be served by any web server.
         levels: Number of levels of each variant that are exported.
     """
@@ -57,4 +57,4 @@ def lab(
         return
     from astray.lab.server import serve
 
-    serve(made, port, browse)
+    serve(made, port, browser)

@@ -16,8 +16,9 @@ from astray.agency.measure import CALIBRATED
 from astray.agency.online import Growth, measure_online
 from astray.analysis.agency import named_places
 from astray.analysis.policies import Walk
+from astray.analysis.runs import play_all
 from astray.analysis.trained import Agent
-from astray.game import Game, Shift
+from astray.game import Game, Shift, Variant
 from astray.lab.agents import rounded
 from astray.lab.messages import LONGEST
 from astray.lab.worlds import Episode, World
@@ -27,6 +28,7 @@ from astray.record import NEVER
 NEITHER = "neither"  # of the goals
 OTHER = "another cell"
 PLACES = 400  # at most, that a thing is put to
+FIRST_FEW = 50  # levels among which one that distinguishes the goals is looked for
 TOGETHER = 16  # places that are played at once: a level's draws depend on which of them it is
 
 
@@ -50,6 +52,31 @@ def posterior(episode: Episode, shift: Shift) -> dict[str, Any]:
     moved = [here != there for here, there in itertools.pairwise(cells)]
     counted = np.cumsum([0, *moved])  # standing still is no step of a trajectory
     return _told(growth, counted, named)
+
+
+def distinguishes(world: World, shift: Shift) -> bool | None:
+    """Return whether a level distinguishes the goals of a shift.
+
+    None if that takes too long to find out: in games in which things move by themselves, or without
+    a solver.
+    """
+    game = world.game
+    if game.real_time or not game.solver:
+        return None
+    levels = {"shown": world.level} if world.number is None else [world.number]
+    try:
+        played = play_all(game, "shown", world.variant, shift, levels, [])
+    except ValueError:  # as the cheese cannot be reached
+        return None
+    return bool(played["distinguishing"][0])
+
+
+def first_distinguishing(game: Game, variant: Variant, shift: Shift) -> int:
+    """Return the first level that distinguishes the goals; 0 if none of the first 50 does."""
+    if game.real_time or not game.solver:
+        return 0
+    played = play_all(game, "shown", variant, shift, range(FIRST_FEW), [])
+    return int(played.filter("distinguishing")["level"].min() or 0)  # pyright: ignore[reportArgumentType]
 
 
 def _told(growth: Growth, counted: np.ndarray, named: dict[str, Any]) -> dict[str, Any]:

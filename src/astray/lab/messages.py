@@ -17,7 +17,7 @@ NAME = 100  # characters of a name
 
 Kind = Literal[
     "hello", "art", "level", "fields", "play", "posterior", "splay", "attribution", "route", "view",
-    "reading",
+    "reading", "distinguishes",
 ]  # fmt: skip
 Mode = Literal["sampled", "greedy"]
 Method = Literal["occlusion", "gradients", "integrated gradients"]

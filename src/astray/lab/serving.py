@@ -9,6 +9,7 @@ from typing import Any
 from astray import games
 from astray.bounds import of_kind
 from astray.lab.agents import Agents
+from astray.lab.goals import first_distinguishing
 from astray.lab.session import Lab
 from astray.training import folders
 
@@ -33,7 +34,7 @@ def make_lab(agent: str | Path | None, start: Mapping[str, Any]) -> Lab:
     agents = Agents.of(runs)
     if not name:
         name = _first_agent(agents, start.get("game"), start.get("variant"))
-    first: dict[str, Any] = {"agent": name, "level": 0}
+    first: dict[str, Any] = {"agent": name}
     if name:
         about = agents.about(name)
         first |= {"game": about["game"], "variant": about["test"]}
@@ -42,6 +43,12 @@ def make_lab(agent: str | Path | None, start: Mapping[str, Any]) -> Lab:
     if name and agents.about(name)["game"] != game.name:
         raise ValueError(f"the agent {name!r} plays {agents.about(name)['game']}, not {game.name}")
     game.variant(first.setdefault("variant", next(iter(game.variants))))
+    if "level" not in first:
+        shift = game.shifts.get(agents.about(name)["shift"]) if name else None
+        tested = shift is not None and first["variant"] == shift.test
+        first["level"] = (
+            first_distinguishing(game, game.variant(first["variant"]), shift) if tested else 0
+        )
     return Lab(agents, first | {"game": game.name})
 
 

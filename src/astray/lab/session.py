@@ -199,6 +199,13 @@ def posterior(session: Session, message: Message) -> Iterator[Reply]:
     yield goals.posterior(episode, _shift(session, message, episode.world.game))
 
 
+def distinguishes(session: Session, message: Message) -> Iterator[Reply]:
+    """Whether the level distinguishes the goals of its shift; null where that is not known."""
+    world = session.world(message)
+    shift = _shift(session, message, world.game)
+    yield {"distinguishes": goals.distinguishes(world, shift)}
+
+
 def splay(session: Session, message: Message) -> Iterator[Reply]:
     """Answer with the agent's final goals for every place of an object."""
     world = session.world(message)
@@ -279,5 +286,5 @@ def reading(session: Session, message: Message) -> Iterator[Reply]:
 ANSWERS: Mapping[str, Callable[[Session, Message], Iterator[Reply]]] = {
     "hello": hello, "art": art, "level": level, "fields": fields, "play": play,
     "posterior": posterior, "splay": splay, "attribution": attribution, "route": route,
-    "view": view, "reading": reading,
+    "view": view, "reading": reading, "distinguishes": distinguishes,
 }  # fmt: skip

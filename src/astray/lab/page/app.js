@@ -11,7 +11,7 @@ import { Stage } from "./stage.js";
 import { Pictures } from "./draw/pictures.js";
 import { lookOf } from "./games/looks.js";
 
-const HAND = 60; // milliseconds between the steps of an agent that plays, at most
+const IDLE = 8; // steps in one place after which an agent that was handed over to is stopped
 const PLAYED_AT_ONCE = 400; // steps that an agent is handed over for
 
 export class Lab {
@@ -30,6 +30,7 @@ export class Lab {
 
   async begin() {
     this.engine.status = (what) => this.panels.status(what);
+    this.part("main").inert = true;  // nothing is shown yet that could be used
     const about = await this.tried(() => this.engine.ask({ kind: "hello" }));
     if (!about) return;
     this.about = about;
@@ -41,6 +42,8 @@ export class Lab {
     this.panels.status("connected");
     await this.open(start.level ?? 0, start.wrong);
     globalThis.addEventListener("hashchange", () => this.follow());
+    this.part("main").inert = false;
+    this.panels.tour();
     this.ready = true;
   }
 
@@ -198,7 +201,26 @@ export class Lab {
       this.address = await toLink(this);
       if (this.address !== location.hash) history.replaceState(null, "", this.address);
     }
-    await Promise.all([this.play(this.episode.actions.slice(0, this.now), 0), this.think()]);
+    await Promise.all([
+      this.play(this.episode.actions.slice(0, this.now), 0), this.think(), this.#distinguishes(),
+    ]);
+  }
+
+  // Whether the goals can be told apart in this level; engines that cannot say so are not heard.
+  async #distinguishes() {
+    const mine = (this.telling = Symbol("level"));
+    this.panels.distinguishes(null);
+    if (!this.shift || this.rules.real_time || this.about.engine === "static") return;
+    try {
+      const told = await this.engine.ask(this.question("distinguishes"));
+      if (told && this.telling === mine) this.panels.distinguishes(told.distinguishes);
+    } catch (error) {
+      this.errors.push(error.message);
+    }
+  }
+
+  get shift() {
+    return this.panels.shift;
   }
 
   // The arrows, in the state that is shown; and those of what is compared with.
@@ -335,13 +357,22 @@ export class Lab {
     this.panels.played();
     const whole = this.play(this.actions, PLAYED_AT_ONCE).then(() => { this.known = mine; });
     while (this.running === mine) {
-      await new Promise((resolve) => { setTimeout(resolve, HAND); });
+      await new Promise((resolve) => { setTimeout(resolve, Number(this.part("speed").value)); });
+      if (this.#idles()) break;
       if (this.now < this.episode.actions.length) this.show(this.now + 1);
       else if (this.known === mine) break;
     }
     await whole;
     if (this.running === mine) this.#stop();
     await this.think();
+  }
+
+  // Whether an agent has stood in its place for a while, where nothing else moves.
+  #idles() {
+    const { states } = this.episode;
+    const last = states.slice(Math.max(this.now - IDLE, 0), this.now + 1);
+    return !this.rules.real_time && last.length > IDLE &&
+      last.every(({ x, y }) => x === last[0].x && y === last[0].y);
   }
 
   #stop() {

@@ -21,9 +21,14 @@ export class Editor {
     canvas.addEventListener("pointercancel", () => this.#drop());
     canvas.addEventListener("pointerleave", () => this.lab.panels.readout(null));
     const board = lab.part("board");
-    board.addEventListener("keydown", (event) => this.#key(event));
-    board.addEventListener("keyup", (event) => this.pressed.delete(event.key));
-    board.addEventListener("blur", () => this.pressed.clear());
+    // A page hears keys wherever they are pressed, but for fields and buttons; a notebook's cell
+    // hears them on the board alone.
+    const ear = lab.links ? globalThis : board;
+    ear.addEventListener("keydown", (event) => {
+      if (!event.target.closest?.("input, select, textarea, button, summary, a")) this.#key(event);
+    });
+    ear.addEventListener("keyup", (event) => this.pressed.delete(event.key));
+    globalThis.addEventListener("blur", () => this.pressed.clear());
     lab.part("cursor").addEventListener("change", ({ target }) => {
       this.cursor = target.checked ? lab.level.agent.map(Math.floor) : null;
       this.held = null;
@@ -128,6 +133,7 @@ export class Editor {
 
   #key(event) {
     const { lab } = this;
+    if (!lab.ready) return;
     const key = event.key.length === 1 ? event.key.toLowerCase() : event.key;
     if (event.ctrlKey || event.metaKey) {
       if (key === "z") this.#do(event, () => (event.shiftKey ? lab.redo() : lab.undo()));

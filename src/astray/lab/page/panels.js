@@ -131,13 +131,15 @@ export class Panels {
       ...(layers.length ? [["change", "the network changed (below)"]] : []),
     ], part("compare").value);
     options(part("goal"), Object.keys(lab.rules.goals).map((goal) => [goal, goal]), this.shift?.intended);
-    part("goals").hidden = lab.rules.real_time;
+    part("posterior").parentElement.hidden = lab.rules.real_time;
     for (const option of part("heat").options) {
       if (option.value === "goals") option.hidden = lab.rules.real_time;
     }
     part("zoomed").hidden = !lab.look.view;
-    part("things").textContent = ["agent", ...Object.keys(lab.rules.objects).slice(0, 2).map((name) => named(lab, name))]
-      .join(", ");
+    const [thing] = Object.keys(lab.rules.objects).map((name) => named(lab, name));
+    part("lead").textContent = lab.agent
+      ? `Drag the ${thing ?? "agent"}. The arrows are what the agent would do.`
+      : `Drag the ${thing ?? "agent"}, or play.`;
   }
 
   #tools() {
@@ -326,8 +328,50 @@ export class Panels {
       `chests opened ${s.opened} of ${s.chests}.`;
   }
 
+  // The badge of a level: whether it distinguishes the goals; null where nobody says so.
+  distinguishes(does) {
+    const badge = this.part("badge");
+    badge.hidden = does === null || does === undefined || !this.shift;
+    if (badge.hidden) return;
+    const { intended, proxies } = this.shift;
+    const goals = `${intended} and ${proxies.join(", ")}`;
+    badge.classList.toggle("not", !does);
+    badge.textContent = does ? "distinguishes the goals" : "does not distinguish the goals";
+    badge.title = does
+      ? `In this level, the ways to ${goals} part: what it reaches first says which it pursues.`
+      : `In this level, the way to one of ${goals} passes the other: what it reaches first says little.`;
+  }
+
+  // Three sentences for who comes for the first time; never again where they were skipped or read.
+  tour() {
+    const { lab, part } = this;
+    const box = part("tour");
+    const told = [
+      "1 of 3. In training, the intended goal and a proxy were always together. Here they need not be: drag one away.",
+      "2 of 3. Hand over to the agent, and see which one it goes to first.",
+      "3 of 3. “Wherever it lies” plays an episode for every place. The panels look inside the agent.",
+    ];
+    const seen = () => { try { return localStorage.getItem("astray-tour"); } catch { return "unknown"; } };
+    if (!lab.links || lab.root.classList.contains("embedded") || seen()) return;
+    let step = 0;
+    const show = () => {
+      box.hidden = step >= told.length;
+      part("told").textContent = told[step] ?? "";
+      part("on").textContent = step === told.length - 1 ? "Done" : "Next";
+      if (box.hidden) localStorage.setItem("astray-tour", "seen");
+    };
+    part("on").addEventListener("click", () => { step += 1; show(); });
+    part("skip").addEventListener("click", () => { step = told.length; show(); });
+    show();
+  }
+
   pursued() {
     const { lab, part } = this;
+    if (lab.rules?.real_time) {
+      part("verdict").textContent = "Not known in this game: things move by themselves, so a way does not follow from a goal.";
+      part("key").replaceChildren();
+      return;
+    }
     const canvas = part("posterior");
     const found = lab.goals;
     canvas.hidden = !found;

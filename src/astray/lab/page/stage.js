@@ -73,20 +73,22 @@ export class Stage {
     paint.setTransform(1, 0, 0, 1, 0, 0);
     paint.clearRect(0, 0, this.canvas.width, this.canvas.height);
     paint.setTransform(1, 0, 0, 1, -Math.round(left * this.scale), Math.round(low * this.scale));
-    this.paintWorld(paint, this.scale, rows);
-    this.#agent(new Brush(paint, this.scale, rows), paint);
-    this.#marks(new Brush(paint, this.scale, rows));
+    const brush = new Brush(paint, this.scale, rows);
+    this.paintWorld(paint, this.scale, rows, this.state, () => this.#agent(brush));
+    this.#marks(brush);
     lab.panels.legend(this.layers);
   }
 
-  // The world alone, in so many pixels a cell; top: its height in cells.
-  paintWorld(paint, scale, top, state = this.state) {
+  // The world, in so many pixels a cell; top: its height in cells; below: draws what lies below
+  // agent and objects.
+  paintWorld(paint, scale, top, state = this.state, below = () => {}) {
     const { lab } = this;
     const brush = new Brush(paint, scale, top);
     const pictures = lab.pictures[lab.game];
     if (!pictures) return;
     lab.look.still(brush, lab.level, state, pictures, lab.rules.legend);
     this.#heat(brush);
+    below();
     if (lab.broken) this.#things(brush, pictures);
     else lab.look.moving(brush, lab.level, state, pictures);
   }
