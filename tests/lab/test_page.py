@@ -149,7 +149,27 @@ def test_the_agent_takes_over_and_the_goal_that_it_seems_to_pursue_is_told(page)
     page.get_by_role("button", name="Hand over to the agent").click()
     wait(page, "!lab.running && lab.episode.ended && lab.goals")
     assert "if it pursues a goal" in page.locator("[data-lab=verdict]").text_content()
-    assert page.evaluate("lab.now === lab.episode.actions.length")
+    now, places = page.evaluate("[lab.now, lab.episode.states.map(({ x, y }) => [x, y])]")
+    assert now == len(places) - 1 or places[now - 8] == places[now]  # its idle time is not played
+
+
+def test_the_first_level_distinguishes_the_goals_and_a_badge_says_so(page):
+    badge = page.locator("[data-lab=badge]")
+    wait(page, "!lab.part('badge').hidden")
+    assert badge.text_content() == "distinguishes the goals"
+    show(page, 0)  # its cheese lies on the way to the corner
+    wait(page, "lab.part('badge').classList.contains('not')")
+    assert badge.text_content() == "does not distinguish the goals"
+
+
+def test_keys_play_before_anything_was_clicked_and_fields_keep_theirs(page):
+    show(page, ROOM)
+    page.keyboard.press("ArrowUp")
+    wait(page, "lab.episode.actions.length === 1")
+    page.locator("[data-lab=text]").evaluate("(field) => field.closest('details').open = true")
+    page.locator("[data-lab=text]").focus()
+    page.keyboard.press("ArrowUp")
+    assert page.evaluate("lab.episode.actions.length") == 1
 
 
 def test_a_splay_is_shown_with_counts(page):

@@ -11,7 +11,7 @@ from safetensors.numpy import load_file
 from astray import games
 from astray.acting import initial_states
 from astray.analysis.replay import replay
-from astray.analysis.runs import load_agent
+from astray.analysis.runs import load_agent, play_all
 from astray.insight.fields import fields
 from astray.lab import agents
 from astray.lab.agents import Agents
@@ -26,6 +26,12 @@ from helpers.trainings import PLAIN, train_to_first_checkpoint
 
 MESSAGES = int(os.environ.get("ASTRAY_LAB_MESSAGES", "400"))  # of those at random
 MAZE = {"game": "maze", "variant": "anywhere-small", "agent": "maze-corner"}
+MAZE_TESTED = (
+    games.find("maze"),
+    "test",
+    games.find("maze").variant("anywhere-small"),
+    "corner-small",
+)
 ROOM = "#######\n#....G#\n#.###.#\n#.#...#\n#.#.#.#\n#@....#\n#######"
 
 
@@ -57,6 +63,19 @@ def test_the_first_agent_is_one_that_sees_the_levels():
     assert dish.start["variant"] == "dish-small"
     with pytest.raises(ValueError, match="unknown variant 'dishes' of maze"):
         make_lab(None, {"game": "maze", "variant": "dishes"})
+
+
+def test_a_level_distinguishes_the_goals_as_walks_to_them_do(session):
+    begun = make_lab("maze-corner", {}).start["level"]
+    played = play_all(*MAZE_TESTED, range(begun + 1), [])
+    told = [
+        ask(session, "distinguishes", **MAZE, level=k)["distinguishes"] for k in range(begun + 1)
+    ]
+    assert told == [False] * begun + [True]
+    walks = played.filter(policy="walk to corner").sort("level")
+    assert walks["distinguishing"].to_list() == told
+    runner = {"game": "coinrun", "variant": "coin-anywhere", "agent": "coin-end", "level": 0}
+    assert ask(session, "distinguishes", **runner)["distinguishes"] is None
 
 
 def test_hello_tells_games_and_agents(session):
