@@ -36,7 +36,7 @@ class Process:
         discount: Factor of each later step, above 0 and below 1.
 
     Raises:
-        ValueError: The arrays differ in shape, a state is outside 0 to S - 1, or the discount is.
+        ValueError: If the arrays differ in shape, or a state or the discount is out of range.
     """
 
     after: np.ndarray

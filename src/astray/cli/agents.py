@@ -57,7 +57,7 @@ def train(
     folder: Annotated[Path | None, otherwise("runs/<game>-<variant>")] = None,
     track: Annotated[Tracking | None, otherwise("nobody")] = None,
 ) -> None:
-    """Train agents, or go on where they stopped.
+    """Train agents, or resume their trainings.
 
     Example: astray train maze corner-small --validation anywhere-small --folder runs/mice
 
@@ -161,7 +161,7 @@ def keep(
     shift: Shift = None,
     folder: Annotated[Path | None, otherwise("astray's own, where verbs find its name")] = None,
 ) -> None:
-    """Keep a trained agent by a name, with a card that tells what it pursues.
+    """Keep a trained agent by a name, with a card about its goals.
 
     Example: astray keep runs/mice/seed-0 --as my-mouse
 

@@ -14,7 +14,7 @@ from astray.kernel.versions import Version, outdated, remove, versions
 
 
 def cache(prune: bool = False, json: Json = False) -> None:
-    """Show where compiled code is kept, by version of numba; or remove what is outdated.
+    """Show the folders of compiled code, by version of numba, or remove outdated code.
 
     Example: astray cache --prune
 

@@ -29,10 +29,10 @@ def distil(
     folder: Annotated[Path | None, otherwise("runs/<game>-<variant>-of-<teacher>")] = None,
     track: Annotated[Tracking | None, otherwise("nobody")] = None,
 ) -> None:
-    """Train students that do what an agent would do in the episodes that they themselves play.
+    """Distil an agent into students, which learn its policy and values in their own episodes.
 
-    They learn its probabilities of all actions and its values, in training levels alone; rewards
-    teach them nothing. What is interrupted goes on with the same command.
+    They play training levels alone, and ignore rewards. The same command resumes an interrupted
+    training.
 
     Example: astray distil maze-corner --observation image --steps 2000000
 
@@ -48,7 +48,7 @@ def distil(
         seeds: Number of students, trained with this seed, the next, ...
         threads: Number of threads that step environments, and that torch uses.
         folder: Folder of the run folders seed-0, seed-1, ...
-        track: Tracker that is told of the training.
+        track: Tracker of the training's metrics.
     """
     from astray.analysis.runs import open_run
     from astray.training.teacher import teaching

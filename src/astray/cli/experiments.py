@@ -106,7 +106,7 @@ def reproduce(
         folder: Folder of reports; gets this one in <name>-<size>, and the agents, which are shared.
         on: Place of the trainings: this machine, or a Ray cluster whose nodes all see the folder.
         art: Art that images are drawn with: own or original.
-        track: Tracker that is told of trainings and of the report.
+        track: Tracker of the trainings' metrics and of the report.
     """
     from astray.experiments import run
 
@@ -136,7 +136,7 @@ def bench(
     Example: astray bench environments
 
     Args:
-        what: What is measured.
+        what: Benchmark to run.
         markdown: Print the table for benchmarks/README.md.
         device: Device that trains; the environments and the agency measure are a CPU's.
     """

@@ -17,7 +17,7 @@ def push(
     revision: Annotated[str | None, otherwise("the main one")] = None,
     private: bool = False,
 ) -> None:
-    """Upload an agent to the Hugging Face Hub, with a card that tells what it pursues.
+    """Upload an agent to the Hugging Face Hub, with a card about its goals.
 
     The token is huggingface_hub's: hf auth login, or HF_TOKEN.
 

@@ -25,7 +25,7 @@ def explain(
     others: int = 100,
     out: Path = Path("explained"),
 ) -> None:
-    """Write one page about an agent in a level: what it would do everywhere, and why.
+    """Write a page about an agent in a level: its behaviour everywhere, and the reasons.
 
     Arrows and values, what edits of the level change, what the value depends on, what probes read
     off its layers, which goal its episode speaks for, and the episode step by step. By default the

@@ -26,7 +26,7 @@ def lab(
     export: Annotated[Path | None, otherwise("none")] = None,
     levels: Annotated[int | None, otherwise(f"{EXPORTED}")] = None,
 ) -> None:
-    """Open a page to edit levels on, and to see what an agent would do from everywhere.
+    """Open a page to edit levels and see an agent's policy and value everywhere.
 
     Example: astray lab maze-corner --variant anywhere-small --level 17
 

@@ -53,7 +53,7 @@ def level(game: Drawn, numbers: str = "0", text: bool = False, json: Json = Fals
 
 
 def play(game: Drawn, level: PlayedLevel = PlayedLevel(), art: str = OWN) -> None:
-    """Play a game in a window, beside what an agent sees of it; by default at a random level.
+    """Play a game in a window with the agent's observation; by default in a random level.
 
     Example: astray play maze corner --level 17
 
@@ -69,7 +69,7 @@ def play(game: Drawn, level: PlayedLevel = PlayedLevel(), art: str = OWN) -> Non
 def replay(
     game: Drawn, actions: Path, level: PlayedLevel = PlayedLevel(), json: Json = False
 ) -> None:
-    """Play given actions in one level and tell what happens, step by step.
+    """Replay given actions in one level, and print each step.
 
     Example: astray replay maze corner-small --level 17 --actions actions.txt
 

@@ -38,7 +38,7 @@ def sweep(
     on: Place = "here",
     track: Annotated[Tracking | None, otherwise("nobody")] = None,
 ) -> None:
-    """Train agents of every combination of some settings, and show what they pursue.
+    """Train agents for every combination of some settings, and show their goals.
 
     What is done already is not done again: the same command goes on where it stopped, and one with
     more values or seeds adds to what is there.

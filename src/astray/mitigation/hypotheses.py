@@ -123,8 +123,8 @@ def chosen_rightly(
     Ties are broken at random.
 
     Args:
-        counts: Numbers of frames, drawn from those where the heads differ, which are most
-            informative. Without such frames the result is 0.5.
+        counts: Numbers of frames, drawn from those where the heads differ. Without such frames the
+            result is 0.5.
     """
     random = np.random.default_rng(seed)
     answers = heads(torch.from_numpy(frames.seen)).numpy() > 0.5

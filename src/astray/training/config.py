@@ -183,7 +183,7 @@ class Config:
 
     @property
     def milestones(self) -> list[int]:
-        """Steps of the agents that are kept: doubling at first, then every tenth part."""
+        """Steps at which agents are kept: doubling at first, then every tenth of the training."""
         return [self.steps >> k for k in range(8, 3, -1)] + [
             self.steps * k // 10 for k in range(1, 11)
         ]

@@ -168,7 +168,7 @@ def follow(states, actions):
 
 @entry
 def search(states, goal, left):
-    """Return the actions of a way from `states[0]`, overwritten, to `goal` in `left` steps."""
+    """Find the actions from `states[0]`, which is overwritten, to `goal` in `left` steps."""
     s = states[0]
     ties = np.empty(left, np.bool_)
     for t in range(left):

@@ -75,7 +75,7 @@ def paint_walls(s, art, image):
 
 @shared
 def paint_objects(s, art, scene):
-    """Paint the scene's upper part: the lower part with the remaining objects."""
+    """Copy the scene's lower part to its upper part, and paint the remaining objects there."""
     side = scene.shape[1]
     copy_flat(scene[:side], scene[side:])
     draw_objects(s, art, scene[:side])

@@ -181,7 +181,7 @@ def nearest(table: pl.DataFrame, kind: str) -> float:
 
 
 def choosing(table: pl.DataFrame) -> pl.DataFrame:
-    """Return columns labels, mean, low, high: how often so many choose the better head."""
+    """Return how often a number of labels selects the better head: labels, mean, low, high."""
     return pl.DataFrame(
         [
             {"labels": count}
