@@ -43,7 +43,7 @@ Mode = Literal["sampled", "greedy"]
 def open_run(
     run: str | Path, mode: Mode = "sampled", art: str | None = None
 ) -> tuple[Agent, Config]:
-    """Return the agent of `load_agent`, with its errors, and the settings of its training."""
+    """Return the agent and the settings of its training; raise the errors of `load_agent`."""
     of_kind("run", run, str | Path)
     found = AgentFolder.open(run)
     config = found.config()

@@ -166,7 +166,7 @@ class Player:
     policy: OwnPolicy = OwnPolicy()
 
     def open(self) -> tuple[Policy, Any, Any, Config | None]:
-        """Return the policy, its game or world, the variant of it, and the settings of an agent."""
+        """Return the policy, its game or world, that one's variant, and an agent's settings."""
         if self.policy.policy is not None:
             if self.agent or self.variant is None:
                 raise ValueError("--policy needs --variant, and --game or --world, and no agent")

@@ -148,7 +148,7 @@ def edit_vectors(
     edit: Edit,
     first: Edit | None = None,
 ) -> Vectors:
-    """Return activation differences of each level, or `first` of it, minus `edit` of it.
+    """Return each level's activations, `first` applied, minus those with `edit` applied.
 
     Raises:
         ValueError: If `edit` is not a function of levels.

@@ -312,7 +312,7 @@ def copied(s: Any) -> Any:
 
 
 def expert(s: Any, goal: str) -> Callable[[Any], int]:
-    """Return a policy that reaches `goal` in the best order, fast; otherwise it stays.
+    """Return a policy that reaches `goal` by the best order of objects, then stays.
 
     "chests" takes the fewest steps until all possible chests are open, without unneeded keys.
     "keys" ends when all keys are taken, and opens chests on the way.

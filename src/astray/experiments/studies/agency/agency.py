@@ -228,7 +228,7 @@ def _walk(world: World, policy: str, rng: np.random.Generator) -> Episode:
 
 
 def claims_of(table: pl.DataFrame, goals: pl.DataFrame, called: pl.DataFrame) -> list[Claim]:
-    """Return the paper's claims, and the remedy's."""
+    """Return the claims of the paper, and of our improved measure."""
 
     def about(text: str, paper: str, kinds: tuple[str, ...], preset: str, sign: int) -> None:
         part = table.filter(pl.col("type").is_in(kinds), pl.col("preset") == preset)

@@ -288,7 +288,7 @@ def claims(table: pl.DataFrame, areas: pl.DataFrame, late: pl.DataFrame) -> list
 
 
 def lead(areas: pl.DataFrame) -> float:
-    """Return the least lead over mice of the goal score's area over the entropy's."""
+    """Return the smallest difference over mice between the areas of goal and entropy scores."""
     by_level = areas.filter(agent=MOUSE, granularity="level")
     both = (by_level.filter(score=name).sort("run")["area"] for name in (ASTRAY, "entropy"))
     one, two = both
