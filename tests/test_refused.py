@@ -129,7 +129,7 @@ def test_live_states_can_be_set_to_nothing_by_hand(game, variant):
     assert env.states.tobytes() != before.tobytes()  # live all the same
     states = env.get_state()
     states["x"] = 10**12
-    with pytest.raises(ValueError, match="state 0 is none of this variant"):
+    with pytest.raises(ValueError, match="state 0 is invalid for this variant"):
         env.set_state(states)
     env.close()
 

@@ -185,13 +185,13 @@ def check_free(folder: Path, mark: str, sign: bytes, names: Collection[str]) -> 
     if os.path.lexists(folder / mark):
         check_own(folder / mark)
         if sign not in read(folder / mark):
-            raise OSError(f"{folder / mark} is none of astray's; it would be replaced")
+            raise OSError(f"{folder / mark} was not written by astray; it would be replaced")
         return
     for name in names:
         if os.path.lexists(folder / name):
             raise OSError(
-                f"{folder / name} is none of astray's, which would have {mark} beside it; what is "
-                "written there would replace it"
+                f"{folder / name} was not written by astray, which would have {mark} beside it; "
+                "it would be replaced"
             )
 
 

@@ -335,8 +335,8 @@ class Game:
         if goal not in self.event_goals:
             there = ", ".join(self.event_goals)
             raise ValueError(
-                f"this needs a goal that is an event; {shown(goal)} is none of {self.name}: there "
-                f"are: {there}"
+                f"a goal that is an event of {self.name} is needed; got {shown(goal)}; there are: "
+                f"{there}"
             )
         return self.event_goals[goal]
 
@@ -348,7 +348,7 @@ class Game:
         """
         if isinstance(name, Variant):
             if not isinstance(name, tuple({type(v) for v in self.variants.values()})):
-                raise ValueError(f"the variant is a {type(name).__name__}, none of {self.name}")
+                raise ValueError(f"the variant is a {type(name).__name__}, not one of {self.name}")
             return name
         if not isinstance(name, str) or name not in self.variants:
             there = ", ".join(self.variants)

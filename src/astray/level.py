@@ -240,7 +240,7 @@ class Level:
     def removed(self, name: str, at: Cell | None = None) -> Level:
         """Return the level without an object.
 
-        What shares the cell, such as a walker that has come to a crate, is drawn there then.
+        Another object of the cell, such as a walker at a crate, is drawn there then.
 
         Args:
             at: Cell of the object; needed if there are several.

@@ -126,10 +126,10 @@ class Editing(Protocol):
     def describe(self) -> Callable[[Any], dict[str, Any]]:
         """Function (s) -> its level as JSON-serialisable data, with derived fields.
 
-        "grid" and "agent" (its centre) are lists; "looks" holds all else that `build` needs. Its
-        "details" are lists [x, y, ...] of single cells, which move and are removed with the object
-        in that cell. Other such lists are of what shares a cell with an object, and
-        is in `grid` once that is gone.
+        "grid" and "agent" (its centre) are lists; "looks" holds everything else that `build` needs.
+        Its "details" are lists [x, y, ...] of single cells, which move and are removed with the
+        object in that cell. Other such lists are of what shares a cell with an object, and is in
+        `grid` once that is gone.
         """
         ...
 

@@ -69,7 +69,7 @@ def check_states(
     for name, holds in (_always(s, rules.EVENTS) | truths(s)).items():
         if not holds.all():
             i = int(np.argmin(holds))
-            raise ValueError(f"state {i} is none of this variant: its {name} cannot be")
+            raise ValueError(f"state {i} is invalid for this variant: its {name} cannot be")
 
 
 def check_record(s: Any, rules: Rules, truths: Callable[[np.ndarray], dict]) -> None:
@@ -91,7 +91,7 @@ def check_record(s: Any, rules: Rules, truths: Callable[[np.ndarray], dict]) -> 
     states = np.array([s], rules.STATE).view(np.ndarray)
     for name, holds in (_always(states, rules.EVENTS) | truths(states)).items():
         if not holds.all():
-            raise ValueError(f"the state is none of this game: its {name} cannot be")
+            raise ValueError(f"the state is invalid for this game: its {name} cannot be")
 
 
 def trusted(states: np.ndarray) -> np.recarray:

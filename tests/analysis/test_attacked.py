@@ -83,7 +83,9 @@ def test_a_solver_sees_the_record_that_it_is_given(game, variant, ability):
     for field, value in (("x", np.nan), ("y", np.inf), ("x", -1.0), ("mt_next", 2**40)):
         ruined = env.get_state()
         ruined[field] = value
-        with pytest.raises(ValueError, match=r"the state is none of this game: its .* cannot be"):
+        with pytest.raises(
+            ValueError, match=r"the state is invalid for this game: its .* cannot be"
+        ):
             getattr(solver, ability)(ruined.view(np.recarray)[0], *others)
     with pytest.raises(ValueError, match="must be a record of this game; got"):
         getattr(solver, ability)(np.zeros(3), *others)

@@ -294,7 +294,9 @@ def test_it_tells_agents_from_devices(astray, run_folder, tmp_path):
     assert json.loads((tmp_path / "told" / "agency.json").read_text())["episodes"] == 12
     (tmp_path / "episodes.parquet").write_text("mine")
     told = astray("agency", run_folder, "--levels", "0:12", "--out", tmp_path, fails=True)
-    assert "episodes.parquet is none of astray's, which would have agency.json beside it" in told
+    assert (
+        "episodes.parquet was not written by astray, which would have agency.json beside it" in told
+    )
 
 
 def test_help_and_verbs_of_levels_do_not_wait_for_torch():

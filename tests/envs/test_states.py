@@ -118,13 +118,13 @@ def test_what_is_no_state_is_refused(game, variant, tmp_path):
     ):
         bad = states.copy()
         bad[field][1] = value
-        with pytest.raises(ValueError, match="state 1 is none of this variant"):
+        with pytest.raises(ValueError, match="state 1 is invalid for this variant"):
             env.set_state(bad)
     for event in env.game.events:
         bad = states.copy()
         bad[event][3] = bad["time"][3] + 1
         with pytest.raises(
-            ValueError, match=f"state 3 is none of this variant: its {event} cannot be"
+            ValueError, match=f"state 3 is invalid for this variant: its {event} cannot be"
         ):
             env.set_state(bad)
     ended = states.copy()

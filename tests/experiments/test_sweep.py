@@ -128,7 +128,9 @@ def test_a_sweep_goes_on_and_takes_more_values(trained, tmp_path, monkeypatch):
 @pytest.mark.parametrize("name", ["report.html", "outcomes.parquet", "tables"])
 def test_a_sweep_does_not_write_over_what_was_there(trained, tmp_path, name):
     (tmp_path / name).write_text("mine")
-    with pytest.raises(OSError, match=f"{name} is none of astray's, which would have sweep.json"):
+    with pytest.raises(
+        OSError, match=f"{name} was not written by astray, which would have sweep.json"
+    ):
         run_sweep(Sweep(BASE, {"learning_rate": [1e-4]}, levels=3), tmp_path)
     assert (tmp_path / name).read_text() == "mine" and not trained
 

@@ -76,5 +76,5 @@ def test_a_state_that_compiled_code_could_not_play_is_refused(field, value):
     env.reset(seed=0)
     states = env.get_state()
     states[field][1] = value
-    with pytest.raises(ValueError, match="state 1 is none of this variant"):
+    with pytest.raises(ValueError, match="state 1 is invalid for this variant"):
         env.set_state(states)

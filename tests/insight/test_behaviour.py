@@ -68,7 +68,7 @@ def test_features_and_labels_of_ruined_states_are_refused(field):
     states = initial_states(game, "corner-small", range(3)).copy()
     states[field][1] = 10**6
     for ask in (game.features, *game.labels.values()):
-        with pytest.raises(ValueError, match="state 1 is none of this variant"):
+        with pytest.raises(ValueError, match="state 1 is invalid for this variant"):
             ask(states)
 
 

@@ -122,7 +122,7 @@ def test_mistakes_are_told_before_anything_is_written(astray, tmp_path):
     assert not out.exists()
     (tmp_path / "explain.html").write_text("mine")
     said = astray("explain", "maze-corner", "--others", 2, "--out", tmp_path, fails=True)
-    assert "explain.html is none of astray's; it would be replaced" in said
+    assert "explain.html was not written by astray; it would be replaced" in said
     assert (tmp_path / "explain.html").read_text() == "mine"
 
 

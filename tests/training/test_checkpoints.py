@@ -133,7 +133,7 @@ def test_a_corrupt_state_in_a_checkpoint_never_reaches_compiled_code(run):
     path = checkpoint.latest(run) / checkpoint.TRAINER
     states = load_file(path)["training.states"].copy()
     forge(path, tensors={"training.states": np.full_like(states, 255)})
-    with pytest.raises(ValueError, match="is none of this variant"):
+    with pytest.raises(ValueError, match="is invalid for this variant"):
         train(SHORT, run, progress=False)
 
 

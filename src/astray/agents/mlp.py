@@ -14,8 +14,8 @@ class CircleEmbedding(nn.Module):
     """Planes of categories [B, C, H, W] uint8 -> float planes [B, channels, H, W].
 
     Binary planes stay. In a plane with more categories, each becomes a point on the unit circle,
-    evenly spaced, and 0 (nothing) the centre. That makes two planes, where one-hot planes would
-    turn Maze's 4 into 14, with a single table look-up that needs no gradient.
+    evenly spaced, and 0 (nothing) the centre. So a plane becomes two, where one-hot
+    planes would turn Maze's 4 into 14, with a single table look-up that needs no gradient.
 
     Args:
         largest: Largest category of each plane, binary planes first.

@@ -1,1 +1,1 @@
-"""What agents do: episodes as tables, outcomes, intervals."""
+"""Behaviour of agents: episodes as tables, outcomes, intervals."""

@@ -93,7 +93,7 @@ def _played(game: Game, s: Any, way: list[Cell], shift: Shift) -> Played | None:
 def named_places(game: Game, s: Any, shift: Shift) -> dict[str, Any]:
     """Return the cells (x, y) of the shift's goals (None if absent) and of other goals.
 
-    Of goals that share an event only the first is included.
+    If goals share an event, only the first is included.
     """
     places: dict[str, Any] = {}
     events = set()

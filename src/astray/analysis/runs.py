@@ -269,7 +269,7 @@ def play_all(
     """Play policies, and scripts that walk to each goal or at random.
 
     Without a solver, the only script is random. The columns are those of `evaluate`, and run,
-    seed, checkpoint (null for scripts), variant (its `name`), outcome, tells_apart.
+    seed, checkpoint (null for scripts), variant (its `name`), outcome, distinguishing.
 
     Raises:
         ValueError: If an argument is invalid, or two policies have one name.

@@ -127,7 +127,7 @@ class OwnPolicy:
         return found
 
     def make(self, acting: Acting) -> Policy:
-        """Return the policy; raise ValueError if there is none of that name."""
+        """Return the policy; raise ValueError if the name is unknown."""
         from astray.analysis.adapters import Function
         from astray.analysis.policies import Random, Walk
 

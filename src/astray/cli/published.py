@@ -31,7 +31,7 @@ def import_(
 ) -> None:
     """Import an agent that others trained, from their file. Nothing in the file is run.
 
-    What the file or the catalogue tells need not be given.
+    Options that the file or the catalogue states can be left out.
 
     Example: astray import model_200015872.pth --as their-runner --game coinrun --variant coin-end
 

@@ -40,8 +40,8 @@ def sweep(
 ) -> None:
     """Train agents for every combination of some settings, and show their goals.
 
-    What is done already is not done again: the same command goes on where it stopped, and one with
-    more values or seeds adds to what is there.
+    The same command resumes an interrupted sweep; more values or seeds extend it. Finished
+    trainings are not repeated.
 
     Example: astray sweep maze corner-small --set lr=1e-4,5e-4 --set world=5,7 --seeds 3
 

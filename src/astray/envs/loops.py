@@ -117,8 +117,8 @@ def run(states, looks, source, orders, seen, results, barrier, thread, generatio
         looks: Tuple of the art, whether observations are symbolic, and the backgrounds.
         source: Tuple of the variant's parameters, the arguments `levels`, `first` and `count` of
             `next_level`, and states [N] that replace the next levels, one per environment, or none.
-        orders: Tuple of the autoreset mode, what to do, and the actions [N]. What to do is [N]
-            int64, the number of the level to begin, or a command. NEXT_LEVEL begins the next
+        orders: Tuple of the autoreset mode, the commands [N] int64, and the actions [N]. A command
+            is the number of the level to begin, or one of these. NEXT_LEVEL begins the next
             level, AS_SET redraws the background, STEP steps and restarts ended episodes according
             to the mode, NOTHING does nothing.
         seen: Tuple of observations, and of final states and observations, [N, ...], written in mode

@@ -1,4 +1,4 @@
-"""Kept agents: weights without the training's state, and a card about the agent's goals."""
+"""Pretrained agents: weights without the training's state, and a card about the agent's goals."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Cells and background painted together, to the pixel as if Qt drew one cell after another.
+"""Cells and background drawn together, to the pixel as if Qt drew one cell after another.
 
 Terms are those of `kernel.qt`.
 """

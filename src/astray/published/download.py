@@ -74,7 +74,7 @@ def digest_of(data: bytes, like: str) -> str:
     """Return the digest of a file's bytes, of the same kind as the digest `like`.
 
     Git's blob id is the SHA-1 of the file after a header. It pins files that could not be
-    downloaded here; whoever can forge a SHA-1 could forge such a file.
+    downloaded here; one who can forge a SHA-1 could forge such a file.
     """
     if len(like) == BLOB:
         return hashlib.sha1(b"blob %d\0" % len(data) + data, usedforsecurity=False).hexdigest()

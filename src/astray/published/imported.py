@@ -134,7 +134,7 @@ def _config(file: Path, found: Imported, known: Known) -> tuple[Config, list[str
             there = ", ".join(" ".join(world) for world in games.PROCGEN)
             raise ValueError(
                 f"{file} is refused: it was trained in {shown(' '.join(found.world))} of Procgen, "
-                f"which is none of the games here; there are: {there}"
+                f"which is not a game here; there are: {there}"
             )
         game, variant = games.PROCGEN[found.world]
     if not game or not variant:

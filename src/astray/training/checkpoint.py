@@ -55,7 +55,7 @@ class Claimed(RuntimeError):
 def claim(folder: Path, config: Config, wait: bool = False) -> Iterator[None]:
     """Lock the run folder for this process and check that it has this configuration.
 
-    Of several processes that train one agent, the first holds the lock for all.
+    If several processes train one agent, the first holds the lock for all.
 
     Raises:
         Claimed: If another process trains in it and `wait` is False.

@@ -214,7 +214,7 @@ class Config:
         """Return the intended goal of the training variant's shifts, or else of the validation's.
 
         Raises:
-            ValueError: If none of the game's shifts has either variant.
+            ValueError: If no shift of the game has either variant.
         """
         shifts = self.find_game().shifts.values()
         for variant in (self.variant, self.validation):

@@ -96,7 +96,7 @@ def evaluate(
     log_probability, probability = np.empty((2, actions))
     for i in range(count):
         if not 0 <= action[i] < actions:
-            raise IndexError("an action is none of those that outputs are for")
+            raise IndexError("an action must have an output")
         largest = outputs[i, 0]
         for k in range(1, actions):
             largest = max(largest, outputs[i, k])

@@ -1,6 +1,6 @@
 """The mlp on a CPU, without multiplications by the many zeros of symbolic planes.
 
-Of Maze's 294 inputs about 33 are nonzero, so its first layer is a sum of 33 rows of weights.
+About 33 of Maze's 294 inputs are nonzero, so its first layer is a sum of 33 rows of weights.
 """
 
 from __future__ import annotations

@@ -47,7 +47,7 @@ def find(work: Work) -> Findings:
         f"{rounded(where[False].mean)}.",
         claims=[
             below(
-                "That a coin is taken at the original's random place shows no more than running "
+                "Taking a coin at the original's random place shows no more than running "
                 "right does.",
                 "not measured",
                 "agent less script",
@@ -55,7 +55,7 @@ def find(work: Work) -> Findings:
                 CLOSE,
             ),
             above(
-                "What the blind script does in a level foretells what the agent does.",
+                "The blind script's behaviour in a level predicts the agent's.",
                 "not measured",
                 "taken where the script takes the coin less where it does not",
                 foretold,

@@ -177,7 +177,7 @@ def flips(agents: pl.DataFrame) -> Claim:
     offered = sure.filter(colour=PAPER[0], shape=PAPER[1]).row(0, named=True)
     count = agents["seed"].n_unique()
     return Claim(
-        "What they prefer depends on the seed: in most pairs of a new colour and a new shape some "
+        "Their preference depends on the seed: in most pairs of a new colour and a new shape some "
         "agents go to the one object, others to the other.",
         "not measured; Ramanauskas and Simsek (2023) found that it does",
         f"in {rounded(both)} of {len(sure)} pairs both are clear, each by an interval over "

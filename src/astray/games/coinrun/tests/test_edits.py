@@ -1,4 +1,4 @@
-"""Edits of states: one thing is otherwise, and all else is as it was."""
+"""Edits of states: one thing changes, and everything else stays."""
 
 import numpy as np
 import pytest

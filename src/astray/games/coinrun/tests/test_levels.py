@@ -1,4 +1,4 @@
-"""What every variant promises of its levels, on hundreds of them."""
+"""Promises of every variant about its levels, on hundreds of them."""
 
 import json
 from dataclasses import replace
@@ -68,7 +68,7 @@ def test_the_originals_random_coin_is_mostly_near_and_anywhere_is_not():
 
 @pytest.mark.parametrize("name", ["coin-anywhere", "coin-anywhere-long", "coin-twice-anywhere"])
 def test_a_coin_anywhere_can_be_taken(name):
-    """By the solver, which minds walkers, too."""
+    """Uses the solver, which avoids walkers, too."""
     for s in levels(VARIANTS[name], 40, first=500):
         assert GAME.solver.optimal_return(s, "coin", 1.0) == 10
 

@@ -1,4 +1,4 @@
-"""What is seen of CoinRun, in pictures and in symbols."""
+"""Observations of CoinRun, in pictures and in symbols."""
 
 import hashlib
 from dataclasses import replace
@@ -74,7 +74,7 @@ def test_a_picture_of_the_agents_size_is_what_the_agent_sees(name):
 
 
 def test_a_large_picture_shows_what_the_small_one_does():
-    """It is painted anew in every step, without a scene: the same, but finer."""
+    """It is drawn anew in every step, without a scene: the same, but finer."""
     env, _ = begin("coin-end", "image", level=14)
     for action in (7, 8, 8, 7, 7, 7):
         image = env.step(np.array([action]))[0][0]

@@ -32,7 +32,7 @@ def room(bottom, *above):
 
 
 def play(drawing, actions, variant=END):
-    """What happens in `drawing`: all rewards, whether it ended, and the state."""
+    """Play `drawing`; return all rewards, whether it ended, and the state."""
     env = GameVectorEnv("coinrun", variant, observation="symbolic", autoreset_mode="Disabled")
     env.set_state(Level.from_text(GAME, variant, drawing).state(solvable=False))
     total, over = 0.0, False

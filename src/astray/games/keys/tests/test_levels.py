@@ -1,4 +1,4 @@
-"""What every variant promises of its levels, on hundreds of them; and levels as data."""
+"""Promises of every variant about its levels, on hundreds of them; and levels as data."""
 
 import json
 from dataclasses import replace

@@ -1,4 +1,4 @@
-"""What is seen of keys and chests, in pictures and in symbols."""
+"""Observations of keys and chests, in pictures and in symbols."""
 
 from dataclasses import replace
 

@@ -16,7 +16,7 @@ SMALL = VARIANTS["many-keys-small"]
 
 
 def worth(order, times, met, is_key, hand, to_open, worths, gamma):
-    """What an order is worth, told step by step; None where it cannot be walked so."""
+    """Return the worth of an order, step by step; None if it cannot be walked."""
     total, clock, last, done, opened = 0.0, 0, 0, set(), 0
     for j in order:
         if opened == to_open:
@@ -57,7 +57,7 @@ def test_no_order_is_worth_more_than_the_best(gamma, worths):
 
 
 def _length(order, args):
-    """How far an order is walked: to where nothing more pays; 0 where more could be reached."""
+    """Return the length of an order up to the last gain; 0 if more could be reached."""
     is_key, to_open, worths = args[2], args[4], args[5]
     for k in range(len(order) + 1):
         left = set(range(len(order))) - set(order[:k])
@@ -194,7 +194,7 @@ def small(level):
 
 
 def walk(env, guide, steps=10**6):
-    """What an expert does, until its episode ends or it stays, or for some steps."""
+    """Return the actions of an expert until its episode ends, it stays, or for some steps."""
     actions, stay = [], GAME.actions.index("stay")
     while not env.states[0].ended and len(actions) < steps:
         actions.append(guide(env.states[0]))

@@ -1,4 +1,4 @@
-"""What every variant promises of its levels, on a thousand of them."""
+"""Promises of every variant about its levels, on a thousand of them."""
 
 from dataclasses import replace
 

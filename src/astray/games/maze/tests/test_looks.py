@@ -1,4 +1,4 @@
-"""What is seen of a maze, in pictures and in symbols."""
+"""Observations of a maze, in pictures and in symbols."""
 
 from dataclasses import replace
 

@@ -27,7 +27,7 @@ THREE = replace(SEVEN, world=3, largest=3)
 
 
 def play(room, actions, variant=SEVEN):
-    """What happens in `room`: the last reward and end, and the state."""
+    """Play `room`; return the last reward and end, and the state."""
     env = GameVectorEnv("maze", variant, observation="symbolic", autoreset_mode="Disabled")
     env.set_state(Level.from_text(GAME, variant, room).state(solvable=False))
     reward, terminated, truncated = np.zeros(1), [False], [False]
