@@ -77,6 +77,15 @@ def test_a_training_that_could_not_begin_is_told_before_those_before_it(tmp_path
         run.reproduce(experiment(plan(agents=agents, levels=2)), "smoke", tmp_path)
 
 
+def test_a_ruined_report_that_results_stand_beside_is_told_before_the_work(tmp_path):
+    (tmp_path / "early-smoke").mkdir()
+    (tmp_path / "early-smoke" / "findings.json").write_text('{"claims": null}')
+    published = {"published": plan(agents={"mouse": TINY})}
+    study = replace(experiment(plan()), sizes=published)
+    with pytest.raises(ValueError, match=r"early-smoke/findings\.json must be the findings of a"):
+        run.reproduce(study, "published", tmp_path)
+
+
 def test_a_package_that_findings_need_is_missed_before_training(tmp_path):
     with pytest.raises(ImportError, match=r"'Early' needs no_such: pip install '.\[insight\]"):
         run.reproduce(experiment(plan(), needs={"no_such": "insight"}), "smoke", tmp_path)

@@ -93,6 +93,8 @@ def reproduce(
         differences=plan.differences,
         command=f"astray reproduce {given} --size {size}" + (f" --art {art}" if ending else ""),
     )
+    # What others' agents do is told beside what those do that are trained here.
+    beside = report.of_claims(root / f"{name}-smoke") if size == PUBLISHED else {}
     with hold(folder, "works on"), threads_for(size):
         runs = train_agents(plan, root, workers, on, track)
         digest = note(plan, runs, folder, whole)
@@ -101,8 +103,6 @@ def reproduce(
             work = replace(work, episodes=work.keep("episodes", lambda: play(plan, runs)))
         findings = whole.find(work)
         findings = replace(findings, claims=corrected(findings.claims))
-        # What others' agents do is told beside what those do that are trained here.
-        beside = report.of_claims(root / f"{name}-smoke") if size == PUBLISHED else {}
         videos = [video.scene for video in findings.videos if video.scene]
         page = report.write(heading, findings, folder, beside, labs.write(videos, folder))
         if track:
