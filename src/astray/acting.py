@@ -13,17 +13,18 @@ from typing import Any, NamedTuple, Protocol, TypeVar
 
 import numpy as np
 
-from astray import games, world
+from astray import world
 from astray.bounds import MOST, bounded, of_kind, shown
+from astray.envs.beginnings import CHUNK as CHUNK
+from astray.envs.beginnings import Levels as Levels
+from astray.envs.beginnings import beginnings
+from astray.envs.beginnings import initial_states as initial_states
+from astray.envs.rows import check_rows, rows
 from astray.envs.vector import GameVectorEnv, Observation
 from astray.envs.worlds import WorldVectorEnv
 from astray.game import Game, Variant
-from astray.level import Level
-from astray.record import level_numbers
 from astray.world import World, WorldVariant
 
-Levels = Sequence[int] | np.ndarray | range | Mapping[str, Level]
-CHUNK = 1000  # levels begun at once
 LASTING = 1_000_000  # steps; longer episodes count as endless
 POLICY = ("name", "observation", "art", "actions")  # required attributes of a policy
 
@@ -169,28 +170,6 @@ class Asking:
         check_rows(answer.memory, len(self._turn.begins))
         self._memory = answer.memory
         return answer
-
-
-def rows(memory: Any, kept: np.ndarray) -> Any:
-    """Return the rows `kept` [n] of a policy's memory [N, ...]."""
-    if isinstance(memory, Mapping):
-        return {name: rows(part, kept) for name, part in memory.items()}
-    if isinstance(memory, tuple | list):
-        parts = [rows(part, kept) for part in memory]
-        return type(memory)(*parts) if hasattr(memory, "_fields") else type(memory)(parts)
-    return None if memory is None else memory[kept]
-
-
-def check_rows(memory: Any, n: int) -> None:
-    """Raise ValueError unless a policy's memory has one row for each of `n` episodes."""
-    if isinstance(memory, Mapping | tuple | list):
-        for part in memory.values() if isinstance(memory, Mapping) else memory:
-            check_rows(part, n)
-    elif memory is not None and tuple(getattr(memory, "shape", ()))[:1] != (n,):
-        raise ValueError(
-            f"a policy's memory must be arrays or tensors of {n} rows, one per episode; got "
-            f"{getattr(memory, 'shape', shown(memory))}"
-        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -391,44 +370,6 @@ def check_policy(policy: Any) -> None:
             f"a policy must have {', '.join(POLICY)}: load_agent(...) gives one, and "
             f"Function(...) makes one of a function; got {shown(policy)}"
         )
-
-
-def initial_states(game: str | Game, variant: str | Variant, levels: Levels) -> np.recarray:
-    """Return the states [N] that `levels` begin in.
-
-    Raises:
-        ValueError: If a level number or a drawn level is invalid.
-    """
-    of_kind("levels", levels, Sized)
-    if not len(levels):
-        raise ValueError("no levels to begin")
-    shown = "symbolic" if games.find(game).symbols else "image"  # symbols take less time
-    env = GameVectorEnv(game, variant, min(CHUNK, len(levels)), observation=shown)
-    option, begin = beginnings(levels, env.game.state)
-    found = []
-    for first in range(0, len(begin), env.num_envs):
-        some = np.arange(first, first + env.num_envs) % len(begin)
-        env.reset(seed=0, options={option: begin[some]})
-        found.append(env.get_state()[: len(begin) - first])
-    env.close()
-    return np.concatenate(found).view(np.recarray)
-
-
-def beginnings(levels: Levels, dtype: np.dtype) -> tuple[str, np.ndarray]:
-    """Return the reset option that begins each of `levels`, and its values [N].
-
-    Raises:
-        ValueError: If a level number or a drawn level is invalid.
-    """
-    if not isinstance(levels, Mapping):
-        return "level", level_numbers(levels)
-    for level in levels.values():
-        of_kind("a level by name", level, Level)
-        if level.game.state != dtype:
-            raise ValueError(f"levels must be of one game; one is of {level.game.name}")
-    states = np.array([level.state(solvable=False) for level in levels.values()], dtype)
-    states["level"] = np.arange(len(states))
-    return "state", states
 
 
 def _environments(

@@ -1,0 +1,55 @@
+"""The states that levels begin in."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence, Sized
+
+import numpy as np
+
+from astray import games
+from astray.bounds import of_kind
+from astray.envs.vector import GameVectorEnv
+from astray.game import Game, Variant
+from astray.level import Level
+from astray.record import level_numbers
+
+Levels = Sequence[int] | np.ndarray | range | Mapping[str, Level]
+CHUNK = 1000  # levels begun at once
+
+
+def initial_states(game: str | Game, variant: str | Variant, levels: Levels) -> np.recarray:
+    """Return the states [N] that `levels` begin in.
+
+    Raises:
+        ValueError: If a level number or a drawn level is invalid.
+    """
+    of_kind("levels", levels, Sized)
+    if not len(levels):
+        raise ValueError("no levels to begin")
+    shown = "symbolic" if games.find(game).symbols else "image"  # symbols take less time
+    env = GameVectorEnv(game, variant, min(CHUNK, len(levels)), observation=shown)
+    option, begin = beginnings(levels, env.game.state)
+    found = []
+    for first in range(0, len(begin), env.num_envs):
+        some = np.arange(first, first + env.num_envs) % len(begin)
+        env.reset(seed=0, options={option: begin[some]})
+        found.append(env.get_state()[: len(begin) - first])
+    env.close()
+    return np.concatenate(found).view(np.recarray)
+
+
+def beginnings(levels: Levels, dtype: np.dtype) -> tuple[str, np.ndarray]:
+    """Return the reset option that begins each of `levels`, and its values [N].
+
+    Raises:
+        ValueError: If a level number or a drawn level is invalid.
+    """
+    if not isinstance(levels, Mapping):
+        return "level", level_numbers(levels)
+    for level in levels.values():
+        of_kind("a level by name", level, Level)
+        if level.game.state != dtype:
+            raise ValueError(f"levels must be of one game; one is of {level.game.name}")
+    states = np.array([level.state(solvable=False) for level in levels.values()], dtype)
+    states["level"] = np.arange(len(states))
+    return "state", states
