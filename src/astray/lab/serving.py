@@ -45,10 +45,10 @@ def make_lab(agent: str | Path | None, start: Mapping[str, Any]) -> Lab:
     game.variant(first.setdefault("variant", next(iter(game.variants))))
     if "level" not in first:
         shift = game.shifts.get(agents.about(name)["shift"]) if name else None
-        tested = shift is not None and first["variant"] == shift.test
-        first["level"] = (
-            first_distinguishing(game, game.variant(first["variant"]), shift) if tested else 0
-        )
+        if shift and first["variant"] == shift.test:
+            first["level"] = first_distinguishing(game, game.variant(shift.test), shift)
+        else:
+            first["level"] = 0
     return Lab(agents, first | {"game": game.name})
 
 
