@@ -87,6 +87,8 @@ def editing(world: World) -> Any:
     """Return the ability to describe and build levels; raise ValueError for invalid ones."""
     legend = world.legend()
     names = {n: c for c, n in {**world.things, **world.movers}.items() if n not in world.solid}
+    under = {0, *(sum(divmod(legend[char], OVER)) for char in world.stood)}
+    stood = "".join(c for c, code in legend.items() if code and {*divmod(code, OVER)} <= under)
 
     def grid(s: Any) -> np.ndarray:
         return (s.cell + OVER * s.mover).astype(np.uint8)
@@ -113,7 +115,7 @@ def editing(world: World) -> Any:
         return s
 
     return SimpleNamespace(
-        LEGEND=legend, OBJECTS=names, STOOD_ON=world.stood,
+        LEGEND=legend, OBJECTS=names, STOOD_ON=stood,
         grid=grid, centre=centre, describe=describe, build=build,
     )  # fmt: skip
 

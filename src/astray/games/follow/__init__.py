@@ -137,7 +137,7 @@ GAME = grid.world(
         "first": Shift("expert", "anti-expert", "order", ("partner",)),
     },
     seek=seek,
-    stood="rgby",
+    stood="rgbyp",
     level_fields={"order": 0},
     bounds={"order": (0, 24), "next": (0, 4), "shows": (0, 4), "visited": (-1, 4), "way": (-1, 2)},
     centred=True,

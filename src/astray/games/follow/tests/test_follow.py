@@ -25,6 +25,15 @@ def test_the_partner_goes_in_the_order_or_in_the_reverse_one(partner, steps, sph
     assert env.states[0].visited == sphere
 
 
+@pytest.mark.parametrize("beneath", ["p", "r", "A"])  # A: the partner on a red sphere
+def test_an_agent_may_stand_on_its_partner_and_on_a_sphere_and_on_both(beneath):
+    game = games.find("follow")
+    drawn = f"{room(8, '@......')}\n@ on {beneath}"
+    level = Level.from_text(game, game.variants["expert"], drawn)
+    again = Level.of(game, level.variant, level.state(solvable=False))
+    assert again.to_json() == level.to_json() and str(again).endswith(f"\n@ on {beneath}")
+
+
 def test_who_follows_the_partner_visits_what_it_visited_last():
     env = scene("follow", FIELD, "anti-expert")
     walk(env, "partner")
