@@ -20,6 +20,7 @@ Env = gymnasium.Env
 Happened = str | Callable[[Any, Mapping[str, Any]], Any]
 NOTED = "astray"  # key of info that reports events and measures
 SEEN = "observation"  # field of states that holds what an environment showed in them
+BOOLEANS = (bool, np.bool_)
 NOT_OURS = {f.name for f in fields(Game)}  # names of a game, some of which a world has
 
 
@@ -293,7 +294,8 @@ class Witness(gymnasium.Wrapper):
 
     def _happens(self, info: Mapping[str, Any]) -> bool:
         """Record the events of this step; return whether there were any."""
-        self.reported.update(info)
+        if info:
+            self.reported.update(info)
         new = []
         for name, happened in self._waiting.items():
             if isinstance(happened, str):
@@ -303,10 +305,8 @@ class Witness(gymnasium.Wrapper):
                     is_now = happened(self._inner, info)
                 except Exception as error:
                     raise self._failed(f"event {name!r}", error) from error
-            if np.ndim(is_now) or is_now not in (
-                0,
-                1,
-            ):  # for instance NaN, which is truthy, or text
+            # Others may be NaN, which is truthy, or text; that check takes 3 us.
+            if type(is_now) not in BOOLEANS and (np.ndim(is_now) or is_now not in (0, 1)):
                 raise ValueError(
                     f"{self._where()}: its event {name!r} must be True or False; got "
                     f"{shown(is_now)}"
@@ -329,9 +329,10 @@ class Witness(gymnasium.Wrapper):
         return np.array(told, np.float64)
 
     def _check_shape(self, seen: Any) -> None:
-        if self._shape is not None and np.shape(seen) != self._shape:
+        shape = seen.shape if isinstance(seen, np.ndarray) else np.shape(seen)
+        if self._shape is not None and shape != self._shape:
             raise ValueError(
-                f"{self._where()}: the observation is of shape {np.shape(seen)}, where the space "
+                f"{self._where()}: the observation is of shape {shape}, where the space "
                 f"says {self._shape}"
             )
 

@@ -72,8 +72,9 @@ class WorldVectorEnv:
                 taken = self._envs.step_wait(timeout=self.game.patience)
         else:
             taken = self._envs.step(actions)
-        self.states["time"] += 1
-        self.states["ended"] = taken[2] | taken[3]
+        states = self.states.view(np.ndarray)  # fields of a recarray take ten times as long
+        states["time"] += 1
+        states["ended"] = taken[2] | taken[3]
         self._note(taken[4])
         return taken
 
