@@ -16,7 +16,7 @@ from astray.agents.policy import Architecture
 from astray.art import original
 from astray.cli.experiments import bench
 from astray.envs.vector import GameVectorEnv
-from benchmarks import agency, environments, insight, profile, start, tables, train
+from benchmarks import agency, environments, insight, profile, start, tables, train, worlds
 from benchmarks.plain import Loop
 
 TINY = replace(train.SYMBOLIC[0], num_envs=8, num_steps=8, minibatches=2, width=8)
@@ -96,6 +96,11 @@ def test_a_first_start_compiles_and_a_later_one_does_not():
     row = start.measure_game("maze", "corner-small", rounds=1)
     assert 0 < 2 * row.later_cpu < row.first_cpu
     assert f"| maze corner-small | {row.first:.1f} |" in tables.markdown([row])
+
+
+def test_a_world_is_measured_beside_a_plain_loop():
+    (row,) = worlds.measure(["CartPole-v1"], rounds=1, levels=2, batch=2)
+    assert row.plain > 0 and row.cells()["ratio"] == f"{row.world / row.plain:.2f}"
 
 
 def test_training_is_measured_beside_stable_baselines3():

@@ -122,7 +122,17 @@ def reproduce(
 
 def bench(
     what: Positional[
-        Literal["environments", "train", "networks", "eyes", "agency", "insight", "lab", "start"]
+        Literal[
+            "environments",
+            "train",
+            "networks",
+            "eyes",
+            "agency",
+            "insight",
+            "lab",
+            "start",
+            "worlds",
+        ]
     ] = "environments",
     markdown: bool = False,
     device: Literal["cpu", "cuda", "mps"] = "cpu",

@@ -103,7 +103,7 @@ class WorldVectorEnv:
 
     def get_state(self) -> np.ndarray:
         """Return a copy of `states`, which record an episode but cannot restore an environment."""
-        return self.states.copy().view(np.ndarray)
+        return self.states.view(np.ndarray).copy()
 
     def close(self) -> None:
         """End all environments and tell the world which keys of info occurred."""
