@@ -1,1 +1,1 @@
-"""How fast environments and training are, beside libraries that do the same; what eyes learn."""
+"""Speed of environments and training, beside libraries that do the same; what eyes learn."""

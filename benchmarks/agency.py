@@ -1,8 +1,8 @@
 """Trajectories measured per second: agents of 400 goals against devices.
 
 On one thread, in an open room of 20 x 20 cells, with trajectories of 50 random actions; figures
-are medians over the rounds. That the time for many is that for one, times their number, is the
-last column's point.
+are medians over the rounds. The last column shows that the
+time for many is that for one, times their number.
 """
 
 from __future__ import annotations

@@ -35,7 +35,7 @@ BUSY = "while True: pass"  # what that process does
 
 @dataclass(frozen=True)
 class Row:
-    """What one contender did; None where it was not measured or a column does not apply."""
+    """Result of one contender; None where it was not measured or a column does not apply."""
 
     title: ClassVar[str] = "Environment steps, in turns"
     game: str

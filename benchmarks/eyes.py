@@ -1,6 +1,6 @@
-"""How soon networks learn, with labels, to see the shortest way to the cheese in a maze's picture.
+"""Time until networks see, from labels, the shortest way to the cheese in a maze's picture.
 
-Mazes have 3 to 25 cells a side, drawn in the paper's world of 25. Of each picture a network is told
+Mazes have 3 to 25 cells a side, drawn in the paper's world of 25. For each picture a network learns
 the direction of the first step of the shortest way, which the exact solver knows. Mouse and cheese
 are anywhere. The largest mazes shown have 7 cells at first, and 2 more whenever it is mostly right
 in the largest. All networks have the same pictures to begin with, the same learning rate and the

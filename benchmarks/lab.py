@@ -1,4 +1,4 @@
-"""How soon the lab answers an edit: until its first arrows, and until its last.
+"""Time of the lab's answer to an edit: until its first arrows, and until its last.
 
 From the message of an edited level to the parts of the answer, in this process, without browser and
 socket. The network that sees images is the paper's, untrained: it computes as a trained one does.

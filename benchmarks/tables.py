@@ -92,7 +92,7 @@ def decimal(x: float | None, places: int = 2) -> str:
 
 
 def circumstances() -> str:
-    """What figures depend on: processor and versions."""
+    """Return the processor and the versions, on which figures depend."""
     versions = [f"Python {platform.python_version()}"]
     for package in PACKAGES:
         try:

@@ -46,7 +46,7 @@ PLAIN = {"fused_cpu": False, "bfloat16": False, "channels_last": False, "compile
 
 @dataclass(frozen=True)
 class Row:
-    """What one contender did; None where it was not measured."""
+    """Result of one contender; None where it was not measured."""
 
     title: ClassVar[str] = "PPO, in turns"
     what: str

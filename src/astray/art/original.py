@@ -278,7 +278,7 @@ def atlas(paths: Sequence[str], backgrounds: int = 0) -> tuple[np.ndarray, np.nd
 
 
 def _open_atlas(file: Path, count: int) -> np.ndarray | None:
-    """Return the array of `count` pictures from a file; None if the file does not hold it.
+    """Return the array of `count` pictures from a file; None if the file lacks it.
 
     Its SHA-256 follows the array, so that no damaged picture is shown.
     """

@@ -23,7 +23,7 @@ def art(
     Example: astray art import
 
     Args:
-        what: What to do: list; or import, which checks each picture by its digest and keeps it in
+        what: Action: list; or import, which checks each picture by its digest and keeps it in
             the user's data folder, or where ASTRAY_ART says.
         source: Wheel of procgen 0.10.7, or a checkout of it or of the paper's fork, which alone has
             the lines of Maze.

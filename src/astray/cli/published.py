@@ -70,7 +70,7 @@ def agents(
     Example: astray agents fetch openai-coinrun
 
     Args:
-        what: What to do: list; fetch, which downloads an agent, checks its digest and imports it
+        what: Action: list; fetch, which downloads an agent, checks its digest and imports it
             to the user's data folder, or where ASTRAY_AGENTS says; or check, which plays it and
             compares with what others measured, and writes both to its card.
         name: Name of the agent.

@@ -194,7 +194,7 @@ def _stop(workers: list[_Worker]) -> None:
 
 
 def alone() -> tuple[np.ndarray, int, int]:
-    """Return a barrier [1, LINE], a thread number and a lap, for work without a pool."""
+    """Return a barrier [1, LINE], a thread number and a generation, for work without a pool."""
     return new_barrier(1, 0), 0, 1
 
 

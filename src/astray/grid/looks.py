@@ -22,7 +22,7 @@ FLOORS = ("floor-a", "floor-b")  # by turns
 
 @shared
 def background(s, art, scene):
-    """Paint the floor."""
+    """Draw the floor."""
     side = s.cell.shape[0]
     scale = scene.shape[0] / side
     for y in range(side):

@@ -57,7 +57,7 @@ class Asked:
     Attributes:
         layers: Layers for probes.
         others: Level numbers that the probes learn from.
-        gamma, lam: Of its training, for advantages.
+        gamma, lam: Discount and lambda of its training, for advantages.
         deviation: Reward-normalisation scale of its training.
     """
 

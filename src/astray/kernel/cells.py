@@ -32,7 +32,7 @@ AHEAD = 4  # rows of an image for which the background is fetched before they ar
 
 @shared
 def paint_cells(image, pixels, places, cells, seen, left, low, world, background, rule):
-    """Paint the background and the visible cells, with the same overlaps as if one by one.
+    """Draw the background and the visible cells, with the same overlaps as if one by one.
 
     The order is that of columns, each from the lowest cell up.
 

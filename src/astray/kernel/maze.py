@@ -83,7 +83,7 @@ def is_wall(s, x, y):
 
 @kernel
 def paint_maze(s, picture, floor, wall):
-    """Paint floor and walls of the world of `s` and its margin on a square picture."""
+    """Draw floor and walls of the world of `s` and its margin on a square picture."""
     edge = margin(s)
     cells = s.world + 2 * edge
     scale = picture.shape[1] / cells

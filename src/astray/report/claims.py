@@ -1,8 +1,8 @@
 """Claims: sentences with a bound that was stated before anything was measured.
 
 There are four kinds: a result is `above` a bound, `below` one, `within` two, or `near_zero`, which
-stands for "no effect". A claim holds if the whole 95 % interval satisfies it, so fewer data make
-it harder to support. Claims of one page are `corrected` for their number.
+stands for "no effect". A claim is supported if the whole 95 % interval satisfies it, so fewer
+data make it harder to support. Claims of one page are `corrected` for their number.
 """
 
 from __future__ import annotations

@@ -78,7 +78,7 @@ def up_to_wall(s, scene):
 
 @shared
 def paint_part(s, art, target, top, left, scale):
-    """Paint the part of the world whose upper left pixel in the scene is (top, left)."""
+    """Draw the part of the world whose upper left pixel in the scene is (top, left)."""
     backgrounds, strips, lavas, crates, _, coin, _, _, _ = art
     first_x, first_y = int(left / scale) - MARGIN, CELLS - MARGIN - int(top / scale) - 1
     after_x = min(first_x + int(target.shape[1] / scale) + 2, CELLS - MARGIN)

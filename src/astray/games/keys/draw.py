@@ -38,7 +38,7 @@ STRIPS = 8  # that a cell is cut into by X_PLANE and Y_PLANE, from 1 on
 
 @kernel
 def background(s, art, scene):
-    """Paint floor and walls of the whole world and its margin: twice, above with objects."""
+    """Draw floor and walls of the whole world and its margin: twice, above with objects."""
     floors, wall = art[0], art[1]
     seen, bare = scene[: scene.shape[1]], scene[scene.shape[1] :]
     paint_maze(s, bare, floors[s.background], wall)
@@ -50,7 +50,7 @@ def background(s, art, scene):
 
 @kernel
 def paint_object(s, art, scene, k):
-    """Paint object `k`, clipped to its cell."""
+    """Draw object `k`, clipped to its cell."""
     edge = margin(s)
     cells = s.world + 2 * edge
     scale = scene.shape[0] / cells

@@ -48,7 +48,7 @@ def looking(s, side):
 
 @shared
 def background(s, art, scene):
-    """Paint the world without the thief twice, above with objects, unless a window moves."""
+    """Draw the world without the thief twice, above with objects, unless a window moves."""
     if s.window == 0:
         side = scene.shape[1]
         paint_walls(s, art, scene[side:])
@@ -57,7 +57,7 @@ def background(s, art, scene):
 
 @shared
 def paint_walls(s, art, image):
-    """Paint floor and walls of the whole world or of the window around the thief."""
+    """Draw floor and walls of the whole world or of the window around the thief."""
     pixels, places, rule = art
     left, low, columns, rows = np.int64(0), np.int64(0), s.world, s.world
     if s.window:
@@ -75,7 +75,7 @@ def paint_walls(s, art, image):
 
 @shared
 def paint_objects(s, art, scene):
-    """Copy the scene's lower part to its upper part, and paint the remaining objects there."""
+    """Copy the scene's lower part to its upper part, and draw the remaining objects there."""
     side = scene.shape[1]
     copy_flat(scene[:side], scene[side:])
     draw_objects(s, art, scene[:side])

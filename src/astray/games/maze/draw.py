@@ -27,7 +27,7 @@ DISH = OTHERS.index("dish")
 
 @kernel
 def background(s, art, scene):
-    """Paint floor and walls of the whole world and its margin."""
+    """Draw floor and walls of the whole world and its margin."""
     floors, walls, _, _ = art
     paint_maze(s, scene, floors[s.background], walls[s.walls])
 

@@ -37,14 +37,14 @@ WALL_PLACE, MOUSE_PLACE, OBJECT_PLACES = FLOORS, FLOORS + 1, FLOORS + 2  # among
 
 @shared
 def background(s, art, scene):
-    """Paint the whole world without the mouse, unless a window moves with it."""
+    """Draw the whole world without the mouse, unless a window moves with it."""
     if s.window == 0:
         paint_world(s, art, scene)
 
 
 @shared
 def paint_world(s, art, image):
-    """Paint all cells of the whole world or of the window around the mouse."""
+    """Draw all cells of the whole world or of the window around the mouse."""
     pixels, places, objects, rule = art
     side = image.shape[0]
     if s.window:

@@ -121,7 +121,7 @@ GAME = grid.world(
         "anywhere": Pottery(about="the bin anywhere", bin="anywhere"),
         "corner-picks": Pottery(about="picking up pays, too", reward="picks"),
         "anywhere-picks": Pottery(
-            about="likewise, the bin anywhere", reward="picks", bin="anywhere"
+            about="picking up pays, too; the bin anywhere", reward="picks", bin="anywhere"
         ),
     },
     goals={

@@ -245,7 +245,7 @@ def experiment(
 
     Args:
         knobs: Knobs of the variants.
-        seen: How these change the observations from the paper's.
+        seen: Change of the observations from the paper's.
     """
     return Experiment(
         title=title,
