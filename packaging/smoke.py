@@ -34,7 +34,7 @@ def main() -> None:
     assert not (Path(__file__).parents[1] / "src").is_relative_to(home.parent), "it is a checkout"
     for part in (
         "games/maze/art/cheese.png",
-        "experiments/report.html",
+        "report/page.html",
         "experiments/card.md",
         "agents/pretrained/maze-corner/config.json",
         "published/catalogue.toml",

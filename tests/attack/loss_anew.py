@@ -22,7 +22,7 @@ def _labs() -> dict[str, Callable[[Place], Any]]:
 
     def act(lay: Callable[[Place, Path], Any], made: bool, place: Place) -> Any:
         from astray.experiments import labs
-        from astray.experiments.report import Scene
+        from astray.report.findings import Scene
 
         folder = place.work / "reports" / "one"
         folder.mkdir(parents=True)

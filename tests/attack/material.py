@@ -29,7 +29,7 @@ EXPERIMENT = '''
 from astray.training import folders
 from astray.analysis.runs import shift_of
 from astray.experiments.outcomes import settings
-from astray.experiments.report import Findings, Table
+from astray.report.findings import Findings, Table
 from astray.experiments.spec import Experiment, Plan, tests_of
 from astray.training.checkpoint import read_config
 

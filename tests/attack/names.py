@@ -77,9 +77,9 @@ def _page(text: str, place: Place) -> None:
     import polars as pl
     from matplotlib.figure import Figure
 
-    from astray.experiments import report
-    from astray.experiments.report import Findings, Heading, Plot, Table
+    from astray.report import page as report
     from astray.report.claims import Claim
+    from astray.report.findings import Findings, Heading, Plot, Table
 
     words = (text,) * 7
     folder = place.work / "reports" / "one"
@@ -99,7 +99,7 @@ def _page(text: str, place: Place) -> None:
 
 def _index(text: str, place: Place) -> None:
     """An index of reports in a folder by that name."""
-    from astray.experiments import report
+    from astray.report import page as report
 
     name = text.replace("/", "\u2215").replace("\0", "")[:80]
     there = place.work / "reports" / name

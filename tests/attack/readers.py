@@ -104,7 +104,7 @@ def _trajectories(folder: Path) -> Any:
 
 
 def _index(folder: Path) -> Any:
-    from astray.experiments import report
+    from astray.report import page as report
 
     report.of_claims(folder / "experiment-smoke")
     return report.write_index(folder)

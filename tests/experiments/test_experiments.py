@@ -20,9 +20,10 @@ import pytest
 from astray import games, provenance
 from astray.analysis.outcomes import FAILED, INTENDED, MISGENERALIZED
 from astray.analysis.runs import open_run
-from astray.experiments import catalogue, register, report, run
+from astray.experiments import catalogue, register, run
 from astray.experiments.outcomes import share
 from astray.experiments.studies.mitigation import asking_for_help, reward_ensembles
+from astray.report import page as report
 from astray.report.claims import Claim, above
 from astray.training import checkpoint
 from astray.training.config import Config

@@ -5,11 +5,13 @@ from dataclasses import replace
 
 import pytest
 
-from astray.experiments import labs, report
+from astray.experiments import labs
 from astray.lab.export import COMPUTED
+from astray.report import page as report
+from astray.report.findings import Findings, Heading, Scene, Video
 from astray.training import checkpoint, folders
 
-SCENE = report.Scene(folders.find("maze-corner"), "anywhere-small", 200_007)
+SCENE = Scene(folders.find("maze-corner"), "anywhere-small", 200_007)
 LAB = "lab/index.html"
 
 
@@ -53,12 +55,10 @@ def test_an_agent_that_a_page_cannot_compute_has_no_lab(tmp_path, monkeypatch):
 def test_a_report_has_the_command_and_the_link(links, tmp_path):
     video = tmp_path / "video.mp4"
     video.write_bytes(b"")
-    heading = report.Heading(
+    heading = Heading(
         name="a", size="smoke", title="", reproduces="", question="", differences="", command=""
     )
-    findings = report.Findings(
-        answer="", claims=[], settings={}, videos=[report.Video("A walk.", video, SCENE)]
-    )
+    findings = Findings(answer="", claims=[], settings={}, videos=[Video("A walk.", video, SCENE)])
     page = report.write(heading, findings, tmp_path, links=links).read_text()
     assert "--variant anywhere-small --level 200007</code>" in page
     assert (f'<a href="{LAB}#game=maze">' in page) == bool(links)

@@ -14,13 +14,15 @@ from astray.analysis.critic import visit
 from astray.analysis.estimates import mean_of
 from astray.analysis.evaluate import evaluate
 from astray.analysis.runs import open_run
-from astray.experiments import catalogue, report, run
+from astray.experiments import catalogue, run
 from astray.experiments.levels import levels_of
 from astray.experiments.studies.coinrun import _agents, critic_value, moved_coin, published_results
 from astray.experiments.studies.maze import cheese_mouse
 from astray.published import catalogue as published
 from astray.published.results import read_results
+from astray.report import page as report
 from astray.report.claims import Claim
+from astray.report.findings import Findings, Heading
 from astray.training import folders
 from astray.training.config import PRESETS
 from helpers.miniature import miniature, train_here
@@ -181,13 +183,13 @@ def test_fates_in_others_results_are_of_what_came_first():
     assert found.filter(test="random")["mean"].to_list() == [0, 0, 1, 0]
 
 
-HEADING = report.Heading(
+HEADING = Heading(
     name="n", size="published", title="t", reproduces="r", question="q", differences="", command="c"
 )
 
 
 def test_what_agents_trained_here_do_stands_beside_the_published(tmp_path):
-    mine = report.Findings(answer="", claims=[Claim("It runs.", "p", "7 %", False)], settings={})
+    mine = Findings(answer="", claims=[Claim("It runs.", "p", "7 %", False)], settings={})
     for name in ("n-smoke", "n-published"):
         (tmp_path / name).mkdir()
     report.write(HEADING, mine, tmp_path / "n-smoke")
@@ -199,7 +201,7 @@ def test_what_agents_trained_here_do_stands_beside_the_published(tmp_path):
 
 
 def test_findings_of_an_older_report_are_read_with_a_note(tmp_path):
-    mine = report.Findings(answer="", claims=[Claim("It runs.", "p", "7 %", True)], settings={})
+    mine = Findings(answer="", claims=[Claim("It runs.", "p", "7 %", True)], settings={})
     report.write(HEADING, mine, tmp_path)
     path = tmp_path / "findings.json"
     path.write_text(path.read_text().replace('"supported"', '"supported"'))
@@ -211,7 +213,7 @@ def test_findings_of_an_older_report_are_read_with_a_note(tmp_path):
 
 @pytest.mark.parametrize("supported", [True, False])
 def test_a_report_says_why_a_claim_is_not_supported(tmp_path, supported):
-    mine = report.Findings(
+    mine = Findings(
         answer="", claims=[Claim("It runs.", "p", "7 %", supported, "it is tired")], settings={}
     )
     page = report.write(HEADING, mine, tmp_path).read_text()

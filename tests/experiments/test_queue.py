@@ -5,8 +5,9 @@ from pathlib import Path
 
 import pytest
 
-from astray.experiments import catalogue, report, run
+from astray.experiments import catalogue, run
 from astray.experiments.workers import expected
+from astray.report import page as report
 from astray.training import checkpoint
 from astray.training.loop import train
 from helpers.trainings import TINY

@@ -14,11 +14,13 @@ from PIL import Image
 from astray.analysis import video
 from astray.analysis.outcomes import FAILED, INTENDED, MISGENERALIZED
 from astray.analysis.policies import Walk
-from astray.experiments import report, spec
+from astray.experiments import spec
 from astray.files import aside_of
 from astray.games.maze.solve import steps_to
 from astray.report import charts
+from astray.report import page as report
 from astray.report.claims import Claim
+from astray.report.findings import Findings, Heading, Plot, Table, Video
 from astray.report.style import save
 
 T, H, W = 7, 31, 45  # odd sizes, which yuv420p cannot have
@@ -62,7 +64,7 @@ def episode():
 def told(frames, tmp_path):
     """A heading, and findings with one of everything."""
     video.write_mp4(frames, tmp_path / "walk.mp4")
-    heading = report.Heading(
+    heading = Heading(
         name="maze-corner",
         title="The corner mouse",
         reproduces="Figure 3",
@@ -71,17 +73,15 @@ def told(frames, tmp_path):
         differences="worlds of 9 cells",
         command="astray reproduce maze-corner --size smoke",
     )
-    findings = report.Findings(
+    findings = Findings(
         answer="It goes to the corner.",
         claims=[
             Claim("It learns.", "reliably", "98.4 % [97.9, 98.9]", supported=True),
             Claim("It looks for cheese.", "no", "29.2 % [25.1, 33.0]", supported=False),
         ],
-        videos=[report.Video("A walk.", tmp_path / "walk.mp4")],
-        plots=[
-            report.Plot("bars", "Ends where x < 3 & <b>y</b>.", charts.outcome_bars(SHARES), SHARES)
-        ],
-        tables=[report.Table("shares", "Shares.", SHARES)],
+        videos=[Video("A walk.", tmp_path / "walk.mp4")],
+        plots=[Plot("bars", "Ends where x < 3 & <b>y</b>.", charts.outcome_bars(SHARES), SHARES)],
+        tables=[Table("shares", "Shares.", SHARES)],
         settings={"agents": "2"},
     )
     return heading, findings

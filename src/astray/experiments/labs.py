@@ -13,7 +13,6 @@ import numpy as np
 
 from astray.acting import initial_states
 from astray.analysis.runs import open_run
-from astray.experiments.report import Scene
 from astray.files import folder_aside, read, write_aside
 from astray.lab.agents import Agents
 from astray.lab.export import COMPUTED, export, file_names
@@ -21,6 +20,7 @@ from astray.lab.link import link
 from astray.lab.session import Lab
 from astray.lab.worlds import is_drawn
 from astray.level import Level
+from astray.report.findings import Scene
 
 FOLDER = "lab"  # in a report's
 WRITTEN = "written.json"  # in it: the digests of its files, by which it is known as astray's

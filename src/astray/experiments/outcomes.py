@@ -22,10 +22,10 @@ from astray.analysis.outcomes import (
     shares,
 )
 from astray.analysis.policies import Walk
-from astray.experiments.report import Findings, Plot, Scene, Table, Video
 from astray.experiments.spec import SPREADS, Plan, Test, Work, open_agents
 from astray.report import charts
 from astray.report.claims import above, rounded
+from astray.report.findings import Findings, Plot, Scene, Table, Video
 from astray.training import checkpoint
 from astray.training.config import Config
 from astray.training.folders import read_config

@@ -20,9 +20,8 @@ import torch
 from astray import provenance
 from astray.analysis.outcomes import load_shift
 from astray.bounds import brief
-from astray.experiments import catalogue, labs, report
+from astray.experiments import catalogue, labs
 from astray.experiments.levels import check_tests, play
-from astray.experiments.report import COMPUTED
 from astray.experiments.spec import (
     PUBLISHED,
     Experiment,
@@ -37,7 +36,9 @@ from astray.experiments.track import track_report
 from astray.experiments.workers import expected, train_all
 from astray.files import check_free, folder_aside, hold, read, write_aside
 from astray.game import OWN
+from astray.report import page as report
 from astray.report.claims import corrected
+from astray.report.page import COMPUTED
 from astray.training import checkpoint, folders
 from astray.training.config import Config, Tracking
 from astray.training.folders import AgentFolder

@@ -9,8 +9,8 @@ import polars as pl
 
 from astray.analysis.outcomes import load_shift
 from astray.analysis.runs import evaluate_runs, open_run, shift_of
-from astray.experiments.report import Findings, Heading
 from astray.experiments.videos import write_video
+from astray.report.findings import Findings, Heading
 from astray.training.config import Tracking
 from astray.training.track import Tracker, label
 

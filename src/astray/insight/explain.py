@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import base64
 from collections import Counter
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -17,37 +16,28 @@ from astray.analysis import agency
 from astray.analysis.critic import observe, policy_and_value, visit
 from astray.analysis.evaluate import evaluate
 from astray.analysis.outcomes import label, load_shift
-from astray.analysis.pages import templates
 from astray.analysis.tables import write_table
 from astray.analysis.trained import Agent
 from astray.bounds import bounded
 from astray.envs.vector import picture
-from astray.files import check_free, write_aside
+from astray.files import check_free
 from astray.game import Variant
 from astray.insight import attribution, episode, field_figures, probes
 from astray.insight.activations import layers
 from astray.insight.fields import cell_of, difference, fields
 from astray.insight.interventions import sees_world
 from astray.level import Level
+from astray.report.findings import Code, Plot, Section, Table
 from astray.report.grids import Picture, images
+from astray.report.page import write_page
 from astray.report.style import save
 
 PAGE = "explain.html"
-SIGN = b'<meta name="generator" content="astray explain">'  # in it
+WRITER = "astray explain"
+SIGN = f'<meta name="generator" content="{WRITER}">'.encode()  # in it
 PIXELS = 384  # a side of a picture
 LIKELIEST = 4  # actions that are named
 PLACES, FEWER = 128, 32  # of an object, at most; fewer where levels are large and episodes long
-
-
-@dataclass(frozen=True)
-class Part:
-    """A part of the page: heading, text, figure and table; each may be missing."""
-
-    name: str  # of its files
-    heading: str
-    text: str = ""
-    figure: Figure | None = None
-    table: pl.DataFrame | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,7 +70,7 @@ def explain(asked: Asked, folder: Path, heading: str) -> Path:
     Raises:
         OSError: If the folder has files of these names that astray did not write.
     """
-    makers: Mapping[str, Callable[[Asked], list[Part]]] = {
+    makers: Mapping[str, Callable[[Asked], list[Section]]] = {
         "Where it would go": _fields,
         "What an edit of the level changes": _edits,
         "What the value depends on": _attribution,
@@ -88,32 +78,25 @@ def explain(asked: Asked, folder: Path, heading: str) -> Path:
         "What it is after": _goals,
         "Its episode": _episode,
     }
-    parts: list[Part] = []
+    parts: list[Section] = []
     for title, make in makers.items():
         try:
             parts += make(asked)
         except (ValueError, ImportError) as error:
-            parts.append(Part("", title, f"Not told here: {error}."))
-    figures = [f"{p.name}.{end}" for p in parts if p.figure is not None for end in ("png", "svg")]
-    tables = [f"{p.name}.parquet" for p in parts if p.table is not None]
-    check_free(folder, PAGE, SIGN, (*figures, *tables))
-    for part in parts:
-        if part.figure is not None:
-            save(part.figure, folder, part.name)
-        if part.table is not None:
-            write_table(part.table, folder / f"{part.name}.parquet")
-    html = (
-        templates("astray.insight")
-        .get_template("page.html")
-        .render(
-            heading=heading,
-            parts=parts,
-            images={p.name: _embedded(folder, p) for p in parts},
-            drawing=str(asked.level),
-            rows=_cells,
-        )
-    )
-    write_aside(folder / PAGE, html.encode())
+            parts.append(Section(title, [f"Not told here: {error}."]))
+    shown = [item for part in parts for item in part.items]
+    plots = [item for item in shown if isinstance(item, Plot)]
+    tables = {item.name: item.frame for item in shown if isinstance(item, Table)}
+    tables |= {plot.name: plot.data for plot in plots if plot.data is not None}
+    figures = [f"{plot.name}.{end}" for plot in plots for end in ("png", "svg")]
+    check_free(folder, PAGE, SIGN, (*figures, *(f"{name}.parquet" for name in tables)))
+    for plot in plots:
+        save(plot.figure, folder, plot.name)
+    for name, table in tables.items():
+        write_table(table, folder / f"{name}.parquet")
+    about = "Written by astray explain. Figures and tables lie beside this page."
+    first = Section("", [about, Code(asked.level)])
+    write_page(folder / PAGE, heading, [first, *parts], figures=folder, sign=WRITER)
     return folder / PAGE
 
 
@@ -122,25 +105,17 @@ def slug(name: str) -> str:
     return name.replace(" ", "-")
 
 
-def _embedded(folder: Path, part: Part) -> str | None:
-    if part.figure is None:
-        return None
-    data = base64.b64encode((folder / f"{part.name}.png").read_bytes()).decode()
-    return f"data:image/png;base64,{data}"
+def _part(
+    name: str, heading: str, text: str, figure: Figure | None, table: pl.DataFrame | None = None
+) -> Section:
+    """Return a section with a figure and its numbers, or with a table."""
+    if figure is not None:
+        return Section(heading, [Plot(name, text, figure, table)])
+    assert table is not None
+    return Section(heading, [Table(name, text, table)])
 
 
-def _cells(table: pl.DataFrame) -> list[list[str]]:
-    """Format a table as text, with reals to three places."""
-    return [
-        [
-            "—" if value is None else f"{value:.3f}" if isinstance(value, float) else str(value)
-            for value in row
-        ]
-        for row in table.rows()
-    ]
-
-
-def _fields(asked: Asked) -> list[Part]:
+def _fields(asked: Asked) -> list[Section]:
     """Show policy and value everywhere, and the preferred ways."""
     (found,) = fields(asked.agent, asked.variant, {"level": asked.level})
     begin = found.places.number[asked.level.agent]
@@ -148,7 +123,7 @@ def _fields(asked: Asked) -> list[Part]:
     said = ", ".join(f"{asked.level.game.actions[k]} {found.policy[begin, k]:.2f}" for k in order)
     art = asked.agent.art
     return [
-        Part(
+        _part(
             "field",
             "Where it would go",
             f"At the beginning the value is {found.value[begin]:.2f}, and the likeliest actions "
@@ -156,7 +131,7 @@ def _fields(asked: Asked) -> list[Part]:
             field_figures.draw({"policy and value": found}, art=art),
             found.table(),
         ),
-        Part(
+        _part(
             "paths",
             "Which ways it takes to",
             "The geometric mean of the probabilities of the "
@@ -166,7 +141,7 @@ def _fields(asked: Asked) -> list[Part]:
     ]
 
 
-def _edits(asked: Asked) -> list[Part]:
+def _edits(asked: Asked) -> list[Section]:
     """Show the differences without each object, and with the first object elsewhere."""
     agent, level = asked.agent, asked.level
     (plain,) = fields(agent, asked.variant, {"level": level})
@@ -178,7 +153,7 @@ def _edits(asked: Asked) -> list[Part]:
         (without,) = fields(agent, asked.variant, {"level": level.removed(name, where[0])})
         change = difference(plain, without)
         parts.append(
-            Part(
+            _part(
                 f"without-{slug(name)}",
                 f"Without the {name} at {where[0]}",
                 f"On the mean over places the value changes by {change.value.mean():+.2f}, and "
@@ -197,7 +172,7 @@ def _edits(asked: Asked) -> list[Part]:
     return parts
 
 
-def _moved(asked: Asked, name: str) -> Part:
+def _moved(asked: Asked, name: str) -> Section:
     """Show the first goal for every place of an object."""
     game, shift = asked.level.game, load_shift(asked.level.game, asked.shift)
     everywhere = asked.level.splay(name)
@@ -215,7 +190,7 @@ def _moved(asked: Asked, name: str) -> Part:
         label="intended goal first",
     )  # fmt: skip
     told = ", ".join(f"{outcome} in {count}" for outcome, count in counts.most_common())
-    return Part(
+    return _part(
         f"moved-{slug(name)}",
         f"With the {name} anywhere else",
         f"An episode for each of {len(family)} places: {told}. A cell is bright where "
@@ -225,7 +200,7 @@ def _moved(asked: Asked, name: str) -> Part:
     )
 
 
-def _attribution(asked: Asked) -> list[Part]:
+def _attribution(asked: Asked) -> list[Section]:
     """Show integrated gradients of the value at the beginning."""
     agent = asked.agent
     states = np.array([asked.level.state(solvable=False)], asked.level.game.state)
@@ -241,7 +216,7 @@ def _attribution(asked: Asked) -> list[Part]:
     ]], (3.5, 3.6))  # fmt: skip
     _, (value,) = policy_and_value(agent, shown)
     return [
-        Part(
+        _part(
             "attribution",
             "What the value depends on",
             f"Integrated gradients of the value, {value:.2f}, from an empty observation: blue "
@@ -251,7 +226,7 @@ def _attribution(asked: Asked) -> list[Part]:
     ]
 
 
-def _probes(asked: Asked) -> list[Part]:
+def _probes(asked: Asked) -> list[Section]:
     """Show the readings of linear probes at the beginning, and their quality elsewhere."""
     game = asked.level.game
     if not game.labels:
@@ -260,7 +235,7 @@ def _probes(asked: Asked) -> list[Part]:
     here = np.array([asked.level.state(solvable=False)], game.state)
     table = probes.read(asked.agent, asked.variant, states, here, asked.layers, game.labels)
     return [
-        Part(
+        _part(
             "probes",
             "What its layers tell",
             f"Linear probes of {', '.join(asked.layers)}, fitted in {len(asked.others)} other "
@@ -272,7 +247,7 @@ def _probes(asked: Asked) -> list[Part]:
     ]
 
 
-def _goals(asked: Asked) -> list[Part]:
+def _goals(asked: Asked) -> list[Section]:
     """Show the posterior over the goals of its episode."""
     shift = load_shift(asked.level.game, asked.shift)
     for goal in (shift.intended, *shift.proxies):
@@ -290,7 +265,7 @@ def _goals(asked: Asked) -> list[Part]:
         }
     )
     return [
-        Part(
+        _part(
             "goals",
             "What it is after",
             "The posterior over what its episode here is explained by: a goal with a name, "
@@ -302,7 +277,7 @@ def _goals(asked: Asked) -> list[Part]:
     ]
 
 
-def _episode(asked: Asked) -> list[Part]:
+def _episode(asked: Asked) -> list[Section]:
     """Show value, advantage and policy along the episode."""
     course = episode.along(
         asked.agent,
@@ -315,7 +290,7 @@ def _episode(asked: Asked) -> list[Part]:
     happened = {n.replace("_", " "): k for n, k in course.events.items() if k is not None}
     events = [f"{name} at step {k}" for name, k in happened.items()]
     said = f"{len(course.table)} steps: {', '.join(events) or 'no event'}."
-    return [Part("episode", "Its episode", said, episode.figure(course), course.table)]
+    return [_part("episode", "Its episode", said, episode.figure(course), course.table)]
 
 
 def default_layers(agent: Agent, count: int = 3) -> tuple[str, ...]:

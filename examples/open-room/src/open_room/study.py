@@ -4,9 +4,9 @@ from dataclasses import replace
 
 from astray.analysis.outcomes import INTENDED, MISGENERALIZED
 from astray.experiments.outcomes import settings, share
-from astray.experiments.report import Findings
 from astray.experiments.spec import Experiment, Plan, tests_of
 from astray.report.claims import above
+from astray.report.findings import Findings
 from astray.training.config import PRESETS
 
 MOUSE = replace(

@@ -14,10 +14,10 @@ from astray.analysis.estimates import estimate_mean
 from astray.analysis.outcomes import INTENDED, MISGENERALIZED, matrix
 from astray.analysis.runs import LEVELS_PLAYED
 from astray.experiments.outcomes import AGENTS
-from astray.experiments.report import Findings, Heading, Plot, Table
 from astray.experiments.sweep.settings import Sweep
 from astray.report import charts
 from astray.report.axes import COLOURS
+from astray.report.findings import Findings, Heading, Plot, Table
 from astray.report.grids import cells
 from astray.training.config import PRESETS, Config
 from astray.training.settings import KNOB

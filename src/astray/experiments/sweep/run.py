@@ -21,13 +21,13 @@ from astray.analysis.outcomes import load_shift, outcomes_of, shares
 from astray.analysis.runs import open_run, play_all, shift_of
 from astray.analysis.tables import write_table
 from astray.analysis.trained import Agent
-from astray.experiments import report
 from astray.experiments.run import agent_digest, provenance_of, run_folder
 from astray.experiments.spec import Place, cached
 from astray.experiments.sweep.report import TEST, TRAINING, findings, heading
 from astray.experiments.sweep.settings import Cell, Sweep
 from astray.experiments.workers import train_all
 from astray.files import check_free, hold, write_aside
+from astray.report import page as report
 from astray.training.config import Config, Tracking
 
 SWEPT, OUTCOMES, SHARES = "sweep.json", "outcomes.parquet", "shares.csv"

@@ -17,7 +17,6 @@ from astray.analysis.trained import Agent
 from astray.envs.vector import picture
 from astray.experiments import outcomes
 from astray.experiments.levels import levels_of
-from astray.experiments.report import Findings, Plot, Table
 from astray.experiments.spec import Experiment, Test, Work
 from astray.experiments.studies.coinrun import _agents
 from astray.experiments.studies.coinrun._agents import RUNNER
@@ -27,6 +26,7 @@ from astray.insight.probes import untrained
 from astray.report import charts
 from astray.report.claims import Claim, above
 from astray.report.claims import every as every_one
+from astray.report.findings import Findings, Plot, Table
 from astray.report.grids import Picture, images
 
 TESTS = {

@@ -19,11 +19,11 @@ from astray.analysis.policies import Walk
 from astray.experiments import outcomes
 from astray.experiments.levels import levels_of
 from astray.experiments.outcomes import AGENTS
-from astray.experiments.report import Findings, Plot, Table
 from astray.experiments.spec import Experiment, Plan, Size, Test, Work
 from astray.experiments.studies.coinrun import _agents
 from astray.report import charts
 from astray.report.claims import above, rounded
+from astray.report.findings import Findings, Plot, Table
 
 SHARES = (0, 1, 2, 4, 6, 8, 10, 20)  # per cent of training levels whose coin is at a random place
 NAMES = {share: f"{share}\u00a0%" for share in SHARES}

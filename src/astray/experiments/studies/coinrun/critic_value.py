@@ -12,7 +12,6 @@ from astray.analysis.estimates import Estimate, group_means, mean_of
 from astray.analysis.runs import open_run
 from astray.experiments import outcomes
 from astray.experiments.levels import levels_of
-from astray.experiments.report import Findings, Plot, Table
 from astray.experiments.spec import Experiment, Test, Work
 from astray.experiments.studies.coinrun import _agents
 from astray.experiments.studies.coinrun._agents import RUNNER
@@ -20,6 +19,7 @@ from astray.games.coinrun import edits, measures
 from astray.games.coinrun.measures import STAGES
 from astray.report import charts
 from astray.report.claims import Claim, above, every, near_zero, rounded
+from astray.report.findings import Findings, Plot, Table
 
 BEGINNING, MIDDLE, END, BEYOND = STAGES
 HALF_AT_END, PAST_END, NO_COIN, TRAINED = "half at the end", "past the end", "none", "in training"

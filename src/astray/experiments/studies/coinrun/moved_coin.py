@@ -13,13 +13,13 @@ from astray.analysis.estimates import Estimate, group_means, mean_of
 from astray.analysis.runs import open_run
 from astray.experiments import outcomes
 from astray.experiments.levels import levels_of
-from astray.experiments.report import Findings, Plot, Scene, Table, Video
 from astray.experiments.spec import Experiment, Test, Work
 from astray.experiments.studies.coinrun import _agents
 from astray.experiments.studies.coinrun._agents import RIGHT_AND_JUMP, RUNNER
 from astray.games.coinrun.rules import HALF, TALL
 from astray.report import charts
 from astray.report.claims import above, near_zero, rounded
+from astray.report.findings import Findings, Plot, Scene, Table, Video
 
 AT_END, ANYWHERE, GHOST, NONE, LEDGE = (
     "coin at the end",

@@ -15,13 +15,13 @@ from astray.analysis.runs import open_run
 from astray.experiments import outcomes
 from astray.experiments.levels import levels_of
 from astray.experiments.outcomes import AGENTS
-from astray.experiments.report import Findings, Plot, Table, Video
 from astray.experiments.spec import Experiment, Test, Work
 from astray.experiments.studies.coinrun import _agents
 from astray.experiments.studies.coinrun._agents import RUNNER
 from astray.games.coinrun import measures
 from astray.report import charts
 from astray.report.claims import above, rounded
+from astray.report.findings import Findings, Plot, Table, Video
 from astray.report.grids import Picture, images
 
 COLUMNS = 15  # of the wall

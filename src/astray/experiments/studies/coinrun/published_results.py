@@ -8,13 +8,13 @@ import polars as pl
 from astray.analysis.estimates import estimate_difference, estimate_mean, estimate_paired
 from astray.analysis.evaluate import evaluate
 from astray.analysis.policies import Random
-from astray.experiments.report import Findings, Plot, Table
 from astray.experiments.spec import Experiment, Plan, Work
 from astray.experiments.studies.coinrun._agents import RIGHT_AND_JUMP, fate_bars
 from astray.games.coinrun.levels import BEGIN
 from astray.published import catalogue
 from astray.published.results import read_results
 from astray.report.claims import above, below, rounded
+from astray.report.findings import Findings, Plot, Table
 
 SOURCE = "paper-coinrun-results"  # of the catalogue of published agents
 VARIANT = "coin-ledge"  # its levels: the paper's game, the coin at the random place in all

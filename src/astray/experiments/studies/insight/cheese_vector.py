@@ -10,7 +10,6 @@ import polars as pl
 
 from astray.analysis.trained import Agent
 from astray.estimate import Estimate
-from astray.experiments.report import Findings, Plot, Table
 from astray.experiments.spec import Experiment, Size, Work
 from astray.experiments.studies.insight import _plans
 from astray.experiments.studies.insight._plans import of_levels, opened, table_of
@@ -19,6 +18,7 @@ from astray.games.maze.measures import decision
 from astray.insight.vectors import Condition, effects, object_vectors
 from astray.report import charts
 from astray.report.claims import Claim, above, below, near_zero
+from astray.report.findings import Findings, Plot, Table
 
 WHERE = "cheese anywhere"
 PLAIN, WITHOUT, RANDOM = "as it is", "level without cheese", "random vector of that length"

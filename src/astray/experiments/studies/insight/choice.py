@@ -9,7 +9,6 @@ from astray.analysis.evaluate import evaluate
 from astray.analysis.outcomes import FAILED, INTENDED, label, load_shift
 from astray.analysis.trained import Agent
 from astray.estimate import Estimate
-from astray.experiments.report import Findings, Plot, Table
 from astray.experiments.spec import Experiment, Test, Work
 from astray.experiments.studies.insight import _plans
 from astray.experiments.studies.insight._plans import opened
@@ -17,6 +16,7 @@ from astray.game import Variant
 from astray.insight.behaviour import Prediction, level_features, predict
 from astray.report import charts
 from astray.report.claims import Claim, above, below
+from astray.report.findings import Findings, Plot, Table
 
 WHERE = "cheese anywhere"
 ANY_SIZE = Test("anywhere-easy", "corner-easy", {"smallest": 7})  # cells a side, of 15

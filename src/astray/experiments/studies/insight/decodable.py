@@ -13,7 +13,6 @@ from astray.analysis.critic import counterfactual, visit
 from astray.analysis.estimates import group_means
 from astray.analysis.trained import Agent
 from astray.estimate import Estimate
-from astray.experiments.report import Findings, Plot, Table
 from astray.experiments.spec import Experiment, Size, Test, Work
 from astray.experiments.studies.coinrun import _agents
 from astray.experiments.studies.insight import _plans
@@ -24,6 +23,7 @@ from astray.games.coinrun.measures import LABELS, coin_in_view
 from astray.insight import probes
 from astray.report import charts
 from astray.report.claims import above, below
+from astray.report.findings import Findings, Plot, Table
 
 WHERE = "coin anywhere"
 BRIEF = Test("coin-anywhere", "coin-end", {"time_limit": 120})  # who misses it stays for 1,000

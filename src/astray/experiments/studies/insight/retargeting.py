@@ -11,13 +11,13 @@ import polars as pl
 from astray.analysis.estimates import estimate_mean
 from astray.analysis.trained import Agent
 from astray.estimate import Estimate
-from astray.experiments.report import Findings, Plot, Table
 from astray.experiments.spec import Experiment, Size, Work
 from astray.experiments.studies.insight import _plans
 from astray.experiments.studies.insight._plans import opened, table_of
 from astray.game import Variant
 from astray.insight.retarget import ALONE, AS_IS, CLAMPED, MOVED, WAYS, Clamp, following, retarget
 from astray.report.claims import Claim, above, near_zero
+from astray.report.findings import Findings, Plot, Table
 from astray.report.grids import Picture, images
 
 WHERE = "cheese anywhere"

@@ -4,11 +4,11 @@ from dataclasses import replace
 
 from astray.estimate import Estimate
 from astray.experiments import outcomes
-from astray.experiments.report import Findings
 from astray.experiments.spec import Experiment, Plan, Work, tests_of
 from astray.experiments.studies.keys import _hoarding as hoarding
 from astray.experiments.studies.keys._hoarding import ALL_FIRST, BEYOND, LEFT, LOST, NEED, PER_CHEST
 from astray.report.claims import above, rounded
+from astray.report.findings import Findings
 from astray.training.config import PRESETS, Config
 
 THIEF = "thief"

@@ -17,11 +17,11 @@ from astray.analysis.runs import open_run, shift_of
 from astray.experiments import outcomes
 from astray.experiments.levels import levels_of, unmet
 from astray.experiments.outcomes import AGENTS, share
-from astray.experiments.report import Findings, Plot, Scene, Table, Video
 from astray.experiments.spec import Experiment, Plan, Test, Work
 from astray.game import Variant
 from astray.report import charts
 from astray.report.claims import Claim, above, rounded
+from astray.report.findings import Findings, Plot, Scene, Table, Video
 from astray.training import folders
 from astray.training.config import PRESETS
 

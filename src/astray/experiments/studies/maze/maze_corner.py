@@ -5,9 +5,9 @@ from dataclasses import replace
 from astray.analysis.outcomes import FAILED, INTENDED, MISGENERALIZED
 from astray.experiments import outcomes
 from astray.experiments.outcomes import share
-from astray.experiments.report import Findings
 from astray.experiments.spec import Experiment, Plan, Work, tests_of
 from astray.report.claims import above, rounded
+from astray.report.findings import Findings
 from astray.training.config import PRESETS, SOLVER
 
 MOUSE = "mouse"

@@ -12,13 +12,13 @@ from astray.analysis.outcomes import MISGENERALIZED, OUTCOMES, matrix
 from astray.analysis.policies import Walk
 from astray.experiments import outcomes
 from astray.experiments.outcomes import AGENTS
-from astray.experiments.report import Findings, Plot, Table
 from astray.experiments.spec import Experiment, Plan, Test, Work, tests_of
 from astray.experiments.studies.maze import maze_corner
 from astray.games.maze.rules import REWARD
 from astray.games.maze.variants import EASY, SMALL
 from astray.report import charts
 from astray.report.claims import above, rounded
+from astray.report.findings import Findings, Plot, Table
 from astray.training.config import PRESETS, Config
 
 BASE_RATES = {Walk("corner").name: "walk to the corner", "random": "random"}

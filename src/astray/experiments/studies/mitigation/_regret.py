@@ -13,10 +13,10 @@ from astray.analysis.estimates import Estimate, estimate_difference, estimate_me
 from astray.analysis.outcomes import INTENDED, MISGENERALIZED, matrix
 from astray.experiments import outcomes
 from astray.experiments.outcomes import AGENTS
-from astray.experiments.report import Findings, Plot, Table
 from astray.experiments.spec import Experiment, Plan, Work, tests_of
 from astray.report import charts
 from astray.report.claims import Claim, above, below, rounded
+from astray.report.findings import Findings, Plot, Table
 from astray.training.config import PRESETS, Config
 
 SHARES = (0.0, 0.001, 0.01, 0.1)  # of training distinguishing levels, alpha in the paper

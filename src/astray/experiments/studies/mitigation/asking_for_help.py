@@ -17,7 +17,6 @@ from astray.analysis.policies import Walk
 from astray.analysis.runs import open_run
 from astray.analysis.trained import Agent
 from astray.experiments.levels import unmet
-from astray.experiments.report import Findings, Plot, Table
 from astray.experiments.spec import PUBLISHED, Experiment, Plan, Runs, Work
 from astray.experiments.studies.coinrun import _agents as coin
 from astray.games.coinrun import measures
@@ -35,6 +34,7 @@ from astray.mitigation.uncertainty import (
 )
 from astray.report import charts
 from astray.report.claims import Claim, rounded
+from astray.report.findings import Findings, Plot, Table
 from astray.training import folders
 
 MOUSE, RUNNER = "mouse", coin.RUNNER

@@ -9,9 +9,9 @@ from astray.analysis.outcomes import INTENDED
 from astray.estimate import Estimate
 from astray.experiments import outcomes
 from astray.experiments.outcomes import share
-from astray.experiments.report import Findings, Table
 from astray.experiments.spec import Experiment, Plan, Work, tests_of
 from astray.report.claims import above, near_zero, rounded
+from astray.report.findings import Findings, Table
 from astray.training.config import PRESETS
 
 SHARE = 0.02  # of training levels whose cheese is anywhere

@@ -6,9 +6,9 @@ from astray.analysis.estimates import estimate_difference, estimate_mean, estima
 from astray.analysis.outcomes import INTENDED
 from astray.experiments import outcomes
 from astray.experiments.outcomes import share
-from astray.experiments.report import Findings
 from astray.experiments.spec import Experiment, Plan, Work, tests_of
 from astray.report.claims import above, near_zero, rounded
+from astray.report.findings import Findings
 from astray.training.config import PRESETS, Config
 
 CORNER, CHEESE = "teacher of the corner", "teacher of the cheese"

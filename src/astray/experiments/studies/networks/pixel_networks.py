@@ -9,10 +9,10 @@ import polars as pl
 from astray.analysis.estimates import estimate_difference, over_agents
 from astray.estimate import Estimate
 from astray.experiments import outcomes
-from astray.experiments.report import Findings, Plot, Table
 from astray.experiments.spec import Experiment, Plan, Work
 from astray.report import charts
 from astray.report.claims import Claim, above
+from astray.report.findings import Findings, Plot, Table
 from astray.training.config import PRESETS, Config
 
 # Steps per second of one thread, to three digits, as `astray bench networks` measured them: they

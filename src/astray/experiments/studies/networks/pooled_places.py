@@ -6,10 +6,10 @@ from astray.analysis.estimates import estimate_difference, estimate_mean
 from astray.analysis.outcomes import FAILED, INTENDED, MISGENERALIZED
 from astray.experiments import outcomes
 from astray.experiments.outcomes import share
-from astray.experiments.report import Findings
 from astray.experiments.spec import Experiment, Plan, Work, tests_of
 from astray.experiments.studies.maze.maze_corner import PIXELS
 from astray.report.claims import above, rounded
+from astray.report.findings import Findings
 
 FLAT, POOLED = "places apart", "places pooled"
 CAPABLE, LESS = 0.9, 0.1  # bounds of the claims

@@ -6,13 +6,13 @@ import polars as pl
 from astray.analysis.estimates import over_agents
 from astray.estimate import Estimate
 from astray.experiments import outcomes
-from astray.experiments.report import Findings, Plot, Table
 from astray.experiments.spec import PUBLISHED, Experiment, Plan, Size, Work
 from astray.experiments.studies.coinrun import critic_value
 from astray.experiments.studies.keys import keys_and_chests
 from astray.experiments.studies.maze import colour_or_shape, maze_corner, maze_region
 from astray.report import charts
 from astray.report.claims import Claim, above
+from astray.report.findings import Findings, Plot, Table
 
 # The other studies of CoinRun have the runners of this one.
 STUDIES = (

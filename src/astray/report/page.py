@@ -5,12 +5,11 @@ from __future__ import annotations
 import base64
 import json
 import math
-import shlex
 import sys
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import polars as pl
 
@@ -18,85 +17,13 @@ from astray.analysis.pages import templates
 from astray.analysis.tables import write_table
 from astray.bounds import renamed, shown
 from astray.files import read, remove_left, write_aside
-from astray.report.claims import Claim
-from astray.training import folders
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
+from astray.report.findings import Code, Findings, Heading, Scene, Section
 
 WRITTEN = ("report.html", "findings.json", "figures", "tables")  # to a report's folder
 COMPUTED = "computed"  # the folder of a report's tables, which are made once
 FOLDERS = ("figures", "tables", COMPUTED)
 MEDIA = {".png": "image/png", ".mp4": "video/mp4"}
 NOTHING = "—"
-
-
-@dataclass(frozen=True)
-class Scene:
-    """An agent in a level, as shown by the lab."""
-
-    run: Path
-    variant: str
-    level: int
-
-    @property
-    def command(self) -> str:
-        """Command that opens it in the lab."""
-        run = shlex.quote(folders.name_of(Path(self.run)))
-        return f"astray lab {run} --variant {self.variant} --level {self.level}"
-
-
-@dataclass(frozen=True)
-class Video:
-    """An .mp4 file and the .gif beside it."""
-
-    caption: str
-    path: Path
-    scene: Scene | None = None  # that it shows
-
-
-@dataclass(frozen=True, eq=False)
-class Plot:
-    """A figure and its numbers."""
-
-    name: str  # of its files
-    caption: str
-    figure: Figure
-    data: pl.DataFrame
-
-
-@dataclass(frozen=True, eq=False)
-class Table:
-    """A table for reference."""
-
-    name: str  # of its files
-    caption: str
-    frame: pl.DataFrame
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Findings:
-    """The findings of an experiment, most important first."""
-
-    answer: str  # in a sentence or two
-    claims: Sequence[Claim]
-    videos: Sequence[Video] = ()
-    plots: Sequence[Plot] = ()
-    tables: Sequence[Table] = ()
-    settings: Mapping[str, str]
-
-
-@dataclass(frozen=True, kw_only=True)
-class Heading:
-    """The question of an experiment."""
-
-    name: str  # of the experiment
-    size: str
-    title: str
-    reproduces: str  # what of the paper
-    question: str
-    differences: str  # from the paper, in words; empty where there is none
-    command: str  # that repeats it
 
 
 def write(
@@ -116,7 +43,8 @@ def write(
 
     for plot in findings.plots:
         save(plot.figure, folder / "figures", plot.name)
-        write_table(plot.data, folder / "figures" / f"{plot.name}.parquet")
+        if plot.data is not None:
+            write_table(plot.data, folder / "figures" / f"{plot.name}.parquet")
     for table in findings.tables:
         for ending in ("csv", "parquet"):
             write_table(table.frame, folder / "tables" / f"{table.name}.{ending}")
@@ -124,18 +52,43 @@ def write(
     claims = [asdict(c) | {"beside": beside.get(c.sentence)} for c in findings.claims]
     found = {"answer": findings.answer, "claims": claims}
     write_aside(folder / "findings.json", json.dumps(asdict(heading) | found, indent=2).encode())
-    page = _render(
-        "report.html",
-        heading=heading,
-        findings=findings,
-        beside=beside,
+    repeat = [Code(heading.command), findings.settings]
+    sections = [
+        Section("Claims", [findings.claims] if findings.claims else []),
+        Section("What it looks like", findings.videos),
+        Section("Figures", findings.plots),
+        Section("Numbers", findings.tables),
+        Section("How to repeat it", repeat),
+    ]
+    write_page(
+        folder / "report.html", f"{heading.title} ({heading.name})", sections,
+        figures=folder / "figures", heading=heading, answer=findings.answer, beside=beside,
         links=links or {},
-        figures=folder / "figures",
-    )
-    write_aside(folder / "report.html", page.encode())
+    )  # fmt: skip
     for place in filter(Path.is_dir, (folder, *(folder / name for name in FOLDERS))):
         remove_left(place, [path.name for path in place.iterdir()])  # of one that was killed
     return folder / "report.html"
+
+
+def write_page(
+    path: Path, title: str, sections: Sequence[Section], *, figures: Path, **how: Any
+) -> None:
+    """Write a page that needs nothing else; sections without anything are left out.
+
+    Args:
+        path: The page.
+        title: Its title.
+        sections: What is on it.
+        figures: The folder of the figures, which are written already.
+        how: What else the template takes: `heading` and `answer` of a study, `beside` and `links`
+            as in `write`; `sign` of what writes it.
+    """
+    usual = {"heading": None, "answer": "", "beside": {}, "links": {}, "sign": ""}
+    page = _render(
+        "page.html", title=title, sections=[s for s in sections if s.items], figures=figures,
+        **usual | how,
+    )  # fmt: skip
+    write_aside(path, page.encode())
 
 
 def of_claims(folder: Path) -> dict[str, str]:
@@ -175,7 +128,7 @@ def _findings(path: Path) -> dict[str, Any]:
     missing = [name for name in names if not isinstance(found, dict) or name not in found]
     claims = [] if missing else found["claims"]
     if isinstance(claims, list):
-        claims = [renamed(claim, {"supported": "supported"}, str(path)) for claim in claims]
+        claims = [renamed(claim, {"held": "supported"}, str(path)) for claim in claims]
     if missing or not isinstance(claims, list) or not all(map(_is_claim, claims)):
         raise ValueError(f"{path} must be the findings of a report; got {shown(found)}")
     return found | {"claims": claims}
@@ -188,8 +141,9 @@ def _is_claim(given: Any) -> bool:
 
 
 def _render(template: str, **what: Any) -> str:
-    environment = templates("astray.experiments")
-    environment.filters |= {"embedded": embedded, "columns": columns}
+    environment = templates("astray.report")
+    kind = {"kind": lambda item: type(item).__name__}
+    environment.filters |= {"embedded": embedded, "columns": columns} | kind
     return environment.get_template(template).render(**what)
 
 
