@@ -204,10 +204,8 @@ def test_findings_of_an_older_report_are_read_with_a_note(tmp_path):
     mine = Findings(answer="", claims=[Claim("It runs.", "p", "7 %", True)], settings={})
     report.write(HEADING, mine, tmp_path)
     path = tmp_path / "findings.json"
-    path.write_text(path.read_text().replace('"supported"', '"supported"'))
-    with pytest.warns(
-        FutureWarning, match=r"findings\.json says 'supported'; this is now 'supported'"
-    ):
+    path.write_text(path.read_text().replace('"supported"', '"held"'))
+    with pytest.warns(FutureWarning, match=r"findings\.json says 'held'; this is now 'supported'"):
         assert report.of_claims(tmp_path) == {"It runs.": "7 % (supported)"}
 
 
