@@ -9,9 +9,9 @@ from astray.analysis.outcomes import INTENDED, MISGENERALIZED, matrix
 from astray.estimate import Estimate
 from astray.experiments import outcomes
 from astray.experiments.outcomes import AGENTS, share
-from astray.experiments.report import Findings
 from astray.experiments.spec import Experiment, Plan, Work, tests_of
 from astray.report.claims import above, rounded
+from astray.report.findings import Findings
 from astray.training.config import PRESETS
 
 LEARNED = 0.8  # of unseen shops like those of the training
