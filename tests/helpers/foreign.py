@@ -2,6 +2,7 @@
 
 import io
 import itertools
+import os
 import pickle
 from collections import OrderedDict, defaultdict
 from typing import Any
@@ -188,3 +189,10 @@ def saved(data):
     file = io.BytesIO()
     torch.save(data, file)
     return file.getvalue()
+
+
+class Runs:
+    """Runs a command where it is unpickled."""
+
+    def __reduce__(self):
+        return os.system, ("echo ran >> /dev/null",)
