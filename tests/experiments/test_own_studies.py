@@ -1,0 +1,81 @@
+"""Studies of one's own, and the tables that are kept of a plan; nothing is trained."""
+
+import os
+from dataclasses import replace
+
+import pytest
+
+from astray.experiments import catalogue, run
+
+
+@pytest.mark.parametrize("text", ["[" * 1000, "\0", "9" * 10_000, "a b", "#" * 2**21])
+def test_what_is_no_python_is_no_experiment(tmp_path, text):
+    (tmp_path / "study.py").write_text(text)
+    with pytest.raises(ValueError, match=r"study.py must be (a file of Python|of at most)"):
+        catalogue.find(str(tmp_path / "study.py"))
+
+
+def test_tables_of_other_plans_are_deleted_and_nothing_of_the_users(tmp_path):
+    first, second = (
+        replace(one, seeds=1) for one in [*catalogue.load("maze-corner").sizes.values()][:2]
+    )
+    computed = tmp_path / "computed"
+    computed.mkdir()
+    digest = run.note(first, {}, tmp_path, catalogue.load("maze-corner"))
+    ours = computed / f"episodes-{digest}.parquet"
+    mine = [
+        computed / name
+        for name in (
+            "mine.parquet",
+            f"a-{digest}.txt",
+            f"b-{digest}.parquet",
+            f"c-{digest}.parquet",
+        )
+    ]
+    for path in (ours, *mine[:2]):
+        path.write_text("table")
+    mine[2].mkdir()
+    mine[3].symlink_to(mine[0])
+    assert run.note(first, {}, tmp_path, catalogue.load("maze-corner")) == digest and ours.exists()
+    assert (
+        run.note(second, {}, tmp_path, catalogue.load("maze-corner")) != digest
+        and not ours.exists()
+    )
+    assert all(map(os.path.lexists, mine))
+
+
+def test_tables_are_not_looked_for_where_a_link_leads(tmp_path):
+    (tmp_path / "computed").symlink_to(tmp_path.parent)
+    plan = next(iter(catalogue.load("maze-corner").sizes.values()))
+    with pytest.raises(OSError, match="computed must be a folder of its own; it is a link"):
+        run.note(plan, {}, tmp_path, catalogue.load("maze-corner"))
+
+
+def test_what_fails_in_a_study_of_ones_own_is_told_with_its_line(tmp_path):
+    (tmp_path / "study.py").write_text("import json\n\njson.loads('{')\n")
+    with pytest.raises(ValueError, match=r"study\.py, line 3: JSONDecodeError: Expecting"):
+        catalogue.find(str(tmp_path / "study.py"))
+
+
+def test_art_that_is_none_is_told_before_anything_is_done(tmp_path):
+    with pytest.raises(ValueError, match="unknown art 'red' of maze; there are: own, original"):
+        run.reproduce("maze-corner", "smoke", tmp_path, art="red")
+    with pytest.raises(ValueError, match="published agents see the art that they know; got 'own2'"):
+        run.reproduce("moved-coin", "published", tmp_path, art="own2")
+    assert not list(tmp_path.iterdir())
+
+
+def test_tables_are_computed_anew_where_a_study_of_ones_own_was_edited(tmp_path):
+    path = tmp_path / "mine.py"
+    text = (
+        "from dataclasses import replace\n"
+        "from astray.experiments.studies.maze.maze_corner import EXPERIMENT as OTHER\n"
+    )
+    digests = set()
+    for number in range(2):
+        path.write_text(
+            f"{text}def find(work):\n    return {number}\n\n"
+            "EXPERIMENT = replace(OTHER, find=find)\n"
+        )
+        digests.add(run.provenance_of([], catalogue.find(str(path))[1].find))
+    assert len(digests) == 2 and "" not in digests
