@@ -44,10 +44,11 @@ def test_a_measure_that_is_not_one_number_of_each_episode_is_found():
 
 @pytest.mark.parametrize("part", ["rules", "levels", "symbols", "editing", "solver", "places"])
 def test_a_part_that_lacks_a_name_is_refused_with_what_it_lacks(part):
-    whole = vars(getattr(GAME, part))
+    given = getattr(GAME, part)
+    whole = {name: getattr(given, name) for name in dir(given)}
     lacking = {"rules": "EVENTS", "levels": "generate", "symbols": "planes", "editing": "STOOD_ON",
                "solver": "expert", "places": "put"}[part]  # fmt: skip
-    few = SimpleNamespace(**{name: each for name, each in whole.items() if name != lacking})
+    few = SimpleNamespace(**{n: x for n, x in whole.items() if n[0] != "_" and n != lacking})
     with pytest.raises(ValueError, match=rf"{part} of the game 'maze' must have {lacking}, as"):
         replace(GAME, **{part: few})
 
