@@ -23,7 +23,9 @@ from astray.record import LEVELS
 from astray.words import check_word
 
 Mode = Literal["easy", "hard", "memory", "exploration"]
-EXPLORATION = {"coinrun": 1949448038, "maze": 158988835}  # the one level of that mode
+EXPLORATION = {  # the one level of that mode
+    "coinrun": 1949448038, "maze": 158988835, "heist": 876640971,
+}  # fmt: skip
 COMBOS = [
     ("LEFT", "DOWN"), ("LEFT",), ("LEFT", "UP"), ("DOWN",), (), ("UP",), ("RIGHT", "DOWN"),
     ("RIGHT",), ("RIGHT", "UP"), ("D",), ("A",), ("W",), ("S",), ("Q",), ("E",),
@@ -86,8 +88,8 @@ class Options:
         if self.distribution_mode == "exploration":
             if name not in EXPLORATION or self.num_levels or self.start_level:
                 raise ValueError(
-                    "distribution_mode 'exploration' is one level of coinrun or maze; give neither "
-                    "num_levels nor start_level"
+                    "distribution_mode 'exploration' is one level of coinrun, maze or heist; give "
+                    "neither num_levels nor start_level"
                 )
             return range(EXPLORATION[name], EXPLORATION[name] + 1)
         if not self.num_levels:
@@ -99,7 +101,7 @@ class ProcgenGym3Env:
     """`num` environments of Procgen's game `env_name`, with gym3's methods.
 
     Args:
-        env_name: coinrun or maze, or any game and variant of astray, such as "maze/corner".
+        env_name: coinrun, maze or heist, or any game and variant of astray, such as "maze/corner".
         options: See `Options`.
 
     Raises:

@@ -25,9 +25,16 @@ TWINS = {
     ("coinrun", "easy"): "procgen-easy",
     ("maze", "hard"): "anywhere",
     ("maze", "easy"): "anywhere-easy",
+    ("heist", "hard"): "hard",
+    ("heist", "easy"): "easy",
+    ("heist", "memory"): "memory",
 }
-LIKELY = {"coinrun": [7, 7, 8, 8, 1, 2, 4, 5, 0, 3], "maze": list(range(9))}  # actions
-HELD = {"coinrun": 7, "maze": 3}  # steps, at most
+LIKELY = {  # actions
+    "coinrun": [7, 7, 8, 8, 1, 2, 4, 5, 0, 3],
+    "maze": list(range(9)),
+    "heist": list(range(9)),
+}
+HELD = {"coinrun": 7, "maze": 3, "heist": 7}  # steps, at most
 
 
 def held_actions(game: str, steps: int, random: np.random.Generator) -> np.ndarray:

@@ -31,7 +31,7 @@ MISSING = set(original.missing())
 
 def environment(variant, n=1, **options):
     """An environment that draws as the original; skips where its pictures are not at hand."""
-    game = {"Maze": "maze", "CoinRun": "coinrun", "Keys": "keys"}[type(variant).__name__]
+    game = type(variant).__name__.lower()
     if MISSING - set(original.FORK_ALONE):
         pytest.skip(f"the original's pictures are not in {original.folder()}: astray art import")
     if MISSING and "line" in (getattr(variant, "goal_shape", ""),):

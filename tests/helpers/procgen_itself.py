@@ -29,6 +29,10 @@ CASES = [
     ("maze", {"distribution_mode": "easy", "use_sequential_levels": True}),
     ("coinrun", {"use_sequential_levels": True, "num_levels": 10}),
     ("coinrun", {"distribution_mode": "exploration"}),
+    ("heist", {}),
+    ("heist", {"distribution_mode": "easy", "num_levels": 5}),
+    ("heist", {"distribution_mode": "memory", "use_sequential_levels": True}),
+    ("heist", {"distribution_mode": "exploration"}),
 ]
 
 

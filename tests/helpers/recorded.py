@@ -4,7 +4,9 @@ from dataclasses import replace
 
 from astray import games
 
-MAZE, COINRUN, KEYS = (games.find(game).variants for game in ("maze", "coinrun", "keys"))
+MAZE, COINRUN, KEYS, HEIST = (
+    games.find(game).variants for game in ("maze", "coinrun", "keys", "heist")
+)
 RECORDED = {
     "maze": MAZE["anywhere"],
     "maze_easy": MAZE["anywhere-easy"],

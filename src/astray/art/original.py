@@ -7,6 +7,7 @@ fork, into the user's data folder. Only pictures with a digest in `original.csv`
 from __future__ import annotations
 
 import csv
+import functools
 import hashlib
 import io
 import os
@@ -18,6 +19,7 @@ import zlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
+from typing import Any
 
 import numpy as np
 import platformdirs
@@ -25,6 +27,8 @@ from PIL import Image
 
 from astray.bounds import shown
 from astray.files import check_readable, hold, write_aside
+from astray.game import Looks
+from astray.kernel.qt import GENERIC, SPRITE
 
 WHEEL = "procgen-0.10.7-cp310-cp310-manylinux_2_17_x86_64.manylinux2014_x86_64.whl"
 DOWNLOAD = (
@@ -34,6 +38,10 @@ DOWNLOAD = (
 INSIDE = "procgen/data/assets/"  # of a wheel
 FORK = "github.com/JacobPfau/procgenAISC"
 FORK_ALONE = ("kenney/Items/yellow_line_diag.png", "kenney/Items/red_line_diag.png")
+FLOORS = (
+    "topdown_backgrounds/floortiles.png",
+    *(f"topdown_backgrounds/backgrounddetailed{k}.png" for k in range(1, 9)),
+)
 COMMAND = "astray art import"
 SUM = hashlib.sha256().digest_size  # bytes
 LARGEST_WHEEL = 2**28  # bytes; Procgen's has 36 million
@@ -232,6 +240,33 @@ def _read_all(source: Path, read: Callable[[Picture], bytes | None]) -> dict[str
         if data is not None:
             found[path] = data
     return found
+
+
+def looks(
+    background: Callable, foreground: Callable, pictures: Sequence[str], *tables: np.ndarray
+) -> dict[str, Looks]:
+    """Return the looks "original" and "original-5.12" of a game with a scene from above.
+
+    Args:
+        background: As of `Looks`.
+        foreground: As of `Looks`.
+        pictures: Paths of pictures after the floors.
+        tables: Further arrays of the art, after pixels, places and rule.
+    """
+
+    @functools.cache
+    def art(rule: int) -> tuple[np.ndarray, ...]:
+        return *atlas((*FLOORS, *pictures), len(FLOORS)), np.array([rule]), *tables
+
+    def scene_shape(variant: Any, pixels: int) -> tuple[int, ...]:
+        return (1, 1, 3) if variant.window else (2 * pixels, pixels, 3)  # with objects, and without
+
+    return {
+        name: Looks(
+            "original", background, foreground, lambda _, __, rule=rule: art(rule), scene_shape
+        )
+        for name, rule in {"original": GENERIC, "original-5.12": SPRITE}.items()
+    }
 
 
 def atlas(paths: Sequence[str], backgrounds: int = 0) -> tuple[np.ndarray, np.ndarray]:

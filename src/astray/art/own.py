@@ -23,8 +23,13 @@ COLOURS: dict[str, tuple[int, int, int]] = {
 }
 
 
-def load(folder: Path, name: str) -> np.ndarray:
+FLOOR = 256  # pixels of a floor's height; larger pictures repeat them
+
+
+def load(folder: Path, name: str, *size: int) -> np.ndarray:
     """Read the picture `<folder>/<name>.png` as RGBA, [height, width, 4] uint8, not premultiplied.
+
+    It is resized if `size`, a height and a width, is given.
 
     Raises:
         FileNotFoundError: If there is none.
@@ -34,7 +39,8 @@ def load(folder: Path, name: str) -> np.ndarray:
         there = ", ".join(sorted(png.stem for png in folder.glob("*.png"))) or "none"
         raise FileNotFoundError(f"no picture {name!r} in {folder}; there are: {there}")
     with Image.open(path) as image:
-        return np.array(image.convert("RGBA"))
+        master = np.array(image.convert("RGBA"))
+    return resize(master, *size) if size else master
 
 
 def resize(image: np.ndarray, height: int, width: int) -> np.ndarray:
@@ -77,6 +83,12 @@ def _sum_blocks(rows: np.ndarray, count: int) -> np.ndarray:
 def _divide(numerator: np.ndarray, denominator: np.ndarray | int) -> np.ndarray:
     """Divide non-negative integers to the nearest, halves up."""
     return (2 * numerator + denominator) // (2 * denominator)
+
+
+def floors(folder: Path, side: float) -> list[np.ndarray]:
+    """Return the floors of a world of `side` pixels, [h, 2h, 3] each."""
+    height, count = min(max(round(side), 1), FLOOR), len(list(folder.glob("floor-*.png")))
+    return [load(folder, f"floor-{k}", height, 2 * height)[..., :3] for k in range(count)]
 
 
 def tint(image: np.ndarray, colour: tuple[int, int, int]) -> np.ndarray:

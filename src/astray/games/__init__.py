@@ -28,6 +28,9 @@ PROCGEN = {
     ("maze", "hard"): ("maze", "anywhere"),
     ("maze", "easy"): ("maze", "anywhere-easy"),
     ("maze", "memory"): ("maze", "anywhere-memory"),
+    ("heist", "hard"): ("heist", "hard"),
+    ("heist", "easy"): ("heist", "easy"),
+    ("heist", "memory"): ("heist", "memory"),
 }
 _registered: dict[str, Game] = {}
 

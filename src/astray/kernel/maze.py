@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 
-from astray.kernel.canvas import pixel, tile
+from astray.kernel.canvas import blit, copy_flat, copy_window, pixel, tile
 from astray.kernel.grid import UNREACHABLE, distances
 from astray.kernel.jit import kernel
 from astray.kernel.rng import below
@@ -70,6 +70,29 @@ def root(parent, node):
 
 
 @kernel
+def dig(s, size):
+    """Return a maze carved by `carve`, [size, size] uint8: WALL, or 0 for free cells."""
+    is_open = np.zeros((size, size), np.bool_)
+    free_x, free_y = np.empty(size * size, np.int64), np.empty(size * size, np.int64)
+    carve(s, size, is_open, free_x, free_y)
+    inside = np.empty((size, size), np.uint8)
+    for k in range(size * size):
+        inside[k // size, k % size] = 0 if is_open[k // size, k % size] else WALL
+    return inside
+
+
+@kernel
+def beside(inside, x, y, what):
+    """Count the neighbours of a cell that hold `what`; the maze is surrounded by WALL."""
+    size, count = inside.shape[0], 0
+    for k in range(4):
+        u, v = x + (k == 0) - (k == 1), y + (k == 2) - (k == 3)
+        there = inside[v, u] if 0 <= u < size and 0 <= v < size else np.uint8(WALL)
+        count += there == what
+    return count
+
+
+@kernel
 def margin(s):
     """Return the width in cells of the wall around the world, so that windows fit in the scene."""
     return s.window // 2 + 1 if s.window else 0
@@ -104,12 +127,75 @@ def paint_maze(s, picture, floor, wall):
 
 
 @kernel
+def show(s, scene, image):
+    """Copy the scene or its window around the agent; return the window's left and upper pixel.
+
+    If the scene is higher than wide, only its upper square is shown.
+    """
+    side, edge = scene.shape[1], margin(s)
+    if not s.window:
+        copy_flat(image, scene[:side])
+        return 0, 0
+    cells = s.world + 2 * edge
+    scale = side / cells
+    left = pixel(s.x + edge - s.window / 2, scale)
+    top = pixel(cells - (s.y + edge) - s.window / 2, scale)
+    copy_window(image, scene, top, left)
+    return left, top
+
+
+@kernel
+def stamp(image, sprite, scale, top, left, down, right):
+    """Blit `sprite` centred `down` and `right` cells from the scene's upper left."""
+    half = sprite.shape[0] / (2 * scale)
+    blit(image, sprite, pixel(down - half, scale) - top, pixel(right - half, scale) - left)
+
+
+@kernel
+def show_planes(s, scene, planes):
+    """Copy the symbolic scene or its window around the agent; return the lower left cell."""
+    if not s.window:
+        copy_flat(planes, scene)
+        return 0, 0
+    edge, side = margin(s), planes.shape[1]
+    left, low = int(s.x) + edge - side // 2, int(s.y) + edge - side // 2
+    for plane in range(planes.shape[0]):
+        for row in range(side):
+            for column in range(side):
+                planes[plane, row, column] = scene[plane, low + row, left + column]
+    return left, low
+
+
+@kernel
 def paint_walls(s, plane):
     """Write 1 for walls in the world of `s` and its margin, else 0, on a symbolic plane."""
     edge = margin(s)
     for y in range(s.world + 2 * edge):
         for x in range(s.world + 2 * edge):
             plane[y, x] = is_wall(s, x - edge, y - edge)
+
+
+def check_sizes(variant: Any, least: int, largest: int) -> None:
+    """Check a variant's world, mazes, window and floor.
+
+    Raises:
+        ValueError: If one of these sizes is out of range.
+    """
+    p, sizes = variant, (variant.smallest, variant.largest)
+    if not least <= p.world <= largest:
+        raise ValueError(f"world must be from {least} to {largest}; got {p.world} cells a side")
+    if not least <= sizes[0] <= sizes[1] <= p.world or not sizes[0] % 2 == sizes[1] % 2 == 1:
+        raise ValueError(
+            f"smallest and largest must be odd, in order, and from {least} to the world's "
+            f"{p.world} cells; got {sizes}"
+        )
+    if not 0 <= p.window <= 2 * p.world:
+        raise ValueError(f"window must be from 0 to {2 * p.world}; got {p.window} cells")
+    if not AS_NUMBERED <= p.background < FLOORS:
+        raise ValueError(
+            f"background must be from 0 to {FLOORS - 1}, or {AS_NUMBERED} for what the "
+            f"level's number decides; got {p.background}"
+        )
 
 
 def cell_pixels(variant: Any, pixels: int) -> float:
@@ -120,6 +206,19 @@ def cell_pixels(variant: Any, pixels: int) -> float:
 def scene_cells(variant: Any) -> int:
     """Return the side of the scene in cells, with the margin around the world."""
     return variant.world + 2 * (variant.window // 2 + 1 if variant.window else 0)
+
+
+def scene_pixels(variant: Any, pixels: int, count: int) -> tuple[int, ...]:
+    """Return the shape of `count` scenes below each other, for an image of `pixels` a side."""
+    side = round(scene_cells(variant) * cell_pixels(variant, pixels))
+    return (count * side, side, 3)
+
+
+def spread(variant: Any, top: np.ndarray) -> np.ndarray:
+    """Broadcast the largest values `top` [C] of symbolic planes to all visible cells, [C, H, W]."""
+    # All cells that are at least half in the window.
+    side = variant.window // 2 * 2 + 1 if variant.window else variant.world
+    return np.broadcast_to(top[:, None, None], (len(top), side, side)).copy()
 
 
 def reachable(s: Any) -> np.ndarray:

@@ -5,9 +5,11 @@ level k of the original program. Choices that the original did not have (the nex
 distribution) use hashes instead, which never shift the original's draws.
 """
 
+from typing import Any
+
 import numpy as np
 
-from astray.kernel.jit import entry, kernel
+from astray.kernel.jit import entry, kernel, shared
 
 WORDS, MIDDLE = 624, 397  # of MT19937
 RNG_FIELDS = [("mt", np.uint32, (WORDS,)), ("mt_next", np.int64)]
@@ -68,6 +70,58 @@ def below(s, n):
 def unit(s):
     """Draw a uniform real in [0, 1] as the original: one word / 2^32 as float32."""
     return np.float64(np.float32(np.float64(draw_u32(s)) / 4294967296.0))
+
+
+# For code that draws so often that inlining them would double its compile time.
+@shared
+def pick(s, n):
+    """Call `below`, without inlining it."""
+    return below(s, n)
+
+
+@shared
+def real(s):
+    """Call `unit`, without inlining it."""
+    return unit(s)
+
+
+@shared
+def choose(s, cells, count, n):
+    """Draw `n` of the first `count` cells without replacement, in the original's way.
+
+    If there are fewer, all are returned in their order without a draw. `cells` is reordered.
+    """
+    chosen = np.empty(min(n, count), np.int64)
+    for k in range(chosen.size):
+        which = k if n > count else below(s, count - k)
+        chosen[k] = cells[which]
+        if n <= count:
+            for j in range(which, count - k - 1):
+                cells[j] = cells[j + 1]
+    return chosen
+
+
+def wind(s: Any, given: Any) -> tuple[int, int]:
+    """Set the twister of `s` to a level's look `given`, a seed and a number of draws; return both.
+
+    None is seed 0 and no draw, and returns -1 and 0.
+
+    Raises:
+        ValueError: If `given` is neither.
+    """
+    seed, draws = -1, 0
+    if given is not None:
+        whole = isinstance(given, list | tuple) and all(type(n) is int for n in given)
+        if not whole or len(given) != 2 or not (0 <= given[0] < 2**31 and 0 <= given[1] < WORDS):
+            raise ValueError(
+                f"a level's twister must be [a number from 0 to {2**31 - 1}, draws from 0 to "
+                f"{WORDS - 1}], or null; got {given!r}"
+            )
+        seed, draws = given
+    seed_twister(s, max(seed, 0))
+    for _ in range(draws):
+        draw_u32(s)
+    return seed, draws
 
 
 @kernel

@@ -19,7 +19,7 @@ from astray.games.keys import variants as keys_variants
 from astray.games.maze import levels as maze_levels
 from astray.games.maze import rules as maze_rules
 from astray.games.maze import variants as maze_variants
-from astray.kernel import grid, maze, rng
+from astray.kernel import grid, maze, rng, thief
 from astray.lab import goals
 
 PATH = "rules/constants.js"  # from the page
@@ -33,11 +33,11 @@ TABLES: dict[str, tuple[tuple[ModuleType, str], ...]] = {
         (maze_levels, "LEGEND STOOD_ON"),
     ),
     "keys": (
-        (keys_rules, "KEY CHEST MOST HALF CORNER KEY_X KEY_Y CHEST_X CHEST_Y MIX TOP_SPEED DECAY"),
-        (keys_rules, "PARTS TIES REWARD HIDDEN"),
+        (keys_rules, "KEY CHEST MOST KEY_X KEY_Y CHEST_X CHEST_Y REWARD HIDDEN"),
+        (thief, "HALF CORNER MIX TOP_SPEED DECAY PARTS TIES JITTER"),
         (keys_draw, "STRIPS PLANES"),
         (keys_variants, "INVENTORIES"),
-        (keys_levels, "JITTER LEGEND STOOD_ON"),
+        (keys_levels, "LEGEND STOOD_ON"),
     ),
     "coinrun": (
         (coinrun_rules, "WORLD PUFFS REWARD EMPTY WALL TOP LAVA LAVA_TOP BARRIER COIN INVISIBLE"),

@@ -3,10 +3,9 @@
 import numpy as np
 
 from astray.kernel.grid import ACTIONS as ACTIONS
-from astray.kernel.grid import push
 from astray.kernel.jit import kernel
-from astray.kernel.maze import WALL
 from astray.kernel.rng import below
+from astray.kernel.thief import HALF, KEY_WIDE, TIES, F, move, touches
 from astray.record import NEVER, state_dtype
 
 LARGEST = 23  # cells a side of the largest world
@@ -14,18 +13,9 @@ MOST = 36  # objects in a level
 EMPTY, KEY, CHEST = 0, 2, 3  # what is in a cell, if not WALL
 REWARD = 1.0  # of a chest
 
-# Lengths are float32, as all of the original's; so is all arithmetic on them.
-F = np.float32
-HALF = F(0.375)  # half a side of the thief's box, cells
-CORNER = HALF * F(0.98)  # walls are looked for in the corners of a box that is a little smaller
-REACH = {KEY: (F(0.375), F(0.375 * 13 / 21)), CHEST: (F(0.5), F(0.5))}  # their half-sizes
+REACH = {KEY: (KEY_WIDE, F(0.375 * 13 / 21)), CHEST: (F(0.5), F(0.5))}  # their half-sizes
 KEY_X, KEY_Y = HALF + REACH[KEY][0], HALF + REACH[KEY][1]  # centres closer than this touch
 CHEST_X, CHEST_Y = HALF + REACH[CHEST][0], HALF + REACH[CHEST][1]
-MIX, TOP_SPEED = F(0.5), F(0.75)  # the original's mixrate and maxspeed, cells per step
-DECAY = 0.9  # of the speed a step, a double in the original
-PARTS = 4  # of a step's way; the original's max(4, int(4 |v|)), where |v| < 0.87 cells a step
-PART = F(1 / PARTS)
-TIES = 1_000_000  # what the integer of a step is below
 
 # The inventory's icons in fractions of the picture's side: of slot i the centre is
 # FIRST_SLOT + i SLOT from the side, SLOT_DOWN from the top (or bottom).
@@ -72,79 +62,10 @@ EVENTS = (
 def step(s, action):
     """Move the thief, then take and open; return the reward and whether all is open."""
     tie = below(s, TIES)
-    move(s, action, tie)
+    move(s, action, tie, 0)
     reward, done = meet(s)
     note_inventory(s)
     return np.float64(reward - F(s.step_penalty)), done
-
-
-@kernel
-def move(s, action, tie):
-    """Push the thief by `action` and move it as far as walls allow; `tie` picks the first axis."""
-    ax, ay = push(action)
-    if ax != 0 or ay != 0:
-        s.facing = action
-    vx, vy = pushed(s.vx, ax), pushed(s.vy, ay)
-    x_first = abs(vx) > abs(vy) or (abs(vx) == abs(vy) and tie % 2 == 0)
-    if ax != 0 or ay != 0:
-        x_first = ay == 0
-    free_x, free_y = 0, 0  # parts of the way on which nothing was in the way
-    for _ in range(PARTS):
-        if x_first:
-            met_x = slide_x(s, vx * PART)
-            met_y = slide_y(s, vy * PART)
-        else:
-            met_y = slide_y(s, vy * PART)
-            met_x = slide_x(s, vx * PART)
-        free_x += not met_x
-        free_y += not met_y
-        if met_x and met_y:
-            break
-    s.vx, s.vy = vx * (F(free_x) * PART), vy * (F(free_y) * PART)
-
-
-@kernel
-def pushed(v, push):
-    """Return the speed along an axis after a push of -1, 0 or 1."""
-    v = (F(1) - MIX) * v + MIX * TOP_SPEED * F(push)
-    return F(DECAY * np.float64(v))
-
-
-@kernel
-def slide_x(s, way):
-    """Move by `way` in x, or up to a wall; return whether there was one."""
-    if way == 0:
-        return False
-    x = s.x + way
-    # Of the box's four corners the two behind cannot be in a wall that those in front are not in.
-    front = x + CORNER if way > 0 else x - CORNER
-    met = is_wall(s, front, s.y - CORNER) or is_wall(s, front, s.y + CORNER)
-    if met:
-        x = F(np.floor(x + HALF)) - HALF if way > 0 else F(np.ceil(x - HALF)) + HALF
-    s.x = x
-    return met
-
-
-@kernel
-def slide_y(s, way):
-    """Move by `way` in y, or up to a wall; return whether there was one."""
-    if way == 0:
-        return False
-    y = s.y + way
-    front = y + CORNER if way > 0 else y - CORNER
-    met = is_wall(s, s.x - CORNER, front) or is_wall(s, s.x + CORNER, front)
-    if met:
-        y = F(np.floor(y + HALF)) - HALF if way > 0 else F(np.ceil(y - HALF)) + HALF
-    s.y = y
-    return met
-
-
-@kernel
-def is_wall(s, x, y):
-    """Return whether (x, y) is in a wall or outside of the world."""
-    if x < 0 or y < 0 or x >= s.world or y >= s.world:
-        return True
-    return s.cell[int(y), int(x)] == WALL
 
 
 @kernel
@@ -153,11 +74,10 @@ def meet(s):
     reward, done, touched = F(0), False, 0
     for k in range(s.objects - 1, -1, -1):  # the original's order: the last made is first
         if s.gone[k] == NEVER:
-            dx, dy = abs(s.object_x[k] - s.x), abs(s.object_y[k] - s.y)
             if s.what[k] == KEY:
-                if dx < KEY_X and dy < KEY_Y:
+                if touches(s, k, KEY_X, KEY_Y):
                     reward = take(s, k, reward)
-            elif dx < CHEST_X and dy < CHEST_Y:
+            elif touches(s, k, CHEST_X, CHEST_Y):
                 if s.taken > s.opened:
                     reward, done = unlock(s, k, reward)
                 else:

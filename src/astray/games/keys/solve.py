@@ -11,88 +11,20 @@ import numpy as np
 from astray.bounds import finite, one_of
 from astray.games.keys import rules
 from astray.games.keys.levels import truths
-from astray.games.keys.rules import (
-    CHEST,
-    CHEST_X,
-    CHEST_Y,
-    HALF,
-    KEY,
-    KEY_X,
-    KEY_Y,
-    REWARD,
-    STATE,
-    F,
-    move,
-    step,
-)
+from astray.games.keys.rules import CHEST, CHEST_X, CHEST_Y, KEY, KEY_X, KEY_Y, REWARD, STATE, step
 from astray.games.keys.variants import GOALS
 from astray.kernel import maze
 from astray.kernel.grid import STAY, UNREACHABLE, distances
-from astray.kernel.jit import entry, kernel, one_at_a_time, shared
+from astray.kernel.jit import entry, one_at_a_time, shared
 from astray.kernel.maze import WALL
+from astray.kernel.thief import F, move, press, touches, towards
 from astray.record import NEVER, check_record
 
 EXACT = 12  # objects; of more, the nearest are ordered, and all anew after each
-SLACK = float(F(0.5) - HALF)  # cells that the thief may be off the middle of a corridor
 PATIENCE = 8  # steps a cell after which a walk is given up
 HURRY = 1e-6  # worth of a step: of orders that are worth the same the fastest is best
 
 check = functools.partial(check_record, rules=rules, truths=truths)
-
-
-@kernel
-def sign(number):
-    return int(number > 0) - int(number < 0)
-
-
-@kernel
-def at(steps, x, y):
-    """Return `steps` of cell (x, y); UNREACHABLE outside of the world."""
-    if 0 <= y < steps.shape[0] and 0 <= x < steps.shape[1]:
-        return steps[y, x]
-    return UNREACHABLE
-
-
-@kernel
-def onward(steps, x, y):
-    """Return the direction in which `steps` decrease from cell (x, y), or (0, 0)."""
-    for k in range(4):
-        dx, dy = (k == 0) - (k == 1), (k == 2) - (k == 3)
-        there = at(steps, x + dx, y + dy)
-        if there != UNREACHABLE and there == at(steps, x, y) - 1:
-            return dx, dy
-    return 0, 0
-
-
-@shared
-def press(s, steps):
-    """Return the action that walks fast to where `steps` [world, world] are 0.
-
-    A turn is pressed a cell ahead where a wall keeps the thief from turning too early.
-    """
-    x, y = int(s.x), int(s.y)
-    # To the middle of the cell; float64, compiled or not.
-    off_x, off_y = x + 0.5 - np.float64(s.x), y + 0.5 - np.float64(s.y)
-    dx, dy = onward(steps, x, y)
-    if dx == 0 and dy == 0:
-        return 3 * (1 + sign(off_x) * (abs(off_x) > SLACK)) + 1 + sign(off_y) * (abs(off_y) > SLACK)
-    next_dx, next_dy = onward(steps, x + dx, y + dy)
-    if dx != 0:
-        if abs(off_y) > SLACK:
-            dy = sign(off_y)
-        elif at(steps, x, y + next_dy) == UNREACHABLE:
-            dy = next_dy
-    elif abs(off_x) > SLACK:
-        dx = sign(off_x)
-    elif at(steps, x + next_dx, y) == UNREACHABLE:
-        dx = next_dx
-    return 3 * (1 + dx) + 1 + dy
-
-
-@entry
-def towards(s, steps):
-    """Call `press` from Python."""
-    return press(s, steps)
 
 
 @shared
@@ -104,13 +36,12 @@ def walk(s, steps, objects, target, most):
     """
     met = 0
     for time in range(1, most + 1):
-        move(s, press(s, steps), 0)
+        move(s, press(s, steps), 0, 0)
         for i in range(objects.size):
             k = objects[i]
-            dx, dy = abs(s.object_x[k] - s.x), abs(s.object_y[k] - s.y)
             is_key = s.what[k] == KEY
-            if (is_key and dx < KEY_X and dy < KEY_Y) or (
-                not is_key and dx < CHEST_X and dy < CHEST_Y
+            if (is_key and touches(s, k, KEY_X, KEY_Y)) or (
+                not is_key and touches(s, k, CHEST_X, CHEST_Y)
             ):
                 if i == target:
                     return time, met

@@ -5,7 +5,7 @@ from typing import Literal, get_args
 
 from astray.game import Shift, Variant
 from astray.games.keys.rules import LARGEST, MOST
-from astray.kernel.maze import AS_NUMBERED, FLOORS
+from astray.kernel.maze import AS_NUMBERED, check_sizes
 
 Inventory = Literal["upper-right", "upper-left", "lower-right", "lower-left", "hidden"]
 INVENTORIES = get_args(Inventory)
@@ -42,16 +42,7 @@ class Keys(Variant):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if not 5 <= self.world <= LARGEST:
-            raise ValueError(f"world must be from 5 to {LARGEST}; got {self.world} cells a side")
-        sizes = (self.smallest, self.largest)
-        if not 5 <= sizes[0] <= sizes[1] <= self.world or not sizes[0] % 2 == sizes[1] % 2 == 1:
-            raise ValueError(
-                f"smallest and largest must be odd, in order, and from 5 to the world's "
-                f"{self.world} cells; got {sizes}"
-            )
-        if not 0 <= self.window <= 2 * self.world:
-            raise ValueError(f"window must be from 0 to {2 * self.world}; got {self.window} cells")
+        check_sizes(self, 5, LARGEST)
         self._check_counts()
         for name in ("key_penalty", "step_penalty"):
             if not abs(getattr(self, name)) <= 1e6:
@@ -61,11 +52,6 @@ class Keys(Variant):
             self.shifted.window,
         ):
             raise ValueError("the shifted variant has another world or window: it looks different")
-        if not AS_NUMBERED <= self.background < FLOORS:
-            raise ValueError(
-                f"background must be from 0 to {FLOORS - 1}, or {AS_NUMBERED} for what the "
-                f"level's number decides; got {self.background}"
-            )
 
     def _check_counts(self) -> None:
         if self.keys < 1 or self.chests < 1:

@@ -11,13 +11,22 @@ import numpy as np
 from astray.art import own
 from astray.game import OWN, Looks, Variant
 from astray.games.maze.variants import COLOURS, OTHERS, SHAPES, WALLS
-from astray.kernel.canvas import blit, copy_flat, copy_window, pixel
 from astray.kernel.jit import kernel
-from astray.kernel.maze import FLOORS, cell_pixels, margin, paint_maze, paint_walls, scene_cells
+from astray.kernel.maze import (
+    cell_pixels,
+    margin,
+    paint_maze,
+    paint_walls,
+    scene_cells,
+    scene_pixels,
+    show,
+    show_planes,
+    spread,
+    stamp,
+)
 from astray.record import NEVER
 
 ART = Path(__file__).parent / "art"
-FLOOR = 256  # pixels of a floor's height; larger pictures repeat them
 # The symbolic planes: wall, mouse, dish where a variant has one, on which something may lie (in as
 # many planes as it says); and last the objects' shapes and colours as indices into SHAPES and
 # COLOURS.
@@ -39,13 +48,7 @@ def foreground(s, art, scene, image):
     edge = margin(s)
     cells = s.world + 2 * edge
     scale = scene.shape[0] / cells
-    left, top = 0, 0
-    if s.window:
-        left = pixel(s.x + edge - s.window / 2, scale)
-        top = pixel(cells - (s.y + edge) - s.window / 2, scale)
-        copy_window(image, scene, top, left)
-    else:
-        copy_flat(image, scene)
+    left, top = show(s, scene, image)
     height = cells - edge - 0.5  # cells from the scene's top to the centre of cell y = 0
     if s.other_x != NEVER:
         stamp(
@@ -72,13 +75,6 @@ def foreground(s, art, scene, image):
 
 
 @kernel
-def stamp(image, sprite, scale, top, left, down, right):
-    """Blit `sprite` centred `down` and `right` cells from the scene's upper left."""
-    half = sprite.shape[0] / (2 * scale)
-    blit(image, sprite, pixel(down - half, scale) - top, pixel(right - half, scale) - left)
-
-
-@kernel
 def background_planes(s, scene):
     """Write walls and objects of the whole world and its margin."""
     edge = margin(s)
@@ -99,16 +95,7 @@ def foreground_planes(s, scene, planes):
     """Write the scene or its window around the mouse, with the mouse."""
     edge = margin(s)
     x, y = int(s.x) + edge, int(s.y) + edge
-    left, low = 0, 0
-    if s.window:
-        side = planes.shape[1]
-        left, low = x - side // 2, y - side // 2
-        for plane in range(planes.shape[0]):
-            for row in range(side):
-                for column in range(side):
-                    planes[plane, row, column] = scene[plane, low + row, left + column]
-    else:
-        copy_flat(planes, scene)
+    left, low = show_planes(s, scene, planes)
     planes[MOUSE_PLANE, y - low, x - left] = 1
     if s.reached_goal != NEVER:  # then the mouse stands on it
         planes[SHAPE_PLANE, y - low, x - left] = 0
@@ -117,11 +104,9 @@ def foreground_planes(s, scene, planes):
 
 def planes(variant: Variant) -> np.ndarray:
     """Return the largest value of each symbolic plane, [C, H, W] uint8."""
-    p: Any = variant
-    side = p.window // 2 * 2 + 1 if p.window else p.world  # all cells at least half seen
     top = np.ones(_planes(variant), np.uint8)
     top[SHAPE_PLANE], top[COLOUR_PLANE] = len(SHAPES) - 1, len(COLOURS) - 1
-    return np.broadcast_to(top[:, None, None], (len(top), side, side)).copy()
+    return spread(variant, top)
 
 
 def planes_scene_shape(variant: Variant) -> tuple[int, ...]:
@@ -134,8 +119,7 @@ def _planes(variant: Variant) -> int:
 
 
 def scene_shape(variant: Variant, pixels: int) -> tuple[int, ...]:
-    side = round(scene_cells(variant) * cell_pixels(variant, pixels))
-    return (side, side, 3)
+    return scene_pixels(variant, pixels, 1)
 
 
 def art(variant: Variant, pixels: int) -> tuple[np.ndarray, ...]:
@@ -146,15 +130,14 @@ def art(variant: Variant, pixels: int) -> tuple[np.ndarray, ...]:
     """
     scale = cell_pixels(variant, pixels)
     p: Any = variant
-    return _art(int(np.ceil(scale)), min(max(round(p.world * scale), 1), FLOOR))
+    return _art(scale, p.world)
 
 
 @functools.cache
-def _art(side: int, height: int) -> tuple[np.ndarray, ...]:
-    def load(name: str, height: int, width: int) -> np.ndarray:
-        return own.resize(own.load(ART, name), height, width)
-
-    floors = [load(f"floor-{k}", height, 2 * height)[..., :3] for k in range(FLOORS)]
+def _art(scale: float, world: int) -> tuple[np.ndarray, ...]:
+    side = int(np.ceil(scale))
+    load = functools.partial(own.load, ART)
+    floors = own.floors(ART, world * scale)
     walls = [load(f"wall-{name}", side, side)[..., :3] for name in WALLS]
     objects = np.zeros((len(OTHERS), len(COLOURS), side, side, 4), np.uint8)
     for i, shape in enumerate(OTHERS[1:], 1):

@@ -19,10 +19,6 @@ from astray.record import NEVER
 
 F = np.float32
 HALF = F(0.5)  # half a side of the mouse, cells
-FLOOR_PICTURES = (
-    "topdown_backgrounds/floortiles.png",
-    *(f"topdown_backgrounds/backgrounddetailed{k}.png" for k in range(1, FLOORS)),
-)
 WALL_PICTURE, MOUSE_PICTURE = "kenney/Ground/Sand/sandCenter.png", "kenney/Enemies/mouse_move.png"
 OBJECT_PICTURES = {
     ("cheese", "yellow"): "misc_assets/cheese.png",
@@ -148,7 +144,7 @@ def check(states: np.ndarray, variant: Variant) -> None:
 
 @functools.cache
 def _art(rule: int, objects: tuple[tuple[str, str], ...]) -> tuple[np.ndarray, ...]:
-    names = [*FLOOR_PICTURES, WALL_PICTURE, MOUSE_PICTURE, *(OBJECT_PICTURES[o] for o in objects)]
+    names = [*original.FLOORS, WALL_PICTURE, MOUSE_PICTURE, *(OBJECT_PICTURES[o] for o in objects)]
     pixels, places = original.atlas(names, FLOORS)
     numbers = np.full((len(OTHERS), len(COLOURS)), NEVER)
     for k, (shape, colour) in enumerate(objects):

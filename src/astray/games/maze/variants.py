@@ -5,7 +5,7 @@ from typing import Literal, get_args
 
 from astray.game import Shift, Variant
 from astray.games.maze.rules import LARGEST
-from astray.kernel.maze import AS_NUMBERED, FLOORS
+from astray.kernel.maze import AS_NUMBERED, check_sizes
 
 Shape = Literal["none", "cheese", "line", "gem", "star", "ring", "cross"]
 Other = Literal["none", "cheese", "line", "gem", "star", "ring", "cross", "dish"]
@@ -46,18 +46,9 @@ class Maze(Variant):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if not 3 <= self.world <= LARGEST:
-            raise ValueError(f"world must be from 3 to {LARGEST}; got {self.world} cells a side")
-        sizes = (self.smallest, self.largest)
-        if not 3 <= sizes[0] <= sizes[1] <= self.world or not sizes[0] % 2 == sizes[1] % 2 == 1:
-            raise ValueError(
-                f"smallest and largest must be odd, in order, and from 3 to the world's "
-                f"{self.world} cells; got {sizes}"
-            )
+        check_sizes(self, 3, LARGEST)
         if (self.world - self.smallest) % 2:
             raise ValueError(f"world must be odd, as the mazes are; got {self.world} cells a side")
-        if not 0 <= self.window <= 2 * self.world:
-            raise ValueError(f"window must be from 0 to {2 * self.world}; got {self.window} cells")
         if self.placement != "region" and (self.region != 1 or self.strict):
             raise ValueError(f"region and strict need placement 'region'; it is {self.placement!r}")
         other = self.shifted if self.shift_probability else None
@@ -76,11 +67,6 @@ class Maze(Variant):
             raise ValueError(f"dish_planes need other_shape 'dish'; it is {self.other_shape!r}")
         if self.region < 1:
             raise ValueError(f"region must be at least 1; got {self.region} cells a side")
-        if not AS_NUMBERED <= self.background < FLOORS:
-            raise ValueError(
-                f"background must be from 0 to {FLOORS - 1}, or {AS_NUMBERED} for what the "
-                f"level's number decides; got {self.background}"
-            )
         for name in ("goal", "other"):
             shape, colour = getattr(self, f"{name}_shape"), getattr(self, f"{name}_colour")
             if shape != "none" and colour == "none":

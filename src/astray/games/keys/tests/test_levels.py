@@ -140,7 +140,7 @@ def test_drawings_are_levels_with_their_keys_in_the_middle_of_cells():
     s = level.state()
     assert str(level) == drawing and (s.keys, s.chests) == (3, 1)
     assert set(s.object_x[:4] % 1) == {0.5}
-    with pytest.raises(ValueError, match="at most 36 keys and chests; this has 48"):
+    with pytest.raises(ValueError, match="at most 36 things; this has 48"):
         Level.from_text(
             GAME, replace(five, world=7), "\n".join(["kkkkkkk"] * 6 + ["@kkkkkk"])
         ).state()

@@ -1,0 +1,121 @@
+"""Heist: a thief takes coloured keys, opens doors of their colours, and gets at a gem."""
+
+import numpy as np
+
+from astray.kernel.grid import ACTIONS as ACTIONS
+from astray.kernel.jit import kernel
+from astray.kernel.rng import below
+from astray.kernel.thief import DOOR, HALF, KEY_HIGH, KEY_WIDE, TIES, F, move, touches
+from astray.record import NEVER, state_dtype
+
+LARGEST = 23  # cells a side of the largest world
+MOST = 16  # objects in a level; the original has up to 7
+COLOURS = ("blue", "green", "red")  # of keys and doors, in the order they are needed
+# What is in a cell, if not WALL: EMPTY, a key or a door of the first colour or one after it, GEM.
+EMPTY, KEY, DOOR_CODE, GEM = 0, 2, 2 + len(COLOURS), 2 + 2 * len(COLOURS)
+REWARD = 10.0  # of the gem
+
+GEM_HIGH = KEY_WIDE / F(70 / 48)  # half its height, cells, as of its picture
+KEY_X, KEY_Y = HALF + KEY_WIDE, HALF + KEY_HIGH  # centres closer than this touch
+GEM_X, GEM_Y = HALF + KEY_WIDE, HALF + GEM_HIGH
+
+STATE = state_dtype(
+    ("cell", np.uint8, (LARGEST, LARGEST)),  # EMPTY or WALL at [y, x]; world is [:world, :world]
+    ("world", np.int64),  # cells a side
+    ("maze_size", np.int64),  # cells a side of the maze, somewhere in the world
+    ("window", np.int64),  # cells a side of the window around the thief; 0: the whole world
+    ("x", np.float32), ("y", np.float32),  # the thief's centre, in cells
+    ("vx", np.float32), ("vy", np.float32),  # cells per step
+    ("facing", np.int64),  # the last action that moved, or STAY
+    ("objects", np.int64),  # how many the level began with; by columns, each from below
+    ("what", np.uint8, (MOST,)),  # codes of keys, doors and the gem
+    ("object_x", np.float32, (MOST,)), ("object_y", np.float32, (MOST,)),  # centres, in cells
+    ("gone", np.int64, (MOST,)),  # the step that each was taken or opened, or NEVER
+    ("keys", np.int64),  # colours that the level began with keys of, a bit each
+    ("hand", np.int64),  # colours of the keys in hand, a bit each; a key opens all of its doors
+    ("background", np.int64),
+    ("background_offset", np.float64),  # from 0 to 1: which part of the floor is seen
+    ("twister", np.int64), ("twister_at", np.int64),  # its seed and draws when the level began
+    ("took_blue", np.int64), ("took_green", np.int64), ("took_red", np.int64),
+    ("opened_blue", np.int64), ("opened_green", np.int64), ("opened_red", np.int64),
+    ("all_keys", np.int64),  # one of each colour that there is
+    ("reached_gem", np.int64),
+)  # fmt: skip
+EVENTS = (
+    "took_blue", "took_green", "took_red", "opened_blue", "opened_green", "opened_red",
+    "all_keys", "reached_gem",
+)  # fmt: skip
+
+
+@kernel
+def step(s, action):
+    """Move the thief and let it take and open objects; return the reward and whether it ended."""
+    tie = below(s, TIES)
+    move(s, action, tie, locked(s))
+    for k in range(s.objects - 1, -1, -1):  # the original's order: the last made is first
+        if s.gone[k] == NEVER:
+            meet(s, k)
+    reached = s.reached_gem == s.time
+    return REWARD * reached, reached
+
+
+@kernel
+def locked(s):
+    """Return a bit mask of the doors without a key in hand."""
+    found = 0
+    for k in range(s.objects):
+        if is_door(s, k) and s.gone[k] == NEVER and not has_key(s, k):
+            found |= 1 << k
+    return found
+
+
+@kernel
+def is_door(s, k):
+    return DOOR_CODE <= s.what[k] < GEM
+
+
+@kernel
+def colour(s, k):
+    """Return the colour's number of a key or door."""
+    return (int(s.what[k]) - KEY) % len(COLOURS)
+
+
+@kernel
+def has_key(s, k):
+    """Return whether a key of the colour of object `k` is in hand."""
+    return s.hand >> colour(s, k) & 1 == 1
+
+
+@kernel
+def meet(s, k):
+    """Take or open object `k` if the thief touches it."""
+    if is_door(s, k):
+        touched = has_key(s, k) and touches(s, k, DOOR, DOOR)
+    elif s.what[k] == GEM:
+        touched = touches(s, k, GEM_X, GEM_Y)
+    else:
+        touched = touches(s, k, KEY_X, KEY_Y)
+        if touched:
+            s.hand |= 1 << colour(s, k)
+    if touched:
+        s.gone[k] = s.time
+        note(s, int(s.what[k]))
+
+
+@kernel
+def note(s, what):
+    """Record the step of each event that happens for the first time."""
+    s.took_blue = first(s, s.took_blue, what == KEY)
+    s.took_green = first(s, s.took_green, what == KEY + 1)
+    s.took_red = first(s, s.took_red, what == KEY + 2)
+    s.opened_blue = first(s, s.opened_blue, what == DOOR_CODE)
+    s.opened_green = first(s, s.opened_green, what == DOOR_CODE + 1)
+    s.opened_red = first(s, s.opened_red, what == DOOR_CODE + 2)
+    s.all_keys = first(s, s.all_keys, what < DOOR_CODE and s.hand == s.keys)
+    s.reached_gem = first(s, s.reached_gem, what == GEM)
+
+
+@kernel
+def first(s, before, happens):
+    """Return the step in which an event first happened, or NEVER."""
+    return s.time if happens and before == NEVER else before
