@@ -42,10 +42,15 @@ class Estimate:
         mean, low, high = (f"{100 * x:.1f}" for x in (self.mean, self.low, self.high))
         return f"{mean}\u00a0% ({self._interval(low, high)})" if self.rows else "none of none"
 
-    def short(self) -> str:
-        """Return a rate and its interval in figures, for a table that names the interval's kind."""
-        mean, low, high = (f"{100 * x:.1f}" for x in (self.mean, self.low, self.high))
-        return f"{mean} % ({low} to {high})" if self.rows else "none of none"
+    def short(self, digits: int | None = None) -> str:
+        """Return a rate and its interval in figures, for a table that names the interval's kind.
+
+        Args:
+            digits: Of an amount, which is no rate: its number of digits.
+        """
+        ends, unit = (self.mean, self.low, self.high), " %" if digits is None else ""
+        mean, low, high = (f"{100 * x:.1f}" if unit else f"{x:.{digits}g}" for x in ends)
+        return f"{mean}{unit} ({low} to {high})" if self.rows else "none of none"
 
     def amount(self, digits: int = 3) -> str:
         """Format a number and its interval with the given number of digits."""

@@ -33,6 +33,7 @@ from astray.cli.arguments import (
     show,
 )
 from astray.envs.vector import PICTURES
+from astray.estimate import Estimate
 from astray.files import check_free, check_writable, write_aside
 from astray.game import Game
 from astray.training.config import Config, Tracking
@@ -240,7 +241,7 @@ def agency(
         return
     table = Table("explanation", "of episodes")
     for name, share in zip(assessed.explanations, assessed.shares, strict=True):
-        table.add_row(name, f"{share.mean:.1%} [{share.low:.1%}, {share.high:.1%}]")
+        table.add_row(name, share.short())
     show(table)
     print(assessed.sentence())
 
@@ -270,7 +271,7 @@ def show_amounts(episodes: pl.DataFrame, game: Game | World) -> None:
     shown = Table("policy", *game.measures, title="mean of all levels")
     found = amounts(episodes, [*game.measures])
     for rows in found.partition_by("policy", maintain_order=True):
-        told = [f"{r['mean']:.3g} [{r['low']:.3g}, {r['high']:.3g}]" for r in rows.to_dicts()]
+        told = [Estimate.of(row).short(3) for row in rows.to_dicts()]
         shown.add_row(rows["policy"][0], *told)
     show(shown, width=120)
 
@@ -289,6 +290,6 @@ def show_shares(shares: pl.DataFrame) -> None:
     for rows in shares.partition_by("policy", "levels_played", maintain_order=True):
         first = rows.row(0, named=True)
         levels = f"{first['levels']} {first['levels_played']}"
-        told = [f"{r['mean']:.1%} [{r['low']:.1%}, {r['high']:.1%}]" for r in rows.to_dicts()]
+        told = [Estimate.of(row).short() for row in rows.to_dicts()]
         shown.add_row(first["policy"], f"{first['agents']}", levels, *told)
-    show(shown, width=120)
+    show(shown, width=126)

@@ -13,6 +13,7 @@ import polars as pl
 from astray.analysis.estimates import estimate_mean
 from astray.analysis.outcomes import INTENDED, MISGENERALIZED, matrix
 from astray.analysis.runs import LEVELS_PLAYED
+from astray.estimate import Estimate
 from astray.experiments.outcomes import AGENTS
 from astray.experiments.sweep.settings import Sweep
 from astray.report import charts
@@ -69,8 +70,7 @@ def findings(sweep: Sweep, episodes: pl.DataFrame, table: pl.DataFrame) -> Findi
     asked = agents.filter(test=TEST, outcome=MISGENERALIZED).sort("mean", maintain_order=True)
     names = sweep.columns()
     ends = [
-        f"{', '.join(f'{name} {row[name]}' for name in names)}: {100 * row['mean']:.0f} % "
-        f"({100 * row['low']:.0f} to {100 * row['high']:.0f})"
+        f"{', '.join(f'{name} {row[name]}' for name in names)}: {Estimate.of(row).short()}"
         for row in (asked.row(0, named=True), asked.row(-1, named=True))
     ]
     settings = {name: str(x) for name, x in sweep.base.flat().items() if name not in sweep.axes}
