@@ -9,6 +9,7 @@ import pytest
 
 from astray import games
 from astray.analysis.adapters import Function, from_sb3
+from astray.analysis.dataset import export, read_trajectories, trajectories
 from astray.analysis.evaluate import evaluate
 from astray.analysis.outcomes import INTENDED, MISGENERALIZED
 from astray.analysis.policies import Random, Walk
@@ -196,3 +197,20 @@ def test_an_ability_that_a_world_lacks_is_told():
     with pytest.raises(ValueError, match="a game must be a Game or its name; got World"):
         games.find(WORLD)  # pyright: ignore
     assert not WORLD.solver
+
+
+@pytest.mark.parametrize("knobs", [{}, {"vector": True}])
+def test_episodes_of_a_world_are_exported_and_read_as_they_were(tmp_path, knobs):
+    variant = WORLD.variant("anywhere").with_knobs(knobs)
+    folder = export(Random(), WORLD, variant, LEVELS, tmp_path / "data")
+    written = {one.level: one for one in trajectories(Random(), WORLD, variant, LEVELS)}
+    read = {one.level: one for one in read_trajectories(folder, WORLD)}
+    assert set(read) == set(LEVELS.tolist())
+    for level, one in read.items():
+        for part in ("observations", "actions", "rewards", "states"):
+            assert (getattr(one, part) == getattr(written[level], part)).all(), part
+    assert read[3].observations.dtype == np.float32
+    with pytest.raises(ValueError, match="Minari's layout is of games; room is a World"):
+        export(Random(), WORLD, variant, LEVELS, tmp_path / "minari", form="minari")
+    with pytest.raises(ValueError, match="it is of 'room', not of 'other'"):
+        next(read_trajectories(folder, replace(WORLD, name="other")))

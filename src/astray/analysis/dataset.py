@@ -26,7 +26,7 @@ import numpy as np
 import polars as pl
 from gymnasium import spaces
 
-from astray import games, imports
+from astray import games, imports, world
 from astray.acting import Levels, Policy, check_policy, steps
 from astray.analysis.tables import write_table
 from astray.bounds import brief, of_kind, shown
@@ -35,6 +35,7 @@ from astray.envs.vector import GameVectorEnv
 from astray.files import folder_aside, read, write_aside
 from astray.game import Game, Variant
 from astray.words import check_word
+from astray.world import World, WorldVariant
 
 Format = Literal["parquet", "minari"]
 FORMAT = 1  # version of dataset.json
@@ -67,8 +68,8 @@ class Trajectory:
 
 def trajectories(
     policy: Policy,
-    game: str | Game,
-    variant: str | Variant,
+    game: str | Game | World,
+    variant: str | Variant | WorldVariant,
     levels: Levels,
     *,
     batch: int = BATCH,
@@ -87,7 +88,7 @@ def trajectories(
                 (
                     step.observations[i].copy(),
                     step.before[i].copy(),
-                    int(step.actions[i]),
+                    np.array(step.actions[i]),
                     float(step.rewards[i]),
                 )
             )
@@ -95,7 +96,8 @@ def trajectories(
                 continue
             seen, before, actions, rewards = zip(*parts.pop(level), strict=True)
             states = np.array([*before, step.after[i]], step.before.dtype)
-            states["seed"] = states["turn"] = 0  # belong to the batch
+            for name in {"seed", "turn"} & {*(states.dtype.names or ())}:
+                states[name] = 0  # belong to the batch
             yield Trajectory(
                 int(states["level"][0]),
                 np.stack([*seen, step.seen[i]]),
@@ -108,8 +110,8 @@ def trajectories(
 
 def export(
     policy: Policy,
-    game: str | Game,
-    variant: str | Variant,
+    game: str | Game | World,
+    variant: str | Variant | WorldVariant,
     levels: Levels,
     folder: Path,
     *,
@@ -135,12 +137,18 @@ def export(
     of_kind("folder", folder, str | Path)
     if os.path.lexists(folder):
         raise ValueError(f"a data set is written to a new folder; there is something at {folder}")
-    game = games.find(game)
-    of, write = game.variant(variant), write_minari if form == "minari" else write_parquet
+    game = world.find(game)
+    given: Any = variant
+    of: Any = game.variant(given)
+    write = write_minari if form == "minari" else write_parquet
+    is_world = isinstance(game, World)
+    if is_world and form == "minari":
+        raise ValueError(f"Minari's layout is of games; {game.name} is a World, for parquet alone")
     about = {
         "format": FORMAT, "astray": version("astray"), "levels_of": VERSION, "game": game.name,
-        "variant": asdict(of), "policy": policy.name, "observation": policy.observation,
-        "art": policy.art, "actions": list(game.actions), "events": list(game.events),
+        "variant": str(of) if is_world else asdict(of), "policy": policy.name,
+        "observation": policy.observation, "art": policy.art,
+        "actions": [] if is_world else list(game.actions), "events": list(game.events),
         "state": [list(map(_plain, one)) for one in np.dtype(game.state.descr).descr],
     }  # fmt: skip
     with folder_aside(folder) as aside:
@@ -163,8 +171,9 @@ def write_parquet(
 ) -> None:
     """Write trajectories as Parquet files; see the top of this module."""
     (folder / "steps").mkdir(parents=True)
-    episodes, rows, size, files, shape = [], [], 0, 0, None
+    episodes, rows, size, files, shape, kind = [], [], 0, 0, None, "uint8"
     for one in played:
+        kind = one.observations.dtype.name
         episodes.append(_episode(one, game))
         rows.append(_rows(one))
         shape, size = one.observations.shape[1:], size + one.observations.nbytes + one.states.nbytes
@@ -177,7 +186,7 @@ def write_parquet(
     write_table(
         pl.DataFrame(episodes, schema_overrides=kinds).sort("level"), folder / "episodes.parquet"
     )
-    data = {**about, "shape": shape, "dtype": "uint8"}
+    data = {**about, "shape": shape, "dtype": kind}
     write_aside(folder / "dataset.json", json.dumps(data, indent=1).encode())
 
 
@@ -201,7 +210,7 @@ def _rows(one: Trajectory) -> pl.DataFrame:
         {
             "level": pl.Series([one.level] * (count + 1), dtype=pl.Int64),
             "step": pl.Series(range(count + 1), dtype=pl.Int32),
-            "action": pl.Series([*one.actions.tolist(), None], dtype=pl.Int64),
+            "action": pl.Series([*one.actions.tolist(), None], dtype=_kind(one.actions)),
             "reward": pl.Series([*one.rewards.tolist(), None], dtype=pl.Float64),
             "terminated": [*ended, one.terminated, None],
             "truncated": [*ended, not one.terminated, None],
@@ -211,8 +220,16 @@ def _rows(one: Trajectory) -> pl.DataFrame:
     )
 
 
-def read_trajectories(folder: Path) -> Iterator[Trajectory]:
+def _kind(actions: np.ndarray) -> Any:
+    """Return the column's type: a number, or several in a list."""
+    kind = pl.Float64 if actions.dtype.kind == "f" else pl.Int64
+    return kind if actions.ndim == 1 else pl.List(kind)
+
+
+def read_trajectories(folder: Path, of: World | None = None) -> Iterator[Trajectory]:
     """Yield the trajectories that `export` wrote as Parquet, in the same order.
+
+    Those of a World need it as `of`.
 
     Raises:
         FileNotFoundError: If there is no data set.
@@ -225,7 +242,10 @@ def read_trajectories(folder: Path) -> Iterator[Trajectory]:
         about = json.loads(read(path, LARGEST))
         if not isinstance(about, dict) or about.get("format") != FORMAT:
             raise ValueError(f"it must be an object of format {FORMAT}; got {shown(about)}")
-        game, shape = games.find(about["game"]), tuple(about["shape"])
+        game, shape = of or games.find(about["game"]), tuple(about["shape"])
+        if game.name != about["game"]:
+            raise ValueError(f"it is of {about['game']!r}, not of {game.name!r}")
+        kind = np.dtype(about["dtype"])
         state = [list(map(_plain, one)) for one in np.dtype(game.state.descr).descr]
         if json.loads(json.dumps(state)) != about["state"]:
             raise ValueError("its states have other fields than those of this version")
@@ -240,13 +260,15 @@ def read_trajectories(folder: Path) -> Iterator[Trajectory]:
         except pl.exceptions.PolarsError as error:
             raise ValueError(f"{part} is not as astray writes it: {brief(error)}") from error
         for rows in episodes:
-            yield _trajectory(rows, game, shape, part)
+            yield _trajectory(rows, game.state, shape, kind, part)
 
 
-def _trajectory(rows: pl.DataFrame, game: Game, shape: tuple[int, ...], path: Path) -> Trajectory:
+def _trajectory(
+    rows: pl.DataFrame, state: np.dtype, shape: tuple[int, ...], kind: np.dtype, path: Path
+) -> Trajectory:
     try:
-        states = np.frombuffer(b"".join(rows["state"]), game.state)
-        seen = np.frombuffer(b"".join(rows["observation"]), np.uint8).reshape(-1, *shape)
+        states = np.frombuffer(b"".join(rows["state"]), state)
+        seen = np.frombuffer(b"".join(rows["observation"]), kind).reshape(-1, *shape)
         done = rows[:-1]
         if not len(states) == len(seen) == len(rows) or rows["action"][-1] is not None:
             raise ValueError("an episode must be a row for each state")
@@ -256,7 +278,7 @@ def _trajectory(rows: pl.DataFrame, game: Game, shape: tuple[int, ...], path: Pa
         rows["level"][0],
         seen,
         states,
-        done["action"].to_numpy(),
+        np.array(done["action"].to_list()),
         done["reward"].to_numpy(),
         bool(done["terminated"][-1]),
     )
