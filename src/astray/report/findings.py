@@ -1,4 +1,4 @@
-"""What was found, as data: what pages of reports are written from."""
+"""Findings of studies as data, from which the pages of reports are written."""
 
 from __future__ import annotations
 
@@ -86,7 +86,7 @@ class Heading:
 
 
 class Code(str):
-    """A text that is shown as it is."""
+    """A text that is shown verbatim."""
 
 
 # What is beside each other in a section: text, claims, settings, and what is shown.
@@ -95,7 +95,7 @@ Item = str | Sequence[Claim] | Mapping[str, str] | Video | Plot | Table
 
 @dataclass(frozen=True, eq=False)
 class Section:
-    """A heading of a page, and what is below it."""
+    """A heading of a page, with its contents."""
 
     heading: str
     items: Sequence[Item]

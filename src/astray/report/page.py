@@ -73,7 +73,7 @@ def write(
 def write_page(
     path: Path, title: str, sections: Sequence[Section], *, figures: Path, **how: Any
 ) -> None:
-    """Write a page that needs nothing else; sections without anything are left out.
+    """Write a self-contained page; empty sections are left out.
 
     Args:
         path: The page.
