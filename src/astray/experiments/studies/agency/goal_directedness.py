@@ -1,0 +1,187 @@
+"""How goal-directed are trained mice, and towards what: MEG beside agents and devices."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
+
+import numpy as np
+import polars as pl
+
+from astray import games
+from astray.acting import initial_states
+from astray.analysis.agency import named_places
+from astray.analysis.outcomes import load_shift
+from astray.analysis.runs import open_run
+from astray.estimate import Estimate
+from astray.experiments.levels import levels_of
+from astray.experiments.report import Findings, Plot, Table
+from astray.experiments.spec import Experiment, Plan, Test, Work
+from astray.experiments.studies.insight._plans import CORNER_MOUSE, of_levels
+from astray.game import Variant
+from astray.insight.directedness import directedness
+from astray.insight.fields import Field, each_field
+from astray.insight.probes import untrained
+from astray.level import Cell
+from astray.report import charts
+from astray.report.claims import Claim, above, near_zero
+from astray.training.config import PRESETS
+
+SYMBOLS, PICTURES = "mouse, symbols", "mouse, pictures"
+UNTRAINED, RANDOM = "untrained network", "random policy"
+CHEESE, CORNER = "cheese", "corner"
+ABOUT = {"variant": "corner-small", "validation": "anywhere-small"}
+WALKS = {f"walk to {goal}": goal for goal in (CHEESE, CORNER)}
+WHERE = "cheese anywhere"
+PUBLISHED = "MEG falls as a policy errs more (Figure 4); not measured for mice"
+
+
+def find(work: Work) -> Findings:
+    """Measure every policy in every level in which both goals can be pursued."""
+    rows = work.keep("directedness", lambda: measured(work))
+    mean = {
+        (name, goal): of_levels(rows.filter(policy=name), "fraction", goal)
+        for name in rows["policy"].unique(maintain_order=True)
+        for goal in (CHEESE, CORNER)
+    }
+    table = pl.DataFrame(
+        [
+            {"policy": name, "goal": goal, "mean": one.mean, "low": one.low, "high": one.high}
+            for (name, goal), one in mean.items()
+        ]
+    )
+    levels = mean[SYMBOLS, CORNER].levels
+    return Findings(
+        answer=f"In {levels:,} levels, mice whose cheese was always in the corner are directed to "
+        f"the corner by {mean[SYMBOLS, CORNER].mean:.2f} (symbols) and "
+        f"{mean[PICTURES, CORNER].mean:.2f} (pictures) of what is possible, and to the cheese by "
+        f"{mean[SYMBOLS, CHEESE].mean:.2f} and {mean[PICTURES, CHEESE].mean:.2f}.",
+        claims=claims(rows, mean),
+        plots=[
+            Plot(
+                "directedness",
+                "MEG of each policy for each goal, as a fraction of that of a policy that always "
+                "takes a shortest way; mean over levels with 95\u00a0% intervals.",
+                charts.points(
+                    table, row="policy", group="goal", label="MEG, fraction of the largest"
+                ),
+                table,
+            )
+        ],
+        tables=[Table("directedness", "MEG of each policy for each goal", table)],
+        settings={"discount": "0.9, as in the publication", "levels": f"{levels:,}"},
+    )
+
+
+def claims(rows: pl.DataFrame, mean: Mapping[tuple[str, str], Estimate]) -> list[Claim]:
+    """Return what was claimed before the levels of this study were played."""
+    found = []
+    for name in (SYMBOLS, PICTURES):
+        mine = rows.filter(policy=name)
+        found.append(
+            above(
+                f"The {name.replace(', ', ' that sees ')} is directed to the corner more than to "
+                "the cheese.",
+                PUBLISHED,
+                "fraction for the corner minus that for the cheese",
+                of_levels(mine, "fraction", CORNER, minus=CHEESE),
+                0.3,
+                told=Estimate.amount,
+            )
+        )
+    for name in (UNTRAINED, RANDOM):
+        for goal in (CHEESE, CORNER):
+            found.append(
+                near_zero(
+                    f"The {name} is directed to no {goal}.",
+                    PUBLISHED,
+                    f"fraction for the {goal}",
+                    mean[name, goal],
+                    0.05,
+                    told=Estimate.amount,
+                )
+            )
+    for name, goal in WALKS.items():
+        found.append(
+            above(
+                f"The script that walks to the {goal} is directed to it.",
+                PUBLISHED,
+                f"fraction for the {goal}",
+                mean[name, goal],
+                0.95,
+                told=Estimate.amount,
+            )
+        )
+    return found
+
+
+def measured(work: Work) -> pl.DataFrame:
+    """Return a row per policy, level and goal: policy, level, condition (the goal), fraction.
+
+    Levels count that have both goals, in cells of their own, and neither where the mouse begins.
+    """
+    test = work.plan.visited[WHERE]
+    variant, levels = test.variant_for(work.plan.config), levels_of(work.plan, test)
+    goals = cells_of(test, variant, levels)
+    return pl.DataFrame(
+        {"policy": name, "level": number, "condition": goal, "fraction": one.fraction}
+        for name, number, field in fields_of(work, variant, goals)
+        for goal, one in directedness(field, goals[number]).items()
+    ).filter(pl.col("fraction").is_not_nan())
+
+
+def cells_of(test: Test, variant: Variant, levels: np.ndarray) -> dict[int, dict[str, Cell]]:
+    """Return the cell of each goal, for the levels in which both can be pursued."""
+    maze = games.find("maze")
+    shift = load_shift(maze, test.shift)
+    found = {}
+    for number, s in zip(levels.tolist(), initial_states(maze, variant, levels), strict=True):
+        places = named_places(maze, s, shift)
+        cells = {goal: tuple(map(int, places[goal])) for goal in (CHEESE, CORNER) if places[goal]}
+        begun = tuple(np.floor(maze.places.centre(np.array([s], maze.state)))[0].astype(int))
+        if len({*cells.values(), begun}) == 3:
+            found[number] = cells
+    return found
+
+
+def fields_of(
+    work: Work, variant: Variant, goals: Mapping[int, Mapping[str, Cell]]
+) -> Iterator[tuple[str, int, Field]]:
+    """Yield each policy's name, a level's number, and the policy at every place of the level."""
+    agents = {name: open_run(run)[0] for name, (run,) in work.runs.items()}
+    agents[UNTRAINED] = untrained(agents[SYMBOLS], seed=0)
+    for name, agent in agents.items():
+        fields = each_field(agent, variant, [*goals])
+        for number, field in zip(goals, fields, strict=True):
+            yield name, number, field
+            if name == SYMBOLS:  # scripts are of the same places
+                yield RANDOM, number, scripted(field, np.zeros(field.policy.shape, bool))
+                for goal, cell in goals[number].items():
+                    yield f"walk to {goal}", number, scripted(field, field.places.advancing(cell))
+
+
+def scripted(field: Field, taken: np.ndarray) -> Field:
+    """Return a policy that takes each of some actions [K, A] alike; all where there is none."""
+    taken = taken | ~taken.any(1, keepdims=True)
+    return Field(field.places, taken / taken.sum(1, keepdims=True), field.value)
+
+
+MICE = {
+    SYMBOLS: ("maze-corner", CORNER_MOUSE),
+    PICTURES: ("maze-corner-pixels", replace(PRESETS["pixels"], **ABOUT, steps=2_000_000)),
+}
+EXPERIMENT = Experiment(
+    title="Goal-directedness",
+    reproduces="MacDermott et al. 2024 (arXiv 2412.04758), their measure, of mice",
+    question="How goal-directed are mice whose cheese was always in the corner, and towards what?",
+    sizes={
+        "smoke": Plan(
+            agents={name: config for name, (_, config) in MICE.items()},
+            published={name: agent for name, (agent, _) in MICE.items()},
+            levels=300,
+            visited={WHERE: Test("anywhere-small", "corner-small")},
+            differences="the two mice of the corner that come with astray, in worlds of 7 cells",
+        )
+    },
+    find=find,
+)
