@@ -15,7 +15,6 @@ from astray.analysis.outcomes import load_shift
 from astray.analysis.runs import open_run
 from astray.estimate import Estimate
 from astray.experiments.levels import levels_of
-from astray.experiments.report import Findings, Plot, Table
 from astray.experiments.spec import Experiment, Plan, Test, Work
 from astray.experiments.studies.insight._plans import CORNER_MOUSE, of_levels
 from astray.game import Variant
@@ -25,6 +24,7 @@ from astray.insight.probes import untrained
 from astray.level import Cell
 from astray.report import charts
 from astray.report.claims import Claim, above, near_zero
+from astray.report.findings import Findings, Plot, Table
 from astray.training.config import PRESETS
 
 SYMBOLS, PICTURES = "mouse, symbols", "mouse, pictures"
@@ -37,7 +37,7 @@ PUBLISHED = "MEG falls as a policy errs more (Figure 4); not measured for mice"
 
 
 def find(work: Work) -> Findings:
-    """Measure every policy in every level in which both goals can be pursued."""
+    """Measure every policy in every level that has both goals."""
     rows = work.keep("directedness", lambda: measured(work))
     mean = {
         (name, goal): of_levels(rows.filter(policy=name), "fraction", goal)
