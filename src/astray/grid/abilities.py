@@ -183,9 +183,11 @@ def solver(world: World) -> Any:
             now.ended = done or now.time >= now.time_limit
         return total
 
-    return SimpleNamespace(
-        reachable=lambda s: reachable(world, s), expert=expert, optimal_return=optimal_return
-    )
+    def reached(s: Any) -> np.ndarray:
+        world.check(s)
+        return reachable(world, s)
+
+    return SimpleNamespace(reachable=reached, expert=expert, optimal_return=optimal_return)
 
 
 def towards(world: World, s: Any, cells: Cells) -> int:
