@@ -182,7 +182,7 @@ LEFT = ISLANDS.walk((0, 0), [3])
     [
         (lambda: World.parse("..\n.x"), "drawn with # and ."),
         (lambda: World.parse("..\n."), "equally long"),
-        (lambda: World.parse("##"), "at least one of them free"),
+        (lambda: World.parse("##"), "at least one free cell"),
         (lambda: SMALL.walk((1, 1), [0]), "(1, 1) is a wall"),
         (lambda: SMALL.walk((0, 9), [0]), "outside"),
         (lambda: SMALL.walk((0, 0), [4]), "from 0 to 3"),
@@ -195,7 +195,7 @@ LEFT = ISLANDS.walk((0, 0), [3])
         (lambda: measure([]), "no episodes"),
         (lambda: measure_named([Episode(ISLANDS, LEFT)], [{"far": [(4, 0)]}]), "no way leads"),
         (lambda: measure_named([Episode(ISLANDS, LEFT)], [{"far": []}]), "at least one cell"),
-        (lambda: measure_named([Episode(ISLANDS, LEFT)], [{}]), "goals have a name"),
+        (lambda: measure_named([Episode(ISLANDS, LEFT)], [{}]), "goals must have a name"),
         (lambda: Options(observations=("smell",)), "there are: type"),
         (lambda: Options(noise_atom=2), "from 0 to 1"),
         (lambda: Setting(ISLANDS, (0, 0), (4, 0), 0), "no way leads"),
@@ -207,10 +207,10 @@ LEFT = ISLANDS.walk((0, 0), [3])
         (lambda: Episode(SMALL, by_hand([-1, 0], [3])), "cells of a trajectory must be a list of"),
         (lambda: Episode(SMALL, by_hand([0.0, 1.0], [3])), "trajectory must be integers"),
         (lambda: Episode(SMALL, by_hand([0, 1], [4])), "actions of a trajectory must be a list of"),
-        (lambda: Episode(SMALL, by_hand([0, 1], [3, 3])), "of 2 actions there are cells one more"),
+        (lambda: Episode(SMALL, by_hand([0, 1], [3, 3])), "cells must be 3, one more than actions"),
         (lambda: Episode(SMALL, by_hand([0, 1, 4], [3, 3])), "step 1 does not lead to the cell"),
         (lambda: Episode(SMALL, [0, 1]), "a trajectory must be a Trajectory"),  # pyright: ignore
-        (lambda: rule(200_000), "too many to measure together"),
+        (lambda: rule(200_000), "can be measured together; got 200000"),
         (lambda: shares(np.full((2, 3), -np.inf)), "impossible under every"),
     ],
 )  # fmt: skip

@@ -158,7 +158,7 @@ def other(module, *path, weights):
         (other("1", "Dense_0", "bias", weights=np.float32(1)), "chooses from 0 actions"),
         (other("1", "Dense_0", "bias", weights=np.full(15, 1e300)), "not all finite"),
         (other("0", "ConvSequence_0", "Conv_0", "kernel", weights=np.empty((0, 3, 3, 2**33), "f4")),
-         "as wide as"),
+         "fits no network"),
         (b"\x82\xa10\x80\xa11\x83\xa10\x81\xa6params" + b"\x81\xa1a" * 1000
          + b"\x01\xa11\x80\xa12\x80", "without parameters"),
         (cleanba((2, 2, 2))[0].replace(b"ConvSequence_2", b"ConvSequence_3"), "does not"),
@@ -250,7 +250,9 @@ REFUSED_PTH = {
         lambda: changed(fc_value__bias=torch.full((1,), 1e300, dtype=torch.float64)),
         "not all finite"),
     "a width without numbers": (
-        lambda: changed(embedder__block1__conv__weight=torch.empty(2**33, 0, 3, 3)), "as wide as"),
+        lambda: changed(embedder__block1__conv__weight=torch.empty(2**33, 0, 3, 3)),
+        "fits no network",
+    ),
     "a layer twice": (lambda: saved({**reference((2, 2, 2))[0], "policy.bias": torch.ones(15)}),
                       "two weights of the same layer"),
     "sparse weights": (lambda: changed(fc_value__bias=torch.zeros(1).to_sparse()), "more than w"),

@@ -66,7 +66,7 @@ def test_who_is_read_no_further_stops_quietly(words):
         (("replay", "maze", "corner", "--level", "1", "--actions", "-"), 'exec "$@" <&-', 2,
          "astray: standard input is closed; there is nothing to read\n"),
         ((*LEVEL, "7"), 'mkdir gone; cd gone; rmdir "$PWD"; exec "$@"', 2,
-         "astray: the working folder is not there any more; change to one that is\n"),
+         "astray: the working folder no longer exists; change to one that does\n"),
     ],
 )  # fmt: skip
 def test_a_stream_or_a_folder_that_is_gone_is_told_in_a_line(words, shell, code, said, tmp_path):

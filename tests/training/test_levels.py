@@ -360,5 +360,5 @@ def test_a_buffer_that_was_forged_is_refused():
     sampler = Replay(PLR)
     sampler.plan(0)
     arrays = sampler.arrays() | {"places": np.full(16, 64)}
-    with pytest.raises(ValueError, match="buffer is none that a training leaves"):
+    with pytest.raises(ValueError, match="buffer is not one that a training writes"):
         sampler.restore(arrays)

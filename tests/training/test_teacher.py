@@ -138,7 +138,7 @@ def test_the_verb_distils_from_an_agent_by_name(tmp_path, monkeypatch):
 
 def test_a_sampler_that_learns_from_scores_has_no_students():
     for sampler in ("plr", "accel"):
-        with pytest.raises(ValueError, match=f"a student is not scored.*{sampler}"):
+        with pytest.raises(ValueError, match=f"a student needs a sampler.*{sampler}"):
             STUDENT.changed(sampler=sampler)
     with pytest.raises(ValueError, match="one group; got 2 groups"):
         STUDENT.changed(groups=2)
@@ -212,7 +212,7 @@ def test_a_resumed_student_of_the_solver_is_the_one_that_was_not_stopped(tmp_pat
 @pytest.mark.parametrize(
     "change, message",
     [
-        ({"taught": 0.5, "teacher": None}, "taught is for students, who have a teacher; got 0.5"),
+        ({"taught": 0.5, "teacher": None}, "taught must be 1 without a teacher; got 0.5"),
         ({"taught": 2.0}, "taught must be from 0 to 1; got 2.0"),
         ({"variant": "region-4", "validation": None}, "a variant of which a shift says the goal"),
     ],

@@ -47,7 +47,7 @@ class World:
     def __post_init__(self) -> None:
         of_kind("a world", self.free, np.ndarray)
         if self.free.ndim != 2 or self.free.dtype != bool or not self.free.any():
-            raise ValueError("a world is [H, W] booleans, at least one of them free")
+            raise ValueError("a world must be [H, W] booleans with at least one free cell")
 
     @classmethod
     def parse(cls, text: str | Sequence[str]) -> World:
@@ -59,7 +59,7 @@ class World:
         of_kind("a map", text, Sequence)
         rows = text.split() if isinstance(text, str) else list(text)
         if not rows or len({len(row) for row in rows}) > 1:
-            raise ValueError("a map has lines, all equally long")
+            raise ValueError("the lines of a map must be equally long")
         unknown = set("".join(rows)) - {WALL, FREE}
         if unknown:
             raise ValueError(f"a map is drawn with # and .; it has {' '.join(sorted(unknown))}")
@@ -161,7 +161,7 @@ class World:
         """
         visited = [self.number(cell) for cell in cells]
         if not visited:
-            raise ValueError("a path has at least the cell in which it begins")
+            raise ValueError("a path must have at least its first cell")
         actions = []
         for here, there in itertools.pairwise(visited):
             if here == there:
@@ -183,7 +183,7 @@ class World:
                 raise ValueError(f"{name} of a trajectory must be {there}; got {shown(given)}")
         if len(cells) != len(actions) + 1:
             raise ValueError(
-                f"of {len(actions)} actions there are cells one more; got {len(cells)}"
+                f"cells must be {len(actions) + 1}, one more than actions; got {len(cells)}"
             )
         wrong = np.flatnonzero(self.after[cells[:-1], actions] != cells[1:])
         if wrong.size:

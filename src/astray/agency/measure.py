@@ -191,9 +191,9 @@ def measure_named(
     """
     whole = prepared(episodes, options)
     if len(goals) != len(whole) or any(set(named) != set(goals[0]) for named in goals):
-        raise ValueError("every episode has goals, of the same names")
+        raise ValueError("all episodes must have goals of the same names")
     if OTHER in goals[0] or not goals[0]:
-        raise ValueError(f"goals have a name, and none is called {OTHER!r}")
+        raise ValueError(f"goals must have a name other than {OTHER!r}")
     nodes = _rule(whole, options)
     table = log_table(nodes, options.noise)
     terms = np.zeros((len(goals[0]) + 1, len(nodes.eps)))
@@ -263,7 +263,7 @@ def cell_steps(episode: Episode, options: Options) -> np.ndarray:
 def _named_agents(episode: Episode, goals: Sequence[Sequence[Cell]], options: Options) -> Agents:
     """Return agents for the nearest cell of each goal."""
     if not all(map(len, goals)):
-        raise ValueError("a goal has at least one cell")
+        raise ValueError("a goal must have at least one cell")
     numbers = [[_number(episode, cell) for cell in cells] for cells in goals]
     distance = np.stack([episode.world.distance[:, of].min(1) for of in numbers], 1)
     return Agents(episode.world, distance, options.legal, options.at_goal)

@@ -63,7 +63,7 @@ def rule(degree: int, beta: float = 1.0) -> Rule:
     if beta < 1:
         raise ValueError(f"beta must be at least 1; got {beta}")
     if degree > LONGEST:
-        raise ValueError(f"{degree} steps are too many to measure together; up to {LONGEST} are")
+        raise ValueError(f"at most {LONGEST} steps can be measured together; got {degree}")
     needed = degree + int(np.ceil(beta - 1))
     x, weight = np.polynomial.legendre.leggauss(_nodes(needed)) if needed <= EXACT else _panels()
     eps, certain = (1 + x) / 2, (1 - x) / 2

@@ -91,7 +91,7 @@ def _check_folder() -> None:
         os.getcwd()
     except FileNotFoundError:
         raise FileNotFoundError(
-            "the working folder is not there any more; change to one that is"
+            "the working folder no longer exists; change to one that does"
         ) from None
 
 

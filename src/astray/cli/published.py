@@ -147,7 +147,7 @@ def _check(name: str, levels: str | None, json: bool) -> None:
         raise ValueError(f"{name!r} comes with astray; its card has what was measured: {run}")
     entry = by_digest(folders.AgentFolder.open(run).origin()["sha256"])
     if entry is None or not entry.checks:
-        raise ValueError(f"nobody's measurements of {name!r} are in the catalogue to compare with")
+        raise ValueError(f"the catalogue has no measurements of {name!r} to compare with")
     rows = check(run, entry.checks, level_numbers(levels) if levels else None)
     write_checks(run, rows)
     if json:

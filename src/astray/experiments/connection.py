@@ -46,7 +46,7 @@ class Wary:
     def come(self, count: int) -> None:
         """Count bytes that have come."""
         if self.stopped:
-            raise ValueError("nobody waits for this answer any more")
+            raise ValueError("this answer is no longer waited for")
         self.arrived += count
 
     def ask(self, request: Any) -> None:

@@ -108,10 +108,10 @@ class Plan:
         if self.speed < 0:
             raise ValueError(f"speed must be at least 0; got {self.speed}")
         if not set(self.published) <= set(self.agents):
-            raise ValueError("what is published are agents of the plan")
+            raise ValueError("`published` must name agents of the plan")
         students = set(self.teachers)
         if not students | set(self.teachers.values()) <= set(self.agents):
-            raise ValueError("teachers and students are agents of the plan")
+            raise ValueError("`teachers` must name agents of the plan")
         if students & {*self.published, *self.teachers.values()}:
             raise ValueError("a student must be trained here, and teach nobody")
         for name in self.agents.keys() - students - set(self.published):

@@ -33,7 +33,7 @@ def distances(is_open, x, y):
     """
     height, width = is_open.shape
     if not (0 <= x < width and 0 <= y < height):
-        raise IndexError("the cell is outside of the grid")
+        raise IndexError("the cell is outside the grid")
     steps = np.full((height, width), UNREACHABLE, np.int64)
     queue = np.empty(height * width, np.int64)
     steps[y, x], queue[0] = 0, y * width + x

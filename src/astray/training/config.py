@@ -129,17 +129,17 @@ class Config:
             )
         check_network(self.network)
         if self.teacher is None and self.taught != 1:
-            raise ValueError(f"taught is for students, who have a teacher; got {self.taught}")
+            raise ValueError(f"taught must be 1 without a teacher; got {self.taught}")
         if self.teacher == SOLVER:
             self.find_game().solver.expert  # noqa: B018  # says that there is none
             self.intended_goal()
         if self.teacher is not None and self.sampler.kind in SCORING:
             raise ValueError(
-                f"a student is not scored: its sampler must be another; got {self.sampler.kind!r}"
+                f"a student needs a sampler that does not score levels; got {self.sampler.kind!r}"
             )
         if self.teacher is not None and (self.fast.groups or 1) > 1:
             raise ValueError(
-                f"a student's environments are one group; got {self.fast.groups} groups"
+                f"a student must have one group of environments; got {self.fast.groups} groups"
             )
         if self.loss is not None and not imports.is_name(self.loss):
             raise ValueError(f"loss must be module:function; got {self.loss!r}")

@@ -295,7 +295,7 @@ def check_converging(trainer: Trainer) -> None:
     config = trainer.config
     raise Diverged(
         f"training diverged in update {trainer.iteration} of {config.iterations}, at "
-        f"{trainer.steps:,} steps: weights are no finite numbers any more; lower learning_rate "
+        f"{trainer.steps:,} steps: weights are no longer finite; lower learning_rate "
         f"({config.learning_rate:g}) or gradient_norm ({config.gradient_norm:g}); the checkpoints "
         "before it are kept"
     )

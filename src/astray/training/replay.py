@@ -157,7 +157,7 @@ class Replay:
             or not (visited <= rollouts[REPLAY]).all()
             or (rollouts < 0).any()
         ):
-            raise ValueError("its sampler's buffer is none that a training leaves")
+            raise ValueError("its sampler's buffer is not one that a training writes")
         if turn:
             self.game.check(states, self.variant)
         self.states, self.visited, self.rollouts = states, visited.copy(), rollouts.copy()

@@ -41,7 +41,7 @@ def build(architecture: Architecture, tensors: Mapping[str, Tensor]) -> nn.Modul
         with torch.device("meta"):  # first without memory: a file can promise any size
             wanted = {name: t.shape for name, t in architecture.build().state_dict().items()}
     except (RuntimeError, OverflowError) as error:  # widths of weights without a number in them
-        raise ValueError(f"no network is as wide as it is: {brief(error)}") from error
+        raise ValueError(f"its width fits no network: {brief(error)}") from error
     for name in (*tensors, *wanted):
         if name not in wanted:
             raise ValueError(f"it has {name}, which its network does not")
