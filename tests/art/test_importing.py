@@ -242,4 +242,4 @@ def test_without_the_pictures_one_sentence_says_how_to_get_them(tmp_path, monkey
     monkeypatch.setattr(sys, "argv", ["astray", "art"])
     main()
     said = capsys.readouterr().out
-    assert "0 of 135" in said and "astray art import" in said and not (tmp_path / "none").exists()
+    assert "0 of 140" in said and "astray art import" in said and not (tmp_path / "none").exists()

@@ -37,7 +37,7 @@ def test_a_large_agent_is_looked_up_in_a_table(chrome, untrained, tmp_path):
         {"cell": cell, "policy": policy, "value": value}
         for cell, policy, value in zip(asked["cells"], asked["policy"], asked["value"], strict=True)
     ]
-    for level, found in ((levels[0], first[:5]), (edited, second[:5])):
+    for level, found in ((levels[lab.start["level"]], first[:5]), (edited, second[:5])):
         for one in found:
             s = level.moved("agent", tuple(one["cell"])).state(solvable=False)
             policy, value = policy_and_value(

@@ -129,6 +129,9 @@ def _write_data(lab: Lab, folder: Path, levels: int, agents: list[str]) -> None:
         told["variants"] = [v for v in told["variants"] if v in found[told["game"]]["variants"]]
         _write_own_levels(lab.agents.open(name)[1], called[name], told, folder, levels)
         _write_agent(*lab.agents.open(name), called[name], told, folder, levels)
+    first = lab.start["level"]
+    if isinstance(first, int) and first >= levels:
+        first = 0  # which is always exported
     index = {
         "format": FORMAT,
         "engine": "static",
@@ -136,7 +139,8 @@ def _write_data(lab: Lab, folder: Path, levels: int, agents: list[str]) -> None:
         "games": found,
         "agents": about,
         "broken": {},
-        "start": dict(lab.start) | {"agent": called.get(lab.start.get("agent", ""), "")},
+        "start": dict(lab.start)
+        | {"agent": called.get(lab.start.get("agent", ""), ""), "level": first},
     }
     _write(folder / "index.json", index)
 

@@ -1,4 +1,4 @@
-"""How goal-directed are trained mice, and towards what: MEG beside agents and devices."""
+"""Are trained mice goal-directed, and towards what? MEG, a second measure of it."""
 
 from __future__ import annotations
 

@@ -39,7 +39,7 @@ def find(work: Work) -> Findings:
     sides = {name: f"{side} x {side} cells" for name, side in regions.items()}
     both = pl.concat([shown, first.rename({"outcome": "who"})])
     titles = ["The cheese is reached"] * len(shown)
-    titles += ["Reached first, in levels that tell the goals apart"] * len(first)
+    titles += ["Reached first, in distinguishing levels"] * len(first)
     lines = charts.curves(
         both.with_columns(panel=pl.Series(titles)), x="region", line="who", panel="panel",
         columns=1, percent="y", limits=(-0.02, 1.02), label="fraction of levels",

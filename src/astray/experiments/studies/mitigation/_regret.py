@@ -180,8 +180,8 @@ def claims(work: Work, buffers: pl.DataFrame) -> list[Claim]:
     percent = f"{100 * FEW:g}\u00a0%", f"{100 * SOME:g}\u00a0%", f"{100 * MANY:g}\u00a0%"
     return [
         above(
-            f"Domain randomisation misgeneralizes where {percent[0]} of levels tell the goals "
-            "apart.", "fails at small shares (no figure at hand)", name_of(DR, FEW),
+            f"Domain randomisation misgeneralizes where {percent[0]} of levels distinguish the "
+            "goals.", "fails at small shares (no figure at hand)", name_of(DR, FEW),
             often(DR, FEW), OFTEN,
         ),
         below(
