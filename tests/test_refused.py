@@ -166,7 +166,7 @@ def test_a_variant_or_states_of_another_game_are_refused(game):
     other = games.find(next(name for name in games.OWN if name != game))
     variant = next(iter(other.variants.values()))
     own = next(iter(games.find(game).variants.values()))
-    with pytest.raises(ValueError, match=f"none of {game}"):
+    with pytest.raises(ValueError, match=f"not one of {game}"):
         GameVectorEnv(game, variant)
     for states in (np.zeros(1, other.state), np.zeros(3), np.zeros((1, 1), games.find(game).state)):
         with pytest.raises(ValueError, match=r"states must be \[N\] records of"):

@@ -163,7 +163,7 @@ def test_an_evaluation_that_finds_no_room_leaves_nothing(run_folder, tmp_path):
         ("train maze corner --seeds 0", "seeds must be an integer from 1 to 134217728; got 0"),
         (
             "train maze corner --fraction 0.5",
-            "share is for the sampler mixed or growing; got 'uniform'",
+            "fraction is for the sampler mixed or growing; got 'uniform'",
         ),
         ("train maze corner --replay 0.5", "replay is for the sampler plr or accel; got 'uniform'"),
         ("lab --levels 5", "--levels says how many are exported: it needs --export FOLDER"),
