@@ -22,7 +22,7 @@ import numpy as np
 from gymnasium.utils.env_checker import check_env, data_equivalence
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
 
-from astray.acting import initial_states, steps
+from astray.acting import LASTING, initial_states, steps
 from astray.analysis.outcomes import outcomes_of
 from astray.analysis.policies import Walk
 from astray.envs.compiled import compiled_loop
@@ -230,7 +230,9 @@ def check_solver(game: Game, variant: Variant) -> None:
             0.0,
             begun,
         )
-        for step in steps(walk, game, variant, [level], until=[game.event(goal)]):
+        longest = min(variant.time_limit, LASTING)  # a life without end ends with its goal
+        until = [game.event(goal)]
+        for step in steps(walk, game, variant, [level], until=until, longest=longest):
             (s,), (reward,) = step.after, step.rewards
             total, discounted = total + reward, discounted + reward * 0.9 ** (s.time - 1)
         stays = game.actions[walk.ways(game, [s])[0]] == "stay"

@@ -140,7 +140,7 @@ def test_a_sampler_that_learns_from_scores_has_no_students():
     for sampler in ("plr", "accel"):
         with pytest.raises(ValueError, match=f"a student needs a sampler.*{sampler}"):
             STUDENT.changed(sampler=sampler)
-    with pytest.raises(ValueError, match="one group; got 2 groups"):
+    with pytest.raises(ValueError, match="one group of environments; got 2 groups"):
         STUDENT.changed(groups=2)
 
 
