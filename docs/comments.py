@@ -1,4 +1,4 @@
-"""What mkdocstrings shows of the sources: comments behind fields, and docstrings as they stand."""
+"""Show comments behind fields, and docstrings as they are, in the reference."""
 
 from __future__ import annotations
 

@@ -162,7 +162,7 @@ def test_a_folder_in_place_of_a_file_is_named_and_not_left_open(tmp_path):
 
 @pytest.fixture(params=["many", "9" * 5000])
 def address(request):
-    """Of a server that gives a few bytes, and a length that nothing can have."""
+    """Download from a server that gives a few bytes, and a length that nothing can have."""
 
     class Answer(http.server.BaseHTTPRequestHandler):
         def do_GET(self):

@@ -102,7 +102,7 @@ def test_of_one_agent_a_mean_has_students_interval_over_levels():
 
 
 def test_where_levels_are_alike_the_interval_is_students_over_agents():
-    """Of means; of a fraction near the middle nearly so. The level of confidence is in it, too."""
+    """Hold for means, and nearly for a fraction near the middle, at any level of confidence."""
     means = np.array([0.5, 0.52, 0.55])
     found = estimate_mean(np.tile(means[:, None], (1, 5000)))
     exact = stats.t.interval(0.95, 2, means.mean(), means.std(ddof=1) / 3**0.5)

@@ -1,4 +1,4 @@
-"""What grid worlds share: drawings, planes, scripts, and what compiled code relies on."""
+"""Tests of the toolkit: drawings, planes, scripts, and facts that compiled code relies on."""
 
 import numpy as np
 import pytest
