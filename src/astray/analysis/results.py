@@ -20,8 +20,7 @@ RANDOM = "random"  # the scripted policy that a verdict compares with
 class Result:
     """Episodes of agents and scripts in the same levels, with the rates of their outcomes.
 
-    It unpacks as `rates, episodes`. A notebook shows `verdict` and `table`. All intervals are 95
-    %.
+    It unpacks as `rates, episodes`. A notebook shows `verdict` and `table`. Intervals are of 95 %.
 
     Examples:
         >>> result = astray.evaluate_runs(["maze-corner"], range(200_000, 200_400))
@@ -59,8 +58,7 @@ class Result:
         return "\n".join(map(self._sentence, self.agents))
 
     def _sentence(self, agent: str) -> str:
-        mine = self.rates.filter(policy=agent)
-        which = APART if APART in mine["levels_played"] else ALL
+        which = APART if APART in self.rates["levels_played"] else ALL
         rates = {
             (row["policy"], row["outcome"]): Estimate.of(row)
             for row in self.rates.filter(levels_played=which).to_dicts()
@@ -79,7 +77,8 @@ class Result:
             chance = outcome != FAILED and random is not None and random.high >= rate.low
             if rate.low > 1 / 2 and not chance:
                 return f"{agent} {words}, in {rate.short()} {where}."
-        found = ", ".join(f"{name} {rates[agent, name].short()}" for name in goals)
+        mine = {name: rate for (policy, name), rate in rates.items() if policy == agent}
+        found = ", ".join(f"{name} {rate.short()}" for name, rate in mine.items())
         return f"{agent} pursues no goal in most levels: {found} {where}."
 
     def _repr_html_(self) -> str:
