@@ -172,7 +172,7 @@ def test_what_is_too_large_is_not_kept(run, tmp_path):
     "words, message",
     [
         ("evaluate", "name an agent or a run folder"),
-        ("record", "AGENT"),
+        ("record", "name an agent or a run folder"),
         ("agency squid", "unknown agent 'squid', which is neither"),
     ],
 )
