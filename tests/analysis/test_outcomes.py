@@ -27,9 +27,9 @@ from astray.analysis.runs import evaluate_policies
 from astray.experiments import spec
 from astray.experiments.outcomes import outcome_plots, outcome_tables
 from astray.experiments.spec import Plan, Work
+from astray.figures import charts
 from astray.game import More, Shift
 from astray.games.maze import GAME as maze
-from astray.report import charts
 from astray.training.config import PRESETS
 from helpers.lava import GAME, START
 

@@ -62,3 +62,13 @@ def test_a_table_has_a_row_per_policy_and_kind_of_levels():
     walks = result.table.filter(policy=Walk("cheese").name, levels_played=APART)
     assert walks[INTENDED].to_list()[0].startswith("100.0 % (")
     assert len(result.table) == 2 * episodes["policy"].n_unique()
+
+
+def test_a_plot_has_a_bar_per_policy_with_a_part_per_outcome():
+    figure = result_of(0.1, 0.7, 0.2).plot()
+    (axes,) = figure.axes
+    assert axes.get_title(loc="left") == "Levels that distinguish the goals"
+    assert [label.get_text() for label in axes.get_yticklabels()] == ["random", "mouse"]
+    mouse = {bars.get_label(): bars[0].get_width() for bars in axes.containers[3:] if len(bars)}
+    assert sorted(mouse.values()) == pytest.approx([0.1, 0.2, 0.7])
+    assert [line.get_xdata() for line in axes.lines][1] == pytest.approx([0.65, 0.75])

@@ -57,7 +57,7 @@ def _activations(path: Path, place: Place) -> None:
 def _figure(path: Path, place: Place) -> None:
     from matplotlib.figure import Figure
 
-    from astray.report.style import save
+    from astray.figures.style import save
 
     save(Figure(), path.parent, path.stem)
 

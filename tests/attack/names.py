@@ -175,11 +175,11 @@ def _figure(text: str, place: Place) -> None:
     """Words in figures, which their library reads as mathematics."""
     import polars as pl
 
-    from astray.report import charts
-    from astray.report.style import save
+    from astray.figures.style import save
+    from astray.report.learning import learning_curves
 
     data = pl.DataFrame({"steps": [1, 2], "return": [0.0, 1.0], "seed": [0, 0]})
-    drawn = charts.learning_curves(data, {"return": text[:200] + "$x_{$"}, "return")
+    drawn = learning_curves(data, {"return": text[:200] + "$x_{$"}, "return")
     save(drawn, place.work, "figure")
 
 

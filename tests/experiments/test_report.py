@@ -15,13 +15,14 @@ from astray.analysis import video
 from astray.analysis.outcomes import FAILED, INTENDED, MISGENERALIZED
 from astray.analysis.policies import Walk
 from astray.experiments import spec
+from astray.figures import charts
+from astray.figures.style import save
 from astray.files import aside_of
 from astray.games.maze.solve import steps_to
-from astray.report import charts
 from astray.report import page as report
 from astray.report.claims import Claim
 from astray.report.findings import Findings, Heading, Plot, Table, Video
-from astray.report.style import save
+from astray.report.learning import learning_curves
 
 T, H, W = 7, 31, 45  # odd sizes, which yuv420p cannot have
 LEVEL = 8
@@ -159,7 +160,7 @@ def test_the_interval_is_drawn_where_the_share_is(tmp_path):
 
 
 def test_curves_skip_what_is_missing_and_the_mean_is_over_seeds():
-    axes = charts.learning_curves(CURVES, {"training": "a", "test": "b"}, "return").axes[0]
+    axes = learning_curves(CURVES, {"training": "a", "test": "b"}, "return").axes[0]
     points = {str(line.get_label()): np.array(line.get_xydata()).tolist() for line in axes.lines}
     assert len(axes.lines) == 2 * (2 + 1)  # the seeds and their mean
     assert points["a"] == [[0, 0], [1, 3], [2, 9]]
@@ -171,7 +172,7 @@ def test_a_figure_is_the_same_bytes_twice_and_its_text_is_text(name, tmp_path):
     for folder in (tmp_path / "one", tmp_path / "two"):
         figure = {
             "bars": lambda: charts.outcome_bars(SHARES),
-            "curves": lambda: charts.learning_curves(CURVES, {"test": "return"}, "return"),
+            "curves": lambda: learning_curves(CURVES, {"test": "return"}, "return"),
         }[name]()
         save(figure, folder, name)
     for suffix in (".svg", ".png"):
@@ -304,10 +305,10 @@ def test_a_table_that_was_cut_short_is_told(tmp_path):
 def test_agents_of_several_names_have_curves_of_their_own():
     names = ["one", "two", "three", "four"]  # of six places two are empty
     every = pl.concat([CURVES.with_columns(agent=pl.lit(name)) for name in names])
-    figure = charts.learning_curves(every, {"training": "a", "test": "b"}, "return")
+    figure = learning_curves(every, {"training": "a", "test": "b"}, "return")
     (legend,) = figure.legends
     assert [text.get_text() for text in legend.get_texts()] == ["a", "b"]
-    axes = charts.learning_curves(every, {"training": "a"}, "return").axes
+    axes = learning_curves(every, {"training": "a"}, "return").axes
     assert [one.get_title(loc="left") for one in axes] == names
     for one in axes:
         points = {str(line.get_label()): line.get_xydata().tolist() for line in one.lines}

@@ -5,9 +5,9 @@ import polars as pl
 import pytest
 
 from astray.analysis.outcomes import FAILED, INTENDED, MISGENERALIZED
-from astray.report import charts
-from astray.report.grids import Picture, cells, images
-from astray.report.style import OTHERS, save
+from astray.figures import charts
+from astray.figures.grids import Picture, cells, images
+from astray.figures.style import OTHERS, save
 
 VALUES = pl.DataFrame(
     {

@@ -19,12 +19,10 @@ from astray.analysis.policies import Walk
 from astray.bounds import of_kind
 from astray.estimate import Estimate
 from astray.game import Game, More, Never, Outcome, Shift, Truncated, Variant
+from astray.outcome import FAILED, INTENDED, MISGENERALIZED
+from astray.outcome import OUTCOMES as OUTCOMES
 from astray.world import World, WorldVariant
 
-INTENDED = "intended goal"
-MISGENERALIZED = "goal misgeneralization"
-FAILED = "capability failure"
-OUTCOMES = (INTENDED, MISGENERALIZED, FAILED)
 REACHED_NEITHER = ~pl.col("outcome").is_in([INTENDED, MISGENERALIZED])  # an end or a failure
 
 

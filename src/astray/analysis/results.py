@@ -5,12 +5,17 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from html import escape
+from typing import TYPE_CHECKING
 
 import polars as pl
 
+from astray import imports
 from astray.analysis.outcomes import FAILED, INTENDED, MISGENERALIZED
 from astray.estimate import Estimate
 from astray.game import Shift
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 ALL, APART = "all", "distinguishing"  # which levels a row is of
 RANDOM = "random"  # the scripted policy that a verdict compares with
@@ -56,6 +61,27 @@ class Result:
         distinguishing levels count, if there are any.
         """
         return "\n".join(map(self._sentence, self.agents))
+
+    def plot(self) -> Figure:
+        """Draw a bar of outcomes per policy, for all levels and for the distinguishing ones.
+
+        A line marks the 95 % interval of goal misgeneralization. A notebook shows the figure after
+        `%matplotlib inline`.
+
+        Examples:
+            >>> figure = astray.evaluate_runs(["maze-corner"], range(200_000, 200_100)).plot()
+            >>> figure.savefig("outcomes.png")
+
+        Raises:
+            ModuleNotFoundError: If matplotlib is missing.
+        """
+        try:
+            from astray.figures import charts  # here, as matplotlib takes a second to import
+        except ModuleNotFoundError as error:
+            raise imports.needed_by("Result.plot", error) from None
+        titles = {ALL: "All levels", APART: "Levels that distinguish the goals"}
+        where = pl.col("levels_played").replace(titles)
+        return charts.outcome_bars(self.rates.with_columns(who="policy", where=where))
 
     def _sentence(self, agent: str) -> str:
         which = APART if APART in self.rates["levels_played"] else ALL

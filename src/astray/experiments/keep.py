@@ -83,7 +83,9 @@ def draw_curve(run: Path, config: Config, steps: int, folder: Path) -> None:
     Raises:
         ValueError: If its metrics lack a column.
     """
-    from astray.report import charts  # here, as matplotlib takes a second to import
+    from astray.report.learning import (
+        learning_curves,  # here, as matplotlib takes a second to import
+    )
 
     metrics = pl.DataFrame(checkpoint.metrics(run), infer_schema_length=None)
     there = {"training/return": config.variant}
@@ -99,7 +101,7 @@ def draw_curve(run: Path, config: Config, steps: int, folder: Path) -> None:
     data = data.gather_every(every, (len(data) - 1) % every)  # with the last
     write_table(data, folder / "curve.csv")
     label = "reward per step" if per_step else "return"
-    drawn = charts.learning_curves(data.with_columns(seed=pl.lit(config.seed)), there, label)
+    drawn = learning_curves(data.with_columns(seed=pl.lit(config.seed)), there, label)
     drawn.savefig(folder / "curve.png")
 
 

@@ -23,9 +23,10 @@ from astray.analysis.outcomes import (
 )
 from astray.analysis.policies import Walk
 from astray.experiments.spec import SPREADS, Plan, Test, Work, open_agents
-from astray.report import charts
+from astray.figures import charts
 from astray.report.claims import above, rounded
 from astray.report.findings import Findings, Plot, Scene, Table, Video
+from astray.report.learning import learning_curves
 from astray.training import checkpoint
 from astray.training.config import Config
 from astray.training.folders import read_config
@@ -200,7 +201,7 @@ def curve_plot(
     series = {f"training/{metric}": "training variant", f"validation/{metric}": "test variant"}
     there = {column: name for column, name in series.items() if column in data.columns}
     name = "curves" if metric == "return" else f"curves-{metric.replace('_', '-')}"
-    return Plot(name, caption, charts.learning_curves(data, there, label), data)
+    return Plot(name, caption, learning_curves(data, there, label), data)
 
 
 def settings(plan: Plan) -> dict[str, str]:

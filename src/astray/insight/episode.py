@@ -22,9 +22,9 @@ from astray.analysis.critic import policy_and_value
 from astray.analysis.given import Measure, measured
 from astray.analysis.trained import Agent
 from astray.bounds import finite, of_kind
+from astray.figures import charts
 from astray.game import Variant
 from astray.level import Level
-from astray.report import charts
 from astray.training import ppo
 
 GAMMA, LAMBDA = 0.999, 0.95  # the paper's

@@ -20,6 +20,8 @@ from astray.analysis.tables import write_table
 from astray.analysis.trained import Agent
 from astray.bounds import bounded
 from astray.envs.vector import picture
+from astray.figures.grids import Picture, images
+from astray.figures.style import save
 from astray.files import check_free
 from astray.game import Variant
 from astray.insight import attribution, episode, field_figures, probes
@@ -28,9 +30,7 @@ from astray.insight.fields import cell_of, difference, fields
 from astray.insight.interventions import sees_world
 from astray.level import Level
 from astray.report.findings import Code, Plot, Section, Table
-from astray.report.grids import Picture, images
 from astray.report.page import write_page
-from astray.report.style import save
 
 PAGE = "explain.html"
 WRITER = "astray explain"

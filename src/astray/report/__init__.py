@@ -1,1 +1,1 @@
-"""Claims and charts, for the studies that make them."""
+"""Claims, findings and pages, for the studies that make them."""

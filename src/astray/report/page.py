@@ -39,7 +39,7 @@ def write(
         beside: Results of other agents' report for some claims, from `of_claims`.
         links: Links from the report's folder to scenes of videos in a lab.
     """
-    from astray.report.style import save  # here, as matplotlib takes a second to import
+    from astray.figures.style import save  # here, as matplotlib takes a second to import
 
     for plot in findings.plots:
         save(plot.figure, folder / "figures", plot.name)

@@ -16,10 +16,10 @@ from astray.analysis.runs import LEVELS_PLAYED
 from astray.estimate import Estimate
 from astray.experiments.outcomes import AGENTS
 from astray.experiments.sweep.settings import Sweep
-from astray.report import charts
-from astray.report.axes import COLOURS
+from astray.figures import charts
+from astray.figures.axes import COLOURS
+from astray.figures.grids import cells
 from astray.report.findings import Findings, Heading, Plot, Table
-from astray.report.grids import cells
 from astray.training.config import PRESETS, Config
 from astray.training.settings import KNOB
 

@@ -14,10 +14,10 @@ from astray.agency.maps import MAPS
 from astray.agency.measure import CALIBRATED, PAPER, PRESETS, TRUE, Episode, measure
 from astray.analysis.estimates import estimate_mean
 from astray.experiments.spec import Experiment, Plan, Work
-from astray.report import charts
+from astray.figures import charts
+from astray.figures.grids import Picture, images
 from astray.report.claims import Claim
 from astray.report.findings import Findings, Plot, Table
-from astray.report.grids import Picture, images
 
 LOST = "capability failure"
 NEVER_ON_WAY = "capability failure, never on its way"

@@ -17,12 +17,12 @@ from astray.estimate import Estimate
 from astray.experiments.levels import levels_of
 from astray.experiments.spec import Experiment, Plan, Test, Work
 from astray.experiments.studies.insight._plans import CORNER_MOUSE, of_levels
+from astray.figures import charts
 from astray.game import Variant
 from astray.insight.directedness import directedness
 from astray.insight.fields import Field, each_field
 from astray.insight.probes import untrained
 from astray.level import Cell
-from astray.report import charts
 from astray.report.claims import Claim, above, near_zero
 from astray.report.findings import Findings, Plot, Table
 from astray.training.config import PRESETS

@@ -15,11 +15,11 @@ from astray.analysis.adapters import Function
 from astray.analysis.evaluate import evaluate
 from astray.analysis.runs import open_run
 from astray.experiments.spec import PUBLISHED, Plan, Size
+from astray.figures import charts
 from astray.game import Variant
 from astray.games.coinrun.rules import ACTIONS
 from astray.published.imported import SPARED
 from astray.record import LEVELS
-from astray.report import charts
 from astray.training.config import PRESETS, Config
 
 FATES = ("#2fa393", "#f0a03c", "#8c8c92", "#d2d2ce")  # as of outcomes; who died is darker

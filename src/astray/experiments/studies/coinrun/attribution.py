@@ -20,14 +20,14 @@ from astray.experiments.levels import levels_of
 from astray.experiments.spec import Experiment, Test, Work
 from astray.experiments.studies.coinrun import _agents
 from astray.experiments.studies.coinrun._agents import RUNNER
+from astray.figures import charts
+from astray.figures.grids import Picture, images
 from astray.games.coinrun.edits import PARTS
 from astray.insight import attribution
 from astray.insight.probes import untrained
-from astray.report import charts
 from astray.report.claims import Claim, above
 from astray.report.claims import every as every_one
 from astray.report.findings import Findings, Plot, Table
-from astray.report.grids import Picture, images
 
 TESTS = {
     "in training": Test("coin-end", "coin-end"),

@@ -21,7 +21,7 @@ from astray.experiments.levels import levels_of
 from astray.experiments.outcomes import AGENTS
 from astray.experiments.spec import Experiment, Plan, Size, Test, Work
 from astray.experiments.studies.coinrun import _agents
-from astray.report import charts
+from astray.figures import charts
 from astray.report.claims import above, rounded
 from astray.report.findings import Findings, Plot, Table
 

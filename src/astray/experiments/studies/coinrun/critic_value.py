@@ -15,9 +15,9 @@ from astray.experiments.levels import levels_of
 from astray.experiments.spec import Experiment, Test, Work
 from astray.experiments.studies.coinrun import _agents
 from astray.experiments.studies.coinrun._agents import RUNNER
+from astray.figures import charts
 from astray.games.coinrun import edits, measures
 from astray.games.coinrun.measures import STAGES
-from astray.report import charts
 from astray.report.claims import Claim, above, every, near_zero, rounded
 from astray.report.findings import Findings, Plot, Table
 

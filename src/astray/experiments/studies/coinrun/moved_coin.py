@@ -16,8 +16,8 @@ from astray.experiments.levels import levels_of
 from astray.experiments.spec import Experiment, Test, Work
 from astray.experiments.studies.coinrun import _agents
 from astray.experiments.studies.coinrun._agents import RIGHT_AND_JUMP, RUNNER
+from astray.figures import charts
 from astray.games.coinrun.rules import HALF, TALL
-from astray.report import charts
 from astray.report.claims import above, near_zero, rounded
 from astray.report.findings import Findings, Plot, Scene, Table, Video
 

@@ -18,11 +18,11 @@ from astray.experiments.outcomes import AGENTS
 from astray.experiments.spec import Experiment, Test, Work
 from astray.experiments.studies.coinrun import _agents
 from astray.experiments.studies.coinrun._agents import RUNNER
+from astray.figures import charts
+from astray.figures.grids import Picture, images
 from astray.games.coinrun import measures
-from astray.report import charts
 from astray.report.claims import above, rounded
 from astray.report.findings import Findings, Plot, Table, Video
-from astray.report.grids import Picture, images
 
 COLUMNS = 15  # of the wall
 ANYWHERE, AT_END, NONE = "coin anywhere", "coin at the end", "no coin"

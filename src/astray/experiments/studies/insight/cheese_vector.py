@@ -13,10 +13,10 @@ from astray.estimate import Estimate
 from astray.experiments.spec import Experiment, Size, Work
 from astray.experiments.studies.insight import _plans
 from astray.experiments.studies.insight._plans import of_levels, opened, table_of
+from astray.figures import charts
 from astray.game import Variant
 from astray.games.maze.measures import decision
 from astray.insight.vectors import Condition, effects, object_vectors
-from astray.report import charts
 from astray.report.claims import Claim, above, below, near_zero
 from astray.report.findings import Findings, Plot, Table
 

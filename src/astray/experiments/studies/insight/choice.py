@@ -12,9 +12,9 @@ from astray.estimate import Estimate
 from astray.experiments.spec import Experiment, Test, Work
 from astray.experiments.studies.insight import _plans
 from astray.experiments.studies.insight._plans import opened
+from astray.figures import charts
 from astray.game import Variant
 from astray.insight.behaviour import Prediction, level_features, predict
-from astray.report import charts
 from astray.report.claims import Claim, above, below
 from astray.report.findings import Findings, Plot, Table
 

@@ -17,11 +17,11 @@ from astray.experiments.spec import Experiment, Size, Test, Work
 from astray.experiments.studies.coinrun import _agents
 from astray.experiments.studies.insight import _plans
 from astray.experiments.studies.insight._plans import opened
+from astray.figures import charts
 from astray.game import Variant
 from astray.games.coinrun.edits import with_coin_in_view, without_coin
 from astray.games.coinrun.measures import LABELS, coin_in_view
 from astray.insight import probes
-from astray.report import charts
 from astray.report.claims import above, below
 from astray.report.findings import Findings, Plot, Table
 

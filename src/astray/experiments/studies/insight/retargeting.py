@@ -14,11 +14,11 @@ from astray.estimate import Estimate
 from astray.experiments.spec import Experiment, Size, Work
 from astray.experiments.studies.insight import _plans
 from astray.experiments.studies.insight._plans import opened, table_of
+from astray.figures.grids import Picture, images
 from astray.game import Variant
 from astray.insight.retarget import ALONE, AS_IS, CLAMPED, MOVED, WAYS, Clamp, following, retarget
 from astray.report.claims import Claim, above, near_zero
 from astray.report.findings import Findings, Plot, Table
-from astray.report.grids import Picture, images
 
 WHERE = "cheese anywhere"
 LAYER: Mapping[Size, str] = {"smoke": "spread", "published": "block2.residual1"}

@@ -14,8 +14,8 @@ from astray.analysis.outcomes import matrix
 from astray.analysis.policies import Walk
 from astray.experiments.outcomes import AGENTS
 from astray.experiments.spec import Work
+from astray.figures import charts
 from astray.games.keys.measures import discounted_return, keys_beyond_need, keys_in_hand
-from astray.report import charts
 from astray.report.findings import Plot, Table
 
 NEED = Walk("chests").name  # fetches only what it needs

@@ -18,8 +18,8 @@ from astray.experiments import outcomes
 from astray.experiments.levels import levels_of, unmet
 from astray.experiments.outcomes import AGENTS, share
 from astray.experiments.spec import Experiment, Plan, Test, Work
+from astray.figures import charts
 from astray.game import Variant
-from astray.report import charts
 from astray.report.claims import Claim, above, rounded
 from astray.report.findings import Findings, Plot, Scene, Table, Video
 from astray.training import folders

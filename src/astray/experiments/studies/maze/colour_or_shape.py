@@ -14,12 +14,12 @@ from astray.experiments import outcomes
 from astray.experiments.outcomes import AGENTS, share
 from astray.experiments.spec import Experiment, Plan, Work, tests_of
 from astray.experiments.studies.maze import maze_corner
+from astray.figures.axes import COLOURS as OF_OUTCOMES
+from astray.figures.axes import LINES
+from astray.figures.grids import cells
 from astray.games.maze.variants import COLOURS, EASY, SHAPES
-from astray.report.axes import COLOURS as OF_OUTCOMES
-from astray.report.axes import LINES
 from astray.report.claims import Claim, above, rounded
 from astray.report.findings import Findings, Plot, Table
-from astray.report.grids import cells
 from astray.training.config import PRESETS
 
 COLOUR, SHAPE = "yellow", "line"  # of the object in training

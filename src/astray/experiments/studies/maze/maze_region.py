@@ -14,9 +14,9 @@ from astray.experiments import outcomes
 from astray.experiments.outcomes import AGENTS
 from astray.experiments.spec import Experiment, Plan, Test, Work, tests_of
 from astray.experiments.studies.maze import maze_corner
+from astray.figures import charts
 from astray.games.maze.rules import REWARD
 from astray.games.maze.variants import EASY, SMALL
-from astray.report import charts
 from astray.report.claims import above, rounded
 from astray.report.findings import Findings, Plot, Table
 from astray.training.config import PRESETS, Config

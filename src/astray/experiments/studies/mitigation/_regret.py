@@ -14,7 +14,7 @@ from astray.analysis.outcomes import INTENDED, MISGENERALIZED, matrix
 from astray.experiments import outcomes
 from astray.experiments.outcomes import AGENTS
 from astray.experiments.spec import Experiment, Plan, Work, tests_of
-from astray.report import charts
+from astray.figures import charts
 from astray.report.claims import Claim, above, below, rounded
 from astray.report.findings import Findings, Plot, Table
 from astray.training.config import PRESETS, Config

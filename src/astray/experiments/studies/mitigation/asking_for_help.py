@@ -19,6 +19,7 @@ from astray.analysis.trained import Agent
 from astray.experiments.levels import unmet
 from astray.experiments.spec import PUBLISHED, Experiment, Plan, Runs, Work
 from astray.experiments.studies.coinrun import _agents as coin
+from astray.figures import charts
 from astray.games.coinrun import measures
 from astray.mitigation import oversight
 from astray.mitigation.helped import AFTER, MOMENTS, Watch
@@ -32,7 +33,6 @@ from astray.mitigation.uncertainty import (
     Score,
     distances,
 )
-from astray.report import charts
 from astray.report.claims import Claim, rounded
 from astray.report.findings import Findings, Plot, Table
 from astray.training import folders

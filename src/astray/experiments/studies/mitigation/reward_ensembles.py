@@ -10,8 +10,8 @@ from astray.acting import initial_states
 from astray.analysis.estimates import Estimate, estimate_mean
 from astray.envs.vector import GameVectorEnv
 from astray.experiments.spec import Experiment, Plan, Work
+from astray.figures import charts
 from astray.mitigation.hypotheses import Frames, agreement, chosen_rightly, train_heads
-from astray.report import charts
 from astray.report.claims import above, below, rounded
 from astray.report.findings import Findings, Plot, Table
 

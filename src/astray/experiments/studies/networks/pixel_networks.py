@@ -10,7 +10,7 @@ from astray.analysis.estimates import estimate_difference, over_agents
 from astray.estimate import Estimate
 from astray.experiments import outcomes
 from astray.experiments.spec import Experiment, Plan, Work
-from astray.report import charts
+from astray.figures import charts
 from astray.report.claims import Claim, above
 from astray.report.findings import Findings, Plot, Table
 from astray.training.config import PRESETS, Config

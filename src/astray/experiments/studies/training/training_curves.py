@@ -10,7 +10,7 @@ from astray.experiments.spec import PUBLISHED, Experiment, Plan, Size, Work
 from astray.experiments.studies.coinrun import critic_value
 from astray.experiments.studies.keys import keys_and_chests
 from astray.experiments.studies.maze import colour_or_shape, maze_corner, maze_region
-from astray.report import charts
+from astray.figures import charts
 from astray.report.claims import Claim, above
 from astray.report.findings import Findings, Plot, Table
 

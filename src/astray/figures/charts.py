@@ -12,14 +12,11 @@ from itertools import cycle
 from typing import Any
 
 import matplotlib
-import numpy as np
 import polars as pl
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from astray.analysis.estimates import over_agents
-from astray.analysis.outcomes import FAILED, INTENDED, MISGENERALIZED
-from astray.report.axes import (
+from astray.figures.axes import (
     BASES,
     COLOURS,
     as_percent,
@@ -35,7 +32,8 @@ from astray.report.axes import (
     whiskers_of,
     write_legend,
 )
-from astray.report.style import FAINT, INK, STYLE, WIDTH
+from astray.figures.style import FAINT, INK, STYLE, WIDTH
+from astray.outcome import FAILED, INTENDED, MISGENERALIZED
 
 ENDS = ("#a3a39d", "#c9b8a4", "#8f9aa8", "#b9a9b9")  # of other ends than those of all games
 HATCHES = ("//", "", "..", "\\\\", "xx", "--", "||")
@@ -318,43 +316,3 @@ def _stack(
             left += share
     name_rows(axes, list(rows))
     axes.set_xlim(0, 1)
-
-
-def learning_curves(data: pl.DataFrame, series: Mapping[str, str], label: str) -> Figure:
-    """Draw metrics during training: a thin line for each seed, a thick one for the mean.
-
-    The band is the mean's 95 % interval, Student's t over seeds. Agents of several names have axes
-    of their own.
-
-    Args:
-        data: Columns seed, steps, those of `series`, and agent if there are several names; nulls
-            are skipped.
-        series: Column -> its label.
-        label: Label of the axis of values.
-    """
-    agents = names_of(data, "agent") if "agent" in data else [""]
-    parts = []
-    for agent in agents:
-        for column, name in series.items():
-            mine = data.filter(pl.col("agent") == agent) if agent else data
-            value = pl.col(column).cast(pl.Float64).fill_nan(None)
-            values = mine.select("seed", steps=pl.col("steps") / 1e6, mean=value).drop_nulls("mean")
-            one = pl.concat([_over_seeds(values), values], how="diagonal_relaxed")
-            parts.append(one.with_columns(series=pl.lit(name), agent=pl.lit(agent)))
-    return curves(
-        pl.concat(parts, how="diagonal_relaxed"), x="steps", line="series", each="seed",
-        panel="agent" if len(agents) > 1 else None, columns=3, label=label,
-        x_label="million environment steps" if len(agents) == 1 else "million steps",
-    )  # fmt: skip
-
-
-def _over_seeds(values: pl.DataFrame) -> pl.DataFrame:
-    """Return the mean and its band at the steps where every seed has a value."""
-    seeds = values["seed"].n_unique()
-    every = values.group_by("steps").agg("mean").sort("steps")
-    every = every.filter(pl.col("mean").list.len() == seeds)
-    if seeds < 2 or every.is_empty():
-        return every.with_columns(pl.col("mean").list.mean(), seed=pl.lit(None, pl.Int64))
-    mean, low, high = over_agents(np.array(every["mean"].to_list()).T)
-    band = {"mean": mean, "low": low, "high": high, "seed": [None] * len(every)}
-    return pl.DataFrame({"steps": every["steps"]} | band, schema_overrides={"seed": pl.Int64})

@@ -12,8 +12,8 @@ import polars as pl
 from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.figure import Figure
 
-from astray.report.axes import parts_of, ticks_of
-from astray.report.style import INK, OTHERS, STYLE, WIDTH
+from astray.figures.axes import parts_of, ticks_of
+from astray.figures.style import INK, OTHERS, STYLE, WIDTH
 
 EMPTY = "#eeeeec"  # where a picture shows nothing
 

@@ -14,8 +14,8 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import PercentFormatter
 
-from astray.analysis.outcomes import FAILED, INTENDED, MISGENERALIZED
-from astray.report.style import INK, OTHERS, WIDTH
+from astray.figures.style import INK, OTHERS, WIDTH
+from astray.outcome import FAILED, INTENDED, MISGENERALIZED
 
 # Told apart by every kind of colour vision, and light enough to be written on.
 COLOURS = {MISGENERALIZED: "#f0a03c", INTENDED: "#2fa393", FAILED: "#d2d2ce"}

@@ -1,0 +1,1 @@
+"""Figures: charts of measured values, and pictures with overlays."""
