@@ -12,17 +12,29 @@ from typing import Any, Literal, Self
 import numpy as np
 
 from astray.bounds import MOST, bounded, finite, of_kind, shown
-from astray.protocols import Cells, Editing, Levels, Mutating, Places, Rules, Solver, Symbols
+from astray.protocols import (
+    Cells,
+    Editing,
+    Levels,
+    Mutating,
+    Places,
+    Rules,
+    Solver,
+    Sprites,
+    Symbols,
+)
 from astray.record import check_states, record_dtype
 
 OWN = "own"  # name of astray's own art
 Mutation = Literal["constant", "identity", "binomial"]  # kind of edits, and how often
 MUTATIONS: tuple[Mutation, ...] = typing.get_args(Mutation)
 MOST_EDITS = 10_000  # of a level; some 50 ms
-ABILITIES = ("symbols", "editing", "solver", "mutation", "places", "cells", "benchmark")
+ABILITIES = (
+    "symbols", "editing", "solver", "mutation", "places", "cells", "sprites", "benchmark"
+)  # fmt: skip
 PARTS = {
     "rules": Rules, "levels": Levels, "symbols": Symbols, "editing": Editing, "solver": Solver,
-    "mutation": Mutating, "places": Places, "cells": Cells,
+    "mutation": Mutating, "places": Places, "cells": Cells, "sprites": Sprites,
 }  # fmt: skip
 KINDS = {int: np.int64, float: np.float64, bool: np.bool_}
 
@@ -267,6 +279,7 @@ class Game:
     mutation: Mutating = None  # pyright: ignore
     places: Places = None  # pyright: ignore
     cells: Cells = None  # pyright: ignore
+    sprites: Sprites = None  # pyright: ignore
     benchmark: Benchmark = None  # pyright: ignore
     ends: Mapping[str, Outcome] = field(default_factory=dict)  # neither goals nor proxies,
     # for instance "died": labels of episodes that reached no goal, instead of failure

@@ -5,7 +5,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
 from typing import Any, Protocol
 
 import numpy as np
@@ -191,6 +192,36 @@ class Cells(Protocol):
     @property
     def target(self) -> Callable[[Any, str], tuple[int, int] | None]:
         """Function (s, goal) -> cell of the goal, or None if the level lacks it."""
+        ...
+
+
+class Sprites(Protocol):
+    """Vector drawings of a game of cells, with which the lab draws it.
+
+    Examples:
+        >>> lava = astray.games.find("lavaland").sprites
+        >>> lava.PICTURES["G"], lava.agent(astray.acting.initial_states("lavaland", "dry", [0])[0])
+        (('cheese',), 'mouse')
+    """
+
+    @property
+    def DRAWINGS(self) -> Mapping[str, Path]:
+        """Name of a drawing -> its SVG file."""
+        ...
+
+    @property
+    def FLOORS(self) -> Sequence[str]:
+        """Names of the drawings below everything, which take turns like a chessboard's."""
+        ...
+
+    @property
+    def PICTURES(self) -> Mapping[str, Sequence[str]]:
+        """Character of `Editing.LEGEND` -> names of the drawings in such a cell, lowest first."""
+        ...
+
+    @property
+    def agent(self) -> Callable[[Any], str]:
+        """Function (s) -> name of the agent's drawing."""
         ...
 
 

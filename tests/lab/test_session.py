@@ -17,7 +17,7 @@ from astray.lab import agents
 from astray.lab.agents import Agents
 from astray.lab.messages import LARGEST, read
 from astray.lab.serving import make_lab
-from astray.lab.session import ANSWERS, Session
+from astray.lab.session import ANSWERS, Session, about_game, drawings
 from astray.lab.worlds import read_world
 from astray.level import Level
 from astray.training import checkpoint
@@ -84,6 +84,21 @@ def test_hello_tells_games_and_agents(session):
     assert about["agents"]["maze-corner"]["game"] == "maze"
     assert "anywhere" not in about["agents"]["maze-corner"]["variants"]  # of 25 cells
     assert about["start"]["variant"] == "anywhere-small"
+
+
+def test_a_page_gets_every_drawing_that_a_world_of_cells_is_made_of():
+    worlds = [game for game in map(games.find, games.OWN) if game.sprites]
+    assert len(worlds) > 7
+    for game in worlds:
+        about, art = about_game(game), drawings(game)
+        named = {
+            *about["floors"],
+            *(name for names in about["pictures"].values() for name in names),
+        }
+        assert about["pictures"].keys() == about["legend"].keys()
+        assert named <= art.keys() and all("<svg" in text for text in art.values())
+    art, (s,) = drawings(games.find("lavaland")), initial_states("lavaland", "dry", [0])
+    assert games.find("lavaland").sprites.agent(s) in art
 
 
 def test_what_rewards_were_divided_by_is_told_where_it_was_kept(tmp_path, monkeypatch):

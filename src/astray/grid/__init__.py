@@ -15,7 +15,7 @@ import numpy as np
 from astray.game import Benchmark, Game, Outcome, Shift
 from astray.grid import abilities
 from astray.grid.abilities import Cells, World, where
-from astray.grid.looks import looks, symbols
+from astray.grid.looks import looks, sprites, symbols
 
 __all__ = ["Cells", "where", "world"]
 
@@ -70,17 +70,18 @@ def world(
         {goal: event for goal, event in goals.items() if isinstance(event, str)},
         seek, module.furnish, level_fields or {}, bounds or {},
     )  # fmt: skip
-    there = abilities.places(made)
+    there, art = abilities.places(made), Path(module.__file__).parent / "art"
 
     def invariants(s: np.ndarray, variant: Any) -> dict[str, np.ndarray]:
         return made.truths(s)
 
     return Game(
         name, about, module, module,
-        looks(Path(module.__file__).parent / "art", side, kinds, agents),
+        looks(art, side, kinds, agents),
         variants, goals, shifts,
         symbols=symbols(side, len(kinds) + len(agents), centred),
         editing=abilities.editing(made), solver=abilities.solver(made),
-        places=there, cells=there, benchmark=Benchmark(next(iter(variants))),
+        places=there, cells=there, sprites=sprites(art, made.pictures(), agents),
+        benchmark=Benchmark(next(iter(variants))),
         invariants=invariants, **rest,
     )  # fmt: skip

@@ -58,6 +58,14 @@ class World:
         }
         return {".": 0} | things | movers | both
 
+    def pictures(self) -> dict[str, tuple[str, ...]]:
+        """Return the names of the kinds that a character of a drawing stands for."""
+        kinds = [*self.things.values(), *self.movers.values()]
+        return {
+            char: tuple(kinds[part - 1] for part in reversed(divmod(code, OVER)) if part)
+            for char, code in self.legend().items()
+        }
+
     def truths(self, s: np.ndarray) -> dict[str, np.ndarray]:
         """Return facts about states [N] that compiled code relies on."""
         things, kinds = len(self.things), len(self.things) + len(self.movers)

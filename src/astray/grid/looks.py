@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -115,6 +115,30 @@ def looks(folder: Path, side: int, kinds: Sequence[str], agents: Sequence[str]) 
     return {OWN: Looks(OWN, background, foreground, art, scene_shape)}
 
 
+def drawing(folder: Path, name: str) -> Path:
+    """Return the SVG file of a thing: in `folder`, or else shared by all worlds."""
+    name = "wall-grid" if name == "wall" else name
+    there = folder if (folder / f"{name}.png").is_file() else SHARED
+    return there / f"{name}.svg"
+
+
+def sprites(folder: Path, pictures: Mapping[str, Sequence[str]], agents: Sequence[str]) -> Any:
+    """Return the drawings of a world for pages.
+
+    Args:
+        folder: Folder of its drawings.
+        pictures: Character -> names of the kinds in such a cell.
+        agents: Names of the agent's drawings, by what it holds.
+    """
+    names = {*FLOORS, *agents}.union(*pictures.values())
+    return SimpleNamespace(
+        DRAWINGS={name: drawing(folder, name) for name in sorted(names)},
+        FLOORS=FLOORS,
+        PICTURES=pictures,
+        agent=lambda s: agents[int(s.held)],
+    )
+
+
 @functools.cache
 def _art(
     folder: Path, side: int, kinds: tuple[str, ...], agents: tuple[str, ...]
@@ -122,9 +146,8 @@ def _art(
     """Return floors [2, S, S, 3], kinds [K, S, S, 4], agents [H, S, S, 4], of S pixels a side."""
 
     def load(name: str) -> np.ndarray:
-        name = "wall-grid" if name == "wall" else name
-        there = folder if (folder / f"{name}.png").is_file() else SHARED
-        return own.resize(own.load(there, name), side, side)
+        path = drawing(folder, name).with_suffix(".png")
+        return own.resize(own.load(path.parent, path.stem), side, side)
 
     floors, sprites, agent = ([load(n) for n in names] for names in (FLOORS, kinds, agents))
     # All contiguous, or compiled code would be compiled anew for another layout.

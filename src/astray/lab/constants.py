@@ -12,6 +12,7 @@ from astray import record
 from astray.games.coinrun import draw as coinrun_draw
 from astray.games.coinrun import levels as coinrun_levels
 from astray.games.coinrun import rules as coinrun_rules
+from astray.games.heist import rules as heist_rules
 from astray.games.keys import draw as keys_draw
 from astray.games.keys import levels as keys_levels
 from astray.games.keys import rules as keys_rules
@@ -39,6 +40,7 @@ TABLES: dict[str, tuple[tuple[ModuleType, str], ...]] = {
         (keys_variants, "INVENTORIES"),
         (keys_levels, "LEGEND STOOD_ON"),
     ),
+    "heist": ((heist_rules, "COLOURS KEY DOOR_CODE GEM"),),
     "coinrun": (
         (coinrun_rules, "WORLD PUFFS REWARD EMPTY WALL TOP LAVA LAVA_TOP BARRIER COIN INVISIBLE"),
         (coinrun_rules, "PERMEABLE NOTHING CRATE SAW HALF TALL CORNER NEAR FOOT GRAVITY JUMP"),

@@ -27,7 +27,7 @@ from astray.insight.fields import states_at
 from astray.lab.agents import Agents, places, sees
 from astray.lab.server import files
 from astray.lab.session import FORMAT, Lab, about_game, drawings
-from astray.lab.worlds import is_drawn
+from astray.lab.worlds import is_played
 from astray.level import Level
 from astray.training.config import Config
 
@@ -72,8 +72,8 @@ def _check_exportable(lab: Lab, agents: Sequence[str]) -> None:
     """Raise ValueError where the page could not play a game or show an agent without Python."""
     opened = {name: lab.agents.open(name) for name in agents}
     for game in dict.fromkeys((lab.start["game"], *(config.game for _, config in opened.values()))):
-        if not is_drawn(games.find(game)):
-            drawn = ", ".join(name for name in games.OWN if is_drawn(games.find(name)))
+        if not is_played(games.find(game)):
+            drawn = ", ".join(name for name in games.OWN if is_played(games.find(name)))
             raise ValueError(
                 f"{game} must be a game of astray's own to be exported: without Python, a page "
                 f"plays {drawn}; the lab itself shows any game, without --export"
@@ -98,7 +98,7 @@ def _chosen(lab: Lab) -> list[str]:
 
 
 def _playable(agents: Agents, name: str) -> bool:
-    return is_drawn(games.find(agents.open(name)[0].game))
+    return is_played(games.find(agents.open(name)[0].game))
 
 
 def _write_page(folder: Path) -> None:

@@ -109,6 +109,7 @@ def hello(session: Session, message: Message) -> Iterator[Reply]:
 def about_game(game: Game) -> Reply:
     """Return the page's description of a game."""
     legend = dict(game.editing.LEGEND) if game.editing else {}
+    sprites = game.sprites
     return {
         "about": game.about,
         "actions": list(game.actions),
@@ -125,6 +126,10 @@ def about_game(game: Game) -> Reply:
         "real_time": game.real_time,
         "solver": bool(game.solver),
         "editing": bool(game.editing),
+        "floors": list(sprites.FLOORS) if sprites else [],
+        "pictures": {char: list(names) for char, names in sprites.PICTURES.items()}
+        if sprites
+        else {},
     }
 
 
@@ -134,11 +139,14 @@ def art(session: Session, message: Message) -> Iterator[Reply]:
 
 
 def drawings(game: Game) -> dict[str, str]:
-    """Return the SVG files beside a game's rules."""
-    path = vars(game.rules).get("__file__")
-    folder = Path(path).parent / "art" if isinstance(path, str) else None
-    files = sorted(folder.glob("*.svg")) if folder else []
-    return {file.stem: file.read_text(encoding="utf-8") for file in files}
+    """Return a game's drawings as SVG, of its sprites or the files beside its rules."""
+    if game.sprites:
+        files = dict(game.sprites.DRAWINGS)
+    else:
+        path = vars(game.rules).get("__file__")
+        folder = Path(path).parent / "art" if isinstance(path, str) else None
+        files = {file.stem: file for file in sorted(folder.glob("*.svg"))} if folder else {}
+    return {name: file.read_text(encoding="utf-8") for name, file in files.items()}
 
 
 def level(session: Session, message: Message) -> Iterator[Reply]:

@@ -122,12 +122,18 @@ def is_drawn(game: Game) -> bool:
     return (PAGE / "games" / f"{game.name}.js").is_file()
 
 
+def is_played(game: Game) -> bool:
+    """Return whether the page can play the game without Python."""
+    return (PAGE / "rules" / f"{game.name}.js").is_file()
+
+
 def snapshot(game: Game, s: Any) -> dict[str, Any]:
     """Return a state as plain data: the agent's place and everything that moves."""
     fields = {name: np.asarray(s[name]).tolist() for name in shown_fields(game)}
     if is_drawn(game):
         return fields
-    return fields | {"agent": game.editing.centre(s), "grid": game.editing.grid(s).tolist()}
+    fields |= {"agent": game.editing.centre(s), "grid": game.editing.grid(s).tolist()}
+    return fields | ({"picture": game.sprites.agent(s)} if game.sprites else {})
 
 
 @dataclass(eq=False)

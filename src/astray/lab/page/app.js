@@ -69,6 +69,12 @@ export class Lab {
     return lookOf(this.game);
   }
 
+  // The actions that no arrow key stands for; single letters do nothing.
+  get further() {
+    const keys = /^(stay|(left|right)?-?(up|down)?)$/;
+    return this.rules.actions.filter((name) => name.length > 1 && !keys.test(name));
+  }
+
   get rules() {
     return this.about.games[this.game];
   }

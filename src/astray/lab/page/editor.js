@@ -145,7 +145,9 @@ export class Editor {
       Home: () => lab.go(0), ",": () => lab.go(lab.now - 1), ".": () => lab.go(lab.now + 1),
       n: () => lab.step(), h: () => lab.handOver(),
     };
-    if (key in others) this.#do(event, others[key]);
+    const further = lab.further[Number(key) - 1];
+    if (further) this.#do(event, () => lab.act(further));
+    else if (key in others) this.#do(event, others[key]);
     else if (this.cursor) this.#steer(event, key);
     else if (key in KEYS || key === " ") this.#do(event, () => this.#play(key));
   }

@@ -115,6 +115,7 @@ export class Panels {
     const seen = about.agents[lab.agent]?.variants ?? Object.keys(lab.rules.variants);
     options(part("variant"), seen.map((name) => [name, `${name}: ${lab.rules.variants[name]}`]), lab.variant);
     this.#tools();
+    this.#acts();
     const others = Object.entries(about.agents)
       .filter(([name, a]) => name !== lab.agent && a.game === game && a.variants.includes(lab.variant));
     const layers = Object.entries(about.agents[lab.agent]?.layers ?? {});
@@ -156,6 +157,17 @@ export class Panels {
         lab.editor.tool = name;
         this.#tools();
       });
+      return button;
+    }));
+  }
+
+  // What a person may do beside what the arrow keys say: pick up, drop.
+  #acts() {
+    const { lab } = this;
+    this.part("acts").replaceChildren(...lab.further.map((name, k) => {
+      const button = document.createElement("button");
+      [button.textContent, button.title] = [capital(name), `${name} (${k + 1})`];
+      button.addEventListener("click", () => lab.act(name));
       return button;
     }));
   }

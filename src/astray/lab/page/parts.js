@@ -14,7 +14,7 @@ export function options(select, pairs, chosen) {
 
 // What an object or goal is called: the goal of a maze by what it is.
 export function named(lab, name) {
-  if (name !== "goal") return name;
+  if (name !== "goal" || lab.look.plain) return name;
   return lab.panels.shift?.intended ?? name;
 }
 

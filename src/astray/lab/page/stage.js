@@ -86,11 +86,11 @@ export class Stage {
     const brush = new Brush(paint, scale, top);
     const pictures = lab.pictures[lab.game];
     if (!pictures) return;
-    lab.look.still(brush, lab.level, state, pictures, lab.rules.legend);
+    lab.look.still(brush, lab.level, state, pictures, lab.rules);
     this.#heat(brush);
     below();
     if (lab.broken) this.#things(brush, pictures);
-    else lab.look.moving(brush, lab.level, state, pictures);
+    else lab.look.moving(brush, lab.level, state, pictures, lab.rules);
   }
 
   // A level that cannot begin has no state: its objects are drawn from its cells.
@@ -187,12 +187,15 @@ export class Stage {
     const { states } = this.lab.episode;
     paint.beginPath();
     for (let t = 0; t <= this.lab.now && t < states.length; t++) {
-      paint[t ? "lineTo" : "moveTo"](states[t].x * scale, (top - states[t].y) * scale);
+      const [x, y] = states[t].agent ?? [states[t].x, states[t].y];
+      paint[t ? "lineTo" : "moveTo"](x * scale, (top - y) * scale);
     }
-    paint.strokeStyle = "rgba(30, 30, 30, 0.4)";
-    paint.lineWidth = Math.max(1.5, 0.06 * scale);
     paint.setLineDash([0.16 * scale, 0.12 * scale]);
-    paint.stroke();
+    for (const [style, width] of [["rgba(255, 255, 255, 0.5)", 0.1], ["rgba(30, 30, 30, 0.5)", 0.06]]) {
+      paint.strokeStyle = style;
+      paint.lineWidth = Math.max(1.5, width * scale);
+      paint.stroke();
+    }
     paint.setLineDash([]);
   }
 

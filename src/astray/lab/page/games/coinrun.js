@@ -1,13 +1,13 @@
 // How the lab draws CoinRun: the whole level, and the part of it that the agent sees.
 
-import { eachCell } from "./common.js";
+import { eachCell, heading } from "./common.js";
 import { coinrun } from "../rules/constants.js";
 
 const { GROUNDS, RUNNERS, POSES, VIEW, TALL, RUNNER_HEIGHT: HIGH } = coinrun;
 const SKY = "#cfe3ea";
 
 export const look = {
-  still, moving, direction, agent: "runner-beige-stand", wall: 1, view: VIEW, proxies, wide,
+  still, moving, direction: heading, agent: "runner-beige-stand", wall: 1, view: VIEW, proxies, wide,
 };
 
 function still(brush, { grid, looks }, s, pictures) {
@@ -66,10 +66,4 @@ function wide({ grid }, s) {
   }));
   const columns = Math.min(grid[0].length, s.end_x + (s.permeable || 0) + 4);
   return [columns, Math.min(grid.length, Math.max(top + 6, 13))];
-}
-
-function direction(name) {
-  const x = name.startsWith("left") ? -1 : name.startsWith("right") ? 1 : 0;
-  const y = /(^|-)up$/.test(name) ? 1 : /(^|-)down$/.test(name) ? -1 : 0;
-  return [x, y];
 }

@@ -39,3 +39,10 @@ export class Brush {
 export function eachCell(grid, visit) {
   grid.forEach((row, y) => row.forEach((what, x) => visit(what, x, y)));
 }
+
+// Where an action leads by its name: [x, y], each -1, 0 or 1.
+export function heading(name) {
+  const x = name.startsWith("left") ? -1 : name.startsWith("right") ? 1 : 0;
+  const y = /(^|-)up$/.test(name) ? 1 : /(^|-)down$/.test(name) ? -1 : 0;
+  return [x, y];
+}

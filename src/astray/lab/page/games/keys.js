@@ -1,51 +1,12 @@
 // How the lab draws Keys and Chests.
 
-import { eachCell } from "./common.js";
+import { look as thief } from "./thief.js";
 import { keys } from "../rules/constants.js";
 
-const FLOORS = "#e9e4dc";
 const { KEY } = keys;
+const isKey = (s, k) => s.what[k] === KEY;
 
-export const look = { still, moving, direction, agent: "thief-right", wall: 1, proxies: () => ({}) };
-
-function still(brush, { grid }, s, pictures) {
-  const wall = pictures.get("wall-brick");
-  eachCell(grid, (what, x, y) => {
-    if (what === 1) brush.tile(wall, x, y);
-    else brush.fill(FLOORS, x, y);
-  });
-}
-
-function moving(brush, level, s, pictures) {
-  for (let k = 0; k < s.objects; k++) {
-    if (s.gone[k] >= 0) continue;
-    const [name, size] = s.what[k] === KEY ? ["key", 0.8] : ["chest", 1];
-    brush.stamp(pictures.get(name), s.object_x[k], s.object_y[k], size);
-  }
-  thief(brush, s, pictures);
-  for (let slot = 0; slot < s.taken - s.opened; slot++) {
-    brush.stamp(pictures.get("icon"), s.world - 0.5 - 0.45 * slot, s.world - 0.5, 0.34, 0.45);
-  }
-}
-
-function thief(brush, s, pictures) {
-  const { paint, scale, top } = brush;
-  const [dx, dy] = [Math.floor(s.facing / 3) - 1, (s.facing % 3) - 1];
-  const oblique = dx !== 0 && dy !== 0;
-  const image = pictures.get(oblique ? "thief-right-up" : "thief-right");
-  const quarters = oblique
-    ? { "1,1": 0, "-1,1": 1, "-1,-1": 2, "1,-1": 3 }[`${dx},${dy}`]
-    : { "1,0": 0, "0,1": 1, "-1,0": 2, "0,-1": 3 }[`${dx},${dy}`];
-  if (!image) return;
-  paint.save();
-  paint.translate(s.x * scale, (top - s.y) * scale);
-  paint.rotate((-(quarters ?? 0) * Math.PI) / 2);
-  paint.drawImage(image, -0.375 * scale, -0.375 * scale, 0.75 * scale, 0.75 * scale);
-  paint.restore();
-}
-
-function direction(name) {
-  const x = name.startsWith("left") ? -1 : name.startsWith("right") ? 1 : 0;
-  const y = /(^|-)up$/.test(name) ? 1 : /(^|-)down$/.test(name) ? -1 : 0;
-  return [x, y];
-}
+export const look = thief(
+  (s, k, pictures) => [pictures.get(isKey(s, k) ? "key" : "chest"), isKey(s, k) ? 0.8 : 1],
+  (s, pictures) => Array(s.taken - s.opened).fill(pictures.get("icon")),
+);

@@ -1,6 +1,6 @@
 // How the lab draws Maze.
 
-import { eachCell } from "./common.js";
+import { eachCell, heading } from "./common.js";
 import { maze } from "../rules/constants.js";
 
 const { WALLS, SHAPES, OTHERS, COLOURS } = maze;
@@ -46,7 +46,6 @@ function proxies(s) {
 
 // Where an action leads: the rules step in x first, and then no more.
 function direction(name) {
-  const x = name.startsWith("left") ? -1 : name.startsWith("right") ? 1 : 0;
-  if (x) return [x, 0];
-  return name === "up" ? [0, 1] : name === "down" ? [0, -1] : [0, 0];
+  const [x, y] = heading(name);
+  return x ? [x, 0] : [0, y];
 }
