@@ -48,7 +48,7 @@ def one_of(kind: str, given: Any, there: Collection[str]) -> None:
 
 
 def integers(given: Any, name: str) -> np.ndarray:
-    """Return `given` as an array of integers.
+    """Return `given` as an array of integers of the same shape.
 
     A float would be truncated silently, and a boolean would become 0 or 1.
 
@@ -63,7 +63,7 @@ def integers(given: Any, name: str) -> np.ndarray:
 
 
 def array_of(given: Any) -> np.ndarray:
-    """Convert to an array; ragged lists become an object array, which callers reject."""
+    """Convert to an array of the same shape; ragged lists become [None], which callers reject."""
     try:
         return np.asarray(given)
     except ValueError:

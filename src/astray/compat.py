@@ -243,7 +243,7 @@ class ProcgenEnv:
     def step(
         self, actions: Any
     ) -> tuple[dict[str, np.ndarray], np.ndarray, np.ndarray, list[dict[str, Any]]]:
-        """Take a step and return its observations, rewards, ends and infos."""
+        """Take a step and return observations, rewards [num_envs], ends [num_envs] and infos."""
         self.step_async(actions)
         return self.step_wait()
 

@@ -41,7 +41,7 @@ def read(path: Path, most: int = LARGEST) -> bytes:
 
 
 def check_readable(path: Path, most: int = LARGEST) -> None:
-    """Raise what `read` would, for a file that a library opens by itself."""
+    """Raise OSError or ValueError as `read` does, for a file that a library opens by itself."""
     _check_regular(path, path.stat(), most)
 
 

@@ -33,7 +33,7 @@ class Placement:
         self._editing, self._solver, self._within, self._at_rest = editing, solver, within, at_rest
 
     def centre(self, states: np.ndarray) -> np.ndarray:
-        """Return the agents' centres [N, 2] float64, in cells."""
+        """Return the agents' centres [N, 2] float64 in `states` [N], in cells."""
         return np.stack([states["x"], states["y"]], -1).astype(np.float64)
 
     def stand(self, s: Any) -> np.ndarray:

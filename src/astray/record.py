@@ -158,5 +158,5 @@ def centre(s: Any) -> list[float]:
 
 
 def within(numbers: np.ndarray, first: int, after: int | np.ndarray) -> np.ndarray:
-    """Return a mask of the `numbers` that are at least `first` and below `after`."""
+    """Return a mask [...] of the `numbers` [...] from `first` to below `after` [...]."""
     return (numbers >= first) & (numbers < after)

@@ -184,7 +184,7 @@ class World:
         return record_dtype([("shifted", np.bool_), ("ended", np.bool_), *told, *counted])
 
     def shown(self, states: np.ndarray, observations: np.ndarray) -> np.ndarray:
-        """Return records of states [N] and their observations.
+        """Return records [N] of states [N] and their observations [N, ...].
 
         Raises:
             ValueError: If the observations are not an array, as those of a Dict space.
@@ -198,7 +198,7 @@ class World:
         return both
 
     def check(self, states: np.ndarray, variant: Any) -> None:
-        """Raise ValueError if states were not made by `shown`."""
+        """Raise ValueError if states [N] were not made by `shown`."""
         if SEEN not in (states.dtype.names or ()):
             raise ValueError(
                 f"states of {self.name} must be those that `critic.visit` returns, with what was "
@@ -260,7 +260,7 @@ class Witness(gymnasium.Wrapper):
         self._waiting: dict[str, Happened] = {}  # events that have not happened
 
     def reset(self, *, seed: int | None = None, options: dict | None = None) -> tuple[Any, dict]:
-        """Begin the level whose number is `seed`."""
+        """Begin the level whose number is `seed`; raise ValueError if the world's code fails."""
         self.level, self.time = NEVER if seed is None else seed, 0
         self.first = dict.fromkeys(self.world.events, NEVER)
         self._waiting = dict(self.world.events)
@@ -273,7 +273,7 @@ class Witness(gymnasium.Wrapper):
         return seen, {**info, NOTED: self._told()}
 
     def step(self, action: Any) -> tuple[Any, float, bool, bool, dict]:
-        """Take a step and record its events."""
+        """Take a step and record its events, with the errors of `reset`: ValueError."""
         self.time += 1
         try:
             seen, reward, terminated, truncated, info = self.env.step(action)

@@ -129,7 +129,7 @@ def log_mixture(seen: Seen, rule: Rule, table: np.ndarray) -> float:
 
 
 def log_mixture_online(seen: Seen, rule: Rule, table: np.ndarray) -> np.ndarray:
-    """Return `log_mixture` of the first t steps for t = 0 to T, [T + 1]."""
+    """Return `log_mixture` of the first t steps for t = 0 to T, [T + 1]; `table` is [kinds, N]."""
     entries: dict[int, np.ndarray] = {}
     rows = [np.zeros(len(rule.eps))]
     for code, kinds in zip(seen.observation.tolist(), seen.kinds, strict=True):

@@ -211,6 +211,9 @@ def decisions(episode: Episode, goals: Mapping[str, Sequence[Cell]], options: Op
     """Return the number of steps at which agents of the named goals would differ.
 
     Only these steps distinguish the goals.
+
+    Raises:
+        ValueError: If a goal has no cell, or one that is not free.
     """
     (episode,) = prepared(episode, options)
     agents = _named_agents(episode, list(goals.values()), options)

@@ -92,7 +92,7 @@ class Process:
         return float(value[self.start])
 
     def soft_values(self, goal: int, beta: float, guess: np.ndarray) -> np.ndarray:
-        """Return the soft values W [S] in nats, by value iteration that starts from `guess`."""
+        """Return the soft values W [S] in nats, by value iteration that starts from `guess` [S]."""
         utility = np.where(self.after == goal, beta, 0.0)
         weights = self.possible / np.maximum(self.possible.sum(1, keepdims=True), 1)
         ends = ~self.possible.any(1)

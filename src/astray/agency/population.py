@@ -47,5 +47,5 @@ def shares(log_evidence: np.ndarray, *, seed: int = 0) -> list[Estimate]:
 
 
 def pooled(log_evidence: np.ndarray) -> np.ndarray:
-    """Return the posterior [H] of a single explanation for all episodes, from equal priors."""
+    """Return the posterior [H] of one explanation for all episodes, from `log_evidence` [E, H]."""
     return softmax(np.asarray(log_evidence, float).sum(0))

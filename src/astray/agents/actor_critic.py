@@ -16,7 +16,7 @@ class ActorCritic(nn.Module):
         return self.heads(self.hidden(observations))
 
     def hidden(self, observations: Tensor) -> Tensor:
-        """Return the features [B, features], of which policy and value are linear functions."""
+        """Return features [B, F] of observations [B, ...]; the heads are linear in them."""
         raise NotImplementedError
 
     def heads(self, features: Tensor) -> tuple[Tensor, Tensor]:
@@ -42,7 +42,7 @@ class Pixels(ActorCritic):
         return self.features(self.see(planes))
 
     def kind(self, observations: Tensor) -> torch.dtype:
-        """Return the dtype of planes, to which the first convolution would round anyway."""
+        """Return the dtype that the first convolution of images [B, H, W, C] rounds to."""
         device = observations.device.type
         if torch.is_autocast_enabled(device):
             return torch.get_autocast_dtype(device)

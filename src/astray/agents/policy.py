@@ -99,7 +99,12 @@ def weights(network: nn.Module, architecture: Architecture, game: str) -> bytes:
 
 
 def load(path: Path, game: str, device: str = "cpu") -> tuple[nn.Module, Architecture]:
-    """Load the network that `weights` wrote to `path`, without executing anything in the file."""
+    """Load the network that `weights` wrote to `path`, without executing anything in the file.
+
+    Raises:
+        FileNotFoundError: If there is no such file.
+        ValueError: If it is not an agent of this game.
+    """
     with _explained(path):
         tensors, architecture = _read(path, game)
         with torch.device("meta"):  # first without memory: a header can promise any size
@@ -110,7 +115,12 @@ def load(path: Path, game: str, device: str = "cpu") -> tuple[nn.Module, Archite
 
 
 def load_into(network: nn.Module, path: Path, game: str) -> None:
-    """Load the weights in `path` into an existing `network`."""
+    """Load the weights in `path` into `network`.
+
+    Raises:
+        FileNotFoundError: If there is no such file.
+        ValueError: If it is not an agent of this game, or of another network.
+    """
     with _explained(path):
         tensors, _ = _read(path, game)
         _check_weights(tensors, network)

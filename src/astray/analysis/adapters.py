@@ -22,7 +22,7 @@ from astray.words import check_word
 
 
 class Model(Protocol):
-    """The methods of a Stable-Baselines3 model that are used here."""
+    """The method of a Stable-Baselines3 model that returns actions [N] and states [L, N, ...]."""
 
     def predict(
         self,

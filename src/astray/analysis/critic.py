@@ -120,6 +120,9 @@ def counterfactual(
     Columns: level, step, value and value_edited; change, of the value; seen, whether the edit
     changes the observation; policy and policy_edited, probabilities [A]; policy_change, their
     total variation distance (0 to 1); and the measures of the states before the edit.
+
+    Raises:
+        ValueError: If `edit` does not return as many states.
     """
     shown, edited = observe(agent, variant, states), observe(agent, variant, _edited(states, edit))
     (policy, value), (policy_edited, value_edited) = (
@@ -139,7 +142,7 @@ def counterfactual(
 
 
 def sees(agent: Model, variant: str | Variant, edit: Edit) -> Measure:
-    """Return the measure of whether `edit` changes the agent's observation."""
+    """Return the measure of whether `edit` changes the observation; it may raise ValueError."""
 
     def seen(states: np.ndarray) -> np.ndarray:
         edited = observe(agent, variant, _edited(states, edit))

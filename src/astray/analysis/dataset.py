@@ -294,7 +294,8 @@ def write_minari(
     """Write trajectories in Minari's exact layout, with states as infos and levels as seeds.
 
     Raises:
-        ImportError: If h5py is not installed.
+        ImportError: If minari is not installed.
+        OSError: If the disk is full.
     """
     try:
         from minari.data_collector import EpisodeBuffer  # pyright: ignore[reportMissingImports]

@@ -72,8 +72,11 @@ def estimate_mean(
         weights: [agents, levels], not negative. Each value is then a sum over that weight, and the
             mean is the sum of values over the sum of weights, or NaN if all weights are 0.
         share: Whether the mean is a rate of counts, from 0 to 1; None to decide by bool dtype.
-        pool: Values of every kind of agents in a study, including these. Their spread between
-            agents is estimated jointly, because a few agents of each kind say little about it.
+        pool: [agents, levels] for every kind of agents in a study, including these. Their spread
+            between agents is estimated jointly, because a few of each kind say little about it.
+
+    Raises:
+        ValueError: If values or weights have another shape, or a weight is negative.
     """
     share = _is_share(values) if share is None else share
     values, weights = _checked(values, weights)
@@ -104,7 +107,7 @@ def estimate_mean(
 def estimate_difference(
     one: np.ndarray, other: np.ndarray, *, pool: Sequence[np.ndarray] = (), same_levels: bool = True
 ) -> Estimate:
-    """Return the mean of `one` minus that of `other`, [agents, levels], with a 95 % interval.
+    """Return the mean of `one` minus that of `other` with a 95 % interval; all [agents, levels].
 
     Agents of two kinds are not paired: a common seed means nothing. (For the same agents in the
     same levels see `estimate_paired`.) The interval is Welch's. For rates it combines both
@@ -161,7 +164,10 @@ def estimate_difference(
 def estimate_paired(one: np.ndarray, other: np.ndarray) -> Estimate:
     """Return the mean of `one` minus `other` for the same agents, or pairs, in the same levels.
 
-    Each is [agents, levels]; a single policy on one side is compared with every agent.
+    Both are [agents, levels]; a single policy on one side is compared with every agent.
+
+    Raises:
+        ValueError: If their shapes differ.
     """
     shares = _is_share(one) and _is_share(other)
     (one, _), (other, _) = _checked(one, None), _checked(other, None)

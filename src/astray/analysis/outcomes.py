@@ -87,6 +87,9 @@ def label(episodes: pl.DataFrame, game: Goals, shift: Shift) -> pl.DataFrame:
     else capability failure. Conditions known only at the end of an episode count in its last step.
     A level in which the way to one goal passes the other says nothing about a policy: see
     `mark_distinguishing`.
+
+    Raises:
+        ValueError: If a goal of the shift is unknown.
     """
     intended = _step(game, shift.intended)
     # null beside them, as a shift may have no proxy

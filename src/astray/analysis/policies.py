@@ -20,7 +20,7 @@ RANDOM_SALT = 2**32  # no agent has this seed, or a larger one
 
 
 def episode_noise(seed: int, states: np.ndarray, count: int) -> np.ndarray:
-    """Return noise [N, count] for the next action in each state, independent of the batch."""
+    """Return noise [N, count] for the next action in states [N], independent of the batch."""
     out = np.empty((len(states), count), np.float32)
     fill_noise(seed, states["level"].copy(), states["time"].copy(), out)
     return out

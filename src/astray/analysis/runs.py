@@ -209,6 +209,9 @@ def evaluate_policies(
     By default the first 1,000 levels are played. In a `World`, scripts are its experts, and knobs
     are arguments of its factories.
 
+    Raises:
+        ValueError: If an argument is invalid, or `levels` is a file for a `World`.
+
     Examples:
         >>> right = astray.Function(lambda images: np.full(len(images), 7), name="right")
         >>> result = astray.evaluate_policies([right], "maze", "corner", range(20))

@@ -132,6 +132,9 @@ def beside(*videos: np.ndarray, captions: Sequence[Caption], gap: int = 12) -> n
 
     Returns:
         [T, H, W, 3] uint8, with T of the longest video.
+
+    Raises:
+        ValueError: If there is not one caption for each video.
     """
     if not videos or len(videos) != len(captions):
         raise ValueError(f"{len(videos)} videos and {len(captions)} captions; one for each")
@@ -184,7 +187,12 @@ def _strip(lines: Sequence[str], width: int, height: int) -> np.ndarray:
 
 
 def write_mp4(frames: np.ndarray, path: Path, fps: int = FPS) -> None:
-    """Write `frames` [T, H, W, 3] uint8 as a video that browsers play; `path` ends in .mp4."""
+    """Write `frames` [T, H, W, 3] uint8 as a video that browsers play; `path` ends in .mp4.
+
+    Raises:
+        ValueError: If `frames` or `fps` is invalid.
+        OSError: If the file cannot be written.
+    """
     _check(frames, fps)
     odd = [(0, 0), *((0, size % 2) for size in frames.shape[1:3]), (0, 0)]
     even = np.pad(frames, odd, mode="edge")  # yuv420p halves both sides
@@ -201,7 +209,12 @@ def write_mp4(frames: np.ndarray, path: Path, fps: int = FPS) -> None:
 
 
 def write_gif(frames: np.ndarray, path: Path, fps: int = FPS) -> None:
-    """Write `frames` [T, H, W, 3] uint8 as a looping GIF with a single palette."""
+    """Write `frames` [T, H, W, 3] uint8 as a looping GIF with a single palette.
+
+    Raises:
+        ValueError: If `frames` or `fps` is invalid.
+        OSError: If the file cannot be written.
+    """
     _check(frames, fps)
     # The palette comes from up to 16 frames, spread over the video.
     few = frames[np.unique(np.linspace(0, len(frames) - 1, 16).astype(int))]

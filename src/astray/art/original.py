@@ -281,6 +281,7 @@ def atlas(paths: Sequence[str], backgrounds: int = 0) -> tuple[np.ndarray, np.nd
 
     Raises:
         FileNotFoundError: If a picture was not imported.
+        ValueError: If a picture was changed since.
     """
     lacking = [path for path in paths if not PICTURES[path].kept.is_file()]
     if lacking and lacking[0] in FORK_ALONE:

@@ -92,7 +92,7 @@ def floors(folder: Path, side: float) -> list[np.ndarray]:
 
 
 def tint(image: np.ndarray, colour: tuple[int, int, int]) -> np.ndarray:
-    """Multiply a white picture [H, W, 4] by `colour` / 255; alpha stays."""
+    """Multiply a white `image` [H, W, 4] by `colour` / 255; alpha stays."""
     factor = np.array([*colour, 255], np.int64)
     return _divide(image.astype(np.int64) * factor, 255).astype(np.uint8)
 

@@ -123,6 +123,9 @@ def evaluate(
         batch: Number of episodes played at once; the rows do not depend on it.
         pool: Show several agents as one row, as agents of one kind; otherwise each has its row.
         out: Parquet file for the episodes, a row each.
+
+    Raises:
+        ValueError: If options do not go together.
     """
     from astray.analysis.runs import evaluate_policies, evaluate_runs
 
@@ -188,6 +191,9 @@ def record(
     Args:
         pixels: Pixels a side of the picture.
         out: Video file, .mp4 or .gif.
+
+    Raises:
+        ValueError: If `out` is of another kind, or options do not go together.
     """
     from astray.analysis import video
 

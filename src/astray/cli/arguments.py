@@ -166,7 +166,11 @@ class Player:
     policy: OwnPolicy = OwnPolicy()
 
     def open(self) -> tuple[Policy, Any, Any, Config | None]:
-        """Return the policy, its game or world, that one's variant, and an agent's settings."""
+        """Return the policy, its game or world, that one's variant, and an agent's settings.
+
+        Raises:
+            ValueError: If no agent and no policy is named, or both are.
+        """
         if self.policy.policy is not None:
             if self.agent or self.variant is None:
                 raise ValueError("--policy needs --variant, and --game or --world, and no agent")

@@ -27,6 +27,9 @@ def art(
             the user's data folder, or where ASTRAY_ART says.
         source: Wheel of procgen 0.10.7, or a checkout of it or of the paper's fork, which alone has
             the lines of Maze.
+
+    Raises:
+        ValueError: If `list` is given a source.
     """
     if what == "list" and source is not None:
         raise ValueError(f"pictures are taken from {source} by: {original.COMMAND} {source}")

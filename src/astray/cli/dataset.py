@@ -31,6 +31,9 @@ def export(
         form: Form of the data set: parquet or minari.
         batch: Number of episodes played at once, which are in memory until they end.
         out: New folder for the data set.
+
+    Raises:
+        ValueError: If options do not go together.
     """
     from astray.analysis.dataset import export as write
 

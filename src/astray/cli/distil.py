@@ -49,6 +49,9 @@ def distil(
         threads: Number of threads that step environments, and that torch uses.
         folder: Folder of the run folders seed-0, seed-1, ...
         track: Tracker of the training's metrics.
+
+    Raises:
+        ValueError: If a number is out of range, or the teacher sees other art.
     """
     from astray.analysis.runs import open_run
     from astray.training.teacher import teaching

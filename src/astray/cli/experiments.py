@@ -107,6 +107,9 @@ def reproduce(
         on: Place of the trainings: this machine, or a Ray cluster whose nodes all see the folder.
         art: Art that images are drawn with: own or original.
         track: Tracker of the trainings' metrics and of the report.
+
+    Raises:
+        ValueError: If no study is named.
     """
     from astray.experiments import run
 
@@ -149,6 +152,9 @@ def bench(
         what: Benchmark to run.
         markdown: Print the table for benchmarks/README.md.
         device: Device that trains; the environments and the agency measure are a CPU's.
+
+    Raises:
+        ValueError: If the device cannot be used, or this is not a clone.
     """
     from importlib import import_module
 

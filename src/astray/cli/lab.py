@@ -37,6 +37,9 @@ def lab(
         browser: Open the page in the browser.
         export: Folder to write the page to, with the agents, to be served by any web server.
         levels: Number of levels of each variant that are exported.
+
+    Raises:
+        ValueError: If options do not go together.
     """
     from astray.lab.serving import make_lab
 

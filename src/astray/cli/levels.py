@@ -76,6 +76,9 @@ def replay(
     Args:
         actions: File of action names or numbers, separated by white space or commas; - for
             standard input.
+
+    Raises:
+        ValueError: If no level is named.
     """
     from astray.analysis.replay import replay as run
 

@@ -76,6 +76,9 @@ def agents(
         name: Name of the agent.
         levels: Numbers and ranges of levels to check it on, as 5,17,100:200.
         unchecked: Fetch it also where no digest is known.
+
+    Raises:
+        ValueError: If options do not go with the action.
     """
     if (levels and what != "check") or (unchecked and what != "fetch"):
         raise ValueError("--levels goes with check, and --unchecked with fetch")

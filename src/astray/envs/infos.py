@@ -49,7 +49,7 @@ def merged(one: Info, two: Info) -> Info:
 
 
 def objects(rows: np.ndarray, which: np.ndarray) -> np.ndarray:
-    """Return an object array [N] of the rows in `which`, None elsewhere."""
+    """Return an object array [N] of the `rows` [N, ...] in `which` [N] bool, None elsewhere."""
     result = np.empty(len(rows), object)
     for i in np.flatnonzero(which):
         result[i] = rows[i].copy()

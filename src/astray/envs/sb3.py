@@ -19,7 +19,7 @@ from astray.envs.vector import GameVectorEnv
 
 
 class GameVecEnv(VecEnv):
-    """A vector environment for Stable-Baselines3.
+    """A vector environment for Stable-Baselines3, with arrays [N, ...] of N environments.
 
     At the end of an episode `infos` has the last observation and whether the time limit alone
     ended the episode. PPO then adds the critic's value of that observation.

@@ -176,7 +176,9 @@ class GameVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[np.ndarray, Info]:
-        """Begin new episodes. Environment i of a batch with seed k draws levels like seed k + i.
+        """Begin new episodes; return observations [N, ...] and infos.
+
+        Environment i of a batch with seed k draws levels like seed k + i.
 
         Args:
             options: "level" is the number or `Level` to begin, or one number for each environment.

@@ -64,7 +64,7 @@ class WorldVectorEnv:
         return seen, info
 
     def step(self, actions: Any) -> tuple[Any, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
-        """Step every environment; raise ValueError if an action is invalid."""
+        """Step N environments; return arrays [N, ...]. Raise ValueError if an action is invalid."""
         self._check_actions(actions)
         if self.game.workers:
             with self._watched():
@@ -102,7 +102,7 @@ class WorldVectorEnv:
             return np.array(self._envs.call_wait(timeout=self.game.patience))
 
     def get_state(self) -> np.ndarray:
-        """Return a copy of `states`, which record an episode but cannot restore an environment."""
+        """Return a copy of `states` [N]: records of episodes, which cannot restore environments."""
         return self.states.view(np.ndarray).copy()
 
     def close(self) -> None:

@@ -44,7 +44,7 @@ class Wary:
         self.stopped = True
 
     def come(self, count: int) -> None:
-        """Count bytes that have come."""
+        """Count bytes that have come; raise ValueError after `stop`."""
         if self.stopped:
             raise ValueError("this answer is no longer waited for")
         self.arrived += count

@@ -74,6 +74,7 @@ def push(
         endpoint: Address of the Hub; None for huggingface_hub's setting.
 
     Raises:
+        ImportError: If huggingface_hub is not installed.
         ValueError: If the agent is not your own, or the repository's name is invalid.
         PermissionError: If the Hub denies it.
         OSError: If the Hub cannot be reached or has no room.
@@ -123,6 +124,7 @@ def pull(
         endpoint: Address of the Hub; None for huggingface_hub's setting.
 
     Raises:
+        ImportError: If huggingface_hub is not installed.
         ValueError: If a file is not as it should be.
         FileNotFoundError: If there is no such repository.
         PermissionError: If the Hub denies it.

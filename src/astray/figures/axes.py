@@ -97,6 +97,7 @@ def ticks_of(column: pl.Series, even: bool) -> list[Any]:
 
 
 def places_of(column: pl.Series, places: Sequence[Any]) -> np.ndarray:
+    """Return the positions [rows] of a column's values on an axis."""
     return np.array([places.index(one) for one in column] if places else column.to_list(), float)
 
 

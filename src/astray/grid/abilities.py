@@ -67,7 +67,7 @@ class World:
         }
 
     def truths(self, s: np.ndarray) -> dict[str, np.ndarray]:
-        """Return facts about states [N] that compiled code relies on."""
+        """Return facts [N] about states `s` [N] that compiled code relies on."""
         things, kinds = len(self.things), len(self.things) + len(self.movers)
         x, y = (np.clip(s[axis], 0, self.side - 1) for axis in "xy")
         beneath = s["cell"][np.arange(len(s)), y, x]
@@ -224,5 +224,5 @@ def _with(free: np.ndarray, cells: Cells) -> np.ndarray:
 
 
 def where(layer: np.ndarray, *codes: int) -> list[tuple[int, int]]:
-    """Return the cells (x, y) of a layer that hold one of these codes."""
+    """Return the cells (x, y) of a `layer` [H, W] that hold one of these codes."""
     return [(int(x), int(y)) for y, x in np.argwhere(np.isin(layer, codes))]

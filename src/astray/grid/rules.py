@@ -40,7 +40,7 @@ def clear(s):
 
 
 def plan(drawing: str, chars: str) -> np.ndarray:
-    """Parse the drawing of a room, top row first, into codes: positions in `chars`, from 1 on."""
+    """Parse a room's drawing, top row first, into codes [H, W]: positions in `chars`, from 1 on."""
     rows = drawing.split()[::-1]
     return np.array([[chars.find(char) + 1 for char in row] for row in rows], np.uint8)
 

@@ -36,6 +36,10 @@ def gradients(agent: Model, observations: np.ndarray) -> np.ndarray:
 
     It is float64. For images it is per unit of brightness from 0 to 1, for binary planes per unit.
     For planes of categories it is towards more of the present category, and 0 without one.
+
+    Raises:
+        ImportError: If captum is not installed.
+        ValueError: If the observations do not fit the agent, or planes are for another network.
     """
     _check(agent, observations)
     method = _captum().Saliency(_value(agent))
@@ -53,16 +57,17 @@ def gradients(agent: Model, observations: np.ndarray) -> np.ndarray:
 def integrated_gradients(
     agent: Model, observations: np.ndarray, baseline: np.ndarray | None = None, *, steps: int = 64
 ) -> np.ndarray:
-    """Return integrated gradients [N, ...] from a baseline (Sundararajan et al. 2017).
+    """Return integrated gradients of `observations` [N, ...] (Sundararajan et al. 2017), [N, ...].
 
     A map sums to the value's difference from the baseline; for images to a third of that, because
     it is the mean over three colours.
 
     Args:
-        baseline: One observation or one per observation, such as states without the coin; None for
-            black images or empty planes.
+        baseline: [...] or [N, ...]: one observation or one for each, such as states without the
+            coin; None for black images or empty planes.
 
     Raises:
+        ImportError: If captum is not installed.
         ValueError: If the baseline has another shape, or `steps` is out of range.
     """
     _check(agent, observations)
@@ -81,15 +86,17 @@ def integrated_gradients(
 def occlusion(
     agent: Model, observations: np.ndarray, *, window: int = 4, colour: int = 0
 ) -> np.ndarray:
-    """Return how much the value falls if a part is covered, [N, ...] (Zeiler & Fergus 2014).
+    """Return the fall of the value if a part of `observations` [N, ...] is covered, [N, ...].
 
-    Images are covered square by square. In planes, one cell of one plane at a time becomes 0.
+    Images are covered square by square (Zeiler & Fergus 2014). In planes, one cell of one plane at
+    a time becomes 0.
 
     Args:
         window: Side of a square in pixels, for images; 4 are most of a cell of CoinRun.
         colour: Brightness of the squares, from 0 (black) to 255.
 
     Raises:
+        ImportError: If captum is not installed.
         ValueError: If an argument is out of its range.
     """
     _check(agent, observations)

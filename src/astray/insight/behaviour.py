@@ -85,6 +85,7 @@ class Prediction:
         The interval is over levels, resampled jointly.
 
         Raises:
+            ImportError: If scikit-learn is not installed.
             ValueError: If the levels differ.
         """
         if not np.array_equal(self.outcomes, other.outcomes):
@@ -108,6 +109,7 @@ def predict(
             nulls are ignored.
 
     Raises:
+        ImportError: If scikit-learn is not installed.
         ValueError: If a column is missing or constant, or an outcome is too rare.
     """
     LogisticRegression, roc_auc_score = _sklearn()

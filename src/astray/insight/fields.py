@@ -348,7 +348,7 @@ def drawn(game: Game, variant: Variant, levels: Levels) -> Iterator[Level]:
 
 
 def outcomes(game: str | Game, variant: str | Variant, states: np.ndarray) -> np.ndarray:
-    """Return the agent's centre after each action in each state, [N, A, 2], in cells.
+    """Return the agent's centre after each action in `states` [N]: [N, A, 2], in cells.
 
     It comes from the rules, with the random numbers of the states.
     """
@@ -368,7 +368,7 @@ def _after(game: Game, variant: str | Variant, states: np.ndarray) -> Iterator[n
 
 
 def effects(game: str | Game, variant: str | Variant, states: np.ndarray) -> np.ndarray:
-    """Return for each state and action the first action with the same next state, [N, A].
+    """Return for `states` [N] and each action the first action with the same next state, [N, A].
 
     Some actions are always equivalent, and others in single states, such as two moves into walls.
     """

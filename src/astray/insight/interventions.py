@@ -92,7 +92,7 @@ def patch(
 
     Args:
         channels: Channels, or units of a layer without places; None for all.
-        value: A number, or one for each channel.
+        value: A scalar, or [channels].
         cell: (row, column) of the layer: `place` finds that of a level's cell.
 
     Raises:

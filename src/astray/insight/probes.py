@@ -60,7 +60,7 @@ def probe(
     alone; a level counts once. Labels with too few states or a single class are left out.
 
     Args:
-        states: From several episodes; levels are split, so no level is in both parts.
+        states: [N], from several episodes; levels are split, so no level is in both parts.
         labels: Functions of states, as `game.labels`. Booleans and integers are classes, for
             logistic regression; reals are numbers, for ridge regression; -1 and NaN do not count.
         folds: Parts of the levels. Each is predicted by a probe fitted on the others, with its own
@@ -229,12 +229,13 @@ def read(
     layers: Sequence[str],
     labels: Mapping[str, Measure],
 ) -> pl.DataFrame:
-    """Return readings of one state `here` [1] by probes fitted in `states`.
+    """Return readings of one state `here` [1] by probes fitted in `states` [N].
 
     Columns: label, layer, read, true (null if undefined), score (of a probe fitted on most levels,
     in the others).
 
     Raises:
+        ImportError: If scikit-learn is not installed.
         ValueError: If a layer is unknown or no label is left.
     """
     check_measures(labels, ())
@@ -274,6 +275,9 @@ def fit(x: np.ndarray, y: np.ndarray, learn: np.ndarray, seed: int) -> float:
     Args:
         x: [N, ...] activations.
         y: [N] classes (integers), or numbers.
+
+    Raises:
+        ImportError: If scikit-learn is not installed.
     """
     told = _predicted(x, y, learn, seed)
     return float(_by_level(y[~learn], told, np.zeros(len(told)))[0])

@@ -235,11 +235,11 @@ def copy(row, pixels, begin, source, first, after):
 
 
 def fetch(pixels: np.ndarray, begin: Any, source: np.ndarray) -> None:
-    """Prefetch the memory that `copy` will read."""
+    """Prefetch the memory that `copy` will read; `pixels` [K] and `source` [W] are as there."""
 
 
 def put_word(row: np.ndarray, at: int, word: int) -> None:
-    """Write four bytes, of which the last will be overwritten."""
+    """Write four bytes to `row` [3 W], of which the last will be overwritten."""
     for k in range(4):
         row[at + k] = word >> (8 * k) & 255
 

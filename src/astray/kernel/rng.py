@@ -166,7 +166,11 @@ def fill_shares(first, salt, out):
 
 @entry
 def fill_noise(seed, levels, times, out):
-    """Fill `out` [N, A] float32 with uniform reals: functions of seed, level and step alone."""
+    """Fill `out` [N, A] float32 with uniform reals: functions of seed, level and step alone.
+
+    Raises:
+        IndexError: If the arguments have different lengths.
+    """
     if not len(levels) == len(times) == len(out):
         raise IndexError("levels, times and noise are of other numbers of environments")
     for i in range(out.shape[0]):

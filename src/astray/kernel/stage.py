@@ -71,7 +71,10 @@ def mark_thief(s, planes, left, low, thief, across, up):
 
 
 def turned(right: np.ndarray, right_up: np.ndarray) -> np.ndarray:
-    """Return the thief as each moving action turns it, [9, S, S, 4]; "stay" is to the right."""
+    """Return the thief as each moving action turns it, [9, S, S, 4]; "stay" is to the right.
+
+    The arguments are pictures of the thief to the right, and to the upper right; all [S, S, 4].
+    """
     straight, oblique = (
         ("right", "up", "left", "down"),
         ("right-up", "left-up", "left-down", "right-down"),

@@ -51,6 +51,7 @@ def export(lab: Lab, folder: Path, levels: int = 50, agents: list[str] | None = 
 
     Raises:
         FileExistsError: If the folder is not empty; nothing of the user's is removed.
+        ValueError: If a game or an agent needs Python.
     """
     of_kind("lab", lab, Lab)
     folder = Path(folder)

@@ -24,6 +24,7 @@ def show(agent: str | Path | None = None, level: int | str | Level = 0, **start:
 
     Raises:
         ImportError: If anywidget is not installed.
+        ValueError: If the level is of no variant with a name.
     """
     from astray.lab.serving import make_lab
     from astray.lab.session import Session

@@ -70,6 +70,9 @@ def make_app(lab: Lab, token: str, port: int) -> Any:
     Args:
         token: First part of all addresses.
         port: Its port, which Host and Origin must name.
+
+    Raises:
+        ImportError: If starlette and uvicorn are not installed.
     """
     _check_installed()
     logging.getLogger("uvicorn.error").addFilter(_in_one_line)
@@ -217,6 +220,7 @@ def serve(lab: Lab, port: int, browse: bool) -> None:
         port: 0 for any free port.
 
     Raises:
+        ImportError: If starlette and uvicorn are not installed.
         OSError: If the port is in use.
     """
     _check_installed()

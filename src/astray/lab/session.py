@@ -202,20 +202,20 @@ def _told(episode: Episode, first: int, agent: Any) -> Reply:
 
 
 def posterior(session: Session, message: Message) -> Iterator[Reply]:
-    """Answer with the evidence for each goal in the episode so far."""
+    """Answer with the evidence for each goal so far; raise ValueError without a shift."""
     episode = session.episode(message)
     yield goals.posterior(episode, _shift(session, message, episode.world.game))
 
 
 def distinguishes(session: Session, message: Message) -> Iterator[Reply]:
-    """Whether the level distinguishes the goals of its shift; null where that is not known."""
+    """Answer whether the level distinguishes the goals; raise ValueError without a shift."""
     world = session.world(message)
     shift = _shift(session, message, world.game)
     yield {"distinguishes": goals.distinguishes(world, shift)}
 
 
 def splay(session: Session, message: Message) -> Iterator[Reply]:
-    """Answer with the agent's final goals for every place of an object."""
+    """Answer with the final goals for each place of an object; raise ValueError without a shift."""
     world = session.world(message)
     agent = session.lab.agents.of_message(message, world)
     shift = _shift(session, message, world.game)

@@ -53,7 +53,7 @@ class Heads(nn.Module):
 
 
 def mutual_information(probabilities: Tensor) -> Tensor:
-    """Return the mean mutual information of pairs of heads over the batch, [B, K] -> nats."""
+    """Return the mean mutual information of pairs of K heads over a batch, [B, K] -> [] nats."""
     heads, total = probabilities.shape[1], probabilities.new_zeros(())
     both = torch.stack([probabilities, 1 - probabilities])  # [2, B, K]
     for i in range(heads):

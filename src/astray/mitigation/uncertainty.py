@@ -48,30 +48,30 @@ def _probabilities(logits: np.ndarray) -> np.ndarray:
 
 
 def max_probability(logits: np.ndarray) -> np.ndarray:
-    """Return 1 minus the largest action probability, [N, A] -> [N]."""
+    """Return 1 minus the largest action probability, [N, A] -> [N], or raise ValueError."""
     return 1 - _probabilities(logits).max(-1)
 
 
 def margin(logits: np.ndarray) -> np.ndarray:
-    """Return 1 minus the difference of the two largest action probabilities, [N, A] -> [N]."""
+    """Return 1 minus the gap of the two largest chances, [N, A] -> [N], or raise ValueError."""
     ordered = np.sort(_probabilities(logits), -1)
     return 1 - (ordered[..., -1] - ordered[..., -2])
 
 
 def entropy(logits: np.ndarray) -> np.ndarray:
-    """Return the entropy of the policy in nats, [N, A] -> [N]."""
+    """Return the entropy of the policy in nats, [N, A] -> [N], or raise ValueError."""
     return entropy_of(_probabilities(logits))
 
 
 def energy(logits: np.ndarray) -> np.ndarray:
-    """Return the free energy, -log sum exp of the logits, [N, A] -> [N] (Liu et al. 2020)."""
+    """Return the free energy (Liu et al. 2020), [N, A] -> [N], or raise ValueError."""
     _check_logits(logits)
     largest = logits.max(-1)
     return -(largest + np.log(np.exp(logits - largest[..., None]).sum(-1)))
 
 
 def max_logit(logits: np.ndarray) -> np.ndarray:
-    """Return the negative of the largest logit, [N, A] -> [N]."""
+    """Return the negative of the largest logit, [N, A] -> [N], or raise ValueError."""
     _check_logits(logits)
     return -logits.max(-1)
 
@@ -84,7 +84,7 @@ def _check_logits(logits: Any) -> None:
 
 
 def entropy_of(probabilities: np.ndarray) -> np.ndarray:
-    """Return the entropy of distributions [..., K] in nats."""
+    """Return the entropy of distributions in nats, [..., K] -> [...]."""
     likely = np.where(probabilities > 0, probabilities, 1.0)
     return -(probabilities * np.log(likely)).sum(-1)
 
@@ -162,7 +162,7 @@ class Disagreement:
 
 @torch.no_grad()
 def features(agent: Agent, observations: np.ndarray) -> np.ndarray:
-    """Return the features [N, F] float64 before the agent's heads, independent of the batch.
+    """Return the features [N, F] float64 of `observations` [N, ...], independent of the batch.
 
     Raises:
         ValueError: If the network is not one of astray's own.

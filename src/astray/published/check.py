@@ -52,7 +52,7 @@ def check(
     length (mean steps), start_value (mean) and published_value, verdict.
 
     Args:
-        levels: Level numbers; None for as many first ones as the published count needs.
+        levels: [N] numbers; None for as many first ones as the published count needs.
     """
     agent, config = open_run(run)
     rows = []
@@ -75,10 +75,10 @@ def check(
 
 
 def first_to_end(lengths: np.ndarray, count: int, environments: int) -> np.ndarray:
-    """Return which episodes [N] are the first `count` to end in parallel `environments`.
+    """Return which episodes of `lengths` [N] are the first `count` to end in `environments`.
 
     Stopping at a count leaves out long episodes, which are failures of slow agents. With 0
-    environments all episodes are counted in order.
+    environments all episodes are counted in order. The result is indices [count].
     """
     if not environments:
         return np.arange(len(lengths))

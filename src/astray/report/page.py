@@ -92,7 +92,11 @@ def write_page(
 
 
 def of_claims(folder: Path) -> dict[str, str]:
-    """Return the result of each claim in a folder's report; empty without a report."""
+    """Return the result of each claim in a folder's report; empty without a report.
+
+    Raises:
+        ValueError: If its findings cannot be read.
+    """
     path = folder / "findings.json"
     if not path.exists():
         return {}

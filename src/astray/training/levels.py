@@ -119,7 +119,8 @@ def discounted_returns(
     Unfinished episodes count only in environments where no episode ended.
 
     Args:
-        reward, ended: [T, N], from a rollout in which every environment began a new episode.
+        reward: [T, N], from a rollout in which every environment began a new episode.
+        ended: [T, N] bool.
     """
     steps, n = reward.shape
     running, factor = np.zeros(n), np.ones(n)

@@ -369,7 +369,7 @@ def update(trainer: Trainer, rollout: Samples, rate: float) -> dict[str, float]:
 
 
 def minibatches(trainer: Trainer, count: int) -> Sequence[Tensor]:
-    """Return the indices of an epoch's minibatches: all `count` samples in random order."""
+    """Return the indices [B] of an epoch's minibatches: all `count` samples in random order."""
     random, device = trainer.player.generator, trainer.config.device
     order = torch.randperm(count * parallel.size(), generator=random, device=device)
     if parallel.size() > 1:  # processes draw alike
@@ -378,7 +378,11 @@ def minibatches(trainer: Trainer, count: int) -> Sequence[Tensor]:
 
 
 def averaged(steps: Iterable[dict[str, Tensor]]) -> dict[str, float]:
-    """Return the means of the steps' logged values over all processes, and the first KL."""
+    """Return the means of the steps' logged values over all processes, and the first KL.
+
+    Raises:
+        ValueError: If a loss does not return the same names in every step.
+    """
     names, measured = [], []
     for step in steps:  # their tensors may be overwritten by the next step's
         if names and list(step) != names:

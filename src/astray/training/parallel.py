@@ -74,7 +74,7 @@ def share(environments: int) -> slice:
 
 
 def average(tensors: Sequence[Tensor]) -> None:
-    """Replace each of `tensors` in place by its mean over the processes."""
+    """Replace each of `tensors`, of any shape, in place by its mean over the processes."""
     if size() == 1:
         return
     flat = torch.cat([x.flatten() for x in tensors])

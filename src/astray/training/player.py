@@ -112,7 +112,7 @@ class Player:
         return Turn(self.envs[group], self.images[where], self.begins[where])
 
     def step(self, t: int, group: int, answer: Answer) -> Stepped:
-        """Take step `t` of a rollout in a group."""
+        """Take step `t` in a group; raise ValueError if the sampler's levels are invalid."""
         env, where = self.envs[group], self.groups[group]
         shown_here = self.images[where].numpy()
         _, reward, terminated, truncated, info = env.step(answer.actions, shown_here)
@@ -140,7 +140,7 @@ class Player:
             running[i] = 0.0
 
     def plan(self, steps: int) -> None:
-        """Ask the sampler for the next rollout's plan, and set `learns`."""
+        """Begin the sampler's next plan; raise ValueError if it or its levels are invalid."""
         if self.sampler is None:
             return
         plan = self.sampler.plan(steps)
@@ -228,7 +228,7 @@ class Player:
         return dict(arrays)
 
     def tensors(self) -> dict[str, Tensor]:
-        """Return its state as tensors."""
+        """Return its state as tensors; raise ValueError if a sampler's arrays are not numbers."""
         normaliser = self.normaliser
         moments = [normaliser.mean, normaliser.variance, normaliser.count]
         width = 2 + len(self.events)
@@ -292,7 +292,7 @@ class Rollout:
         self.terminated, self.truncated = ends
 
     def recalled(self, t: int, group: int, begins: np.ndarray) -> tuple[Tensor, ...]:
-        """Return the extra inputs of a network with memory: states, and first-step flags."""
+        """Return a recurrent network's further inputs: states [n, memory] and `begins` [n] bool."""
         if not self.state.shape[1]:
             return ()
         slot, where = t % (self.slots + 1), self.player.groups[group]

@@ -153,19 +153,19 @@ def normalised(x: Tensor) -> Tensor:
 
 
 def explained_variance(value: Tensor, target: Tensor) -> float:
-    """Return the fraction of the targets' [...] variance that the critic explains, or 0."""
+    """Return the fraction of the variance of `target` [B] that `value` [B] explains, or 0."""
     spread = target.var()
     return float(1 - (target - value).var() / spread) if spread > 0 else 0.0
 
 
 def policy_loss(log_ratio: Tensor, advantage: Tensor, clip: float) -> Tensor:
-    """Return the clipped surrogate loss; log_ratio [B] is new minus old log-probability."""
+    """Return the clipped surrogate loss; all [B]. `log_ratio` is new minus old log-probability."""
     ratio = log_ratio.exp()
     return -torch.min(ratio * advantage, ratio.clamp(1 - clip, 1 + clip) * advantage).mean()
 
 
 def value_loss(value: Tensor, old: Tensor, target: Tensor, clip: float) -> Tensor:
-    """Return half the mean of the larger squared error of `value` [B], unclipped or clipped."""
+    """Return half the mean larger squared error of `value`, unclipped or clipped; all [B]."""
     clipped = old + (value - old).clamp(-clip, clip)
     return 0.5 * torch.max((value - target) ** 2, (clipped - target) ** 2).mean()
 

@@ -33,7 +33,7 @@ NAMES = ("generated", "replayed", "mutated")  # names of levels by kind of rollo
 def probabilities(
     score: np.ndarray, age: np.ndarray, temperature: float, staleness: float
 ) -> np.ndarray:
-    """Return the replay probability of each level, [B], from its score and its age in replays.
+    """Return each level's probability of replay, from its score and its age in replays; all [B].
 
     P = (1 - staleness) * (1 / rank) ** (1 / temperature) / sum + staleness * age / sum. Rank 1 is
     the highest score; equal scores are ranked in buffer order.

@@ -150,7 +150,7 @@ class Trainer:
     def repeat(
         self, function: Callable[[Tensor], dict[str, Tensor]], indices: Tensor
     ) -> dict[str, Tensor]:
-        """Return `function(indices)`; with CUDA graphs the first call's function is replayed."""
+        """Return `function(indices)`, [B]; CUDA graphs replay the function of the first call."""
         if not self.fast.using.cudagraphs:
             return function(indices)
         if self._captured is None:
@@ -219,7 +219,7 @@ class Trainer:
             raise ValueError(f"steps must be a multiple of {self.config.batch}; got {steps}")
 
     def restore(self, tensors: dict[str, Tensor]) -> None:
-        """Continue from the result of `tensors`; the weights are loaded separately."""
+        """Continue from the result of `tensors`; raise ValueError if it is of other settings."""
         self._check(tensors)
         self.steps = int(tensors["steps"])
         for name, player in self.players().items():

@@ -359,7 +359,7 @@ def _empty_world() -> np.ndarray:
 
 
 def build(cells: np.ndarray, agent: tuple[int, int], looks: Any, variant: Variant) -> Any:
-    """Return the state that begins in the level `cells`; smaller levels are put in the lower left.
+    """Return the state that begins in the level `cells` [H, W]; smaller ones are in the lower left.
 
     There is wall around a smaller level. Without an end in `looks` it ends as in `_guess_end`.
 

@@ -11,7 +11,7 @@ from astray.record import NEVER
 
 
 def left(states: np.ndarray, first: int, after: int) -> np.ndarray:
-    """Count the remaining objects with codes from `first` to before `after`, float64."""
+    """Count the remaining objects with codes from `first` to before `after`, [N] float64."""
     there = np.arange(MOST) < states["objects"][:, None]
     there &= (states["gone"] == NEVER) & (states["what"] >= first) & (states["what"] < after)
     return there.sum(1).astype(np.float64)

@@ -37,7 +37,7 @@ def keys_in_hand(states: np.ndarray) -> np.ndarray:
 
 
 def discounted_return(states: np.ndarray, gamma: float) -> np.ndarray:
-    """Return the discounted return [N] of episodes from their first step, from final states.
+    """Return the discounted return [N] of episodes from their first step, from final `states` [N].
 
     A step's rewards are summed as in the variants that are not strict.
     """
@@ -61,7 +61,7 @@ def nearest(states: np.ndarray, what: int) -> np.ndarray:
 
 
 def quarter(away: np.ndarray) -> np.ndarray:
-    """Return the quadrant of offsets [N, 2], 0 to 3: 1 for right plus 2 for up; -1 for NaN."""
+    """Return the quadrant [N] of `away` [N, 2], 0 to 3: 1 for right plus 2 for up; -1 for NaN."""
     known = ~np.isnan(away[:, 0])
     return np.where(known, (away[:, 0] > 0) + 2 * (away[:, 1] > 0), -1)
 

@@ -157,7 +157,7 @@ def describe(s: Any) -> dict[str, Any]:
 
 
 def invariants(s: np.ndarray, variant: Variant) -> dict[str, np.ndarray]:
-    """Return facts about states [N] of `variant` that compiled code relies on."""
+    """Return facts [N] about states `s` [N] of `variant` that compiled code relies on."""
     p = variant.records()[0]
     return truths(s) | {
         "world": s["world"] == p.world,
@@ -167,7 +167,7 @@ def invariants(s: np.ndarray, variant: Variant) -> dict[str, np.ndarray]:
 
 
 def truths(s: np.ndarray) -> dict[str, np.ndarray]:
-    """Return facts about states [N] of every variant."""
+    """Return facts [N] about states `s` [N] of every variant."""
     x, y = (np.clip(np.nan_to_num(s[axis]), 0, LARGEST - 1).astype(int) for axis in "xy")
     found = {
         "world": within(s["world"], 3, LARGEST + 1),

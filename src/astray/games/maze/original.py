@@ -95,7 +95,8 @@ def scene_shape(variant: Variant, pixels: int) -> tuple[int, ...]:
 def art(rule: int, variant: Variant, pixels: int) -> tuple[np.ndarray, ...]:
     """Return pixels [N] and places [K, 3] of all pictures, object numbers [8, 7], and the rule [1].
 
-    Object numbers are by shape and colour, NEVER without a picture.
+    Object numbers are by shape and colour, NEVER without a picture. ValueError is raised if the
+    original has no such walls or objects.
     """
     p: Any
     for p in filter(None, (variant, variant.shifted)):

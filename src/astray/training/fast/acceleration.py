@@ -202,6 +202,10 @@ def accelerate(
     """Return the fastest equivalent of a network and a loss; custom ones stay as written.
 
     A warning then names which of the two is custom.
+
+    Raises:
+        ValueError: If the settings ask for what a custom network or loss does not have, or a loss
+            gives a network with memory another batch than it got.
     """
     if isinstance(network, Recurrent):
         whole = lambda batch: loss(_told(network, batch), batch, config)  # noqa: E731

@@ -91,7 +91,11 @@ def evaluate(
     grad,
     parts,
 ):
-    """Fill `grad` [B, A + 1] with the loss's gradient by `outputs`, and `parts` with means."""
+    """Fill `grad` [B, A + 1] with the loss's gradient by `outputs`, and `parts` with means.
+
+    Raises:
+        IndexError: If an action has no output.
+    """
     count, actions = len(outputs), outputs.shape[1] - 1
     log_probability, probability = np.empty((2, actions))
     for i in range(count):

@@ -43,7 +43,7 @@ class Captured:
 
 @torch.no_grad()
 def restore(state: Iterable[Tensor], before: dict[int, Tensor]) -> None:
-    """Restore the values of `state`; new tensors (the moments of Adam) become 0."""
+    """Restore tensors [...] to `before` [...]; new ones (the moments of Adam) become 0."""
     for x in state:
         if id(x) in before:
             x.copy_(before[id(x)])

@@ -131,7 +131,7 @@ def measured(work: Work) -> pl.DataFrame:
 
 
 def cells_of(test: Test, variant: Variant, levels: np.ndarray) -> dict[int, dict[str, Cell]]:
-    """Return the cell of each goal, for the levels in which both can be pursued."""
+    """Return the cell of each goal, for those `levels` [N] in which both can be pursued."""
     maze = games.find("maze")
     shift = load_shift(maze, test.shift)
     found = {}

@@ -146,7 +146,7 @@ def claims(trained: pl.DataFrame, untrained: pl.DataFrame) -> list[Claim]:
 
 
 def visited(work: Work, where: str, seed: int) -> tuple[Agent, pl.DataFrame, np.ndarray]:
-    """Return an agent, and states of its episodes in a test, with their rows."""
+    """Return an agent, rows of its episodes in a test, and their states [rows]."""
     test = work.plan.visited[where]
     agent, config = open_run(work.runs[RUNNER][seed])
     levels = levels_of(work.plan, test)
@@ -259,7 +259,7 @@ def grey(agent, variant, states: np.ndarray) -> list:
 
 
 def flat(one: np.ndarray) -> np.ndarray:
-    """Return a map as [H, W], summed over planes, with largest absolute value 1."""
+    """Sum a map [H, W] or [C, H, W] to [H, W], with largest absolute value 1."""
     added = one.sum(0) if one.ndim == 3 else one
     return added / max(abs(added).max(), np.finfo(float).tiny)
 

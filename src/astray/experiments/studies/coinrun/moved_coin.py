@@ -227,7 +227,7 @@ def fate(s: Any) -> str:
 
 
 def places(work: Work, test: str, levels: np.ndarray) -> np.ndarray:
-    """Return the coins' cells (x, y) [N, 2] in a test, or in ANYWHERE for its invisible coins."""
+    """Return the coins' cells (x, y) [N, 2] in `levels` [N] of a test; ANYWHERE's for ghosts."""
     seen = TESTS[ANYWHERE if test == GHOST else test]
     begun = initial_states("coinrun", seen.variant_for(work.plan.config), levels)
     return np.stack([begun["coin_x"], begun["coin_y"]], 1)

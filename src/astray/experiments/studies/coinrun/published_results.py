@@ -98,7 +98,7 @@ def find(work: Work) -> Findings:
 
 
 def scripts(levels: np.ndarray) -> pl.DataFrame:
-    """Return scripts' episodes, left at the end; is_near: the coin is in the first section."""
+    """Return scripts' episodes in `levels` [N]; `is_near`: the coin is in the first section."""
     return pl.concat(
         [
             evaluate(

@@ -71,7 +71,7 @@ def of_kept_runner(levels: int, **more: Any) -> Plan:
 
 
 def opened(work: Work, where: str) -> tuple[Agent, Variant, np.ndarray]:
-    """Return the agent of a plan with one, a test's variant, and its level numbers."""
+    """Return the agent of a plan with one, a test's variant, and its levels [N]."""
     test = work.plan.visited[where]
     ((run,),) = work.runs.values()
     agent, _ = open_run(run)

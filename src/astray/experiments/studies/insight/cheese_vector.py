@@ -134,7 +134,7 @@ def find(work: Work) -> Findings:
 
 
 def steered(size: Size, agent: Agent, variant: Variant, levels: np.ndarray) -> pl.DataFrame:
-    """Return `effects` of the main conditions in all levels, and of others in the first ones."""
+    """Return `effects` of the main conditions in `levels` [N], of others in the first ones."""
     main = object_vectors(agent, variant, levels, LAYERS[size].main)
     random = [main.random(0)]
     conditions = {
@@ -173,7 +173,7 @@ def means(rows: pl.DataFrame, names: Mapping[str, str | float], heading: str) ->
 
 
 def shapes(size: Size, agent: Agent, variant: Variant, levels: np.ndarray) -> pl.DataFrame:
-    """Return the lengths of each layer's vectors, and their similarity between levels."""
+    """Return the lengths of each layer's vectors in `levels` [N], and their similarity."""
     rows = []
     for layer in LAYERS[size].layers:
         vectors = object_vectors(agent, variant, levels[:SWEPT], layer)

@@ -126,7 +126,7 @@ def signed(found: Prediction, name: str, published: float) -> Claim:
 
 
 def choices(work: Work, agent: Agent, variant: Variant, levels: np.ndarray) -> pl.DataFrame:
-    """Return the features of each level with one goal reached, and whether cheese was first."""
+    """Return features of those `levels` [N] with a goal reached, and whether cheese was first."""
     test = work.plan.visited[WHERE]
     game = work.plan.game
     played = label(

@@ -134,19 +134,19 @@ def draw(table: pl.DataFrame) -> Figure:
 
 
 def visited(size: Size, agent: Agent, variant: Variant, levels: np.ndarray) -> np.ndarray:
-    """Return states of the agent's own episodes before the end wall."""
+    """Return states [K] before the end wall, from the agent's own episodes in `levels` [N]."""
     _, states = visit(agent, variant, levels, per_episode=DRAWN[size], batch=128)
     return states[states["x"] <= states["end_x"] + 1]
 
 
 def probed(size: Size, agent: Agent, variant: Variant, states: np.ndarray) -> pl.DataFrame:
-    """Return `probes.probe` of all layers."""
+    """Return `probes.probe` of all layers in `states` [N]."""
     labels = {name: LABELS[name] for name in READ}
     return probes.probe(agent, variant, states, LAYERS[size], labels, folds=FOLDS[size])
 
 
 def changed(agent: Agent, variant: Variant, states: np.ndarray) -> pl.DataFrame:
-    """Return the changes of policy and value with the coin, a row per state with it in view."""
+    """Return changes of policy and value with the coin, a row for each of `states` [N] in view."""
     seen = coin_in_view(states)
     parts = []
     for name, which, edit in ((REMOVED, seen, without_coin), (ADDED, ~seen, with_coin_in_view)):

@@ -99,7 +99,7 @@ def clamp_of(found: pl.DataFrame, layer: str, count: int, factor: float) -> Clam
 def tune(
     agent: Agent, variant: Variant, levels: np.ndarray, found: pl.DataFrame, layer: str
 ) -> pl.DataFrame:
-    """Return the effect of each clamp: channels, factor, path."""
+    """Return the effect of each clamp in `levels` [N]: channels, factor, path."""
     rows = []
     for count, factor in itertools.product(COUNTS, FACTORS):
         if count > len(found):

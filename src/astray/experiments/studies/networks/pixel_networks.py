@@ -92,7 +92,7 @@ def mean_return(measured: pl.DataFrame, agent: str, share: float) -> np.ndarray:
 
 
 def sooner(game: str, ours: np.ndarray, papers: np.ndarray) -> Claim:
-    """Test whether our network's return exceeds the paper's after the same time."""
+    """Test whether our returns exceed the paper's after the same time; all [seeds]."""
     return above(
         f"{game}: in the same time the network of patches learns more than the paper's.",
         "not measured",
