@@ -6,12 +6,19 @@ from pathlib import Path
 import pytest
 
 from astray import cli
+from helpers.browsed import browser
 from helpers.cases import REFERENCE
 
 
 def pytest_collection_modifyitems(items):
     """What waits most of its time comes first, so that others are done meanwhile."""
     items.sort(key=lambda item: item.get_closest_marker("waits") is None)
+
+
+@pytest.fixture(scope="session")
+def chrome():
+    with browser() as found:
+        yield found
 
 
 @pytest.fixture

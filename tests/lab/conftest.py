@@ -9,13 +9,7 @@ import torch
 from astray.agents.policy import weights
 from astray.lab.export import export
 from astray.lab.serving import make_lab
-from helpers.browsed import browser, folder_served
-
-
-@pytest.fixture(scope="session")
-def chrome():
-    with browser() as found:
-        yield found
+from helpers.browsed import folder_served
 
 
 @pytest.fixture(scope="session")

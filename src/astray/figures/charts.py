@@ -32,7 +32,7 @@ from astray.figures.axes import (
     whiskers_of,
     write_legend,
 )
-from astray.figures.style import FAINT, INK, STYLE, WIDTH
+from astray.figures.style import FAINT, INK, ON_COLOUR, STYLE, WIDTH
 from astray.outcome import FAILED, INTENDED, MISGENERALIZED
 
 ENDS = ("#a3a39d", "#c9b8a4", "#8f9aa8", "#b9a9b9")  # of other ends than those of all games
@@ -309,10 +309,10 @@ def _stack(
         for (name, colour), hatch in zip(colours.items(), cycle(HATCHES), strict=False):
             share = shares.get(name) or 0.0
             axes.barh(y, share, 0.66, left, color=colour, edgecolor="white", linewidth=0.8,
-                      hatch=hatch, label="" if y else name)  # fmt: skip
+                      hatch=hatch, label=f"_{name}" if y else name)  # fmt: skip
             if share >= NARROWEST:
                 axes.text(left + share / 2, y, f"{100 * share:.0f} %", ha="center",
-                          va="center_baseline")  # fmt: skip
+                          va="center_baseline", color=ON_COLOUR)  # fmt: skip
             left += share
     name_rows(axes, list(rows))
     axes.set_xlim(0, 1)

@@ -13,7 +13,7 @@ from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.figure import Figure
 
 from astray.figures.axes import parts_of, ticks_of
-from astray.figures.style import INK, OTHERS, STYLE, WIDTH
+from astray.figures.style import INK, ON_COLOUR, OTHERS, STYLE, WIDTH
 
 EMPTY = "#eeeeec"  # where a picture shows nothing
 
@@ -60,10 +60,11 @@ def cells(
                 f"{100 * one['mean']:.0f} %",
                 ha="center",
                 va="bottom" if interval else "center_baseline",
+                color=ON_COLOUR,
             )
             if interval:
                 text = f"{100 * one['low']:.0f} to {100 * one['high']:.0f}"
-                axes.text(k, i + 0.08, text, ha="center", va="top", fontsize=7.5)
+                axes.text(k, i + 0.08, text, ha="center", va="top", fontsize=7.5, color=ON_COLOUR)
         shades = LinearSegmentedColormap.from_list(name, ["#ffffff", colour])
         axes.imshow(shares, cmap=shades, vmin=0, vmax=1, aspect="auto")
         axes.set_title(name, fontsize=9.5)
@@ -138,7 +139,13 @@ def _show(figure: Figure, axes: Any, one: Picture) -> None:
     if one.heat is not None:
         low, high = one.limits
         shaded = axes.imshow(
-            one.heat, extent=extent, cmap=one.colours, vmin=low, vmax=high, alpha=one.opacity
+            one.heat,
+            extent=extent,
+            cmap=one.colours,
+            vmin=low,
+            vmax=high,
+            alpha=one.opacity,
+            label=one.label or one.title,
         )
         if one.label:
             figure.colorbar(shaded, ax=axes, shrink=0.82, label=one.label, pad=0.02)
@@ -146,7 +153,7 @@ def _show(figure: Figure, axes: Any, one: Picture) -> None:
         cells, arrows = one.arrows
         x, y = (cells + 0.5).T - 0.45 * arrows.T
         axes.quiver(
-            x, y, *(0.9 * arrows.T), angles="xy", scale_units="xy", scale=1, color=INK,
+            x, y, *(0.9 * arrows.T), angles="xy", scale_units="xy", scale=1, color=ON_COLOUR,
             pivot="tail", units="x", width=0.09, headwidth=3.2, headlength=3.2, headaxislength=3,
             edgecolor="white", linewidth=0.4,
         )  # fmt: skip

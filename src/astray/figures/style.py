@@ -13,6 +13,15 @@ from astray.files import write_aside
 
 OTHERS = ("#2e6db4", "#b5446e", "#6b5b95", "#8a6d1f")  # of what is not an outcome
 INK, FAINT = "#222222", "#dddddd"
+ON_COLOUR = "black"  # of what is written on a colour, which is light in the dark, too
+# Colours of figures on dark pages.
+DARK = dict(
+    zip(
+        (INK, FAINT, *OTHERS),
+        ("#e6e7e2", "#3a3c38", "#6fa8ea", "#e27ba2", "#a897db", "#c9a94f"),
+        strict=True,
+    )
+)
 WIDTH = 7.0  # inches
 
 STYLE: dict[Any, Any] = {
@@ -42,3 +51,14 @@ def save(figure: Figure, folder: Path, name: str) -> None:
         figure.savefig(svg, format="svg", metadata={"Date": None})
     write_aside(folder / f"{name}.png", png.getvalue())
     write_aside(folder / f"{name}.svg", svg.getvalue())
+
+
+def themed(svg: str) -> str:
+    """Return a figure for pages: transparent, and with colours that follow a dark theme."""
+    for light in DARK:
+        svg = svg.replace(light, f"var(--c{light[1:]}, {light})")
+    dark = "".join(f"--c{light[1:]}: {dark};" for light, dark in DARK.items())
+    svg = svg.replace('style="fill: #ffffff"', 'style="fill: none"')  # of figure and axes
+    svg = svg.replace("'DejaVu Sans'", "'DejaVu Sans', Verdana, sans-serif")
+    style = f"<style>@media (prefers-color-scheme: dark) {{ svg {{ {dark} }} }}</style>"
+    return svg.replace("<defs>", f"{style}<defs>", 1)

@@ -3,15 +3,20 @@
 from __future__ import annotations
 
 import base64
+import hashlib
 import json
 import math
+import re
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, fields
+from importlib.resources import files
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 import polars as pl
+from markupsafe import Markup, escape
 
 from astray.analysis.pages import templates
 from astray.analysis.tables import write_table
@@ -22,8 +27,10 @@ from astray.report.findings import Code, Findings, Heading, Scene, Section
 WRITTEN = ("report.html", "findings.json", "figures", "tables")  # to a report's folder
 COMPUTED = "computed"  # the folder of a report's tables, which are made once
 FOLDERS = ("figures", "tables", COMPUTED)
-MEDIA = {".png": "image/png", ".mp4": "video/mp4"}
+MEDIA = {".png": "image/png", ".svg": "image/svg+xml", ".mp4": "video/mp4"}
 NOTHING = "—"
+MEAN = ("mean", "low", "high")
+UNTOLD = ("rows", "freedom")  # of tables: what intervals were computed with
 
 
 def write(
@@ -81,9 +88,9 @@ def write_page(
         sections: What is on it.
         figures: The folder of the figures, which are written already.
         how: What else the template takes: `heading` and `answer` of a study, `beside` and `links`
-            as in `write`; `sign` of what writes it.
+            as in `write`; `sign` of what writes it; `lab`, the command that opens a lab.
     """
-    usual = {"heading": None, "answer": "", "beside": {}, "links": {}, "sign": ""}
+    usual = {"heading": None, "answer": "", "beside": {}, "links": {}, "sign": "", "lab": ""}
     page = _render(
         "page.html", title=title, sections=[s for s in sections if s.items], figures=figures,
         **usual | how,
@@ -145,25 +152,94 @@ def _is_claim(given: Any) -> bool:
 
 
 def _render(template: str, **what: Any) -> str:
+    from astray.figures.hover import points
+
     environment = templates("astray.report")
     kind = {"kind": lambda item: type(item).__name__}
-    environment.filters |= {"embedded": embedded, "columns": columns} | kind
-    return environment.get_template(template).render(**what)
+    more = {"embedded": embedded, "laid_out": laid_out, "coded": coded, "points": points}
+    environment.filters |= more | kind
+    script = files("astray.report").joinpath("hover.js").read_text(encoding="utf-8")
+    digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
+    return environment.get_template(template).render(script=Markup(script), digest=digest, **what)
+
+
+def coded(text: str) -> Markup:
+    """Return escaped text in which what stands between backticks is code."""
+    return Markup(re.sub("`([^`]+)`", r"<code>\1</code>", str(escape(text))))
 
 
 def embedded(path: Path) -> str:
-    """Return a figure or video as a data URI; raise ValueError for another type."""
+    """Return a figure or video as a data URI; raise ValueError for another type.
+
+    Figures in SVG follow a dark theme.
+    """
     if path.suffix not in MEDIA:
         raise ValueError(f"{path.name} cannot be shown; {', '.join(MEDIA)} can")
-    return f"data:{MEDIA[path.suffix]};base64,{base64.b64encode(read(path)).decode()}"
+    data = read(path)
+    if path.suffix == ".svg":
+        from astray.figures.style import themed
+
+        data = themed(data.decode()).encode()
+    return f"data:{MEDIA[path.suffix]};base64,{base64.b64encode(data).decode()}"
 
 
-def columns(frame: pl.DataFrame) -> dict[str, tuple[bool, list[str]]]:
-    """Return for each column its heading, whether it is numeric, and its cells as text."""
-    return {
-        column.name.replace("_", " "): (column.dtype.is_numeric(), cells(column))
-        for column in frame.iter_columns()
-    }
+def laid_out(frame: pl.DataFrame) -> tuple[dict[str, tuple[bool, list[str]]], str]:
+    """Return a table as it is shown, and a note on it.
+
+    Intervals stand beside their means, outcomes side by side in percent. A column that is the same
+    in all rows is in the note; empty ones, and what intervals were computed with, are left out.
+
+    Returns:
+        For each column its heading, whether it is numeric, and its cells as text.
+    """
+    if "outcome" in frame.columns:
+        frame = frame.with_columns(pl.col(name for name in MEAN if name in frame.columns) * 100)
+    means = dict(_means(frame))
+    for name, ends in means.items():
+        frame = frame.with_columns(_with_interval(frame, name, ends)).drop(*ends)
+    frame = _side_by_side(frame.drop(UNTOLD, strict=False))
+    shown, notes = {}, ["In brackets: 95 % intervals."] * bool(means)
+    for column in frame.iter_columns():
+        name, text = column.name.replace("_", " "), cells(column)
+        measured = column.name in means or name.endswith(", %")
+        if {*text} == {NOTHING}:
+            continue
+        if len(text) > 1 and len({*text}) == 1 and not measured:
+            notes.append(f"{name}: {text[0]}.")
+        else:
+            shown[name] = measured or column.dtype.is_numeric(), text
+    return shown, " ".join(notes)
+
+
+def _means(frame: pl.DataFrame) -> Iterator[tuple[str, tuple[str, str]]]:
+    """Yield the columns that have intervals, with the columns of their ends."""
+    for before, name in pairwise(["", *frame.columns]):
+        if name == "low" and "high" in frame.columns and frame.schema[before].is_numeric():
+            yield before, ("low", "high")
+        for mark in (" ", ", "):
+            ends = f"{name}{mark}low", f"{name}{mark}high"
+            if {*ends} <= {*frame.columns}:
+                yield name, ends
+
+
+def _with_interval(frame: pl.DataFrame, name: str, ends: tuple[str, str]) -> pl.Series:
+    count = len(frame)
+    text = cells(pl.concat([frame[one].cast(pl.Float64).alias("") for one in (name, *ends)]))
+    told = zip(text[:count], text[count : 2 * count], text[2 * count :], strict=True)
+    both = [f"{mean} ({a} to {b})" if NOTHING not in (a, b) else mean for mean, a, b in told]
+    return pl.Series(name, both, dtype=pl.String)
+
+
+def _side_by_side(frame: pl.DataFrame) -> pl.DataFrame:
+    """Return the table with a column for each outcome, where all else is equal between them."""
+    if not {"outcome", "mean"} <= {*frame.columns}:
+        return frame
+    names = frame["outcome"].unique(maintain_order=True).to_list()
+    rest = [name for name in frame.columns if name not in ("outcome", "mean")]
+    if not rest or frame.select(*rest).unique().height * len(names) != frame.height:
+        return frame
+    wide = frame.pivot("outcome", index=rest, values="mean", maintain_order=True)
+    return wide.rename({name: f"{name}, %" for name in names})
 
 
 def cells(column: pl.Series) -> list[str]:
