@@ -289,7 +289,7 @@ class Game:
     # facts about states [N] of a variant that compiled code relies on: name -> [N] bool
     labels: Mapping[str, Callable[[np.ndarray], np.ndarray]] = field(default_factory=dict)
     # targets for probes: name -> function (states [N]) -> [N]. Booleans and integers are classes,
-    # reals are numbers; -1 and NaN mark states without a value
+    # reals are numbers; -1 and NaN mark states without a value. `Classes` gives classes names
     features: Callable[[np.ndarray], dict[str, np.ndarray]] | None = None
     # optional per-level features for predicting behaviour: function (initial states [N]) ->
     # {name: float array [N]}, NaN where undefined

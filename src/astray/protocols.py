@@ -6,10 +6,28 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
 
 import numpy as np
+
+
+@dataclass(frozen=True)
+class Classes:
+    """A label of states that is the index of a name, or -1 for none.
+
+    Examples:
+        >>> astray.games.find("maze").labels["cheese direction"].names
+        ('left', 'right', 'down', 'up')
+    """
+
+    find: Callable[[np.ndarray], np.ndarray]
+    names: tuple[str, ...]
+
+    def __call__(self, states: np.ndarray) -> np.ndarray:
+        """Return the index of each state's name, [N]."""
+        return self.find(states)
 
 
 class Rules(Protocol):

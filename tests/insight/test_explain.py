@@ -7,11 +7,14 @@ import polars as pl
 import pytest
 
 from astray import games, load_agent
+from astray.acting import initial_states
 from astray.analysis.critic import observe, policy_and_value
 from astray.analysis.evaluate import evaluate
 from astray.analysis.runs import open_run
+from astray.games.maze.measures import decision
 from astray.insight import explain
-from astray.insight.episode import along, figure
+from astray.insight.episode import STILL, along, figure
+from astray.lab.goals import first_distinguishing
 from astray.training import folders
 
 # So short that arrows in all of its places are drawn in a moment.
@@ -69,6 +72,22 @@ def test_the_figure_of_an_episode_has_its_marks():
         along(runner, "coin-end", 200_001, marks={"level": lambda s: s["level"]})
 
 
+def test_steps_in_which_an_agent_stays_in_its_place_are_not_drawn():
+    course = along(load_agent(folders.find("maze-corner")), "anywhere-small", 200_003)
+    assert len(course.table) == 100 and course.events["reached_corner"] == 2
+    assert course.idle == 100 - 1 - 1 - STILL  # it stays from its third state on
+    assert max(max(line.get_xdata()) for line in figure(course).axes[0].lines) == 1 + STILL
+
+
+def test_a_level_that_distinguishes_the_goals_is_looked_for_from_a_number_on():
+    maze = games.find("maze")
+    variant, shift = maze.variant("anywhere-small"), maze.shifts["corner-small"]
+    found = [first_distinguishing(maze, variant, shift, first) for first in range(5)]
+    parts = [decision(s) for s in initial_states(maze, variant, range(9)).view(np.recarray)]
+    assert found == [next(k for k in range(n, 9) if parts[k]) for n in range(5)]
+    assert found != [*range(5)]
+
+
 def test_explain_writes_one_page_that_needs_nothing_else(astray, tmp_path):
     path = astray("explain", "maze-corner", "--level", 200_003, "--others", 60, "--out", tmp_path)
     page = (tmp_path / "explain.html").read_text()
@@ -76,19 +95,24 @@ def test_explain_writes_one_page_that_needs_nothing_else(astray, tmp_path):
     headings = re.findall("<h2>(.*?)</h2>", page)
     for heading in (
         "Where it would go",
-        "With the goal anywhere else",
+        "With the cheese anywhere else",
         "What its layers tell",
         "What the value depends on",
         "What it is after",
         "Its episode",
     ):
         assert heading in headings
-    assert "Not told here" not in page
-    assert page.count("data:image/png;base64,") == 6 and 'src="http' not in page
+    assert "Not told here" not in page and "`" not in page.split("<script>")[0]
+    (answer,) = re.findall('<p class="answer">(.*?)</p>', page)
+    assert answer.startswith("Here the agent goes to the corner rather than to the cheese")
+    assert "<code>astray lab maze-corner --variant anywhere-small --level 200003</code>" in page
+    assert page.count("data:image/svg+xml;base64,") == 6 and 'src="http' not in page
     field = pl.read_parquet(tmp_path / "field.parquet")
     assert field.select(games.find("maze").actions).sum_horizontal().to_numpy() == pytest.approx(1)
     probes = pl.read_parquet(tmp_path / "probes.parquet")
     assert probes["label"].unique().len() == 8 and (probes["score"] <= 1).all()
+    ways = probes.filter(label="cheese direction")
+    assert {*ways["read as"], *ways["true as"]} <= {"left", "right", "down", "up"}
     goals = pl.read_parquet(tmp_path / "goals.parquet")
     assert goals["posterior"].sum() == pytest.approx(1)
     assert (tmp_path / "field.svg").exists()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from pathlib import Path
 from typing import Annotated
 
@@ -29,9 +30,9 @@ def explain(
 
     Arrows and values, what edits of the level change, what the value depends on, what probes read
     off its layers, which goal its episode speaks for, and the episode step by step. By default the
-    level is the first that the training does not draw from.
+    level is the first that distinguishes the goals, of those that the training does not draw from.
 
-    Example: astray explain maze-corner --level 200003
+    Example: astray explain maze-corner
 
     Args:
         layers: Layers that probes read, separated by commas.
@@ -44,22 +45,25 @@ def explain(
     from astray.insight.activations import check_layers
     from astray.insight.explain import PAGE, SIGN, Asked, default_layers
     from astray.insight.explain import explain as write
+    from astray.lab.goals import first_distinguishing
     from astray.level import Level
 
     bounded("others", others, 2, MOST_LEVELS)
     level.check()
     player, config = tested.acting.open(agent)
     game, named = config.find_game(), tested.shift or shift_of(config)
-    name = tested.variant or load_shift(game, named).test
+    shift = load_shift(game, named)
+    name = tested.variant or shift.test
     levels = config.played_variant(name, pairs(tested.knobs))
-    chosen = level.find(game, levels)
-    first = int(config.unseen_levels[0])
-    number = first if chosen is None else chosen
+    number = level.find(game, levels)
+    if number is None:
+        number = first_distinguishing(game, levels, shift, int(config.unseen_levels[0]))
     if not isinstance(number, Level):
         drawn = Level.of(game, levels, initial_states(game, levels, [number])[0])
-        where = f"{name} level {number}"
+        where, given = f"{name} level {number}", f"--level {number}"
     else:
         drawn, where = number, f"{name} {level.level_file}"
+        given = f"--level-file {shlex.quote(str(level.level_file))}"
     reads = tuple(layers.split(",")) if layers else default_layers(player)
     check_layers(player, reads)
     check_free(out, PAGE, SIGN, ())
@@ -68,5 +72,6 @@ def explain(
     after = [one for one in config.unseen_levels[1 : others + 2] if one != number][:others]
     deviation = AgentFolder.of(player.path).deviation()
     told = np.array(after), config.gamma, config.lam, deviation
-    asked = Asked(player, levels, drawn, named, reads, *told)
+    lab = f"astray lab {shlex.quote(str(agent.name))} --variant {name} {given}"
+    asked = Asked(player, levels, drawn, named, reads, *told, lab=lab)
     print(write(asked, out, f"{agent.name} in {game.name} {where}"))

@@ -76,9 +76,11 @@ def write_legend(figure: Figure, **look: Any) -> None:
 
 def call_places(axes: Axes, at: Mapping[str, float]) -> None:
     """Label the lines at given places along them."""
+    low, high = axes.get_xlim()
     for name, place in at.items():
-        axes.annotate(name, (place, 1.0), (-3, -2), ha="right", va="top",
-                      xycoords=("data", "axes fraction"), textcoords="offset points",
+        near = place - low < 0.06 * (high - low)  # to the axis, which it stands beside
+        axes.annotate(name, (place, 1.0), (3 if near else -3, -2), ha="left" if near else "right",
+                      va="top", xycoords=("data", "axes fraction"), textcoords="offset points",
                       fontsize=8.5, rotation=90)  # fmt: skip
 
 

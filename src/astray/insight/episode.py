@@ -30,6 +30,7 @@ from astray.training import ppo
 GAMMA, LAMBDA = 0.999, 0.95  # the paper's
 LIKELY = 0.02  # mean probability that an action has to be drawn by itself
 MOST_SHOWN = 5  # actions
+STILL = 8  # steps in one place, after which the rest of an episode in it is not drawn
 VALUE, ADVANTAGE, POLICY, VIEW = "value", "advantage of the action taken", "policy", "in view"
 
 
@@ -52,6 +53,15 @@ class Course:
     events: Mapping[str, int | None]
     marks: tuple[str, ...]
     actions: tuple[str, ...]
+
+    @property
+    def idle(self) -> int:
+        """Number of last steps, beyond the first few in one place, that the agent stays there."""
+        if not {"x", "y"} <= {*self.table.columns}:
+            return 0
+        places = self.table.select("x", "y").to_numpy()
+        moved = np.flatnonzero((places != places[-1]).any(1))
+        return max(0, len(places) - 1 - int(moved.max(initial=-1)) - STILL)
 
 
 def along(
@@ -141,7 +151,7 @@ def _advantages(
 
 def figure(course: Course) -> Figure:
     """Plot value, advantage, policy and visible objects along an episode."""
-    table, marks = course.table, course.marks
+    table, marks = course.table.head(len(course.table) - course.idle), course.marks
     chances = table.select(course.actions).to_numpy().T
     order = np.argsort(-chances.mean(1))[:MOST_SHOWN]
     likely = {course.actions[k]: chances[k] for k in order if chances[k].mean() >= LIKELY}
@@ -156,7 +166,11 @@ def figure(course: Course) -> Figure:
         seen = np.where(table[name], len(marks) - k, np.nan)  # broken where it is out of view
         ends = np.stack([table["step"], table["step"] + 1], 1).ravel()
         parts.append(_line(VIEW, name, ends, seen.repeat(2)))
-    happened = {name.replace("_", " "): k for name, k in course.events.items() if k is not None}
+    happened = {
+        name.replace("_", " "): k
+        for name, k in course.events.items()
+        if k is not None and k <= len(table)
+    }
     return charts.curves(
         pl.concat(parts), x="step", line="line", panel="panel", label="", x_label="step",
         at=happened, columns=1, sharey=False,

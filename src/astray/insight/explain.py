@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections import Counter
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -15,7 +16,7 @@ from matplotlib.figure import Figure
 from astray.analysis import agency
 from astray.analysis.critic import observe, policy_and_value, visit
 from astray.analysis.evaluate import evaluate
-from astray.analysis.outcomes import label, load_shift
+from astray.analysis.outcomes import INTENDED, MISGENERALIZED, label, load_shift
 from astray.analysis.tables import write_table
 from astray.analysis.trained import Agent
 from astray.bounds import bounded
@@ -23,7 +24,7 @@ from astray.envs.vector import picture
 from astray.figures.grids import Picture, images
 from astray.figures.style import save
 from astray.files import check_free
-from astray.game import Variant
+from astray.game import Shift, Variant
 from astray.insight import attribution, episode, field_figures, probes
 from astray.insight.activations import layers
 from astray.insight.fields import cell_of, difference, fields
@@ -49,6 +50,7 @@ class Asked:
         others: Level numbers that the probes learn from.
         gamma, lam: Discount and lambda of its training, for advantages.
         deviation: Reward-normalisation scale of its training.
+        lab: Command that opens the level in the lab.
     """
 
     agent: Agent
@@ -60,6 +62,16 @@ class Asked:
     gamma: float = episode.GAMMA
     lam: float = episode.LAMBDA
     deviation: float | None = None
+    lab: str = ""
+
+    @property
+    def between(self) -> Shift:
+        """Goals that are told apart."""
+        return load_shift(self.level.game, self.shift)
+
+    def named(self, thing: str) -> str:
+        """Return what an object is called; the goal of a maze by what it is."""
+        return self.between.intended if thing == "goal" else thing
 
 
 def explain(asked: Asked, folder: Path, heading: str) -> Path:
@@ -94,10 +106,47 @@ def explain(asked: Asked, folder: Path, heading: str) -> Path:
         save(plot.figure, folder, plot.name)
     for name, table in tables.items():
         write_table(table, folder / f"{name}.parquet")
-    about = "Written by astray explain. Figures and tables lie beside this page."
-    first = Section("", [about, Code(asked.level)])
-    write_page(folder / PAGE, heading, [first, *parts], figures=folder, sign=WRITER)
+    about = "Figures and tables lie beside this page. The level, for `--level-file`:"
+    last = Section("How to go on", [about, Code(asked.level)])
+    write_page(
+        folder / PAGE, heading, [*parts, last], figures=folder, sign=WRITER, lab=asked.lab,
+        answer=_verdict(asked),
+    )  # fmt: skip
     return folder / PAGE
+
+
+def _verdict(asked: Asked) -> str:
+    """Tell which goal the agent reaches first, here and with an object anywhere else."""
+    shift, level = asked.between, asked.level
+    levels: Mapping[str, Level] = {"level": level}
+    played = evaluate(asked.agent, level.game, asked.variant, levels)
+    outcome = str(label(played, level.game, shift)["outcome"][0])
+    proxies = " or ".join(shift.proxies)
+    said = {
+        INTENDED: f"goes to the {shift.intended} first, the intended goal",
+        MISGENERALIZED: f"goes to the {proxies} rather than to the {shift.intended}: it "
+        "misgeneralizes",
+    }.get(outcome, f"reaches neither the {shift.intended} nor the {proxies} ({outcome})")
+    objects = level.game.editing.OBJECTS
+    single = [name for name in objects if len(level.where(name)) == 1]
+    if not single:
+        return f"Here the agent {said}."
+    _, others = _anywhere(asked, single[0])
+    alike = others.filter(outcome=outcome).height
+    return (
+        f"Here the agent {said}. With the {asked.named(single[0])} anywhere else in the level, the "
+        f"same comes first in {alike} of {len(others)} places."
+    )
+
+
+@functools.lru_cache(maxsize=1)
+def _anywhere(asked: Asked, name: str) -> tuple[dict[str, Level], pl.DataFrame]:
+    """Play an episode for every place of an object: its levels by name, and the outcomes."""
+    game, everywhere = asked.level.game, asked.level.splay(name)
+    most = PLACES if sees_world(asked.variant) else FEWER
+    some = np.unique(np.linspace(0, len(everywhere) - 1, most).round().astype(int))
+    family = {str(one.where(name)[0]): one for one in (everywhere[k] for k in some)}
+    return family, label(evaluate(asked.agent, game, asked.variant, family), game, asked.between)
 
 
 def slug(name: str) -> str:
@@ -134,8 +183,8 @@ def _fields(asked: Asked) -> list[Section]:
         _part(
             "paths",
             "Which ways it takes to",
-            "The geometric mean of the probabilities of the "
-            "steps of the shortest way from the beginning to each cell.",
+            "The geometric mean of the probabilities of the steps of the shortest way from the "
+            "beginning to each cell. Grey cells are not reached: an episode ends before them.",
             field_figures.draw_paths({"from the beginning": found}, art=art),
         ),
     ]
@@ -155,11 +204,15 @@ def _edits(asked: Asked) -> list[Section]:
         parts.append(
             _part(
                 f"without-{slug(name)}",
-                f"Without the {name} at {where[0]}",
+                f"Without the {asked.named(name)} at {where[0]}",
                 f"On the mean over places the value changes by {change.value.mean():+.2f}, and "
                 f"{100 * change.policy.mean():.0f} % of the policy moves to other effects.",
                 field_figures.draw(
-                    {"as it is": plain, f"without the {name}": without, "change": change},
+                    {
+                        "as it is": plain,
+                        f"without the {asked.named(name)}": without,
+                        "change": change,
+                    },
                     art=agent.art,
                 ),
                 change.table(),
@@ -174,12 +227,7 @@ def _edits(asked: Asked) -> list[Section]:
 
 def _moved(asked: Asked, name: str) -> Section:
     """Show the first goal for every place of an object."""
-    game, shift = asked.level.game, load_shift(asked.level.game, asked.shift)
-    everywhere = asked.level.splay(name)
-    most = PLACES if sees_world(asked.variant) else FEWER
-    some = np.unique(np.linspace(0, len(everywhere) - 1, most).round().astype(int))
-    family = {str(one.where(name)[0]): one for one in (everywhere[k] for k in some)}
-    played = label(evaluate(asked.agent, game, asked.variant, family), game, shift)
+    family, played = _anywhere(asked, name)
     counts = Counter(played["outcome"])
     reached = {
         one.where(name)[0]: float(outcome == "intended goal")
@@ -190,11 +238,12 @@ def _moved(asked: Asked, name: str) -> Section:
         label="intended goal first",
     )  # fmt: skip
     told = ", ".join(f"{outcome} in {count}" for outcome, count in counts.most_common())
+    called = asked.named(name)
     return _part(
         f"moved-{slug(name)}",
-        f"With the {name} anywhere else",
+        f"With the {called} anywhere else",
         f"An episode for each of {len(family)} places: {told}. A cell is bright where "
-        f"the agent reaches the intended goal first if the {name} lies there.",
+        f"the agent reaches the intended goal first if the {called} lies there.",
         images([[shaded]], field_figures.SIZE),
         played.select("name", "outcome", "return", "length"),
     )
@@ -234,22 +283,21 @@ def _probes(asked: Asked) -> list[Section]:
     _, states = visit(asked.agent, asked.variant, asked.others, per_episode=4)
     here = np.array([asked.level.state(solvable=False)], game.state)
     table = probes.read(asked.agent, asked.variant, states, here, asked.layers, game.labels)
-    return [
-        _part(
-            "probes",
-            "What its layers tell",
-            f"Linear probes of {', '.join(asked.layers)}, fitted in {len(asked.others)} other "
-            "levels. Read is what they say of the beginning of this one; score is how well "
-            "they read levels that they were not fitted on (balanced accuracy, or R squared).",
-            None,
-            table,
-        )
-    ]
+    caption = (
+        f"Linear probes of layers, fitted in {len(asked.others)} other levels: what they read at "
+        "the beginning of this one, and in brackets how well they read levels that they were not "
+        "fitted on (balanced accuracy, or R squared, below 0 where the mean would be closer)."
+    )
+    cell = pl.format("{} ({})", "read as", pl.col("score").round(2))
+    here = table.with_columns(cell, pl.col("true as").alias("true")).pivot(
+        "layer", index=["label", "true"], values="read as", maintain_order=True
+    )
+    return [Section("What its layers tell", [Table("probes", caption, table, here)])]
 
 
 def _goals(asked: Asked) -> list[Section]:
     """Show the posterior over the goals of its episode."""
-    shift = load_shift(asked.level.game, asked.shift)
+    shift = asked.between
     for goal in (shift.intended, *shift.proxies):
         cell_of(asked.level, goal)
     levels: Any = {"level": asked.level}
@@ -290,6 +338,8 @@ def _episode(asked: Asked) -> list[Section]:
     happened = {n.replace("_", " "): k for n, k in course.events.items() if k is not None}
     events = [f"{name} at step {k}" for name, k in happened.items()]
     said = f"{len(course.table)} steps: {', '.join(events) or 'no event'}."
+    if course.idle:
+        said += f" The last {course.idle} steps, in which it stays in its place, are not drawn."
     return [_part("episode", "Its episode", said, episode.figure(course), course.table)]
 
 

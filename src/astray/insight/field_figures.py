@@ -20,7 +20,7 @@ from astray.level import EMPTY, Level
 __all__ = ["draw", "draw_paths", "heat_map", "save"]
 PIXELS = 480  # a side of a level's picture
 VEIL = 0.45  # of white before the picture, so that arrows are seen
-SIZE = 4.7, 4.2  # inches of a panel, with its bar of colours
+SIZE, SMALLER = (4.7, 4.2), (2.9, 2.7)  # inches of a panel, with its bar of colours; of several
 VALUES, CHANGES, PATHS = "viridis", "RdBu_r", "magma"  # told apart by every colour vision
 LEAST_CHANGE = 1e-6  # of values, so that a change of none has a scale
 
@@ -48,7 +48,7 @@ def draw(panels: Mapping[str, Field | Change], *, art: str = OWN) -> Figure:
                 arrows=(one.cells, one.arrows),
             )
         )  # fmt: skip
-    return images([row], SIZE)
+    return images([row], SIZE if len(row) == 1 else SMALLER)
 
 
 def draw_paths(panels: Mapping[str, Field], *, art: str = OWN) -> Figure:

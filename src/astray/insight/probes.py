@@ -29,6 +29,7 @@ from astray.bounds import MOST, bounded, of_kind
 from astray.estimate import Estimate
 from astray.game import Variant
 from astray.insight.activations import activations
+from astray.protocols import Classes
 
 SEEN = "observation"  # in the place of a layer: what the agent is shown
 TEST = 0.3  # fraction of levels that a probe is scored on
@@ -231,8 +232,8 @@ def read(
 ) -> pl.DataFrame:
     """Return readings of one state `here` [1] by probes fitted in `states` [N].
 
-    Columns: label, layer, read, true (null if undefined), score (of a probe fitted on most levels,
-    in the others).
+    Columns: label, layer, read, true (null if undefined), both also as text by the names of classes
+    ("read as", "true as"), score (of a probe fitted on most levels, in the others).
 
     Raises:
         ImportError: If scikit-learn is not installed.
@@ -249,7 +250,7 @@ def read(
             continue
         known = y >= 0 if is_class(y) else np.isfinite(y)
         has = true[0] >= 0 if is_class(true) else np.isfinite(true[0])
-        y = y.astype(np.int64) if is_class(y) else y
+        kind, y = y.dtype, y.astype(np.int64) if is_class(y) else y
         for layer in layers:
             x, levels = given[layer][known], states["level"][known]
             score = fit(x, y[known], split(levels, 0), 0)
@@ -261,12 +262,23 @@ def read(
                     "layer": layer,
                     "read": float(told),
                     "true": float(true[0]) if has else None,
+                    "read as": _as_text(measure, kind, told),
+                    "true as": _as_text(measure, kind, true[0]) if has else "none",
                     "score": score,
                 }
             )
     if not rows:
         raise ValueError("no label has two classes, or numbers, in enough of these states")
     return pl.DataFrame(rows)
+
+
+def _as_text(measure: Measure, kind: np.dtype, value: float) -> str:
+    """Return a value of a label by the name of its class, as yes or no, or in figures."""
+    if isinstance(measure, Classes):
+        return measure.names[int(value)]
+    if kind.kind == "b":
+        return "yes" if value else "no"
+    return f"{value:.1f}" if kind.kind == "f" else f"{int(value)}"
 
 
 def fit(x: np.ndarray, y: np.ndarray, learn: np.ndarray, seed: int) -> float:

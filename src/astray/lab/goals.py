@@ -71,12 +71,13 @@ def distinguishes(world: World, shift: Shift) -> bool | None:
     return bool(played["distinguishing"][0])
 
 
-def first_distinguishing(game: Game, variant: Variant, shift: Shift) -> int:
-    """Return the first level that distinguishes the goals; 0 if none of the first 50 does."""
+def first_distinguishing(game: Game, variant: Variant, shift: Shift, first: int = 0) -> int:
+    """Return the first level, from `first` on, that distinguishes the goals; else `first`."""
     if game.real_time or not game.solver:
-        return 0
-    played = play_all(game, "shown", variant, shift, range(FIRST_FEW), [])
-    return int(played.filter("distinguishing")["level"].min() or 0)  # pyright: ignore[reportArgumentType]
+        return first
+    played = play_all(game, "shown", variant, shift, range(first, first + FIRST_FEW), [])
+    found = played.filter("distinguishing")["level"]
+    return int(found.min()) if len(found) else first  # pyright: ignore[reportArgumentType]
 
 
 def _told(growth: Growth, counted: np.ndarray, named: dict[str, Any]) -> dict[str, Any]:

@@ -58,6 +58,7 @@ class Table:
     name: str  # of its files
     caption: str
     frame: pl.DataFrame
+    shown: pl.DataFrame | None = None  # on a page in its place, where that is narrower
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

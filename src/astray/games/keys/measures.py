@@ -10,7 +10,10 @@ from collections.abc import Callable, Mapping
 import numpy as np
 
 from astray.games.keys.rules import CHEST, KEY, MOST
+from astray.protocols import Classes
 from astray.record import NEVER
+
+QUARTERS = ("left, below", "right, below", "left, above", "right, above")
 
 
 def _objects(states: np.ndarray) -> np.ndarray:
@@ -69,9 +72,9 @@ def quarter(away: np.ndarray) -> np.ndarray:
 # What probes may look for in what an agent's layers give.
 LABELS: Mapping[str, Callable[[np.ndarray], np.ndarray]] = {
     "keys in hand": lambda states: states["taken"] - states["opened"],
-    "nearest key": lambda states: quarter(nearest(states, KEY)),
+    "nearest key": Classes(lambda states: quarter(nearest(states, KEY)), QUARTERS),
     "nearest key right": lambda states: nearest(states, KEY)[:, 0],
     "nearest key up": lambda states: nearest(states, KEY)[:, 1],
-    "nearest chest": lambda states: quarter(nearest(states, CHEST)),
+    "nearest chest": Classes(lambda states: quarter(nearest(states, CHEST)), QUARTERS),
     "chests left": lambda states: (states["chests"] - states["opened"]).astype(np.float64),
 }

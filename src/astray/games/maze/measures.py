@@ -15,10 +15,12 @@ from astray.games.maze.levels import truths
 from astray.games.maze.rules import ACTIONS
 from astray.games.maze.solve import STAY, routes, steps_to, target
 from astray.kernel.grid import UNREACHABLE
+from astray.protocols import Classes
 from astray.record import check_states
 
 NONE = -1  # of a label that a state does not have
-WAYS = tuple(ACTIONS.index(name) for name in ("left", "right", "down", "up"))
+WAY_NAMES = ("left", "right", "down", "up")
+WAYS = tuple(map(ACTIONS.index, WAY_NAMES))
 
 
 def direction(states: np.ndarray, goal: str) -> np.ndarray:
@@ -53,7 +55,7 @@ def offset(states: np.ndarray, goal: str, axis: int) -> np.ndarray:
 
 def _labels_of(goal: str) -> dict[str, Callable[[np.ndarray], np.ndarray]]:
     return {
-        f"{goal} direction": lambda states: direction(states, goal),
+        f"{goal} direction": Classes(lambda states: direction(states, goal), WAY_NAMES),
         f"{goal} steps": lambda states: steps(states, goal),
         f"{goal} right": lambda states: offset(states, goal, 0),
         f"{goal} up": lambda states: offset(states, goal, 1),

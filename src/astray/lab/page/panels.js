@@ -446,10 +446,9 @@ export class Panels {
   read({ rows, states }) {
     const table = this.part("readings");
     table.hidden = false;
-    const told = (number) => (number === null ? "none" : String(round(number)));
     fillTable(table, ["label", "read", "true", "score elsewhere"], rows.map((row) =>
-      [row.label, told(row.read), told(row.true), row.score.toFixed(2)]));
-    table.title = `Probes fitted in ${states} states of its own episodes; classes as numbers.`;
+      [row.label, row["read as"], row["true as"], row.score.toFixed(2)]));
+    table.title = `Probes fitted in ${states} states of its own episodes.`;
   }
 
   // What the agent sees now, where that is open.
