@@ -9,12 +9,12 @@ import polars as pl
 import pytest
 
 from astray.analysis.outcomes import MISGENERALIZED
+from astray.analysis.runs import open_run, play_all
 from astray.experiments import run as experiment_run
 from astray.experiments.sweep import run as sweeping
 from astray.experiments.sweep.report import command
 from astray.experiments.sweep.run import run_sweep
 from astray.experiments.sweep.settings import Sweep, axes, value
-from astray.experiments.workers import train_all
 from astray.training.config import PRESETS
 from astray.training.loop import train
 from helpers.trainings import TINY
@@ -34,7 +34,7 @@ def trained(monkeypatch):
                 runs.append(config)
                 train(config, run, progress=False)
 
-    monkeypatch.setattr(sweeping, "train_all", train_here)
+    monkeypatch.setattr(experiment_run, "train_all", train_here)
     return runs
 
 
@@ -83,13 +83,13 @@ def test_outcomes_are_of_all_agents_and_repeat_what_an_evaluation_says(trained, 
     one = replace(BASE, learning_rate=5e-4, knobs={"time_limit": 40}, seed=1)
     of_run = mine.filter(pl.col("run") == str(experiment_run.run_folder(tmp_path, one)))
     assert of_run.select(*TWO, "seed").unique().rows() == [(5e-4, 40, 1)]
-    again = sweeping.play_all(
+    again = play_all(
         one.find_game(),
         "anywhere-small",
         one.variant_for("anywhere-small"),
         "corner-small",
         range(one.unseen_levels.start, one.unseen_levels.start + 20),
-        [sweeping.open_run(experiment_run.run_folder(tmp_path, one))[0]],
+        [open_run(experiment_run.run_folder(tmp_path, one))[0]],
     ).filter(policy="sampled")
     tested = of_run.filter(test="in the test")
     assert tested["outcome"].to_list() == again["outcome"].to_list()
@@ -114,14 +114,13 @@ def test_a_sweep_goes_on_and_takes_more_values(trained, tmp_path, monkeypatch):
     run_sweep(Sweep(BASE, small, levels=5), tmp_path)
     first = pl.read_parquet(tmp_path / "outcomes.parquet")
     played = []
-    play_all = sweeping.play_all
-    noted = wraps(play_all)(lambda *a: played.append(a[-1]) or play_all(*a))
-    monkeypatch.setattr(sweeping, "play_all", noted)
+    noted = wraps(sweeping.play)(lambda *a, play=sweeping.play: played.append(a) or play(*a))
+    monkeypatch.setattr(sweeping, "play", noted)
     run_sweep(Sweep(BASE, small, levels=5), tmp_path)
     assert len(trained) == 2 and not played
     assert pl.read_parquet(tmp_path / "outcomes.parquet").equals(first)
     run_sweep(Sweep(BASE, {"learning_rate": [1e-4, 5e-4, 1e-3]}, levels=5), tmp_path)
-    assert len(trained) == 3 and len(played) == 2
+    assert len(trained) == 3 and len(played) == 1
     assert (tmp_path / "figures" / "learning-rate.png").exists()
 
 
@@ -184,10 +183,6 @@ def test_the_verb_trains_in_processes(astray, tmp_path):
     assert astray(*words).strip() == str(tmp_path / "sweep" / "report.html")
     assert len(list((tmp_path / "sweep" / "agents").glob("*/seed-0/config.json"))) == 2
     assert "unknown setting or knob 'colour'" in astray(*words, "--set", "colour=1", fails=True)
-
-
-def test_trainings_are_those_of_the_workers():
-    assert sweeping.train_all is train_all
 
 
 @pytest.mark.parametrize(

@@ -18,11 +18,8 @@ from astray.training.config import Config
 
 
 def levels_of(plan: Plan, test: Test) -> np.ndarray:
-    """Return the numbers [N] of a test's levels, which no agent of the plan has met.
-
-    Agents of others are assumed not to know the plan's levels, which are the same in all tests.
-    """
-    if plan.own:
+    """Return the numbers [N] of a test's levels: the plan's, or those that no agent has met."""
+    if plan.first_level is not None:
         return np.arange(plan.first_level, plan.first_level + plan.levels)
     return unmet(plan.agents.values(), test.variant_for(plan.config), plan.levels)
 

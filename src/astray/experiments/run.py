@@ -281,6 +281,26 @@ def note(plan: Plan, runs: Runs, folder: Path, experiment: Experiment) -> str:
     are deleted. OSError is raised if the folder holds files that astray did not write.
     """
     study = [module for module in catalogue.loaded() if module.EXPERIMENT is experiment]
+    text, digest = inputs(plan, runs, experiment.find, study)
+    computed = folder / COMPUTED
+    if computed.is_symlink():
+        raise OSError(
+            f"{computed} must be a folder of its own; it is a link, to what may not be astray's"
+        )
+    for table in computed.glob("*.parquet"):
+        found = TABLE.fullmatch(table.name)
+        if found and found[1] != digest and table.is_file() and not table.is_symlink():
+            table.unlink()
+    write_aside(folder / PLAN, text)
+    return digest
+
+
+def inputs(plan: Plan, runs: Runs, *code: object) -> tuple[bytes, str]:
+    """Return JSON of everything that a plan's tables are computed from, and its digest.
+
+    Args:
+        code: Functions and modules that compute further tables than the episodes.
+    """
     data = {
         "configs": {n: [c.to_json() for c in made] for n, made in plan.trainings().items()},
         "agents": {
@@ -289,26 +309,16 @@ def note(plan: Plan, runs: Runs, folder: Path, experiment: Experiment) -> str:
         },
         "tests": {name: asdict(test) for name, test in plan.tests.items()},
         "visited": {name: asdict(test) for name, test in plan.visited.items()},
-        "levels": [plan.first_level, plan.levels] if plan.own else plan.levels,
+        "levels": [plan.first_level, plan.levels],
         "measures": list(plan.measures),
         "pretrained": [agent_digest(folders.find(name)) for name in folders.pretrained()],
         "resolved": resolved(plan),
         "sources": provenance_of(
-            plan.agents.values(), play, plan.measures, experiment.find, study, plan.world, plan.own
+            plan.agents.values(), play, plan.measures, *code, plan.world, plan.own
         ),
     }
-    text, computed = json.dumps(data, indent=1).encode(), folder / COMPUTED
-    if computed.is_symlink():
-        raise OSError(
-            f"{computed} must be a folder of its own; it is a link, to what may not be astray's"
-        )
-    digest = hashlib.sha256(text).hexdigest()[:16]
-    for table in computed.glob("*.parquet"):
-        found = TABLE.fullmatch(table.name)
-        if found and found[1] != digest and table.is_file() and not table.is_symlink():
-            table.unlink()
-    write_aside(folder / PLAN, text)
-    return digest
+    text = json.dumps(data, indent=1).encode()
+    return text, hashlib.sha256(text).hexdigest()[:16]
 
 
 def resolved(plan: Plan) -> dict[str, Any]:

@@ -36,6 +36,7 @@ if TYPE_CHECKING:
 Size = Literal["smoke", "pixels", "night", "hour", "paper", "published"]
 SIZES: tuple[Size, ...] = get_args(Size)
 SPREADS = 0.03, 0.15  # standard deviations between agents: all learn alike, and they do not
+OWN_LEVELS = 1_000_000  # the first level of tests of `own` agents, which they should not know
 PUBLISHED: Size = "published"  # of agents that others trained: nothing is trained
 Place = Literal["here", "ray"]  # where agents are trained
 Runs = Mapping[str, Sequence[Path]]  # the run folders of the agents of each name
@@ -92,8 +93,10 @@ class Plan:
     # of the plan they are distilled from, each from that of its own seed
     world: World | Game | None = None  # that `own` agents play; then there are no others
     own: Mapping[str, OwnAgents] = field(default_factory=dict)  # by name
-    first_level: int = 1_000_000  # of a plan of `own` agents, who should not know it
+    first_level: int | None = None  # of all tests; None: those that no agent has met, or for `own`
+    # agents those from `OWN_LEVELS` on
     seeds: int = 1  # agents of each name
+    first_seed: int = 0
     tests: Mapping[str, Test] = field(default_factory=dict)  # by name; all agents are played in all
     visited: Mapping[str, Test] = field(default_factory=dict)  # by name; what the experiment itself
     # looks at states of
@@ -122,6 +125,11 @@ class Plan:
         )
         if not 1 <= self.levels <= fewest:
             raise ValueError(f"levels must be from 1 to {fewest}; got {self.levels}")
+        if self.own and self.first_level is None:
+            object.__setattr__(self, "first_level", OWN_LEVELS)
+        if self.first_level is not None:
+            last = LEVELS.stop - self.levels
+            bounded("first_level", self.first_level, LEVELS.start, last)
         self._check_own()
         games = {config.game for config in self.agents.values()}
         if (self.tests or self.visited) and self.world is None and len(games) != 1:
@@ -138,7 +146,6 @@ class Plan:
         """Raise ValueError unless agents of others are alone and one per seed."""
         if (self.world is None) == bool(self.own) or (self.own and self.agents):
             raise ValueError("a plan has either agents, or own agents and the world they play")
-        bounded("first_level", self.first_level, LEVELS.start, LEVELS.stop - 1 - self.levels)
         for name, given in self.own.items():
             of_kind("own agents", given, OwnAgents)
             if (given.train is None) != (len(given.files) == self.seeds):
@@ -195,7 +202,7 @@ class Plan:
         return {
             name: [
                 replace(config, seed=seed, teacher=self.teacher_of(name, seed))
-                for seed in range(self.seeds)
+                for seed in range(self.first_seed, self.first_seed + self.seeds)
             ]
             for name, config in self.agents.items()
             if name not in self.published

@@ -15,15 +15,13 @@ from astray.analysis.outcomes import INTENDED, MISGENERALIZED, matrix
 from astray.analysis.runs import LEVELS_PLAYED
 from astray.estimate import Estimate
 from astray.experiments.outcomes import AGENTS
-from astray.experiments.sweep.settings import Sweep
+from astray.experiments.sweep.settings import TEST, TRAINING, Sweep
 from astray.figures import charts
 from astray.figures.axes import COLOURS
 from astray.figures.grids import cells
 from astray.report.findings import Findings, Heading, Plot, Table
 from astray.training.config import PRESETS, Config
 from astray.training.settings import KNOB
-
-TRAINING, TEST = "in training", "in the test"
 
 
 def heading(sweep: Sweep, folder: Path) -> Heading:

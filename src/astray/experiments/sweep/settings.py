@@ -1,4 +1,4 @@
-"""The settings of a sweep, their values, and how they are written as text."""
+"""The settings of a sweep, their values as text, and the plans of its combinations."""
 
 from __future__ import annotations
 
@@ -12,12 +12,14 @@ from typing import Any
 from astray.analysis.outcomes import load_shift
 from astray.analysis.runs import LEVELS_PLAYED, shift_of
 from astray.bounds import bounded, shown
+from astray.experiments.spec import Plan, Test
 from astray.game import knobs
 from astray.training.config import Config
 from astray.training.settings import KNOB, SEEDS
 
 SHORT = {"lr": "learning_rate"}
 MOST = 10_000  # agents of a sweep
+TRAINING, TEST = "in training", "in the test"
 Cell = tuple[Any, ...]  # a value of each axis
 
 
@@ -52,7 +54,7 @@ class Sweep:
         for config in self.cells().values():
             if config.teacher is not None:
                 raise ValueError(f"a sweep has no teachers; got teacher {shown(config.teacher)}")
-            load_shift(config.find_game(), self.shift or shift_of(config))
+        self.plans()
 
     def cells(self) -> dict[Cell, Config]:
         """Return the settings of each combination, without the seed."""
@@ -61,6 +63,27 @@ class Sweep:
             values: changed(self.base, dict(zip(names, values, strict=True)))
             for values in itertools.product(*self.axes.values())
         }
+
+    def plans(self) -> dict[Cell, Plan]:
+        """Return the plan of each combination: its agents, played in training and in the test.
+
+        Raises:
+            ValueError: If a shift or a level is missing.
+        """
+        return {cell: self._plan(cell, config) for cell, config in self.cells().items()}
+
+    def _plan(self, cell: Cell, config: Config) -> Plan:
+        shift = self.shift or shift_of(config)
+        test = load_shift(config.find_game(), shift).test
+        return Plan(
+            agents={", ".join(map(str, cell)): config},
+            seeds=self.seeds,
+            first_seed=self.base.seed,
+            tests={TRAINING: Test(config.variant, shift), TEST: Test(test, shift)},
+            levels=self.levels,
+            first_level=config.unseen_levels.start,
+            differences="",
+        )
 
     def columns(self) -> list[str]:
         """Return the axes' names in tables, where episodes have a variant and rates have levels."""
