@@ -32,7 +32,7 @@ def test_every_name_of_the_face_is_there_and_typed():
         assert callable(getattr(astray, name)) and getattr(astray, name).__doc__, name
 
 
-CHECKS = {"of_kind", "bounded", "finite", "one_of", "check_word", "check_words"}
+CHECKS = {"of_kind", "bounded", "finite", "one_of", "check_words"}
 
 
 def raises(function):

@@ -16,7 +16,6 @@ from astray import cli, games
 from astray.agents.policy import Architecture
 from astray.analysis.runs import open_run
 from astray.analysis.video import play
-from astray.bounds import bounded
 from astray.cli import verbs
 from astray.envs.pool import Pool, check_startable
 from astray.envs.states import load_states
@@ -31,6 +30,7 @@ from astray.training.config import PRESETS
 from astray.training.fast import fused, sparse
 from astray.training.loop import train
 from astray.training.ppo import Samples
+from astray.validation import bounded
 from helpers.cases import SHAPES
 from helpers.flat import kinds, options
 

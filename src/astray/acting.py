@@ -14,7 +14,6 @@ from typing import Any, NamedTuple, Protocol, TypeVar
 import numpy as np
 
 from astray import world
-from astray.bounds import MOST, bounded, of_kind, shown
 from astray.envs.beginnings import CHUNK as CHUNK
 from astray.envs.beginnings import Levels as Levels
 from astray.envs.beginnings import beginnings
@@ -23,6 +22,7 @@ from astray.envs.rows import check_rows, rows
 from astray.envs.vector import GameVectorEnv, Observation
 from astray.envs.worlds import WorldVectorEnv
 from astray.game import Game, Variant
+from astray.validation import MOST, bounded, of_kind, one_of, shown
 from astray.world import World, WorldVariant
 
 LASTING = 1_000_000  # steps; longer episodes count as endless
@@ -251,10 +251,8 @@ class LevelByLevel:
         longest: int | None = None,
     ):
         """Begin the first of `levels`; `steps` describes the arguments."""
-        unknown = [event for event in until if event not in env.game.events]
-        if unknown:
-            there = ", ".join(env.game.events)
-            raise ValueError(f"unknown event {unknown[0]!r} of {env.game.name}; there are: {there}")
+        for event in until:
+            one_of("event", event, env.game.events, of=env.game.name)
         self._option, self._levels = beginnings(levels, env.game.state)
         self._until, self._longest, n = until, longest, env.num_envs
         self._playing = np.arange(n)  # index of each environment's level

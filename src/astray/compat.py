@@ -17,10 +17,9 @@ import numpy as np
 from gymnasium import spaces
 
 from astray import games
-from astray.bounds import MOST, bounded, integers, of_kind
 from astray.envs.vector import GameVectorEnv
 from astray.record import LEVELS
-from astray.words import check_word
+from astray.validation import MOST, bounded, integers, of_kind, one_of
 
 Mode = Literal["easy", "hard", "memory", "exploration"]
 EXPLORATION = {  # the one level of that mode
@@ -62,7 +61,7 @@ class Options:
     render_mode: Literal["rgb_array"] | None = None
 
     def __post_init__(self) -> None:
-        check_word("distribution_mode", self.distribution_mode, Mode)
+        one_of("distribution_mode", self.distribution_mode, Mode)
         bounded("start_level", self.start_level, 0, LEVELS.stop - 1)
         bounded("num_levels", self.num_levels, 0, LEVELS.stop - self.start_level)
         bounded("num_threads", self.num_threads, 0, MOST)
@@ -109,10 +108,8 @@ class ProcgenGym3Env:
     """
 
     def __init__(self, num: int, env_name: str, **options: Any):
-        unknown = [name for name in options if name not in Options.__dataclass_fields__]
-        if unknown:
-            there = ", ".join(Options.__dataclass_fields__)
-            raise ValueError(f"unknown option {unknown[0]!r}; there are: {there}")
+        for name in options:
+            one_of("option", name, Options.__dataclass_fields__)
         chosen = Options(**options)
         game, variant = world(env_name, chosen.distribution_mode)
         self.num, self.env_name, self.options = num, env_name, chosen

@@ -11,7 +11,6 @@ from typing import Any, Literal, Self
 
 import numpy as np
 
-from astray.bounds import MOST, bounded, finite, of_kind, shown
 from astray.protocols import (
     Cells,
     Editing,
@@ -24,6 +23,7 @@ from astray.protocols import (
     Symbols,
 )
 from astray.record import check_states, record_dtype
+from astray.validation import MOST, bounded, finite, of_kind, one_of, shown
 
 OWN = "own"  # name of astray's own art
 Mutation = Literal["constant", "identity", "binomial"]  # kind of edits, and how often
@@ -75,8 +75,7 @@ class Variant:
         for name, kind in knobs(type(self)).items():
             choices, given = typing.get_args(kind), getattr(self, name)
             if choices:
-                if given not in choices:
-                    raise ValueError(f"unknown {name} {given!r}; there are: {', '.join(choices)}")
+                one_of(name, given, choices)
             elif kind is bool:
                 if not isinstance(given, bool | np.bool_):
                     raise ValueError(f"{name} must be a bool; got {given!r}")
@@ -131,8 +130,7 @@ def knobs(variant: type[Variant]) -> Mapping[str, Any]:
 
 def _as_knob(name: str, value: Any, kinds: Mapping[str, type]) -> Any:
     """Return `value` converted to the type of the knob called `name`."""
-    if name not in kinds:
-        raise ValueError(f"unknown knob {name!r}; there are: {', '.join(kinds)}")
+    one_of("knob", name, kinds)
     if isinstance(value, str) and kinds[name] is not str:
         try:
             value = json.loads(value.lower())
@@ -363,9 +361,7 @@ class Game:
             if not isinstance(name, tuple({type(v) for v in self.variants.values()})):
                 raise ValueError(f"the variant is a {type(name).__name__}, not one of {self.name}")
             return name
-        if not isinstance(name, str) or name not in self.variants:
-            there = ", ".join(self.variants)
-            raise ValueError(f"unknown variant {shown(name)} of {self.name}; there are: {there}")
+        one_of("variant", name, self.variants, of=self.name)
         return self.variants[name]
 
     def drawn(self, art: str) -> Looks:
@@ -374,9 +370,7 @@ class Game:
         Raises:
             ValueError: If the game has no such art.
         """
-        if not isinstance(art, str) or art not in self.looks:
-            there = ", ".join(self.looks)
-            raise ValueError(f"unknown art {shown(art)} of {self.name}; there are: {there}")
+        one_of("art", art, self.looks, of=self.name)
         return self.looks[art]
 
     def check(self, states: np.ndarray, variant: Variant, art: str = OWN) -> None:

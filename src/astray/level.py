@@ -9,9 +9,9 @@ from typing import Any, TypeGuard
 
 import numpy as np
 
-from astray.bounds import of_kind, shown
 from astray.game import Game, Variant
 from astray.record import NEVER, is_trusted
+from astray.validation import of_kind, one_of, shown
 
 AGENT, EMPTY = "@", "."  # in the drawings of all games
 ON = f"{AGENT} on "  # prefix of the line below a drawing with what the agent stands on
@@ -218,9 +218,7 @@ class Level:
         """
         if name == "agent":
             return [self.agent]
-        if not isinstance(name, str) or name not in self.game.editing.OBJECTS:
-            there = ", ".join(["agent", *self.game.editing.OBJECTS])
-            raise ValueError(f"unknown object {name!r}; there are: {there}")
+        one_of("object", name, ["agent", *self.game.editing.OBJECTS])
         code = self.game.editing.LEGEND[self.game.editing.OBJECTS[name]]
         return [(int(x), int(y)) for y, x in np.argwhere(self.cells == code)]
 
@@ -369,7 +367,6 @@ def _is_alike(given: Any, true: Any) -> bool:
 def _check_told(given: Mapping[str, Any], true: Mapping[str, Any], what: str) -> None:
     """Raise ValueError unless a level's `given` redundant fields agree with the `true` ones."""
     for name, value in given.items():
-        if name not in true:
-            raise ValueError(f"unknown field {shown(name)} of {what}; there are: {', '.join(true)}")
+        one_of("field", name, true, of=what)
         if not _is_alike(value, true[name]):
             raise ValueError(f"{name} is {shown(value)}, but in this level {shown(true[name])}")

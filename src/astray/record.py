@@ -9,9 +9,9 @@ from weakref import WeakValueDictionary
 
 import numpy as np
 
-from astray.bounds import MOST, array_of, integers
 from astray.kernel.rng import RNG_FIELDS, WORDS
 from astray.protocols import Rules
+from astray.validation import MOST, array_of, integers
 
 NEVER = -1  # step of an event that has not happened; number of a level without one
 LEVELS = range(2**31 - 1)  # all level numbers, as in the original

@@ -12,9 +12,9 @@ import numpy as np
 from gymnasium.utils.env_checker import data_equivalence
 
 from astray import games
-from astray.bounds import MOST, bounded, brief, finite, of_kind, one_of, shown
 from astray.game import Game, Missing, More, Never, Outcome, Shift, Truncated
 from astray.record import NEVER, record_dtype
+from astray.validation import MOST, bounded, brief, finite, of_kind, one_of, shown
 
 Env = gymnasium.Env
 Happened = str | Callable[[Any, Mapping[str, Any]], Any]

@@ -11,7 +11,7 @@ import pytest
 from astray import cli
 from astray.cli import LONGEST, shortened
 from astray.training.config import Config
-from astray.words import printable
+from astray.validation import printable
 
 
 def test_control_characters_are_shown_and_not_obeyed():

@@ -9,11 +9,11 @@ import torch
 
 from astray.agents.policy import Architecture, load, weights
 from astray.analysis.runs import open_run
-from astray.bounds import OldName
 from astray.training import checkpoint
 from astray.training.config import Config
 from astray.training.loop import train
 from astray.training.older import RENAMED
+from astray.validation import OldName
 from helpers.trainings import TINY, digest
 
 
@@ -43,7 +43,7 @@ def test_a_knob_that_came_later_was_as_it_is_by_default():
         Config.from_json(data)
 
 
-@pytest.mark.filterwarnings("ignore:a file of settings says:astray.bounds.OldName")
+@pytest.mark.filterwarnings("ignore:a file of settings says:astray.validation.OldName")
 def test_an_older_run_is_opened_and_goes_on_as_it_would_have(tmp_path):
     config = replace(TINY, validation=None, checkpoint_every=1, steps=4 * TINY.batch)
     run = tmp_path / "run"

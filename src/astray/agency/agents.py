@@ -10,7 +10,7 @@ import numpy as np
 
 from astray.agency.gridworld import Trajectory, World
 from astray.agency.steps import IMPOSSIBLE, KIND
-from astray.words import check_words
+from astray.validation import check_words
 
 AtGoal = Literal["uniform", "stay", "done", "absorb"]
 

@@ -11,7 +11,7 @@ from scipy.special import logsumexp
 
 from astray.agency.gridworld import ACTIONS, Trajectory, World
 from astray.agency.steps import KIND, Rule, log_product
-from astray.words import check_word
+from astray.validation import one_of
 
 # What a device sees. "type": the type of the cell faced in the direction of the last action;
 # "type+last": and the last action; "ego": the type, its actions being turns from the last one;
@@ -62,8 +62,8 @@ def see(
         legal: Whether only moves that change the cell are actions. A table entry that points into
             a wall then stands for any of them.
     """
-    check_word("observation", what, Observation)
-    check_word("first", first, First)
+    one_of("observation", what, Observation)
+    one_of("first", first, First)
     before, taken = trajectory.cells[:-1], trajectory.actions
     facing = ACTIONS.index(first) if first in ACTIONS else 0
     last = np.append(facing, taken[:-1])[: len(taken)]

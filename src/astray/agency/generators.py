@@ -12,8 +12,7 @@ import numpy as np
 from astray.agency.devices import CLOCKWISE, COMPASS
 from astray.agency.gridworld import ACTIONS, Cell, Trajectory, World
 from astray.agency.measure import Episode
-from astray.bounds import MOST, bounded
-from astray.words import check_word, check_words
+from astray.validation import MOST, bounded, check_words, one_of
 
 Type = Literal["in-distribution", "goal misgeneralization", "capability failure", "robust"]
 TYPES: tuple[Type, ...] = get_args(Type)
@@ -58,7 +57,7 @@ class Setting:
 
     def episodes(self, kind: Type, count: int) -> list[Episode]:
         """Generate `count` nonempty episodes of a type; raise ValueError if it is unknown."""
-        check_word("type", kind, Type)
+        one_of("type", kind, Type)
         rng = np.random.default_rng([self.seed, 2, TYPES.index(kind)])
         return [self._episode(kind, rng) for _ in range(count)]
 
@@ -98,7 +97,7 @@ def shortest(
     Raises:
         ValueError: If there is no way.
     """
-    check_word("ties", ties, Ties)
+    one_of("ties", ties, Ties)
     here, steps = world.number(begin), world.distance[:, world.number(end)]
     if not np.isfinite(steps[here]):
         raise ValueError(f"no way leads from {begin} to {end}")

@@ -11,7 +11,7 @@ import numpy as np
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import dijkstra
 
-from astray.bounds import bounded, integers, of_kind, shown
+from astray.validation import bounded, integers, of_kind, shown
 
 ACTIONS = ("up", "down", "left", "right")
 MOVES = np.array([(0, 1), (0, -1), (-1, 0), (1, 0)])  # (x, y), y upward

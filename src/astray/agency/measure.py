@@ -24,8 +24,7 @@ from astray.agency.agents import Agents, AtGoal, of_every_cell
 from astray.agency.devices import First, Observation
 from astray.agency.gridworld import ACTIONS, Cell, Trajectory, World
 from astray.agency.steps import Noise, Rule, log_product, log_table, rule
-from astray.bounds import of_kind
-from astray.words import check_words
+from astray.validation import check_words, of_kind, one_of
 
 Goals = Literal["accessible and true", "accessible", "all cells"]
 Goal = Cell | str  # a cell, or a name
@@ -69,11 +68,10 @@ class Options:
             raise ValueError(f"noise_atom must be from 0 to 1; got {self.noise_atom}")
         if not 1 <= self.beta < np.inf:
             raise ValueError(f"beta must be at least 1, and finite; got {self.beta}")
-        unknown = [what for what in self.observations if what not in devices.OBSERVATIONS]
-        if unknown or not self.observations:
-            raise ValueError(
-                f"unknown observations {unknown}; there are: {', '.join(devices.OBSERVATIONS)}"
-            )
+        if not self.observations:
+            raise ValueError("observations are empty: name at least one")
+        for what in self.observations:
+            one_of("observation", what, devices.OBSERVATIONS)
         if len(set(self.observations)) < len(self.observations):
             raise ValueError(f"observations are {self.observations}; each is given once")
 

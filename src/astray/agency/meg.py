@@ -18,7 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import minimize_scalar
 
-from astray.bounds import finite, of_kind, shown
+from astray.validation import finite, of_kind, shown
 
 LARGEST = 1e4  # rationality; beyond it, policies are optimal to all digits
 PRECISION = 1e-9  # of soft values, in nats

@@ -19,7 +19,7 @@ import numpy as np
 from scipy.special import logsumexp
 
 from astray.agency.gridworld import ACTIONS
-from astray.words import check_word
+from astray.validation import one_of
 
 Noise = Literal["any action", "other actions"]
 
@@ -97,7 +97,7 @@ def log_table(rule: Rule, noise: Noise = "any action") -> np.ndarray:
         noise: "any action" is uniformly random over all L actions with probability eps, as in the
             paper; "other actions" takes one that is not best. ValueError is raised for others.
     """
-    check_word("noise", noise, Noise)
+    one_of("noise", noise, Noise)
     rows = []
     for best, k, L in KINDS:
         if k == L:

@@ -23,8 +23,8 @@ from astray.agents.mlp import MLP
 from astray.agents.names import check_network, is_own, renamed_network
 from astray.agents.patch import nature, overlap, patch, patch_impala
 from astray.agents.recurrent import WithCell
-from astray.bounds import brief
 from astray.files import check_readable
+from astray.validation import brief
 
 GROUP = "astray.networks"  # of entry points, by which installed packages offer theirs
 FORMAT = 1  # of the files; goes up when an older version could not read them

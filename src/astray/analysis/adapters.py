@@ -14,11 +14,10 @@ from astray.acting import Answer, Turn
 from astray.agents import policy as trained
 from astray.agents.recurrent import Recurrent
 from astray.analysis.trained import AT_ONCE, chosen, recalled
-from astray.bounds import shown
 from astray.envs.vector import Observation
 from astray.game import OWN
 from astray.training.trainer import Trainer
-from astray.words import check_word
+from astray.validation import one_of, shown
 
 
 class Model(Protocol):
@@ -182,5 +181,5 @@ def from_trainer(trainer: Trainer, mode: Literal["sampled", "greedy"] = "sampled
     Args:
         mode: "sampled" samples actions from the policy, "greedy" takes the most likely.
     """
-    check_word("mode", mode, Literal["sampled", "greedy"])
+    one_of("mode", mode, Literal["sampled", "greedy"])
     return Learner(trainer, mode)

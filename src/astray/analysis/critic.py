@@ -19,12 +19,12 @@ import numpy as np
 import polars as pl
 
 from astray.acting import Levels, steps
-from astray.analysis.given import Measure, check_measures, measured
+from astray.analysis.evaluate import Measure, check_measures, measured
 from astray.analysis.policies import episode_noise
 from astray.analysis.trained import Model
-from astray.bounds import MOST, bounded, finite, of_kind
 from astray.envs.vector import GameVectorEnv
 from astray.game import Variant
+from astray.validation import MOST, bounded, finite, of_kind
 from astray.world import SEEN, World
 
 STEP_SALT = 2**33  # no agent has this seed, or a larger one

@@ -29,12 +29,11 @@ from gymnasium import spaces
 from astray import games, imports, world
 from astray.acting import Levels, Policy, check_policy, steps
 from astray.analysis.tables import write_table
-from astray.bounds import brief, of_kind, shown
 from astray.envs import VERSION
 from astray.envs.vector import GameVectorEnv
 from astray.files import folder_aside, read, write_aside
 from astray.game import Game, Variant
-from astray.words import check_word
+from astray.validation import brief, of_kind, one_of, shown
 from astray.world import World, WorldVariant
 
 Format = Literal["parquet", "minari"]
@@ -133,7 +132,7 @@ def export(
     check_policy(policy)
     if not isinstance(levels, Mapping) and len(set(np.asarray(levels).tolist())) < len(levels):
         raise ValueError(f"levels must be given once each; got {shown(levels)}")
-    check_word("format", form, Format)
+    one_of("format", form, Format)
     of_kind("folder", folder, str | Path)
     if os.path.lexists(folder):
         raise ValueError(f"a data set is written to a new folder; there is something at {folder}")

@@ -24,8 +24,8 @@ from dataclasses import replace
 import numpy as np
 import polars as pl
 
-from astray.bounds import of_kind
 from astray.estimate import Estimate
+from astray.validation import of_kind
 
 CONFIDENCE = 0.95
 POWER = 0.8

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence, Sized
+from collections.abc import Callable, Collection, Mapping, Sequence, Sized
 from typing import Any
 
 import numpy as np
@@ -10,13 +10,13 @@ import polars as pl
 
 from astray import world
 from astray.acting import Levels, Policy, steps
-from astray.analysis.given import Measure, check_measures, measured
-from astray.bounds import of_kind
 from astray.game import Game, Variant
+from astray.validation import of_kind, shown
 from astray.world import World, WorldVariant
 
 COLUMNS = ("policy", "level", "name", "shifted", "return", "length", "terminated")
 LATER = ("run", "seed", "checkpoint", "variant", "outcome", "distinguishing")  # columns added later
+Measure = Callable[[np.ndarray], np.ndarray]  # states [N] -> numbers [N]
 
 
 def evaluate(
@@ -82,3 +82,28 @@ def evaluate(
     kinds = {"name": pl.String} | {event: pl.Int64 for event in game.events}
     table = pl.DataFrame(rows, schema_overrides=kinds)
     return table.with_columns(measured(name, of, last) for name, of in measured_by.items())
+
+
+def check_measures(measures: Mapping[str, Measure] | None, taken: Collection[str]) -> None:
+    """Raise ValueError unless `measures` are functions by names that no column has."""
+    if measures is None:
+        return
+    of_kind("measures", measures, Mapping)
+    for name, measure in measures.items():
+        if not isinstance(name, str) or not callable(measure):
+            raise ValueError(
+                f"measures must be functions of states by name; got {shown(name)}: {shown(measure)}"
+            )
+        if name in taken:
+            raise ValueError(f"measures have the names of other columns: {name}")
+
+
+def measured(name: str, measure: Measure, states: np.ndarray) -> pl.Series:
+    """Apply a measure to `states` [N]; raise ValueError unless it returns N values."""
+    values = measure(states)
+    if np.shape(values) != (len(states),):
+        raise ValueError(
+            f"the measure {name!r} must return {len(states)} values, one of each state; got "
+            f"{shown(values)}"
+        )
+    return pl.Series(name, values)

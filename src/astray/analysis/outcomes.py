@@ -16,11 +16,11 @@ import polars as pl
 from astray import world
 from astray.analysis.estimates import estimate_mean
 from astray.analysis.policies import Walk
-from astray.bounds import of_kind
 from astray.estimate import Estimate
 from astray.game import Game, More, Never, Outcome, Shift, Truncated, Variant
 from astray.outcome import FAILED, INTENDED, MISGENERALIZED
 from astray.outcome import OUTCOMES as OUTCOMES
+from astray.validation import of_kind, one_of
 from astray.world import World, WorldVariant
 
 REACHED_NEITHER = ~pl.col("outcome").is_in([INTENDED, MISGENERALIZED])  # an end or a failure
@@ -44,8 +44,8 @@ def load_shift(game: str | Game | World, shift: str | Shift) -> Shift:
     """
     game = world.find(game)
     shifts = game.shifts
-    if not isinstance(shift, Shift) and (not isinstance(shift, str) or shift not in shifts):
-        raise ValueError(f"unknown shift {shift!r} of {game.name}; there are: {', '.join(shifts)}")
+    if not isinstance(shift, Shift):
+        one_of("shift", shift, shifts, of=game.name)
     found = shift if isinstance(shift, Shift) else shifts[shift]
     for variant in (found.train, found.test):
         if variant not in game.variants:
@@ -111,8 +111,7 @@ def label(episodes: pl.DataFrame, game: Goals, shift: Shift) -> pl.DataFrame:
 
 
 def _step(game: Goals, goal: str) -> pl.Expr:
-    if goal not in game.goals:
-        raise ValueError(f"unknown goal {goal!r}; there are: {', '.join(game.goals)}")
+    one_of("goal", goal, game.goals)
     return _reached(game.goals[goal])
 
 

@@ -13,8 +13,7 @@ import polars as pl
 from astray import world
 from astray.acting import Levels, Policy, check_ending, check_policy
 from astray.agents.policy import usable
-from astray.analysis.evaluate import evaluate
-from astray.analysis.given import Measure
+from astray.analysis.evaluate import Measure, evaluate
 from astray.analysis.outcomes import (
     label,
     load_shift,
@@ -26,13 +25,13 @@ from astray.analysis.outcomes import (
 from astray.analysis.policies import Random, Walk
 from astray.analysis.results import ALL, APART, Result
 from astray.analysis.trained import Agent, Loaded
-from astray.bounds import of_kind, shown
 from astray.envs.worlds import check_reported
 from astray.game import Game, Shift, Variant
 from astray.level_files import read_levels
 from astray.training import folders
 from astray.training.config import Config
 from astray.training.folders import AgentFolder
+from astray.validation import of_kind, shown
 from astray.world import World, WorldVariant, check_repeats
 
 LEVELS_PLAYED = 1000  # default number of levels

@@ -21,12 +21,11 @@ from astray.agents import policy
 from astray.agents.names import is_own
 from astray.agents.recurrent import Recurrent
 from astray.analysis.policies import episode_noise
-from astray.bounds import of_kind, shown
 from astray.envs.vector import GameVectorEnv, Observation
 from astray.game import OWN, Game
 from astray.training import ppo
 from astray.training.folders import AgentFolder
-from astray.words import check_word, check_words
+from astray.validation import check_words, of_kind, one_of, shown
 from astray.world import World
 
 # Observations per forward pass: more are not faster for a large network, and padding a batch to a
@@ -205,7 +204,7 @@ class Network:
     def __post_init__(self) -> None:
         of_kind("network", self.network, torch.nn.Module)
         of_kind("space", self.space, Box)
-        check_word("mode", self.mode, Literal["sampled", "greedy"])
+        one_of("mode", self.mode, Literal["sampled", "greedy"])
         self.network.eval()
 
     @property

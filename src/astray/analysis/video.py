@@ -14,12 +14,12 @@ from PIL import Image, ImageDraw, ImageFont
 
 from astray import acting, games
 from astray.acting import Asking, LevelByLevel, Policy, Step, check_ending, check_policy, steps
-from astray.bounds import bounded, of_kind
 from astray.envs.vector import picture
 from astray.envs.worlds import WorldVectorEnv
 from astray.files import write_aside
 from astray.game import Game, Variant
 from astray.level import Level
+from astray.validation import bounded, of_kind
 from astray.world import World, WorldVariant
 
 BACKGROUND, INK = (247, 247, 245), (34, 34, 34)

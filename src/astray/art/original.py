@@ -25,10 +25,10 @@ import numpy as np
 import platformdirs
 from PIL import Image
 
-from astray.bounds import shown
 from astray.files import check_readable, hold, write_aside
 from astray.game import Looks
 from astray.kernel.qt import GENERIC, SPRITE
+from astray.validation import shown
 
 WHEEL = "procgen-0.10.7-cp310-cp310-manylinux_2_17_x86_64.manylinux2014_x86_64.whl"
 DOWNLOAD = (

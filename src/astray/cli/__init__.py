@@ -12,7 +12,7 @@ import threading
 from difflib import get_close_matches
 
 from astray import imports
-from astray.words import printable
+from astray.validation import printable
 
 MISTAKE = 2  # exit code, after the mistake was explained
 INTERRUPTED = 130  # as shells say it: 128 and the number of the signal, SIGINT

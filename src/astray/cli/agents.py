@@ -13,7 +13,6 @@ from rich.table import Table
 from tyro.conf import Positional, arg
 
 from astray.analysis.tables import write_table
-from astray.bounds import MOST, bounded
 from astray.cli.arguments import (
     NOBODY,
     NUMBERS,
@@ -39,6 +38,7 @@ from astray.game import Game
 from astray.training.config import Config, Tracking
 from astray.training.folders import PRETRAINED
 from astray.training.settings import SEEDS, otherwise
+from astray.validation import MOST, bounded
 from astray.world import World
 
 if TYPE_CHECKING:

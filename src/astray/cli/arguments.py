@@ -14,12 +14,12 @@ from rich.console import Console, RenderableType
 from tyro.conf import Positional, UseAppendAction, arg
 
 from astray import games, imports, world
-from astray.bounds import bounded, of_kind
 from astray.game import OWN, Game, Variant
 from astray.level import Level
 from astray.level_files import read_levels
 from astray.record import LEVELS, NEVER
 from astray.training.settings import KNOB, otherwise
+from astray.validation import bounded, of_kind
 from astray.world import World
 
 if TYPE_CHECKING:

@@ -8,9 +8,9 @@ from typing import Annotated
 from tyro.conf import arg
 
 from astray.analysis.dataset import Format
-from astray.bounds import MOST, bounded
 from astray.cli.arguments import NUMBERS, Longest, Player, level_numbers
 from astray.training.settings import otherwise
+from astray.validation import MOST, bounded
 
 
 def export(

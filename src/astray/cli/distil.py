@@ -6,12 +6,12 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
-from astray.bounds import MOST, bounded
 from astray.cli.arguments import Agent
 from astray.envs.pool import most_threads
 from astray.envs.vector import Observation
 from astray.training.config import PRESETS, Tracking
 from astray.training.settings import MOST_STEPS, SEEDS, otherwise
+from astray.validation import MOST, bounded
 
 
 def distil(

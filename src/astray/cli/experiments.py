@@ -11,7 +11,6 @@ from rich.table import Table
 from tyro.conf import Positional, arg
 
 from astray import games
-from astray.bounds import bounded
 from astray.cli.arguments import MOST_WORKERS, Json, Workers, print_json, show
 from astray.experiments import catalogue
 from astray.experiments.spec import Place, Size
@@ -19,7 +18,7 @@ from astray.game import OWN, Game
 from astray.training import folders
 from astray.training.config import PRESETS, Tracking
 from astray.training.settings import otherwise
-from astray.words import printable
+from astray.validation import bounded, printable
 
 
 def list_(json: Json = False) -> None:

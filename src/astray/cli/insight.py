@@ -9,11 +9,11 @@ from typing import Annotated
 import numpy as np
 from tyro.conf import arg
 
-from astray.bounds import bounded
 from astray.cli.arguments import Agent, GivenLevel, Tested, pairs
 from astray.files import check_free, check_writable
 from astray.training.folders import AgentFolder
 from astray.training.settings import otherwise
+from astray.validation import bounded
 
 MOST_LEVELS = 10_000
 

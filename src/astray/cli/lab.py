@@ -7,10 +7,10 @@ from typing import Annotated, Any
 
 from tyro.conf import Positional
 
-from astray.bounds import bounded
 from astray.cli.arguments import AN_AGENT, GivenLevel
 from astray.files import read
 from astray.training.settings import otherwise
+from astray.validation import bounded
 
 LARGEST_PORT = 2**16 - 1
 EXPORTED, MOST = 50, 10_000  # levels of a variant that are exported: by default, and at most

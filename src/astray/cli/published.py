@@ -10,11 +10,10 @@ from rich.console import Console
 from rich.table import Table
 from tyro.conf import Positional, arg
 
-from astray.bounds import shown
 from astray.cli.arguments import Json, Mode, level_numbers, print_json
 from astray.training import folders
 from astray.training.settings import otherwise
-from astray.words import printable
+from astray.validation import printable, shown
 
 TOLD = "as the file or the catalogue tells"
 

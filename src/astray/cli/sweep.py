@@ -7,11 +7,11 @@ from typing import Annotated
 
 from tyro.conf import UseAppendAction, arg
 
-from astray.bounds import bounded
 from astray.cli.arguments import MOST_WORKERS, Preset, Shift, Workers
 from astray.experiments.spec import Place
 from astray.training.config import Config, Tracking
 from astray.training.settings import otherwise
+from astray.validation import bounded
 
 Axes = UseAppendAction[
     Annotated[

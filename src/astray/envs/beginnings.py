@@ -7,11 +7,11 @@ from collections.abc import Mapping, Sequence, Sized
 import numpy as np
 
 from astray import games
-from astray.bounds import of_kind
 from astray.envs.vector import GameVectorEnv
 from astray.game import Game, Variant
 from astray.level import Level
 from astray.record import level_numbers
+from astray.validation import of_kind
 
 Levels = Sequence[int] | np.ndarray | range | Mapping[str, Level]
 CHUNK = 1000  # levels begun at once

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from astray.bounds import shown
+from astray.validation import shown
 
 
 def rows(memory: Any, kept: np.ndarray) -> Any:

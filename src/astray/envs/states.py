@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 
 from astray import games
-from astray.bounds import of_kind
 from astray.files import read, write_aside
 from astray.game import Game
+from astray.validation import of_kind
 
 FORMAT = 1  # goes up when the fields of a state change their meaning
 # All that NumPy raises for what is no archive of arrays.

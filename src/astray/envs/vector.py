@@ -14,7 +14,6 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
 from astray import games
-from astray.bounds import MOST, bounded, integers, of_kind, shown
 from astray.envs.compiled import compiled_loop
 from astray.envs.infos import Columns, Info, merged, objects
 from astray.envs.loops import AS_SET, DISABLED, NEXT_LEVEL, NEXT_STEP, NOTHING, SAME_STEP, STEP
@@ -23,7 +22,7 @@ from astray.game import OWN, Game, Variant
 from astray.level import Level
 from astray.memory import check_memory
 from astray.record import LEVELS, level_numbers, trusted
-from astray.words import check_word
+from astray.validation import MOST, bounded, integers, of_kind, one_of
 
 IMAGE = 64  # pixels a side of what the agent sees
 COPIES = 6  # of an observation: four in the batch's space, the last one, the one at an end
@@ -89,19 +88,15 @@ class GameVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         self.variant = self.game.variant(variant)
         bounded("num_envs", num_envs, 1, MOST)
         bounded("threads", threads, 1, most_threads())
-        check_word("observation", observation, Observation)
+        one_of("observation", observation, Observation)
         if render_mode is not None:
-            check_word("render_mode", render_mode, Literal["rgb_array"])
+            one_of("render_mode", render_mode, Literal["rgb_array"])
         self.num_envs, self.render_mode, self.observation = num_envs, render_mode, observation
         self.symbolic = observation == "symbolic"
         self.art, looks = art, self.game.drawn(art)
-        try:
-            mode = AutoresetMode(autoreset_mode)
-        except (ValueError, TypeError):  # TypeError: what cannot be compared with a word
-            there = ", ".join(mode.value for mode in AutoresetMode)
-            raise ValueError(
-                f"unknown autoreset_mode {shown(autoreset_mode)}; there are: {there}"
-            ) from None
+        if not isinstance(autoreset_mode, AutoresetMode):
+            one_of("autoreset_mode", autoreset_mode, [mode.value for mode in AutoresetMode])
+        mode = AutoresetMode(autoreset_mode)
         self._mode = MODES[mode]
         self.autoreset_mode = mode  # as Gymnasium's own have it; others look for it here
         self.metadata = {"render_modes": ["rgb_array"], "autoreset_mode": mode, "render_fps": 15}
@@ -195,9 +190,8 @@ class GameVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
             of_kind("options", options, Mapping)
         super().reset(seed=seed)
         options = options or {}
-        unknown = [name for name in options if name not in OPTIONS]
-        if unknown:
-            raise ValueError(f"unknown option {unknown[0]!r}; there are: {', '.join(OPTIONS)}")
+        for name in options:
+            one_of("option", name, OPTIONS)
         which = np.ones(self.num_envs, bool)
         if "reset_mask" in options:
             which = np.array(options["reset_mask"])

@@ -12,8 +12,8 @@ import numpy as np
 from gymnasium import spaces
 from gymnasium.vector import AsyncVectorEnv, AutoresetMode, SyncVectorEnv
 
-from astray.bounds import MOST, bounded, shown
 from astray.game import OWN
+from astray.validation import MOST, bounded, shown
 from astray.world import NOTED, World, WorldVariant, witnessed
 
 

@@ -17,10 +17,10 @@ from pathlib import Path
 from types import ModuleType
 
 from astray import imports
-from astray.bounds import brief, of_kind
 from astray.experiments import studies
 from astray.experiments.spec import Experiment
 from astray.files import check_readable
+from astray.validation import brief, of_kind, one_of
 
 LARGEST = 2**20  # bytes of a file of Python
 
@@ -41,8 +41,7 @@ NAMES = tuple(MODULES)
 
 def load(name: str) -> Experiment:
     """Return the experiment called `name`; raise ValueError if there is none."""
-    if name not in MODULES:
-        raise ValueError(f"unknown experiment {name!r}; there are: {', '.join(NAMES)}")
+    one_of("experiment", name, NAMES)
     return importlib.import_module(MODULES[name]).EXPERIMENT
 
 

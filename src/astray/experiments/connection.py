@@ -13,8 +13,8 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any, TypeVar
 
-from astray.bounds import brief, shown
 from astray.published.download import LEAST, in_time
+from astray.validation import brief, shown
 
 COMMIT = re.compile(r"[0-9a-f]{40,64}")
 T = TypeVar("T")

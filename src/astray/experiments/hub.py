@@ -19,7 +19,6 @@ from typing import TYPE_CHECKING, Any
 
 from astray import imports
 from astray.agents import policy
-from astray.bounds import brief, of_kind, shown
 from astray.envs.vector import IMAGE
 from astray.experiments.connection import Wary, reached, unreachable, wary
 from astray.experiments.keep import keep
@@ -27,6 +26,7 @@ from astray.files import holds_only, read, write_aside
 from astray.training import folders
 from astray.training.config import Config
 from astray.training.folders import CARD, CONFIG, HUB, AgentFolder
+from astray.validation import brief, of_kind, shown
 
 if TYPE_CHECKING:
     from huggingface_hub import HfApi

@@ -19,7 +19,6 @@ import torch
 
 from astray import provenance
 from astray.analysis.outcomes import load_shift
-from astray.bounds import brief
 from astray.experiments import catalogue, labs
 from astray.experiments.levels import check_tests, play
 from astray.experiments.spec import (
@@ -44,6 +43,7 @@ from astray.training.config import Config, Tracking
 from astray.training.folders import AgentFolder
 from astray.training.loop import checked
 from astray.training.teacher import give
+from astray.validation import brief, one_of
 
 ALL = "all"  # experiments of a size
 PLAN = "plan.json"  # what is first written to a report's folder
@@ -114,8 +114,7 @@ def reproduce(
 def sized(experiment: str | Experiment, size: Size) -> tuple[str, Experiment]:
     """Return `catalogue.find`'s name and experiment; raise ValueError if the size is missing."""
     name, whole = catalogue.find(experiment)
-    if not isinstance(size, str) or size not in whole.sizes:
-        raise ValueError(f"unknown size {size!r} of {name}; there are: {', '.join(whole.sizes)}")
+    one_of("size", size, whole.sizes, of=name)
     return name, whole
 
 

@@ -17,17 +17,16 @@ import polars as pl
 from astray import imports, world
 from astray.acting import Policy
 from astray.analysis.estimates import detectable
-from astray.analysis.evaluate import COLUMNS
-from astray.analysis.given import Measure, check_measures
+from astray.analysis.evaluate import COLUMNS, Measure, check_measures
 from astray.analysis.outcomes import load_shift, name_of
 from astray.analysis.tables import write_table
-from astray.bounds import bounded, of_kind, shown
 from astray.files import read
 from astray.game import OWN, Game, Variant
 from astray.record import LEVELS
 from astray.report.findings import Findings
 from astray.report.page import COMPUTED
 from astray.training.config import PRESETS, SOLVER, Config, Named
+from astray.validation import bounded, of_kind, shown
 from astray.world import World
 
 if TYPE_CHECKING:

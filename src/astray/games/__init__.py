@@ -16,8 +16,8 @@ from importlib.metadata import EntryPoint
 from typing import Any
 
 from astray import imports
-from astray.bounds import brief, shown
 from astray.game import Game
+from astray.validation import brief, shown
 
 OWN = tuple(sorted(module.name for module in pkgutil.iter_modules(__path__) if module.ispkg))
 GROUP = "astray.games"

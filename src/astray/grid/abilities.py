@@ -10,12 +10,12 @@ from typing import Any
 
 import numpy as np
 
-from astray.bounds import finite, one_of
 from astray.game import Variant
 from astray.grid.rules import ACTIONS, DX, DY, settle
 from astray.kernel.grid import UNREACHABLE, distances
 from astray.protocols import Rules
 from astray.record import NEVER, check_record, within
+from astray.validation import finite, one_of
 
 STAY, OVER = 0, 16  # the action; a mover's code counts so much in a level's grid
 SPARE = "ABCDEFGHIJKLMNOPQRSTUVWXYZ"  # characters of movers that are on things

@@ -26,14 +26,14 @@ from torch import Tensor
 
 from astray import world
 from astray.analysis.critic import observe
-from astray.analysis.given import Measure, check_measures, measured
+from astray.analysis.evaluate import Measure, check_measures, measured
 from astray.analysis.tables import write_table
 from astray.analysis.trained import Model
-from astray.bounds import MOST, bounded, of_kind, one_of, shown
 from astray.envs.states import BROKEN
 from astray.files import check_readable, folder_aside, read, write_aside
 from astray.game import Variant
 from astray.memory import check_memory
+from astray.validation import MOST, bounded, of_kind, one_of, shown
 
 INDEX, LABELS, FORMAT = "index.json", "labels.parquet", 1
 LARGEST_INDEX = 2**20  # bytes

@@ -23,9 +23,9 @@ from astray import imports
 from astray.agents.mlp import MLP
 from astray.analysis.critic import Edit, observe
 from astray.analysis.trained import Agent, Model, Network
-from astray.bounds import MOST, bounded, of_kind
 from astray.envs.vector import IMAGE
 from astray.game import Variant
+from astray.validation import MOST, bounded, of_kind
 
 CHUNK = 64  # observations at a time
 REST, NOTHING = "rest", "nothing"  # parts that are what no other is

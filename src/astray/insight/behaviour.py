@@ -20,9 +20,9 @@ import polars as pl
 from astray import games, imports
 from astray.acting import CHUNK, Levels, initial_states
 from astray.analysis.estimates import estimate_mean
-from astray.bounds import MOST, bounded, of_kind
 from astray.estimate import Estimate
 from astray.game import Game, Variant
+from astray.validation import MOST, bounded, of_kind
 
 FOLDS = 5
 SUBSETS = 200  # of features, in which signs are compared

@@ -15,9 +15,9 @@ from collections.abc import Mapping
 import numpy as np
 
 from astray.agency.meg import Directedness, Process, goal_directedness
-from astray.bounds import shown
 from astray.insight.fields import Field, Places
 from astray.level import Cell
+from astray.validation import shown
 
 
 def process_of(places: Places, discount: float = 0.9) -> tuple[Process, dict[Cell, int]]:

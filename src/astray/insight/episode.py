@@ -19,13 +19,13 @@ from matplotlib.figure import Figure
 from astray import games
 from astray.acting import steps
 from astray.analysis.critic import policy_and_value
-from astray.analysis.given import Measure, measured
+from astray.analysis.evaluate import Measure, measured
 from astray.analysis.trained import Agent
-from astray.bounds import finite, of_kind
 from astray.figures import charts
 from astray.game import Variant
 from astray.level import Level
 from astray.training import ppo
+from astray.validation import finite, of_kind
 
 GAMMA, LAMBDA = 0.999, 0.95  # the paper's
 LIKELY = 0.02  # mean probability that an action has to be drawn by itself

@@ -19,7 +19,6 @@ from astray.analysis.evaluate import evaluate
 from astray.analysis.outcomes import INTENDED, MISGENERALIZED, label, load_shift
 from astray.analysis.tables import write_table
 from astray.analysis.trained import Agent
-from astray.bounds import bounded
 from astray.envs.vector import picture
 from astray.figures.grids import Picture, images
 from astray.figures.style import save
@@ -32,6 +31,7 @@ from astray.insight.interventions import sees_world
 from astray.level import Level
 from astray.report.findings import Code, Plot, Section, Table
 from astray.report.page import write_page
+from astray.validation import bounded
 
 PAGE = "explain.html"
 WRITER = "astray explain"

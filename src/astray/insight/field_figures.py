@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from astray.bounds import of_kind
 from astray.envs.vector import picture
 from astray.figures.grids import Picture, images
 from astray.figures.style import save
@@ -16,6 +15,7 @@ from astray.game import OWN
 from astray.insight.fields import Change, Field
 from astray.insight.interventions import sees_world
 from astray.level import EMPTY, Level
+from astray.validation import of_kind
 
 __all__ = ["draw", "draw_paths", "heat_map", "save"]
 PIXELS = 480  # a side of a level's picture

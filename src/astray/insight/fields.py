@@ -25,11 +25,11 @@ from astray import games
 from astray.acting import Answer, Levels, Onward, initial_states
 from astray.analysis.critic import observe, policy_and_value
 from astray.analysis.trained import Agent
-from astray.bounds import of_kind, shown
 from astray.envs.vector import GameVectorEnv
 from astray.game import Game, Variant
 from astray.level import EMPTY, Cell, Level, check_cell
 from astray.record import trusted
+from astray.validation import of_kind, shown
 
 AT_ONCE = 2048  # states; CoinRun's take 17 kB each
 

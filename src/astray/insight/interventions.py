@@ -21,10 +21,10 @@ import torch
 from torch import Tensor
 
 from astray.analysis.trained import AnyModel, Model
-from astray.bounds import MOST, bounded, finite, of_kind, shown
 from astray.game import Variant
 from astray.insight.activations import check_layers
 from astray.level import Cell
+from astray.validation import MOST, bounded, finite, of_kind, shown
 
 Change = Callable[[Tensor], Tensor]  # what a layer gave [B, ...] -> what it gives instead
 

@@ -23,13 +23,13 @@ import torch
 from astray import imports
 from astray.analysis.critic import observe
 from astray.analysis.estimates import estimate_mean
-from astray.analysis.given import Measure, check_measures, measured
+from astray.analysis.evaluate import Measure, check_measures, measured
 from astray.analysis.trained import Agent, AnyModel, Model
-from astray.bounds import MOST, bounded, of_kind
 from astray.estimate import Estimate
 from astray.game import Variant
 from astray.insight.activations import activations
 from astray.protocols import Classes
+from astray.validation import MOST, bounded, of_kind
 
 SEEN = "observation"  # in the place of a layer: what the agent is shown
 TEST = 0.3  # fraction of levels that a probe is scored on

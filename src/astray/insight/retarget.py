@@ -20,12 +20,12 @@ from astray import games
 from astray.acting import Levels
 from astray.analysis.critic import observe, policy_and_value
 from astray.analysis.trained import Agent
-from astray.bounds import MOST, bounded, of_kind, shown
 from astray.game import Variant
 from astray.insight.activations import activations, check_layers
 from astray.insight.fields import Places, drawn, places_of, states_at
 from astray.insight.interventions import patch, place
 from astray.level import Cell, Level
+from astray.validation import MOST, bounded, of_kind, shown
 
 AS_IS, CLAMPED, ALONE, MOVED = "as it is", "clamped", "clamped, no object", "object moved"
 WAYS = (AS_IS, CLAMPED, ALONE, MOVED)

@@ -20,12 +20,12 @@ from astray import games
 from astray.acting import Levels
 from astray.analysis.critic import observe, policy_and_value
 from astray.analysis.trained import Agent
-from astray.bounds import MOST, bounded, finite, of_kind, shown
 from astray.game import Variant
 from astray.insight.activations import activations
 from astray.insight.fields import Places, cell_of, drawn, places_of
 from astray.insight.interventions import steer
 from astray.level import Cell, Level
+from astray.validation import MOST, bounded, finite, of_kind, shown
 
 Edit = Callable[[Level], Level]
 

@@ -22,6 +22,7 @@ from astray.lab.worlds import World
 from astray.training import folders
 from astray.training.config import Config
 from astray.training.folders import AgentFolder
+from astray.validation import one_of
 
 AT_ONCE = 64  # places whose arrows are computed together, and sent
 FIRST_VISITED, VISITED, EACH = 900_000, 150, 4  # levels whose states probes are fitted in
@@ -50,8 +51,7 @@ class Agents:
 
     def open(self, name: str) -> tuple[Agent, Config]:
         """Return a named agent and its training's settings; raise ValueError if there is none."""
-        if name not in self.paths:
-            raise ValueError(f"unknown agent {name!r}; there are: {', '.join(self.paths)}")
+        one_of("agent", name, self.paths)
         if name not in self._opened:
             self._opened[name] = open_run(self.paths[name])
         return self._opened[name]

@@ -20,7 +20,6 @@ from astray import games
 from astray.acting import initial_states
 from astray.analysis.critic import observe, policy_and_value
 from astray.analysis.trained import Agent
-from astray.bounds import MOST, bounded, of_kind
 from astray.files import folder_aside, write_aside
 from astray.game import Game, Variant
 from astray.insight.fields import states_at
@@ -30,6 +29,7 @@ from astray.lab.session import FORMAT, Lab, about_game, drawings
 from astray.lab.worlds import is_played
 from astray.level import Level
 from astray.training.config import Config
+from astray.validation import MOST, bounded, of_kind
 
 TABLE = 2**20  # bytes of an agent's table, at most
 COMPUTED = "mlp"  # the network that the page computes

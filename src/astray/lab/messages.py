@@ -7,8 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 from typing import Any, Literal
 
-from astray.bounds import bounded, of_kind, shown
-from astray.words import check_word
+from astray.validation import bounded, of_kind, one_of, shown
 
 LARGEST = 2**18  # characters of a message; a level of CoinRun as JSON has some 20,000
 LONGEST = 2000  # steps of an episode that a page plays
@@ -59,9 +58,9 @@ class Message:
 
     def __post_init__(self) -> None:
         bounded("id", self.id, 0, 2**53)
-        check_word("kind", self.kind, Kind)
-        check_word("mode", self.mode, Mode)
-        check_word("method", self.method, Method)
+        one_of("kind", self.kind, Kind)
+        one_of("mode", self.mode, Mode)
+        one_of("method", self.method, Method)
         for name in ("game", "variant", "agent", "thing", "goal", "layer", "slot"):
             text = getattr(self, name)
             of_kind(name, text, str)

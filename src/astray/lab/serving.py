@@ -7,11 +7,11 @@ from pathlib import Path
 from typing import Any
 
 from astray import games
-from astray.bounds import of_kind
 from astray.lab.agents import Agents
 from astray.lab.goals import first_distinguishing
 from astray.lab.session import Lab
 from astray.training import folders
+from astray.validation import of_kind
 
 FIRST = "maze-corner"  # of the agents, where nobody says which
 

@@ -14,13 +14,13 @@ import numpy as np
 
 from astray import games
 from astray.analysis.critic import policy_and_value
-from astray.bounds import brief
 from astray.envs.vector import picture
 from astray.game import Game, knobs
 from astray.lab import agents, goals
 from astray.lab.agents import Agents, rounded
 from astray.lab.messages import Message, number_of, read
 from astray.lab.worlds import Episode, World, play_on, read_world, snapshot
+from astray.validation import brief, one_of
 
 FORMAT = 1  # of the messages; goes up when an older page could not read them
 STEPS_AT_ONCE = 8  # of an agent's episode, before a page hears of them
@@ -272,9 +272,7 @@ def _seen(session: Session, message: Message) -> tuple[Any, np.ndarray]:
 def route(session: Session, message: Message) -> Iterator[Reply]:
     """Answer with the best way to a goal; raise ValueError if the goal is unknown."""
     episode = session.episode(message)
-    if message.goal not in episode.world.game.goals:
-        there = ", ".join(episode.world.game.goals)
-        raise ValueError(f"unknown goal {message.goal!r}; there are: {there}")
+    one_of("goal", message.goal, episode.world.game.goals)
     yield goals.route(episode, message.goal)
 
 

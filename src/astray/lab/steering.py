@@ -7,10 +7,10 @@ from contextlib import AbstractContextManager
 from typing import Any
 
 from astray.analysis.trained import Agent
-from astray.bounds import of_kind, shown
 from astray.insight.interventions import ablate, patch, steer
 from astray.insight.vectors import object_vectors
 from astray.lab.worlds import World
+from astray.validation import of_kind, one_of, shown
 
 FIELDS = {"what", "layer", "thing", "coefficient", "channels", "value"}
 VECTOR, ABLATE, PATCH = "vector", "ablate", "patch"
@@ -34,15 +34,14 @@ def change(agent: Agent, world: World, wanted: Mapping[str, Any]) -> AbstractCon
     if channels is not None:
         of_kind("channels", channels, list)
     what = wanted.get("what")
+    one_of("steering", what, (VECTOR, ABLATE, PATCH))
     if what == VECTOR:
         thing = wanted.get("thing", next(iter(world.game.editing.OBJECTS)))
         vectors = object_vectors(agent, world.variant, {"here": world.level}, layer, thing)
         return steer(agent, {layer: vectors.mean}, _number("coefficient", wanted))
     if what == ABLATE:
         return ablate(agent, layer, channels)
-    if what == PATCH:
-        return patch(agent, layer, channels, _number("value", wanted))
-    raise ValueError(f"unknown steering {shown(what)}; there are: {VECTOR}, {ABLATE}, {PATCH}")
+    return patch(agent, layer, channels, _number("value", wanted))
 
 
 def _number(name: str, wanted: Mapping[str, Any]) -> float:

@@ -14,12 +14,12 @@ import numpy as np
 from astray import games
 from astray.acting import Asking, Onward, Policy, Step, initial_states, play
 from astray.analysis.replay import Script
-from astray.bounds import bounded
 from astray.envs.vector import GameVectorEnv
 from astray.game import Game, Variant
 from astray.lab.messages import Message
 from astray.level import Level
 from astray.record import COMMON, LEVELS
+from astray.validation import bounded
 
 PAGE = Path(__file__).parent / "page"
 LONGEST_ARRAY = 64  # items of a state's field that a page is told

@@ -12,14 +12,13 @@ import polars as pl
 
 from astray import games
 from astray.acting import Answer, Levels, Policy, Step, Turn, check_policy, steps
-from astray.analysis.given import Measure
+from astray.analysis.evaluate import Measure
 from astray.analysis.policies import Walk
 from astray.analysis.trained import Agent
-from astray.bounds import of_kind
 from astray.envs.vector import Observation
 from astray.game import Game, Variant
 from astray.mitigation.uncertainty import Score
-from astray.words import check_word
+from astray.validation import of_kind, one_of
 
 Granularity = Literal["step", "level"]
 BEFORE, SEEN, AFTER = "before it was seen", "seen, not passed", "after it was passed"
@@ -75,7 +74,7 @@ class Helped(_Shown):
     def __post_init__(self) -> None:
         for policy in (self.novice, self.expert):
             check_policy(policy)
-        check_word("granularity", self.granularity, Granularity)
+        one_of("granularity", self.granularity, Granularity)
         _check_score(self.score)
         of_kind("threshold", self.threshold, int | float)  # also infinite: nobody, or everybody
         if isinstance(self.expert, Agent) and self.expert.observation != self.observation:

@@ -15,7 +15,7 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from astray.bounds import MOST, bounded
+from astray.validation import MOST, bounded
 
 HIDDEN = 64
 BATCH = 128  # frames of either kind in a step

@@ -24,7 +24,6 @@ from astray import games
 from astray.acting import Levels, Policy
 from astray.analysis.estimates import estimate_mean
 from astray.analysis.outcomes import INTENDED, MISGENERALIZED, label
-from astray.bounds import finite, of_kind
 from astray.game import Game, Shift, Variant
 from astray.mitigation.helped import (
     MOMENTS,
@@ -37,7 +36,7 @@ from astray.mitigation.helped import (
     unheeded,
 )
 from astray.mitigation.uncertainty import Always, Score
-from astray.words import check_word
+from astray.validation import finite, of_kind, one_of
 
 PERCENTILES = (5.0, 10.0, 25.0, 50.0, 75.0, 90.0, 95.0, 99.0)
 
@@ -81,7 +80,7 @@ def threshold(scores: pl.DataFrame, percentile: float, granularity: Granularity)
     """
     of_kind("scores", scores, pl.DataFrame)
     finite("percentile", percentile, 0, 100)
-    check_word("granularity", granularity, Granularity)
+    one_of("granularity", granularity, Granularity)
     if granularity == "level":
         scores = scores.group_by("level").agg(pl.col("score").max())
     return float(np.percentile(scores["score"].to_numpy(), percentile))

@@ -21,10 +21,10 @@ from astray.agents.actor_critic import ActorCritic
 from astray.analysis import agency
 from astray.analysis.policies import episode_noise
 from astray.analysis.trained import AT_ONCE, Agent
-from astray.bounds import of_kind, shown
 from astray.envs.vector import GameVectorEnv
 from astray.game import Shift, Variant
 from astray.level import Level
+from astray.validation import of_kind, one_of, shown
 
 RANDOM_SALT = 2**34  # no agent has this seed, or a larger one
 ROUNDS = 300  # of expectation and maximisation
@@ -107,8 +107,7 @@ class OfLogits:
 
     def __post_init__(self) -> None:
         of_kind("agent", self.agent, Agent)
-        if self.name not in OF_LOGITS:
-            raise ValueError(f"unknown score {self.name!r}; there are: {', '.join(OF_LOGITS)}")
+        one_of("score", self.name, OF_LOGITS)
 
     def __call__(self, env: GameVectorEnv, observations: np.ndarray) -> np.ndarray:
         logits = self.agent.outputs(observations)[0].double().numpy(force=True)

@@ -16,6 +16,7 @@ from astray.files import hold, read
 from astray.published.download import LARGEST, digest_of, download
 from astray.published.imported import Known, import_agent, known_as
 from astray.training import folders
+from astray.validation import one_of
 
 DOWNLOADS, RESULTS = "downloads", "results"  # in the folder of imported agents
 
@@ -96,9 +97,7 @@ def read_entry(name: str, data: dict[str, Any]) -> Published:
 
 def find(name: str) -> Published:
     """Return the catalogue's agent of this name; raise ValueError if there is none."""
-    if name not in catalogue():
-        there = ", ".join(catalogue())
-        raise ValueError(f"unknown published agent {name!r}; there are: {there}")
+    one_of("published agent", name, catalogue())
     return catalogue()[name]
 
 

@@ -19,8 +19,8 @@ from pathlib import Path
 from typing import Any, TypeVar
 from urllib.parse import urlsplit
 
-from astray.bounds import shown
 from astray.files import check_own, hold, read, write_aside
+from astray.validation import shown
 
 CHUNK = 1 << 16  # bytes
 WAIT = 30.0  # seconds without a byte, after which it is interrupted

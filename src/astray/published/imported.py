@@ -22,13 +22,13 @@ from astray.agents import policy
 from astray.agents.importers import files
 from astray.agents.importers.imported import Imported
 from astray.analysis.pages import templates
-from astray.bounds import shown
 from astray.files import write_aside
 from astray.record import LEVELS
 from astray.training import folders
 from astray.training.config import PRESETS, Config
 from astray.training.folders import AGENT, CONFIG, ORIGIN, AgentFolder, made, read_json
 from astray.training.older import RENAMED
+from astray.validation import shown
 
 CHECKS = "checks.json"
 SPARED = 1_000_000  # numbers after the training levels, where all levels were trained on

@@ -20,9 +20,9 @@ from markupsafe import Markup, escape
 
 from astray.analysis.pages import templates
 from astray.analysis.tables import write_table
-from astray.bounds import renamed, shown
 from astray.files import read, remove_left, write_aside
 from astray.report.findings import Code, Findings, Heading, Scene, Section
+from astray.validation import renamed, shown
 
 WRITTEN = ("report.html", "findings.json", "figures", "tables")  # to a report's folder
 COMPUTED = "computed"  # the folder of a report's tables, which are made once

@@ -26,7 +26,6 @@ from safetensors.torch import save as to_bytes
 
 from astray import provenance
 from astray.agents import policy
-from astray.bounds import brief
 from astray.files import (
     aside_of,
     check_own,
@@ -45,6 +44,7 @@ from astray.training.config import Config
 from astray.training.folders import AGENT, CONFIG, TRAINER, latest, read_config, steps_saved
 from astray.training.log import METRICS, read_metrics
 from astray.training.trainer import Trainer
+from astray.validation import brief
 
 
 class Claimed(RuntimeError):

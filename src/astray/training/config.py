@@ -13,12 +13,12 @@ from tyro.conf import Positional, Suppress
 
 from astray import games, imports
 from astray.agents.names import check_network
-from astray.bounds import of_kind
 from astray.game import OWN, Game, Variant
 from astray.record import LEVELS
 from astray.training import older
 from astray.training.named import name_of_game, name_of_variant
 from astray.training.settings import SCORING, Fast, Sampling, check, otherwise
+from astray.validation import of_kind, one_of
 
 if TYPE_CHECKING:
     Named = Any  # a name, or the thing that has it; the settings hold the name
@@ -319,10 +319,8 @@ class Config:
                 getattr(self, name),
                 **{f.name: words[f.name] for f in fields(kind) if f.name in words},
             )
-        if unknown := settings.keys() - set(self.names()):
-            raise ValueError(
-                f"unknown setting {min(unknown)!r}; there are: {', '.join(self.names())}"
-            )
+        for name in settings:
+            one_of("setting", name, self.names())
         return replace(self, **values)
 
     def to_json(self) -> dict[str, Any]:

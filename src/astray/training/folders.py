@@ -23,9 +23,9 @@ import platformdirs
 from safetensors import SafetensorError, safe_open
 
 from astray import agents
-from astray.bounds import finite, shown
 from astray.files import check_readable, folder_aside, read
 from astray.training.config import Config
+from astray.validation import finite, shown
 
 PRETRAINED = Path(agents.__path__[0]) / "pretrained"  # also in wheels
 CONFIG, CARD, ORIGIN, HUB = "config.json", "README.md", "origin.json", "hub.json"

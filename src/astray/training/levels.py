@@ -12,7 +12,6 @@ from typing import Protocol
 
 import numpy as np
 
-from astray.bounds import of_kind
 from astray.envs.loops import SHIFT
 from astray.envs.vector import GameVectorEnv
 from astray.kernel.rng import fill_shares
@@ -20,6 +19,7 @@ from astray.memory import check_memory
 from astray.record import trusted
 from astray.training.config import Config
 from astray.training.settings import Schedule
+from astray.validation import of_kind
 
 SALT = 0x1E7E15  # salt of a sampler's random numbers
 FIRST = 0.1  # fraction of the levels that `Growing` begins with

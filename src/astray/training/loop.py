@@ -21,7 +21,6 @@ from torch import Tensor, nn
 from astray import acting, imports
 from astray.agents import policy
 from astray.agents.policy import Architecture
-from astray.bounds import bounded, of_kind, shown
 from astray.envs.pool import check_startable, most_threads
 from astray.training import checkpoint, parallel, ppo
 from astray.training.config import Config
@@ -32,6 +31,7 @@ from astray.training.log import Log
 from astray.training.ppo import Samples
 from astray.training.teacher import TEACHER
 from astray.training.trainer import Trainer
+from astray.validation import bounded, of_kind, shown
 
 SPARE = 16  # threads that libraries may start
 # Most consecutive rollouts that are only scored: if 0.01 of them are learned from, longer runs

@@ -7,8 +7,8 @@ from dataclasses import MISSING, asdict, fields
 from typing import Any
 
 from astray.agents.names import renamed_network
-from astray.bounds import renamed, shown
 from astray.game import Variant
+from astray.validation import renamed, shown
 
 # Settings as older run folders have them, and what they are called now.
 RENAMED = {

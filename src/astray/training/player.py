@@ -11,13 +11,13 @@ import torch
 from torch import Tensor
 
 from astray.acting import Answer, Turn
-from astray.bounds import finite, of_kind, shown
 from astray.envs.vector import GameVectorEnv
 from astray.game import Variant
 from astray.training import parallel, ppo
 from astray.training.config import Config
 from astray.training.levels import Plan, Played, Sampler
 from astray.training.ppo import RewardNormaliser, Samples, Sequences
+from astray.validation import finite, of_kind, shown
 
 LEVELS = "levels."  # prefix of a sampler's arrays in a checkpoint
 RECENT = 100  # episodes in the logged means

@@ -11,9 +11,9 @@ from typing import Annotated, Any, Literal
 from tyro.conf import arg
 
 from astray import imports
-from astray.bounds import MOST, shown
 from astray.game import MOST_EDITS, Mutation
 from astray.record import LEVELS
+from astray.validation import MOST, one_of, shown
 
 KNOB = "variant."  # prefix that marks a name as a knob rather than a setting
 MOST_STEPS = 10**15  # a century on the fastest machine
@@ -136,9 +136,7 @@ def check(record: Any) -> None:
 
 def _check_type(name: str, value: Any, kind: Any) -> None:
     if typing.get_origin(kind) is Literal:
-        if value not in typing.get_args(kind):
-            there = ", ".join(typing.get_args(kind))
-            raise ValueError(f"unknown {name} {value!r}; there are: {there}")
+        one_of(name, value, kind)
         return
     parts = typing.get_args(kind) if isinstance(kind, types.UnionType) else (kind,)
     kinds = [typing.get_origin(part) or part for part in parts]

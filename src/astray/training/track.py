@@ -20,7 +20,7 @@ from astray.files import read, write_aside
 from astray.training import checkpoint, parallel
 from astray.training.config import Config, Tracking
 from astray.training.loop import Iteration, iterate
-from astray.words import check_word
+from astray.validation import one_of
 
 PROJECT = "astray"
 IDS = "track.json"  # in the run folder: its ids in the trackers, for resuming
@@ -37,7 +37,7 @@ class Tracker:
     """
 
     def __init__(self, by: Tracking, name: str, folder: Path, settings: Mapping[str, Any]):
-        check_word("tracker", by, Tracking)
+        one_of("tracker", by, Tracking)
         self.by, self._warned = by, False
         begin = _begin_wandb if by == "wandb" else _begin_trackio
         try:

@@ -13,7 +13,6 @@ from astray import imports
 from astray.agents.names import is_own
 from astray.agents.policy import Architecture
 from astray.agents.recurrent import Recurrent
-from astray.bounds import of_kind
 from astray.memory import check_memory
 from astray.training import parallel, ppo
 from astray.training.config import SOLVER, Config
@@ -27,6 +26,7 @@ from astray.training.replay import Replay
 from astray.training.settings import SAMPLERS
 from astray.training.teacher import Solver, Teacher
 from astray.training.teacher import loss as distilled
+from astray.validation import of_kind
 
 PER_WEIGHT = 16  # bytes: float32 weight, gradient, and Adam's two moments
 PER_SAMPLE = 28  # bytes beside the observation: an int64 and five float32

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor, nn
 
 from astray.agents.policy import Architecture
-from astray.bounds import brief
+from astray.validation import brief
 
 Plain = int | float | str | bool | None
 SHAPE = (64, 64, 3)  # what Procgen shows

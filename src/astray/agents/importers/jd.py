@@ -17,7 +17,7 @@ from astray.agents.clear import BLOCKS
 from astray.agents.importers import plain
 from astray.agents.importers.imported import ACTIONS, SHAPE, Imported, Plain, build, check_actions
 from astray.agents.policy import Architecture
-from astray.bounds import shown
+from astray.validation import shown
 
 SCOPE = "ppo2_model/"
 CONVOLUTIONS = {

@@ -22,7 +22,7 @@ from typing import Any
 
 import numpy as np
 
-from astray.bounds import brief, shown
+from astray.validation import brief, shown
 
 WRAPPER = "joblib.numpy_pickle NumpyArrayWrapper"
 NDARRAY, DTYPE = "numpy ndarray", "numpy dtype"

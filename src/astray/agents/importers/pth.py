@@ -24,7 +24,7 @@ from torch import Tensor
 
 from astray.agents.importers.imported import ACTIONS, SHAPE, Imported, build, check_actions
 from astray.agents.policy import Architecture
-from astray.bounds import shown
+from astray.validation import shown
 
 MOST_AGAIN = 16  # times that a file takes a tuple out of its memo; those of torch never do
 MOST_TUPLES = 10_000  # of a file; those of IMPALA and its optimizer take some hundreds

@@ -11,11 +11,11 @@ from typing import Any
 
 from astray.analysis.outcomes import load_shift
 from astray.analysis.runs import LEVELS_PLAYED, shift_of
-from astray.bounds import bounded, shown
 from astray.experiments.spec import Plan, Test
 from astray.game import knobs
 from astray.training.config import Config
 from astray.training.settings import KNOB, SEEDS
+from astray.validation import bounded, one_of, shown
 
 SHORT = {"lr": "learning_rate"}
 MOST = 10_000  # agents of a sweep
@@ -134,10 +134,7 @@ def changed(base: Config, values: Mapping[str, Any]) -> Config:
         name, knob = SHORT.get(word, word), word.removeprefix(KNOB)
         if name in known:
             settings[name] = value(given) if isinstance(given, str) else given
-        elif knob in there:
-            changes[knob] = given
         else:
-            raise ValueError(
-                f"unknown setting or knob {knob!r}; there are: {', '.join((*known, *there))}"
-            )
+            one_of("setting or knob", knob, (*known, *there))
+            changes[knob] = given
     return base.changed(knobs=changes, **settings)

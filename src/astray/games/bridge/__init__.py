@@ -8,13 +8,13 @@ import sys
 from dataclasses import dataclass
 
 from astray import grid
-from astray.bounds import bounded
 from astray.game import Shift, Variant
 from astray.grid.rules import ACTIONS as ACTIONS
 from astray.grid.rules import clear, state, walk
 from astray.kernel.jit import kernel, shared
 from astray.kernel.rng import below
 from astray.record import NEVER
+from astray.validation import bounded
 
 SIDE, BANK = 8, 3  # cells; the lava is as wide as both banks leave it
 LAVA, GOAL = 2, 3

@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 
-from astray.bounds import finite, one_of
 from astray.games.coinrun import rules
 from astray.games.coinrun.levels import truths
 from astray.games.coinrun.reach import explore
@@ -30,6 +29,7 @@ from astray.kernel.grid import ACTIONS, STAY
 from astray.kernel.jit import entry, kernel
 from astray.kernel.rng import below
 from astray.record import NEVER, check_record
+from astray.validation import finite, one_of
 
 TRIED = np.array([ACTIONS.index(a) for a in ("right-up", "right", "left-up", "left", "up", "stay",
                                               "down")])  # fmt: skip

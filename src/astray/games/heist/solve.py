@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 
-from astray.bounds import finite, one_of
 from astray.games.heist import rules
 from astray.games.heist.levels import truths
 from astray.games.heist.rules import COLOURS, DOOR_CODE, GEM, KEY, REWARD, STATE, step
@@ -18,6 +17,7 @@ from astray.kernel.jit import entry, kernel, one_at_a_time
 from astray.kernel.maze import WALL
 from astray.kernel.thief import grid, press, towards
 from astray.record import NEVER, check_record
+from astray.validation import finite, one_of
 
 PATIENCE = 8  # steps a cell after which a walk is given up
 HANDS = 1 << len(COLOURS)  # sets of keys in hand, a bit for each colour

@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 
-from astray.bounds import finite, one_of
 from astray.games.keys import rules
 from astray.games.keys.levels import truths
 from astray.games.keys.rules import CHEST, CHEST_X, CHEST_Y, KEY, KEY_X, KEY_Y, REWARD, STATE, step
@@ -19,6 +18,7 @@ from astray.kernel.jit import entry, one_at_a_time, shared
 from astray.kernel.maze import WALL
 from astray.kernel.thief import F, move, press, touches, towards
 from astray.record import NEVER, check_record
+from astray.validation import finite, one_of
 
 EXACT = 12  # objects; of more, the nearest are ordered, and all anew after each
 PATIENCE = 8  # steps a cell after which a walk is given up

@@ -8,12 +8,12 @@ import sys
 from dataclasses import dataclass
 
 from astray import grid
-from astray.bounds import bounded
 from astray.game import Shift, Variant
 from astray.grid.rules import ACTIONS as ACTIONS
 from astray.grid.rules import begin_anywhere, clear, first, scatter, state, walk
 from astray.kernel.jit import kernel, shared
 from astray.record import NEVER
+from astray.validation import bounded
 
 SIDE = 8  # cells
 LAVA, CHEESE = 2, 3

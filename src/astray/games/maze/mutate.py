@@ -6,7 +6,6 @@ import functools
 
 import numpy as np
 
-from astray.bounds import bounded, integers, of_kind
 from astray.game import MOST_EDITS, MUTATIONS, Mutation, Variant
 from astray.games.maze import rules
 from astray.games.maze.levels import ANYWHERE, CORNER, ON_OTHER, furnish, invariants
@@ -17,7 +16,7 @@ from astray.kernel.jit import entry, kernel, shared
 from astray.kernel.maze import WALL
 from astray.kernel.rng import below, seed_twister, unit
 from astray.record import NEVER, check_states
-from astray.words import check_word
+from astray.validation import bounded, integers, of_kind, one_of
 
 CONSTANT, IDENTITY, BINOMIAL = range(len(MUTATIONS))
 WEIGHTS = 12  # of a binomial edit: 1 the goal, 1 the mouse, 10 a wall
@@ -48,7 +47,7 @@ def mutate(
     if numbers.shape != states.shape:
         raise ValueError(f"seeds must be {len(states)}, one for each state; got {numbers.shape}")
     bounded("edits", edits, 0, MOST_EDITS)
-    check_word("kind", kind, Mutation)
+    one_of("kind", kind, Mutation)
     changed = np.array(states, STATE)
     edit_all(changed, variant.records(), numbers, int(edits), MUTATIONS.index(kind))
     return changed

@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 
-from astray.bounds import finite, one_of
 from astray.games.maze import rules
 from astray.games.maze.levels import truths
 from astray.games.maze.rules import REWARD
@@ -17,6 +16,7 @@ from astray.kernel import maze
 from astray.kernel.grid import ACTIONS, STAY, UNREACHABLE, distances
 from astray.kernel.maze import WALL
 from astray.record import NEVER, check_record
+from astray.validation import finite, one_of
 
 check = functools.partial(check_record, rules=rules, truths=truths)
 

@@ -11,7 +11,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from astray import grid
-from astray.bounds import bounded
 from astray.game import More, Shift, Variant
 from astray.grid.rules import ACTIONS as ACTIONS
 from astray.grid.rules import (
@@ -30,6 +29,7 @@ from astray.grid.rules import (
 from astray.kernel.jit import kernel, shared
 from astray.kernel.rng import below
 from astray.record import NEVER
+from astray.validation import bounded
 
 SIDE = 8  # cells
 APPLE, SHIELD, MONSTER = 2, 3, 4

@@ -10,12 +10,12 @@ from dataclasses import dataclass
 from typing import Literal
 
 from astray import grid
-from astray.bounds import bounded
 from astray.game import More, Shift, Variant
 from astray.grid import rules
 from astray.grid.rules import EMPTY, any_empty, begin_anywhere, clear, first, scatter, state, walk
 from astray.kernel.jit import kernel, shared
 from astray.record import NEVER
+from astray.validation import bounded
 
 SIDE = 4  # cells
 ACTIONS = (*rules.ACTIONS, "pick", "drop")

@@ -8,13 +8,13 @@ import sys
 from dataclasses import dataclass
 
 from astray import grid
-from astray.bounds import bounded
 from astray.game import Shift, Variant
 from astray.grid.rules import ACTIONS as ACTIONS
 from astray.grid.rules import EMPTY, clear, count, first, lay, plan, state, walk
 from astray.kernel.jit import kernel, shared
 from astray.kernel.rng import below
 from astray.record import NEVER
+from astray.validation import bounded
 
 SIDE = 8  # cells
 SHORTCUT, SUPERVISOR, GOAL = 2, 3, 4

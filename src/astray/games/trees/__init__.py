@@ -9,7 +9,6 @@ import sys
 from dataclasses import dataclass
 
 from astray import grid
-from astray.bounds import bounded
 from astray.game import Never, Shift, Variant
 from astray.grid.rules import ACTIONS as ACTIONS
 from astray.grid.rules import (
@@ -26,6 +25,7 @@ from astray.grid.rules import (
 from astray.kernel.jit import kernel, shared
 from astray.kernel.rng import below
 from astray.record import NEVER
+from astray.validation import bounded
 
 SIDE = 8  # cells
 TREE = 2

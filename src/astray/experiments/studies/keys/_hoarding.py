@@ -9,7 +9,7 @@ import polars as pl
 
 from astray.acting import initial_states
 from astray.analysis.estimates import Estimate, estimate_mean, estimate_paired
-from astray.analysis.given import Measure
+from astray.analysis.evaluate import Measure
 from astray.analysis.outcomes import matrix
 from astray.analysis.policies import Walk
 from astray.experiments.outcomes import AGENTS

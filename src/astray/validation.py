@@ -1,13 +1,14 @@
-"""Validation of arguments."""
+"""Validation of arguments, and safe display of what was given."""
 
 from __future__ import annotations
 
 import itertools
 import math
 import reprlib
+import typing
 import warnings
 from collections.abc import Collection, Mapping, Sequence
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -41,10 +42,29 @@ def of_kind(name: str, given: Any, kind: Any) -> None:
         raise ValueError(f"{name} must be a {words}; got {shown(given)}")
 
 
-def one_of(kind: str, given: Any, there: Collection[str]) -> None:
-    """Raise ValueError unless `given` is one of the names of a `kind` in `there`."""
-    if not isinstance(given, str) or given not in there:
-        raise ValueError(f"unknown {kind} {shown(given)}; there are: {', '.join(there)}")
+def one_of(kind: str, given: Any, there: Any, of: str = "") -> None:
+    """Raise ValueError unless `given` is one of the names of a `kind`.
+
+    Args:
+        kind: The noun for such a name, such as "goal".
+        given: The argument.
+        there: The names: a collection, or a `Literal`.
+        of: Whatever has such names.
+    """
+    names: Collection[str] = typing.get_args(there) or there
+    if not isinstance(given, str) or given not in names:
+        whose = f" of {of}" if of else ""
+        raise ValueError(f"unknown {kind} {shown(given)}{whose}; there are: {', '.join(names)}")
+
+
+def check_words(record: Any) -> None:
+    """Raise ValueError unless the dataclass `record` has allowed words in all `Literal` fields.
+
+    A misspelt word would otherwise be read as another one. Other fields are not checked.
+    """
+    for name, kind in typing.get_type_hints(type(record)).items():
+        if typing.get_origin(kind) is Literal:
+            one_of(name, getattr(record, name), kind)
 
 
 def integers(given: Any, name: str) -> np.ndarray:
@@ -115,6 +135,11 @@ class _Bounded(reprlib.Repr):
         return "{" + ", ".join(
             f"{self.repr1(key, level - 1)}: {self.repr1(value, level - 1)}" for key, value in parts
         ) + "}"  # fmt: skip
+
+
+def printable(text: str) -> str:
+    """Remove control characters from `text`: file names may have them, and terminals obey them."""
+    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
 
 
 def brief(error: BaseException) -> str:
