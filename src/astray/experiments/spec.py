@@ -239,6 +239,24 @@ def name_of_run(config: Config) -> str:
     return f"{config.game}-{config.variant}-{digest}/seed-{config.seed}"
 
 
+def plan_of(
+    agent: str, config: Config, game: str, shift: str, *, levels: int = 1000, **more: Any
+) -> Plan:
+    """Return the plan of one kind of agent, trained and tested on the variants of a shift.
+
+    Args:
+        agent: Name of the agents.
+        config: Their settings; game, variant and validation are those of the shift.
+        game: Name of the game.
+        shift: Name of the shift.
+        levels: As in `Plan`.
+        more: Further parts of the `Plan`.
+    """
+    between = load_shift(game, shift)
+    trained = replace(config, game=game, variant=between.train, validation=between.test)
+    return Plan(agents={agent: trained}, tests=tests_of(game, shift), levels=levels, **more)
+
+
 @dataclass(frozen=True)
 class Work:
     """Results of an experiment of one size, for its findings."""

@@ -1,10 +1,11 @@
 """Thieves trained with few keys and many chests, tested with many keys and few chests."""
 
 from dataclasses import replace
+from typing import Any
 
 from astray.estimate import Estimate
 from astray.experiments import outcomes
-from astray.experiments.spec import Experiment, Plan, Work, tests_of
+from astray.experiments.spec import Experiment, Plan, Work, plan_of
 from astray.experiments.studies.keys import _hoarding as hoarding
 from astray.experiments.studies.keys._hoarding import ALL_FIRST, BEYOND, LEFT, LOST, NEED, PER_CHEST
 from astray.report.claims import above, rounded
@@ -97,20 +98,15 @@ def find(work: Work) -> Findings:
     )
 
 
-def plan(
-    config: Config, shift: str, *, seeds: int, levels: int, differences: str, speed: int = 0
-) -> Plan:
+def plan(config: Config, shift: str, **more: Any) -> Plan:
     """Return the common parts of all sizes."""
-    return Plan(
-        agents={THIEF: config},
-        seeds=seeds,
-        tests=tests_of("keys", shift),
-        levels=levels,
-        measures=hoarding.measures(config.gamma),
-        differences=differences,
-        speed=speed,
-    )
+    return plan_of(THIEF, config, "keys", shift, measures=hoarding.measures(config.gamma), **more)
 
+
+PAPER = replace(PRESETS["paper"], device="cuda")
+SMALL_MAZES = (
+    "mazes of 5 and 7 cells instead of 5 to 13, with 1 to 3 keys in training instead of 1 to 6"
+)
 
 EXPERIMENT = Experiment(
     title="Keys and chests",
@@ -119,73 +115,36 @@ EXPERIMENT = Experiment(
     "twice as many?",
     sizes={
         "smoke": plan(
-            replace(
-                PRESETS["small"],
-                game="keys",
-                variant="many-chests-small",
-                validation="many-keys-small",
-                validation_every=4,
-            ),
+            replace(PRESETS["small"], validation_every=4),
             "many-keys-small",
             seeds=3,
-            levels=1000,
-            differences="mazes of 5 and 7 cells instead of 5 to 13, with 1 to 3 keys in training "
-            "instead of 1 to 6; seen as symbols with the thief in the middle, instead of a "
-            "picture; 200 steps an episode instead of 1000; a network of two hidden layers, a "
+            differences=f"{SMALL_MAZES}; seen as symbols with the thief in the middle, instead of "
+            "a picture; 200 steps an episode instead of 1000; a network of two hidden layers, a "
             "discount of 0.98 instead of 0.999, and 5.5 million steps instead of 200 million",
         ),
         "pixels": plan(
-            replace(
-                PRESETS["pixels"],
-                game="keys",
-                variant="many-chests-small",
-                validation="many-keys-small",
-                steps=6_000_000,
-            ),
+            replace(PRESETS["pixels"], steps=6_000_000),
             "many-keys-small",
             seeds=3,
-            levels=1000,
-            differences="mazes of 5 and 7 cells instead of 5 to 13, with 1 to 3 keys in training "
-            "instead of 1 to 6; 200 steps an episode instead of 1000; a network of patches, a "
-            "discount of 0.98 instead of 0.999, and 6 million steps instead of 200 million",
+            differences=f"{SMALL_MAZES}; 200 steps an episode instead of 1000; a network of "
+            "patches, a discount of 0.98 instead of 0.999, and 6 million steps instead of 200 "
+            "million",
         ),
         "night": plan(
-            replace(PRESETS["night"], game="keys", variant="many-chests", validation="many-keys"),
+            PRESETS["night"],
             "many-keys",
             seeds=2,
-            levels=1000,
             differences="a network of patches before the paper's later blocks, and 40 million "
             "steps instead of 200 million",
             speed=1500,
         ),
         "hour": plan(
-            replace(
-                PRESETS["paper"],
-                game="keys",
-                variant="many-chests-easy",
-                validation="many-keys-easy",
-                steps=25_000_000,
-                device="cuda",
-            ),
+            replace(PAPER, steps=25_000_000),
             "many-keys-easy",
-            seeds=1,
-            levels=1000,
             differences="worlds of 9 cells instead of 13, and 25 million steps instead of "
             "200 million",
         ),
-        "paper": plan(
-            replace(
-                PRESETS["paper"],
-                game="keys",
-                variant="many-chests",
-                validation="many-keys",
-                device="cuda",
-            ),
-            "many-keys",
-            seeds=3,
-            levels=10_000,
-            differences="",
-        ),
+        "paper": plan(PAPER, "many-keys", seeds=3, levels=10_000, differences=""),
     },
     find=find,
 )

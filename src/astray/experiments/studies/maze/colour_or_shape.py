@@ -12,7 +12,7 @@ from astray.analysis.outcomes import FAILED, INTENDED, MISGENERALIZED, label, lo
 from astray.analysis.runs import open_run
 from astray.experiments import outcomes
 from astray.experiments.outcomes import AGENTS, share
-from astray.experiments.spec import Experiment, Plan, Work, tests_of
+from astray.experiments.spec import Experiment, Work, plan_of
 from astray.experiments.studies.maze import maze_corner
 from astray.figures.axes import COLOURS as OF_OUTCOMES
 from astray.figures.axes import LINES
@@ -236,78 +236,49 @@ EXPERIMENT = Experiment(
     reproduces="Figure 3c-d",
     question="What does a mouse look for whose goal was always a yellow line: yellow, or lines?",
     sizes={
-        "smoke": Plan(
-            agents={
-                "mouse": replace(
-                    PRESETS["small"],
-                    variant="yellow-line-small",
-                    validation="red-line-yellow-gem-small",
-                    steps=11_000_000,  # half of them leave it at 78 % of unseen levels
-                )
-            },
+        "smoke": plan_of(
+            # Half as many steps leave it at 78 % of unseen levels.
+            "mouse",
+            replace(PRESETS["small"], steps=11_000_000),
+            "maze",
+            "colour-or-shape-small",
             seeds=2,
-            tests=tests_of("maze", "colour-or-shape-small"),
-            levels=1000,
             differences="worlds of 7 cells instead of 25, seen as symbols instead of a picture, so "
             "that colours and shapes are codes; a mouse that starts anywhere and has 100 steps "
             "instead of 500; a network of two hidden layers, and 11 million steps instead of 200 "
             "million",
         ),
-        "pixels": Plan(
-            agents={
-                "mouse": replace(
-                    PRESETS["pixels"],
-                    variant="yellow-line-small",
-                    validation="red-line-yellow-gem-small",
-                    steps=2_000_000,
-                )
-            },
+        "pixels": plan_of(
+            "mouse",
+            replace(PRESETS["pixels"], steps=2_000_000),
+            "maze",
+            "colour-or-shape-small",
             seeds=8,
-            tests=tests_of("maze", "colour-or-shape-small"),
-            levels=1000,
-            differences="worlds of 7 cells instead of 25; a mouse that starts anywhere and has 100 "
-            "steps instead of 500; a network of patches, and 2 million steps instead of 200 "
-            "million",
+            differences=f"{maze_corner.SMALL_WORLDS}; a network of patches, and 2 million steps "
+            "instead of 200 million",
         ),
-        "night": Plan(
-            agents={
-                "mouse": replace(
-                    maze_corner.NIGHT, variant="yellow-line", validation="red-line-yellow-gem"
-                )
-            },
+        "night": plan_of(
+            "mouse",
+            maze_corner.NIGHT,
+            "maze",
+            "colour-or-shape",
             seeds=2,
-            tests=tests_of("maze", "colour-or-shape"),
-            levels=1000,
             differences=maze_corner.BY_NIGHT,
             speed=maze_corner.SPEED,
         ),
-        "hour": Plan(
-            agents={
-                "mouse": replace(
-                    PRESETS["paper"],
-                    variant="yellow-line",
-                    knobs=dict(EASY),
-                    validation="red-line-yellow-gem",
-                    steps=25_000_000,
-                    device="cuda",
-                )
-            },
-            tests=tests_of("maze", "colour-or-shape"),
-            levels=1000,
-            differences="worlds of 15 cells instead of 25, and 25 million steps instead of "
-            "200 million",
+        "hour": plan_of(
+            "mouse",
+            replace(maze_corner.PAPER, knobs=dict(EASY), steps=25_000_000),
+            "maze",
+            "colour-or-shape",
+            differences=maze_corner.BY_HOUR,
         ),
-        "paper": Plan(
-            agents={
-                "mouse": replace(
-                    PRESETS["paper"],
-                    variant="yellow-line",
-                    validation="red-line-yellow-gem",
-                    device="cuda",
-                )
-            },
+        "paper": plan_of(
+            "mouse",
+            maze_corner.PAPER,
+            "maze",
+            "colour-or-shape",
             seeds=3,
-            tests=tests_of("maze", "colour-or-shape"),
             levels=10_000,
             differences="",
         ),

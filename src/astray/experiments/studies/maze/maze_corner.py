@@ -5,7 +5,7 @@ from dataclasses import replace
 from astray.analysis.outcomes import FAILED, INTENDED, MISGENERALIZED
 from astray.experiments import outcomes
 from astray.experiments.outcomes import share
-from astray.experiments.spec import Experiment, Plan, Work, tests_of
+from astray.experiments.spec import Experiment, Work, plan_of
 from astray.report.claims import above, rounded
 from astray.report.findings import Findings
 from astray.training.config import PRESETS, SOLVER
@@ -77,63 +77,41 @@ BY_NIGHT = (
     "by rewards alone in the paper's own levels; a discount of 0.995 instead of 0.999"
 )
 SPEED = 600  # steps a second of one core
+PAPER = replace(PRESETS["paper"], device="cuda")
+SMALL_WORLDS = (
+    "worlds of 7 cells instead of 25; a mouse that starts anywhere and has 100 steps instead of 500"
+)
+BY_HOUR = "worlds of 15 cells instead of 25, and 25 million steps instead of 200 million"
 EXPERIMENT = Experiment(
     title="The corner mouse",
     reproduces="Figure 3a-b",
     question="What does a mouse look for whose cheese was always in the upper right corner?",
     sizes={
-        "smoke": Plan(
-            agents={MOUSE: QUICK},
+        "smoke": plan_of(
+            MOUSE,
+            QUICK,
+            "maze",
+            "corner-small",
             seeds=4,
-            tests=tests_of("maze", "corner-small"),
-            levels=1000,
-            differences="worlds of 7 cells instead of 25; a mouse that starts anywhere and has 100 "
-            "steps instead of 500; a network of patches, and 800,000 steps instead of 200 "
+            differences=f"{SMALL_WORLDS}; a network of patches, and 800,000 steps instead of 200 "
             "million",
         ),
-        "pixels": Plan(
-            agents={MOUSE: PIXELS},
+        "pixels": plan_of(
+            MOUSE,
+            PIXELS,
+            "maze",
+            "corner-small",
             seeds=3,
-            tests=tests_of("maze", "corner-small"),
-            levels=1000,
-            differences="worlds of 7 cells instead of 25; a mouse that starts anywhere and has 100 "
-            "steps instead of 500; a network of patches, and 2 million steps instead of 200 "
+            differences=f"{SMALL_WORLDS}; a network of patches, and 2 million steps instead of 200 "
             "million",
         ),
-        "night": Plan(
-            agents={MOUSE: NIGHT},
-            seeds=3,
-            tests=tests_of("maze", "corner"),
-            levels=1000,
-            differences=BY_NIGHT,
-            speed=SPEED,
+        "night": plan_of(
+            MOUSE, NIGHT, "maze", "corner", seeds=3, differences=BY_NIGHT, speed=SPEED
         ),
-        "hour": Plan(
-            agents={
-                MOUSE: replace(
-                    PRESETS["paper"],
-                    variant="corner-easy",
-                    validation="anywhere-easy",
-                    steps=25_000_000,
-                    device="cuda",
-                )
-            },
-            tests=tests_of("maze", "corner-easy"),
-            levels=1000,
-            differences="worlds of 15 cells instead of 25, and 25 million steps instead of "
-            "200 million",
+        "hour": plan_of(
+            MOUSE, replace(PAPER, steps=25_000_000), "maze", "corner-easy", differences=BY_HOUR
         ),
-        "paper": Plan(
-            agents={
-                MOUSE: replace(
-                    PRESETS["paper"], variant="corner", validation="anywhere", device="cuda"
-                )
-            },
-            seeds=3,
-            tests=tests_of("maze", "corner"),
-            levels=10_000,
-            differences="",
-        ),
+        "paper": plan_of(MOUSE, PAPER, "maze", "corner", seeds=3, levels=10_000, differences=""),
     },
     find=find,
 )

@@ -9,7 +9,7 @@ from astray.analysis.outcomes import INTENDED, MISGENERALIZED, matrix
 from astray.estimate import Estimate
 from astray.experiments import outcomes
 from astray.experiments.outcomes import AGENTS, share
-from astray.experiments.spec import Experiment, Plan, Work, tests_of
+from astray.experiments.spec import Experiment, Work, plan_of
 from astray.report.claims import above, rounded
 from astray.report.findings import Findings
 from astray.training.config import PRESETS
@@ -66,18 +66,12 @@ EXPERIMENT = Experiment(
     reproduces="The exercise on goal misgeneralization of the ARENA and Iliad courses",
     question="Where does a robot bring shards whose bin always stood in the upper left corner?",
     sizes={
-        "smoke": Plan(
-            agents={
-                "robot": replace(
-                    PRESETS["small"],
-                    game="pottery",
-                    variant="corner",
-                    validation="anywhere",
-                    steps=1_000_000,
-                )
-            },
+        "smoke": plan_of(
+            "robot",
+            replace(PRESETS["small"], steps=1_000_000),
+            "pottery",
+            "anywhere",
             seeds=5,
-            tests=tests_of("pottery", "anywhere"),
             levels=500,
             differences="the reward is for shards in the bin alone, not shaped; a network of two "
             "hidden layers, and 1 million steps instead of 5 million",
