@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from astray import record
+from astray.games.coinrun import cells as coinrun_cells
 from astray.games.coinrun import draw as coinrun_draw
-from astray.games.coinrun import levels as coinrun_levels
 from astray.games.coinrun import rules as coinrun_rules
 from astray.games.heist import rules as heist_rules
 from astray.games.keys import draw as keys_draw
@@ -45,7 +45,7 @@ TABLES: dict[str, tuple[tuple[ModuleType, str], ...]] = {
         (coinrun_rules, "WORLD PUFFS REWARD EMPTY WALL TOP LAVA LAVA_TOP BARRIER COIN INVISIBLE"),
         (coinrun_rules, "PERMEABLE NOTHING CRATE SAW HALF TALL CORNER NEAR FOOT GRAVITY JUMP"),
         (coinrun_rules, "FASTEST MIX_GROUND MIX_AIR STROLL TURN WALKERS EVENTS"),
-        (coinrun_levels, "CRATE_HERE SAW_HERE WALKER_LEFT SAW_AND_LEFT LEGEND STOOD_ON"),
+        (coinrun_cells, "CRATE_HERE SAW_HERE WALKER_LEFT SAW_AND_LEFT LEGEND STOOD_ON"),
         (coinrun_draw, "VIEW AROUND GAUGE PLANES GROUNDS RUNNERS POSES RUNNER_HEIGHT"),
     ),
 }

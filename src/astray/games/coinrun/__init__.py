@@ -1,7 +1,7 @@
 """CoinRun: a runner jumps over hazards to a coin, which in training is at the end of the level."""
 
 from astray.game import Benchmark, Game
-from astray.games.coinrun import draw, levels, measures, original, rules, solve, variants
+from astray.games.coinrun import cells, draw, levels, measures, original, rules, solve, variants
 from astray.places import Placement
 
 GAME = Game(
@@ -14,14 +14,14 @@ GAME = Game(
     variants.GOALS,
     variants.SHIFTS,
     symbols=draw,
-    editing=levels,
+    editing=cells,
     solver=solve,
     ends=variants.ENDS,
     places=Placement(
-        levels, solve, (float(rules.HALF), float(rules.TALL)), vx=0, vy=0, on_crate=False
+        cells, solve, (float(rules.HALF), float(rules.TALL)), vx=0, vy=0, on_crate=False
     ),
     benchmark=Benchmark("procgen", envpool="CoinrunHard-v0"),
-    invariants=levels.invariants,
+    invariants=cells.invariants,
     labels=measures.LABELS,
     real_time=True,
 )

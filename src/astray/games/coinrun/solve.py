@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from astray.games.coinrun import rules
-from astray.games.coinrun.levels import truths
+from astray.games.coinrun.cells import truths
 from astray.games.coinrun.reach import explore
 from astray.games.coinrun.rules import (
     COIN,
