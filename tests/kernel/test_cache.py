@@ -392,3 +392,17 @@ def test_the_verb_shows_and_prunes(code, monkeypatch, capsys):
     pruned = json.loads(said("--prune", "--json"))
     assert pruned["removed"] == size and not old.exists() and (code / "used").exists()
     assert [one["this"] for one in pruned["versions"]] == [True]
+
+
+def test_compiling_that_takes_long_is_announced(monkeypatch):
+    told, game = threading.Event(), find("maze")
+    monkeypatch.setattr(compiled.LOG, "warning", lambda *_: told.set())
+    monkeypatch.setattr(compiled, "SILENT", 0.01)
+    with compiled._announced(game):
+        assert told.wait(30)
+    told.clear()
+    monkeypatch.setattr(compiled, "SILENT", 30)
+    with compiled._announced(game):
+        (timer,) = (one for one in threading.enumerate() if isinstance(one, threading.Timer))
+    timer.join(10)
+    assert not told.is_set() and not timer.is_alive()

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import functools
-from collections.abc import Callable
+import logging
+import threading
+from collections.abc import Callable, Iterator
 
 import numpy as np
 
@@ -13,6 +16,9 @@ from astray.game import OWN, Game, Looks
 from astray.kernel import rng
 from astray.kernel.grid import distances
 from astray.kernel.jit import kernel, one_at_a_time, shared, specialise
+
+LOG = logging.getLogger("astray")
+SILENT = 2.0  # seconds of compiling before it is announced
 
 
 def compiled_loop(game: Game, art: str = OWN) -> Callable:
@@ -40,10 +46,23 @@ def _compiled(game: Game, art: str) -> Callable:
     functions["begin_one"] = specialise(loops.begin, label, shared, **functions)
     functions["observe_one"] = specialise(loops.observe, label, kernel, **functions)
     run = specialise(loops.run, label, ACTIONS=len(game.actions), **functions)
-    with one_at_a_time(label):
+    with one_at_a_time(label), _announced(game):
         _compile(game, looks, run)
     _compile_shared()
     return run
+
+
+@contextlib.contextmanager
+def _announced(game: Game) -> Iterator[None]:
+    """Log a message if this context takes more than `SILENT` seconds."""
+    text = "compiling %s: some 10 to 20 seconds of a core, once for each version of its code"
+    timer = threading.Timer(SILENT, LOG.warning, [text, game.name])
+    timer.daemon = True
+    timer.start()
+    try:
+        yield
+    finally:
+        timer.cancel()
 
 
 @functools.cache
