@@ -1,11 +1,14 @@
 """A stranger's package: installed beside astray, found by its name, tested by its own tests."""
 
 import os
+import re
 import subprocess
 import sys
+from importlib.util import find_spec, module_from_spec, spec_from_file_location
 from pathlib import Path
 
 import pytest
+from PIL import Image
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "open-room"
 
@@ -88,10 +91,51 @@ def test_the_page_on_worlds_runs_as_it_stands(tmp_path):
     assert (tmp_path / "reports" / "the-bell-smoke" / "report.html").exists(), said
 
 
-def run_page(name, count, folder):
+@pytest.mark.parametrize(
+    ("page", "count", "written"),
+    [
+        ("first-mouse", 3, "outcomes.png"),
+        ("first-world", 4, "robots.png"),
+        ("first-look-inside", 4, "cheese.png"),
+    ],
+)
+def test_a_tutorial_runs_as_it_stands_with_fewer_steps(page, count, written, tmp_path):
+    run_page(page, count, tmp_path, lambda text: re.sub(r"STEPS = [\d_]+", "STEPS = 512", text))
+    assert (tmp_path / written).exists()
+
+
+LIBRARIES = ("stable_baselines3", "torchrl", "pufferlib")
+
+
+def test_the_page_for_those_of_other_libraries_runs_where_they_are(tmp_path):
+    def installed(page):
+        kept, *blocks = page.split("```python\n")
+        for block in blocks:
+            code = block.partition("```")[0]
+            missing = [one for one in LIBRARIES if one in code and not find_spec(one)]
+            kept += block if missing else "```python\n" + block
+        return kept
+
+    there = 1 + sum(find_spec(one) is not None for one in LIBRARIES)
+    said = run_page("coming-from", there, tmp_path, installed)
+    assert said.count("goal misgenerali") == there - (find_spec("pufferlib") is not None)
+
+
+def run_page(name, count, folder, change=lambda page: page):
     """Run the Python code of a page of the documentation; what it prints."""
-    page = (EXAMPLE.parents[1] / "docs" / f"{name}.md").read_text("utf-8")
+    page = change((EXAMPLE.parents[1] / "docs" / f"{name}.md").read_text("utf-8"))
     blocks = [part.partition("```")[0] for part in page.split("```python\n")[1:]]
     assert len(blocks) == count
     (folder / "page.py").write_text("\n".join(blocks), "utf-8")
     return run(os.environ | {}, folder, "page.py")
+
+
+def test_the_figures_of_results_are_of_the_tables_on_their_pages():
+    path = EXAMPLE.parents[1] / "docs" / "figures.py"
+    spec = spec_from_file_location("figures", path)
+    figures = module_from_spec(spec)
+    spec.loader.exec_module(figures)
+    for name, draw in figures.FIGURES.items():
+        with Image.open(path.parent / f"figure-{name}.png") as image:
+            data, _ = draw()
+            assert image.text[figures.NUMBERS] == data.write_csv(), f"{name}: draw it anew"
