@@ -99,3 +99,9 @@ def test_what_was_meant_is_guessed():
     )
     assert not guess("unknown variant 'xyz' of maze; there are: corner, anywhere")
     assert not guess("no space is left")
+
+
+def test_the_nearest_name_is_named_for_settings_and_verbs_too(astray):
+    assert astray("evaluat", "x", fails=True).endswith("; did you mean 'evaluate'?\n")
+    told = astray("train", "maze", "cornr", fails=True)
+    assert "unknown variant 'cornr'" in told and told.endswith("did you mean 'corner'?\n")

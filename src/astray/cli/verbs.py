@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
 import functools
+import io
 import sys
 import warnings
 from collections.abc import Callable
@@ -13,6 +15,8 @@ from typing import Any
 
 import tyro
 from tyro.conf import DisallowNone, OmitArgPrefixes, PositionalMetavarFromFieldName
+
+from astray.cli import guess
 
 # Where each is, beside this file: imported when it is asked for, as torch alone takes two seconds.
 VERBS = {
@@ -57,14 +61,37 @@ def run() -> None:
     if given == ["--version"]:
         print(version("astray"))
     elif given and given[0] in VERBS:
-        tyro.cli(find(given[0]), prog=f"astray {given[0]}", args=given[1:], config=MARKERS)
-    else:  # help is asked for, or there is no such verb
+        _parsed(find(given[0]), given)()
+    elif given and not given[0].startswith("-"):
+        raise ValueError(f"unknown verb {given[0]!r}; there are: {', '.join(VERBS)}")
+    else:  # help is asked for
         tyro.extras.subcommand_cli_from_dict(
             {name: find(name) for name in VERBS},
             prog="astray",
             description="Find out which goal a trained agent really pursues.",
             config=MARKERS,
         )
+
+
+def _parsed(verb: Callable[..., Any], given: list[str]) -> Callable[[], Any]:
+    """Return the call of a verb with its options; add the nearest name to an error of these."""
+
+    @functools.wraps(verb)
+    def call(*values: Any, **options: Any) -> Callable[[], Any]:
+        return functools.partial(verb, *values, **options)
+
+    said, question = io.StringIO(), ""
+    try:
+        with contextlib.redirect_stderr(said):
+            return tyro.cli(call, prog=f"astray {given[0]}", args=given[1:], config=MARKERS)
+    except SystemExit:
+        lines = " ".join(line.strip("│ ") for line in said.getvalue().splitlines())
+        question = guess(lines[lines.find("unknown ") :]).removeprefix("; ")
+        raise
+    finally:
+        print(said.getvalue(), end="", file=sys.stderr)
+        if question:
+            print(f"astray: {question}", file=sys.stderr)
 
 
 def _warn(show: Callable[..., None], message: Any, category: type, *where: Any) -> None:
