@@ -7,6 +7,7 @@ a figure whose table has changed.
 import re
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import matplotlib
 import polars as pl
@@ -20,7 +21,7 @@ from astray.outcome import FAILED, INTENDED, MISGENERALIZED
 FOLDER = Path(__file__).parent
 RATE = re.compile(r"(-?[\d.]+)(?: %)?(?: \((-?[\d.]+) to (-?[\d.]+)\))?")
 NUMBERS = "Numbers"  # key of a figure's data in its file
-Row = dict[str, object]
+Row = dict[str, Any]
 
 
 def rows_of(page: str, heading: str) -> Iterator[list[str]]:
