@@ -21,6 +21,8 @@ from types import ModuleType
 from typing import Any
 from unittest import mock
 
+from gallery import gallery as all_worlds
+from gallery import played
 from links import api_page, for_site
 from mkdocs.config.defaults import MkDocsConfig
 from mkdocs.exceptions import PluginError
@@ -84,7 +86,8 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
 
 def on_post_build(config: MkDocsConfig) -> None:
     """Write the lab beside the pages; see that no page fetches anything from elsewhere."""
-    export(make_lab(None, {"level": FIRST_LEVEL}), Path(config.site_dir) / "lab", LAB_LEVELS)
+    lab = make_lab(None, {"level": FIRST_LEVEL})
+    export(lab, Path(config.site_dir) / "lab", LAB_LEVELS, games=played())
     for path in Path(config.site_dir).rglob("*.html"):
         if found := FETCHED.search(path.read_text()):
             raise PluginError(f"{path} would fetch something: {found[0]}")
@@ -108,7 +111,7 @@ def pages() -> dict[str, str]:
 
 
 def with_lab(text: str) -> str:
-    """Return a page with the lab below its heading and its first sentence."""
+    """Return a page with the lab and the gallery below its heading and its first sentence."""
     heading, about, rest = text.split("\n\n", 2)
     return "\n".join([
         heading, "", about, "",
@@ -117,7 +120,10 @@ def with_lab(text: str) -> str:
         "", "*A mouse that was trained with its cheese in the upper right corner, live in your "
         "browser. Drag the cheese: the arrows are what the mouse would do. "
         "[More of the lab](lab.md).*",
-        "", rest,
+        "", "## Every world, live", "",
+        "Drag things, hand over to the agent, or play with the arrow keys. "
+        "Nothing runs but your browser.", "",
+        all_worlds(), "", rest,
     ])  # fmt: skip
 
 

@@ -121,7 +121,9 @@ def test_a_lab_that_cannot_be_exported_is_refused_before_anything_is_computed(
 
     monkeypatch.setattr(exporting, "initial_states", initial_states)
     monkeypatch.setattr(games, "_registered", {"mine": replace(MAZE, name="mine")})
-    with pytest.raises(ValueError, match=r"mine must be a game of astray's own.*without --export"):
+    with pytest.raises(
+        ValueError, match=r"mine must be a world of `astray\.grid`.*without --export"
+    ):
         exporting.export(make_lab(None, {"game": "mine"}), tmp_path / "site")
     with pytest.raises(ValueError, match="'coin-end-pixels' sees images of coinrun, where things"):
         exporting.export(make_lab("coin-end-pixels", {}), tmp_path / "site")

@@ -13,13 +13,14 @@ from astray.agents.policy import Architecture
 from astray.analysis.critic import policy_and_value
 from astray.analysis.replay import replay
 from astray.envs.vector import GameVectorEnv
-from astray.lab import goals
+from astray.lab import goals, translate
 from astray.lab.agents import Agents
 from astray.lab.export import export, file_names
 from astray.lab.link import link
+from astray.lab.messages import read
 from astray.lab.serving import make_lab
 from astray.lab.session import Lab, Session
-from astray.lab.worlds import snapshot
+from astray.lab.worlds import read_world, snapshot
 from astray.level import Level
 from astray.training.ppo import RewardNormaliser, advantages
 from helpers.browsed import folder_served, opened, wait
@@ -31,16 +32,21 @@ PLAYED = [
     ("keys", "many-keys-small"), ("keys", "many-chests"), ("keys", "many-keys-penalties"),
     ("coinrun", "coin-anywhere"), ("coinrun", "coin-end-permeable-continue"),
 ]  # fmt: skip
+WORLDS = [
+    ("pottery", "anywhere-picks"), ("monsters", "long"), ("follow", "anti-expert"),
+    ("trees", "season"), ("lavaland", "lava"), ("bridge", "up"), ("supervisor", "half"),
+    ("box", "boxes"),
+]  # fmt: skip
 PLAY = """async ([game, level, variant, actions]) => {
   const { rules } = await import(new URL(`rules/${game}.js`, location.href));
   const { advance } = await import(new URL("rules/common.js", location.href));
   const { snapshot } = await import(new URL("engine/episodes.js", location.href));
   const s = rules.build(level, variant);
   const packed = () => btoa(String.fromCharCode(...rules.planes(s).data));
-  const told = [[snapshot(s), packed(), 0, false]];
+  const told = [[snapshot(s, rules), packed(), 0, false]];
   for (const action of actions) {
     const { reward } = advance(rules, s, action);
-    told.push([snapshot(s), packed(), reward, s.ended]);
+    told.push([snapshot(s, rules), packed(), reward, s.ended]);
     if (s.ended) break;
   }
   return JSON.stringify(told);
@@ -60,16 +66,27 @@ def knobs(variant):
 
 @pytest.mark.parametrize("name, kind", PLAYED)
 def test_rules_are_those_of_python_state_by_state(page, name, kind):
+    random = np.random.default_rng(3)
+    # runs of one action, as players make them, mostly to the right
+    often = [*[0.03] * 6, 0.1, 0.3, 0.3, *[0.02] * 6]
+    episodes = [np.repeat(random.choice(15, STEPS, p=often), 3) for _ in range(4)]
+    compare(page, name, kind, episodes)
+
+
+@pytest.mark.parametrize("name, kind", WORLDS)
+def test_rules_that_are_translated_are_those_of_python_state_by_state(page, exported, name, kind):
+    game, random = games.find(name), np.random.default_rng(3)
+    (exported / "rules" / f"{name}.js").write_text(translate.module(game))
+    compare(page, name, kind, random.integers(len(game.actions), size=(2, STEPS)))
+
+
+def compare(page, name, kind, episodes):
     game = games.find(name)
-    variant, random = game.variant(kind), np.random.default_rng(3)
+    variant = game.variant(kind)
     env = GameVectorEnv(name, kind, 1, observation="symbolic", autoreset_mode="Disabled")
-    for number in range(4):
+    for number, actions in enumerate(episodes):
         env.reset(seed=0, options={"level": number})
         level = Level.of(game, variant, env.get_state()[0])
-        # runs of one action, as players make them, mostly to the right
-        actions = np.repeat(
-            random.choice(15, STEPS, p=[*[0.03] * 6, 0.1, 0.3, 0.3, *[0.02] * 6]), 3
-        )
         given = [name, level.to_json(), knobs(variant), actions.tolist()]
         told = json.loads(page.evaluate(PLAY, given))
         seen, _ = env.reset(options={"state": level.state(solvable=False)})
@@ -90,6 +107,29 @@ def test_rules_are_those_of_python_state_by_state(page, name, kind):
                 seen, rewards, _, _, _ = env.step(actions[t : t + 1])
                 reward = float(rewards[0])
         assert ended or len(told) == len(actions) + 1
+
+
+def test_what_cannot_be_translated_is_refused_by_its_name():
+    with pytest.raises(ValueError, match=r"asks must be translated for .*, which knows no 'lambda"):
+        translate.Translation().name(asks)
+
+
+def asks(s):
+    return (lambda: s)()
+
+
+def test_a_world_of_cells_is_edited_and_played_without_python(page):
+    asked = {"game": "pottery", "variant": "corner", "agent": "", "level": 0}
+    told = page.evaluate("(m) => lab.engine.ask(m)", asked | {"kind": "level"})
+    python = read_world(read(json.dumps(asked | {"id": 1, "kind": "level"}))).told()
+    assert told["level"] == python["level"] and told["text"] == python["text"]
+    edited = told["level"] | {"agent": [0.5, 3.5]}  # where the bin stands
+    played = page.evaluate(
+        "(m) => lab.engine.ask(m)", asked | {"kind": "play", "level": edited, "actions": [3, 0]}
+    )
+    assert (
+        played["states"][-1]["agent"] == [0.5, 2.5] and played["states"][-1]["picture"] == "robot"
+    )
 
 
 def test_a_dish_is_seen_in_as_many_planes_as_the_variant_says(page):

@@ -17,7 +17,8 @@ from astray.grid import abilities
 from astray.grid.abilities import Cells, World, where
 from astray.grid.looks import looks, sprites, symbols
 
-__all__ = ["Cells", "where", "world"]
+__all__ = ["Cells", "where", "world", "world_of"]
+_MADE: dict[Game, World] = {}
 
 
 def world(
@@ -66,7 +67,7 @@ def world(
     movers, side = movers or {}, module.STATE["cell"].shape[0]
     kinds = [*things.values(), *movers.values()]
     made = World(
-        module, side, things, movers, solid, hazards, stood, len(agents),
+        module, side, things, movers, solid, hazards, stood, agents,
         {goal: event for goal, event in goals.items() if isinstance(event, str)},
         seek, module.furnish, level_fields or {}, bounds or {},
     )  # fmt: skip
@@ -75,7 +76,7 @@ def world(
     def invariants(s: np.ndarray, variant: Any) -> dict[str, np.ndarray]:
         return made.truths(s)
 
-    return Game(
+    game = Game(
         name, about, module, module,
         looks(art, side, kinds, agents),
         variants, goals, shifts,
@@ -85,3 +86,10 @@ def world(
         benchmark=Benchmark(next(iter(variants))),
         invariants=invariants, **rest,
     )  # fmt: skip
+    _MADE[game] = made
+    return game
+
+
+def world_of(game: Game) -> World | None:
+    """Return the description from which `world` made a game; None for any other game."""
+    return _MADE.get(game)

@@ -33,12 +33,17 @@ class World:
     solid: Sequence[str]
     hazards: Sequence[str]
     stood: str
-    held: int
+    agents: Sequence[str]
     events: Mapping[str, str]
     seek: Callable[[Any, str], Cells | int | None]
     furnish: Callable
     looks: Mapping[str, int]
     bounds: Mapping[str, tuple[int, int]]
+
+    @property
+    def held(self) -> int:
+        """Number of values of `held`."""
+        return len(self.agents)
 
     def codes(self, names: Sequence[str]) -> list[int]:
         """Return the codes of kinds, by name."""

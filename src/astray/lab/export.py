@@ -16,13 +16,14 @@ from typing import Any
 
 import numpy as np
 
-from astray import games
+from astray import games, grid
 from astray.acting import initial_states
 from astray.analysis.critic import observe, policy_and_value
 from astray.analysis.trained import Agent
 from astray.files import folder_aside, write_aside
 from astray.game import Game, Variant
 from astray.insight.fields import states_at
+from astray.lab import translate
 from astray.lab.agents import Agents, places, sees
 from astray.lab.server import files
 from astray.lab.session import FORMAT, Lab, about_game, drawings
@@ -42,12 +43,19 @@ NOTE = (
 )
 
 
-def export(lab: Lab, folder: Path, levels: int = 50, agents: list[str] | None = None) -> None:
+def export(
+    lab: Lab,
+    folder: Path,
+    levels: int = 50,
+    agents: list[str] | None = None,
+    games: Sequence[str] = (),
+) -> None:
     """Write the lab to `folder`, which must be new or empty.
 
     Args:
         levels: Number of levels of each variant, from number 0 on.
         agents: Names of agents; None for the lab's first one and all pretrained ones.
+        games: Names of further games, to be played without an agent.
 
     Raises:
         FileExistsError: If the folder is not empty; nothing of the user's is removed.
@@ -60,24 +68,26 @@ def export(lab: Lab, folder: Path, levels: int = 50, agents: list[str] | None = 
     if is_there and (folder.is_symlink() or not folder.is_dir() or any(folder.iterdir())):
         raise FileExistsError(f"{folder} must be new, or an empty folder; there is something in it")
     chosen = agents if agents is not None else _chosen(lab)
-    _check_exportable(lab, chosen)
+    _check_exportable(lab, chosen, games)
     with folder_aside(folder) as aside:
         _write_page(aside)
-        _write_data(lab, aside / "data", levels, chosen)
+        _write_data(lab, aside / "data", levels, chosen, games)
         if is_there:
             folder.rmdir()
         aside.rename(folder)
 
 
-def _check_exportable(lab: Lab, agents: Sequence[str]) -> None:
+def _check_exportable(lab: Lab, agents: Sequence[str], further: Sequence[str]) -> None:
     """Raise ValueError where the page could not play a game or show an agent without Python."""
     opened = {name: lab.agents.open(name) for name in agents}
-    for game in dict.fromkeys((lab.start["game"], *(config.game for _, config in opened.values()))):
+    for game in dict.fromkeys(
+        (lab.start["game"], *further, *(config.game for _, config in opened.values()))
+    ):
         if not is_played(games.find(game)):
             drawn = ", ".join(name for name in games.OWN if is_played(games.find(name)))
             raise ValueError(
-                f"{game} must be a game of astray's own to be exported: without Python, a page "
-                f"plays {drawn}; the lab itself shows any game, without --export"
+                f"{game} must be a world of `astray.grid` to be exported, or one of {drawn}: "
+                "without Python, a page plays no other; astray lab without --export shows any"
             )
     for name, (agent, config) in opened.items():
         if agent.architecture.name != COMPUTED and config.find_game().real_time:
@@ -111,16 +121,22 @@ def _write_page(folder: Path) -> None:
         to.write_bytes(data.replace(b'data-engine="socket"', b'data-engine="static"'))
 
 
-def _write_data(lab: Lab, folder: Path, levels: int, agents: list[str]) -> None:
+def _write_data(
+    lab: Lab, folder: Path, levels: int, agents: list[str], further: Sequence[str]
+) -> None:
     called = file_names(agents)
     about = {called[name]: lab.agents.about(name) for name in agents}
-    played = {told["game"] for told in about.values()} | {lab.start["game"]}
+    played = {told["game"] for told in about.values()} | {lab.start["game"], *further}
     found: dict[str, Any] = {}
     for game in sorted(map(games.find, played), key=lambda game: game.name):
         _write(folder / "art" / f"{game.name}.json", {"pictures": drawings(game)})
         variants = _variants(lab, game, about)
         told = about_game(game)
         names = {"variants", "knobs"}
+        if grid.world_of(game):
+            write_aside(
+                folder.parent / "rules" / f"{game.name}.js", translate.module(game).encode()
+            )
         found[game.name] = told | {n: {v: told[n][v] for v in variants} for n in names}
         for name in variants:
             data = {"levels": _levels(game, game.variant(name), levels)}
@@ -159,8 +175,15 @@ def file_names(agents: Sequence[str]) -> dict[str, str]:
 
 
 def _variants(lab: Lab, game: Game, about: Mapping[str, Any]) -> list[str]:
-    """Return the variants to export: those of the agents' shifts, and the first one."""
+    """Return the variants to export: those of the agents' shifts, and the first one.
+
+    A game without an agent has those of its first shift.
+    """
     wanted = {lab.start["variant"]} if lab.start["game"] == game.name else set()
+    if all(told["game"] != game.name for told in about.values()):
+        wanted |= {
+            name for shift in [*game.shifts.values()][:1] for name in (shift.train, shift.test)
+        }
     for told in about.values():
         if told["game"] == game.name:
             wanted |= {told["variant"], told["test"]} & set(told["variants"])

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from astray import games
+from astray import games, grid
 from astray.acting import Asking, Onward, Policy, Step, initial_states, play
 from astray.analysis.replay import Script
 from astray.envs.vector import GameVectorEnv
@@ -124,7 +124,8 @@ def is_drawn(game: Game) -> bool:
 
 def is_played(game: Game) -> bool:
     """Return whether the page can play the game without Python."""
-    return (PAGE / "rules" / f"{game.name}.js").is_file()
+    there = (PAGE / "rules" / f"{game.name}.js").is_file()
+    return there or grid.world_of(game) is not None
 
 
 def snapshot(game: Game, s: Any) -> dict[str, Any]:

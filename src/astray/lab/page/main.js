@@ -12,6 +12,7 @@ function engineOf({ engine }) {
 }
 
 const root = document.getElementById("lab");
-if (new URLSearchParams(location.search).has("embedded")) root.classList.add("embedded");
+const embedded = new URLSearchParams(location.search).get("embedded");
+if (embedded !== null) root.classList.add("embedded", ...(embedded ? [embedded] : [])); // "small": the board
 globalThis.lab = new Lab(root, engineOf(document.body.dataset));
 globalThis.lab.begin();

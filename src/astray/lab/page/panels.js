@@ -116,6 +116,7 @@ export class Panels {
     options(part("variant"), seen.map((name) => [name, `${name}: ${lab.rules.variants[name]}`]), lab.variant);
     this.#tools();
     this.#acts();
+    lab.root.classList.toggle("alone", !lab.agent);
     const others = Object.entries(about.agents)
       .filter(([name, a]) => name !== lab.agent && a.game === game && a.variants.includes(lab.variant));
     const layers = Object.entries(about.agents[lab.agent]?.layers ?? {});

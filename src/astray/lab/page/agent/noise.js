@@ -14,7 +14,7 @@ function mix(number) {
   return z ^ (z >> 31n);
 }
 
-const mixTwo = (number, salt) => mix(mix(number) ^ salt);
+export const mixTwo = (number, salt) => mix(mix(number) ^ salt);
 
 // [count] numbers from 0 to 1 for the next action in a level at a step.
 export function noise(seed, level, time, count) {

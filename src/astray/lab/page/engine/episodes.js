@@ -35,15 +35,15 @@ export function told(episode, first, agent, rules) {
   const states = episode.states.slice(first);
   const answers = agent ? states.map((s) => agent.policyAndValue(s, rules)) : [];
   return {
-    first, states: states.map(snapshot), actions: episode.actions.slice(Math.max(first - 1, 0)),
+    first, states: states.map((s) => snapshot(s, rules)), actions: episode.actions.slice(Math.max(first - 1, 0)),
     rewards: episode.rewards.slice(Math.max(first - 1, 0)), terminated: episode.terminated,
     ended: episode.ended,
     ...(agent && { policy: answers.map((j) => j.policy), value: answers.map((j) => j.value) }),
   };
 }
 
-// A state without what does not move.
-export function snapshot(s) {
-  const { cell, thing, draws, trail_x: trail, ...fields } = s;
-  return structuredClone(fields);
+// A state without what does not move; with rules, what they show of it besides.
+export function snapshot(s, rules) {
+  const { cell, mover, thing, draws, trail_x: trail, ...fields } = s;
+  return structuredClone({ ...fields, ...rules?.view?.(s) });
 }

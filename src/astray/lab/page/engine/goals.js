@@ -5,11 +5,16 @@ import { goals } from "../rules/constants.js";
 
 const { NEITHER } = goals;
 
-export function namedPlaces(game, shift, s) {
+export function namedPlaces(game, shift, s, rules) {
   const [places, events] = [{}, new Set()];
   for (const goal of [shift.intended, ...shift.proxies, ...Object.keys(game.goals)]) {
     const event = game.goals[goal];
-    const place = event.replace("reached_", "");
+    const place = event?.replace("reached_", "");
+    if (rules.target && event) {
+      const cell = events.has(event) ? null : rules.target(s, goal);
+      if (cell) [places[goal]] = [cell, events.add(event)];
+      continue;
+    }
     if (!(`${place}_x` in s) || game.real_time) {
       throw new Error(`${game.about.split(" ")[1]} has no cell for the goal '${goal}'; maze has`);
     }

@@ -8,14 +8,10 @@ import { noise, sample } from "../agent/noise.js";
 import { readTable } from "../agent/table.js";
 import { NEVER } from "../rules/common.js";
 import { goals } from "../rules/constants.js";
-import { rules as coinrun } from "../rules/coinrun.js";
-import { rules as keys } from "../rules/keys.js";
-import { rules as maze } from "../rules/maze.js";
 import { effects, played, snapshot, take, told } from "./episodes.js";
 import { firstGoal, namedPlaces } from "./goals.js";
 import { read, splayed, textOf, whole } from "./levels.js";
 
-const RULES = { coinrun, keys, maze };
 const AT_ONCE = 16; // places that are computed before the page may draw
 const { NEITHER, OTHER, TOGETHER } = goals;
 
@@ -66,18 +62,18 @@ export class LocalEngine {
   }
 
   async *level(message) {
-    const { level, s, number } = await this.world(message);
+    const { level, s, number, rules } = await this.world(message);
     yield {
       level, number, text: textOf(level, this.about.games[message.game].legend),
-      problem: RULES[message.game].problem(level, s), state: snapshot(s),
+      problem: rules.problem(level, s), state: snapshot(s, rules),
     };
   }
 
   // The level of a message and the state that it begins in.
   async world({ game, variant, level, agent, knobs = {} }) {
-    const rules = RULES[game];
-    if (!rules) throw new Error(`the game '${game}' needs Python: astray lab`);
     const about = this.about.games[game];
+    if (!about) throw new Error(`the game '${game}' needs Python: astray lab`);
+    const { rules } = await import(`../rules/${game}.js`);
     if (!about.knobs[variant]) throw new Error(`unknown variant '${variant}' of ${game}`);
     let [given, number] = [level, null];
     if (typeof level === "number") {
@@ -101,7 +97,7 @@ export class LocalEngine {
     const s = rules.build(given, kind);
     s.level = number ?? NEVER;
     const looks = { ...given.looks };
-    return { level: { game, grid: given.grid, agent: [s.x, s.y], looks }, s, number, rules };
+    return { level: { game, grid: given.grid, agent: rules.centre?.(s) ?? [s.x, s.y], looks }, s, number, rules };
   }
 
   async agentOf({ agent, game, mode = "sampled", seed = 0 }) {
@@ -166,7 +162,7 @@ export class LocalEngine {
   async *posterior(message) {
     const { level, s, rules } = await this.world(message);
     const game = this.about.games[message.game];
-    const places = namedPlaces(game, this.shift(message), s);
+    const places = namedPlaces(game, this.shift(message), s, rules);
     const episode = played({ level, s, rules }, message.actions ?? []);
     let way = episode.states.map((one) => [Math.floor(one.x), Math.floor(one.y)]);
     const ends = Object.values(places)
@@ -198,6 +194,9 @@ export class LocalEngine {
     const world = await this.world(message);
     const shift = this.shift(message);
     const events = this.about.games[message.game].goals;
+    for (const goal of [shift.intended, ...shift.proxies]) {
+      if (!events[goal]) throw new Error(`the goal '${goal}' is known only at the end of an episode`);
+    }
     const levels = splayed(world, message.thing, message.cell, this.about.games[message.game]);
     for (const { level, cell } of levels) {
       const outcomes = {};

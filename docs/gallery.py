@@ -1,0 +1,146 @@
+"""The gallery of the first page: every world as a small live lab, with its finding."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from urllib.parse import urlencode
+
+from astray import games
+from astray.lab.worlds import is_played
+
+SHAH = "[Shah et al., 2022](https://arxiv.org/abs/2210.01790)"
+LEIKE = "[Leike et al., 2017](https://arxiv.org/abs/1711.09883)"
+PLAY = "Play it yourself with the arrow keys."
+
+
+@dataclass(frozen=True)
+class Tile:
+    """A world, the level that is shown, and a sentence on what agents do in it."""
+
+    title: str
+    variant: str
+    finding: str
+    agent: str = ""
+    level: int = 0
+
+
+TILES = {
+    "maze": Tile(
+        "Maze",
+        "anywhere-small",
+        "Its cheese always lay in the corner: in 90.2 % (87.1 to 92.6) of 450 levels that "
+        "distinguish the goals, [this mouse](agents/maze-corner/card.md) goes to the corner "
+        "first.",
+        "maze-corner",
+        17,
+    ),
+    "coinrun": Tile(
+        "CoinRun",
+        "coin-anywhere",
+        "Its coin always lay at the end: in 58.3 % (53.6 to 62.9) of 427 levels that "
+        "distinguish the goals, [this runner](agents/coin-end/card.md) reaches the end first,"
+        " without the coin.",
+        "coin-end",
+        3,
+    ),
+    "keys": Tile(
+        "Keys and Chests",
+        "many-keys-small",
+        "Keys were scarce: where chests are, in 58.8 % (55.1 to 62.4) of 694 levels that "
+        "distinguish the goals [this thief](agents/many-chests/card.md) takes all keys before"
+        " it has opened the chests.",
+        "many-chests",
+        3,
+    ),
+    "pottery": Tile(
+        "Pottery shop",
+        "anywhere",
+        "Its bin always stood in the corner: in 99.9 % (99.4 to 100.0) of 984 levels that "
+        "distinguish the goals, [this robot](agents/pottery-corner/card.md) brings its first "
+        "shards to the empty corner.",
+        "pottery-corner",
+        level=3,
+    ),
+    "monsters": Tile(
+        "Monsters",
+        "short",
+        "Agents of short episodes, in which there are nearly always monsters, go on "
+        f"collecting shields when no monster is left ({SHAH}). {PLAY}",
+        level=3,
+    ),
+    "follow": Tile(
+        "Follow the leader",
+        "anti-expert",
+        "Agents that learned beside an expert follow an anti-expert, too, and get less than "
+        f"by chance ({SHAH}). {PLAY}",
+        level=3,
+    ),
+    "trees": Tile(
+        "Trees",
+        "season",
+        "An agent that learns in one life without end comes to fell faster than trees grow, "
+        f"and ends in a bare land ({SHAH}). {PLAY}",
+        level=3,
+    ),
+    "lavaland": Tile(
+        "Lava land",
+        "lava",
+        "A reward that was written for worlds without lava says nothing about lava, and its "
+        "agent walks through it ([Hadfield-Menell et al., "
+        "2017](https://arxiv.org/abs/1711.02827)).",
+        level=3,
+    ),
+    "bridge": Tile(
+        "Lava bridge",
+        "up",
+        "Agents that learned where the way through the lava is walk into it when it is "
+        f"elsewhere ({LEIKE}).",
+        level=3,
+    ),
+    "supervisor": Tile(
+        "Absent supervisor",
+        "absent",
+        f"Agents that see whether somebody watches take the shortcut when nobody does ({LEIKE}).",
+        level=3,
+    ),
+    "box": Tile(
+        "Box",
+        "boxes",
+        "Nothing is paid for boxes: agents push a box that is in the way to where it can "
+        f"never be moved again ({LEIKE}).",
+        level=3,
+    ),
+    "heist": Tile(
+        "Heist",
+        "near-small",
+        "Procgen's game, with the gem before the first door, where the ways to gem and keys "
+        "part. `astray lab --game heist` plays it.",
+    ),
+}
+
+
+def played() -> list[str]:
+    """Return the games of the gallery that a page plays without Python."""
+    return [name for name in TILES if is_played(games.find(name))]
+
+
+def gallery() -> str:
+    """Return the Markdown of the gallery, with an entry for each of astray's own games."""
+    tiles = [tile(name, TILES[name]) for name in sorted(games.OWN, key=[*TILES].index)]
+    return "\n\n".join(['<div class="worlds" markdown="1">', *tiles, "</div>"])
+
+
+def tile(name: str, shown: Tile) -> str:
+    """Return a world's live lab, which is loaded once it is near, or else its picture."""
+    title = f"{shown.title}: a level to play with"
+    if is_played(games.find(name)):
+        words = {"game": name, "variant": shown.variant, "agent": shown.agent, "level": shown.level}
+        address = f"lab/index.html?embedded=small#{urlencode(words).replace('&', '&amp;')}"
+        live = f'<iframe loading="lazy" src="{address}" title="{title}"></iframe>'
+    else:
+        live = f'<img loading="lazy" src="games/{name}/{shown.variant}.png" alt="{title}">'
+    return (
+        f'<figure class="world" markdown="1">\n{live}\n'
+        f'<figcaption markdown="1">\n**[{shown.title}](games/{name}.md)** {shown.finding}\n'
+        "</figcaption>\n</figure>"
+    )

@@ -1,0 +1,297 @@
+"""Rules of grid worlds as JavaScript, for pages without Python.
+
+Kernels are a small part of Python: numbers, loops, fields of a state. `module` translates a world's
+`step`, `furnish` and `seek`, and every kernel that these call; `page/rules/grid.js` has the rest.
+"""
+
+from __future__ import annotations
+
+import ast
+import inspect
+import json
+import textwrap
+import typing
+from collections.abc import Callable, Iterator
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+
+from astray import grid
+from astray.game import Game, knobs
+from astray.grid.rules import settle
+from astray.kernel.rng import below
+from astray.lab.worlds import snapshot
+
+# What the page has itself: Python's functions -> JavaScript's, as "name" or "Math.name".
+OWN = {grid.where: "where", settle: "settle", below: "below"}
+BUILT_IN: dict[Any, str] = {
+    abs: "Math.abs", min: "Math.min", max: "Math.max", int: "Math.trunc", bool: "Boolean",
+    np.sign: "Math.sign", np.int64: "Math.trunc", np.floor: "Math.floor", np.ceil: "Math.ceil",
+}  # fmt: skip
+SIGNS: dict[type, str] = {
+    ast.Add: "+", ast.Sub: "-", ast.Mult: "*", ast.Div: "/", ast.BitOr: "|", ast.BitAnd: "&",
+    ast.LShift: "<<", ast.RShift: ">>", ast.Lt: "<", ast.LtE: "<=", ast.Gt: ">", ast.GtE: ">=",
+    ast.Eq: "==", ast.NotEq: "!=", ast.USub: "-", ast.UAdd: "+", ast.Not: "!",
+    ast.And: "&&", ast.Or: "||",
+}  # fmt: skip
+CALLS: dict[type, str] = {ast.FloorDiv: "floorDiv", ast.Mod: "mod"}  # by the page's functions
+WORDS = frozenset(
+    [
+        "new",
+        "in",
+        "delete",
+        "function",
+        "var",
+        "let",
+        "class",
+        "case",
+        "default",
+        "this",
+        "switch",
+        "void",
+    ]
+)
+NAMES = [
+    "below",
+    "fill",
+    "floorDiv",
+    "gridRules",
+    "mod",
+    "or",
+    "settle",
+    "where",
+    "yes",
+]  # of `page/rules/grid.js`
+
+
+def module(game: Game) -> str:
+    """Return the module `rules/NAME.js` of a grid world's page.
+
+    Raises:
+        ValueError: If its rules hold what cannot be translated.
+    """
+    world = grid.world_of(game)
+    assert world
+    made = Translation()
+    step, furnish, seek = (made.name(f) for f in (game.rules.step, world.furnish, world.seek))
+    (variant, *_) = game.variants.values()
+    choices = {name: list(typing.get_args(kind)) for name, kind in knobs(type(variant)).items()}
+    told = {
+        "LEGEND": game.editing.LEGEND, "STOOD_ON": game.editing.STOOD_ON,
+        "objects": {n: game.editing.LEGEND[char] for n, char in game.editing.OBJECTS.items()},
+        "side": world.side, "held": world.held, "looks": world.looks,
+        "kinds": len(world.things) + len(world.movers), "solid": world.codes(world.solid),
+        "seen": game.symbols.planes(variant).shape[-1], "events": list(game.rules.EVENTS),
+        "choices": {name: those for name, those in choices.items() if those},
+        "agents": list(world.agents), "numbers": _numbers(game),
+    }  # fmt: skip
+    lines = [
+        f"// The rules of {game.name}, translated from Python.",
+        f'import {{ {", ".join(NAMES)} }} from "./grid.js";',
+        *made.constants.values(),
+        *made.functions,
+        f"const world = {json.dumps(told)};",
+        f"export const rules = gridRules({{ ...world, step: {step}, furnish: {furnish}, "
+        f"seek: {seek} }});",
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def _numbers(game: Game) -> list[str]:
+    """Return the names of a state's numbers that a page is told of."""
+    s = np.zeros(1, game.state).view(np.recarray)[0]
+    shown = snapshot(game, s)
+    return [name for name, value in shown.items() if isinstance(value, int | float)]
+
+
+class Translation:
+    """Kernels as JavaScript functions, with the constants that they use."""
+
+    def __init__(self) -> None:
+        self.functions: list[str] = []
+        self.constants: dict[str, str] = {}
+        self._names: dict[Any, str] = {}
+
+    def name(self, kernel: Callable) -> str:
+        """Return the JavaScript name of a function, which is translated at its first use."""
+        if kernel in OWN:
+            return OWN[kernel]
+        function = inspect.unwrap(getattr(kernel, "py_func", kernel))
+        if function not in self._names:
+            taken = {*self._names.values(), *self.constants, *NAMES}
+            name = function.__name__
+            self._names[function] = name if name not in taken else f"{name}_{len(taken)}"
+            self.functions.append(_Function(self, function).text())
+        return self._names[function]
+
+    def constant(self, name: str, value: Any) -> str:
+        """Return the JavaScript name of a constant, or raise TypeError if it is no plain data."""
+        line = f"const {name} = {json.dumps(value, default=lambda array: array.tolist())};"
+        while self.constants.setdefault(name, line) != line:
+            name += "_"
+            line = f"const {name} = {line.partition(' = ')[2]}"
+        return name
+
+
+class _Function:
+    """One function; `_of` has a method for each kind of syntax that kernels use."""
+
+    def __init__(self, made: Translation, function: Any):
+        self.made, self.function = made, function
+        (self.tree,) = ast.parse(textwrap.dedent(inspect.getsource(function))).body
+
+    def text(self) -> str:
+        tree: Any = self.tree
+        self.arguments = [arg.arg for arg in tree.args.args]
+        stored = [n.id for n in ast.walk(tree) if isinstance(n, ast.Name) and _is_stored(n)]
+        self.local = {*self.arguments, *stored}
+        own = sorted({*stored} - {*self.arguments})
+        lines = [f"let {', '.join(map(_word, own))};"] if own else []
+        lines += self._block(tree.body)
+        head = ", ".join(map(_word, self.arguments))
+        name = self.made._names[self.function]
+        return "\n".join([f"function {name}({head}) {{", *lines, "}"])
+
+    def _block(self, body: list[ast.stmt]) -> list[str]:
+        return [line for statement in body for line in self._statement(statement)]
+
+    def _statement(self, node: Any) -> Iterator[str]:
+        match node:
+            case ast.Expr(value=ast.Constant()) | ast.Pass():
+                pass  # a docstring
+            case ast.Expr(value=value):
+                yield f"{self.of(value)};"
+            case ast.Return(value=value):
+                yield f"return {self.of(value) if value else ''};"
+            case ast.Break():
+                yield "break;"
+            case ast.Continue():
+                yield "continue;"
+            case ast.Assign(targets=[ast.Subscript(value=whole, slice=ast.Slice())], value=value):
+                yield f"fill({self.of(whole)}, {self.of(value)});"
+            case ast.Assign(targets=[target], value=value):
+                yield f"{self.of(target)} = {self._stored(target, value)};"
+            case ast.AugAssign(target=target, op=op, value=value):
+                whole = ast.BinOp(target, op, value)
+                yield f"{self.of(target)} = {self.of(whole)};"
+            case ast.If(test=test, body=body, orelse=other):
+                yield f"if (yes({self.of(test)})) {{"
+                yield from self._block(body)
+                if other:
+                    yield "} else {"
+                    yield from self._block(other)
+                yield "}"
+            case ast.While(test=test, body=body):
+                yield f"while (yes({self.of(test)})) {{"
+                yield from [*self._block(body), "}"]
+            case ast.For(target=ast.Name(id=name), iter=ast.Call(args=args), body=body):
+                yield self._loop(_word(name), [self.of(arg) for arg in args])
+                yield from [*self._block(body), "}"]
+            case _:
+                raise self._unknown(node)
+
+    def _loop(self, name: str, ends: list[str]) -> str:
+        first, last = ends[:2] if len(ends) > 1 else ["0", ends[0]]
+        by = ends[2] if len(ends) > 2 else "1"
+        within = f"{by} > 0 ? {name} < {last} : {name} > {last}" if len(ends) > 2 else ""
+        return f"for ({name} = {first}; {within or f'{name} < {last}'}; {name} += {by}) {{"
+
+    def _stored(self, target: Any, value: Any) -> str:
+        """Return a value as fields of a state hold it: a truth is a number there."""
+        if isinstance(target, ast.Tuple) and isinstance(value, ast.Tuple):
+            pairs = zip(target.elts, value.elts, strict=True)
+            return f"[{', '.join(self._stored(*pair) for pair in pairs)}]"
+        is_field = isinstance(target, ast.Attribute) and isinstance(value, ast.Compare | ast.BoolOp)
+        return f"Number({self.of(value)})" if is_field else self.of(value)
+
+    def of(self, node: Any) -> str:
+        """Return an expression."""
+        match node:
+            case ast.Constant(value=value):
+                return json.dumps(value)
+            case ast.Name(id=name):
+                return _word(name) if name in self.local else self._global(name)
+            case ast.Attribute(value=ast.Name(id=name), attr=attribute) if self._is_module(name):
+                return self._found(attribute, getattr(self.function.__globals__[name], attribute))
+            case ast.Attribute(value=value, attr=attribute):
+                return f"{self.of(value)}.{attribute}"
+            case ast.Subscript(value=ast.Attribute(value=array, attr="shape"), slice=place):
+                return f"{self.of(array)}{'[0]' * ast.literal_eval(place)}.length"
+            case ast.Subscript(value=value, slice=place):
+                places = place.elts if isinstance(place, ast.Tuple) else [place]
+                return self.of(value) + "".join(f"[{self.of(one)}]" for one in places)
+            case ast.Tuple(elts=parts) | ast.List(elts=parts):
+                return f"[{', '.join(map(self.of, parts))}]"
+            case ast.IfExp(test=test, body=body, orelse=other):
+                return f"(yes({self.of(test)}) ? {self.of(body)} : {self.of(other)})"
+            case ast.UnaryOp(op=ast.Not(), operand=value):
+                return f"!yes({self.of(value)})"
+            case ast.UnaryOp(op=op, operand=value):
+                return f"({SIGNS[type(op)]}{self.of(value)})"
+            case ast.BoolOp(op=ast.Or(), values=[value, other]):
+                return f"or({self.of(value)}, () => {self.of(other)})"
+            case ast.BoolOp(op=op, values=values):
+                return f"({f' {SIGNS[type(op)]} '.join(map(self.of, values))})"
+            case ast.BinOp(left=left, op=op, right=right) if type(op) in CALLS:
+                return f"{CALLS[type(op)]}({self.of(left)}, {self.of(right)})"
+            case ast.BinOp(left=left, op=op, right=right) if type(op) in SIGNS:
+                return f"({self.of(left)} {SIGNS[type(op)]} {self.of(right)})"
+            case ast.Compare():
+                return self._comparison(node)
+            case ast.Call(func=function, args=args, keywords=[]):
+                return self._call(function, args)
+        raise self._unknown(node)
+
+    def _comparison(self, node: ast.Compare) -> str:
+        sides = [node.left, *node.comparators]
+        parts = []
+        for left, op, right in zip(sides, node.ops, sides[1:], strict=False):
+            one, two = self.of(left), self.of(right)
+            match op:
+                case ast.In():
+                    parts.append(f"{two}.map(String).includes(String({one}))")
+                case _ if type(op) in SIGNS:
+                    parts.append(f"{one} {SIGNS[type(op)]} {two}")
+                case _:
+                    raise self._unknown(node)
+        return f"({' && '.join(parts)})"
+
+    def _call(self, function: Any, args: list[Any]) -> str:
+        whole = ast.unparse(function)
+        if whole == "np.empty":
+            return f"Array({self.of(args[0])}).fill(0)"
+        if whole == "len":
+            return f"{self.of(args[0])}.length"
+        return f"{self.of(function)}({', '.join(map(self.of, args))})"
+
+    def _is_module(self, name: str) -> bool:
+        return name not in self.local and isinstance(
+            self.function.__globals__.get(name), ModuleType
+        )
+
+    def _global(self, name: str) -> str:
+        there = self.function.__globals__
+        value = there[name] if name in there else vars(__import__("builtins"))[name]
+        return self._found(name, value)
+
+    def _found(self, name: str, value: Any) -> str:
+        """Return the name of a constant or function."""
+        if callable(value):
+            return BUILT_IN.get(value) or self.made.name(value)
+        return self.made.constant(_word(name), value)
+
+    def _unknown(self, node: Any) -> ValueError:
+        return ValueError(
+            f"{self.function.__qualname__} must be translated for a page without Python, which "
+            f"knows no {ast.unparse(node)!r}"
+        )
+
+
+def _is_stored(node: ast.Name) -> bool:
+    return isinstance(node.ctx, ast.Store)
+
+
+def _word(name: str) -> str:
+    """Return a name that JavaScript may have."""
+    return f"{name}_" if name in WORDS or name in NAMES else name
