@@ -12,7 +12,8 @@ from astray.agents.mlp import MLP
 from astray.analysis.runs import load_agent
 from astray.training import checkpoint, ppo
 from astray.training.config import PRESETS
-from astray.training.loop import Diverged, improve, train
+from astray.training.checks import Diverged
+from astray.training.loop import improve, train
 from astray.training.trainer import Trainer
 
 TINY = replace(

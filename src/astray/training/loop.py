@@ -23,6 +23,7 @@ from astray.agents import policy
 from astray.agents.policy import Architecture
 from astray.envs.pool import check_startable, most_threads
 from astray.training import checkpoint, parallel, ppo
+from astray.training.checks import check_converging, check_first, check_losses
 from astray.training.config import Config
 from astray.training.fast import acceleration
 from astray.training.fast.acceleration import Loss
@@ -37,14 +38,6 @@ SPARE = 16  # threads that libraries may start
 # Most consecutive rollouts that are only scored: if 0.01 of them are learned from, longer runs
 # practically never happen.
 SCORED = 2000
-# Largest difference between a network's outputs in acting and in learning: relative to their
-# deviation (rounding gives 1e-3, also in TF32, hidden state about 1), and to their size.
-APART, ROUNDED = 0.05, 1e-4
-REPEATED = 1e-6  # likewise in two calls in a row, of its size: float32 is rounded by 6e-8
-
-
-class Diverged(RuntimeError):
-    """The trained network's weights are no longer finite."""
 
 
 def train(
@@ -234,71 +227,6 @@ def improve(trainer: Trainer) -> tuple[dict[str, float], dict[str, float]]:
     seconds = time.perf_counter() - began
     speed = {"steps_per_second": config.batch / seconds, "playing": (played - began) / seconds}
     return metrics | {"update/learning_rate": rate}, speed
-
-
-def check_first(trainer: Trainer, samples: Samples) -> dict[str, float]:
-    """Check the network on the first rollout; return how far accelerated outputs differ."""
-    config, using = trainer.config, trainer.fast.using
-    if not (using.of_network or trainer.memory):
-        check_memoryless(trainer.network, samples, config)
-    if not using.bfloat16:
-        return {}
-    first = samples.at(torch.arange(config.batch // config.minibatches, device=config.device))
-    return acceleration.agreement(trainer.fast, trainer.network, first, config)
-
-
-@torch.no_grad()
-def check_memoryless(network: nn.Module, samples: Samples, config: Config) -> None:
-    """Raise ValueError if a network's outputs differ between acting and learning.
-
-    A network with hidden state of its own does, since learning reorders observations. Rounding
-    differences are allowed. A slow drift shows in two calls in a row, unless it is below `REPEATED`
-    in each: that is not found.
-    """
-    some = samples.at(torch.arange(0, len(samples), config.minibatches, device=config.device))
-    (logits, value), again = network(some.observation), network(some.observation)
-    of_all = ppo.log_probabilities(logits)
-    log_probability = of_all.gather(-1, some.action[:, None]).squeeze(-1)
-    acted, learned = (some.log_probability, some.value), (log_probability, value)
-    bounds = [APART * then.std() + ROUNDED * _size(then) for then in acted]
-    bounds += [REPEATED * _size(said) for said in (logits, value)]
-    pairs = zip((*acted, logits, value), (*learned, *again), bounds, strict=True)
-    for then, now, most in pairs:
-        if (apart := _size(now - then)) > most:
-            raise ValueError(
-                f"a network must say the same of an observation whenever it is shown it; what "
-                f"{type(network).__name__} said of some in two calls differs by "
-                f"{float(apart / _size(then)):.2g} of its size, as with a memory of its own"
-            )
-
-
-def _size(numbers: Tensor) -> Tensor:
-    """Return the root of the mean square."""
-    return numbers.square().mean().sqrt()
-
-
-def check_losses(losses: Any) -> None:
-    """Raise ValueError unless a custom loss returns a differentiable "loss"."""
-    parts = losses.values() if isinstance(losses, Mapping) else [None]
-    are_numbers = all(isinstance(part, Tensor) and not part.shape for part in parts)
-    if not are_numbers or "loss" not in losses or not losses["loss"].requires_grad:
-        raise ValueError(
-            "a loss must return tensors of one number by name, with 'loss' among them, which the "
-            f"weights decide; got {shown(losses)}"
-        )
-
-
-def check_converging(trainer: Trainer) -> None:
-    """Raise Diverged unless all learned values are finite; no later update could repair them."""
-    if torch.stack([x.isfinite().all() for x in trainer.learned()]).all():
-        return
-    config = trainer.config
-    raise Diverged(
-        f"training diverged in update {trainer.iteration} of {config.iterations}, at "
-        f"{trainer.steps:,} steps: weights are no longer finite; lower learning_rate "
-        f"({config.learning_rate:g}) or gradient_norm ({config.gradient_norm:g}); the checkpoints "
-        "before it are kept"
-    )
 
 
 def play(trainer: Trainer) -> Samples:
