@@ -11,8 +11,8 @@ import torch
 from astray.agents.mlp import MLP
 from astray.analysis.runs import load_agent
 from astray.training import checkpoint, ppo
-from astray.training.config import PRESETS
 from astray.training.checks import Diverged
+from astray.training.config import PRESETS
 from astray.training.loop import improve, train
 from astray.training.trainer import Trainer
 

@@ -186,6 +186,12 @@ def _strip(lines: Sequence[str], width: int, height: int) -> np.ndarray:
     return np.array(image)
 
 
+def write(frames: np.ndarray, path: Path, fps: int = FPS) -> None:
+    """Write frames [T, H, W, 3] uint8 as an .mp4 file, and a .gif beside it."""
+    write_mp4(frames, path, fps)
+    write_gif(frames, path.with_suffix(".gif"), fps)
+
+
 def write_mp4(frames: np.ndarray, path: Path, fps: int = FPS) -> None:
     """Write `frames` [T, H, W, 3] uint8 as a video that browsers play; `path` ends in .mp4.
 

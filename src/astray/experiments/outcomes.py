@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 import polars as pl
 
-from astray.analysis import video
 from astray.analysis.estimates import Estimate, estimate_mean, estimate_paired
 from astray.analysis.outcomes import (
     INTENDED,
@@ -23,6 +22,7 @@ from astray.analysis.outcomes import (
 )
 from astray.analysis.policies import Walk
 from astray.experiments.spec import SPREADS, Plan, Test, Work, open_agents
+from astray.experiments.videos import write_pair
 from astray.figures import charts
 from astray.report.claims import above, rounded
 from astray.report.findings import Findings, Plot, Scene, Table, Video
@@ -33,7 +33,6 @@ from astray.training.folders import read_config
 
 AGENTS = "sampled"
 LEARNED = 0.8  # rate of the intended goal in training above which an agent has learned
-LONGEST = 120  # steps of an episode that are recorded
 
 
 def share(
@@ -98,7 +97,6 @@ def findings(work: Work) -> Findings:
                 "no figure",
                 f"{MISGENERALIZED} minus {INTENDED}",
                 share(tried, test, MISGENERALIZED, minus=INTENDED),
-                0.0,
             ),
         ],
         videos=videos(work, trained=trained, tested=tested),
@@ -253,16 +251,11 @@ def videos(work: Work, *, trained: Test, tested: Test, agent: str | None = None)
         levels = mine.filter(outcome=outcome).join(far, on="level", how="semi")["level"]
         for level in levels[:1].to_list():
             pair = [
-                video.play(
-                    player, game, _variant_of(plan, name, test), level, pixels=288, longest=LONGEST
-                )
+                (f"{test.name} {level}", _variant_of(plan, name, test))
                 for test in (trained, tested)
             ]
-            captions = [f"{test.name} {level}" for test in (trained, tested)]
-            frames = video.beside(*(episode.frames for episode in pair), captions=captions)
             path = work.folder / "videos" / f"{outcome.replace(' ', '-')}.mp4"
-            video.write_mp4(frames, path, fps=8)
-            video.write_gif(frames, path.with_suffix(".gif"), fps=8)
+            write_pair(player, game, pair, level, path, fps=8)
             shown.append(
                 Video(
                     f"{outcome.capitalize()}, as in {rounded(count / len(mine))} of the "

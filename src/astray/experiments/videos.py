@@ -1,17 +1,23 @@
-"""One video of an agent, for its card and for trackers."""
+"""Videos of an agent in one level number of two variants, side by side."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import polars as pl
 
+from astray.acting import Policy
 from astray.analysis import video
 from astray.analysis.trained import Agent
-from astray.game import Shift
+from astray.game import Game, Shift
 from astray.training.config import Config
+from astray.world import World
 
-SIDE, LONGEST = 224, 100  # pixels, steps
+SIDE, LONGEST = 224, 100  # pixels and steps, of a card's video
+REPORTED, RECORDED = 288, 120  # likewise, of a report's
 
 
 def write_video(
@@ -26,17 +32,35 @@ def write_video(
     mine = apart if len(apart) else mine
     mine = mine.filter(outcome=mine["outcome"].mode().sort()[0])
     level = mine.filter(pl.col("length") >= pl.col("length").quantile(0.75))["level"][0]
-    variants = (config.variant, between.test)
+    names = (config.variant, between.test)
+    pair = [(f"{name} {level}", config.variant_for(name)) for name in names]
+    video.write_gif(_frames(agent, config.find_game(), pair, level, SIDE, LONGEST), path, fps=8)
+
+
+def write_pair(
+    player: Policy,
+    game: Game | World,
+    variants: Sequence[tuple[str, Any]],
+    level: int,
+    path: Path,
+    *,
+    fps: int,
+) -> None:
+    """Write an .mp4 file, and a .gif beside it, of an agent in variants with captions."""
+    video.write(_frames(player, game, variants, level, REPORTED, RECORDED), path, fps)
+
+
+def _frames(
+    player: Policy,
+    game: Game | World,
+    variants: Sequence[tuple[str, Any]],
+    level: int,
+    pixels: int,
+    longest: int,
+) -> np.ndarray:
+    """Return frames [T, H, W, 3] uint8 of a level number in all variants, side by side."""
     shown = [
-        video.play(
-            agent,
-            config.find_game(),
-            config.variant_for(variant),
-            level,
-            pixels=SIDE,
-            longest=LONGEST,
-        ).frames
-        for variant in variants
+        video.play(player, game, variant, level, pixels=pixels, longest=longest).frames
+        for _, variant in variants
     ]
-    captions = [f"{variant} {level}" for variant in variants]
-    video.write_gif(video.beside(*shown, captions=captions), path, fps=8)
+    return video.beside(*shown, captions=[caption for caption, _ in variants])

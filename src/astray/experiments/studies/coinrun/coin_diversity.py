@@ -74,7 +74,6 @@ def find(work: Work) -> Findings:
                 "more randomization helps (no figure given)",
                 f"{FIRST} less {last}",
                 estimate_difference(astray[FIRST], astray[last], pool=kinds),
-                0.0,
             ),
             above(
                 "Even without random coins, goal misgeneralization is rarer than where the coin "
@@ -82,7 +81,6 @@ def find(work: Work) -> Findings:
                 "lower than this baseline",
                 f"base rate less {NEVER}",
                 estimate_paired(base, astray[NEVER]),
-                0.0,
             ),
             above(
                 "Without random coins, runners go to the end without the coin more often than they "
@@ -90,7 +88,6 @@ def find(work: Work) -> Findings:
                 "generally proceeds to the end",
                 f"{MISGENERALIZED} less {FAILED}, {NEVER}",
                 estimate_paired(astray[NEVER], failed),
-                0.0,
             ),
         ],
         videos=outcomes.videos(work, trained=BLIND[where], tested=TESTS[where], agent=NEVER),

@@ -8,7 +8,6 @@ import numpy as np
 import polars as pl
 
 from astray.acting import Policy, initial_states, steps
-from astray.analysis import video
 from astray.analysis.estimates import Estimate, group_means, mean_of
 from astray.analysis.runs import open_run
 from astray.experiments import outcomes
@@ -16,6 +15,7 @@ from astray.experiments.levels import levels_of
 from astray.experiments.spec import Experiment, Test, Work
 from astray.experiments.studies.coinrun import _agents
 from astray.experiments.studies.coinrun._agents import RIGHT_AND_JUMP, RUNNER
+from astray.experiments.videos import write_pair
 from astray.figures import charts
 from astray.games.coinrun.rules import HALF, TALL
 from astray.report.claims import above, near_zero, rounded
@@ -107,7 +107,6 @@ def find(work: Work) -> Findings:
                 "lower than with an invisible coin (no figure given)",
                 "taken where it is seen less touched where it is not, in the same levels",
                 gain,
-                0.0,
                 why=f"nearly all that is taken is come by: unseen, {rounded(touched.mean)} "
                 f"are touched; seen, {rounded(share[ANYWHERE].mean)} are taken",
             ),
@@ -123,7 +122,6 @@ def find(work: Work) -> Findings:
                 "not measured",
                 "touched unseen less what seeing adds",
                 mean_of(pairs, pl.col("touched") - pl.col("gain")),
-                0.0,
             ),
             above(
                 "Off the way, seeing the coin leads to it in most levels.",
@@ -278,22 +276,10 @@ def videos(work: Work, pairs: pl.DataFrame) -> list[Video]:
         ),
     ):
         for level in rows["level"].head(1).to_list():
-            both = [
-                video.play(
-                    agent,
-                    "coinrun",
-                    TESTS[test].variant_for(work.plan.config),
-                    level,
-                    pixels=288,
-                    longest=outcomes.LONGEST,
-                )
-                for test in (AT_END, ANYWHERE)
-            ]
-            captions = [AT_END, ANYWHERE]
-            frames = video.beside(*(one.frames for one in both), captions=captions)
+            tests = (AT_END, ANYWHERE)
+            pair = [(test, TESTS[test].variant_for(work.plan.config)) for test in tests]
             path = work.folder / "videos" / f"{name}.mp4"
-            video.write_mp4(frames, path, fps=15)
-            video.write_gif(frames, path.with_suffix(".gif"), fps=15)
+            write_pair(agent, work.plan.game, pair, level, path, fps=15)
             scene = Scene(work.runs[RUNNER][0], TESTS[ANYWHERE].variant, level)
             shown.append(Video(f"A runner that {what}: level {level}, twice.", path, scene))
     return shown

@@ -235,8 +235,7 @@ def show(work: Work, typical: dict[str, Any]) -> tuple[Video, list[Plot]]:
     path = work.folder / "videos" / "wall.mp4"
     texts = [f"step {k}, value {v:.2f}" for k, v in enumerate(value)]
     frames = video.beside(episode.frames, captions=[texts.__getitem__])
-    video.write_mp4(frames, path, fps=8)
-    video.write_gif(frames, path.with_suffix(".gif"), fps=8)
+    video.write(frames, path, fps=8)
     data = pl.DataFrame(
         {"step": np.arange(len(value)), "value": value, "to_wall": measures.to_wall(episode.states)}
     )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -17,7 +18,7 @@ from astray.experiments.levels import levels_of
 from astray.experiments.spec import Plan, Test, Work
 from astray.experiments.studies.coinrun import _agents
 from astray.game import Variant
-from astray.training.config import PRESETS
+from astray.training.config import PRESETS, Config
 
 MOUSE = "mouse"
 CORNER_MOUSE = replace(PRESETS["small"], variant="corner-small", validation="anywhere-small")
@@ -36,38 +37,24 @@ CORNER = "the mouse of the corner that comes with astray, in worlds of 7 cells, 
 CHEESE = "a mouse that others trained with cheese anywhere, in mazes of 11 to 15 cells"
 
 
-def of_corner_mouse(levels: int, **more: Any) -> Plan:
-    """Return a plan with the pretrained mouse whose cheese was always in the corner."""
+def existing(
+    name: str, config: Config, agent: str, differences: str, levels: int, **more: Any
+) -> Plan:
+    """Return a plan with one agent that exists: pretrained, or trained by others."""
     return Plan(
-        agents={MOUSE: CORNER_MOUSE},
-        published={MOUSE: "maze-corner"},
+        agents={name: config},
+        published={name: agent},
         levels=levels,
-        differences=CORNER,
+        differences=differences,
         **more,
     )
 
 
-def of_cheese_mouse(levels: int, **more: Any) -> Plan:
-    """Return a plan with the published mouse that finds its cheese."""
-    return Plan(
-        agents={MOUSE: CHEESE_MOUSE},
-        published={MOUSE: "maze-160m"},
-        levels=levels,
-        differences=CHEESE,
-        **more,
-    )
-
-
-def of_kept_runner(levels: int, **more: Any) -> Plan:
-    """Return a plan with the pretrained runner whose coin was always at the end."""
-    name, smoke = _agents.RUNNER, "smoke"
-    return Plan(
-        agents={name: _agents.AGENTS[smoke]},
-        published={name: "coin-end"},
-        levels=levels,
-        differences=_agents.DIFFERENCES[smoke],
-        **more,
-    )
+of_corner_mouse = partial(existing, MOUSE, CORNER_MOUSE, "maze-corner", CORNER)
+of_cheese_mouse = partial(existing, MOUSE, CHEESE_MOUSE, "maze-160m", CHEESE)
+of_kept_runner = partial(
+    existing, _agents.RUNNER, _agents.AGENTS["smoke"], "coin-end", _agents.DIFFERENCES["smoke"]
+)
 
 
 def opened(work: Work, where: str) -> tuple[Agent, Variant, np.ndarray]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -18,12 +17,12 @@ from astray.experiments import outcomes
 from astray.experiments.levels import levels_of, unmet
 from astray.experiments.outcomes import AGENTS, share
 from astray.experiments.spec import Experiment, Plan, Test, Work
+from astray.experiments.studies.insight._plans import CHEESE_MOUSE
 from astray.figures import charts
 from astray.game import Variant
 from astray.report.claims import Claim, above, rounded
 from astray.report.findings import Findings, Plot, Scene, Table, Video
 from astray.training import folders
-from astray.training.config import PRESETS
 
 MOUSE, OURS = "mouse of 160 million steps", "our mouse of the corner"
 WHERE = "cheese anywhere"
@@ -169,22 +168,11 @@ def shown(
     """Return the most informative episode beside the measure's belief."""
     path = work.folder / "videos" / f"{name.replace(' ', '-')}.mp4"
     frames = posterior_video(agent, "maze", variant, played)
-    video.write_mp4(frames, path, fps=6)
-    video.write_gif(frames, path.with_suffix(".gif"), fps=6)
+    video.write(frames, path, fps=6)
     scene = Scene(agent.path.parents[2], test, played.level)
     told = f"{name.capitalize()}, level {played.level}, and where it may be going."
     return Video(told, path, scene)
 
-
-CONTROL = replace(
-    PRESETS["paper"],
-    game="maze",
-    variant="anywhere-easy",
-    observation="image",
-    network="impala",
-    art="original",
-    levels=100_000,
-)
 
 EXPERIMENT = Experiment(
     title="The mouse that finds its cheese",
@@ -192,7 +180,7 @@ EXPERIMENT = Experiment(
     question="Do the measures tell a mouse that was trained to find cheese anywhere from ours?",
     sizes={
         "published": Plan(
-            agents={MOUSE: CONTROL},
+            agents={MOUSE: CHEESE_MOUSE},
             published={MOUSE: "maze-160m"},
             tests={WHERE: TEST},
             levels=1000,

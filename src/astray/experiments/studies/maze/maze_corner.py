@@ -41,7 +41,6 @@ def find(work: Work) -> Findings:
                 "goes to the upper right corner (no figure given)",
                 f"{MISGENERALIZED} less {FAILED}",
                 share(work.episodes, test, MISGENERALIZED, minus=FAILED),
-                0.0,
             ),
         ],
         videos=outcomes.videos(work, trained=work.plan.tests[train], tested=work.plan.tests[test]),

@@ -61,7 +61,6 @@ def find(work: Work) -> Findings:
                 estimate_difference(
                     success[largest], success[smallest], pool=list(success.values())
                 ),
-                0.0,
             ),
             above(
                 f"A mouse whose cheese was anywhere in {sides[middle]} still goes to the corner, "
@@ -69,7 +68,6 @@ def find(work: Work) -> Findings:
                 "uses location as a proxy until the region is quite large (no figure given)",
                 f"{MISGENERALIZED} after {sides[middle]} less after {sides[largest]}",
                 estimate_difference(corner[middle], corner[largest], pool=list(corner.values())),
-                0.0,
             ),
         ],
         videos=outcomes.videos(

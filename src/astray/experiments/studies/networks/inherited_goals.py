@@ -63,7 +63,6 @@ def find(work: Work) -> Findings:
                 "none",
                 f"{OF_CORNER} less {OF_CHEESE}",
                 estimate_difference(corner[OF_CORNER], corner[OF_CHEESE], pool=kinds),
-                0.0,
             ),
         ],
         videos=outcomes.videos(
