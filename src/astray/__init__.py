@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from astray.analysis.trained import Network as Network
     from astray.envs.single import GameEnv as GameEnv
     from astray.envs.vector import GameVectorEnv as GameVectorEnv
+    from astray.experiments.audit import audit as audit
     from astray.experiments.run import reproduce as reproduce
     from astray.game import Game as Game
     from astray.game import Shift as Shift
@@ -38,6 +39,7 @@ __version__ = version("astray")
 
 # Where each is: imported when it is first asked for, as torch alone takes a second.
 FACE = {
+    "audit": "astray.experiments.audit:audit",
     "Config": "astray.training.config:Config",
     "Estimate": "astray.analysis.estimates:Estimate",
     "evaluate": "astray.analysis.evaluate:evaluate",

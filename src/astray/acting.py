@@ -7,7 +7,7 @@ for step in steps(policy, "maze", "anywhere", range(1000)):
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator, Mapping, Sequence, Sized
+from collections.abc import Callable, Iterator, Mapping, Sequence, Sized
 from dataclasses import dataclass
 from typing import Any, NamedTuple, Protocol, TypeVar
 
@@ -200,6 +200,26 @@ class Step:
     def of(self, which: np.ndarray) -> Step:
         """Return the step restricted to some episodes, `which` [n] bool."""
         return Step(**rows(vars(self), which))
+
+
+# A reward of one's own, for training and evaluation: the rewards [n] of a step. The game's are
+# `step.rewards`, which it may replace or add to.
+Reward = Callable[[Step], np.ndarray]
+
+
+def paid(reward: Reward, step: Step) -> np.ndarray:
+    """Return a reward of the user's own, [n] float64.
+
+    Raises:
+        ValueError: If it is anything but n finite numbers.
+    """
+    found, n = np.asarray(reward(step)), len(step.rewards)
+    if found.shape != (n,) or found.dtype.kind not in "biuf" or not np.isfinite(found).all():
+        raise ValueError(
+            f"a reward must return {n} finite numbers, one for each episode of the step; got "
+            f"{shown(found)}"
+        )
+    return found.astype(np.float64)
 
 
 def _taken(turn: Turn, answer: Answer, level: np.ndarray) -> Step:

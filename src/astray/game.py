@@ -6,7 +6,7 @@ import functools
 import json
 import typing
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import asdict, dataclass, field, fields, replace
 from typing import Any, Literal, Self
 
 import numpy as np
@@ -109,6 +109,10 @@ class Variant:
         alike = {n: v for n, v in changes.items() if getattr(self, n) == getattr(other, n)}
         alike.pop("shift_probability", None)  # the other has nothing of its own to shift to
         return alike
+
+    def to_json(self) -> dict[str, Any]:
+        """Return all knobs, as files of settings have them."""
+        return asdict(self)
 
     def records(self) -> np.ndarray:
         """Return the knobs for compiled code, [2] records: of this variant and of `shifted`."""

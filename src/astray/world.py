@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import inspect
+import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, fields, replace
 from operator import itemgetter
@@ -11,13 +13,14 @@ import gymnasium
 import numpy as np
 from gymnasium.utils.env_checker import data_equivalence
 
-from astray import games
-from astray.game import Game, Missing, More, Never, Outcome, Shift, Truncated
+from astray import games, imports
+from astray.game import OWN, Game, Missing, More, Never, Outcome, Shift, Truncated
 from astray.record import NEVER, record_dtype
 from astray.validation import MOST, bounded, brief, finite, of_kind, one_of, shown
 
 Env = gymnasium.Env
 Happened = str | Callable[[Any, Mapping[str, Any]], Any]
+GROUP = "astray.worlds"  # of entry points
 NOTED = "astray"  # key of info that reports events and measures
 SEEN = "observation"  # field of states that holds what an environment showed in them
 BOOLEANS = (bool, np.bool_)
@@ -34,10 +37,31 @@ class WorldVariant:
     knobs: Mapping[str, Any] = field(default_factory=dict)
     time_limit: ClassVar[int] = 0  # steps; unknown for an outside environment
 
+    def __getattr__(self, name: str) -> Any:
+        if not name.startswith("_") and name in self.knobs:
+            return self.knobs[name]
+        raise AttributeError(f"{self.world} {self.name} has no {name!r}")
+
     def with_knobs(self, changes: Mapping[str, Any]) -> WorldVariant:
-        """Return the variant with arguments added; raise ValueError unless it is a mapping."""
+        """Return the variant with arguments added; raise ValueError if its factory lacks one."""
         of_kind("knobs", changes, Mapping)
-        return replace(self, knobs={**self.knobs, **changes})
+        knobs = {**self.knobs, **changes}
+        try:
+            inspect.signature(self.factory).bind_partial(**knobs)
+        except TypeError as error:
+            raise ValueError(f"the factory of {self} takes no such knob: {error}") from error
+        except ValueError:  # of compiled code, which does not say what it takes
+            pass
+        return replace(self, knobs=knobs)
+
+    def alike(self, changes: Mapping[str, Any], other: WorldVariant) -> dict[str, Any]:
+        """Return those `changes` whose knobs are set in neither variant, or equally in both."""
+        mine, its = self.knobs, other.knobs
+        return {n: v for n, v in changes.items() if mine.get(n) == its.get(n)}
+
+    def to_json(self) -> dict[str, Any]:
+        """Return its name and knobs, as files of settings have them."""
+        return {"name": self.name, "knobs": dict(self.knobs)}
 
     def make(self) -> Env:
         """Return a new environment.
@@ -66,8 +90,8 @@ class WorldVariant:
         env.close()
         if mode == "rgb_array":
             return self
-        shows = self.with_knobs({"render_mode": "rgb_array"})
         try:
+            shows = self.with_knobs({"render_mode": "rgb_array"})
             shows.make().close()
         except ValueError as error:
             told = f"a video of {self} needs a factory that takes or sets render_mode='rgb_array'"
@@ -205,6 +229,11 @@ class World:
                 f"shown in them; got {shown(states.dtype)}"
             )
 
+    def drawn(self, art: str) -> None:
+        """Raise ValueError unless the art is its own."""
+        if art != OWN:
+            raise ValueError(f"unknown art {shown(art)} of {self.name}; there are: {OWN}")
+
     @property
     def event_goals(self) -> dict[str, str]:
         """The goals that are events, without those that are known only at an episode's end."""
@@ -232,11 +261,41 @@ class World:
         return WorldVariant(self.name, name, self.variants[name])
 
 
+_registered: dict[str, World] = {}
+
+
+def register(world: World) -> None:
+    """Register a world in this process, so that settings and files know its name.
+
+    An installed package can offer its worlds to all processes by entry points of `GROUP`: name =
+    "module:WORLD". A second registration replaces the first.
+
+    Raises:
+        ValueError: If the name is invalid, or a game's.
+    """
+    if not re.fullmatch(r"[\w.-]+", world.name) or world.name in games.names():
+        raise ValueError(
+            f"a world's name must be of letters, digits, _, - and ., and no game's; got "
+            f"{world.name!r}"
+        )
+    _registered[world.name] = world
+
+
 def find(game: str | Game | World) -> Game:
-    """Return a world unchanged, or find a game as `games.find` does.
+    """Return a world unchanged, or find a registered world, or a game as `games.find` does.
 
     A world is typed as a game here: it has the same names, and those that it lacks raise errors.
+
+    Raises:
+        ValueError: If there is none, or what a package offers is no world of that name.
     """
+    if isinstance(game, str) and game not in games.OWN:
+        if game in _registered:
+            return cast("Game", _registered[game])
+        for point in imports.offered(GROUP):
+            if point.name == game:
+                of_kind(point.value, found := imports.find(point.value), World)
+                return cast("Game", found)
     return cast("Game", game) if isinstance(game, World) else games.find(game)
 
 

@@ -186,7 +186,7 @@ def test_the_command_line_takes_a_world(astray):
     hand = [by_hand(lambda _: 1, "anywhere", level)[4] is not None for level in range(9)]
     assert told["helpers.rooms:go_right", INTENDED] == pytest.approx(np.mean(hand))
     assert "walked" in astray(*words, "--world", "helpers.rooms:WORLD")
-    assert "--world must be a Game or World; got 9" in astray(
+    assert "--world must be a World; got 9" in astray(
         *words, "--world", "helpers.rooms:CELLS", fails=True
     )
 

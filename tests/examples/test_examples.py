@@ -86,7 +86,7 @@ def test_the_page_on_extending_runs_as_it_stands(tmp_path):
 
 
 def test_the_page_on_worlds_runs_as_it_stands(tmp_path):
-    said = run_page("worlds", 7, tmp_path)
+    said = run_page("worlds", 9, tmp_path)
     assert "right misgeneralizes: it pursues end, not bell" in said
     assert (tmp_path / "reports" / "the-bell-smoke" / "report.html").exists(), said
 

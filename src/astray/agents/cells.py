@@ -76,7 +76,7 @@ class Cells(Pixels):
         scale: Multiplies the channels of places.
     """
 
-    def __init__(self, shape: tuple[int, int, int], actions: int, scale: int = 1):
+    def __init__(self, shape: tuple[int, ...], actions: int, scale: int = 1):
         super().__init__()
         height, width, colours = shape
         if min(height, width) < WINDOW:

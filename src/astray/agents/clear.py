@@ -47,7 +47,7 @@ def block(before: int, kernel: int, widths: tuple[int, ...]) -> nn.Sequential:
 class Clear(Pixels):
     """Images [B, H, W, C] uint8 -> logits [B, actions], values [B]."""
 
-    def __init__(self, shape: tuple[int, int, int], actions: int):
+    def __init__(self, shape: tuple[int, ...], actions: int):
         super().__init__()
         height, width, channels = shape
         inputs = (channels, *(widths[-1] for widths in BLOCKS[:-1]))

@@ -68,7 +68,7 @@ class Impala(Pixels):
 
     def __init__(
         self,
-        shape: tuple[int, int, int],
+        shape: tuple[int, ...],
         actions: int,
         scale: int = 1,
         widths: tuple[int, ...] = WIDTHS,

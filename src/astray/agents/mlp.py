@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from collections import OrderedDict
+from typing import Any
 
 import torch
 from torch import Tensor, nn
@@ -47,15 +49,18 @@ class CircleEmbedding(nn.Module):
 
 
 class MLP(ActorCritic):
-    """Symbolic planes [B, C, H, W] uint8 -> logits [B, actions], values [B]."""
+    """Symbolic planes [B, C, H, W] uint8 -> logits [B, actions], values [B].
 
-    def __init__(
-        self, shape: tuple[int, int, int], largest: list[int], actions: int, width: int = 64
-    ):
+    Vectors [B, D] float32 have no `largest`, and are not embedded.
+    """
+
+    spread: Any  # embedding of planes; the identity for vectors
+
+    def __init__(self, shape: tuple[int, ...], largest: list[int], actions: int, width: int = 64):
         super().__init__()
-        self.spread = CircleEmbedding(largest)
-        _, height, columns = shape
-        self.inputs = self.spread.channels * height * columns
+        self.spread = CircleEmbedding(largest) if largest else nn.Identity()
+        channels = self.spread.channels if isinstance(self.spread, CircleEmbedding) else shape[0]
+        self.inputs = channels * math.prod(shape[1:])
         self.features = nn.Sequential(
             OrderedDict(
                 flatten=nn.Flatten(),

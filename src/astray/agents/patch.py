@@ -25,7 +25,7 @@ class Convolutions(Pixels):
     """
 
     def __init__(
-        self, layers: dict[str, nn.Module], shape: tuple[int, int, int], actions: int, features: int
+        self, layers: dict[str, nn.Module], shape: tuple[int, ...], actions: int, features: int
     ):
         super().__init__()
         self.body = nn.Sequential(OrderedDict(layers))
@@ -41,7 +41,7 @@ class Convolutions(Pixels):
         return self.body(planes)
 
 
-def nature(shape: tuple[int, int, int], actions: int) -> Convolutions:
+def nature(shape: tuple[int, ...], actions: int) -> Convolutions:
     """Build the network of Mnih et al. 2015, as in Stable-Baselines3's `CnnPolicy`."""
     layers = {
         "conv1": nn.Conv2d(shape[2], 32, 8, stride=4),
@@ -54,7 +54,7 @@ def nature(shape: tuple[int, int, int], actions: int) -> Convolutions:
     return Convolutions(layers, shape, actions, 512)
 
 
-def overlap(shape: tuple[int, int, int], actions: int, scale: int = 1) -> Convolutions:
+def overlap(shape: tuple[int, ...], actions: int, scale: int = 1) -> Convolutions:
     """Build a network on overlapping patches: 8 x 8 pixels with stride 4."""
     layers = {
         "conv1": nn.Conv2d(shape[2], 16 * scale, 8, stride=4),
@@ -66,7 +66,7 @@ def overlap(shape: tuple[int, int, int], actions: int, scale: int = 1) -> Convol
 
 
 def patch(
-    shape: tuple[int, int, int], actions: int, scale: int = 1, pooled: bool = False
+    shape: tuple[int, ...], actions: int, scale: int = 1, pooled: bool = False
 ) -> Convolutions:
     """Build a network on patches of 8 x 8 pixels, with two residual units as in IMPALA.
 
@@ -86,7 +86,7 @@ def patch(
     return Convolutions(layers, shape, actions, 256)
 
 
-def patch_impala(shape: tuple[int, int, int], actions: int, scale: int = 1) -> Convolutions:
+def patch_impala(shape: tuple[int, ...], actions: int, scale: int = 1) -> Convolutions:
     """Build IMPALA on 16 x 16 patches of 4 x 4 pixels."""
     layers = {
         "stem": nn.Conv2d(shape[2], 16 * scale, 4, stride=4),

@@ -37,15 +37,16 @@ class Architecture:
 
     Attributes:
         name: One of `names.NETWORKS`, or "module:Class".
-        shape: Shape of an observation: [H, W, C] for images, [C, H, W] for symbolic planes.
-        largest: Largest value of each symbolic plane; empty for images.
+        shape: Shape of an observation: [H, W, C] for images, [C, H, W] for symbolic planes, [D] for
+            vectors.
+        largest: Largest value of each symbolic plane; empty for images and vectors.
         scale: Multiplies the channels of convolutions, except in "clear" and "nature".
         width: Hidden units of "mlp".
         widths: Channels of "impala"'s three blocks, at scale 1.
     """
 
     name: str
-    shape: tuple[int, int, int]
+    shape: tuple[int, ...]
     largest: tuple[int, ...]
     actions: int
     scale: int = 1
@@ -54,8 +55,11 @@ class Architecture:
 
     def __post_init__(self) -> None:
         sizes = (self.actions, self.scale, self.width, *self.shape, *self.largest, *self.widths)
-        lengths = (len(self.shape), len(self.widths))
-        if lengths != (3, 3) or any(type(n) is not int or n < 1 for n in sizes):
+        if (
+            not self.shape
+            or len(self.widths) != 3
+            or any(type(n) is not int or n < 1 for n in sizes)
+        ):
             raise ValueError(f"an architecture's sizes must be integers from 1 on; got {self}")
         check_network(self.name)
 
@@ -70,8 +74,9 @@ class Architecture:
         name, _, cell = self.name.partition("+")
         if cell:
             return WithCell(replace(self, name=name).build(), cell)  # pyright: ignore
-        if (self.name != "mlp") != (not self.largest):
-            seen = "symbolic planes" if self.largest else "images"
+        vectors = "vectors" if len(self.shape) == 1 else "images"
+        seen = "symbolic planes" if self.largest else vectors
+        if (self.name == "mlp") == (seen == "images") or len(self.shape) == 2:
             raise ValueError(f"network {self.name!r} does not see {seen}")
         return BUILDERS[self.name](self)
 
@@ -205,7 +210,8 @@ def usable(device: str) -> bool:
 def products(network: nn.Module, shape: tuple[int, ...], device: str = "cpu") -> int:
     """Return the number of multiplications by weights for one observation of that shape."""
     with FlopCounterMode(display=False) as counter:
-        network(torch.zeros((1, *shape), dtype=torch.uint8, device=device))
+        kind = torch.uint8 if len(shape) == 3 else torch.float32
+        network(torch.zeros((1, *shape), dtype=kind, device=device))
     return counter.get_total_flops() // 2  # which counts additions, too
 
 

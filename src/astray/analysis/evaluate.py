@@ -9,7 +9,7 @@ import numpy as np
 import polars as pl
 
 from astray import world
-from astray.acting import Levels, Policy, steps
+from astray.acting import Levels, Policy, Reward, paid, steps
 from astray.game import Game, Variant
 from astray.validation import of_kind, shown
 from astray.world import World, WorldVariant
@@ -29,12 +29,14 @@ def evaluate(
     measures: Mapping[str, Measure] | None = None,
     until: Sequence[str] = (),
     longest: int | None = None,
+    rewards: Mapping[str, Reward] | None = None,
 ) -> pl.DataFrame:
     """Play a policy once in each of `levels`; return a table with a row per level.
 
     Columns: policy, level, name (null for a numbered level), shifted, return (game points), length
     (steps), terminated, every event (the step at which it first happened, or null), the game's
-    measures, and `measures`. Rows are in the order of `levels` and do not depend on `batch`.
+    measures, `measures` and `rewards`. Rows are in the order of `levels` and do not depend on
+    `batch`.
 
     Examples:
         >>> agent = astray.load_agent("maze-corner")
@@ -47,6 +49,8 @@ def evaluate(
         measures: Further columns: name -> function of the final states [N].
         until: Events of the game that end an episode.
         longest: Steps after which an episode is truncated; None for no limit.
+        rewards: Rewards of your own, of which the episodes' returns become columns: name ->
+            function of an `acting.Step` that returns its rewards [n].
 
     Raises:
         ValueError: If there are no levels, or an argument is invalid.
@@ -56,14 +60,19 @@ def evaluate(
         named = ", ".join(sorted(taken))
         raise ValueError(f"events or measures of {game.name} have the names of columns: {named}")
     check_measures(measures, (*COLUMNS, *game.events, *game.measures))
+    own_rewards: Any = rewards
+    check_measures(own_rewards, (*COLUMNS, *LATER, *game.events, *game.measures, *(measures or {})))
     measured_by = {**game.of_states, **(measures or {})}
     of_kind("levels", levels, Sized)
     names = list(levels) if isinstance(levels, Mapping) else [None] * len(levels)
     rows: list[dict[str, Any]] = [{}] * len(levels)
     returns = np.zeros(len(levels))
+    own = {name: np.zeros(len(levels)) for name in rewards or {}}
     last = np.zeros(len(levels) if measured_by else 0, game.state)  # states
     for step in steps(policy, game, variant, levels, batch=batch, until=until, longest=longest):
         returns[step.level] += step.rewards
+        for name, totals in own.items():
+            totals[step.level] += paid(rewards[name], step)  # pyright: ignore
         for i in np.flatnonzero(step.ended):
             s, k = step.after[i], step.level[i]
             happened = {event: int(s[event]) if s[event] >= 0 else None for event in game.events}
@@ -81,7 +90,8 @@ def evaluate(
                 last[k] = s
     kinds = {"name": pl.String} | {event: pl.Int64 for event in game.events}
     table = pl.DataFrame(rows, schema_overrides=kinds)
-    return table.with_columns(measured(name, of, last) for name, of in measured_by.items())
+    measures_of = [measured(name, of, last) for name, of in measured_by.items()]
+    return table.with_columns(*measures_of, *(pl.Series(name, x) for name, x in own.items()))
 
 
 def check_measures(measures: Mapping[str, Measure] | None, taken: Collection[str]) -> None:

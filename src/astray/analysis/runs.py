@@ -11,7 +11,7 @@ import numpy as np
 import polars as pl
 
 from astray import world
-from astray.acting import Levels, Policy, check_ending, check_policy
+from astray.acting import Levels, Policy, Reward, check_ending, check_policy
 from astray.agents.policy import usable
 from astray.analysis.evaluate import Measure, evaluate
 from astray.analysis.outcomes import (
@@ -118,6 +118,7 @@ def evaluate_runs(
     batch: int = 256,
     solvable: bool = True,
     longest: int | None = None,
+    rewards: Mapping[str, Reward] | None = None,
     pool: bool = False,
 ) -> Result:
     """Evaluate agents beside scripted policies that know only one goal, or none.
@@ -136,6 +137,7 @@ def evaluate_runs(
         art: Art of the observations; None for that of the training, which must be common.
         solvable: Check that every object can be reached in levels from files.
         longest: Steps after which an episode is truncated; None for no limit.
+        rewards: Further rewards of the same episodes, as for `evaluate`.
         pool: Treat the agents as one kind, in a single row.
 
     Raises:
@@ -177,6 +179,7 @@ def evaluate_runs(
         batch,
         solvable,
         longest,
+        rewards,
         names_of(agents, pool),
     )
 
@@ -202,6 +205,7 @@ def evaluate_policies(
     batch: int = 256,
     solvable: bool = True,
     longest: int | None = None,
+    rewards: Mapping[str, Reward] | None = None,
 ) -> Result:
     """Evaluate any policies as `evaluate_runs` does trained agents.
 
@@ -222,7 +226,7 @@ def evaluate_policies(
     played = range(LEVELS_PLAYED) if levels is None else levels
     changed = game.variant(wanted).with_knobs(knobs or {})
     return _outcomes(
-        policies, game, name_of(wanted), changed, shift, played, batch, solvable, longest
+        policies, game, name_of(wanted), changed, shift, played, batch, solvable, longest, rewards
     )
 
 
@@ -236,6 +240,7 @@ def _outcomes(
     batch: int,
     solvable: bool,
     longest: int | None,
+    rewards: Mapping[str, Reward] | None,
     names: Mapping[str, str] | None = None,
 ) -> Result:
     if isinstance(levels, Path):
@@ -244,17 +249,25 @@ def _outcomes(
         chosen = read_levels(levels, game, variant, solvable=solvable)
     else:
         chosen = levels
-    episodes = play_all(game, name, variant, shift, chosen, policies, batch, longest=longest)
+    how: Any = {"batch": batch, "longest": longest, "rewards": rewards}
+    episodes = play_all(game, name, variant, shift, chosen, policies, **how)
     if names:
         of_run = pl.col("run").replace_strict(names, default=None)
         episodes = episodes.with_columns(policy=pl.coalesce(of_run, "policy"))
+    played = dict.fromkeys(names.values() if names else (policy.name for policy in policies))
+    return rated(episodes, game, load_shift(game, shift), [*played])
+
+
+def rated(
+    episodes: pl.DataFrame, game: Game | World, shift: Shift, agents: Sequence[str]
+) -> Result:
+    """Return episodes of `play_all` with the rates of their outcomes, and the agents' names."""
     both = [
         shares(part, outcomes=outcomes_of(game)).with_columns(levels_played=pl.lit(which))
         for which, part in ((ALL, episodes), (APART, episodes.filter("distinguishing")))
         if len(part)
     ]
-    played = dict.fromkeys(names.values() if names else (policy.name for policy in policies))
-    return Result(pl.concat(both), episodes, (*played,), load_shift(game, shift))
+    return Result(pl.concat(both), episodes, (*agents,), shift)
 
 
 def play_all(
@@ -267,6 +280,7 @@ def play_all(
     batch: int = 256,
     measures: Mapping[str, Measure] | None = None,
     longest: int | None = None,
+    rewards: Mapping[str, Reward] | None = None,
 ) -> pl.DataFrame:
     """Play policies, and scripts that walk to each goal or at random.
 
@@ -298,7 +312,14 @@ def play_all(
             run, seed, steps = policy.origin
         parts.append(
             evaluate(
-                policy, game, variant, levels, batch=batch, measures=measures, longest=longest
+                policy,
+                game,
+                variant,
+                levels,
+                batch=batch,
+                measures=measures,
+                longest=longest,
+                rewards=rewards,
             ).with_columns(
                 run=pl.lit(run, pl.String),
                 seed=pl.lit(seed, pl.Int64),

@@ -14,14 +14,16 @@ from typing import Any, Literal, TypeVar
 
 import numpy as np
 import torch
-from gymnasium.spaces import Box, Discrete
+from gymnasium.spaces import Box
 
 from astray.acting import Answer, Policy, Turn
 from astray.agents import policy
 from astray.agents.names import is_own
 from astray.agents.recurrent import Recurrent
 from astray.analysis.policies import episode_noise
-from astray.envs.vector import GameVectorEnv, Observation
+from astray.envs.restarting import action_table, as_seen
+from astray.envs.vector import Observation
+from astray.envs.worlds import WorldVectorEnv
 from astray.game import OWN, Game
 from astray.training import ppo
 from astray.training.folders import AgentFolder
@@ -37,7 +39,7 @@ FEW = 200_000_000
 
 
 def chosen(
-    logits: torch.Tensor, mode: Literal["sampled", "greedy"], seed: int, env: GameVectorEnv
+    logits: torch.Tensor, mode: Literal["sampled", "greedy"], seed: int, env: Any
 ) -> np.ndarray:
     """Return the actions [N] of a policy with logits [N, A] in the states of `env`."""
     if mode == "greedy":
@@ -96,11 +98,14 @@ class Agent:
 
     @property
     def observation(self) -> Observation:
-        return "symbolic" if self.architecture.largest else "image"
+        vectors = len(self.architecture.shape) == 1  # of a World
+        return "symbolic" if self.architecture.largest or vectors else "image"
 
     @property
     def space(self) -> Box:
         """Return the space of one observation."""
+        if len(self.architecture.shape) == 1:
+            return Box(-np.inf, np.inf, self.architecture.shape, np.float32)
         return Box(0, 255, self.architecture.shape, np.uint8)
 
     def asked(self, observations: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
@@ -155,7 +160,10 @@ class Agent:
             raise ValueError(
                 f"the agent is to see art {self.art!r}; these images are drawn with {env.art!r}"
             )
-        memory = None
+        memory, actions = None, None
+        if isinstance(env, WorldVectorEnv):
+            seen = as_seen(env.single_observation_space, self.observation, turn.observations)
+            turn, actions = turn._replace(observations=seen), action_table(env.single_action_space)
         if isinstance(self.network, Recurrent):
             chunk = AT_ONCE[self.observation]
             logits, memory = recalled(self.network, turn, self.device, chunk)
@@ -163,7 +171,8 @@ class Agent:
             logits, _ = self.outputs(turn.observations)
         if not logits.isfinite().all():
             raise ValueError(f"the agent at {self.path} gives logits that are not finite")
-        return Answer(chosen(logits, self.mode, self.seed, env), memory)
+        numbers = chosen(logits, self.mode, self.seed, env)
+        return Answer(numbers if actions is None else actions[numbers], memory)
 
 
 @dataclass
@@ -246,12 +255,12 @@ class Network:
     def actions(self, turn: Turn) -> Answer:
         """Return an action per observation; raise ValueError if the logits do not give one."""
         space = turn.env.single_action_space
-        logits, _ = self.outputs(turn.observations)
-        if not isinstance(space, Discrete) or logits.shape[1] != space.n:
+        actions, (logits, _) = action_table(space), self.outputs(turn.observations)
+        if logits.shape[1] != len(actions):
             raise ValueError(f"{self.name} has {logits.shape[1]} logits for actions of {space}")
         if not logits.isfinite().all():
             raise ValueError(f"{self.name} gives logits that are not finite")
-        return Answer(int(space.start) + chosen(logits, self.mode, self.seed, turn.env))
+        return Answer(actions[chosen(logits, self.mode, self.seed, turn.env)])
 
 
 @dataclass

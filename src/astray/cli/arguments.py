@@ -105,7 +105,7 @@ class OwnPolicy:
     policy: Annotated[str | None, otherwise("none")] = None
     # Game that the policy plays; needed with --policy, and only then.
     game: Annotated[str | None, otherwise("that of the agent")] = None
-    # World of your own that the policy plays in the place of a game, as module:WORLD.
+    # World of your own that the policy plays, or the agent was trained on, as module:WORLD.
     world: Annotated[str | None, otherwise("none")] = None
     # Observations that the policy is shown.
     observation: Annotated[
@@ -113,18 +113,28 @@ class OwnPolicy:
     ] = None
 
     def check_unused(self) -> None:
-        """Raise ValueError if an option of custom policies is given without a policy."""
-        for name in ("game", "observation", "world"):
+        """Register the world, by whose name a run is read.
+
+        Raises:
+            ValueError: If another option of custom policies is given without a policy.
+        """
+        for name in ("game", "observation"):
             if (given := getattr(self, name)) is not None:
                 raise ValueError(f"--{name} {given} needs --policy; a run says which it has")
+        if self.world is not None:
+            world.register(self.named())
+
+    def named(self) -> World:
+        """Return the world of the option; raise ValueError if it is none."""
+        found = imports.find(self.world or "")
+        of_kind("--world", found, World)
+        return found
 
     def rules(self) -> Game | World:
         """Return the policy's game or world; raise ValueError unless exactly one is given."""
         if (self.game is None) == (self.world is None):
             raise ValueError("--policy needs either --game or --world")
-        found = games.find(self.game) if self.game else imports.find(self.world or "")
-        of_kind("--world", found, Game | World)
-        return found
+        return games.find(self.game) if self.game else self.named()
 
     def make(self, acting: Acting) -> Policy:
         """Return the policy; raise ValueError if the name is unknown."""

@@ -26,6 +26,7 @@ VERBS = {
     "train": "agents:train",
     "distil": "distil:distil",
     "evaluate": "agents:evaluate",
+    "audit": "audit:audit",
     "reproduce": "experiments:reproduce",
     "sweep": "sweep:sweep",
     "keep": "agents:keep",

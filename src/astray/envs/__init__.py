@@ -2,16 +2,18 @@
 
 import gymnasium
 
-from astray import games
+from astray import games, world
 from astray.game import Game
+from astray.world import World
 
 VERSION = "v0"  # goes up when a level, a picture or a reward of the same number changes
 
 
-def register(game: Game) -> None:
+def register(game: Game | World) -> None:
     """Register a game of your own in this process, by its name and by Gymnasium ids.
 
-    `games.register` also describes how a package offers its games to all processes.
+    A `World` is registered by its name alone. `games.register` also describes how a package
+    offers its games to all processes.
 
     Examples:
         >>> from dataclasses import replace
@@ -21,6 +23,9 @@ def register(game: Game) -> None:
     Raises:
         ValueError: If the name is that of one of astray's own games.
     """
+    if isinstance(game, World):
+        world.register(game)
+        return
     games.register(game)
     _register_ids(game)
 

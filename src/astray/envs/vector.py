@@ -281,6 +281,11 @@ class GameVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
                 info = merged(info, final)
         return out, reward, terminated, truncated, info
 
+    @property
+    def final_states(self) -> np.ndarray:
+        """States [N] in which episodes ended, where the last step ended one; in mode SameStep."""
+        return self._final_states
+
     def get_state(self) -> np.ndarray:
         """Return a copy of all states, [N] records, which fully determine the future."""
         return self.states.copy()

@@ -30,6 +30,8 @@ from astray.report.learning import learning_curves
 from astray.training import checkpoint
 from astray.training.config import Config
 from astray.training.folders import read_config
+from astray.validation import brief
+from astray.world import WorldVariant
 
 AGENTS = "sampled"
 LEARNED = 0.8  # rate of the intended goal in training above which an agent has learned
@@ -83,6 +85,7 @@ def findings(work: Work) -> Findings:
     apart = work.episodes.filter("distinguishing", test=test)
     tried = work.episodes if apart.is_empty() else apart
     first = {name: share(tried, test, name) for name in (INTENDED, MISGENERALIZED)}
+    unseen = unrendered(work.plan, trained, tested)
     return Findings(
         answer=f"In levels like those of its training the agent reaches {shift.intended} first in "
         f"{reached.short()}; in the test in {first[INTENDED].short()}, and {proxies} first in "
@@ -99,11 +102,22 @@ def findings(work: Work) -> Findings:
                 share(tried, test, MISGENERALIZED, minus=INTENDED),
             ),
         ],
-        videos=videos(work, trained=trained, tested=tested),
+        videos=[] if unseen else videos(work, trained=trained, tested=tested),
         plots=outcome_plots(work, tables),
         tables=tables,
-        settings=settings(work.plan),
+        settings=settings(work.plan) | ({"videos": f"none: {unseen}"} if unseen else {}),
     )  # fmt: skip
+
+
+def unrendered(plan: Plan, *tests: Test) -> str:
+    """Return why a World's environments show no images; empty if they do."""
+    try:
+        for test in tests:
+            if isinstance(variant := plan.variant_of(test), WorldVariant):
+                variant.rendered()
+    except ValueError as error:
+        return brief(error)
+    return ""
 
 
 def outcome_tables(work: Work) -> tuple[Table, Table]:

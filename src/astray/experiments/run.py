@@ -92,7 +92,8 @@ def reproduce(
         reproduces=whole.reproduces,
         question=whole.question,
         differences=plan.differences,
-        command=f"astray reproduce {given} --size {size}" + (f" --art {art}" if ending else ""),
+        command=whole.command
+        or f"astray reproduce {given} --size {size}" + (f" --art {art}" if ending else ""),
     )
     # What others' agents do is told beside what those do that are trained here.
     beside = report.of_claims(root / f"{name}-smoke") if size == PUBLISHED else {}

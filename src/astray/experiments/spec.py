@@ -303,6 +303,7 @@ class Experiment:
     sizes: Mapping[Size, Plan]
     find: Callable[[Work], Findings]
     needs: Mapping[str, str] = field(default_factory=dict)  # of `find`: package -> extra of astray
+    command: str = ""  # that repeats it; empty for `astray reproduce`
 
     def __post_init__(self) -> None:
         wrong = [size for size in self.sizes if size not in SIZES]

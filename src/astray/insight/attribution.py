@@ -180,7 +180,7 @@ def _is_image(agent: Model) -> bool:
 
 
 def _is_planes(agent: Model) -> bool:
-    return isinstance(agent, Agent) and agent.observation == "symbolic"
+    return isinstance(agent, Agent) and bool(agent.architecture.largest)
 
 
 def _mlp(agent: Model) -> MLP:

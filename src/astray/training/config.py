@@ -6,12 +6,12 @@ import contextlib
 import itertools
 import warnings
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field, fields, replace
+from dataclasses import dataclass, field, fields, replace
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from tyro.conf import Positional, Suppress
 
-from astray import games, imports
+from astray import games, imports, world
 from astray.agents.names import check_network
 from astray.game import OWN, Game, Variant
 from astray.record import LEVELS
@@ -19,6 +19,7 @@ from astray.training import older
 from astray.training.named import name_of_game, name_of_variant
 from astray.training.settings import SCORING, Fast, Sampling, check, otherwise
 from astray.validation import of_kind, one_of
+from astray.world import World, WorldVariant
 
 if TYPE_CHECKING:
     Named = Any  # a name, or the thing that has it; the settings hold the name
@@ -44,7 +45,8 @@ class Config:
     `timeouts="terminate"` is the original's treatment.
 
     A `Game`, a `Variant` and the name of a sampler are accepted too. The settings then store names
-    and changed knobs, and a `Sampling` of that kind.
+    and changed knobs, and a `Sampling` of that kind. A `World`, or its name as module:WORLD, is
+    registered and stored by its own name.
 
     Examples:
         >>> config = astray.Config("maze", "corner-small", levels=1000)
@@ -55,7 +57,7 @@ class Config:
         ValueError: If a setting has another type, is out of its bounds, or contradicts others.
     """
 
-    game: Positional[Named] = "maze"  # Name of the game.
+    game: Positional[Named] = "maze"  # Name of the game, or a World of your own as module:WORLD.
     variant: Positional[Named] = "corner"  # Name of the variant to train on.
     # Changed knobs of the variant.
     knobs: Annotated[dict[str, Any], Suppress] = field(default_factory=dict)
@@ -96,6 +98,8 @@ class Config:
     normalise_advantage: bool = True  # Normalise advantages over the whole rollout.
     # Treatment of an episode that the time limit cuts: bootstrap its value, or take it as ended.
     timeouts: Literal["bootstrap", "terminate"] = "bootstrap"
+    # Reward of your own, as module:function, in the place of the game's: see `loop.train`.
+    reward: Annotated[str | None, otherwise("the game's")] = None
     # Loss of your own, as module:function.
     loss: Annotated[str | None, otherwise("PPO's")] = None
     # Name of the agent that this one is distilled from, or "solver": the game's exact one.
@@ -141,12 +145,15 @@ class Config:
             raise ValueError(
                 f"a student must have one group of environments; got {self.fast.groups} groups"
             )
-        if self.loss is not None and not imports.is_name(self.loss):
-            raise ValueError(f"loss must be module:function; got {self.loss!r}")
+        for name in ("loss", "reward"):
+            given = getattr(self, name)
+            if given is not None and not imports.is_name(given):
+                raise ValueError(f"{name} must be module:function; got {given!r}")
         variant = self.training_variant()
         # What text says is the same setting as the value itself.
         object.__setattr__(self, "knobs", {name: getattr(variant, name) for name in self.knobs})
         self.find_game().drawn(self.art)
+        self._check_world()
         if self.validation is not None:
             self.validation_variant()
 
@@ -155,12 +162,21 @@ class Config:
         given: dict[str, Any] = {}
         if isinstance(self.game, Game):
             given["game"] = name_of_game(self.game)
+        if isinstance(self.game, World) or self._names_world():
+            found: Any = self.game
+            found = found if isinstance(found, World) else imports.find(found)
+            of_kind("a world", found, World)
+            world.register(found)
+            given["game"] = found.name
         if isinstance(self.sampler, str):
             given["sampler"] = Sampling(self.sampler)
         if isinstance(self.variant, Variant):
             of_kind("knobs", self.knobs, Mapping)
             changed = self.variant.with_knobs(self.knobs)
-            given["variant"], given["knobs"] = name_of_variant(games.find(self.game), changed)
+            given["variant"], given["knobs"] = name_of_variant(world.find(self.game), changed)
+        if isinstance(self.variant, WorldVariant):
+            given["variant"] = self.variant.name
+            given["knobs"] = {**self.variant.knobs, **self.knobs}
         for name, value in given.items():
             object.__setattr__(self, name, value)
         if isinstance(self.validation, Variant):
@@ -171,6 +187,19 @@ class Config:
                     "register the game with a variant of its own for it"
                 )
             object.__setattr__(self, "validation", name)
+
+    def _check_world(self) -> None:
+        """Raise ValueError if a setting needs a game's abilities, which a `World` lacks."""
+        if isinstance(self.find_game(), World) and self.sampler.kind != "uniform":
+            raise ValueError(
+                f"levels of {self.game} are drawn uniformly, as its states cannot be set; got the "
+                f"sampler {self.sampler.kind!r}"
+            )
+
+    def _names_world(self) -> bool:
+        """Whether `game` is no game's name, but a world's as module:WORLD, which is imported."""
+        is_name = isinstance(self.game, str) and imports.is_name(self.game)
+        return is_name and self.game not in games.names()
 
     @property
     def batch(self) -> int:
@@ -198,12 +227,12 @@ class Config:
         return range(self.training_levels.stop, LEVELS.stop)
 
     def find_game(self) -> Game:
-        """Return the game that is played."""
-        return games.find(self.game)
+        """Return the game or, typed as a game, the `World` that is played."""
+        return world.find(self.game)
 
     def code(self) -> list[object]:
         """Return the code that such agents depend on: the game, and custom classes."""
-        named = (self.network, self.loss or "", self.sampler.kind)
+        named = (self.network, self.loss or "", self.reward or "", self.sampler.kind)
         return [self.find_game(), *(imports.find(name) for name in named if imports.is_name(name))]
 
     def training_variant(self) -> Variant:
@@ -245,7 +274,7 @@ class Config:
             ValueError: If it cannot have `changes`.
         """
         found = self.find_game().variant(variant)
-        if isinstance(variant, Variant):
+        if not isinstance(variant, str):
             return found.with_knobs(changes or {})
         return found.with_knobs(self.knobs_for(variant, changes or {}))
 
@@ -256,7 +285,7 @@ class Config:
         made = self.variant_for(variant, changes)
         if left := self.left_out(variant, changes or {}):
             told = ", ".join(f"{name}={value}" for name, value in left.items())
-            own = ", ".join(f"{name}={getattr(made, name)}" for name in left)
+            own = ", ".join(f"{name}={getattr(made, name, None)}" for name in left)
             name = variant if isinstance(variant, str) else made.about
             warnings.warn(
                 f"{name} is played with {own}: the training's {told} are not for it",
@@ -271,7 +300,7 @@ class Config:
         return {
             name: value
             for name, value in self.knobs.items()
-            if name not in changes and getattr(made, name) != value
+            if name not in changes and getattr(made, name, None) != value
         }
 
     def knobs_for(self, name: str, changes: Mapping[str, Any]) -> dict[str, Any]:
@@ -325,7 +354,7 @@ class Config:
 
     def to_json(self) -> dict[str, Any]:
         """Return all settings, with the variant written out."""
-        return self.flat() | {"training_variant": asdict(self.training_variant())}
+        return self.flat() | {"training_variant": self.training_variant().to_json()}
 
     @staticmethod
     def from_json(data: Any) -> Config:
@@ -335,6 +364,7 @@ class Config:
             ValueError: If they are invalid or of a later version.
         """
         values = older.settings(data)
+        world.find(values.get("game", SMALL.game))  # a file has nothing imported
         unknown = [name for name in values if name not in Config.names()]
         if unknown:
             raise ValueError(f"this version has no setting {unknown[0]!r}; a later one may")

@@ -19,6 +19,7 @@ import torch
 from torch import Tensor, nn
 
 from astray import acting, imports
+from astray.acting import Reward
 from astray.agents import policy
 from astray.agents.policy import Architecture
 from astray.envs.pool import check_startable, most_threads
@@ -47,6 +48,7 @@ def train(
     network: Callable[[Architecture], nn.Module] | None = None,
     loss: Loss | None = None,
     sampler: MakeSampler | None = None,
+    reward: Reward | None = None,
     progress: bool = True,
     wait: bool = False,
 ) -> Path:
@@ -66,6 +68,9 @@ def train(
             logits [B, actions] and values [B].
         loss: Function of the arguments of `ppo.loss`; its results are logged.
         sampler: Class that chooses the training levels: see `levels.Sampler`.
+        reward: Function of an `acting.Step` that returns the rewards [n] to learn from, which may
+            use the game's, `step.rewards`. `step.level` has the levels' numbers. Returns in metrics
+            are of these rewards, also in the validation.
         wait: Wait while another process trains in the folder, instead of raising an error.
 
     Raises:
@@ -74,7 +79,7 @@ def train(
         checkpoint.Claimed: If another process trains in it.
         Diverged: If weights are no longer finite; earlier checkpoints are kept.
     """
-    own: dict[str, Any] = {"network": network, "loss": loss, "sampler": sampler}
+    own: dict[str, Any] = {"network": network, "loss": loss, "sampler": sampler, "reward": reward}
     for _ in iterate(config, folder, **own, progress=progress, wait=wait):
         pass
     return checkpoint.latest(Path(folder))
@@ -106,6 +111,7 @@ def iterate(
     network: Callable[[Architecture], nn.Module] | None = None,
     loss: Loss | None = None,
     sampler: MakeSampler | None = None,
+    reward: Reward | None = None,
     progress: bool = False,
     wait: bool = False,
 ) -> Iterator[Iteration]:
@@ -126,13 +132,13 @@ def iterate(
     Raises:
         Exception: The errors of `train`, at the first iteration.
     """
-    config = checked(config, network, loss, sampler)
+    config = checked(config, network, loss, sampler, reward)
     folder = None if folder is None else Path(folder)
     settings = functools.partial(acceleration.torch_settings, config.threads)
     with (
         parallel.processes(config.device),
         checkpoint.claim(folder, config, wait) if folder else contextlib.nullcontext(),
-        contextlib.closing(begin(config, folder, network, loss, sampler)) as trainer,
+        contextlib.closing(begin(config, folder, network, loss, sampler, reward)) as trainer,
         written(folder, trainer, progress) as log,
     ):
         saved = trainer.iteration
@@ -166,8 +172,8 @@ def chance(config: Config, iteration: int) -> Iterator[None]:
         yield
 
 
-def checked(config: Config, network: Any, loss: Any, sampler: Any) -> Config:
-    """Return the settings with the names of a custom network, loss and sampler.
+def checked(config: Config, network: Any, loss: Any, sampler: Any, reward: Any = None) -> Config:
+    """Return the settings with the names of a custom network, loss, sampler and reward.
 
     Raises:
         ValueError: If they cannot be used for training here.
@@ -179,6 +185,8 @@ def checked(config: Config, network: Any, loss: Any, sampler: Any) -> Config:
         config = replace(config, loss=imports.name_of(loss))
     if sampler is not None:
         config = config.changed(sampler=imports.name_of(sampler))
+    if reward is not None:
+        config = replace(config, reward=imports.name_of(reward))
     config.sampler.check_kind()
     if not policy.usable(config.device):
         raise ValueError(f"there is no device {config.device!r} that torch can use")
@@ -188,11 +196,13 @@ def checked(config: Config, network: Any, loss: Any, sampler: Any) -> Config:
     return config
 
 
-def begin(config: Config, folder: Path | None, network: Any, loss: Any, sampler: Any) -> Trainer:
+def begin(
+    config: Config, folder: Path | None, network: Any, loss: Any, sampler: Any, reward: Any = None
+) -> Trainer:
     """Create the trainer, in the state of the run folder's last checkpoint."""
     with acceleration.torch_settings(config.threads):
         taught = folder / TEACHER if folder and config.teacher is not None else None
-        trainer = Trainer(config, network, loss, sampler, taught)
+        trainer = Trainer(config, network, loss, sampler, taught, reward)
         if folder:
             with contextlib.ExitStack() as stack:
                 stack.callback(trainer.close)

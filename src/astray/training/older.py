@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from dataclasses import MISSING, asdict, fields
+from dataclasses import MISSING, fields
 from typing import Any
 
 from astray.agents.names import renamed_network
@@ -35,7 +35,7 @@ def settings(data: Any) -> dict[str, Any]:
 
 def same_levels(told: Any, now: Variant) -> bool:
     """Return whether a variant written by any version has the same levels as `now`."""
-    today = json.loads(json.dumps(asdict(now)))
+    today = json.loads(json.dumps(now.to_json()))
     return _levels_of(_with_later_knobs(told, now)) == _levels_of(today)
 
 

@@ -10,7 +10,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from astray.acting import Answer, Turn
+from astray.acting import Answer, Reward, Step, Turn, paid
+from astray.envs import restarting
+from astray.envs.restarting import Restarting
 from astray.envs.vector import GameVectorEnv
 from astray.game import Variant
 from astray.training import parallel, ppo
@@ -18,6 +20,7 @@ from astray.training.config import Config
 from astray.training.levels import Plan, Played, Sampler
 from astray.training.ppo import RewardNormaliser, Samples, Sequences
 from astray.validation import finite, of_kind, shown
+from astray.world import World, WorldVariant
 
 LEVELS = "levels."  # prefix of a sampler's arrays in a checkpoint
 RECENT = 100  # episodes in the logged means
@@ -54,34 +57,27 @@ class Player:
         salt: int,
         groups: int,
         sampler: Sampler | None = None,
+        reward: Reward | None = None,
     ):
-        if sampler is not None and parallel.size() > 1:
-            raise ValueError("with a sampler of levels, one process must train alone")
+        if (sampler is not None or isinstance(variant, WorldVariant)) and parallel.size() > 1:
+            raise ValueError("with a sampler of levels, or a World, one process must train alone")
         self.sampler, self.learns, self._repeats = sampler, True, False
+        self._own_reward = reward
         self.here = parallel.share(config.num_envs)  # this process's environments
         n = self.here.stop - self.here.start
         if n % groups:
             raise ValueError(f"{n} environments are not divided into {groups} groups")
         self.groups = [slice(k * n // groups, (k + 1) * n // groups) for k in range(groups)]
-        self.envs = [
-            GameVectorEnv(
-                config.game,
-                variant,
-                group.stop - group.start,
-                observation=config.observation,
-                art=config.art,
-                levels=levels,
-                autoreset_mode="SameStep",
-                threads=config.threads,
-            )
+        self.envs: list[Any] = [
+            _environments(config, variant, group.stop - group.start, levels)
             for group in self.groups
         ]
         self.game, self.space = self.envs[0].game, self.envs[0].single_observation_space
-        self.num_envs, self.actions = config.num_envs, len(self.game.actions)
+        self.num_envs, self.actions = config.num_envs, int(self.envs[0].single_action_space.n)
         # Current observations; a GPU reads pinned memory while the processor continues.
         self.images = torch.empty(
-            (n, *self.space.shape),  # pyright: ignore
-            dtype=torch.uint8,
+            (n, *self.space.shape),
+            dtype=torch.uint8 if self.space.dtype == np.uint8 else torch.float32,
             pin_memory=config.device == "cuda",
         )
         # Seeds far apart: environment i of a batch seeded with k is seeded with k + i.
@@ -92,7 +88,7 @@ class Player:
         self.generator = torch.Generator(config.device).manual_seed(config.seed * 16 + salt)
         self.normaliser = RewardNormaliser(config.num_envs, config.reward_gamma)
         self.running_return, self.begins = np.zeros(n), np.ones(n, bool)
-        self.events = self.game.events
+        self.events = tuple(self.game.events)
         self.recent: deque[list[float]] = deque(maxlen=RECENT)  # return, length, events' happening
         self._ended: list[tuple[int, int, list[float]]] = []  # since `settle`: step, environment
         self._paid: list[tuple[int, int, np.ndarray]] = []  # the same of rewards
@@ -115,8 +111,12 @@ class Player:
         """Take step `t` in a group; raise ValueError if the sampler's levels are invalid."""
         env, where = self.envs[group], self.groups[group]
         shown_here = self.images[where].numpy()
+        before = (env.get_state(), shown_here.copy()) if self._own_reward else None
         _, reward, terminated, truncated, info = env.step(answer.actions, shown_here)
         self.begins[where] = ended = terminated | truncated
+        if self._own_reward and before:
+            step = _whole(env, before, answer, shown_here, reward, terminated, ended, info)
+            reward = paid(self._own_reward, step)
         if self.sampler is not None and not self._repeats and ended.any():
             self._begin(self.sampler, group, ended)
         cut = None
@@ -234,22 +234,40 @@ class Player:
         width = 2 + len(self.events)
         arrays = self._sampler_arrays()
         return {
-            "states": torch.from_numpy(
-                parallel.joined(np.concatenate([env.states.view(np.uint8) for env in self.envs]))
-            ),
             "generator": self.generator.get_state(),
             "moments": torch.tensor(moments, dtype=torch.float64),
             "normaliser_returns": torch.from_numpy(normaliser.returns.copy()),
             "running_return": torch.from_numpy(parallel.joined(self.running_return)),
             "recent": torch.tensor(list(self.recent), dtype=torch.float64).view(-1, width),
+            **self._episodes(),
         } | {f"{LEVELS}{name}": torch.from_numpy(array.copy()) for name, array in arrays.items()}
+
+    def _episodes(self) -> dict[str, Tensor]:
+        """Return the state of the environments."""
+        if isinstance(self.game, World):
+            kept = restarting.joined(self.envs)
+            kept["states"] = kept["states"].view(np.uint8)
+            return {name: torch.from_numpy(array) for name, array in kept.items()}
+        states = np.concatenate([env.states.view(np.uint8) for env in self.envs])
+        return {"states": torch.from_numpy(parallel.joined(states))}
+
+    def _resume(self, tensors: dict[str, Tensor]) -> None:
+        """Continue the episodes of `_episodes`."""
+        states = tensors["states"].numpy().view(self.game.state).reshape(-1)[self.here]
+        for env, group in zip(self.envs, self.groups, strict=True):
+            if isinstance(env, Restarting):
+                turns, actions = (tensors[name].numpy() for name in ("turns", "actions"))
+                before = int(states["time"][: group.start].sum())
+                mine = slice(before, before + int(states["time"][group].sum()))
+                shown_here = env.restore(states[group], turns[group], actions[mine])
+            else:
+                shown_here = env.set_state(states[group])
+            self.images[group] = torch.from_numpy(shown_here)
+        self.begins = np.concatenate([env.states["time"] == 0 for env in self.envs])
 
     def restore(self, tensors: dict[str, Tensor]) -> None:
         """Continue from the result of `tensors`."""
-        states = tensors["states"].numpy().view(self.game.state).reshape(-1)[self.here]
-        for env, group in zip(self.envs, self.groups, strict=True):
-            self.images[group] = torch.from_numpy(env.set_state(states[group]))
-        self.begins = states["time"] == 0
+        self._resume(tensors)
         self.generator.set_state(tensors["generator"])
         normaliser = self.normaliser
         normaliser.mean, normaliser.variance, normaliser.count = tensors["moments"].tolist()
@@ -259,6 +277,52 @@ class Player:
         if self.sampler is not None:
             names = [name for name in tensors if name.startswith(LEVELS)]
             self.sampler.restore({n.removeprefix(LEVELS): tensors[n].numpy() for n in names})
+
+
+def _whole(
+    env: Any,
+    before: tuple[np.ndarray, np.ndarray],
+    answer: Answer,
+    shown_here: np.ndarray,
+    reward: np.ndarray,
+    terminated: np.ndarray,
+    ended: np.ndarray,
+    info: dict[str, Any],
+) -> Step:
+    """Return a step as evaluation has it, with the ends of episodes that begin anew."""
+    after, seen = env.get_state(), shown_here
+    if ended.any():
+        seen = shown_here.copy()
+        after[ended], seen[ended] = env.final_states[ended], np.stack(info["final_obs"][ended])
+    states, observations = before
+    return Step(
+        states["level"],
+        states,
+        observations,
+        answer.actions,
+        reward,
+        after.view(np.recarray),
+        seen,
+        terminated,
+        ended,
+        answer.extra,
+    )
+
+
+def _environments(config: Config, variant: Any, n: int, levels: range) -> Any:
+    if isinstance(variant, WorldVariant):
+        game: Any = config.find_game()
+        return Restarting(game, variant, n, levels, config.observation)
+    return GameVectorEnv(
+        config.game,
+        variant,
+        n,
+        observation=config.observation,
+        art=config.art,
+        levels=levels,
+        autoreset_mode="SameStep",
+        threads=config.threads,
+    )
 
 
 class Rollout:
@@ -276,7 +340,8 @@ class Rollout:
         """
         self.player, self.slots, device = player, slots, torch.device(player.device)
         n, *shape = player.images.shape
-        self.observation = torch.empty((slots + 1, n, *shape), dtype=torch.uint8, device=device)
+        kind = player.images.dtype
+        self.observation = torch.empty((slots + 1, n, *shape), dtype=kind, device=device)
         self.action = torch.empty((slots + 1, n), dtype=torch.int64, device=device)
         self.log_probability, self.value = torch.empty((2, slots + 1, n), device=device)
         self.advantage, self.target = torch.zeros((2, slots, n), device=device)

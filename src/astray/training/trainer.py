@@ -10,6 +10,7 @@ import torch
 from torch import Tensor, nn
 
 from astray import imports
+from astray.acting import Reward
 from astray.agents.names import is_own
 from astray.agents.policy import Architecture
 from astray.agents.recurrent import Recurrent
@@ -27,6 +28,7 @@ from astray.training.settings import SAMPLERS
 from astray.training.teacher import Solver, Teacher
 from astray.training.teacher import loss as distilled
 from astray.validation import of_kind
+from astray.world import World
 
 PER_WEIGHT = 16  # bytes: float32 weight, gradient, and Adam's two moments
 PER_SAMPLE = 28  # bytes beside the observation: an int64 and five float32
@@ -37,7 +39,8 @@ class Trainer:
     """The network, its optimizer, and the players of the training and validation variants.
 
     Args:
-        network, loss, sampler: Objects behind the names in `config`, if they cannot be imported.
+        network, loss, sampler, reward: Objects behind the names in `config`, if they cannot be
+            imported.
         teacher: Weights of the agent that `config` names as teacher.
     """
 
@@ -48,6 +51,7 @@ class Trainer:
         loss: Loss | None = None,
         sampler: MakeSampler | None = None,
         teacher: Path | None = None,
+        reward: Reward | None = None,
     ):
         if config.batch // parallel.size() % config.minibatches:
             raise ValueError(
@@ -58,26 +62,26 @@ class Trainer:
         self.steps = 0  # environment steps done
         variant, groups = config.training_variant(), acceleration.groups(config)
         chooses = _sampler(config, sampler)
-        self.player = Player(config, variant, config.training_levels, 1, groups, chooses)
+        own_reward = reward or (imports.find(config.reward) if config.reward else None)
+        self.player = Player(
+            config, variant, config.training_levels, 1, groups, chooses, own_reward
+        )
         self.validation: Player | None = None
         if config.validation:
             other = config.validation_variant()
-            self.validation = Player(config, other, config.unseen_levels, 2, groups)
+            unseen = config.unseen_levels
+            self.validation = Player(config, other, unseen, 2, groups, reward=own_reward)
             _check_alike(config, self.player.space.shape, self.validation.space.shape)
         game, space = self.player.game, self.player.space
         largest = ()
-        if config.observation == "symbolic":
+        if config.observation == "symbolic" and not isinstance(game, World):
             largest = tuple(int(k) for k in game.symbols.planes(variant).max((1, 2)))
         self.architecture = Architecture(
-            config.network,
-            space.shape,  # pyright: ignore
-            largest,
-            len(game.actions),
-            config.scale,
-            config.width,
+            config.network, space.shape, largest, self.player.actions, config.scale, config.width
         )
         # The user's own names may be imported.
         own = is_own(config.network)
+        _check_pixels(config, self.player.images)
         build = network or (Architecture.build if own else imports.find(config.network))
         self._check_memory(build)
         with torch.random.fork_rng(devices=[]):
@@ -135,7 +139,7 @@ class Trainer:
         samples = (config.num_steps + 1) * len(self.player.images)
         if config.device == "cpu":
             check_memory(
-                PER_WEIGHT * count + samples * (shown + PER_SAMPLE),
+                PER_WEIGHT * count + samples * (shown * self.player.images.itemsize + PER_SAMPLE),
                 f"{count:,} weights and rollouts of {samples:,} samples",
             )
 
@@ -208,6 +212,8 @@ class Trainer:
             given, shape = tensors[name], list(like.shape)
             if name.endswith(".recent"):
                 shape[0] = min(len(given) if given.ndim else 0, RECENT)
+            if name.endswith(".actions"):  # of a World's episodes, which are of any length
+                shape[0] = len(given) if given.ndim else 0
             if given.dtype != like.dtype or list(given.shape) != shape:
                 raise ValueError(
                     f"{name} must be {like.dtype} {shape}; got {given.dtype} {list(given.shape)}"
@@ -262,6 +268,16 @@ def _check_outputs(network: nn.Module, architecture: Architecture, shown: Tensor
     if got != wanted:
         raise ValueError(
             f"a network must return logits {wanted[0]} and values {wanted[1]}; got {got}"
+        )
+
+
+def _check_pixels(config: Config, shown: Tensor) -> None:
+    """Raise ValueError if a network of astray's own for images is to see a World's other arrays."""
+    is_image = shown.ndim == 4 and shown.dtype == torch.uint8
+    if config.observation == "image" and is_own(config.network) and not is_image:
+        raise ValueError(
+            f"network {config.network!r} sees images [H, W, C] uint8; got {shown.dtype} of shape "
+            f"{tuple(shown.shape[1:])}: observation 'symbolic' makes vectors for the network 'mlp'"
         )
 
 

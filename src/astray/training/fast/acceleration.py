@@ -88,7 +88,7 @@ def torch_settings(threads: int) -> Iterator[None]:
         torch.set_num_threads(count)
 
 
-def resolve(config: Config, ours: bool = True) -> Acceleration:
+def resolve(config: Config, ours: bool = True, planes: bool = True) -> Acceleration:
     """Resolve the settings for the device.
 
     A CPU uses the kernels, and bfloat16 for them and for convolutions if the processor multiplies
@@ -96,13 +96,14 @@ def resolve(config: Config, ours: bool = True) -> Acceleration:
 
     Args:
         ours: Whether network and loss are astray's own; otherwise nothing is used.
+        planes: Whether an mlp sees planes, which the kernels are for, and not vectors.
 
     Raises:
         ValueError: If a setting asks for something unavailable.
     """
     cpu, cuda = config.device == "cpu", config.device == "cuda"
     of_ppo = ours and config.teacher is None
-    sparse_here = of_ppo and cpu and config.network == "mlp" and sparse.usable()
+    sparse_here = of_ppo and cpu and config.network == "mlp" and planes and sparse.usable()
     fused_cpu = _settled("fused_cpu", config, sparse_here)
     native = cpu and bool(get_host_cpu_features().get("avx512bf16"))
     large = fused_cpu or config.network not in (
@@ -212,7 +213,7 @@ def accelerate(
         using = resolve(config, ours=False)
         return Accelerated(using, network.recall, network.recall, whole, loss, config)
     known, own_loss = type(network) in OURS, loss in (ppo.loss, teacher.loss)
-    using = resolve(config, known and own_loss)
+    using = resolve(config, known and own_loss, bool(architecture.largest))
     if using.fused_cpu and not agree(network, config, architecture):
         known, using = False, resolve(config.changed(fused_cpu=None), ours=False)
     if not (known and own_loss):

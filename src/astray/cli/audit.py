@@ -1,0 +1,46 @@
+"""The verb that audits one agent."""
+
+from __future__ import annotations
+
+import shlex
+import sys
+from pathlib import Path
+from typing import Annotated
+
+from tyro.conf import Positional
+
+from astray.cli.arguments import AN_AGENT, NOBODY, Acting, OwnPolicy, Shift
+from astray.training.settings import otherwise
+
+
+def audit(
+    agent: Positional[Annotated[Path | None, otherwise("none", AN_AGENT)]] = None,
+    shift: Shift = None,
+    ghost: Annotated[
+        str | None, otherwise("none", "Variant without the intended object, for comparison.")
+    ] = None,
+    levels: int = 1000,
+    policy: OwnPolicy = OwnPolicy(),
+    folder: Path = Path("reports"),
+) -> None:
+    """Write a report on which goal one agent pursues.
+
+    Example: astray audit maze-corner
+
+    Args:
+        levels: Number of levels that are played in each variant.
+        folder: Folder of reports.
+    """
+    from astray.experiments.audit import audit as write
+
+    command = shlex.join(["astray", *sys.argv[1:]])
+    how = {"ghost": ghost, "levels": levels, "folder": folder, "command": command}
+    if policy.policy is None:
+        policy.check_unused()
+        if agent is None:
+            raise ValueError(NOBODY)
+        print(write(agent, shift=shift, **how))
+    elif agent is not None or shift is None:
+        raise ValueError("--policy needs --shift, and --game or --world, and no agent")
+    else:
+        print(write(policy.make(Acting()), policy.rules(), shift, **how))

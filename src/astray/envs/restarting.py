@@ -1,0 +1,188 @@
+"""Environments of a `World` to train in, as `GameVectorEnv` is for games."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from gymnasium import Space, spaces
+from gymnasium.vector.utils import batch_space, iterate
+
+from astray.envs.worlds import WorldVectorEnv
+from astray.validation import shown
+from astray.world import World, WorldVariant, check_repeats
+
+MOST_ACTIONS = 4096  # combinations of a MultiDiscrete space
+
+
+def action_table(space: Space) -> np.ndarray:
+    """Return the actions [A] or, of a MultiDiscrete space, [A, k] that numbers from 0 stand for.
+
+    Raises:
+        ValueError: If the space is neither Discrete nor MultiDiscrete, or has too many actions.
+    """
+    if isinstance(space, spaces.Discrete):
+        return space.start + np.arange(space.n)
+    if not isinstance(space, spaces.MultiDiscrete) or space.nvec.ndim != 1:
+        raise ValueError(f"actions must be Discrete or MultiDiscrete; got {space}")
+    if (count := math.prod(map(int, space.nvec))) > MOST_ACTIONS:
+        raise ValueError(f"actions may have {MOST_ACTIONS} combinations; got {count} of {space}")
+    return (
+        np.stack([axis.ravel() for axis in np.indices(tuple(map(int, space.nvec)))], 1)
+        + space.start
+    )
+
+
+def seen_space(space: Space, observation: str) -> spaces.Box:
+    """Return the space of what a network sees: see `as_seen`.
+
+    Raises:
+        ValueError: If such observations are no images.
+    """
+    if observation != "image":
+        return spaces.Box(-np.inf, np.inf, (spaces.flatdim(space),), np.float32)
+    if not isinstance(space, spaces.Box) or len(space.shape) < 2:
+        raise ValueError(
+            f"an image must be a Box of at least two axes; got {shown(space)}; observation "
+            "'symbolic' takes any as a vector"
+        )
+    kind: Any = np.uint8 if space.dtype == np.uint8 else np.float32
+    return spaces.Box(0 if kind == np.uint8 else -np.inf, 255, space.shape, kind)
+
+
+def as_seen(space: Space, observation: str, shown_here: Any) -> np.ndarray:
+    """Return observations [N, ...] as a network sees them.
+
+    Args:
+        observation: "image" leaves their axes: uint8, or float32. "symbolic" makes vectors [N, D]
+            float32 of them, with integers scaled by their bounds to 0 to 1.
+    """
+    seen = seen_space(space, observation)
+    if not isinstance(space, spaces.Box):
+        n = len(next(iter(shown_here.values())) if isinstance(shown_here, Mapping) else shown_here)
+        each: Any = iterate(batch_space(space, n), shown_here)
+        vectors: Any = [spaces.flatten(space, one) for one in each]
+        return np.stack(vectors).astype(np.float32)
+    array = np.asarray(shown_here).reshape(len(shown_here), *seen.shape).astype(seen.dtype)
+    if observation == "image" or not np.issubdtype(space.dtype, np.integer):
+        return array
+    low = space.low.ravel().astype(np.float32)
+    return (array - low) / np.maximum(space.high.ravel() - low, 1)
+
+
+class Restarting:
+    """Environments in which a drawn level begins wherever an episode ends, as in mode SameStep.
+
+    Attributes:
+        final_states: Records [N] of the episodes before the last beginnings.
+        single_action_space: Numbers of the rows of `action_table`.
+    """
+
+    def __init__(
+        self, world: World, variant: WorldVariant, num_envs: int, levels: range, observation: str
+    ):
+        """Make the environments; check that a level repeats if the world says that all do."""
+        if world.repeats:
+            check_repeats(world, variant, levels.start)
+        self._env = WorldVectorEnv(world, variant, num_envs)
+        self._levels, self._observation = levels, observation
+        try:
+            self._actions = action_table(self._env.single_action_space)
+            self.single_observation_space = seen_space(
+                self._env.single_observation_space, observation
+            )
+        except ValueError as error:
+            raise ValueError(f"{variant} cannot be trained on: {error}") from error
+        self.game, self.single_action_space = world, spaces.Discrete(len(self._actions))
+        self._taken: list[list[int]] = [[] for _ in range(num_envs)]  # actions of each episode
+
+    @property
+    def states(self) -> np.ndarray:
+        return self._env.states
+
+    def reset(self, *, seed: int) -> tuple[np.ndarray, dict[str, Any]]:
+        """Begin the first levels; environment i draws from seed + i."""
+        self._seeds = [seed + i for i in range(self._env.num_envs)]
+        self._turns = np.zeros(self._env.num_envs, np.int64)
+        return self._seen(self._begin(np.ones(self._env.num_envs, bool))), {}
+
+    def step(
+        self, actions: np.ndarray, out: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
+        """Take a step; write the observations that the next actions are for to `out`."""
+        for taken, action in zip(self._taken, actions.tolist(), strict=True):
+            taken.append(action)
+        seen, reward, terminated, truncated, _ = self._env.step(self._actions[actions])
+        ended, info = terminated | truncated, {}
+        if ended.any():
+            self.final_states = states = self._env.get_state()
+            final = {name: states[name] for name in ("time", *self.game.events)}
+            info = {"final_obs": self._seen(seen), "final_info": final}
+            seen = self._begin(ended)
+        out[:] = self._seen(seen)
+        return out, reward, terminated, truncated, info
+
+    def get_state(self) -> np.ndarray:
+        """Return a copy of the records of the current episodes."""
+        return self._env.get_state()
+
+    def kept(self) -> dict[str, np.ndarray]:
+        """Return arrays from which `restore` continues: its episodes, as they were played."""
+        taken = [np.array(actions, np.int64) for actions in self._taken]
+        return {"states": self._env.get_state(), "turns": self._turns.copy()} | {
+            "actions": np.concatenate(taken)
+        }
+
+    def restore(self, states: np.ndarray, turns: np.ndarray, actions: np.ndarray) -> np.ndarray:
+        """Play the episodes of `kept` again up to where they were; return the observations.
+
+        Where levels do not repeat, the episodes begin anew.
+
+        Raises:
+            ValueError: If an episode is another one than before.
+        """
+        self._turns = turns.copy()
+        lengths = states["time"].astype(int)
+        self._taken = [part.tolist() for part in np.split(actions, np.cumsum(lengths)[:-1])]
+        if not self.game.repeats:
+            self._taken, lengths = [[] for _ in lengths], np.zeros_like(lengths)
+        begin = {"level": states["level"], "reset_mask": np.ones(len(states), bool)}
+        seen, _ = self._env.reset(options=begin)
+        # All are stepped together: the shorter ones wait in their first steps until it is time.
+        wait = max(lengths) - lengths
+        for t in range(max(lengths)):
+            played = zip(self._taken, wait, strict=True)
+            now = [part[t - since] if t >= since else 0 for part, since in played]
+            seen, *_ = self._env.step(self._actions[now])
+            if (waiting := t < wait).any():
+                seen, _ = self._env.reset(options=begin | {"reset_mask": waiting})
+        if self.game.repeats and self._env.get_state().tobytes() != states.tobytes():
+            raise ValueError(
+                f"episodes of {self._env.variant} are others when they are played again with the "
+                "same actions; World(repeats=False) begins them anew"
+            )
+        return self._seen(seen)
+
+    def close(self) -> None:
+        self._env.close()
+
+    def _begin(self, which: np.ndarray) -> Any:
+        """Begin the next levels in the environments `which` [N]; return what all show."""
+        levels = self._env.states["level"].astype(np.int64)
+        for i in np.flatnonzero(which):
+            drawn = np.random.SeedSequence((self._seeds[i], int(self._turns[i])))
+            number = int(drawn.generate_state(1, np.uint64)[0]) % len(self._levels)
+            levels[i], self._taken[i] = self._levels[number], []
+        self._turns += which
+        return self._env.reset(options={"level": levels, "reset_mask": which})[0]
+
+    def _seen(self, shown_here: Any) -> np.ndarray:
+        return as_seen(self._env.single_observation_space, self._observation, shown_here)
+
+
+def joined(envs: Sequence[Restarting]) -> dict[str, np.ndarray]:
+    """Return what several environments have to keep, as those of one."""
+    kept = [env.kept() for env in envs]
+    return {name: np.concatenate([one[name] for one in kept]) for name in kept[0]}

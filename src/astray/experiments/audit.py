@@ -1,0 +1,159 @@
+"""The report of one agent on one shift: which goal does it pursue?"""
+
+from __future__ import annotations
+
+import uuid
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import polars as pl
+
+from astray import world
+from astray.acting import Policy
+from astray.analysis.estimates import estimate_paired
+from astray.analysis.outcomes import load_shift, matrix
+from astray.analysis.runs import LEVELS_PLAYED, open_run, rated, shift_of
+from astray.experiments import outcomes
+from astray.experiments.run import reproduce
+from astray.experiments.spec import Experiment, OwnAgents, Plan, Test, Work
+from astray.files import make_folder, write_aside
+from astray.game import Game
+from astray.record import LEVELS
+from astray.report.findings import Findings, Table
+from astray.training.config import Config
+from astray.training.folders import AgentFolder, name_of
+from astray.validation import bounded, one_of
+from astray.world import World
+
+FIRST = 1_000_000  # of the levels, which agents of others are assumed not to know
+TRAIN, TEST, GHOST = "in training", "in the test", "without the object"
+SIZE = "smoke"  # nothing is trained
+
+
+def audit(
+    agent: str | Path | Policy,
+    game: str | Game | World | None = None,
+    shift: str | None = None,
+    *,
+    ghost: str | None = None,
+    levels: int = LEVELS_PLAYED,
+    first_level: int = FIRST,
+    folder: str | Path = "reports",
+    command: str = "",
+) -> Path:
+    """Write the report of one agent on one shift; return its page.
+
+    It has the goal that is reached first in training and in the test, base rates of scripts, 95 %
+    intervals, videos of each outcome, and a verdict.
+
+    Examples:
+        >>> page = astray.audit("maze-corner", levels=50)  # doctest: +SKIP
+
+    Args:
+        agent: Run folder, checkpoint, name of an agent, or a policy of your own.
+        game: Game or `World` that the policy plays; None for that of the agent.
+        shift: Name of the shift; None for that of the agent's training.
+        ghost: Variant without the intended object. The same levels are also played there, to see
+            how much more often each goal is reached with the object in place.
+        levels: Number of levels in each variant, the same in all.
+        first_level: Number of the first one; at least the first that the agent did not train on.
+        folder: Folder of reports; gets this one in audit-<agent>-<shift>-smoke.
+        command: Command that repeats it, as the report says.
+
+    Raises:
+        ValueError: If the agent, shift or ghost does not exist, or a policy lacks its game.
+    """
+    config, load, path, name = _opened(agent, folder)
+    if config is None and (game is None or shift is None):
+        raise ValueError("the audit of a policy needs its game or World, and a shift")
+    played = world.find(game) if game is not None else config.find_game()  # pyright: ignore
+    named = shift if shift is not None or config is None else shift_of(config)
+    between = load_shift(played, named)  # pyright: ignore
+    if config is not None:
+        first_level = max(first_level, config.unseen_levels.start)
+    bounded("levels", levels, 1, LEVELS.stop - 1 - first_level)
+    variants = {TRAIN: between.train, TEST: between.test}
+    if ghost is not None:
+        one_of("variant as a ghost", ghost, played.variants)
+        variants[GHOST] = ghost
+    plan = Plan(
+        world=played,
+        own={name: OwnAgents(load, files=[path])},
+        first_level=first_level,
+        tests={
+            test: Test(variant, named, config.knobs_for(variant, {}) if config else {})
+            for test, variant in variants.items()
+        },
+        levels=levels,
+        differences="",
+    )
+    goals = f"{between.intended} or {' or '.join(between.proxies)}"
+    study = Experiment(
+        f"Audit {name} {named}", "", f"Does {name} pursue {goals}?", {SIZE: plan}, findings,
+        command=command or f"astray.audit({agent!r:.60}, {played.name!r}, {named!r})",
+    )  # fmt: skip
+    return reproduce(study, SIZE, Path(folder))
+
+
+def _opened(agent: Any, folder: str | Path) -> tuple[Config | None, Any, Path, str]:
+    """Return the settings of an agent, a function that loads it, its path and its name."""
+    if isinstance(agent, str | Path):
+        found = AgentFolder.open(agent)
+        return found.config(), _load, found.weights.parent, name_of(found.path)
+    # Nobody knows what such a policy depends on, so that no table of another audit is reused.
+    place = Path(folder) / "agents" / f"audit-{agent.name}"
+    make_folder(place)
+    write_aside(place / "audit.txt", uuid.uuid4().hex.encode())
+    return None, lambda path: agent, place, agent.name
+
+
+def _load(path: Path) -> Policy:
+    return open_run(path)[0]
+
+
+def findings(work: Work) -> Findings:
+    """Return the usual findings of a shift, with the verdict first and the ghost last."""
+    tests: Mapping[str, Test] = {name: work.plan.tests[name] for name in (TRAIN, TEST)}
+    both = work.episodes.filter(pl.col("test").is_in([*tests]))
+    usual = outcomes.findings(replace(work, plan=replace(work.plan, tests=tests), episodes=both))
+    shift = load_shift(work.plan.game, work.plan.tests[TEST].shift)
+    (name,) = work.plan.own
+    told = work.episodes.filter(test=TEST).with_columns(policy=pl.coalesce("agent", "policy"))
+    result = rated(told, work.plan.game, shift, [name])
+    answer = f"{result.verdict} {usual.answer}"
+    if GHOST not in work.plan.tests:
+        return replace(usual, answer=answer)
+    table, less = _ghosts(work)
+    variant = work.plan.tests[GHOST].name
+    answer += f" Reached in the test, minus the same levels of {variant}: {less}."
+    return replace(usual, answer=answer, tables=[*usual.tables, table])
+
+
+def _ghosts(work: Work) -> tuple[Table, str]:
+    """Return how much more often each goal is reached with the object than without it.
+
+    The text names each goal with the difference.
+    """
+    mine = work.episodes.filter(policy=outcomes.AGENTS)
+    rows, told = [], []
+    for goal, event in work.plan.game.event_goals.items():
+        reached = pl.col(event).is_not_null()
+        found = estimate_paired(*(matrix(mine.filter(test=t), reached) for t in (TEST, GHOST)))
+        told.append(f"{goal} {found.short()}")
+        rates = {
+            test: mine.filter(test=test).select(reached.mean()).item() for test in (TEST, GHOST)
+        }
+        rows.append(
+            {"goal": goal}
+            | rates
+            | {name: getattr(found, name) for name in ("mean", "low", "high", "agents", "levels")}
+        )
+    table = Table(
+        "ghost",
+        "How often each goal is reached in the test and, in levels of the same numbers, without "
+        "the object; the difference is paired by level.",
+        pl.DataFrame(rows),
+    )
+    return table, ", ".join(told)

@@ -1,0 +1,82 @@
+"""One command writes the report of one agent on one shift."""
+
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import polars as pl
+import pytest
+
+from astray.analysis.adapters import Function
+from astray.experiments.audit import FIRST, audit
+from helpers.rooms import CELLS, WORLD, Room, go_right
+
+RIGHT = Function(go_right, "right")
+
+
+def test_an_audit_tells_what_a_policy_of_ones_own_pursues(tmp_path):
+    page = audit(RIGHT, WORLD, "end", ghost="end", levels=40, folder=tmp_path)
+    text = page.read_text("utf-8")
+    assert page.parent.name == "audit-right-end-smoke"
+    assert "right misgeneralizes: it pursues end, not square" in text
+    assert "Does right pursue square or end?" in text and "Reproduces" not in text
+    assert (page.parent / "videos" / "goal-misgeneralization.mp4").stat().st_size > 1000
+    squares = []
+    for level in range(FIRST, FIRST + 40):
+        (env := Room("anywhere")).reset(seed=level)
+        squares.append(env.square)
+    table = pl.read_parquet(page.parent / "tables" / "ghost.parquet")
+    told = dict(table.select("goal", "mean").rows())
+    by_hand = np.mean([square > CELLS // 2 for square in squares]) - 1
+    assert told["square"] == pytest.approx(by_hand)
+    assert f"minus the same levels of end: square {100 * by_hand:.1f} %" in text
+    assert "random" in pl.read_parquet(page.parent / "tables" / "outcomes.parquet")["policy"]
+
+
+def test_another_policy_of_the_same_name_is_played_anew(tmp_path):
+    said = []
+    for action in (0, 1):
+        policy = Function(lambda seen, action=action: np.full(len(seen), action), "same")
+        page = audit(policy, WORLD, "end", levels=20, folder=tmp_path)
+        said.append("same misgeneralizes" in page.read_text("utf-8"))
+    assert said == [False, True]
+
+
+def test_a_pretrained_agent_is_audited_by_one_command(astray, tmp_path):
+    page = astray("audit", "maze-corner", "--levels", "30", "--folder", tmp_path).strip()
+    text = Path(page).read_text("utf-8")
+    assert "maze-corner misgeneralizes: it pursues corner, not cheese" in text
+    assert f"astray audit maze-corner --levels 30 --folder {tmp_path}" in text
+    first = pl.read_parquet(next((tmp_path / "audit-maze-corner-corner-small-smoke").glob(
+        "computed/episodes-*.parquet")))["level"].min()  # fmt: skip
+    assert first == FIRST
+
+
+def test_environments_that_show_no_images_are_audited_without_videos(tmp_path):
+    blind = replace(
+        WORLD, variants={v: partial(blindly, place=v) for v in WORLD.variants}, name="blind"
+    )
+    page = audit(RIGHT, blind, "end", levels=20, folder=tmp_path)
+    text = page.read_text("utf-8")
+    assert "none: a video of blind end needs a factory" in text
+    assert not (page.parent / "videos").exists()
+
+
+def blindly(place):
+    return Room(place)
+
+
+@pytest.mark.parametrize(
+    "words, said",
+    [
+        (("--policy", "random"), "--policy needs --shift, and --game or --world, and no agent"),
+        ((), "name an agent or a run folder, or give a --policy"),
+        (("maze-corner", "--ghost", "gone"), "unknown variant as a ghost 'gone'; there are:"),
+        (("maze-corner", "--levels", "0"), "levels must be an integer from 1"),
+        (("nobody",), "unknown agent 'nobody'"),
+    ],
+)  # fmt: skip
+def test_an_audit_that_cannot_be_is_refused(astray, words, said, tmp_path):
+    assert said in astray("audit", *words, "--folder", tmp_path, fails=True)
+    assert not [*tmp_path.iterdir()]

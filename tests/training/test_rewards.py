@@ -1,0 +1,103 @@
+"""A reward of one's own takes the game's place in training, and is measured beside it."""
+
+import numpy as np
+import pytest
+
+from astray.analysis.evaluate import evaluate
+from astray.analysis.policies import Random
+from astray.analysis.runs import evaluate_policies
+from astray.training import checkpoint
+from astray.training.config import Config
+from astray.training.folders import AGENT, latest
+from astray.training.loop import iterate, train
+from helpers.rooms import CELLS, WORLD
+
+ROOM = Config(WORLD, "end", num_envs=8, num_steps=32, minibatches=4, steps=2 * 256)
+MAZE = Config("maze", "corner-small", num_envs=8, num_steps=32, minibatches=4, steps=2 * 256)
+
+
+def place(seen):
+    return seen.reshape(len(seen), 2, CELLS)[:, 0].argmax(1)
+
+
+def leftward(step):
+    return place(step.observations) - place(step.seen)
+
+
+def the_same(step):
+    return step.rewards
+
+
+def counted(step):
+    """Check that a step leads from one state of an episode to the next, also at its end."""
+    assert (step.after["time"] == step.before["time"] + 1).all()
+    assert (step.after["level"] == step.before["level"]).all()
+    assert (step.level == step.before["level"]).all()
+    return step.ended
+
+
+def unfinished(step):
+    return np.where(step.ended, np.nan, 0.0)
+
+
+def single(step):
+    return 1.0
+
+
+@pytest.mark.parametrize("config", [ROOM, MAZE], ids=["room", "maze"])
+def test_the_game_s_own_rewards_teach_the_same_to_the_bit(config, tmp_path):
+    weights = []
+    for name, reward in (("none", None), ("own", the_same)):
+        train(config, tmp_path / name, reward=reward, progress=False)
+        weights.append((latest(tmp_path / name) / AGENT).read_bytes())
+    assert weights[0] == weights[1]
+    told = checkpoint.read_config(tmp_path / "own").reward
+    assert told == f"{__name__}:the_same"
+
+
+@pytest.mark.parametrize("config", [ROOM, MAZE], ids=["room", "maze"])
+def test_a_reward_sees_states_and_observations_of_whole_steps(config):
+    last = [iteration.metrics for iteration in iterate(config, reward=counted)][-1]
+    assert last["training/return"] == 1.0  # one for each end
+
+
+def test_an_agent_learns_what_a_reward_of_ones_own_pays():
+    config = Config(WORLD, "end", num_envs=8, num_steps=32, minibatches=4, steps=20 * 256)
+    *_, last = iterate(config, reward=leftward)
+    assert last.metrics["training/return"] > 3 and last.metrics["training/reached_end"] == 0
+
+
+@pytest.mark.parametrize("game, variant", [(WORLD, "anywhere"), ("maze", "anywhere-small")])
+def test_several_rewards_are_measured_in_the_same_episodes(game, variant):
+    rewards = {"again": the_same, "ends": counted_once, "steps": lambda step: step.rewards * 0 + 1}
+    table = evaluate(Random(), game, variant, range(20), batch=3, rewards=rewards)
+    assert (table["again"] == table["return"]).all() and (table["ends"] == 1).all()
+    assert (table["steps"] == table["length"]).all()
+
+
+def counted_once(step):
+    return step.ended
+
+
+def test_rewards_stand_in_the_episodes_of_a_result():
+    result = evaluate_policies([], WORLD, "end", range(9), rewards={"left": leftward})
+    mine = result.episodes.filter(policy="walk to end")
+    assert (mine["left"] == -(CELLS // 2)).any()
+
+
+@pytest.mark.parametrize(
+    "reward, said",
+    [
+        (unfinished, "a reward must return 8 finite numbers, .*nan"),
+        (single, "a reward must return 8 finite numbers, .*got array"),
+        (lambda step: step.rewards, "must be a function or a class at the top of a module"),
+    ],
+)
+def test_a_reward_that_cannot_be_is_refused(reward, said):
+    with pytest.raises(ValueError, match=said):
+        next(iterate(ROOM, reward=reward))
+
+
+def test_a_reward_by_a_name_that_is_none_is_refused():
+    with pytest.raises(ValueError, match="reward must be module:function; got 'mine'"):
+        Config(reward="mine")

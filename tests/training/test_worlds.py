@@ -1,0 +1,184 @@
+"""A World is trained on by the loop that trains on games."""
+
+import json
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+import pytest
+import torch
+from gymnasium import spaces
+
+from astray.analysis.runs import evaluate_runs, load_agent
+from astray.envs.restarting import Restarting, action_table, as_seen
+from astray.training import checkpoint
+from astray.training.config import Config
+from astray.training.folders import AGENT, latest
+from astray.training.loop import iterate, train
+from astray.world import find
+from helpers.rooms import WORLD, Room
+
+LEVELS = range(100, 200)
+SMALL = Config(
+    WORLD, "end", validation="anywhere", validation_every=1, num_envs=8, num_steps=32,
+    minibatches=4, steps=4 * 256,
+)  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("runs") / "room"
+    train(replace(SMALL, steps=24 * 256), folder, progress=False)
+    return folder
+
+
+def test_an_agent_learns_the_proxy_of_a_world(run):
+    last = checkpoint.metrics(run)[-1]
+    assert last["training/return"] > 0.95 > last["validation/return"]
+    result = evaluate_runs([run], np.arange(200_000, 200_100))
+    assert "misgeneralizes: it pursues end, not square" in result.verdict
+
+
+def test_a_trained_agent_plays_as_in_a_loop_by_hand(run):
+    agent = load_agent(run, "greedy")
+    table = evaluate_runs([run], np.arange(200_000, 200_005), mode="greedy").episodes
+    for level, length in table.filter(seed=0).select("level", "length").rows():
+        env, ends = Room("anywhere"), [False]
+        seen, _ = env.reset(seed=level)
+        while not any(ends):
+            logits, _ = agent.outputs(seen.reshape(1, -1))
+            seen, _, *ends, _ = env.step(int(logits.argmax()))
+        assert env.time == length
+
+
+@pytest.mark.parametrize("knobs", [{}, {"vector": True}])
+def test_a_training_that_stops_within_episodes_resumes_to_the_bit(knobs, tmp_path):
+    config = replace(SMALL, knobs=knobs)
+    train(config, tmp_path / "whole", progress=False)
+    next(iterate(config, tmp_path / "stopped"))
+    train(config, tmp_path / "stopped", progress=False)
+    whole, stopped = tmp_path / "whole", tmp_path / "stopped"
+    assert checkpoint.metrics(whole) == checkpoint.metrics(stopped)
+    weights = [(latest(folder) / AGENT).read_bytes() for folder in (whole, stopped)]
+    assert weights[0] == weights[1]
+
+
+def test_environments_restart_as_in_a_loop_by_hand():
+    env, out = Restarting(WORLD, WORLD.variant("anywhere"), 3, LEVELS, "symbolic"), None
+    seen, _ = env.reset(seed=7)
+    mine = [Room("anywhere") for _ in range(3)]
+    hand = [one.reset(seed=int(k))[0] for one, k in zip(mine, env.states["level"], strict=True)]
+    random, out, begun = np.random.default_rng(0), np.empty_like(seen), 0
+    for _ in range(40):
+        assert (seen == [x.ravel() for x in hand]).all()
+        actions = random.integers(2, size=3)
+        seen, rewards, terminated, truncated, info = env.step(actions, out)
+        for i, one in enumerate(mine):
+            hand[i], *results, _ = one.step(actions[i])
+            assert results == [rewards[i], terminated[i], truncated[i]]
+            if terminated[i] or truncated[i]:
+                assert (info["final_obs"][i] == hand[i].ravel()).all()
+                assert info["final_info"]["time"][i] == one.time
+                assert (info["final_info"]["reached_square"][i] >= 0) == terminated[i]
+                level = int(env.states["level"][i])
+                hand[i], begun = one.reset(seed=level)[0], begun + (level in LEVELS)
+    assert begun > 5
+
+
+def test_another_seed_draws_other_levels():
+    drawn = []
+    for seed in (0, 0, 1):
+        env = Restarting(WORLD, WORLD.variant("anywhere"), 4, LEVELS, "symbolic")
+        env.reset(seed=seed * 100)
+        drawn.append(env.states["level"].tolist())
+    assert drawn[0] == drawn[1] != drawn[2]
+
+
+def test_actions_of_several_parts_are_one_choice_among_all():
+    table = action_table(spaces.MultiDiscrete([2, 3], start=[0, 5]))
+    assert table.tolist() == [[0, 5], [0, 6], [0, 7], [1, 5], [1, 6], [1, 7]]
+    assert action_table(spaces.Discrete(3, start=-1)).tolist() == [-1, 0, 1]
+
+
+def test_whole_numbers_are_scaled_by_their_bounds_and_parts_are_joined():
+    whole = spaces.Box(2, 6, (2,), np.int64)
+    assert as_seen(whole, "symbolic", np.array([[2, 5]])).tolist() == [[0, 0.75]]
+    both = spaces.Dict({"cell": spaces.Discrete(3), "way": spaces.Box(-1, 1, (1,), np.float32)})
+    shown = {"cell": np.array([2, 0]), "way": np.array([[0.5], [-1]], np.float32)}
+    assert as_seen(both, "symbolic", shown).tolist() == [[0, 0, 1, 0.5], [1, 0, 0, -1]]
+
+
+class Flat(torch.nn.Module):
+    """A network of somebody's for the arrays that a room shows."""
+
+    def __init__(self, given):
+        super().__init__()
+        self.both = torch.nn.Linear(18, given.actions + 1)
+
+    def forward(self, seen):
+        out = self.both(seen.flatten(1))
+        return out[:, :-1], out[:, -1]
+
+
+@pytest.mark.filterwarnings("ignore:training runs the network")
+def test_a_network_of_ones_own_sees_the_arrays_themselves():
+    config = replace(SMALL, observation="image", steps=256)
+    (last,) = iterate(config, network=Flat)
+    assert last.trainer.architecture.shape == (2, 9)
+
+
+def continuous(**knobs):
+    env = Room(**knobs)
+    env.action_space = spaces.Box(-1, 1, (2,))
+    return env
+
+
+def troubled(make):
+    return replace(WORLD, name="troubled", variants=dict.fromkeys(WORLD.variants, make))
+
+
+@pytest.mark.parametrize(
+    "settings, said",
+    [
+        ({"sampler": "mixed"}, "levels of room are drawn uniformly, .*; got the sampler 'mixed'"),
+        ({"art": "original"}, "unknown art 'original' of room; there are: own"),
+        ({"teacher": "solver"}, "the game 'room' has no solver"),
+        ({"knobs": {"colour": 3}}, "the factory of room end takes no such knob: .*'colour'"),
+        ({"variant": "gone"}, "unknown variant of room 'gone'; there are: end, anywhere"),
+        ({"observation": "image", "network": "impala"},
+         r"network 'impala' sees images \[H, W, C\] uint8; got torch.float32 of shape \(2, 9\)"),
+        ({"game": troubled(continuous)}, "actions must be Discrete or MultiDiscrete; got Box"),
+        ({"game": troubled(partial(Room, trouble="draws"))}, "is another one when it is played"),
+        ({"game": troubled(partial(Room, trouble="raises"))}, "its step fails: KeyError"),
+        ({"game": replace(WORLD, name="maze")}, "and no game's; got 'maze'"),
+        ({"game": "helpers.rooms:CELLS"}, "a world must be a World; got 9"),
+    ],
+)  # fmt: skip
+def test_what_a_world_cannot_have_is_refused_in_a_sentence(settings, said):
+    with pytest.raises(ValueError, match=said):
+        next(iterate(replace(SMALL, **{"validation": None, **settings})))
+
+
+def test_where_levels_do_not_repeat_a_resumed_training_begins_episodes_anew(tmp_path):
+    loose = replace(WORLD, name="loose", repeats=False)
+    config = replace(SMALL, game=loose)
+    next(iterate(config, tmp_path))
+    resumed = next(iterate(config, tmp_path))
+    assert resumed.number == 2
+
+
+def test_a_file_of_settings_imports_no_world():
+    told = SMALL.to_json()
+    assert Config.from_json(told) == SMALL and find("room") is WORLD
+    with pytest.raises(ValueError, match="unknown game 'os:system'; there are: "):
+        Config.from_json(told | {"game": "os:system"})
+
+
+def test_the_command_line_trains_on_a_world_and_finds_it_again(astray, tmp_path):
+    run = tmp_path / "run"
+    words = ["--num-envs", "4", "--num-steps", "16", "--minibatches", "1", "--steps", "64"]
+    astray("train", "helpers.rooms:WORLD", "end", *words, "--folder", str(run))
+    last = run / "seed-0"
+    again = ("evaluate", str(last), "--world", "helpers.rooms:WORLD", "--levels", "500:510")
+    told = json.loads(astray(*again, "--json"))
+    assert {"end", "anywhere"} >= {row["variant"] for row in told}
