@@ -50,7 +50,7 @@ class Row:
     largest: int  # cells a side of the largest mazes among them
     right: float  # fraction of directions in mazes of all sizes, mice anywhere
     by_size: dict[int, float]  # the same by cells a side
-    start: float  # share where mouse and cheese are in opposite corners
+    start: float  # fraction where mouse and cheese are in opposite corners
 
     def cells(self) -> dict[str, str]:
         learned = self.pictures > 0

@@ -39,7 +39,7 @@ class Row:
     part: str
     times: int  # in an iteration
     milliseconds: float  # in an iteration, all together
-    share: float  # of the iteration's
+    fraction: float  # of the iteration's
     floor: float | None = None  # milliseconds
 
     def cells(self) -> dict[str, str]:
@@ -48,7 +48,7 @@ class Row:
             "part": self.part,
             "times": f"{self.times:,}",
             "ms an iteration": f"{self.milliseconds:,.1f}",
-            "share": f"{self.share:.0%}",
+            "fraction": f"{self.fraction:.0%}",
             "floor, ms": decimal(self.floor, 1),
         }
 

@@ -32,9 +32,9 @@ def rows_of(page: str, heading: str) -> Iterator[list[str]]:
         yield [cell.strip(" *") for cell in line.strip("|").split("|")]
 
 
-def rate(cell: str, share: float = 100) -> Row:
+def rate(cell: str, rate: float = 100) -> Row:
     """Return mean, low and high of a cell; 0 for an empty one."""
-    mean, *ends = (float(x) / share if x else None for x in RATE.findall(cell or "0")[0])
+    mean, *ends = (float(x) / rate if x else None for x in RATE.findall(cell or "0")[0])
     low, high = (mean if end is None else end for end in ends)
     return {"mean": mean, "low": low, "high": high}
 

@@ -10,11 +10,11 @@ from astray.estimate import Estimate
 
 
 def test_words_say_what_was_averaged():
-    share = Estimate(0.974, 0.9641, 0.983, agents=1, levels=1000, rows=1000)
-    assert share.percent() == (
+    rate = Estimate(0.974, 0.9641, 0.983, agents=1, levels=1000, rows=1000)
+    assert rate.percent() == (
         "97.4\u00a0% (95\u00a0% interval 96.4 to 98.3, over 1,000 levels, of this agent alone)"
     )
-    assert (share.short(), share.short(2)) == ("97.4 % (96.4 to 98.3)", "0.97 (0.96 to 0.98)")
+    assert (rate.short(), rate.short(2)) == ("97.4 % (96.4 to 98.3)", "0.97 (0.96 to 0.98)")
     states = Estimate(-0.5, -1.0, 0.25, agents=2, levels=30, rows=90)
     assert states.change() == (
         "-0.50 (95\u00a0% interval -1.00 to +0.25, over 2 agents and 30 levels, n = 90)"

@@ -147,8 +147,8 @@ class Editing(Protocol):
 
         "grid" and "agent" (its centre) are lists; "looks" holds everything else that `build` needs.
         Its "details" are lists [x, y, ...] of single cells, which move and are removed with the
-        object in that cell. Other such lists are of what shares a cell with an object, and is in
-        `grid` once that is gone.
+        object in that cell. Other such lists describe a second object of a cell, which is in `grid`
+        once the first is gone.
         """
         ...
 

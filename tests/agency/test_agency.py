@@ -24,7 +24,7 @@ from astray.agency.measure import (
     measure_named,
 )
 from astray.agency.online import measure_online
-from astray.agency.population import shares
+from astray.agency.population import rates
 from astray.agency.steps import EXACT, log_product, log_table, rule
 
 SMALL = World.parse("...\n.#.\n...")
@@ -91,8 +91,8 @@ def test_one_kind_of_choice_is_an_incomplete_beta_function(right, wrong):
     steps = np.array([[kinds[0, 3, 2]]] * right + [[kinds[0, 2, 2]]] * wrong)
     nodes = rule(right + wrong)
     found = nodes.integrate(log_product(steps, log_table(nodes)))[0]
-    share = betainc(wrong + 1, right + 1, 1 - k / A)
-    exact = np.log(A / (A - k)) - wrong * np.log(A - k) + np.log(share)
+    rate = betainc(wrong + 1, right + 1, 1 - k / A)
+    exact = np.log(A / (A - k)) - wrong * np.log(A - k) + np.log(rate)
     assert found == pytest.approx(exact + betaln(wrong + 1, right + 1), abs=1e-9)
 
 
@@ -144,7 +144,7 @@ def test_the_last_of_the_online_evidence_is_the_whole(options):
 def test_goals_that_may_switch_follow_a_change_of_mind():
     world = World.parse("." * 9)
     episode = Episode(world, world.walk((4, 0), [3] * 4 + [2] * 8), (0, 0))
-    fixed, free = (measure_online(episode, switch=share) for share in (0.0, 0.1))
+    fixed, free = (measure_online(episode, switch=rate) for rate in (0.0, 0.1))
     assert free.log_agent[-1] > fixed.log_agent[-1] + 1
     never = measure_online(episode, switch=1e-300)
     assert never.log_agent == pytest.approx(fixed.log_agent, abs=1e-10)
@@ -211,7 +211,7 @@ LEFT = ISLANDS.walk((0, 0), [3])
         (lambda: Episode(SMALL, by_hand([0, 1, 4], [3, 3])), "step 1 does not lead to the cell"),
         (lambda: Episode(SMALL, [0, 1]), "a trajectory must be a Trajectory"),  # pyright: ignore
         (lambda: rule(200_000), "can be measured together; got 200000"),
-        (lambda: shares(np.full((2, 3), -np.inf)), "impossible under every"),
+        (lambda: rates(np.full((2, 3), -np.inf)), "impossible under every"),
     ],
 )  # fmt: skip
 def test_what_makes_no_sense_is_refused(wrong, words):

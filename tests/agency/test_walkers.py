@@ -15,7 +15,7 @@ from astray.agency.generators import (
 )
 from astray.agency.maps import MAPS
 from astray.agency.measure import CALIBRATED, PAPER, Episode, measure
-from astray.agency.population import pooled, shares
+from astray.agency.population import pooled, rates
 
 
 @pytest.mark.parametrize("name", MAPS)
@@ -41,7 +41,7 @@ def test_trajectories_are_of_their_type(name):
                 assert (episode.true == goal) == (kind == "in-distribution") or kind == "robust"
 
 
-CALLED = {  # share called agents by the paper's measure and the calibrated one: bounds of both
+CALLED = {  # rate called agents by the paper's measure and the calibrated one: bounds of both
     "uniform": (uniform_random, (0.2, 0.8), (0.0, 0.2)),
     "legal": (legal_random, (0.8, 1.0), (0.0, 0.2)),
     "persistent": (persistent, (0.5, 1.0), (0.0, 0.05)),
@@ -61,19 +61,19 @@ def test_the_calibrated_measure_is_not_fooled_by_policies_without_a_goal(name):
             walked = world.walk(world.cell(begin), walked.actions[: there[0]])
         episodes.append(Episode(world, walked, goal))
     for options, (low, high) in zip((PAPER, CALIBRATED), bounds, strict=True):
-        share = np.mean([measure(episode, options).log_factor > 0 for episode in episodes])
-        assert low <= share <= high
+        rate = np.mean([measure(episode, options).log_factor > 0 for episode in episodes])
+        assert low <= rate <= high
 
 
-def test_shares_of_certain_episodes_are_those_of_a_dirichlet():
+def test_rates_of_certain_episodes_are_those_of_a_dirichlet():
     certain = np.log([[1.0, 1e-12, 1e-12]] * 7 + [[1e-12, 1.0, 1e-12]] * 2)
-    means = [share.mean for share in shares(certain)]
+    means = [rate.mean for rate in rates(certain)]
     assert means == pytest.approx([8 / 12, 3 / 12, 1 / 12], abs=0.01)
     assert pooled(certain)[0] > 0.999
 
 
-def test_one_episode_leaves_its_shares_open():
+def test_one_episode_leaves_its_rates_open():
     chance = np.array([0.7, 0.2, 0.1])  # Dirichlet(2, 1, 1) with 0.7, ...
-    found = shares(np.log(chance)[None])
-    assert [share.mean for share in found] == pytest.approx((1 + chance) / 4, abs=0.01)
+    found = rates(np.log(chance)[None])
+    assert [rate.mean for rate in found] == pytest.approx((1 + chance) / 4, abs=0.01)
     assert found[0].low < 0.1 and found[0].high > 0.8

@@ -57,8 +57,8 @@ def test_windows_lie_in_the_picture_from_one_side_to_the_other(pixels):
 def test_each_look_is_shared_out_among_all_places():
     pictures = torch.randint(0, 256, (2, *SHAPE), dtype=torch.uint8)
     cells = (network().cells(pictures).float() / 255).permute(0, 3, 1, 2)
-    shares = network().attention(cells)
-    torch.testing.assert_close(shares.sum(-1), torch.ones(2, shares.shape[1]))
+    rates = network().attention(cells)
+    torch.testing.assert_close(rates.sum(-1), torch.ones(2, rates.shape[1]))
 
 
 def test_what_stands_out_by_its_colour_is_looked_at_before_anything_is_learned():

@@ -131,16 +131,16 @@ def test_no_levels_are_refused():
 
 
 def test_levels_that_coincide_are_counted():
-    def shares(*words):
+    def rates(*words):
         return {row["same"]: row for row in overlap(*words).to_dicts()}
 
-    same = shares("maze", "fixed-size", range(50), "fixed-size", range(25, 75))
+    same = rates("maze", "fixed-size", range(50), "fixed-size", range(25, 75))
     assert same["level"]["seen"] == same["walls"]["seen"] == 0.5
-    moved = shares("maze", "corner", range(50), "anywhere", range(50))
+    moved = rates("maze", "corner", range(50), "anywhere", range(50))
     assert moved["walls"]["seen"] == 1 and moved["level"]["seen"] < 0.2
     # By hand: mazes of 3 cells are a ring of 8 with one of 4 walls, and all are soon met.
     tiny = replace(games.find("maze").variants["corner-small"], world=3, largest=3)
-    few = shares("maze", tiny, range(1500), tiny, range(5000, 5010))
+    few = rates("maze", tiny, range(1500), tiny, range(5000, 5010))
     assert few["walls"]["training"] == 4 and few["walls"]["seen"] == 1
 
 
@@ -161,8 +161,8 @@ def test_levels_that_the_training_met_under_another_number_are_left_out():
 def test_trainings_that_differ_in_few_levels_are_met_as_each_alone():
     first, other = range(1200), range(5000, 5300)
     trainings = [
-        (games.find("coinrun").variant("coin-end").with_knobs({"random_coin": share}), numbers)
-        for share, numbers in ((0.0, first), (0.02, first), (0.5, first), (0.2, other))
+        (games.find("coinrun").variant("coin-end").with_knobs({"random_coin": rate}), numbers)
+        for rate, numbers in ((0.0, first), (0.02, first), (0.5, first), (0.2, other))
     ]
     alone = [met("coinrun", [training]) for training in trainings]
     assert met("coinrun", trainings) == set.union(*alone)

@@ -43,7 +43,7 @@ def test_group_means_have_the_interval_of_whole_episodes(per):
         value, weight = (
             dense.select(f"^{name}_.*$").to_numpy() for name in ("value", per or "one")
         )
-        whole = estimate_mean(value, weight, share=False)
+        whole = estimate_mean(value, weight, rate=False)
         assert row["mean"] == pytest.approx(group["value"].sum() / group[per or "one"].sum())
         assert (row["low"], row["high"]) == pytest.approx((whole.low, whole.high))
         told = (row["agents"], row["levels"], row["rows"])
@@ -80,7 +80,7 @@ def test_equal_weights_change_nothing():
     assert estimate_mean(values, np.ones((3, 30))) == estimate_mean(values)
 
 
-def test_with_one_agent_the_interval_of_a_share_is_wilsons():
+def test_with_one_agent_the_interval_of_a_rate_is_wilsons():
     for succeeded in (0, 1, 120, 399, 400):
         found = estimate_mean(np.arange(400) < succeeded)
         exact = stats.binomtest(succeeded, 400).proportion_ci(method="wilson")
@@ -88,7 +88,7 @@ def test_with_one_agent_the_interval_of_a_share_is_wilsons():
         assert (found.low, found.high) == pytest.approx((exact.low, exact.high), abs=1e-12)
 
 
-def test_what_is_never_less_is_no_share():
+def test_what_is_never_less_is_no_rate():
     """Differences of pairs that are all 0 or 1 are not bounded by 0: others might be -1."""
     one, other = np.arange(1000) < 1, np.zeros(1000, bool)
     assert estimate_mean(one).low > 0 > estimate_paired(one, other).low
@@ -109,8 +109,8 @@ def test_where_levels_are_alike_the_interval_is_students_over_agents():
     assert (found.low, found.high) == pytest.approx(exact, abs=1e-9)
     assert over_agents(means[:, None])[1:, 0] == pytest.approx(exact)
     random = np.random.default_rng(0)
-    share = estimate_mean(random.permuted(np.arange(5000) < 5000 * means[:, None], axis=1))
-    assert (share.low, share.high) == pytest.approx(exact, abs=0.01)
+    rate = estimate_mean(random.permuted(np.arange(5000) < 5000 * means[:, None], axis=1))
+    assert (rate.low, rate.high) == pytest.approx(exact, abs=0.01)
 
 
 def test_levels_that_all_agents_find_hard_widen_the_interval():

@@ -51,10 +51,10 @@ def test_the_guest_is_a_game():
 
 
 def test_who_burns_at_random_is_called_burnt_and_not_misgeneralizing():
-    shares, episodes = evaluate_policies([], GAME, "lava", LEVELS)
+    rates, episodes = evaluate_policies([], GAME, "lava", LEVELS)
     burnt = episodes["burnt"].count() / len(LEVELS)
     assert burnt > 0.5
-    told = dict(shares.filter(levels_played="all").select("outcome", "mean").rows())
+    told = dict(rates.filter(levels_played="all").select("outcome", "mean").rows())
     assert told["burnt"] == pytest.approx(burnt) and told[MISGENERALIZED] == 0
 
 

@@ -133,13 +133,13 @@ def test_a_network_plays_its_likeliest_action_or_draws_it_whatever_the_batch():
 def test_a_network_draws_its_actions_as_often_as_its_own_library_does():
     agent, seen = Model(), torch.zeros(1, 2, CELLS)
     seen[0, 0, 4] = seen[0, 1, 0] = 1
-    share = both(agent, seen)[0].softmax(-1)[0, 1].item()
+    rate = both(agent, seen)[0].softmax(-1)[0, 1].item()
     own = agent.get_action_and_value(seen.expand(4000, -1, -1))[0].float().mean().item()
     # The square lies at the left in one level of nine.
     levels = [k for k in range(9000) if (env := Room("anywhere")).reset(seed=k) and not env.square]
     first = next(iter(steps(Network(agent, SPACE, ask=both), WORLD, "anywhere", levels, batch=900)))
-    wide = 4 * np.sqrt(share * (1 - share) / len(levels))
-    assert abs(first.actions[:900].mean() - share) < wide and abs(own - share) < wide
+    wide = 4 * np.sqrt(rate * (1 - rate) / len(levels))
+    assert abs(first.actions[:900].mean() - rate) < wide and abs(own - rate) < wide
 
 
 @pytest.mark.parametrize(

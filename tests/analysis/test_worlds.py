@@ -53,7 +53,7 @@ def test_the_table_is_that_of_a_loop_by_hand(batch, workers):
 
 
 def test_outcomes_base_rates_and_distinguishing_levels_are_those_of_games():
-    shares, episodes = evaluate_policies([RIGHT], WORLD, "end", LEVELS)
+    rates, episodes = evaluate_policies([RIGHT], WORLD, "end", LEVELS)
     squares = {}
     for level in LEVELS:
         (env := Room("anywhere")).reset(seed=int(level))
@@ -63,9 +63,9 @@ def test_outcomes_base_rates_and_distinguishing_levels_are_those_of_games():
         is_right = squares[level] > CELLS // 2
         assert outcome == (INTENDED if is_right else MISGENERALIZED)
         assert apart == (not is_right)
-    told = {(r["policy"], r["outcome"]): r["mean"] for r in shares.to_dicts()}
+    told = {(r["policy"], r["outcome"]): r["mean"] for r in rates.to_dicts()}
     assert told[Walk("square").name, INTENDED] == told[Walk("end").name, MISGENERALIZED] == 1
-    assert {"random", "right"} <= {*shares["policy"]} and shares["low"].null_count() == 0
+    assert {"random", "right"} <= {*rates["policy"]} and rates["low"].null_count() == 0
 
 
 def test_a_model_of_another_library_plays_as_by_hand():
@@ -181,8 +181,8 @@ def test_what_a_world_names_must_be_there():
 
 def test_the_command_line_takes_a_world(astray):
     words = ("evaluate", "--policy", "helpers.rooms:go_right", "--shift", "end", "--levels", "0:9")
-    shares = json.loads(astray(*words, "--world", "helpers.rooms:WORLD", "--json"))
-    told = {(r["policy"], r["outcome"]): r["mean"] for r in shares if r["levels_played"] == "all"}
+    rates = json.loads(astray(*words, "--world", "helpers.rooms:WORLD", "--json"))
+    told = {(r["policy"], r["outcome"]): r["mean"] for r in rates if r["levels_played"] == "all"}
     hand = [by_hand(lambda _: 1, "anywhere", level)[4] is not None for level in range(9)]
     assert told["helpers.rooms:go_right", INTENDED] == pytest.approx(np.mean(hand))
     assert "walked" in astray(*words, "--world", "helpers.rooms:WORLD")

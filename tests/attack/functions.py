@@ -203,7 +203,7 @@ CALLS: dict[str, tuple[dict[str, str], Callable[..., Any]]] = {
     "a map": (_kinds(text="world"), _plain("agency.gridworld", "World.parse")),
     "a mean": (_kinds(values="logits", weights="logits"),
                   _plain("analysis.estimates", "estimate_mean", values=np.ones((2, 3)))),
-    "shares": (_kinds(episodes="table"), _plain("analysis.outcomes", "shares")),
+    "rates": (_kinds(episodes="table"), _plain("analysis.outcomes", "rates")),
     "a shift": (_kinds("game", "shift"),
                 _plain("analysis.outcomes", "load_shift", game="maze", shift="corner")),
     "a run": (_kinds(run="path"), _plain("analysis.runs", "open_run")),

@@ -81,9 +81,9 @@ RUINS: dict[str, Callable[[np.ndarray], None]] = {
 }
 
 
-def _noise(states: np.ndarray, share: float) -> None:
+def _noise(states: np.ndarray, fraction: float) -> None:
     raw, random = states.view(np.uint8), np.random.default_rng(7)
-    hit = random.random(raw.shape) < share
+    hit = random.random(raw.shape) < fraction
     raw[hit] = random.integers(0, 256, int(hit.sum()))
 
 

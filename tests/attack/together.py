@@ -50,7 +50,7 @@ WORKS = {
     "reproduce": Work(("reproduce", "experiment.py", "--workers", "1"), "reports",
                       ("experiment.py",), (0,), ("findings.json", "episodes.csv", "plan.json")),
     "sweep": Work(sweep_words(Path("sweep")), "sweep", ("sweep",), (0,),
-                  ("shares.csv", "sweep.json")),
+                  ("rates.csv", "sweep.json")),
     "keep": Work(("keep", "run", "--as", "mine", "--folder", "to"), "to", ("run",),
                  parts=("agent.safetensors", "config.json", "curve.csv", "README.md"),
                  leaves=True),

@@ -142,7 +142,7 @@ def one_thread():
 def test_the_parts_of_an_iteration_come_near_to_the_whole(one_thread):
     config = replace(train.SYMBOLIC[0], num_envs=64, num_steps=16, minibatches=4)
     *parts, minibatch, whole = profile.measure(config, rounds=3)
-    assert minibatch.part == "a minibatch, whole" and whole.share == 1
+    assert minibatch.part == "a minibatch, whole" and whole.fraction == 1
     assert all(part.milliseconds > 0 for part in parts)
     total = sum(part.milliseconds for part in parts)
     assert 0.3 < total / whole.milliseconds < 3  # on a machine that does other things too

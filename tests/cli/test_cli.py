@@ -78,9 +78,9 @@ def test_agents_are_trained_resumed_and_evaluated(astray, run_folder, tmp_path):
     assert Path(astray(*words).strip()) == run_folder / "checkpoints" / "512"
     out = tmp_path / "episodes.parquet"
     words = ("evaluate", run_folder, "--levels", "1000000:1000020", "--out", out, "--json")
-    shares = json.loads(astray(*words))
+    rates = json.loads(astray(*words))
     name = str(run_folder)
-    agents = [row for row in shares if row["policy"] == name and row["levels_played"] == "all"]
+    agents = [row for row in rates if row["policy"] == name and row["levels_played"] == "all"]
     assert sum(row["mean"] for row in agents) == pytest.approx(1)
     episodes = pl.read_parquet(out).filter(policy=name)
     assert episodes["level"].to_list() == list(range(1000000, 1000020))

@@ -138,8 +138,8 @@ def attributed(wall, coin, network):
         for agent in range(4):
             for level in range(60):
                 for part, area, times in (("end wall", 0.2, wall), ("coin", 0.002, coin)):
-                    share = area * times * random.lognormal(0, 0.2)
-                    rows.append((agent, test, level, 0, "gradient", part, share, area, network))
+                    rate = area * times * random.lognormal(0, 0.2)
+                    rows.append((agent, test, level, 0, "gradient", part, rate, area, network))
     names = ["agent", "test", "level", "step", "method", "part", "attribution", "area", "network"]
     return pl.DataFrame(rows, names, orient="row")
 

@@ -11,13 +11,13 @@ from astray.experiments.studies.mitigation.asking_for_help import NEVER
 from astray.mitigation.helped import AFTER, BEFORE
 
 
-def test_agents_of_a_method_differ_in_the_share_and_in_nothing_else():
+def test_agents_of_a_method_differ_in_the_fraction_and_in_nothing_else():
     plan = regret.experiment("t", "corner-small", "corner", {}).sizes["smoke"]
-    assert len(plan.agents) == len(regret.METHODS) * len(regret.SHARES) == 16
+    assert len(plan.agents) == len(regret.METHODS) * len(regret.FRACTIONS) == 16
     for method in regret.METHODS:
-        configs = [plan.agents[regret.name_of(method, share)] for share in regret.SHARES]
-        shares = [c.training_variant().shift_probability for c in configs]
-        assert shares == list(regret.SHARES)
+        configs = [plan.agents[regret.name_of(method, fraction)] for fraction in regret.FRACTIONS]
+        fractions = [c.training_variant().shift_probability for c in configs]
+        assert fractions == list(regret.FRACTIONS)
         assert len({(c.sampler, c.steps) for c in configs}) == 1
 
 
@@ -47,8 +47,8 @@ def test_late_is_after_the_goal_was_passed_or_never_in_episodes_that_go_astray()
         }
     )
     assert asking_for_help.too_late(asked)["late"].to_list() == [0.75]
-    shares = dict(asking_for_help.late_shares(asked).select("moment", "fraction").iter_rows())
-    assert shares == {BEFORE: 0.25, AFTER: 0.25, NEVER: 0.5}
+    fractions = dict(asking_for_help.late_rates(asked).select("moment", "fraction").iter_rows())
+    assert fractions == {BEFORE: 0.25, AFTER: 0.25, NEVER: 0.5}
 
 
 def test_a_claim_about_help_holds_by_its_bound():

@@ -21,7 +21,7 @@ from astray import games, provenance
 from astray.analysis.outcomes import FAILED, INTENDED, MISGENERALIZED
 from astray.analysis.runs import open_run
 from astray.experiments import catalogue, register, run
-from astray.experiments.outcomes import share
+from astray.experiments.outcomes import rate
 from astray.experiments.studies.mitigation import asking_for_help, reward_ensembles
 from astray.report import page as report
 from astray.report.claims import Claim, above
@@ -97,9 +97,9 @@ def test_every_experiment_runs_in_miniature(name, size, tmp_path, monkeypatch):
     names = {Path(figure).stem for figure in figures}
     assert figures == {f"{n}.{kind}" for n in names for kind in ("png", "svg", "parquet")} != set()
     if plan.tests:
-        shares = pl.read_parquet(folder / "tables" / "outcomes.parquet").filter(policy="sampled")
-        assert shares["agents"].unique().to_list() == [plan.seeds]
-        sums = shares.group_by("agent", "test").agg(pl.col("mean").sum())
+        rates = pl.read_parquet(folder / "tables" / "outcomes.parquet").filter(policy="sampled")
+        assert rates["agents"].unique().to_list() == [plan.seeds]
+        sums = rates.group_by("agent", "test").agg(pl.col("mean").sum())
         assert len(sums) == len(plan.agents) * len(plan.tests)
         assert sums["mean"].to_list() == [pytest.approx(1)] * len(sums)
 
@@ -337,15 +337,15 @@ def test_a_claim_is_supported_only_where_its_whole_interval_does(misgeneralized,
     episodes = pl.DataFrame(
         {"policy": "sampled", "test": "test", "seed": 0, "level": range(100), "outcome": outcomes}
     )
-    less = share(episodes, "test", MISGENERALIZED, minus=FAILED)
+    less = rate(episodes, "test", MISGENERALIZED, minus=FAILED)
     told = above("it misgeneralizes", "often", "share", less, 0.0)
     assert told.supported == supported
     assert f"{misgeneralized - failed}.0" in told.ours
 
 
-def test_a_share_of_all_episodes_has_an_interval_that_ends_at_all():
+def test_a_rate_of_all_episodes_has_an_interval_that_ends_at_all():
     episodes = pl.DataFrame(
         {"policy": "sampled", "test": "test", "seed": 0, "level": range(100), "outcome": INTENDED}
     )
-    found = share(episodes, "test", INTENDED)
+    found = rate(episodes, "test", INTENDED)
     assert 0.95 < found.low < found.mean == found.high == 1

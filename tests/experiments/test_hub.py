@@ -173,7 +173,7 @@ def test_a_file_whose_size_nobody_tells_is_not_taken(pushed, tmp_path, monkeypat
         return replace(told(*given, **named), size=None)
 
     monkeypatch.setattr(huggingface_hub, "get_hf_file_metadata", silent)
-    with pytest.raises(ValueError, match=r"must be of at most .*; its size is not told"):
+    with pytest.raises(ValueError, match=r"must be of at most .*; its size is not stated"):
         ours.pull("ada/mouse")
     assert nothing_is_left(tmp_path)
 

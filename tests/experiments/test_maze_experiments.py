@@ -109,7 +109,7 @@ def offered(outcome):
     )
 
 
-def test_shares_are_of_those_that_go_to_either():
+def test_rates_are_of_those_that_go_to_either():
     pairs = offered(lambda colour, shape: MISGENERALIZED if shape == "gem" else INTENDED)
     table = colour_or_shape.pair_table(pairs)
     assert table.filter(shape="gem")["keeps_colour"].to_list() == [1] * 6
@@ -129,8 +129,8 @@ def test_a_preference_flips_where_agents_surely_differ():
     assert told.supported and "1 of 2 agents go to the gem, 1 to the line" in told.ours
 
 
-@pytest.mark.parametrize("sign, share", [(1, "100.0"), (-1, "0.0")])
-def test_near_codes_are_told_from_far_ones(sign, share):
+@pytest.mark.parametrize("sign, rate", [(1, "100.0"), (-1, "0.0")])
+def test_near_codes_are_told_from_far_ones(sign, rate):
     def outcome(colour, shape):
         # Steps of 60 degrees from yellow and from a line.
         new_colour = math.cos(math.pi / 3 * (COLOURS.index(colour) - COLOURS.index("yellow")))
@@ -139,4 +139,4 @@ def test_near_codes_are_told_from_far_ones(sign, share):
 
     work = SimpleNamespace(plan=colour_or_shape.EXPERIMENT.sizes["smoke"])
     told = colour_or_shape.near_codes(work, offered(outcome))
-    assert share in told.ours and told.supported == (sign > 0)
+    assert rate in told.ours and told.supported == (sign > 0)

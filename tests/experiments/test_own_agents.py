@@ -130,11 +130,11 @@ def test_variants_are_compared_in_the_same_levels(tmp_path):
         )
         for test in ("in the test", "in training")
     )
-    found = outcomes.share(episodes, "in the test", INTENDED, minus_test="in training")
+    found = outcomes.rate(episodes, "in the test", INTENDED, minus_test="in training")
     assert found == estimate_paired(test, training) and found.mean != 0
     other = episodes.filter((pl.col("test") == "in training") | (pl.col("level") > 1_000_000))
     with pytest.raises(ValueError, match="are not in the same levels"):
-        outcomes.share(other, "in the test", MISGENERALIZED, minus_test="in training")
+        outcomes.rate(other, "in the test", MISGENERALIZED, minus_test="in training")
 
 
 def test_a_video_shows_what_the_environment_renders():

@@ -26,7 +26,7 @@ from astray.report.learning import learning_curves
 
 T, H, W = 7, 31, 45  # odd sizes, which yuv420p cannot have
 LEVEL = 8
-SHARES = pl.DataFrame(
+RATES = pl.DataFrame(
     [
         ("agents", "test", MISGENERALIZED, 0.68, 0.62, 0.74),
         ("agents", "test", INTENDED, 0.30, None, None),
@@ -81,8 +81,8 @@ def told(frames, tmp_path):
             Claim("It looks for cheese.", "no", "29.2 % [25.1, 33.0]", supported=False),
         ],
         videos=[Video("A walk.", tmp_path / "walk.mp4")],
-        plots=[Plot("bars", "Ends where x < 3 & <b>y</b>.", charts.outcome_bars(SHARES), SHARES)],
-        tables=[Table("shares", "Shares.", SHARES)],
+        plots=[Plot("bars", "Ends where x < 3 & <b>y</b>.", charts.outcome_bars(RATES), RATES)],
+        tables=[Table("shares", "Shares.", RATES)],
         settings={"agents": "2"},
     )
     return heading, findings
@@ -152,8 +152,8 @@ def test_the_shorter_video_holds_its_last_frame(frames):
     assert not np.array_equal(captions[1], captions[2])
 
 
-def test_the_interval_is_drawn_where_the_share_is(tmp_path):
-    axes = charts.outcome_bars(SHARES).axes[0]
+def test_the_interval_is_drawn_where_the_rate_is(tmp_path):
+    axes = charts.outcome_bars(RATES).axes[0]
     assert [np.asarray(line.get_xdata()).tolist() for line in axes.lines] == [[0.62, 0.74]]
     assert axes.get_title(loc="left") == "test"
     assert [text.get_text() for text in axes.texts] == ["68 %", "30 %", "100 %"]
@@ -171,7 +171,7 @@ def test_curves_skip_what_is_missing_and_the_mean_is_over_seeds():
 def test_a_figure_is_the_same_bytes_twice_and_its_text_is_text(name, tmp_path):
     for folder in (tmp_path / "one", tmp_path / "two"):
         figure = {
-            "bars": lambda: charts.outcome_bars(SHARES),
+            "bars": lambda: charts.outcome_bars(RATES),
             "curves": lambda: learning_curves(CURVES, {"test": "return"}, "return"),
         }[name]()
         save(figure, folder, name)
@@ -204,7 +204,7 @@ def test_a_report_contains_every_claim_and_whether_it_is_supported(told, tmp_pat
 def test_all_that_is_shown_is_in_files_too(told, tmp_path):
     report.write(*told, tmp_path)
     for file in ("figures/bars.parquet", "tables/shares.parquet"):
-        assert pl.read_parquet(tmp_path / file).equals(SHARES)
+        assert pl.read_parquet(tmp_path / file).equals(RATES)
     assert (tmp_path / "figures" / "bars.svg").exists()
     assert (tmp_path / "tables" / "shares.csv").read_text().startswith("who,where,")
 

@@ -93,7 +93,7 @@ def test_outcomes_are_of_all_agents_and_repeat_what_an_evaluation_says(trained, 
     ).filter(policy="sampled")
     tested = of_run.filter(test="in the test")
     assert tested["outcome"].to_list() == again["outcome"].to_list()
-    share = pl.read_csv(tmp_path / "shares.csv").filter(
+    rate = pl.read_csv(tmp_path / "rates.csv").filter(
         pl.col("learning_rate") == 5e-4,
         pl.col("variant.time_limit") == 40,
         policy="sampled",
@@ -103,8 +103,8 @@ def test_outcomes_are_of_all_agents_and_repeat_what_an_evaluation_says(trained, 
     part = mine.filter(
         pl.col("learning_rate") == 5e-4, pl.col("variant.time_limit") == 40, test="in the test"
     )
-    assert share["mean"][0] == pytest.approx((part["outcome"] == MISGENERALIZED).mean())
-    assert share["agents"][0] == 2
+    assert rate["mean"][0] == pytest.approx((part["outcome"] == MISGENERALIZED).mean())
+    assert rate["agents"][0] == 2
     figures = [path.name for path in (tmp_path / "figures").glob("*.png")]
     assert figures == ["learning-rate-variant-time-limit.png"]
 
@@ -168,7 +168,7 @@ def test_knobs_of_the_test_go_together_in_any_order():
 def test_axes_that_tables_have_themselves_keep_their_values(trained, tmp_path):
     swept = Sweep(BASE, {"levels": [100, 1000], "variant": ["corner-small"]}, levels=5)
     run_sweep(swept, tmp_path)
-    table = pl.read_csv(tmp_path / "shares.csv")
+    table = pl.read_csv(tmp_path / "rates.csv")
     assert set(table["training_levels"]) == {100, 1000} and set(table["levels"]) == {5}
     figure = pl.read_parquet(tmp_path / "figures" / "training-levels.parquet")
     assert set(figure["training_levels"]) == {100, 1000}

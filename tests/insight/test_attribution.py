@@ -186,7 +186,7 @@ def test_masks_of_planes_are_the_cells_of_the_drawing(planes):
 def test_masks_of_images_lie_in_the_boxes_of_what_is_drawn(images):
     where = attribution.masks(images, END, states(ROOM), edits.PARTS)
     scale, left, top = 64 / 13, 6.1 - 6.5, 1.5787 + 6.5  # of the picture, in cells
-    boxes = {  # left, right, bottom, top, in cells; and the least share that is covered
+    boxes = {  # left, right, bottom, top, in cells; and the least fraction that is covered
         "coin": (3, 4, 1, 2, 0.2), "crates": (4, 5, 1, 2, 0.5), "saws": (5, 6, 1, 2, 0.2),
         "walkers": (5, 6.2, 2, 3, 0.3), "runner": (5.6, 6.6, 1, 2.4, 0.3),
         "end wall": (11, 13, 1, 9, 0.7),
@@ -216,11 +216,11 @@ def test_what_is_of_two_parts_is_of_the_first(images):
     )
 
 
-def test_shares_are_of_absolute_values_and_of_area():
+def test_fractions_are_of_absolute_values_and_of_area():
     rows = pl.DataFrame({"level": [7, 8, 9]})
     maps = np.array([[[1.0, -3.0]], [[2.0, 2.0]], [[0.0, 0.0]]])
     left = np.array([[[True, False]]] * 3)
-    told = attribution.shares(rows, maps, {"left": left, "right": ~left})
+    told = attribution.fractions(rows, maps, {"left": left, "right": ~left})
     assert told.to_dict(as_series=False) == {
         "level": [7, 8, 9] * 2,
         "part": ["left"] * 3 + ["right"] * 3,
@@ -228,7 +228,7 @@ def test_shares_are_of_absolute_values_and_of_area():
         "area": [0.5] * 6,
     }
     with pytest.raises(ValueError, match=r"3 rows, maps \(3, 1, 2\) and a mask \(2, 1, 2\)"):
-        attribution.shares(rows, maps, {"left": left[:2]})
+        attribution.fractions(rows, maps, {"left": left[:2]})
 
 
 def test_many_observations_are_as_one_by_one(images):

@@ -63,17 +63,17 @@ def test_what_layers_give_is_captured(model):
 
 
 def test_steering_and_ablating_change_what_it_does_as_long_as_they_last(model):
-    def share():
+    def rate():
         taken = [step.actions for step in steps(model, WORLD, "anywhere", LEVELS)]
         return np.concatenate(taken).mean()
 
-    before = share()
+    before = rate()
     toward = (model.network.actor.weight[1] - model.network.actor.weight[0]).detach().numpy()
     with steer(model, {HIDDEN: toward}, 30.0):
-        assert share() == 1
+        assert rate() == 1
     with patch(model, HIDDEN, None, 0.0), ablate(model, "actor"):
-        assert abs(share() - 0.5) < 0.1
-    assert share() == before
+        assert abs(rate() - 0.5) < 0.1
+    assert rate() == before
 
 
 def test_a_probe_reads_what_is_shown_better_than_shuffled_labels(model):

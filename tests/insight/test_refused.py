@@ -7,7 +7,7 @@ import pytest
 from astray.acting import initial_states
 from astray.analysis.critic import counterfactual, observe
 from astray.analysis.dataset import export, read_trajectories
-from astray.analysis.outcomes import shares
+from astray.analysis.outcomes import rates
 from astray.analysis.runs import open_run
 from astray.envs.states import load_states
 from astray.games import find
@@ -40,7 +40,7 @@ def agent(tmp_path):
         (lambda a: capture(a, "corner-small", LEVEL, [["spread"]]), "unknown layer .*spread"),
         (lambda a: layers(None), "agent must be a Agent"),
         (lambda a: pair_vectors(a, "corner-small", "spread", None, None), "states must be a nda"),
-        (lambda a: shares(pl.DataFrame({"seed": [0]})), "episodes must have the columns policy"),
+        (lambda a: rates(pl.DataFrame({"seed": [0]})), "episodes must have the columns policy"),
         (lambda a: open_run(None), "run must be a str or Path; got None"),
         (lambda a: list(read_trajectories(None)), "folder must be a str or Path"),
         (lambda a: load_states(None, "maze"), "the path of a file must be a str or Path"),

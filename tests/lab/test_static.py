@@ -269,8 +269,8 @@ def test_the_posterior_is_that_of_python(page):
     actions = replayed(3)
     here, there = both(page, kind="posterior", **MAZE, level=3, actions=actions)
     assert np.allclose(here["shares"], there["shares"], atol=2e-5)  # Python rounds to 1e-5
-    for goal, shares in there["goals"].items():
-        assert np.allclose(here["goals"][goal], shares, atol=1e-6)
+    for goal, rates in there["goals"].items():
+        assert np.allclose(here["goals"][goal], rates, atol=1e-6)
     assert here["agent"] is None
 
 

@@ -218,8 +218,8 @@ def test_what_curves_share_is_as_if_each_point_were_played_by_itself(mouse):
                 assert row["return"] == played["return"].mean()
                 assert row["queries"] == played["queries"].mean()
                 for moment in (BEFORE, SEEN, AFTER):
-                    share = (asked["moment"] == moment).mean() if len(asked) else None
-                    assert row[moment] == share
+                    rate = (asked["moment"] == moment).mean() if len(asked) else None
+                    assert row[moment] == rate
     asked = when_asked(mouse, scores, trial, 75.0)
     for score in scores:
         limit = threshold(training_scores(mouse, score, MAZE, CORNER, range(40)), 75, "step")

@@ -20,7 +20,7 @@ from astray.mitigation.uncertainty import (
     distances,
     features,
     goal_splay,
-    likeliest_shares,
+    likeliest_rates,
 )
 
 MAZE = games.find("maze")
@@ -152,11 +152,11 @@ def test_features_are_the_same_whatever_stands_beside_them(mouse):
     assert (together == alone).all()
 
 
-def test_the_likeliest_shares_are_those_of_a_search():
+def test_the_likeliest_rates_are_those_of_a_search():
     evidence = np.random.default_rng(0).normal(size=(20, 2)) * 2
-    shares = np.linspace(1e-6, 1 - 1e-6, 10_001)
-    total = [logsumexp(evidence + np.log([s, 1 - s]), axis=1).sum() for s in shares]
-    assert likeliest_shares(evidence)[0] == pytest.approx(shares[np.argmax(total)], abs=2e-3)
+    rates = np.linspace(1e-6, 1 - 1e-6, 10_001)
+    total = [logsumexp(evidence + np.log([s, 1 - s]), axis=1).sum() for s in rates]
+    assert likeliest_rates(evidence)[0] == pytest.approx(rates[np.argmax(total)], abs=2e-3)
 
 
 class Torn(Walk):

@@ -275,9 +275,9 @@ def test_the_first_episodes_to_end_are_the_short_ones(lengths, count, environmen
 
 
 def test_intervals_are_wilsons_and_meet_or_not():
-    assert str(check.Share(158, 160)) == "98.8 % (95.6 to 99.7, n = 160)"
-    assert check.Share(158, 160).meets(check.Share(150, 160))
-    assert not check.Share(158, 160).meets(check.Share(120, 160))
+    assert str(check.Rate(158, 160)) == "98.8 % (95.6 to 99.7, n = 160)"
+    assert check.Rate(158, 160).meets(check.Rate(150, 160))
+    assert not check.Rate(158, 160).meets(check.Rate(120, 160))
 
 
 def test_a_check_is_written_to_the_card(astray, home, tmp_path, monkeypatch, mouse):

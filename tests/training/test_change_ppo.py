@@ -194,7 +194,7 @@ def test_kernels_that_are_asked_for_are_refused_to_others():
         Trainer(CONFIG.changed(fused_cpu=True), Tanh)
 
 
-def test_explained_variance_is_a_share_of_the_targets():
+def test_explained_variance_is_a_fraction_of_the_targets():
     target = torch.tensor([0.0, 1.0, 2.0, 3.0])
     assert ppo.explained_variance(target, target) == 1
     assert ppo.explained_variance(torch.zeros(4), target) == pytest.approx(0)

@@ -66,8 +66,8 @@ def test_samples_have_the_probabilities_of_the_policy():
     noise = torch.rand((200_000, 4), generator=torch.Generator().manual_seed(0))
     action, log_probability = ppo.sample(logits.expand(200_000, 4), noise)
     expected = logits.softmax(0)
-    share = torch.bincount(action, minlength=4) / len(action)
-    torch.testing.assert_close(share, expected, atol=0.005, rtol=0)
+    rate = torch.bincount(action, minlength=4) / len(action)
+    torch.testing.assert_close(rate, expected, atol=0.005, rtol=0)
     torch.testing.assert_close(log_probability.exp(), expected[action])
 
 

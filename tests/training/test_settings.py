@@ -85,8 +85,8 @@ def test_a_shift_and_a_variant_of_your_own_are_played_as_those_with_names():
     other = Shift(named.train, named.test, "corner", ("cheese",))
     swapped, _ = evaluate_policies([], MAZE, other, range(20))
     walks = {"policy": "walk to corner", "outcome": "intended goal"}
-    shares = [t.filter(**walks, levels_played="distinguishing")["mean"] for t in (swapped, by_name)]
-    assert [share.item() for share in shares] == [1, 0]
+    rates = [t.filter(**walks, levels_played="distinguishing")["mean"] for t in (swapped, by_name)]
+    assert [rate.item() for rate in rates] == [1, 0]
 
 
 def test_a_test_of_an_experiment_takes_a_variant_of_your_own():

@@ -28,8 +28,8 @@ def test_it_is_found_by_its_name():
 @WRITTEN
 def test_network_and_loss_train_and_are_loaded_again(tmp_path):
     train(TINY, tmp_path / "seed-0", progress=False)
-    shares, episodes = evaluate_runs([tmp_path / "seed-0"], np.arange(50))
-    assert set(episodes["outcome"].unique()) and len(shares)
+    rates, episodes = evaluate_runs([tmp_path / "seed-0"], np.arange(50))
+    assert set(episodes["outcome"].unique()) and len(rates)
     assert '"update/size"' in (tmp_path / "seed-0" / "metrics.jsonl").read_text()
 
 
@@ -39,8 +39,8 @@ def test_a_function_is_a_policy():
         "up, then right",
         "symbolic",
     )
-    shares, _ = evaluate_policies([up_and_right], GAME, "corner", np.arange(100))
-    assert "up, then right" in shares["policy"].to_list()
+    rates, _ = evaluate_policies([up_and_right], GAME, "corner", np.arange(100))
+    assert "up, then right" in rates["policy"].to_list()
 
 
 @WRITTEN

@@ -29,9 +29,9 @@ def four_rooms() -> World:
     return World(free[::-1])
 
 
-def obstacles(share: float, seed: int) -> World:
-    """Return random walls in a fraction `share` of the cells; enclosed cells become wall too."""
-    free = np.random.default_rng(seed).random((SIDE, SIDE)) >= share
+def obstacles(fraction: float, seed: int) -> World:
+    """Return random walls in a `fraction` of the cells; enclosed cells become wall too."""
+    free = np.random.default_rng(seed).random((SIDE, SIDE)) >= fraction
     world = World(free[::-1])
     sizes = np.isfinite(world.distance).sum(1)
     kept = world.cells[world.accessible(int(sizes.argmax()))]

@@ -62,8 +62,8 @@ def _log_z(world: World, w: float, legal: bool) -> np.ndarray:
     walk = np.zeros((count, count))
     here = np.broadcast_to(np.arange(count)[:, None], world.after.shape)
     used = world.legal if legal else np.ones_like(world.legal)
-    share = used / np.maximum(used.sum(1, keepdims=True), 1)
-    np.add.at(walk, (here, world.after), share)
+    fraction = used / np.maximum(used.sum(1, keepdims=True), 1)
+    np.add.at(walk, (here, world.after), fraction)
     green = np.linalg.inv(np.eye(count) - w * walk)
     lost = np.isfinite(world.distance) & (green < 1e-290)
     if lost.any():

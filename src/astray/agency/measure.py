@@ -272,10 +272,10 @@ def _named_agents(episode: Episode, goals: Sequence[Sequence[Cell]], options: Op
 
 def mix_devices(log_devices: Mapping[str, float | np.ndarray], options: Options) -> np.ndarray:
     """Return the log of the mixture of device classes and "noise", [...] of any shape."""
-    share = (1 - options.noise_atom) / (len(log_devices) - 1)
-    shares = [options.noise_atom if what == "noise" else share for what in log_devices]
+    fraction = (1 - options.noise_atom) / (len(log_devices) - 1)
+    fractions = [options.noise_atom if what == "noise" else fraction for what in log_devices]
     with np.errstate(divide="ignore"):
-        each = [np.log(s) + log for s, log in zip(shares, log_devices.values(), strict=True)]
+        each = [np.log(s) + log for s, log in zip(fractions, log_devices.values(), strict=True)]
     return np.logaddexp.reduce(each)
 
 

@@ -77,11 +77,11 @@ def _goals_online(
         by_goal = nodes.integrate(weights)
         log_agent.append(logsumexp(by_goal))
         posterior.append(np.exp(by_goal - log_agent[-1]))
-        share = 1 / (t + 1) if isinstance(switch, str) else switch
-        if share and t:
-            anew = np.log(share) + logsumexp(weights, axis=0) - np.log(goals)
+        fraction = 1 / (t + 1) if isinstance(switch, str) else switch
+        if fraction and t:
+            anew = np.log(fraction) + logsumexp(weights, axis=0) - np.log(goals)
             with np.errstate(divide="ignore"):
-                weights = np.logaddexp(np.log1p(-share) + weights, anew)
+                weights = np.logaddexp(np.log1p(-fraction) + weights, anew)
     return np.array(log_agent), np.array(posterior)
 
 

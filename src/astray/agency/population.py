@@ -10,7 +10,7 @@ from astray.estimate import Estimate
 DRAWS, FORGOTTEN = 5000, 500  # of the sampler; those at its beginning do not count
 
 
-def shares(log_evidence: np.ndarray, *, seed: int = 0) -> list[Estimate]:
+def rates(log_evidence: np.ndarray, *, seed: int = 0) -> list[Estimate]:
     """Return the posterior mean rate of each explanation, with credible intervals.
 
     Each episode has one explanation, and all rates are equally likely a priori. An agent that

@@ -18,7 +18,7 @@ from astray.acting import Policy, initial_states, steps
 from astray.agency.gridworld import Cell, World
 from astray.agency.measure import CALIBRATED, PRESETS, Episode, Options, decisions, measure_named
 from astray.agency.online import measure_online
-from astray.agency.population import pooled, shares
+from astray.agency.population import pooled, rates
 from astray.analysis import video
 from astray.analysis.estimates import Estimate, estimate_mean
 from astray.analysis.outcomes import load_shift
@@ -115,7 +115,7 @@ class Assessment:
 
     episodes: pl.DataFrame  # one row each: see `assess`
     explanations: tuple[str, ...]
-    shares: list[Estimate]  # fraction of episodes for each explanation
+    rates: list[Estimate]  # fraction of episodes for each explanation
     pooled: np.ndarray  # posterior of each explanation if one holds for all episodes; a few
     # episodes in which an agent got stuck decide it, so the verdict ignores it
     decisions: int  # steps at which the named goals part
@@ -123,7 +123,7 @@ class Assessment:
     @property
     def verdict(self) -> str:
         """The explanation of most episodes, if that is significant at 95 %; otherwise undecided."""
-        most = [n for n, s in zip(self.explanations, self.shares, strict=True) if s.low > 0.5]
+        most = [n for n, s in zip(self.explanations, self.rates, strict=True) if s.low > 0.5]
         return most[0] if most else UNDECIDED
 
     @property
@@ -142,7 +142,7 @@ class Assessment:
 
     def summary(self) -> dict[str, Any]:
         """Return everything except the episodes as plain data."""
-        explained = zip(self.explanations, self.shares, self.pooled.tolist(), strict=True)
+        explained = zip(self.explanations, self.rates, self.pooled.tolist(), strict=True)
         return {
             "verdict": self.verdict,
             "explanations": {n: vars(s) | {"pooled": p} for n, s, p in explained},
@@ -154,7 +154,7 @@ class Assessment:
 
     def sentence(self) -> str:
         """Return the verdict as a sentence."""
-        device = self.shares[self.explanations.index(DEVICE)]
+        device = self.rates[self.explanations.index(DEVICE)]
         undecided = "An agent; its goal is undecided" if device.high < 0.5 else "Undecided"
         verdict = {UNDECIDED: undecided, DEVICE: "A device"}.get(
             self.verdict, f"An agent; its goal: {self.verdict}"
@@ -202,7 +202,7 @@ def assess(played: Sequence[Played], options: Options = CALIBRATED) -> Assessmen
     return Assessment(
         table,
         explanations,
-        shares(np.array(logs)),
+        rates(np.array(logs)),
         pooled(np.array(logs)),
         int(table["decisions"].sum()),
     )
@@ -274,8 +274,8 @@ def heat(world: World, belief: np.ndarray, here: int, pixels: int) -> np.ndarray
     """Draw `belief` [F] on the map, dark for likely, [pixels, pixels, 3] uint8."""
     height, width = world.free.shape
     image = np.broadcast_to(STONE, (height, width, 3)).astype(float)
-    share = (belief / belief.max())[:, None]
-    image[world.cells[:, 1], world.cells[:, 0]] = LEAST + share * (MOST - LEAST)
+    rate = (belief / belief.max())[:, None]
+    image[world.cells[:, 1], world.cells[:, 0]] = LEAST + rate * (MOST - LEAST)
     flipped = Image.fromarray(image[::-1].astype(np.uint8))
     large = np.array(flipped.resize((pixels, pixels), Image.Resampling.NEAREST))
     down, right = np.mgrid[:pixels, :pixels] + 0.5

@@ -63,7 +63,7 @@ def estimate_mean(
     values: np.ndarray,
     weights: np.ndarray | None = None,
     *,
-    share: bool | None = None,
+    rate: bool | None = None,
     pool: Sequence[np.ndarray] = (),
 ) -> Estimate:
     """Return the mean of `values` [agents, levels] with its 95 % interval.
@@ -71,14 +71,14 @@ def estimate_mean(
     Args:
         weights: [agents, levels], not negative. Each value is then a sum over that weight, and the
             mean is the sum of values over the sum of weights, or NaN if all weights are 0.
-        share: Whether the mean is a rate of counts, from 0 to 1; None to decide by bool dtype.
+        rate: Whether the mean is a rate of counts, from 0 to 1; None to decide by bool dtype.
         pool: [agents, levels] for every kind of agents in a study, including these. Their spread
             between agents is estimated jointly, because a few of each kind say little about it.
 
     Raises:
         ValueError: If values or weights have another shape, or a weight is negative.
     """
-    share = _is_share(values) if share is None else share
+    rate = _is_rate(values) if rate is None else rate
     values, weights = _checked(values, weights)
     agents, levels = values.shape
     total = float(weights.sum())
@@ -88,18 +88,18 @@ def estimate_mean(
     rest = (values - mean * weights) * (values.size / total)  # deviations in units of the mean
     among = _among_levels(rest)
     if agents == 1:
-        if share:
+        if rate:
             among = float(rest.var()) / levels  # in units of p (1 - p), as Wilson's
         between, freedom = 0.0, math.inf
-        of_levels = quantile(math.inf if share or levels == 1 else levels - 1)
+        of_levels = quantile(math.inf if rate or levels == 1 else levels - 1)
     else:
-        between, freedom = _between_agents(rest, pool, mean if share else None)
+        between, freedom = _between_agents(rest, pool, mean if rate else None)
         of_levels = quantile(math.inf)
     widest = quantile(freedom) if agents > 1 else of_levels
-    if share and levels == 1:  # one trial per agent: the mean determines the variance
+    if rate and levels == 1:  # one trial per agent: the mean determines the variance
         widest = of_levels
     square = max(widest**2 * between + of_levels**2 * among, float(rest.var()) / rest.size)
-    low, high = _ends(mean, square, share, widest**2 / int(np.count_nonzero(weights)))
+    low, high = _ends(mean, square, rate, widest**2 / int(np.count_nonzero(weights)))
     known = _satterthwaite([(between, freedom), (among, levels - 1)])
     return Estimate(mean, low, high, agents, levels, values.size, known)
 
@@ -120,17 +120,17 @@ def estimate_difference(
     Raises:
         ValueError: If the levels should be the same but differ in number.
     """
-    share = _is_share(one) and _is_share(other)
+    rate = _is_rate(one) and _is_rate(other)
     one, other = kinds = [_checked(kind, None)[0] for kind in (one, other)]
     levels = [values.shape[1] for values in kinds]
     if same_levels and levels[0] != levels[1]:
         raise ValueError(f"levels must be the same; got {levels[0]} and {levels[1]}")
     if same_levels and len(one) == len(other) == 1:
-        return estimate_paired(one > 0, other > 0) if share else estimate_paired(one, other)
+        return estimate_paired(one > 0, other > 0) if rate else estimate_paired(one, other)
     means = [float(values.mean()) for values in kinds]
     rests = [values - mean for values, mean in zip(kinds, means, strict=True)]
     spreads = [
-        _between_agents(rest, pool, mean if share else None) if len(rest) > 1 else (0.0, math.inf)
+        _between_agents(rest, pool, mean if rate else None) if len(rest) > 1 else (0.0, math.inf)
         for rest, mean in zip(rests, means, strict=True)
     ]
     freedom = spreads[0][1] if pool else _satterthwaite(spreads)
@@ -147,13 +147,13 @@ def estimate_difference(
         for (between, _), levels, rest in zip(spreads, among, rests, strict=True)
     ]
     (low, high), (its_low, its_high) = (
-        _ends(mean, square, share, wide**2 / rest.size)
+        _ends(mean, square, rate, wide**2 / rest.size)
         for mean, square, rest in zip(means, squares, rests, strict=True)
     )
     mean = means[0] - means[1]
     below = math.hypot(means[0] - low, its_high - means[1], normal * math.sqrt(common))
     above = math.hypot(high - means[0], means[1] - its_low, normal * math.sqrt(common))
-    if share:
+    if rate:
         below, above = min(below, 1 + mean), min(above, 1 - mean)
     between = (sum(variance for variance, _ in spreads), freedom)
     known = _satterthwaite([between, (common + sum(among), min(levels) - 1)])
@@ -169,10 +169,10 @@ def estimate_paired(one: np.ndarray, other: np.ndarray) -> Estimate:
     Raises:
         ValueError: If their shapes differ.
     """
-    shares = _is_share(one) and _is_share(other)
+    rates = _is_rate(one) and _is_rate(other)
     (one, _), (other, _) = _checked(one, None), _checked(other, None)
     found = estimate_mean(one - other)
-    if shares:
+    if rates:
         found = replace(found, low=max(-1.0, found.low), high=min(1.0, found.high))
     return found
 
@@ -191,7 +191,7 @@ def less(one: Estimate, other: Estimate) -> Estimate:
 
 
 def detectable(
-    agents: int, levels: int, spread: float, *, kinds: int = 1, share: float = 0.5
+    agents: int, levels: int, spread: float, *, kinds: int = 1, rate: float = 0.5
 ) -> float:
     """Return the distance from its bound at which a rate is detected with 80 % power.
 
@@ -200,11 +200,11 @@ def detectable(
         levels: Number of test levels of each.
         spread: Standard deviation of their true rates.
         kinds: 1, or 2 for the difference of two kinds with pooled spread.
-        share: Rate near which they are.
+        rate: Rate near which they are.
     """
     from scipy.special import nctdtrinc  # takes a second to import
 
-    variance = spread**2 + share * (1 - share) / levels
+    variance = spread**2 + rate * (1 - rate) / levels
     error = math.sqrt(variance * min(2, kinds) / agents)
     freedom = kinds * (agents - 1) if agents > 1 else levels - 1
     return float(nctdtrinc(freedom, 1 - POWER, quantile(freedom))) * error
@@ -224,7 +224,7 @@ def _checked(values: np.ndarray, weights: np.ndarray | None) -> tuple[np.ndarray
     return values, weights
 
 
-def _is_share(values: np.ndarray) -> bool:
+def _is_rate(values: np.ndarray) -> bool:
     return np.asarray(values).dtype == bool
 
 
@@ -246,7 +246,7 @@ def _among_levels(rest: np.ndarray) -> float:
 
 
 def _between_agents(
-    rest: np.ndarray, pool: Sequence[np.ndarray], share: float | None
+    rest: np.ndarray, pool: Sequence[np.ndarray], rate: float | None
 ) -> tuple[float, float]:
     """Return the variance of the mean over agents, and its degrees of freedom.
 
@@ -254,14 +254,14 @@ def _between_agents(
     multiple of p (1 - p), since agents cannot differ much where nearly all succeed.
 
     Args:
-        share: The estimated rate; None if the mean is not a rate.
+        rate: The estimated rate; None if the mean is not a rate.
     """
 
-    def unit(share: float | None, count: int) -> float:
-        if share is None:
+    def unit(rate: float | None, count: int) -> float:
+        if rate is None:
             return 1.0
-        share = (share * count + 1) / (count + 2)
-        return share * (1 - share)
+        rate = (rate * count + 1) / (count + 2)
+        return rate * (1 - rate)
 
     agents = len(rest)
     variance, freedom = float(rest.mean(1).var(ddof=1)), agents - 1
@@ -271,21 +271,21 @@ def _between_agents(
         common = sum(
             (len(kind) - 1)
             * float(kind.mean(1).var(ddof=1))
-            / unit(None if share is None else float(kind.mean()), kind.size)
+            / unit(None if rate is None else float(kind.mean()), kind.size)
             for kind in several
         )
-        variance = max(variance, common / freedom * unit(share, rest.size))
+        variance = max(variance, common / freedom * unit(rate, rest.size))
     return variance / agents, freedom
 
 
-def _ends(mean: float, square: float, share: bool, least: float) -> tuple[float, float]:
+def _ends(mean: float, square: float, rate: bool, least: float) -> tuple[float, float]:
     """Return the ends of an interval whose symmetrical half-width would be sqrt(`square`).
 
     Args:
         least: Squared quantile over the number of values, for a mean of equal values: a different
             value may still occur.
     """
-    if not share:
+    if not rate:
         half = math.sqrt(square) or least / (1 + least) * max(1.0, abs(mean))
         return mean - half, mean + half
     variance = mean * (1 - mean)
@@ -347,7 +347,7 @@ def group_means(
         weights, values = totals.copy(), group[value].cast(pl.Float64).to_numpy()
         np.add.at(totals, cell, values)
         np.add.at(weights, cell, group[per].to_numpy() if per else 1.0)
-        share = not per and group[value].dtype == pl.Boolean
-        estimate = estimate_mean(totals, weights, share=share)
+        rate = not per and group[value].dtype == pl.Boolean
+        estimate = estimate_mean(totals, weights, rate=rate)
         found.append(dict(zip(by, key, strict=True)) | vars(estimate) | {"rows": len(group)})
     return pl.DataFrame(found).sort(by).with_columns(pl.col("mean", "low", "high").fill_nan(None))

@@ -150,7 +150,7 @@ def mark_distinguishing(episodes: pl.DataFrame, shift: Shift) -> pl.DataFrame:
     return joined.with_columns(pl.col("distinguishing").fill_null(False))
 
 
-def shares(
+def rates(
     episodes: pl.DataFrame,
     by: Sequence[str] = ("policy", "variant"),
     outcomes: Sequence[str] | None = None,
@@ -173,7 +173,7 @@ def shares(
     if missing := [name for name in (*by, "level", "outcome") if name not in episodes.columns]:
         raise ValueError(f"episodes must have the columns {', '.join(missing)}")
     if taken := {"outcome", *(field.name for field in fields(Estimate))} & {*by}:
-        raise ValueError(f"by must not be {', '.join(sorted(taken))}, which shares have themselves")
+        raise ValueError(f"by must not be {', '.join(sorted(taken))}, which rates have themselves")
     if outcomes is None:
         others = sorted({*episodes["outcome"].drop_nulls()} - {*OUTCOMES})
         outcomes = (INTENDED, MISGENERALIZED, *others, FAILED)

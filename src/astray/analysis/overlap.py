@@ -41,8 +41,10 @@ def overlap(
         ("level", "walls"), zip(*seen, strict=True), zip(*tested, strict=True), strict=True
     ):
         known = set(before)
-        share = float(np.mean([digest in known for digest in after]))
-        rows.append({"same": same, "training": len(known), "test": len(set(after)), "seen": share})
+        fraction = float(np.mean([digest in known for digest in after]))
+        rows.append(
+            {"same": same, "training": len(known), "test": len(set(after)), "seen": fraction}
+        )
     return pl.DataFrame(rows)
 
 

@@ -33,7 +33,7 @@ class Result:
         ('maze-corner',)
     """
 
-    rates: pl.DataFrame  # `outcomes.shares`, with a column "levels_played": all, or distinguishing
+    rates: pl.DataFrame  # `outcomes.rates`, with a column "levels_played": all, or distinguishing
     episodes: pl.DataFrame  # as `play_all` returns them
     agents: tuple[str, ...]  # policies that are no scripts, by their name in both tables
     shift: Shift
@@ -73,7 +73,7 @@ class Result:
             >>> figure.savefig("outcomes.png")
 
         Raises:
-            ModuleNotFoundError: If matplotlib is missing.
+            ImportError: If matplotlib is not installed.
         """
         try:
             from astray.figures import charts  # here, as matplotlib takes a second to import

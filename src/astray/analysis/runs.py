@@ -20,7 +20,7 @@ from astray.analysis.outcomes import (
     mark_distinguishing,
     name_of,
     outcomes_of,
-    shares,
+    rates,
 )
 from astray.analysis.policies import Random, Walk
 from astray.analysis.results import ALL, APART, Result
@@ -263,7 +263,7 @@ def rated(
 ) -> Result:
     """Return episodes of `play_all` with the rates of their outcomes, and the agents' names."""
     both = [
-        shares(part, outcomes=outcomes_of(game)).with_columns(levels_played=pl.lit(which))
+        rates(part, outcomes=outcomes_of(game)).with_columns(levels_played=pl.lit(which))
         for which, part in ((ALL, episodes), (APART, episodes.filter("distinguishing")))
         if len(part)
     ]

@@ -154,7 +154,7 @@ def evaluate(
     if json:
         print_json(result.rates.to_dicts())
     else:
-        show_shares(result.rates)
+        show_rates(result.rates)
         show_amounts(result.episodes, rules)
         print(result.verdict)
 
@@ -246,8 +246,8 @@ def agency(
         print_json(assessed.summary())
         return
     table = Table("explanation", "of episodes")
-    for name, share in zip(assessed.explanations, assessed.shares, strict=True):
-        table.add_row(name, share.short())
+    for name, rate in zip(assessed.explanations, assessed.rates, strict=True):
+        table.add_row(name, rate.short())
     show(table)
     print(assessed.sentence())
 
@@ -282,18 +282,18 @@ def show_amounts(episodes: pl.DataFrame, game: Game | World) -> None:
     show(shown, width=120)
 
 
-def show_shares(shares: pl.DataFrame) -> None:
-    """Print `outcomes.shares` as a table: a row a policy, a column an outcome, 95 % intervals."""
-    outcomes = shares["outcome"].unique(maintain_order=True).to_list()
+def show_rates(rates: pl.DataFrame) -> None:
+    """Print `outcomes.rates` as a table: a row a policy, a column an outcome, 95 % intervals."""
+    outcomes = rates["outcome"].unique(maintain_order=True).to_list()
     shown = Table(
         "policy",
         "agents",
         "levels",
         *outcomes,
-        title=shares["variant"][0],
+        title=rates["variant"][0],
         caption="95 % intervals over agents and levels; of one agent over levels, of it alone",
     )
-    for rows in shares.partition_by("policy", "levels_played", maintain_order=True):
+    for rows in rates.partition_by("policy", "levels_played", maintain_order=True):
         first = rows.row(0, named=True)
         levels = f"{first['levels']} {first['levels_played']}"
         told = [Estimate.of(row).short() for row in rows.to_dicts()]

@@ -15,7 +15,7 @@ from astray.training import folders
 from astray.training.settings import otherwise
 from astray.validation import printable, shown
 
-TOLD = "as the file or the catalogue tells"
+TOLD = "stated by the file or the catalogue"
 
 
 def import_(
@@ -168,8 +168,8 @@ def _check(name: str, levels: str | None, json: bool) -> None:
         if row["published_value"] is not None:
             value += f" (published: {row['published_value']:.2f})"
         where = f"{row['variant']} {row['what']}".strip()
-        shares = row["published"], row["alike"], row["here"]
-        table.add_row(where, *shares, f"{row['length']:.1f}", value)
+        rates = row["published"], row["alike"], row["here"]
+        table.add_row(where, *rates, f"{row['length']:.1f}", value)
     Console(width=120).print(table)
     for row in rows:
         if row["verdict"]:

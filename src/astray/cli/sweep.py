@@ -52,7 +52,7 @@ def sweep(
             does not draw from.
         folder: Folder of runs and outcomes.
         on: Place of the trainings: this machine, or a Ray cluster whose nodes all see the folder.
-        track: Tracker that is told how trainings go.
+        track: Tracker of the trainings' metrics.
     """
     from astray.experiments.sweep.run import run_sweep
     from astray.experiments.sweep.settings import Sweep

@@ -151,7 +151,7 @@ class _Worker:
 
     def give(self, function: Callable, arguments: tuple[Any, ...]) -> None:
         """Make the thread call `function`; the last of `arguments` is the generation."""
-        self.error = None  # of a round that was interrupted, and told nobody
+        self.error = None  # of a round that was interrupted, and reported none
         self.job, self.given = (function, arguments), arguments[-1]
         if self.asleep:
             self.wakes.put(None)

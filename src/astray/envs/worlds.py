@@ -106,7 +106,7 @@ class WorldVectorEnv:
         return self.states.view(np.ndarray).copy()
 
     def close(self) -> None:
-        """End all environments and tell the world which keys of info occurred."""
+        """End all environments, and note in the world which keys of info occurred."""
         with self._watched():
             for keys in self._envs.get_attr("reported"):
                 self.game.reported.update(keys)

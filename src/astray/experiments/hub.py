@@ -287,7 +287,7 @@ def _check_size(api: HfApi, repository: str, commit: str | None, path: str, most
     except (OfflineModeIsEnabled, *unreachable()):
         return  # then the cache has it, or nobody
     if size is None or size > most:
-        told = "its size is not told" if size is None else f"it has {size:,}"
+        told = "its size is not stated" if size is None else f"it has {size:,}"
         raise ValueError(f"{repository}: {path} must be of at most {most:,} bytes; {told}")
 
 

@@ -18,7 +18,7 @@ from astray.analysis.outcomes import (
     load_shift,
     matrix,
     outcomes_of,
-    shares,
+    rates,
 )
 from astray.analysis.policies import Walk
 from astray.experiments.spec import SPREADS, Plan, Test, Work, open_agents
@@ -37,7 +37,7 @@ AGENTS = "sampled"
 LEARNED = 0.8  # rate of the intended goal in training above which an agent has learned
 
 
-def share(
+def rate(
     episodes: pl.DataFrame,
     test: str,
     outcome: str,
@@ -81,10 +81,10 @@ def findings(work: Work) -> Findings:
     (train, trained), (test, tested) = work.plan.tests.items()
     shift = load_shift(work.plan.game, tested.shift)
     tables = [table for table in outcome_tables(work) if not table.frame.is_empty()]
-    reached, proxies = share(work.episodes, train, INTENDED), " or ".join(shift.proxies)
+    reached, proxies = rate(work.episodes, train, INTENDED), " or ".join(shift.proxies)
     apart = work.episodes.filter("distinguishing", test=test)
     tried = work.episodes if apart.is_empty() else apart
-    first = {name: share(tried, test, name) for name in (INTENDED, MISGENERALIZED)}
+    first = {name: rate(tried, test, name) for name in (INTENDED, MISGENERALIZED)}
     unseen = unrendered(work.plan, trained, tested)
     return Findings(
         answer=f"In levels like those of its training the agent reaches {shift.intended} first in "
@@ -99,7 +99,7 @@ def findings(work: Work) -> Findings:
                 f"In the test it reaches {proxies} first more often than {shift.intended}.",
                 "no figure",
                 f"{MISGENERALIZED} minus {INTENDED}",
-                share(tried, test, MISGENERALIZED, minus=INTENDED),
+                rate(tried, test, MISGENERALIZED, minus=INTENDED),
             ),
         ],
         videos=[] if unseen else videos(work, trained=trained, tested=tested),
@@ -125,8 +125,8 @@ def outcome_tables(work: Work) -> tuple[Table, Table]:
     by = ("agent", "policy", "test")
     apart, names = work.episodes.filter("distinguishing"), outcomes_of(work.plan.game)
     return (
-        Table("outcomes", "All levels", shares(work.episodes, by, names)),
-        Table("distinguishing", "Distinguishing levels", shares(apart, by, names)),
+        Table("outcomes", "All levels", rates(work.episodes, by, names)),
+        Table("distinguishing", "Distinguishing levels", rates(apart, by, names)),
     )
 
 
@@ -145,7 +145,7 @@ def outcome_plots(work: Work, tables: Sequence[Table]) -> list[Plot]:
 
 
 def _who_and_where(plan: Plan, table: pl.DataFrame) -> pl.DataFrame:
-    """Return `shares` in the form of `figures.outcome_bars`, agents first."""
+    """Return `rates` in the form of `figures.outcome_bars`, agents first."""
     shift = load_shift(plan.game, next(iter(plan.tests.values())).shift)
     scripts = {Walk(goal).name: f"walks to the {goal}, blind to all else" for goal in shift.proxies}
     scripts |= {Walk(shift.intended).name: f"walks to the {shift.intended}", "random": "random"}
@@ -232,7 +232,7 @@ def settings(plan: Plan) -> dict[str, str]:
     return told | {
         "seeds": str(plan.seeds),
         "levels evaluated": str(plan.levels),
-        "found with a power of 80\u00a0%": f"shares {near} from their bound, or {far} where agents "
+        "found with a power of 80\u00a0%": f"rates {near} from their bound, or {far} where agents "
         f"differ most, by a standard deviation of {100 * max(SPREADS):g}\u00a0%",
     }
 

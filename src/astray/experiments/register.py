@@ -80,7 +80,7 @@ def _about(study: dict[str, Any]) -> str:
     when = {
         "yes": "Bounds were set before any run.",
         "no": "Bounds were set after a first agent had been looked at.",
-        "not told": "Whether bounds were set before any run was not written down.",
+        "not recorded": "Whether bounds were set before any run was not written down.",
     }[study["before"]]
     if study.get("changes"):
         return f"*Exploratory.* {when} The design was changed after a first look:"
@@ -100,10 +100,10 @@ def _plans(sizes: Mapping[Size, Plan]) -> Iterator[str]:
         yield f"| `{size}` | {seeds} | {' | '.join(map(_points, plan.power()))} |"
 
 
-def _points(share: float) -> str:
-    if math.isnan(share):
+def _points(rate: float) -> str:
+    if math.isnan(rate):
         return ""
-    return "none" if share >= 0.5 else f"{100 * share:.0f} points"
+    return "none" if rate >= 0.5 else f"{100 * rate:.0f} points"
 
 
 if __name__ == "__main__":

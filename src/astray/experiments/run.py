@@ -95,7 +95,7 @@ def reproduce(
         command=whole.command
         or f"astray reproduce {given} --size {size}" + (f" --art {art}" if ending else ""),
     )
-    # What others' agents do is told beside what those do that are trained here.
+    # Results of agents of others stand beside those of agents trained here.
     beside = report.of_claims(root / f"{name}-smoke") if size == PUBLISHED else {}
     with hold(folder, "works on"), threads_for(size):
         runs = train_agents(plan, root, workers, on, track)

@@ -170,10 +170,10 @@ class Plan:
         alone = self.seeds == 1 or bool(self.published)
         kinds = len(self.agents) + len(self.own)
         agents, spreads = (1, (0.0, 0.0)) if alone else (self.seeds, SPREADS)
-        shares = [detectable(agents, self.levels, spread) for spread in spreads]
+        rates = [detectable(agents, self.levels, spread) for spread in spreads]
         if kinds < 2:
-            return shares + [math.nan] * len(spreads)
-        return shares + [detectable(agents, self.levels, s, kinds=kinds) for s in spreads]
+            return rates + [math.nan] * len(spreads)
+        return rates + [detectable(agents, self.levels, s, kinds=kinds) for s in spreads]
 
     @property
     def config(self) -> Config:

@@ -107,7 +107,7 @@ def _submit(
     """Submit a training to `pool`, which may start processes for it."""
     if os.name == "nt":
         return pool.submit(_train, config, run, track)
-    # They inherit that an interrupt waits, which else would be told by each while it begins.
+    # They inherit that an interrupt waits, which each would otherwise report while it begins.
     before = signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT])
     try:
         return pool.submit(_train, config, run, track)

@@ -90,15 +90,15 @@ def bars(
     return figure
 
 
-def outcome_bars(shares: pl.DataFrame) -> Figure:
+def outcome_bars(rates: pl.DataFrame) -> Figure:
     """Draw the outcomes of episodes: a panel for each `where`, with a bar for each `who`.
 
     Args:
-        shares: Columns who, where, outcome (as in `outcomes.shares`), mean, low, high.
+        rates: Columns who, where, outcome (as in `outcomes.rates`), mean, low, high.
     """
-    colours = outcome_colours(names_of(shares, "outcome"))
+    colours = outcome_colours(names_of(rates, "outcome"))
     return bars(
-        shares, colours, row="who", part="outcome", panel="where", label="fraction of episodes",
+        rates, colours, row="who", part="outcome", panel="where", label="fraction of episodes",
         interval=MISGENERALIZED,
     )  # fmt: skip
 
@@ -305,14 +305,14 @@ def _stack(
 ) -> None:
     """Draw one bar for each row, the first on top."""
     for y, table in enumerate(rows.values()):
-        shares, left = dict(table.select(part, "mean").iter_rows()), 0.0
+        rates, left = dict(table.select(part, "mean").iter_rows()), 0.0
         for (name, colour), hatch in zip(colours.items(), cycle(HATCHES), strict=False):
-            share = shares.get(name) or 0.0
-            axes.barh(y, share, 0.66, left, color=colour, edgecolor="white", linewidth=0.8,
+            rate = rates.get(name) or 0.0
+            axes.barh(y, rate, 0.66, left, color=colour, edgecolor="white", linewidth=0.8,
                       hatch=hatch, label=f"_{name}" if y else name)  # fmt: skip
-            if share >= NARROWEST:
-                axes.text(left + share / 2, y, f"{100 * share:.0f} %", ha="center",
+            if rate >= NARROWEST:
+                axes.text(left + rate / 2, y, f"{100 * rate:.0f} %", ha="center",
                           va="center_baseline", color=ON_COLOUR)  # fmt: skip
-            left += share
+            left += rate
     name_rows(axes, list(rows))
     axes.set_xlim(0, 1)

@@ -49,10 +49,10 @@ def cells(
     grid = figure.subplots(1, len(panels), sharey=True, squeeze=False)[0]
     for axes, (name, table) in zip(grid, panels.items(), strict=True):
         (colour,) = (c for begins, c in colours.items() if name.startswith(begins))
-        shares = np.full((len(ys), len(xs)), np.nan)
+        rates = np.full((len(ys), len(xs)), np.nan)
         for one in table.drop_nulls("mean").to_dicts():
             i, k = ys.index(one[y]), xs.index(one[x])
-            shares[i, k] = one["mean"]
+            rates[i, k] = one["mean"]
             interval = one.get("low") is not None
             axes.text(
                 k,
@@ -66,7 +66,7 @@ def cells(
                 text = f"{100 * one['low']:.0f} to {100 * one['high']:.0f}"
                 axes.text(k, i + 0.08, text, ha="center", va="top", fontsize=7.5, color=ON_COLOUR)
         shades = LinearSegmentedColormap.from_list(name, ["#ffffff", colour])
-        axes.imshow(shares, cmap=shades, vmin=0, vmax=1, aspect="auto")
+        axes.imshow(rates, cmap=shades, vmin=0, vmax=1, aspect="auto")
         axes.set_title(name, fontsize=9.5)
         axes.set_xticks(range(len(xs)), [f"{one}" for one in xs])
         axes.set_yticks(range(len(ys)), [f"{one}" for one in ys])

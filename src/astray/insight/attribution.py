@@ -2,7 +2,7 @@
 
     maps = gradients(agent, observe(agent, variant, states))
     where = masks(agent, variant, states, edits.PARTS)
-    group_means(shares(rows, maps, where), "attribution", ["part"], per="area")
+    group_means(fractions(rows, maps, where), "attribution", ["part"], per="area")
 
 A map is [N, H, W] for images, the mean over colours as in the paper, and [N, C, H, W] for symbolic
 planes; for a `Network` it has the shape of its inputs. The methods are Captum's, of the extra
@@ -143,7 +143,9 @@ def masks(
     return where | {REST: left}
 
 
-def shares(rows: pl.DataFrame, maps: np.ndarray, where: Mapping[str, np.ndarray]) -> pl.DataFrame:
+def fractions(
+    rows: pl.DataFrame, maps: np.ndarray, where: Mapping[str, np.ndarray]
+) -> pl.DataFrame:
     """Return `rows` [N] once for each part, with the fraction of each map on it.
 
     New columns: part; attribution, the part's fraction of the sum of absolute values (null if all
@@ -160,8 +162,8 @@ def shares(rows: pl.DataFrame, maps: np.ndarray, where: Mapping[str, np.ndarray]
             )
         flat = mask.reshape(len(maps), size)
         unknown = np.full(len(maps), np.nan)
-        share = np.divide((absolute * flat).sum(1), total, where=total > 0, out=unknown)
-        told = {"part": [part] * len(maps), "attribution": share, "area": flat.mean(1)}
+        fraction = np.divide((absolute * flat).sum(1), total, where=total > 0, out=unknown)
+        told = {"part": [part] * len(maps), "attribution": fraction, "area": flat.mean(1)}
         found.append(rows.hstack(pl.DataFrame(told)))
     return pl.concat(found).with_columns(pl.col("attribution").fill_nan(None))
 

@@ -184,8 +184,8 @@ def _inflation(x: np.ndarray, k: int) -> float:
     """Return the variance inflation of one feature, also if others are collinear."""
     others = np.column_stack([np.delete(x, k, 1), np.ones(len(x))])
     left = x[:, k] - others @ np.linalg.lstsq(others, x[:, k], rcond=None)[0]
-    share = left.var() / x[:, k].var()
-    return float(1 / share) if share > 1e-10 else np.inf
+    fraction = left.var() / x[:, k].var()
+    return float(1 / fraction) if fraction > 1e-10 else np.inf
 
 
 def _resample(y: np.ndarray, random: np.random.Generator) -> np.ndarray:

@@ -66,7 +66,7 @@ class Asked:
 
     @property
     def between(self) -> Shift:
-        """Goals that are told apart."""
+        """Shift between the goals that are compared."""
         return load_shift(self.level.game, self.shift)
 
     def named(self, thing: str) -> str:
@@ -261,7 +261,7 @@ def _attribution(asked: Asked) -> list[Section]:
     figure = images([[
         Picture("what it is in", image),
         Picture("integrated gradients", heat=flat, limits=(-most, most), colours="RdBu",
-                label="share in the value", opacity=1),
+                label="part of the value", opacity=1),
     ]], (3.5, 3.6))  # fmt: skip
     _, (value,) = policy_and_value(agent, shown)
     return [

@@ -1,7 +1,7 @@
 """Context managers that modify a network's activations.
 
     with steer(agent, {"block2.residual1": vector}, -1.0):
-        shares, episodes = astray.evaluate_policies([agent], "maze", "corner-easy")
+        rates, episodes = astray.evaluate_policies([agent], "maze", "corner-easy")
 
 They can be nested; inner ones see the outer ones' results. Afterwards, also after an error, the
 agent is unchanged to the bit. They affect everything that asks the agent: episodes, fields,
@@ -26,7 +26,7 @@ from astray.insight.activations import check_layers
 from astray.level import Cell
 from astray.validation import MOST, bounded, finite, of_kind, shown
 
-Change = Callable[[Tensor], Tensor]  # what a layer gave [B, ...] -> what it gives instead
+Change = Callable[[Tensor], Tensor]  # activations [B, ...] -> those in their place
 
 
 @contextlib.contextmanager
@@ -102,7 +102,7 @@ def patch(
     which = _channels(channels, shape[0])
     if cell is not None:
         if len(shape) != 3:
-            raise ValueError(f"{layer} has no places; what it gives is of shape {shape}")
+            raise ValueError(f"{layer} has no places; its activations have the shape {shape}")
         _check_cell(cell, ("row", "column"), shape[1:])
     values = torch.from_numpy(_fitting("value", value, (len(which),))).float()
 
@@ -198,7 +198,7 @@ def place(agent: Model, variant: Variant, cell: Cell, shape: Sequence[int]) -> t
     if not sees_world(variant):
         raise ValueError("a cell has a fixed place in a layer only where all the world is seen")
     if len(shape) != 3:
-        raise ValueError(f"the layer has no places; what it gives is of shape {tuple(shape)}")
+        raise ValueError(f"the layer has no places; its activations have the shape {tuple(shape)}")
     p: Any = variant
     world, (_, rows, columns) = int(p.world), shape
     _check_cell(cell, "xy", (world, world))

@@ -33,7 +33,7 @@ from astray.validation import MOST, bounded, of_kind
 
 SEEN = "observation"  # in the place of a layer: what the agent is shown
 TEST = 0.3  # fraction of levels that a probe is scored on
-DIRECTIONS = 128  # of what a layer gives, those in which it varies most; more would be fitted to
+DIRECTIONS = 128  # of activations, those in which they vary most; more would be fitted to
 # noise, and take long
 STRENGTHS = np.logspace(-1, 5, 13)  # of ridge regression's penalty, of which it takes the best
 LEAST = 20  # states of a class, and states with a number, below which there is nothing to fit
@@ -178,8 +178,8 @@ def _told(
     if "untrained" in found:
         parts["gain"] = found["score"] - found["untrained"], False
     for name in (*SCORES, "selectivity", "gain"):
-        values, share = parts.get(name, (None, False))
-        one = Estimate.nothing() if values is None else estimate_mean(values, share=share)
+        values, rate = parts.get(name, (None, False))
+        one = Estimate.nothing() if values is None else estimate_mean(values, rate=rate)
         ends = (one.mean, one.low, one.high)
         row |= {
             f"{name}{end}": None if np.isnan(value) else value

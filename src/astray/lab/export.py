@@ -34,7 +34,7 @@ from astray.validation import MOST, bounded, of_kind
 
 TABLE = 2**20  # bytes of an agent's table, at most
 COMPUTED = "mlp"  # the network that the page computes
-SHARE = 255  # a byte that is a probability of 1
+CERTAIN = 255  # a byte that is a probability of 1
 NOTE = (
     "This page has no Python behind it. Levels, rules, arrows, episodes, splays and the posterior "
     "over goals are computed in the browser, by the same rules and the same network. The odds that "
@@ -269,9 +269,9 @@ def table(
     low, high = float(value.min()), float(value.max())
     spread = (high - low) or 1.0
     data = np.empty((rows, len(game.actions) + 1), np.uint8)
-    data[:, :-1] = np.round(SHARE * policy)
-    data[:, -1] = np.round(SHARE * (value - low) / spread)
-    index = {"actions": len(game.actions), "one": SHARE, "low": low, "high": high}
+    data[:, :-1] = np.round(CERTAIN * policy)
+    data[:, -1] = np.round(CERTAIN * (value - low) / spread)
+    index = {"actions": len(game.actions), "one": CERTAIN, "low": low, "high": high}
     index["levels"] = levels
     return index, data.tobytes()
 

@@ -82,19 +82,19 @@ def first_distinguishing(game: Game, variant: Variant, shift: Shift, first: int 
 
 def _told(growth: Growth, counted: np.ndarray, named: dict[str, Any]) -> dict[str, Any]:
     cells = [cell for cell in growth.goals if not isinstance(cell, str)]
-    shares = growth.posterior[counted]
+    rates = growth.posterior[counted]
     grown: dict[str, Any] = {}
     rest = np.ones(len(counted))
     for goal, place in named.items():
         if place is not None and tuple(place) in cells:
-            grown[goal] = shares[:, cells.index(tuple(place))]
+            grown[goal] = rates[:, cells.index(tuple(place))]
             rest = rest - grown[goal]
     grown[OTHER] = np.maximum(rest, 0)
     return {
-        "goals": {goal: rounded(share) for goal, share in grown.items()},
+        "goals": {goal: rounded(rate) for goal, rate in grown.items()},
         "agent": rounded(growth.agent[counted]),
         "cells": cells,
-        "shares": np.round(shares, 5).tolist(),
+        "shares": np.round(rates, 5).tolist(),
     }
 
 

@@ -86,7 +86,7 @@ def train_heads(
         heads = Heads(int(np.prod(labelled.seen.shape[1:])), 2)
     optimizer = torch.optim.Adam(heads.parameters(), lr=RATE)
     seen, truth = torch.from_numpy(labelled.seen), torch.from_numpy(labelled.labels[label]).float()
-    others, share = torch.from_numpy(unlabelled), float(labelled.labels[label].mean())
+    others, rate = torch.from_numpy(unlabelled), float(labelled.labels[label].mean())
     for _ in range(steps):
         known = torch.from_numpy(random.integers(len(seen), size=BATCH))
         new = torch.from_numpy(random.integers(len(others), size=BATCH))
@@ -94,8 +94,8 @@ def train_heads(
         wanted = truth[known, None].expand_as(answers)
         loss = nn.functional.binary_cross_entropy(answers, wanted)
         # A head that always says no tells nothing of the other: each is to say yes as often.
-        rare = (elsewhere.mean(0) - share).square().sum() / share**2
-        loss = loss + diversity * (mutual_information(elsewhere) / share + 0.1 * rare)
+        rare = (elsewhere.mean(0) - rate).square().sum() / rate**2
+        loss = loss + diversity * (mutual_information(elsewhere) / rate + 0.1 * rare)
         optimizer.zero_grad()
         loss.backward()
         optimizer.step()
@@ -133,9 +133,9 @@ def chosen_rightly(
     differ = np.flatnonzero(answers[:, 0] != answers[:, 1])
     if not len(differ):
         return [0.5] * len(counts)
-    shares = []
+    rates = []
     for count in counts:
         drawn = right[random.choice(differ, (draws, count))].sum(1)  # [draws, K]
         lead = drawn[:, better] - drawn[:, 1 - better]
-        shares.append(float(np.mean((lead > 0) + 0.5 * (lead == 0))))
-    return shares
+        rates.append(float(np.mean((lead > 0) + 0.5 * (lead == 0))))
+    return rates

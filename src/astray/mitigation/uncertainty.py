@@ -268,14 +268,14 @@ class GoalPosterior:
         assessed = agency.assess(played)
         if self.kind == "entropy":
             logs = assessed.episodes.select([f"log {name}" for name in assessed.explanations])
-            return float(entropy_of(likeliest_shares(logs.to_numpy())))
+            return float(entropy_of(likeliest_rates(logs.to_numpy())))
         return 1 - float(assessed.episodes[f"p {self.shift.intended}"].to_numpy().mean())
 
 
-def likeliest_shares(log_evidence: np.ndarray) -> np.ndarray:
+def likeliest_rates(log_evidence: np.ndarray) -> np.ndarray:
     """Return the maximum-likelihood fractions [H] of explanations over episodes.
 
-    They are found by expectation maximisation; `agency.population.shares` has intervals but is
+    They are found by expectation maximisation; `agency.population.rates` has intervals but is
     slower.
 
     Args:

@@ -32,7 +32,7 @@ class Check:
             which favours short ones; 0 if every level counted once.
         value: Mean of the critic at the beginning of levels; None if unknown.
         by: Field of states that groups the rates below.
-        shares: Success rates by the value of that field.
+        rates: Success rates by the value of that field.
     """
 
     variant: str
@@ -41,7 +41,7 @@ class Check:
     environments: int = 0
     value: float | None = None
     by: str | None = None
-    shares: tuple[tuple[int, float], ...] = ()
+    rates: tuple[tuple[int, float], ...] = ()
 
 
 @dataclass(frozen=True)
@@ -86,7 +86,7 @@ def catalogue() -> dict[str, Published]:
 def read_entry(name: str, data: dict[str, Any]) -> Published:
     """Parse an entry of the catalogue."""
     checks = [
-        Check(**check | {"shares": tuple((int(k), v) for k, v in check.get("shares", {}).items())})
+        Check(**check | {"rates": tuple((int(k), v) for k, v in check.get("rates", {}).items())})
         for check in data.get("checks", [])
     ]
     own = ("file", "address", "by_hand", "size", "sha256", "blob", "tried", "kind")

@@ -20,7 +20,7 @@ from astray.published.catalogue import Check
 
 
 @dataclass(frozen=True)
-class Share:
+class Rate:
     """Number of successes out of a total, with Wilson's 95 % interval."""
 
     succeeded: int
@@ -36,7 +36,7 @@ class Share:
         mean = 100 * self.succeeded / self.levels
         return f"{mean:.1f} % ({low:.1f} to {high:.1f}, n = {self.levels})"
 
-    def meets(self, other: Share) -> bool:
+    def meets(self, other: Rate) -> bool:
         """Return whether the two intervals overlap."""
         (low, high), (its_low, its_high) = self.interval, other.interval
         return low <= its_high and its_low <= high
@@ -66,10 +66,10 @@ def check(
         count = min(one.levels, len(chosen))
         alike = episodes[first_to_end(episodes["length"].to_numpy(), count, one.environments)]
         rows.append(_row(one, episodes, alike))
-        for value, share in one.shares:
+        for value, rate in one.rates:
             its = pl.col(one.by or "") == value
             if len(episodes.filter(its)):
-                told = f"{one.by} {value}", f"{100 * share:g} %"
+                told = f"{one.by} {value}", f"{100 * rate:g} %"
                 rows.append(_row(one, episodes.filter(its), alike.filter(its), *told))
     return rows
 
@@ -97,19 +97,19 @@ def first_to_end(lengths: np.ndarray, count: int, environments: int) -> np.ndarr
 def _row(
     one: Check, episodes: pl.DataFrame, alike: pl.DataFrame, what: str = "", published: str = ""
 ) -> dict[str, Any]:
-    here, there, verdict = _share(episodes), Share(one.succeeded, one.levels), ""
+    here, there, verdict = _rate(episodes), Rate(one.succeeded, one.levels), ""
     if not what:
-        agree = "agree: their intervals meet" if _share(alike).meets(there) else "differ"
+        agree = "agree: their intervals meet" if _rate(alike).meets(there) else "differ"
         how = f", of {one.environments} at once the first to end" if one.environments else ""
         published, verdict = str(there), f"On `{one.variant}`{how}, the two {agree}."
     return {
         "variant": one.variant, "what": what, "here": str(here),
-        "alike": str(_share(alike)) if len(alike) else "", "published": published,
+        "alike": str(_rate(alike)) if len(alike) else "", "published": published,
         "succeeded": here.succeeded, "levels": here.levels,
         "length": episodes["length"].mean(), "start_value": episodes["start_value"].mean(),
         "published_value": None if what else one.value, "verdict": verdict,
     }  # fmt: skip
 
 
-def _share(episodes: pl.DataFrame) -> Share:
-    return Share(int((episodes["return"] > 0).sum()), len(episodes))
+def _rate(episodes: pl.DataFrame) -> Rate:
+    return Rate(int((episodes["return"] > 0).sum()), len(episodes))

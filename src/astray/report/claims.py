@@ -138,9 +138,9 @@ def corrected(claims: Sequence[Claim]) -> list[Claim]:
     return found
 
 
-def rounded(share: float) -> str:
+def rounded(rate: float) -> str:
     """Format a rate without its interval, for a sentence."""
-    return "none" if math.isnan(share) else f"{100 * share:.0f}\u00a0%"
+    return "none" if math.isnan(rate) else f"{100 * rate:.0f}\u00a0%"
 
 
 def _bound(bound: float, told: Callable[[Estimate], str]) -> str:

@@ -231,7 +231,7 @@ def _with_interval(frame: pl.DataFrame, name: str, ends: tuple[str, str]) -> pl.
 
 
 def _side_by_side(frame: pl.DataFrame) -> pl.DataFrame:
-    """Return the table with a column for each outcome, where all else is equal between them."""
+    """Return the table with a column for each outcome, where the other columns are equal."""
     if not {"outcome", "mean"} <= {*frame.columns}:
         return frame
     names = frame["outcome"].unique(maintain_order=True).to_list()

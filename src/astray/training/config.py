@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 else:
     Named = str
 SOLVER = "solver"  # the teacher that is no agent
-Tracking = Literal["wandb", "trackio"]  # who else is told of a training
+Tracking = Literal["wandb", "trackio"]  # where else a training's metrics go
 RECORDS = {"sampler": Sampling, "fast": Fast}  # settings that hold several
 
 

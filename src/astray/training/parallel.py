@@ -64,7 +64,7 @@ def wait() -> None:
         dist.barrier()
 
 
-def share(environments: int) -> slice:
+def shard(environments: int) -> slice:
     """Return this process's environments; raise ValueError unless processes divide them evenly."""
     count = size()
     if environments % count:

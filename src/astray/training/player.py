@@ -63,7 +63,7 @@ class Player:
             raise ValueError("with a sampler of levels, or a World, one process must train alone")
         self.sampler, self.learns, self._repeats = sampler, True, False
         self._own_reward = reward
-        self.here = parallel.share(config.num_envs)  # this process's environments
+        self.here = parallel.shard(config.num_envs)  # this process's environments
         n = self.here.stop - self.here.start
         if n % groups:
             raise ValueError(f"{n} environments are not divided into {groups} groups")

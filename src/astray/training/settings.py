@@ -23,11 +23,11 @@ COUNTS = (
     "validation_every", "checkpoint_every", "threads", "microbatch", "groups", "buffer", "edits",
     "shifted_levels",
 )  # fmt: skip
-SHARES = ("gamma", "lam", "reward_gamma", "fraction", "staleness", "taught")
+FRACTIONS = ("gamma", "lam", "reward_gamma", "fraction", "staleness", "taught")
 AMOUNTS = ("learning_rate", "clip", "value_weight", "entropy_weight", "gradient_norm")
 RANGES = (
     {name: (1, MOST) for name in COUNTS}
-    | {name: (0, 1) for name in SHARES}
+    | {name: (0, 1) for name in FRACTIONS}
     | {name: (0, inf) for name in AMOUNTS}
     | {"replay": (0.01, 1), "temperature": (0.01, 100), "edits": (1, MOST_EDITS)}
     | {"first_level": (0, LEVELS.stop), "seed": (0, SEEDS - 1), "steps": (1, MOST_STEPS)}

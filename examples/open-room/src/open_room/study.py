@@ -3,7 +3,7 @@
 from dataclasses import replace
 
 from astray.analysis.outcomes import INTENDED, MISGENERALIZED
-from astray.experiments.outcomes import settings, share
+from astray.experiments.outcomes import rate, settings
 from astray.experiments.spec import Experiment, Plan, tests_of
 from astray.report.claims import above
 from astray.report.findings import Findings
@@ -23,8 +23,8 @@ MOUSE = replace(
 
 def find(work):
     train, test = work.plan.tests
-    reached = share(work.episodes, train, INTENDED)
-    astray = share(work.episodes, test, MISGENERALIZED)
+    reached = rate(work.episodes, train, INTENDED)
+    astray = rate(work.episodes, test, MISGENERALIZED)
     return Findings(
         answer=f"It reaches the cheese in {reached.mean:.0%} of levels like those of its training. "
         f"Where the cheese is anywhere, it goes to the corner instead in {astray.mean:.0%}.",

@@ -2,7 +2,7 @@
 
 sweep.json: the settings of the sweep. agents/...: run folders, shared with experiments in the same
 folder. computed/...: episodes of each combination, computed once. outcomes.parquet: a row per
-episode, with its agent's settings. shares.csv: rate of each outcome for each combination.
+episode, with its agent's settings. rates.csv: rate of each outcome for each combination.
 report.html: figures for each pair of settings, and the rates.
 """
 
@@ -15,7 +15,7 @@ from pathlib import Path
 
 import polars as pl
 
-from astray.analysis.outcomes import outcomes_of, shares
+from astray.analysis.outcomes import outcomes_of, rates
 from astray.analysis.tables import write_table
 from astray.experiments.levels import play
 from astray.experiments.run import inputs, train_agents
@@ -26,7 +26,7 @@ from astray.files import check_free, hold, write_aside
 from astray.report import page as report
 from astray.training.config import Tracking
 
-SWEPT, OUTCOMES, SHARES = "sweep.json", "outcomes.parquet", "shares.csv"
+SWEPT, OUTCOMES, RATES = "sweep.json", "outcomes.parquet", "rates.csv"
 
 
 def run_sweep(
@@ -44,7 +44,7 @@ def run_sweep(
         on: Place of the trainings; evaluation happens here.
         track: External tracker of the trainings.
     """
-    check_free(folder, SWEPT, b'"axes"', (*report.WRITTEN, OUTCOMES, SHARES))
+    check_free(folder, SWEPT, b'"axes"', (*report.WRITTEN, OUTCOMES, RATES))
     folder.mkdir(parents=True, exist_ok=True)
     with hold(folder, "sweeps in"):
         _note(sweep, folder)
@@ -54,8 +54,8 @@ def run_sweep(
         episodes = pl.concat(parts, how="diagonal_relaxed")
         write_table(episodes, folder / OUTCOMES)
         by = (*sweep.columns(), "policy", "test")
-        table = shares(episodes, by, outcomes_of(sweep.base.find_game()))
-        write_table(table, folder / SHARES)
+        table = rates(episodes, by, outcomes_of(sweep.base.find_game()))
+        write_table(table, folder / RATES)
         return report.write(heading(sweep, folder), findings(sweep, episodes, table), folder)
 
 

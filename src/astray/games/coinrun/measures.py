@@ -84,7 +84,7 @@ def hazard_ahead(states: np.ndarray) -> np.ndarray:
     return (fixed & near[:, None, :]).any((1, 2)) | walks.any(1)
 
 
-# What probes may look for in what an agent's layers give.
+# Labels that probes may look for in an agent's activations.
 LABELS: Mapping[str, Callable[[np.ndarray], np.ndarray]] = {
     "coin in view": coin_in_view,
     "coin right": lambda states: coin_offset(states, "x"),

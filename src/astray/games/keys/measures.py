@@ -69,7 +69,7 @@ def quarter(away: np.ndarray) -> np.ndarray:
     return np.where(known, (away[:, 0] > 0) + 2 * (away[:, 1] > 0), -1)
 
 
-# What probes may look for in what an agent's layers give.
+# Labels that probes may look for in an agent's activations.
 LABELS: Mapping[str, Callable[[np.ndarray], np.ndarray]] = {
     "keys in hand": lambda states: states["taken"] - states["opened"],
     "nearest key": Classes(lambda states: quarter(nearest(states, KEY)), QUARTERS),

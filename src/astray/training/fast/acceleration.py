@@ -185,7 +185,7 @@ class Accelerated:
         if memory[0].shape[1]:
             return torch.cat([self._recalled(*part) for part in zip(shown, memory, strict=True)])
         if self.config.device == "cuda":  # cuDNN searches anew for every other number at once
-            here = parallel.share(self.config.num_envs)
+            here = parallel.shard(self.config.num_envs)
             at_once = (here.stop - here.start) // self.using.groups
             return policy.outputs(self.any_number, torch.cat(shown), at_once)[1]
         if self.using.together:  # a call for each step took a fifth of playing

@@ -38,8 +38,8 @@ def loss(
     sums: dict[str, Tensor] = {}
     gradients = [torch.zeros_like(weight) for weight in weights]
     for part in batch.split(size):
-        share = len(part) / len(batch)
-        found = {name: share * x for name, x in of_samples(part).items()}
+        fraction = len(part) / len(batch)
+        found = {name: fraction * x for name, x in of_samples(part).items()}
         more = torch.autograd.grad(found["loss"], weights)
         found = {name: x.detach() for name, x in found.items()}
         sums = {name: sums[name] + x for name, x in found.items()} if sums else found

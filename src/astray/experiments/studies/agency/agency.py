@@ -209,8 +209,8 @@ def call_agents(settings: Mapping[str, Setting], count: int) -> pl.DataFrame:
                     factors[preset].append(measure(episode, options).log_factor)
         row: dict[str, object] = {"policy": policy, "walks": count * len(settings)}
         for preset, found in factors.items():
-            share = estimate_mean(np.array(found) > 0)
-            row |= {preset: share.mean, f"{preset}, low": share.low, f"{preset}, high": share.high}
+            rate = estimate_mean(np.array(found) > 0)
+            row |= {preset: rate.mean, f"{preset}, low": rate.low, f"{preset}, high": rate.high}
         rows.append(row)
     return pl.DataFrame(rows)
 
@@ -317,7 +317,7 @@ def answer(table: pl.DataFrame) -> str:
 EXPERIMENT = Experiment(
     title="Agents and devices",
     reproduces="Table 1 and the figure beside it",
-    question="Does the measure tell goal misgeneralization from capability failure?",
+    question="Does the measure distinguish goal misgeneralization from capability failure?",
     sizes={  # trajectories of each type on each map; the paper has one
         "smoke": Plan(levels=200, differences=""),
         "paper": Plan(levels=2000, differences=""),

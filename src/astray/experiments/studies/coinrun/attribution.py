@@ -50,7 +50,7 @@ PIXELS = 208  # a side of a picture for people
 
 def find(work: Work) -> Findings:
     """Measure the fraction of each map on each visible part, and show some maps."""
-    every = work.keep("shares", lambda: shares(work))
+    every = work.keep("fractions", lambda: fractions(work))
     table, blanks = (every.filter(network=name) for name in (TRAINED, UNTRAINED))
     bars = group_means(table, "attribution", ["test", "method", "part"])
     by_size = group_means(table, "attribution", ["test", "method", "part"], per="area")
@@ -90,7 +90,7 @@ def find(work: Work) -> Findings:
             ),
         ],
         tables=[
-            Table("shares", "Fraction of attribution on each part", bars),
+            Table("fractions", "Fraction of attribution on each part", bars),
             Table("by-size", "Fraction of attribution over fraction of what is seen", by_size),
             Table("untrained", "The same of networks that were never trained", ratios),
         ],
@@ -124,8 +124,8 @@ def claims(trained: pl.DataFrame, untrained: pl.DataFrame) -> list[Claim]:
     for test in TESTS:
         times, by_chance = (found.get(test, nothing) for found in (walls, blank))
         large += [
-            above("", "", f"share over size, {test}", times, 1, told=Estimate.amount),
-            above("", "", "less untrained", less(times, by_chance), told=CHANGE),
+            above("", "", f"fraction over size, {test}", times, 1, told=Estimate.amount),
+            above("", "", "minus untrained", less(times, by_chance), told=CHANGE),
         ]
     return [
         every_one(
@@ -133,8 +133,8 @@ def claims(trained: pl.DataFrame, untrained: pl.DataFrame) -> list[Claim]:
             "than by networks that were never trained.",
             "at least as much (by eye)",
             [
-                above("", "", "per area, end wall less coin", own, told=CHANGE),
-                above("", "", "that, less untrained", less(own, chance), told=CHANGE),
+                above("", "", "per area, end wall minus coin", own, told=CHANGE),
+                above("", "", "that, minus untrained", less(own, chance), told=CHANGE),
             ],
         ),
         every_one(
@@ -155,7 +155,7 @@ def visited(work: Work, where: str, seed: int) -> tuple[Agent, pl.DataFrame, np.
     return agent, rows.select("level", "step", *told), states
 
 
-def shares(work: Work) -> pl.DataFrame:
+def fractions(work: Work) -> pl.DataFrame:
     """Return a row per state, method and part.
 
     Columns: agent, network, test, level, step, method, part, attribution, area. Untrained networks
@@ -169,12 +169,12 @@ def shares(work: Work) -> pl.DataFrame:
             seen = attribution.masks(agent, variant, states, PARTS)
             shown = observe(agent, variant, states)
             for method, attribute in METHODS.items():
-                told = attribution.shares(rows, attribute(agent, shown), seen)
+                told = attribution.fractions(rows, attribute(agent, shown), seen)
                 parts.append(told.with_columns(method=pl.lit(method), network=pl.lit(TRAINED)))
             for number in range(-(-NETWORKS // work.plan.seeds)):
                 named = rows.with_columns(agent=pl.lit(NETWORKS * seed + number))
                 maps = METHODS["gradient"](untrained(agent, NETWORKS * seed + number), shown)
-                told = attribution.shares(named, maps, seen)
+                told = attribution.fractions(named, maps, seen)
                 parts.append(
                     told.with_columns(method=pl.lit("gradient"), network=pl.lit(UNTRAINED))
                 )
@@ -187,11 +187,11 @@ class Gap:
 
     wall: Estimate
     coin: Estimate
-    less: Estimate  # the wall's share less the coin's
+    less: Estimate  # the wall's fraction minus the coin's
 
 
 def gap(table: pl.DataFrame, value: str = "attribution") -> Gap:
-    """Return the gap in the rows of one method of `shares`."""
+    """Return the gap in the rows of one method of `fractions`."""
     keys = ["agent", "test", "level", "step"]
     wall, coin = (
         table.filter(part=part).filter(pl.col("area") > 0).select(*keys, part=value)

@@ -25,8 +25,17 @@ from astray.figures import charts
 from astray.report.claims import above, rounded
 from astray.report.findings import Findings, Plot, Table
 
-SHARES = (0, 1, 2, 4, 6, 8, 10, 20)  # per cent of training levels whose coin is at a random place
-NAMES = {share: f"{share}\u00a0%" for share in SHARES}
+FRACTIONS = (
+    0,
+    1,
+    2,
+    4,
+    6,
+    8,
+    10,
+    20,
+)  # per cent of training levels whose coin is at a random place
+NAMES = {fraction: f"{fraction}\u00a0%" for fraction in FRACTIONS}
 NEVER, FIRST = NAMES[0], NAMES[2]
 TESTS = {
     "coin anywhere": Test("coin-anywhere", "coin-end"),
@@ -65,28 +74,28 @@ def find(work: Work) -> Findings:
                 "Random coins in just 2\u00a0% of training levels make goal misgeneralization much "
                 "rarer.",
                 "greatly improved (no figure given)",
-                f"{NEVER} less {FIRST}",
+                f"{NEVER} minus {FIRST}",
                 estimate_difference(astray[NEVER], astray[FIRST], pool=kinds),
                 FALL,
             ),
             above(
                 "More random coins help more.",
                 "more randomization helps (no figure given)",
-                f"{FIRST} less {last}",
+                f"{FIRST} minus {last}",
                 estimate_difference(astray[FIRST], astray[last], pool=kinds),
             ),
             above(
                 "Even without random coins, goal misgeneralization is rarer than where the coin "
                 "is invisible.",
                 "lower than this baseline",
-                f"base rate less {NEVER}",
+                f"base rate minus {NEVER}",
                 estimate_paired(base, astray[NEVER]),
             ),
             above(
                 "Without random coins, runners go to the end without the coin more often than they "
                 "reach neither.",
                 "generally proceeds to the end",
-                f"{MISGENERALIZED} less {FAILED}, {NEVER}",
+                f"{MISGENERALIZED} minus {FAILED}, {NEVER}",
                 estimate_paired(astray[NEVER], failed),
             ),
         ],
@@ -194,15 +203,15 @@ def curves(work: Work, trained: pl.DataFrame, blind: pl.DataFrame) -> pl.DataFra
                 continue
             told: list[tuple[float | None, str, Estimate]] = []
             for name, config in work.plan.agents.items():
-                share = 100 * config.knobs.get("random_coin", 0.0)
+                fraction = 100 * config.knobs.get("random_coin", 0.0)
                 played, own = of(work, where, name).filter(kept), trained.filter(agent=name)
                 failed = REACHED_NEITHER
                 if counted == MISSED:
                     failed = pl.col("took_coin").is_null()
                 wrong = matrix(played, pl.col("outcome") == MISGENERALIZED)
                 told += [
-                    (share, MISGENERALIZED, estimate_mean(wrong)),
-                    (share, FAILED, estimate_mean(matrix(own, failed))),
+                    (fraction, MISGENERALIZED, estimate_mean(wrong)),
+                    (fraction, FAILED, estimate_mean(matrix(own, failed))),
                 ]
             walk = work.episodes.filter(kept, test=where, policy=Walk("end").name)
             told += [
@@ -210,9 +219,9 @@ def curves(work: Work, trained: pl.DataFrame, blind: pl.DataFrame) -> pl.DataFra
                 (None, WALK, estimate_mean(matrix(walk, pl.col("outcome") == MISGENERALIZED))),
             ]
             rows += [
-                {"test": where, "levels_counted": counted, "random_coins": share, "what": what}
+                {"test": where, "levels_counted": counted, "random_coins": fraction, "what": what}
                 | vars(estimate)
-                for share, what, estimate in told
+                for fraction, what, estimate in told
             ]
     return pl.DataFrame(rows, schema_overrides={"random_coins": pl.Float64})
 
@@ -228,14 +237,14 @@ def unmet(work: Work) -> str:
     return "; ".join(told) + ". Others are in a training under another number, as short ones often."
 
 
-def plan(size: Size, shares: tuple[int, ...], seeds: int, levels: int, differences: str) -> Plan:
+def plan(size: Size, fractions: tuple[int, ...], seeds: int, levels: int, differences: str) -> Plan:
     """Return a plan with agents for each fraction of random coins; 0 is shared by all studies."""
     agent = _agents.AGENTS[size]
     agents = {
-        NAMES[share]: replace(
-            agent, knobs=agent.knobs | ({"random_coin": share / 100} if share else {})
+        NAMES[fraction]: replace(
+            agent, knobs=agent.knobs | ({"random_coin": fraction / 100} if fraction else {})
         )
-        for share in shares
+        for fraction in fractions
     }
     return Plan(
         agents=agents,
@@ -258,21 +267,21 @@ EXPERIMENT = Experiment(
             (0, 2, 6, 20),
             2,
             500,
-            f"four of the eight shares; {_agents.DIFFERENCES['smoke']}",
+            f"four of the eight fractions; {_agents.DIFFERENCES['smoke']}",
         ),
         "pixels": plan(
             "pixels",
             (0, 2, 20),
             3,
             500,
-            f"three of the eight shares; {_agents.DIFFERENCES['pixels']}",
+            f"three of the eight fractions; {_agents.DIFFERENCES['pixels']}",
         ),
         "night": plan(
             "night",
             (0, 2, 20),
             2,
             1000,
-            f"three of the eight shares; {_agents.DIFFERENCES['night']}",
+            f"three of the eight fractions; {_agents.DIFFERENCES['night']}",
         ),
         "hour": plan(
             "hour",
@@ -281,7 +290,7 @@ EXPERIMENT = Experiment(
             1000,
             f"{_agents.DIFFERENCES['hour']}; three fractions of random coins instead of eight",
         ),
-        "paper": plan("paper", SHARES, 3, 10_000, ""),
+        "paper": plan("paper", FRACTIONS, 3, 10_000, ""),
     },
     find=find,
 )

@@ -57,11 +57,11 @@ def find(work: Work) -> Findings:
     stage, largest = max(removed.items(), key=lambda item: abs(item[1].mean))
     most = f"{largest.mean:+.2f} at the stage “{stage}”"
 
-    def adding_at_most(share: float) -> list[Claim]:
-        """Return, for each stage, the claim that the coin adds at most `share` of the end."""
-        margin = max(0.0, round(share * rise.low, 3))
+    def adding_at_most(fraction: float) -> list[Claim]:
+        """Return, for each stage, the claim that the coin adds at most `fraction` of the end."""
+        margin = max(0.0, round(fraction * rise.low, 3))
         return [
-            near_zero("", "", f"with the coin less without, {stage}", effect, margin, told=CHANGE)
+            near_zero("", "", f"with the coin minus without, {stage}", effect, margin, told=CHANGE)
             for stage, effect in removed.items()
         ]
 
@@ -78,7 +78,7 @@ def find(work: Work) -> Findings:
     )  # fmt: skip
     coins = charts.points(
         effects.with_columns(coin=pl.format("coin {}", "coin_is")),
-        row="stage", group="coin", at={"": 0}, label="value with the coin, less without it",
+        row="stage", group="coin", at={"": 0}, label="value with the coin, minus without it",
     )  # fmt: skip
 
     return Findings(
@@ -89,7 +89,7 @@ def find(work: Work) -> Findings:
             above(
                 "The value is higher at the end of the level than at its beginning.",
                 "much higher (no number given)",
-                f"{END} less {BEGINNING}",
+                f"{END} minus {BEGINNING}",
                 rise,
                 told=CHANGE,
             ),
@@ -104,7 +104,7 @@ def find(work: Work) -> Findings:
             above(
                 "Where a level holds no coin at all, the value rises to its end all the same.",
                 "not measured",
-                f"{END} less {BEGINNING}",
+                f"{END} minus {BEGINNING}",
                 alone_rise,
                 told=CHANGE,
             ),

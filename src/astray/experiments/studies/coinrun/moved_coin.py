@@ -42,7 +42,7 @@ ON_WAY, OFF_WAY = "on the way", "off the way"
 FIRST, SECOND, LAST = "first third", "second third", "last third"  # of the way to the end
 LOW, HIGHER, HIGHEST = "to 1 cell up", "2 to 4 cells up", "5 cells up or more"
 GROUPS = ("all", ON_WAY, OFF_WAY, FIRST, SECOND, LAST, LOW, HIGHER, HIGHEST)
-NEARLY_ALL, MUCH, HALF_OF_IT = 0.9, 0.3, 0.5  # shares that claims are held to
+NEARLY_ALL, MUCH, HALF_OF_IT = 0.9, 0.3, 0.5  # rates that claims are held to
 LITTLE = 0.03  # of levels, that seeing the coin may change in "next to no difference"
 BATCH = 128  # states of 17 kB are copied at every step
 
@@ -70,18 +70,18 @@ def find(work: Work) -> Findings:
             for by in ("all", "way", "part", "height")
         ]
     ).sort(pl.col("group").replace_strict(GROUPS, range(len(GROUPS))))
-    share = {test: share_of(table, test, TAKEN) for test in TESTS}
-    past, script = share_of(table, ANYWHERE, END), share_of(table, RIGHT_AND_JUMP.name, TAKEN)
+    rate = {test: rate_of(table, test, TAKEN) for test in TESTS}
+    past, script = rate_of(table, ANYWHERE, END), rate_of(table, RIGHT_AND_JUMP.name, TAKEN)
     gain, touched = mean_of(pairs, "gain"), mean_of(pairs, "touched")
     off = mean_of(pairs.filter(way=OFF_WAY), "gain")
     by_group = charts.points(
         gains.with_columns(n=pl.format("n = {}", "rows")), row="group", note="n", at={"": 0},
-        percent=True, label="taken where it is seen, less touched where it is not",
+        percent=True, label="taken where it is seen, minus touched where it is not",
     )  # fmt: skip
     return Findings(
-        answer=f"At the end of the level the coin is taken in {rounded(share[AT_END].mean)} of "
+        answer=f"At the end of the level the coin is taken in {rounded(rate[AT_END].mean)} of "
         f"levels. At a place that can be reached, all equally likely, it is taken in "
-        f"{rounded(share[ANYWHERE].mean)}, and the end reached without it in "
+        f"{rounded(rate[ANYWHERE].mean)}, and the end reached without it in "
         f"{rounded(past.mean)}. A coin that cannot be seen would have been taken at the same "
         f"places in {rounded(touched.mean)}: that it is seen makes a difference of "
         f"{100 * gain.mean:+.0f} of 100 levels.",
@@ -90,7 +90,7 @@ def find(work: Work) -> Findings:
                 "At the end of the level the coin is taken.",
                 "trained to",
                 "taken",
-                share[AT_END],
+                rate[AT_END],
                 NEARLY_ALL,
             ),
             above(
@@ -105,22 +105,22 @@ def find(work: Work) -> Findings:
             above(
                 "Seeing the coin makes it more likely to be taken.",
                 "lower than with an invisible coin (no figure given)",
-                "taken where it is seen less touched where it is not, in the same levels",
+                "taken where it is seen minus touched where it is not, in the same levels",
                 gain,
                 why=f"nearly all that is taken is come by: unseen, {rounded(touched.mean)} "
-                f"are touched; seen, {rounded(share[ANYWHERE].mean)} are taken",
+                f"are touched; seen, {rounded(rate[ANYWHERE].mean)} are taken",
             ),
             near_zero(
                 "Whether the coin is seen makes next to no difference.",
                 "not measured",
-                "taken where it is seen less touched where it is not, in the same levels",
+                "taken where it is seen minus touched where it is not, in the same levels",
                 gain,
                 LITTLE,
             ),
             above(
                 "More is taken by coming by than by its being seen.",
                 "not measured",
-                "touched unseen less what seeing adds",
+                "touched unseen minus what seeing adds",
                 mean_of(pairs, pl.col("touched") - pl.col("gain")),
             ),
             above(
@@ -130,7 +130,7 @@ def find(work: Work) -> Findings:
                 off,
                 HALF_OF_IT,
                 why="its way hardly depends on the coin: it gets to the end in "
-                f"{rounded(share_of(table, NONE, END).mean)} of levels that have none",
+                f"{rounded(rate_of(table, NONE, END).mean)} of levels that have none",
             ),
         ],
         videos=videos(work, pairs),
@@ -239,14 +239,14 @@ def paired(table: pl.DataFrame) -> pl.DataFrame:
         "level", by_script=pl.col("fate") == TAKEN
     )
     both = table.filter(test=ANYWHERE).join(ghost, on=keys).join(script, on="level").sort(keys)
-    share = pl.col("place_x") / pl.col("end_x")
+    rate = pl.col("place_x") / pl.col("end_x")
     return both.with_columns(
         gain=(pl.col("fate") == TAKEN).cast(pl.Float64) - pl.col("touched"),
         all=pl.lit("all"),
         way=pl.when("by_script").then(pl.lit(ON_WAY)).otherwise(pl.lit(OFF_WAY)),
-        part=pl.when(share < 1 / 3)
+        part=pl.when(rate < 1 / 3)
         .then(pl.lit(FIRST))
-        .when(share < 2 / 3)
+        .when(rate < 2 / 3)
         .then(pl.lit(SECOND))
         .otherwise(pl.lit(LAST)),
         height=pl.when(pl.col("place_y") <= 2)
@@ -257,7 +257,7 @@ def paired(table: pl.DataFrame) -> pl.DataFrame:
     )
 
 
-def share_of(table: pl.DataFrame, test: str, fate: str) -> Estimate:
+def rate_of(table: pl.DataFrame, test: str, fate: str) -> Estimate:
     """Return the fraction of a test's episodes with a fate."""
     return mean_of(table.filter(test=test), pl.col("fate") == fate)
 

@@ -35,7 +35,7 @@ TESTS = {  # a coin never ends the episode, or there is none
 }
 THROUGH, INSIDE, BEFORE, DIED = "went through", "stayed in it", "stayed before it", "died"
 FATES = (THROUGH, INSIDE, BEFORE, DIED)
-NEARLY_ALL, MOST = 0.9, 0.5  # shares that claims are held to
+NEARLY_ALL, MOST = 0.9, 0.5  # rates that claims are held to
 JUST_LEFT = -1, 6  # cells from the runner's front to the wall: not all in it, and it is in view
 FOLLOWED = 60  # steps of a video after the wall was touched
 LONGEST = 300  # steps of an episode whose values are kept

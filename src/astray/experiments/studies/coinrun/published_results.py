@@ -50,14 +50,14 @@ def find(work: Work) -> Findings:
                 "Taking a coin at the original's random place shows no more than running "
                 "right does.",
                 "not measured",
-                "agent less script",
+                "agent minus script",
                 gap,
                 CLOSE,
             ),
             above(
                 "The blind script's behaviour in a level predicts the agent's.",
                 "not measured",
-                "taken where the script takes the coin less where it does not",
+                "taken where the script takes the coin minus where it does not",
                 foretold,
                 APART,
             ),

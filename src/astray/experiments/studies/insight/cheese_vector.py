@@ -115,8 +115,8 @@ def find(work: Work) -> Findings:
             ),
             Table(
                 "vectors",
-                "The vectors of each layer: mean length, mean length of what the "
-                "layer gives, mean cosine of two levels",
+                "The vectors of each layer: mean length, mean length of "
+                "activations, mean cosine of two levels",
                 shape,
             ),
         ],
@@ -124,7 +124,7 @@ def find(work: Work) -> Findings:
             "levels": f"{len(levels)}, of which those count in which the ways part; the first "
             f"{SWEPT} for other layers and coefficients",
             "places of each": f"{PLACES[work.size]}, drawn, the beginning among them",
-            "vector": "what the layer gives where the level begins, with the cheese less without "
+            "vector": "activations where the level begins, with the cheese minus without "
             "it; the level's own, everywhere in it",
             "the paper and its code": "There 100 decision squares of a network four times as wide; "
             "subtracting acts, adding has next to no effect. The figures beside ours are of this "
@@ -207,7 +207,7 @@ def of_cheese_mouse(rows: pl.DataFrame) -> list[Claim]:
         near_zero(
             "It does what taking the cheese away does.",
             "0.479 and 0.497: -0.018",
-            "subtracted less without cheese; of a layer that sees little around each place this is "
+            "subtracted minus without cheese; in a layer that sees little around each place it is "
             "nearly so by its making",
             less(SUBTRACTED, WITHOUT),
             0.08,

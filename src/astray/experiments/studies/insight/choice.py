@@ -68,7 +68,7 @@ def find(work: Work) -> Findings:
             above(
                 "The published four tell it as well as all.",
                 ".913 and .904",
-                f"area under the curve, {four.auc.mean:.3f} of the four, less that of all",
+                f"area under the curve, {four.auc.mean:.3f} of the four, minus that of all",
                 four.better_than(every),
                 -0.02,
                 told=Estimate.amount,

@@ -68,7 +68,7 @@ def find(work: Work) -> Findings:
             above(
                 "Training put it there: it is read better than off a network never trained.",
                 "not measured",
-                "balanced accuracy, trained less never trained",
+                "balanced accuracy, trained minus never trained",
                 score(table, COIN, LAST, "gain"),
                 told=Estimate.amount,
             ),
@@ -104,7 +104,7 @@ def find(work: Work) -> Findings:
         ],
         settings={
             "states": f"{DRAWN[work.size]} of each of {len(levels)} episodes, drawn; "
-            f"each told by a probe that was fitted on the others of {FOLDS[work.size]} parts of "
+            f"each read by a probe that was fitted on the others of {FOLDS[work.size]} parts of "
             "the levels",
             "probes": f"logistic and ridge regression on {probes.DIRECTIONS} principal components",
             "value": f"{REMOVED}: {value[REMOVED].amount()}; {ADDED}: {value[ADDED].amount()}",

@@ -137,7 +137,7 @@ def of_cheese_mouse(rows: pl.DataFrame) -> list[Claim]:
         above(
             "Moving the cheese sends the mouse there.",
             "yes, nearly everywhere",
-            "moved less as it is",
+            "moved minus as it is",
             of_levels(rows, MOVED, AS_IS),
             0.1,
             told=Estimate.amount,
@@ -145,7 +145,7 @@ def of_cheese_mouse(rows: pl.DataFrame) -> list[Claim]:
         above(
             "Clamping the channels that follow the cheese at a cell sends it there, too.",
             "yes, near the mouse and on the way to the corner",
-            "clamped less as it is",
+            "clamped minus as it is",
             of_levels(rows, CLAMPED, AS_IS),
             0.03,
             told=Estimate.amount,
@@ -153,7 +153,7 @@ def of_cheese_mouse(rows: pl.DataFrame) -> list[Claim]:
         above(
             "It does so less than the cheese itself.",
             "less",
-            "moved less clamped",
+            "moved minus clamped",
             of_levels(rows, MOVED, CLAMPED),
             told=Estimate.amount,
         ),
@@ -166,7 +166,7 @@ def of_corner_mouse(rows: pl.DataFrame) -> list[Claim]:
         near_zero(
             "Moving the cheese sends a mouse of the corner nowhere.",
             "not measured",
-            "moved less as it is",
+            "moved minus as it is",
             of_levels(rows, MOVED, AS_IS),
             0.05,
             told=Estimate.amount,
@@ -174,7 +174,7 @@ def of_corner_mouse(rows: pl.DataFrame) -> list[Claim]:
         near_zero(
             "Nor does clamping what follows the cheese in the first layer.",
             "not measured",
-            "clamped less as it is",
+            "clamped minus as it is",
             of_levels(rows, CLAMPED, AS_IS),
             0.05,
             told=Estimate.amount,

@@ -27,13 +27,13 @@ POLICIES = {
 }
 BEYOND, ALL_FIRST, IN_HAND = "spare keys", "all keys first", "keys in hand"
 PER_CHEST, LOST, LEFT = "return per chest", "return lost", "chests left"
-MEASURES = {  # what is told of an episode, and its unit
+MEASURES = {  # measures of an episode, with their units
     BEYOND: "keys taken beyond\nthe number of chests",
-    ALL_FIRST: "share that took all keys\nbefore the last chest",
+    ALL_FIRST: "fraction that took all keys\nbefore the last chest",
     IN_HAND: "keys in hand when\na chest was opened",
     PER_CHEST: "return per chest\nthat could be opened",
     LOST: "discounted return lost\nagainst the best order",
-    LEFT: "share that took all keys and\nnever opened the last chest",
+    LEFT: "fraction that took all keys and\nnever opened the last chest",
 }
 
 

@@ -25,9 +25,9 @@ def find(work: Work) -> Findings:
 
     opened = hoarding.estimate(episodes, train, PER_CHEST)
     first = hoarding.estimate(episodes, test, ALL_FIRST)
-    shares = outcomes.outcome_tables(work)
+    rates = outcomes.outcome_tables(work)
     # In training all keys are needed, and to take them first is no fault.
-    in_tests = [replace(table, frame=table.frame.filter(test=test)) for table in shares]
+    in_tests = [replace(table, frame=table.frame.filter(test=test)) for table in rates]
     hoards = hoarding.table(work, episodes)
     return Findings(
         answer="On unseen levels like those of its training, the thief gets "
@@ -89,7 +89,7 @@ def find(work: Work) -> Findings:
                 "was opened, while training. In the training variant all keys are needed.",
             ),
         ],
-        tables=[hoards, *shares],
+        tables=[hoards, *rates],
         settings=outcomes.settings(work.plan)
         | {
             "penalties": "none, as in the commands that the paper's authors published; the run in "

@@ -11,7 +11,7 @@ from astray.analysis.evaluate import evaluate
 from astray.analysis.outcomes import FAILED, INTENDED, MISGENERALIZED, label, load_shift, matrix
 from astray.analysis.runs import open_run
 from astray.experiments import outcomes
-from astray.experiments.outcomes import AGENTS, share
+from astray.experiments.outcomes import AGENTS, rate
 from astray.experiments.spec import Experiment, Work, plan_of
 from astray.experiments.studies.maze import maze_corner
 from astray.figures.axes import COLOURS as OF_OUTCOMES
@@ -38,7 +38,7 @@ def find(work: Work) -> Findings:
     train, test = work.plan.tests
     tables = outcomes.outcome_tables(work)
     apart = work.episodes.filter("distinguishing", policy=AGENTS, test=test)
-    gem, stuck = keeps_colour(apart), share(apart, test, FAILED)
+    gem, stuck = keeps_colour(apart), rate(apart, test, FAILED)
     pairs = work.keep("pairs", lambda: offer_pairs(work))
     agents, symbolic = by_agent(pairs), work.plan.config.observation == "symbolic"
     table = pair_table(pairs)
@@ -63,7 +63,7 @@ def find(work: Work) -> Findings:
                 "In unseen levels like those of its training, the mouse reaches the line.",
                 "reliably",
                 INTENDED,
-                share(work.episodes, train, INTENDED),
+                rate(work.episodes, train, INTENDED),
                 0.9,
             ),
             above(
@@ -212,7 +212,7 @@ def near_codes(work: Work, pairs: pl.DataFrame) -> Claim:
         "one it knows.",
         "not measured",
         "to the nearer, of those that go to either",
-        estimate_mean(matrix(went, pl.col("nearer")), matrix(went, pl.col("either")), share=True),
+        estimate_mean(matrix(went, pl.col("nearer")), matrix(went, pl.col("either")), rate=True),
         0.5,
     )
 

@@ -4,23 +4,23 @@ from dataclasses import replace
 
 from astray.analysis.outcomes import FAILED, INTENDED, MISGENERALIZED
 from astray.experiments import outcomes
-from astray.experiments.outcomes import share
+from astray.experiments.outcomes import rate
 from astray.experiments.spec import Experiment, Work, plan_of
 from astray.report.claims import above, rounded
 from astray.report.findings import Findings
 from astray.training.config import PRESETS, SOLVER
 
 MOUSE = "mouse"
-RELIABLY, SOON = 0.95, 0.8  # shares that "reliably" is held to, the latter of short trainings
+RELIABLY, SOON = 0.95, 0.8  # rates that "reliably" is held to, the latter of short trainings
 
 
 def find(work: Work) -> Findings:
     """Measure the rates of outcomes, in training and in the test."""
     train, test = work.plan.tests
     tables = outcomes.outcome_tables(work)
-    reached = share(work.episodes, train, INTENDED)
-    first = {o: share(work.episodes, test, o).mean for o in (MISGENERALIZED, INTENDED, FAILED)}
-    apart = share(work.episodes.filter("distinguishing"), test, MISGENERALIZED).mean
+    reached = rate(work.episodes, train, INTENDED)
+    first = {o: rate(work.episodes, test, o).mean for o in (MISGENERALIZED, INTENDED, FAILED)}
+    apart = rate(work.episodes.filter("distinguishing"), test, MISGENERALIZED).mean
     return Findings(
         answer="On unseen levels like those of its training, the mouse reaches the cheese in "
         f"{rounded(reached.mean)}. Where the cheese is anywhere, it goes to the corner first in "
@@ -39,8 +39,8 @@ def find(work: Work) -> Findings:
                 "Where the cheese is anywhere, it goes to the corner instead, and seldom just "
                 "fails.",
                 "goes to the upper right corner (no figure given)",
-                f"{MISGENERALIZED} less {FAILED}",
-                share(work.episodes, test, MISGENERALIZED, minus=FAILED),
+                f"{MISGENERALIZED} minus {FAILED}",
+                rate(work.episodes, test, MISGENERALIZED, minus=FAILED),
             ),
         ],
         videos=outcomes.videos(work, trained=work.plan.tests[train], tested=work.plan.tests[test]),

@@ -49,15 +49,15 @@ def find(work: Work) -> Findings:
         answer="Where the cheese is anywhere, a mouse whose cheese was in the corner's "
         f"{sides[smallest]} reaches it in {rounded(success[smallest].mean())} of levels, one "
         f"whose cheese was in {sides[middle]} in {rounded(success[middle].mean())}, and in "
-        f"{sides[largest]} in {rounded(success[largest].mean())}. Of the levels that tell the "
-        f"goals apart they go to the corner first in {rounded(corner[smallest].mean())}, "
+        f"{sides[largest]} in {rounded(success[largest].mean())}. In distinguishing "
+        f"levels they go to the corner first in {rounded(corner[smallest].mean())}, "
         f"{rounded(corner[middle].mean())} and {rounded(corner[largest].mean())}.",
         claims=[
             above(
                 "The larger the region in training, the more often the cheese is reached where it "
                 "is anywhere.",
                 "performance improves as the region grows (a curve without figures)",
-                f"reached after {sides[largest]} less after {sides[smallest]}",
+                f"reached after {sides[largest]} minus after {sides[smallest]}",
                 estimate_difference(
                     success[largest], success[smallest], pool=list(success.values())
                 ),
@@ -66,7 +66,7 @@ def find(work: Work) -> Findings:
                 f"A mouse whose cheese was anywhere in {sides[middle]} still goes to the corner, "
                 f"more often than one that found it in {sides[largest]}.",
                 "uses location as a proxy until the region is quite large (no figure given)",
-                f"{MISGENERALIZED} after {sides[middle]} less after {sides[largest]}",
+                f"{MISGENERALIZED} after {sides[middle]} minus after {sides[largest]}",
                 estimate_difference(corner[middle], corner[largest], pool=list(corner.values())),
             ),
         ],
@@ -117,11 +117,11 @@ def success_table(work: Work, regions: Mapping[str, int]) -> pl.DataFrame:
     """Return how often the cheese is reached: who, region (null: base rate), mean, low, high."""
     rows = [
         {"who": "where it is anywhere", "region": side}
-        | _shares(estimate_mean(matrix(of(work.episodes, name), reached())))
+        | _rates(estimate_mean(matrix(of(work.episodes, name), reached())))
         for name, side in regions.items()
     ] + [
         {"who": who, "region": None}
-        | _shares(estimate_mean(matrix(work.episodes.filter(policy=policy), reached())))
+        | _rates(estimate_mean(matrix(work.episodes.filter(policy=policy), reached())))
         for policy, who in BASE_RATES.items()
     ]
     return pl.DataFrame(rows)
@@ -132,14 +132,14 @@ def first_table(apart: pl.DataFrame, regions: Mapping[str, int]) -> pl.DataFrame
     return pl.DataFrame(
         [
             {"outcome": outcome, "region": side}
-            | _shares(estimate_mean(matrix(of(apart, name), pl.col("outcome") == outcome)))
+            | _rates(estimate_mean(matrix(of(apart, name), pl.col("outcome") == outcome)))
             for outcome in OUTCOMES
             for name, side in regions.items()
         ]
     )
 
 
-def _shares(estimate: Estimate) -> dict[str, float]:
+def _rates(estimate: Estimate) -> dict[str, float]:
     return {"mean": estimate.mean, "low": estimate.low, "high": estimate.high}
 
 

@@ -19,7 +19,7 @@ from astray.report.claims import Claim, above, below, rounded
 from astray.report.findings import Findings, Plot, Table
 from astray.training.config import PRESETS, Config
 
-SHARES = (0.0, 0.001, 0.01, 0.1)  # of training distinguishing levels, alpha in the paper
+FRACTIONS = (0.0, 0.001, 0.01, 0.1)  # of training distinguishing levels, alpha in the paper
 DR, PLR, IDENTITY, CONSTANT = "DR", "PLR", "ACCEL, identity", "ACCEL, constant"
 METHODS: dict[str, dict[str, Any]] = {
     DR: {},
@@ -27,15 +27,15 @@ METHODS: dict[str, dict[str, Any]] = {
     IDENTITY: {"sampler": "accel", "score": "regret", "mutation": "identity"},
     CONSTANT: {"sampler": "accel", "score": "regret", "mutation": "constant"},
 }
-FEW, SOME, MANY = SHARES[1:]
+FEW, SOME, MANY = FRACTIONS[1:]
 OFTEN, SELDOM, BETTER, MORE = 0.5, 0.2, 0.1, 2.0  # bounds of the claims
 LAST = 0.25  # of a training, over which the buffer is looked at
 TESTED = "in the test"
 
 
-def name_of(method: str, share: float) -> str:
+def name_of(method: str, fraction: float) -> str:
     """Return the name of the agents of a method and a fraction."""
-    return f"{method}, {100 * share:g}\u00a0%"
+    return f"{method}, {100 * fraction:g}\u00a0%"
 
 
 def plan(
@@ -47,15 +47,15 @@ def plan(
     base = replace(PRESETS["small"], variant=train, validation=test, steps=steps, knobs=knobs)
     agents: dict[str, Config] = {}
     for method, settings in METHODS.items():
-        for share in SHARES:
-            few = knobs | ({"shift_probability": share} if share else {})
-            agents[name_of(method, share)] = base.changed(knobs=few, **settings)
+        for fraction in FRACTIONS:
+            few = knobs | ({"shift_probability": fraction} if fraction else {})
+            agents[name_of(method, fraction)] = base.changed(knobs=few, **settings)
     return Plan(agents=agents, seeds=seeds, tests=tests, levels=levels, differences=differences)
 
 
 def find(proxy: str, work: Work) -> Findings:
     """Measure misgeneralization, return and the buffer's contents, by method and fraction."""
-    table, buffers = by_share(work), in_buffers(work)
+    table, buffers = by_fraction(work), in_buffers(work)
     told = {
         method: ", ".join(
             rounded(row["mean"])
@@ -63,9 +63,9 @@ def find(proxy: str, work: Work) -> Findings:
         )
         for method in METHODS
     }
-    shares = ", ".join(f"{100 * share:g}\u00a0%" for share in SHARES)
+    fractions = ", ".join(f"{100 * fraction:g}\u00a0%" for fraction in FRACTIONS)
     return Findings(
-        answer=f"In distinguishing levels, mice go to the {proxy} first, with {shares} "
+        answer=f"In distinguishing levels, mice go to the {proxy} first, with {fractions} "
         "of training levels that do: "
         + "; ".join(f"{told[method]} ({method})" for method in METHODS)
         + ".",
@@ -75,13 +75,13 @@ def find(proxy: str, work: Work) -> Findings:
                 "misgeneralization",
                 f"Episodes that reach the {proxy} first, in distinguishing levels, "
                 "with 95\u00a0% intervals, the spread between agents pooled over all kinds.",
-                by_share_figure(table.filter(what=MISGENERALIZED), "fraction of episodes"),
+                by_fraction_figure(table.filter(what=MISGENERALIZED), "fraction of episodes"),
                 table.filter(what=MISGENERALIZED),
             ),
             Plot(
                 "return",
                 "Mean return in the same levels; 10 is all there is.",
-                by_share_figure(table.filter(what="return"), "return"),
+                by_fraction_figure(table.filter(what="return"), "return"),
                 table.filter(what="return"),
             ),
             Plot(
@@ -100,7 +100,7 @@ def find(proxy: str, work: Work) -> Findings:
             agent=name_of(DR, 0.0),
         ),
         tables=[
-            Table("by-share", "Distinguishing levels", table),
+            Table("by-fraction", "Distinguishing levels", table),
             Table("buffers", "Levels of the test's kind in the buffer", buffers),
             *outcomes.outcome_tables(work),
         ],
@@ -119,8 +119,8 @@ def distinguishing(work: Work, agent: str) -> pl.DataFrame:
     return work.episodes.filter("distinguishing", policy=AGENTS, test=TESTED, agent=agent)
 
 
-def by_share(work: Work) -> pl.DataFrame:
-    """Return columns method, share, what (outcome or return), mean, low, high, agents, levels."""
+def by_fraction(work: Work) -> pl.DataFrame:
+    """Return columns method, fraction, what (outcome or return) and those of an estimate."""
     values = {
         MISGENERALIZED: pl.col("outcome") == MISGENERALIZED,
         INTENDED: pl.col("outcome") == INTENDED,
@@ -130,29 +130,29 @@ def by_share(work: Work) -> pl.DataFrame:
     for what, value in values.items():
         kinds = {name: matrix(distinguishing(work, name), value) for name in work.plan.agents}
         rows += [
-            {"method": method, "fraction": share, "what": what}
-            | vars(estimate_mean(kinds[name_of(method, share)], pool=list(kinds.values())))
+            {"method": method, "fraction": fraction, "what": what}
+            | vars(estimate_mean(kinds[name_of(method, fraction)], pool=list(kinds.values())))
             for method in METHODS
-            for share in SHARES
+            for fraction in FRACTIONS
         ]
     return pl.DataFrame(rows)
 
 
 def in_buffers(work: Work) -> pl.DataFrame:
-    """Return columns method, share, seed, in_buffer (fraction of its levels), amplified (ratio)."""
+    """Return columns method, fraction, seed, in_buffer (of its levels), amplified (ratio)."""
     measured = outcomes.curves(work)
     rows = []
     for method in METHODS:
-        for share in SHARES if METHODS[method] else ():
-            part = measured.filter(agent=name_of(method, share))
+        for fraction in FRACTIONS if METHODS[method] else ():
+            part = measured.filter(agent=name_of(method, fraction))
             last = part.filter(pl.col("steps") > pl.col("steps").max() * (1 - LAST))
             means = last.group_by("seed").agg(pl.col("levels/shifted_in_buffer").mean())
             for seed, mean in means.sort("seed").rows():
-                amplified = mean / share if share else None
+                amplified = mean / fraction if fraction else None
                 rows.append(
                     {
                         "method": method,
-                        "fraction": share,
+                        "fraction": fraction,
                         "seed": seed,
                         "in_buffer": mean,
                         "amplified": amplified,
@@ -166,11 +166,11 @@ def claims(work: Work, buffers: pl.DataFrame) -> list[Claim]:
     wrong = {name: outcomes.misgeneralized(work, TESTED, name) for name in work.plan.agents}
     kinds = list(wrong.values())
 
-    def often(method: str, share: float) -> Estimate:
-        return estimate_mean(wrong[name_of(method, share)], pool=kinds)
+    def often(method: str, fraction: float) -> Estimate:
+        return estimate_mean(wrong[name_of(method, fraction)], pool=kinds)
 
-    def gain(method: str, share: float) -> Estimate:
-        names = name_of(DR, share), name_of(method, share)
+    def gain(method: str, fraction: float) -> Estimate:
+        names = name_of(DR, fraction), name_of(method, fraction)
         return estimate_difference(*(wrong[name] for name in names), pool=kinds)
 
     amplified = buffers.filter(pl.col("method") != DR, fraction=SOME)["amplified"].to_list()
@@ -181,7 +181,7 @@ def claims(work: Work, buffers: pl.DataFrame) -> list[Claim]:
     return [
         above(
             f"Domain randomisation misgeneralizes where {percent[0]} of levels distinguish the "
-            "goals.", "fails at small shares (no figure at hand)", name_of(DR, FEW),
+            "goals.", "fails at small fractions (no figure at hand)", name_of(DR, FEW),
             often(DR, FEW), OFTEN,
         ),
         below(
@@ -193,9 +193,10 @@ def claims(work: Work, buffers: pl.DataFrame) -> list[Claim]:
             above(
                 f"{method} misgeneralizes less than domain randomisation at {percent[k]}.",
                 "curricula of regret hold longer (no figure at hand)",
-                f"{name_of(DR, share)} less {name_of(method, share)}", gain(method, share), BETTER,
+                f"{name_of(DR, fraction)} minus {name_of(method, fraction)}",
+                gain(method, fraction), BETTER,
             )
-            for method, k, share in (
+            for method, k, fraction in (
                 (PLR, 1, SOME), (IDENTITY, 1, SOME), (CONSTANT, 1, SOME), (CONSTANT, 0, FEW)
             )
         ),
@@ -213,25 +214,27 @@ def claims(work: Work, buffers: pl.DataFrame) -> list[Claim]:
     ]  # fmt: skip
 
 
-def by_share_figure(table: pl.DataFrame, label: str) -> Figure:
+def by_fraction_figure(table: pl.DataFrame, label: str) -> Figure:
     """Plot a line for each method over the fractions, which are evenly spaced."""
     told: dict[str, Any] = {} if label == "return" else {"limits": (-0.02, 1.02), "percent": "y"}
-    return _over_shares(table, label, whiskers=True, **told)
+    return _over_fractions(table, label, whiskers=True, **told)
 
 
 def buffer_figure(buffers: pl.DataFrame) -> Figure:
     """Plot the fraction of distinguishing levels in the buffers over the fraction generated."""
     each = buffers.select("method", "fraction", "seed", mean="in_buffer")
     means = each.group_by("method", "fraction", maintain_order=True).agg(pl.col("mean").mean())
-    new = pl.DataFrame({"method": "generated", "fraction": SHARES, "mean": SHARES})
+    new = pl.DataFrame({"method": "generated", "fraction": FRACTIONS, "mean": FRACTIONS})
     every = pl.concat([each, means, new], how="diagonal_relaxed")
-    return _over_shares(
+    return _over_fractions(
         every, "fraction of the buffer's levels", each="seed", percent="y", base=["generated"]
     )
 
 
-def _over_shares(table: pl.DataFrame, label: str, **how: Any) -> Figure:
-    named = pl.col("fraction").replace_strict(SHARES, [f"{100 * share:g} %" for share in SHARES])
+def _over_fractions(table: pl.DataFrame, label: str, **how: Any) -> Figure:
+    named = pl.col("fraction").replace_strict(
+        FRACTIONS, [f"{100 * fraction:g} %" for fraction in FRACTIONS]
+    )
     below = "training levels that may distinguish the goals"
     return charts.curves(
         table.with_columns(named), x="fraction", line="method", label=label, x_label=below, **how
@@ -261,7 +264,7 @@ def experiment(
                 4_000_000,
                 "worlds of 7 cells instead of 13, seen as symbols by a network of two hidden "
                 "layers; 4 million steps instead of 250 and more; rollouts of 64 steps "
-                "instead of 128; 4 of the 11 shares; regret as the solver gives it, which the "
+                "instead of 128; 4 of the 11 fractions; regret as the solver gives it, which the "
                 "paper has beside its estimate" + seen,
             )
         },

@@ -149,7 +149,7 @@ def find(work: Work) -> Findings:
     areas = by_run(table, lambda part: area(part))
     costs = by_run(table, lambda part: net_returns(part, COSTS))
     late = too_late(asked)
-    shown = late_shares(asked)
+    shown = late_rates(asked)
     best = (
         areas.filter(granularity="step")
         .group_by("agent", "score")
@@ -203,7 +203,7 @@ def find(work: Work) -> Findings:
         ],
         tables=[
             Table("areas", "Areas under the curves: 0.5 for help of equal worth", areas),
-            Table("costs", "The best return, less what its queries cost", costs),
+            Table("costs", "The best return, minus what its queries cost", costs),
             Table("curves", "All curves", table),
         ],
         settings={
@@ -241,7 +241,7 @@ def too_late(asked: pl.DataFrame) -> pl.DataFrame:
     )
 
 
-def late_shares(asked: pl.DataFrame) -> pl.DataFrame:
+def late_rates(asked: pl.DataFrame) -> pl.DataFrame:
     """Return the rate of each moment in misgeneralized episodes: agent, score, moment, fraction."""
     wrong = asked.filter(outcome=MISGENERALIZED).with_columns(pl.col("moment").fill_null(NEVER))
     count = wrong.group_by("agent", "score", "moment", maintain_order=True).len()

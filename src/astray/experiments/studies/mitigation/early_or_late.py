@@ -8,13 +8,13 @@ from astray.analysis.estimates import estimate_difference, estimate_mean
 from astray.analysis.outcomes import INTENDED
 from astray.estimate import Estimate
 from astray.experiments import outcomes
-from astray.experiments.outcomes import share
+from astray.experiments.outcomes import rate
 from astray.experiments.spec import Experiment, Plan, Work, tests_of
 from astray.report.claims import above, near_zero, rounded
 from astray.report.findings import Findings, Table
 from astray.training.config import PRESETS
 
-SHARE = 0.02  # of training levels whose cheese is anywhere
+FRACTION = 0.02  # of training levels whose cheese is anywhere
 BEGUN = 3_600  # such levels, in all: 2 % of the 180,000 that a training of mice begins
 WITHIN = 0.1  # of the steps, at the beginning or at the end
 NEVER, THROUGHOUT, EARLY, LATE, ANNEALED = "never", "throughout", "early", "late", "annealed"
@@ -38,39 +38,39 @@ def find(work: Work) -> Findings:
         for name in wrong
     )
     poorest = min(
-        (share(work.episodes.filter(pl.col("agent") == name), train, INTENDED) for name in wrong),
+        (rate(work.episodes.filter(pl.col("agent") == name), train, INTENDED) for name in wrong),
         key=lambda estimate: estimate.low,
     )
     return Findings(
-        answer=f"With {BEGUN:,} levels whose cheese is anywhere, {100 * SHARE:g}\u00a0% of all, at "
-        "other times of training, mice go to the corner first and to the cheese first, in levels "
-        f"that distinguish the goals: {told}.",
+        answer=f"With {BEGUN:,} levels whose cheese is anywhere, {100 * FRACTION:g}\u00a0% "
+        "of all, at other times of training, mice go to the corner first and to the cheese first, "
+        f"in levels that distinguish the goals: {told}.",
         claims=[
             above(
                 "Distinguishing levels help more at the end of training than at its beginning.",
                 "none",
-                f"{EARLY} less {LATE}",
+                f"{EARLY} minus {LATE}",
                 less(EARLY, LATE),
                 BETTER,
             ),
             above(
                 "Throughout, they help more than at the beginning.",
                 "none",
-                f"{EARLY} less {THROUGHOUT}",
+                f"{EARLY} minus {THROUGHOUT}",
                 less(EARLY, THROUGHOUT),
                 BETTER,
             ),
             near_zero(
                 "At the beginning they leave no trace.",
                 "none",
-                f"{NEVER} less {EARLY}",
+                f"{NEVER} minus {EARLY}",
                 less(NEVER, EARLY),
                 ALIKE,
             ),
             above(
                 "Whenever they come, the mice learn to reach the cheese of the training levels.",
                 "none",
-                "the schedule with the lowest share",
+                "the schedule with the lowest rate",
                 poorest,
                 CAPABLE,
             ),
@@ -100,7 +100,7 @@ MOUSE = replace(
     PRESETS["small"], variant="corner-small", validation="anywhere-small", steps=4_000_000
 )
 MIXED = MOUSE.changed(
-    knobs={"shift_probability": SHARE}, sampler="mixed", fraction=WITHIN, shifted_levels=BEGUN
+    knobs={"shift_probability": FRACTION}, sampler="mixed", fraction=WITHIN, shifted_levels=BEGUN
 )
 EXPERIMENT = Experiment(
     title="Early, late, or throughout",

@@ -144,8 +144,8 @@ def heads(count: int) -> pl.DataFrame:
         for seed in range(ENSEMBLES):
             trained = train_heads(known, CHEESE, unlabelled.seen, diversity=diversity, seed=seed)
             agrees = agreement(trained, test, NAMES)
-            shares = chosen_rightly(trained, test, CHEESE, LABELS, seed=seed)
-            chosen = {f"chosen with {k}": x for k, x in zip(LABELS, shares, strict=True)}
+            rates = chosen_rightly(trained, test, CHEESE, LABELS, seed=seed)
+            chosen = {f"chosen with {k}": x for k, x in zip(LABELS, rates, strict=True)}
             rows += [
                 {"kind": kind, "seed": seed, "head": head}
                 | dict(zip(NAMES, agrees[head].tolist(), strict=True))

@@ -5,7 +5,7 @@ from dataclasses import replace
 from astray.analysis.estimates import estimate_difference, estimate_mean, estimate_paired
 from astray.analysis.outcomes import INTENDED
 from astray.experiments import outcomes
-from astray.experiments.outcomes import share
+from astray.experiments.outcomes import rate
 from astray.experiments.spec import Experiment, Plan, Work, tests_of
 from astray.report.claims import above, near_zero, rounded
 from astray.report.findings import Findings
@@ -24,7 +24,7 @@ def find(work: Work) -> Findings:
     corner = {name: outcomes.misgeneralized(work, test, name) for name in work.plan.agents}
     told = ", ".join(f"{name} {rounded(estimate_mean(x).mean)}" for name, x in corner.items())
     poorest = min(
-        (share(work.episodes.filter(agent=name), train, INTENDED) for name in TEACHERS),
+        (rate(work.episodes.filter(agent=name), train, INTENDED) for name in TEACHERS),
         key=lambda estimate: estimate.low,
     )
     kinds = list(corner.values())
@@ -38,14 +38,14 @@ def find(work: Work) -> Findings:
             above(
                 "Students learn to reach the cheese of the training levels.",
                 "none",
-                "the students with the lowest share",
+                "the students with the lowest rate",
                 poorest,
                 CAPABLE,
             ),
             near_zero(
                 "The student of a mouse that pursues the corner does so as often as it.",
                 "none",
-                f"{OF_CORNER} less its teacher",
+                f"{OF_CORNER} minus its teacher",
                 same,
                 ALIKE,
             ),
@@ -53,7 +53,7 @@ def find(work: Work) -> Findings:
                 "The student of a mouse that pursues the cheese chooses anew: it goes to the "
                 "corner more often than its teacher.",
                 "none",
-                f"{OF_CHEESE} less its teacher",
+                f"{OF_CHEESE} minus its teacher",
                 estimate_paired(corner[OF_CHEESE], corner[CHEESE]),
                 APART,
             ),
@@ -61,7 +61,7 @@ def find(work: Work) -> Findings:
                 "Something of the goal is inherited all the same: the student of the corner goes "
                 "there more often than that of the cheese.",
                 "none",
-                f"{OF_CORNER} less {OF_CHEESE}",
+                f"{OF_CORNER} minus {OF_CHEESE}",
                 estimate_difference(corner[OF_CORNER], corner[OF_CHEESE], pool=kinds),
             ),
         ],

@@ -84,10 +84,10 @@ def find(work: Work) -> Findings:
     )
 
 
-def mean_return(measured: pl.DataFrame, agent: str, share: float) -> np.ndarray:
-    """Return the mean return in the last `share` of training, [seeds]; 0 without ended episodes."""
+def mean_return(measured: pl.DataFrame, agent: str, fraction: float) -> np.ndarray:
+    """Return the mean return in the last `fraction` of training, [seeds]; 0 without episodes."""
     mine = measured.filter(agent=agent).with_columns(pl.col("return").fill_null(0.0))
-    last = mine.filter(pl.col("steps") > pl.col("steps").max() * (1 - share))
+    last = mine.filter(pl.col("steps") > pl.col("steps").max() * (1 - fraction))
     return last.group_by("seed").agg(pl.col("return").mean()).sort("seed")["return"].to_numpy()
 
 
@@ -96,7 +96,7 @@ def sooner(game: str, ours: np.ndarray, papers: np.ndarray) -> Claim:
     return above(
         f"{game}: in the same time the network of patches learns more than the paper's.",
         "not measured",
-        f"{OURS} less {PAPER}",
+        f"{OURS} minus {PAPER}",
         estimate_difference(ours[:, None], papers[:, None]),
         told=Estimate.change,
     )

@@ -5,7 +5,7 @@ from dataclasses import replace
 from astray.analysis.estimates import estimate_difference, estimate_mean
 from astray.analysis.outcomes import FAILED, INTENDED, MISGENERALIZED
 from astray.experiments import outcomes
-from astray.experiments.outcomes import share
+from astray.experiments.outcomes import rate
 from astray.experiments.spec import Experiment, Plan, Work, tests_of
 from astray.experiments.studies.maze.maze_corner import PIXELS
 from astray.report.claims import above, rounded
@@ -23,7 +23,7 @@ def find(work: Work) -> Findings:
         {name: outcomes.first(work, test, name, outcome) for name in work.plan.agents}
         for outcome in (MISGENERALIZED, INTENDED, FAILED)
     )
-    pooled = share(work.episodes.filter(agent=POOLED), train, INTENDED)
+    pooled = rate(work.episodes.filter(agent=POOLED), train, INTENDED)
     return Findings(
         answer="In distinguishing levels, mice whose last layer sees each place for "
         f"itself go to the corner first in {rounded(estimate_mean(corner[FLAT]).mean)}, mice whose "
@@ -42,7 +42,7 @@ def find(work: Work) -> Findings:
             above(
                 "Pooling over places removes the corner as a goal, at least in part.",
                 "none",
-                f"{FLAT} less {POOLED}",
+                f"{FLAT} minus {POOLED}",
                 estimate_difference(corner[FLAT], corner[POOLED]),
                 LESS,
             ),
@@ -50,7 +50,7 @@ def find(work: Work) -> Findings:
             above(
                 "They go to the cheese instead.",
                 "none",
-                f"{INTENDED}, {POOLED} less {FLAT}",
+                f"{INTENDED}, {POOLED} minus {FLAT}",
                 estimate_difference(cheese[POOLED], cheese[FLAT]),
                 LESS,
             ),

@@ -8,7 +8,7 @@ from astray.analysis.estimates import estimate_paired
 from astray.analysis.outcomes import INTENDED, MISGENERALIZED, matrix
 from astray.estimate import Estimate
 from astray.experiments import outcomes
-from astray.experiments.outcomes import AGENTS, share
+from astray.experiments.outcomes import AGENTS, rate
 from astray.experiments.spec import Experiment, Work, plan_of
 from astray.report.claims import above, rounded
 from astray.report.findings import Findings
@@ -21,8 +21,8 @@ def find(work: Work) -> Findings:
     """Compute the rates of outcomes, and where the shards end."""
     train, test = work.plan.tests
     tables = outcomes.outcome_tables(work)
-    reached = share(work.episodes, train, INTENDED)
-    to_corner, to_bin = (share(work.episodes, test, o) for o in (MISGENERALIZED, INTENDED))
+    reached = rate(work.episodes, train, INTENDED)
+    to_corner, to_bin = (rate(work.episodes, test, o) for o in (MISGENERALIZED, INTENDED))
     played = work.episodes.filter(policy=AGENTS, test=test)
     ends = [matrix(played, pl.col(f"to the {place}")) for place in ("corner", "bin")]
     return Findings(
@@ -42,7 +42,7 @@ def find(work: Work) -> Findings:
                 "Where the bin is anywhere, its first shards go to the corner rather than the bin.",
                 "goes to the corner (no figure given)",
                 f"{MISGENERALIZED} minus {INTENDED}",
-                share(work.episodes, test, MISGENERALIZED, minus=INTENDED),
+                rate(work.episodes, test, MISGENERALIZED, minus=INTENDED),
             ),
             above(
                 "There the reward function of the corner pays it more than that of the bin.",

@@ -61,9 +61,9 @@ def test_the_originals_random_coin_is_mostly_near_and_anywhere_is_not():
     ledge, anywhere = levels(VARIANTS["coin-ledge"]), levels(VARIANTS["coin-anywhere"])
     assert abs((ledge["coin_x"] == 5).mean() - 0.559) < 0.05
     assert (anywhere["coin_x"] <= 5).mean() < 0.4
-    share = (anywhere["coin_x"] - 1) / anywhere["end_x"]
+    fraction = (anywhere["coin_x"] - 1) / anywhere["end_x"]
     # Over places to stand: about as often in each quarter of the way.
-    assert np.histogram(share, 4, (0, 1))[0].min() > 0.15 * N
+    assert np.histogram(fraction, 4, (0, 1))[0].min() > 0.15 * N
 
 
 @pytest.mark.parametrize("name", ["coin-anywhere", "coin-anywhere-long", "coin-twice-anywhere"])

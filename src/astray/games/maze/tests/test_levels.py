@@ -54,8 +54,8 @@ def test_an_anywhere_cheese_is_never_where_the_mouse_is_and_often_not_in_the_cor
     for name in ("anywhere", "anywhere-small"):
         s = levels(VARIANTS[name])
         assert not ((s["goal_x"] + 0.5 == s["x"]) & (s["goal_y"] + 0.5 == s["y"])).any()
-    share = (s["goal_x"] == s["corner_x"]) & (s["goal_y"] == s["corner_y"])
-    assert 0 < share.mean() < 0.2
+    rate = (s["goal_x"] == s["corner_x"]) & (s["goal_y"] == s["corner_y"])
+    assert 0 < rate.mean() < 0.2
 
 
 def test_the_original_leaves_some_levels_without_a_goal_and_the_default_does_not():
