@@ -56,16 +56,16 @@ def train(
     knobs: Settings = (),
     seeds: int = 1,
     folder: Annotated[Path | None, otherwise("runs/<game>-<variant>")] = None,
-    track: Annotated[Tracking | None, otherwise("nobody")] = None,
+    track: Annotated[Tracking | None, otherwise("none")] = None,
 ) -> None:
     """Train agents, or resume their trainings.
 
     Example: astray train maze corner-small --validation anywhere-small --folder runs/mice
 
     Args:
-        preset: Preset whose settings are the defaults of all others.
-        seeds: Number of agents, trained one after the other with this seed, the next, ...
-        folder: Folder of the run folders seed-0, seed-1, ...
+        preset: Preset that gives the other settings their defaults.
+        seeds: Number of agents to train one after another, with consecutive seeds.
+        folder: Folder for the run folders seed-0, seed-1, ...
         track: Tracker of the training's metrics and, at its end, of the agent's behaviour.
     """
     from dataclasses import replace
@@ -102,8 +102,8 @@ def evaluate(
         str | None,
         otherwise(
             "the first 1,000 that no training draws from",
-            "Numbers and ranges of levels, as 5,17,100:200, or a file or folder of levels as "
-            "`astray level` prints them.",
+            "Level numbers and ranges, such as 5,17,100:200, or a file or folder of levels in "
+            "the format that `astray level` prints.",
         ),
     ] = None,
     unsolvable: bool = False,
@@ -114,15 +114,15 @@ def evaluate(
     out: Annotated[Path | None, otherwise("none")] = None,
     json: Json = False,
 ) -> None:
-    """Play agents on explicit levels and say which goal they reached first.
+    """Play agents in given levels, and report which goal they reached first.
 
     Example: astray evaluate maze-corner --levels 200000:201000
 
     Args:
-        unsolvable: Let levels from files have objects that cannot be reached.
-        batch: Number of episodes played at once; the rows do not depend on it.
-        pool: Show several agents as one row, as agents of one kind; otherwise each has its row.
-        out: Parquet file for the episodes, a row each.
+        unsolvable: Accept levels from files whose objects cannot be reached.
+        batch: Number of episodes to play in parallel; results do not depend on it.
+        pool: Treat all agents as one kind, in a single row; otherwise each agent has a row.
+        out: Parquet file to write, with a row per episode.
 
     Raises:
         ValueError: If options do not go together.
@@ -161,16 +161,16 @@ def evaluate(
 
 def keep(
     agent: Agent,
-    name: Annotated[str, arg(name="as", help="Name by which every verb finds it.")],
+    name: Annotated[str, arg(name="as", help="Name that other verbs find the agent by.")],
     shift: Shift = None,
-    folder: Annotated[Path | None, otherwise("astray's own, where verbs find its name")] = None,
+    folder: Annotated[Path | None, otherwise("astray's own, where verbs look for names")] = None,
 ) -> None:
-    """Keep a trained agent by a name, with a card about its goals.
+    """Give a trained agent a name that all verbs accept, and a card about its goals.
 
     Example: astray keep runs/mice/seed-0 --as my-mouse
 
     Args:
-        folder: Folder to keep it in, as a run folder.
+        folder: Folder for a copy of the agent's run folder.
     """
     from astray.experiments.keep import keep as write
 
@@ -189,8 +189,8 @@ def record(
     Example: astray record maze-corner --variant anywhere-small --level 200003
 
     Args:
-        pixels: Pixels a side of the picture.
-        out: Video file, .mp4 or .gif.
+        pixels: Width and height of the video in pixels.
+        out: Video file to write, .mp4 or .gif.
 
     Raises:
         ValueError: If `out` is of another kind, or options do not go together.
@@ -221,15 +221,15 @@ def agency(
     out: Annotated[Path | None, otherwise("none")] = None,
     json: Json = False,
 ) -> None:
-    """Say whether a trained agent of mazes is goal-directed at all, and towards what.
+    """Measure whether a trained maze agent is goal-directed, and towards which goal.
 
     Example: astray agency maze-corner --levels 200000:200050
 
     Args:
-        measure: Measure: calibrated, or the paper's to the letter, which calls most policies
-            agents.
-        out: Folder for agency.json and episodes.parquet, and for posterior.mp4, .gif and .png of
-            the episode in which most steps distinguish the goals.
+        measure: Measure of goal-directedness: calibrated, or exactly the paper's, which calls most
+            policies agents.
+        out: Folder for agency.json, episodes.parquet, and posterior.mp4, .gif and .png of the
+            episode with the most steps that distinguish the goals.
     """
     from astray.analysis.agency import assess_run
 

@@ -40,11 +40,10 @@ Words = tuple[tuple[str, ...], ...]
 # Options of several verbs.
 AN_AGENT = "Run folder, checkpoint in one, or name of a pretrained or imported agent."
 Agent = Positional[Annotated[Path, arg(help=AN_AGENT)]]
-Json = Annotated[bool, arg(help="Print JSON.")]
+Json = Annotated[bool, arg(help="Print the result as JSON.")]
 Knobs = UseAppendAction[
     Annotated[
-        Words,
-        arg(name="set", metavar="NAME=VALUE", help="Set a knob of the variant; more add to it."),
+        Words, arg(name="set", metavar="NAME=VALUE", help="Override a parameter of the variant.")
     ]
 ]
 Settings = UseAppendAction[
@@ -53,16 +52,16 @@ Settings = UseAppendAction[
         arg(
             name="set",
             metavar="NAME=VALUE",
-            help="Set a knob of the variant or a setting of the training; more add to it.",
+            help="Override a parameter of the variant, or a setting of the training.",
         ),
     ]
 ]
-NUMBERS = "Numbers and ranges of levels, as 5,17,100:200."
+NUMBERS = "Level numbers and ranges, such as 5,17,100:200."
 Shift = Annotated[
     str | None,
     otherwise(
         "the one that the agent was trained for",
-        "Shift: which goal is intended, and which are proxies.",
+        "Shift, which names the intended goal and its proxies.",
     ),
 ]
 TestVariant = Annotated[
@@ -73,18 +72,21 @@ TrainingVariant = Annotated[
 ]
 Longest = Annotated[
     int | None,
-    otherwise("none; needed where episodes may last for ever", "Most steps of an episode."),
+    otherwise(
+        "none; needed if episodes can last forever", "Maximum number of steps of an episode."
+    ),
 ]
 Workers = Annotated[
-    int | None, otherwise("one per processor", "Number of agents trained at once here.")
+    int | None,
+    otherwise("one per processor", "Number of agents to train in parallel on this machine."),
 ]
 
 
 @dataclass(frozen=True)
 class Acting:
-    """Options for how the agent sees and acts."""
+    """Options of the agent's observations and actions."""
 
-    # Sample actions from the agent's policy, or take the likeliest.
+    # Choice of actions: sample them from the policy, or take the most likely one.
     mode: Mode = "sampled"
     # Art that images are drawn with: own or original.
     art: Annotated[str | None, otherwise("the art of its training")] = None
@@ -98,16 +100,16 @@ class Acting:
 
 @dataclass(frozen=True)
 class OwnPolicy:
-    """A policy in the place of an agent."""
+    """Options of a policy that plays instead of an agent."""
 
-    # Policy: random, walk:GOAL, or as module:name a policy, a function without arguments that
-    # returns one, or a function of observations [N, ...] that returns actions [N].
+    # Policy: random, walk:GOAL, or module:name, where the name is a policy, a function without
+    # arguments that returns one, or a function from observations [N, ...] to actions [N].
     policy: Annotated[str | None, otherwise("none")] = None
-    # Game that the policy plays; needed with --policy, and only then.
+    # Game that the policy plays, for use with --policy.
     game: Annotated[str | None, otherwise("that of the agent")] = None
-    # World of your own that the policy plays, or the agent was trained on, as module:WORLD.
+    # World of your own that the policy plays or the agent was trained on, as module:WORLD.
     world: Annotated[str | None, otherwise("none")] = None
-    # Observations that the policy is shown.
+    # Kind of observations that the policy gets.
     observation: Annotated[
         Literal["image", "symbolic"] | None, otherwise("those of the agent; image for a policy")
     ] = None
@@ -229,8 +231,8 @@ class GivenLevel:
     """A level, by its number or in a file."""
 
     # Number of the level.
-    level: Annotated[int | None, otherwise("one that suits the command")] = None
-    # File with the level instead, as `astray level` prints it.
+    level: Annotated[int | None, otherwise("chosen by the command")] = None
+    # File that holds the level, in the format that `astray level` prints.
     level_file: Annotated[Path | None, otherwise("none")] = None
 
     def find(self, game: Game, variant: Variant, solvable: bool = False) -> int | Level | None:
@@ -255,7 +257,7 @@ class GivenLevel:
 class PlayedLevel(GivenLevel):
     """A level that is played, by its number or in a file."""
 
-    # Let the level of a file have objects that cannot be reached.
+    # Accept a level from a file whose objects cannot be reached.
     unsolvable: bool = False
 
     def begun(self, game: Game, variant: Variant) -> int | Level | None:

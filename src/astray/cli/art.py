@@ -15,18 +15,18 @@ from astray.training.settings import otherwise
 
 def art(
     what: Positional[Literal["list", "import"]] = "list",
-    source: Positional[Annotated[Path | None, otherwise("the wheel, which pip downloads")]] = None,
+    source: Positional[Annotated[Path | None, otherwise("the wheel, downloaded by pip")]] = None,
     json: Json = False,
 ) -> None:
-    """List the pictures that games are drawn with, or import the original's.
+    """List the pictures of the games, or import those of the original Procgen.
 
     Example: astray art import
 
     Args:
-        what: Action: list; or import, which checks each picture by its digest and keeps it in
-            the user's data folder, or where ASTRAY_ART says.
-        source: Wheel of procgen 0.10.7, or a checkout of it or of the paper's fork, which alone has
-            the lines of Maze.
+        what: Action: list, or import. Import checks the digest of each picture and stores it in the
+            user's data folder, or in the folder that ASTRAY_ART names.
+        source: Wheel or checkout of procgen 0.10.7, or a checkout of the paper's fork, which alone
+            has the lines of Maze.
 
     Raises:
         ValueError: If `list` is given a source.

@@ -19,8 +19,8 @@ def cache(prune: bool = False, json: Json = False) -> None:
     Example: astray cache --prune
 
     Args:
-        prune: Remove the code of other versions, and that of functions before they were edited.
-            Files that astray did not write, links, and code that a process compiles now all stay.
+        prune: Remove the code of other versions, and of functions that were edited since. Links,
+            files that astray did not write, and code that is being compiled stay.
     """
     home = code_home()
     removed = _prune(home) if prune else 0

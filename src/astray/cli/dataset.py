@@ -23,13 +23,13 @@ def export(
     longest: Longest = None,
     out: Path = Path("dataset"),
 ) -> None:
-    """Write trajectories of any policy as a data set: Parquet, or Minari's layout.
+    """Write the trajectories of a policy as a data set, in Parquet or in Minari's layout.
 
     Example: astray export maze-corner --levels 200000:200100 --out walks
 
     Args:
-        form: Form of the data set: parquet or minari.
-        batch: Number of episodes played at once, which are in memory until they end.
+        form: Format of the data set: parquet or minari.
+        batch: Number of episodes to play in parallel, each in memory until it ends.
         out: New folder for the data set.
 
     Raises:

@@ -27,28 +27,28 @@ def distil(
     seeds: int = 1,
     threads: int = 1,
     folder: Annotated[Path | None, otherwise("runs/<game>-<variant>-of-<teacher>")] = None,
-    track: Annotated[Tracking | None, otherwise("nobody")] = None,
+    track: Annotated[Tracking | None, otherwise("none")] = None,
 ) -> None:
-    """Distil an agent into students, which learn its policy and values in their own episodes.
+    """Distil an agent into students, which learn its policy and values in episodes of their own.
 
-    They play training levels alone, and ignore rewards. The same command resumes an interrupted
+    Students play only training levels, and ignore rewards. The same command resumes an interrupted
     training.
 
     Example: astray distil maze-corner --observation image --steps 2000000
 
     Args:
-        observation: Observations of the students.
+        observation: Kind of observations that the students get.
         network: Network of the students.
         variant: Variant whose training levels the students play.
-        validation: Variant that is played during training and never learned from.
-        steps: Number of environment steps, over all environments.
-        epochs: Number of passes over a rollout.
+        validation: Variant that is played during training without learning from it.
+        steps: Total number of environment steps.
+        epochs: Number of passes over each rollout.
         art: Art that images are drawn with.
         seed: Seed of the first student.
-        seeds: Number of students, trained with this seed, the next, ...
-        threads: Number of threads that step environments, and that torch uses.
-        folder: Folder of the run folders seed-0, seed-1, ...
-        track: Tracker of the training's metrics.
+        seeds: Number of students to train, with consecutive seeds.
+        threads: Number of threads for environments, and for torch.
+        folder: Folder for the run folders seed-0, seed-1, ...
+        track: Tracker that records the training's metrics.
 
     Raises:
         ValueError: If a number is out of range, or the teacher sees other art.

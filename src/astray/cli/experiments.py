@@ -92,18 +92,20 @@ def reproduce(
     workers: Workers = None,
     on: Place = "here",
     art: str = OWN,
-    track: Annotated[Tracking | None, otherwise("nobody")] = None,
+    track: Annotated[Tracking | None, otherwise("none")] = None,
 ) -> None:
-    """Reproduce figures or tables: train, evaluate, report; go on where it stopped.
+    """Reproduce figures and tables: train agents, evaluate them and write a report.
+
+    The same command continues an interrupted run.
 
     Example: astray reproduce maze-corner --size smoke
 
     Args:
-        size: Size: smoke (minutes on two cores), pixels (of images, an hour or so an agent on two
-            cores), night (the paper's own worlds on two cores; how long is said first), hour (of
-            a GPU), paper, or published: of agents that others published, see `astray agents`.
-        folder: Folder of reports; gets this one in <name>-<size>, and the agents, which are shared.
-        on: Place of the trainings: this machine, or a Ray cluster whose nodes all see the folder.
+        size: Size of the study: smoke (minutes on two cores), pixels (images, about an hour per
+            agent on two cores), night (the paper's worlds on two cores; prints an estimate first),
+            hour (on a GPU), paper, or published (others' agents, see `astray agents`).
+        folder: Folder of reports: this one is written to <name>-<size>, and all share the agents.
+        on: Place of the trainings: this machine, or a Ray cluster whose nodes share the folder.
         art: Art that images are drawn with: own or original.
         track: Tracker of the trainings' metrics and of the report.
 
@@ -139,18 +141,17 @@ def bench(
     markdown: bool = False,
     device: Literal["cpu", "cuda", "mps"] = "cpu",
 ) -> None:
-    """Measure speed, as ratios in one run, and where there are others against them.
+    """Measure speed in ratios within one run, and against other libraries where possible.
 
-    "eyes" measures what networks learn to see in equal times.
-
-    The benchmarks are in a clone of the repository alone.
+    The benchmarks need a clone of the repository. "eyes" compares what networks learn to see in
+    equal times.
 
     Example: astray bench environments
 
     Args:
         what: Benchmark to run.
-        markdown: Print the table for benchmarks/README.md.
-        device: Device that trains; the environments and the agency measure are a CPU's.
+        markdown: Print the result as a table for benchmarks/README.md.
+        device: Device for training; everything else is measured on a CPU.
 
     Raises:
         ValueError: If the device cannot be used, or this is not a clone.

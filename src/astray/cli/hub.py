@@ -14,19 +14,19 @@ def push(
     agent: Agent,
     repository: Positional[str],
     shift: Shift = None,
-    revision: Annotated[str | None, otherwise("the main one")] = None,
+    revision: Annotated[str | None, otherwise("the main branch")] = None,
     private: bool = False,
 ) -> None:
     """Upload an agent to the Hugging Face Hub, with a card about its goals.
 
-    The token is huggingface_hub's: hf auth login, or HF_TOKEN.
+    Log in with `hf auth login` first, or set HF_TOKEN.
 
     Example: astray push runs/mice/seed-0 ada/corner-mouse --private
 
     Args:
-        repository: Repository, as USER/NAME; it is made where there is none.
-        revision: Branch, which is made where there is none.
-        private: Let nobody else see the repository, if it is made.
+        repository: Repository as USER/NAME, created if needed.
+        revision: Branch, created if needed.
+        private: Make the repository private if it is created.
     """
     from astray.experiments.hub import push as upload
 
@@ -40,21 +40,21 @@ def pull(
         str | None,
         arg(
             name="as",
-            help="Name by which every verb finds it.",
+            help="Name that other verbs find the agent by.",
             help_behavior_hint="(default: the repository's)",
         ),
     ] = None,
     revision: Annotated[str | None, otherwise("the main branch")] = None,
     offline: bool = False,
 ) -> None:
-    """Download an agent from the Hugging Face Hub and check it. Nothing of it is run.
+    """Download an agent from the Hugging Face Hub and check it. No code in it is run.
 
     Example: astray pull ada/corner-mouse --as ada-mouse
 
     Args:
-        repository: Repository, as USER/NAME.
+        repository: Repository as USER/NAME.
         revision: Branch, tag or commit.
-        offline: Take it from the cache of what was downloaded before.
+        offline: Use only files that were downloaded before.
     """
     from astray.experiments.hub import pull as download
 

@@ -22,22 +22,22 @@ def explain(
     agent: Agent,
     tested: Annotated[Tested, arg(name="")] = Tested(),
     level: GivenLevel = GivenLevel(),
-    layers: Annotated[str | None, otherwise("three, the last one among them")] = None,
+    layers: Annotated[str | None, otherwise("three of them, with the last one")] = None,
     others: int = 100,
     out: Path = Path("explained"),
 ) -> None:
-    """Write a page about an agent in a level: its behaviour everywhere, and the reasons.
+    """Write a page that shows how an agent behaves in a level, and why.
 
-    Arrows and values, what edits of the level change, what the value depends on, what probes read
-    off its layers, which goal its episode speaks for, and the episode step by step. By default the
-    level is the first that distinguishes the goals, of those that the training does not draw from.
+    The page shows policy and value at every place, the effects of edits to the level, the parts
+    that the value depends on, probes of the layers, the evidence for each goal, and the episode
+    step by step. By default the level is the first unseen one that distinguishes the goals.
 
     Example: astray explain maze-corner
 
     Args:
         layers: Layers that probes read, separated by commas.
-        others: Number of levels that the probes learn from.
-        out: Folder for explain.html, its figures and tables.
+        others: Number of levels to fit the probes on.
+        out: Folder for explain.html with its figures and tables.
     """
     from astray.acting import initial_states
     from astray.analysis.outcomes import load_shift

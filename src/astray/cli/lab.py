@@ -33,10 +33,10 @@ def lab(
     Args:
         game: Game whose levels are shown.
         variant: Variant that levels are drawn from.
-        port: Port that this machine alone can reach; 0 for any that is free.
+        port: Port, reachable from this machine only; 0 for any free one.
         browser: Open the page in the browser.
-        export: Folder to write the page to, with the agents, to be served by any web server.
-        levels: Number of levels of each variant that are exported.
+        export: Folder for a copy of the page and the agents that any web server can serve.
+        levels: Number of levels of each variant to export.
 
     Raises:
         ValueError: If options do not go together.

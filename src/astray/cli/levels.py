@@ -32,13 +32,13 @@ LONGEST = 2**20  # characters of actions: more than any episode has
 
 
 def level(game: Drawn, numbers: str = "0", text: bool = False, json: Json = False) -> None:
-    """Print levels, as drawings or as data; other verbs read both from files.
+    """Print levels as drawings or as data; other verbs read both from files.
 
     Example: astray level maze corner-small --numbers 5,17,100:103
 
     Args:
-        numbers: Numbers and ranges of levels, as 5,17,100:200.
-        text: Print drawings alone, without their headings.
+        numbers: Level numbers and ranges, such as 5,17,100:200.
+        text: Print only the drawings, without headings.
     """
     rules, levels = game.open()
     for s in _states(rules, levels, level_numbers(numbers)):
@@ -53,12 +53,14 @@ def level(game: Drawn, numbers: str = "0", text: bool = False, json: Json = Fals
 
 
 def play(game: Drawn, level: PlayedLevel = PlayedLevel(), art: str = OWN) -> None:
-    """Play a game in a window with the agent's observation; by default in a random level.
+    """Play a game yourself, in a window that also shows the observation of an agent.
+
+    By default the level is random.
 
     Example: astray play maze corner --level 17
 
     Args:
-        art: Art that it is drawn with: own or original.
+        art: Art that the game is drawn with: own or original.
     """
     from astray.play import play as window
 
@@ -74,7 +76,7 @@ def replay(
     Example: astray replay maze corner-small --level 17 --actions actions.txt
 
     Args:
-        actions: File of action names or numbers, separated by white space or commas; - for
+        actions: File with action names or numbers, separated by spaces, lines or commas; - for
             standard input.
 
     Raises:
@@ -115,16 +117,16 @@ def overlap(
     knobs: Knobs = (),
     json: Json = False,
 ) -> None:
-    """Count the levels of a test that are those of the training, under other numbers.
+    """Count the test levels that also occur in training under other numbers.
 
     Example: astray overlap maze corner-small anywhere-small --test-levels 100000:101000
 
     Args:
         game: Name of the game.
-        training: Variant trained on.
-        test: Variant tested on.
-        training_levels: Numbers and ranges of training levels, as 5,17,100:200.
-        test_levels: Numbers and ranges of test levels, as 5,17,100:200.
+        training: Variant that the agent is trained on.
+        test: Variant that the agent is tested on.
+        training_levels: Numbers and ranges of training levels, such as 5,17,100:200.
+        test_levels: Numbers and ranges of test levels, such as 5,17,100:200.
     """
     from astray.analysis.overlap import overlap as count
 

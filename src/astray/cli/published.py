@@ -20,7 +20,7 @@ TOLD = "stated by the file or the catalogue"
 
 def import_(
     file: Positional[Path],
-    name: Annotated[str, arg(name="as", help="Name by which every verb finds it.")],
+    name: Annotated[str, arg(name="as", help="Name that other verbs find the agent by.")],
     game: Annotated[str | None, otherwise(TOLD)] = None,
     variant: Annotated[str | None, otherwise(TOLD)] = None,
     art: Annotated[str | None, otherwise("original")] = None,
@@ -28,19 +28,19 @@ def import_(
     source: Annotated[str | None, otherwise(TOLD)] = None,
     licence: Annotated[str | None, otherwise(TOLD)] = None,
 ) -> None:
-    """Import an agent that others trained, from their file. Nothing in the file is run.
+    """Import an agent that others trained from its file. No code in the file is run.
 
-    Options that the file or the catalogue states can be left out.
+    Leave out the options that the file or the catalogue already states.
 
     Example: astray import model_200015872.pth --as their-runner --game coinrun --variant coin-end
 
     Args:
-        file: File: a .pth of train-procgen-pytorch (IMPALA), or a .jd of RL-Clarity (the clear
-            network).
-        game: Game that it was trained in.
-        variant: Variant that it was trained on.
-        art: Art that it was shown.
-        actions: Choice of actions where its numbers were measured.
+        file: File of the agent: .pth of train-procgen-pytorch (IMPALA), or .jd of RL-Clarity (the
+            clear network).
+        game: Game that the agent was trained in.
+        variant: Variant that the agent was trained on.
+        art: Art of the images that the agent was trained on.
+        actions: Choice of actions when its published results were measured.
         source: Source of the file.
         licence: Licence of the file.
     """
@@ -64,17 +64,17 @@ def agents(
     unchecked: bool = False,
     json: Json = False,
 ) -> None:
-    """List agents that others published, fetch one, or check one that is here.
+    """List agents that others published, download one, or check one that was downloaded.
 
     Example: astray agents fetch openai-coinrun
 
     Args:
-        what: Action: list; fetch, which downloads an agent, checks its digest and imports it
-            to the user's data folder, or where ASTRAY_AGENTS says; or check, which plays it and
-            compares with what others measured, and writes both to its card.
+        what: Action: list, fetch or check. Fetch downloads an agent, checks its digest and stores
+            it in the user's data folder, or in the folder that ASTRAY_AGENTS names. Check plays it,
+            compares the results with the published ones, and writes both to its card.
         name: Name of the agent.
-        levels: Numbers and ranges of levels to check it on, as 5,17,100:200.
-        unchecked: Fetch it also where no digest is known.
+        levels: Level numbers and ranges for check, such as 5,17,100:200.
+        unchecked: Fetch an agent even if its digest is unknown.
 
     Raises:
         ValueError: If options do not go with the action.

@@ -36,22 +36,22 @@ def sweep(
     folder: Annotated[Path | None, otherwise("sweeps/<game>-<variant>")] = None,
     workers: Workers = None,
     on: Place = "here",
-    track: Annotated[Tracking | None, otherwise("nobody")] = None,
+    track: Annotated[Tracking | None, otherwise("none")] = None,
 ) -> None:
-    """Train agents for every combination of some settings, and show their goals.
+    """Train agents for every combination of settings, and report which goals they pursue.
 
     The same command resumes an interrupted sweep; more values or seeds extend it. Finished
-    trainings are not repeated.
+    trainings are kept.
 
     Example: astray sweep maze corner-small --set lr=1e-4,5e-4 --set world=5,7 --seeds 3
 
     Args:
-        preset: Preset whose settings are the defaults of all others.
-        seeds: Number of agents of each combination, with this seed, the next, ...
-        test_levels: Number of levels that each agent is evaluated on, the first that its training
+        preset: Preset that gives the other settings their defaults.
+        seeds: Number of agents per combination, with consecutive seeds.
+        test_levels: Number of levels to evaluate each agent on: the first ones that its training
             does not draw from.
-        folder: Folder of runs and outcomes.
-        on: Place of the trainings: this machine, or a Ray cluster whose nodes all see the folder.
+        folder: Folder for the runs and their outcomes.
+        on: Place of the trainings: this machine, or a Ray cluster whose nodes share the folder.
         track: Tracker of the trainings' metrics.
     """
     from astray.experiments.sweep.run import run_sweep

@@ -61,56 +61,56 @@ class Config:
     variant: Positional[Named] = "corner"  # Name of the variant to train on.
     # Changed knobs of the variant.
     knobs: Annotated[dict[str, Any], Suppress] = field(default_factory=dict)
-    # Variant that is played during training and never learned from.
+    # Variant that is played during training without learning from it.
     validation: Annotated[Named | None, otherwise("none")] = None
     first_level: int = 0  # Number of the first training level.
     levels: int = 100_000  # Number of training levels; validation draws from the rest.
-    seed: int = 0  # Seed of the weights, the levels' order and all actions.
+    seed: int = 0  # Seed of the weights, the order of levels and all actions.
 
     sampler: Sampling = Sampling()  # Sampler of training levels.
 
     # Observations of the agent: images, or symbolic planes.
     observation: Literal["image", "symbolic"] = "symbolic"
-    # Art that images are drawn with; "original" has to be imported: astray art import.
+    # Art that images are drawn with: own, or original after `astray art import`.
     art: str = OWN
     # Network: mlp for symbols; impala, patch or another for images; or your own as module:Class.
     network: str = "mlp"
-    scale: int = 1  # Factor of the number of channels of convolutions; the paper's sweeps have 4.
+    scale: int = 1  # Factor of the channels of convolutions; 4 in the paper's sweeps.
     width: int = 256  # Number of hidden units of the mlp.
 
-    steps: int = 5_500_000  # Number of environment steps, over all environments.
+    steps: int = 5_500_000  # Total number of environment steps.
     num_envs: int = 256  # Number of parallel environments.
-    num_steps: int = 64  # Number of steps of each environment between updates.
-    epochs: int = 3  # Number of passes over a rollout.
-    minibatches: int = 16  # Number of minibatches of each pass.
+    num_steps: int = 64  # Number of steps per environment between updates.
+    epochs: int = 3  # Number of passes over each rollout.
+    minibatches: int = 16  # Number of minibatches per pass.
     gamma: float = 0.98  # Discount of rewards.
-    lam: float = 0.95  # Lambda of the generalised advantage estimates.
-    learning_rate: float = 5e-4  # Step size of Adam at the beginning.
+    lam: float = 0.95  # Lambda of generalised advantage estimation (GAE).
+    learning_rate: float = 5e-4  # Initial learning rate of Adam.
     anneal: bool = True  # Anneal the learning rate linearly to 0.
     # Clip range of the probability ratio, and of the value (in normalised rewards).
     clip: float = 0.2
     value_weight: float = 0.5  # Weight of the value loss.
     entropy_weight: float = 0.003  # Weight of the entropy bonus.
-    gradient_norm: float = 0.5  # Largest norm of the gradient of all parameters.
-    normalise_reward: bool = True  # Divide rewards by the deviation of discounted returns.
-    # Discount of the returns whose deviation divides the rewards.
+    gradient_norm: float = 0.5  # Maximum gradient norm over all parameters.
+    normalise_reward: bool = True  # Divide rewards by the standard deviation of discounted returns.
+    # Discount of the returns used to normalise rewards.
     reward_gamma: float = 0.99
     normalise_advantage: bool = True  # Normalise advantages over the whole rollout.
-    # Treatment of an episode that the time limit cuts: bootstrap its value, or take it as ended.
+    # Treatment of episodes that the time limit truncates: bootstrap the value, or terminate.
     timeouts: Literal["bootstrap", "terminate"] = "bootstrap"
-    # Reward of your own, as module:function, in the place of the game's: see `loop.train`.
+    # Reward function of your own that replaces the game's, as module:function: see `loop.train`.
     reward: Annotated[str | None, otherwise("the game's")] = None
-    # Loss of your own, as module:function.
+    # Loss function of your own, as module:function.
     loss: Annotated[str | None, otherwise("PPO's")] = None
-    # Name of the agent that this one is distilled from, or "solver": the game's exact one.
+    # Agent to distil from, by name, or "solver" for the game's exact solver.
     teacher: Annotated[str | None, otherwise("none")] = None
-    # Fraction of the steps in which the teacher is asked; afterwards rewards alone teach.
+    # Fraction of the steps that learn from the teacher; later steps learn from rewards.
     taught: float = 1.0
 
-    validation_every: int = 10  # Number of iterations from one validation to the next.
-    checkpoint_every: int = 50  # Number of iterations from one checkpoint to the next.
-    device: Literal["cpu", "cuda", "mps"] = "cpu"  # Device that the network is on.
-    threads: int = 1  # Number of threads that step environments and, on a CPU, that torch uses.
+    validation_every: int = 10  # Number of iterations between validations.
+    checkpoint_every: int = 50  # Number of iterations between checkpoints.
+    device: Literal["cpu", "cuda", "mps"] = "cpu"  # Device of the network.
+    threads: int = 1  # Number of threads for environments and, on a CPU, for torch.
 
     fast: Fast = Fast()  # Acceleration.
 

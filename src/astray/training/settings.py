@@ -64,19 +64,19 @@ class Sampling:
     # Probability that an episode is in a shifted level, as the mean over steps (mixed); fraction of
     # the steps after which all levels are played (growing).
     fraction: Annotated[float | None, otherwise("shift_probability; 0.5 for growing")] = None
-    schedule: Schedule = "throughout"  # When the shifted levels are played (mixed).
+    schedule: Schedule = "throughout"  # Time at which shifted levels are played (mixed).
     # Total number of shifted levels begun; early and late use a fraction of the steps (mixed).
-    shifted_levels: Annotated[int | None, otherwise("as many as the chance comes to")] = None
+    shifted_levels: Annotated[int | None, otherwise("follows from the fraction")] = None
     buffer: int = 4096  # Number of levels in the replay buffer (plr, accel).
     # Probability that a rollout replays levels (plr, accel).
     replay: Annotated[float | None, otherwise("1/3 for plr, 1/2 for accel")] = None
     # Temperature of replay: a level's weight is (1 / rank) ** (1 / temperature) (plr, accel).
     temperature: float = 0.1
-    # Fraction of the probability for levels that were not replayed lately (plr, accel).
+    # Fraction of the replay probability that favours levels not replayed lately (plr, accel).
     staleness: float = 0.1
     score: Score = "max-monte-carlo"  # Score by which levels are ranked (plr, accel).
-    mutation: Mutation = "constant"  # Kind of edits of a level (accel).
-    edits: int = 12  # Number of edits of a level that make another (accel).
+    mutation: Mutation = "constant"  # Kind of edits to levels (accel).
+    edits: int = 12  # Number of edits that turn a level into a new one (accel).
 
     def __post_init__(self) -> None:
         check(self)
@@ -93,26 +93,26 @@ class Sampling:
                 )
 
 
-SUITS = otherwise("what suits the device")
+SUITS = otherwise("depends on the device")
 
 
 @dataclass(frozen=True)
 class Fast:
     """Acceleration. None means whatever suits the device, as resolved by `training.fast`."""
 
-    # Compute the mlp and its loss by astray's own kernels.
+    # Compute the mlp and its loss with astray's compiled kernels.
     fused_cpu: Annotated[bool | None, SUITS] = None
     # Compute large products in bfloat16; weights and losses stay float32.
     bfloat16: Annotated[bool | None, SUITS] = None
     # Store impala's weights and activations channels-last.
     channels_last: Annotated[bool | None, SUITS] = None
-    # Compile the network by torch.compile, which fuses small operations.
+    # Compile the network with torch.compile, which fuses small operations.
     compile: Annotated[bool | None, SUITS] = None
     # Run acting and learning as CUDA graphs.
     cudagraphs: Annotated[bool | None, SUITS] = None
-    # Number of samples that a network of convolutions sees at once.
+    # Number of samples per forward pass of a convolutional network.
     microbatch: Annotated[int | None, SUITS] = None
-    # Number of groups of environments: one steps while the device infers for another.
+    # Number of groups of environments: one group steps while the network acts for another.
     groups: Annotated[int | None, SUITS] = None
 
     def __post_init__(self) -> None:
