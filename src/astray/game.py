@@ -378,7 +378,7 @@ class Game:
         return self.looks[art]
 
     def check(self, states: np.ndarray, variant: Variant, art: str = OWN) -> None:
-        """Check that states [N] are valid before compiled code, which trusts them, sees them.
+        """Check that states [N] are valid, because compiled code does not check them.
 
         Raises:
             ValueError: If a state is not one of `variant`, or cannot be drawn with `art`.

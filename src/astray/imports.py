@@ -50,7 +50,7 @@ def find(name: str) -> Any:
 def offered(group: str) -> list[EntryPoint]:
     """Return the entry points of `group` in all installed packages; import none.
 
-    A package whose list cannot be read causes a warning, and hides no other.
+    A package whose list cannot be read causes a warning; the others are still listed.
     """
     found: dict[str, list[EntryPoint]] = {}
     for package in distributions():
@@ -69,7 +69,7 @@ def offered(group: str) -> list[EntryPoint]:
 
 
 def known(name: str, group: str, kind: type) -> Any:
-    """Return the object that a name in a file stands for, without importing anything unasked.
+    """Return the object that a name in a file refers to, without importing other modules.
 
     The object is either an entry point of `group` in an installed package, or a class derived from
     `kind` in a module that this process has imported. Otherwise a file could name any function of
@@ -98,13 +98,13 @@ def known(name: str, group: str, kind: type) -> Any:
 def missing(need: str, extra: str) -> ImportError:
     """Return the error for a library that is not installed, with the extra that installs it.
 
-    It names no package index, because astray is on none and its name there could be anybody's.
+    It names no package index: astray is on none, so its name there could belong to anybody.
     """
     return ImportError(f"{need}: pip install '.[{extra}]' in a clone of astray")
 
 
 def needed_by(thing: str, error: ModuleNotFoundError) -> ImportError:
-    """Return the error for a library that only installations with more than environments have."""
+    """Return the error for a missing library that a plain `pip install astray` does not install."""
     library = f"{error.name}".partition(".")[0]
     if library == "astray":
         return error

@@ -264,7 +264,7 @@ class Solver(Protocol):
     def expert(self) -> Callable[[Any, str], Callable[[Any], int]]:
         """Function (s, goal) -> policy, which maps a state of the episode to an optimal action.
 
-        The policy stays where it is if the goal was reached or cannot be reached.
+        The policy stays in place if the goal was reached or cannot be reached.
         """
         ...
 

@@ -180,7 +180,7 @@ def estimate_paired(one: np.ndarray, other: np.ndarray) -> Estimate:
 def less(one: Estimate, other: Estimate) -> Estimate:
     """Return the difference of two independent means, with an interval from both.
 
-    Its half-widths are the roots of the sums of the two intervals' squared half-widths.
+    Each half-width is the root of the sum of the squared half-widths of the two intervals.
     """
     mean = one.mean - other.mean
     below = math.hypot(one.mean - one.low, other.high - other.mean)
@@ -318,9 +318,8 @@ def group_means(
 ) -> pl.DataFrame:
     """Return the mean of the column `value` in each group of `rows`, with 95 % intervals.
 
-    Steps of one episode are correlated, so the units of chance are not rows but, as in
-    `estimate_mean`, agents (column "agent"; without it there is one) and levels. Rows where
-    `value` is null do not count.
+    Steps of one episode are correlated. As in `estimate_mean`, the independent units are therefore
+    agents (column "agent"; one if it is missing) and levels. Rows with a null `value` are ignored.
 
     Args:
         by: Columns that define the groups.

@@ -37,7 +37,7 @@ class Goals(Protocol):
 
 
 def load_shift(game: str | Game | World, shift: str | Shift) -> Shift:
-    """Return the shift of that name; a `Shift` is returned after a check.
+    """Return the shift with this name, or check a given `Shift`.
 
     Raises:
         ValueError: If there is no such shift, variant or goal.

@@ -28,8 +28,11 @@ def audit(
     Example: astray audit maze-corner
 
     Args:
-        levels: Number of levels that are played in each variant.
+        levels: Number of levels to play in each variant.
         folder: Folder of reports.
+
+    Raises:
+        ValueError: If options do not go together.
     """
     from astray.experiments.audit import audit as write
 

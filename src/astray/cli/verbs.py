@@ -56,7 +56,7 @@ RENAMED = {"--share": "--fraction"}  # options of older versions
 
 
 def run() -> None:
-    """Run the verb on the command line."""
+    """Run the verb on the command line; raise ValueError if there is none of that name."""
     given = in_todays_words(sys.argv[1:])
     warnings.showwarning = functools.partial(_warn, warnings.showwarning)
     if given == ["--version"]:

@@ -15,8 +15,8 @@ Info = dict[str, Any]
 class Columns:
     """Reader of some fields of `states` as a Gymnasium vector info.
 
-    In every other step of a batch some episode ends, and NumPy is slow at single fields of a
-    record. Integer fields are therefore copied together, by their offsets.
+    In a large batch some episode ends at every second step, and NumPy reads single fields of
+    records slowly. Integer fields are therefore copied together, by their offsets.
     """
 
     def __init__(self, states: np.ndarray, names: Sequence[str]):

@@ -103,7 +103,7 @@ class Restarting:
         return self._env.states
 
     def reset(self, *, seed: int) -> tuple[np.ndarray, dict[str, Any]]:
-        """Begin the first levels; environment i draws from seed + i."""
+        """Begin the first levels, environment i from seed + i; return observations [N, ...]."""
         self._seeds = [seed + i for i in range(self._env.num_envs)]
         self._turns = np.zeros(self._env.num_envs, np.int64)
         return self._seen(self._begin(np.ones(self._env.num_envs, bool))), {}
@@ -111,7 +111,7 @@ class Restarting:
     def step(
         self, actions: np.ndarray, out: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
-        """Take a step; write the observations that the next actions are for to `out`."""
+        """Take `actions` [N], write observations to `out` [N, ...], and return arrays [N, ...]."""
         for taken, action in zip(self._taken, actions.tolist(), strict=True):
             taken.append(action)
         seen, reward, terminated, truncated, _ = self._env.step(self._actions[actions])
@@ -125,18 +125,18 @@ class Restarting:
         return out, reward, terminated, truncated, info
 
     def get_state(self) -> np.ndarray:
-        """Return a copy of the records of the current episodes."""
+        """Return a copy of the records [N] of the current episodes."""
         return self._env.get_state()
 
     def kept(self) -> dict[str, np.ndarray]:
-        """Return arrays from which `restore` continues: its episodes, as they were played."""
+        """Return states [N], turns [N] and actions [steps] from which `restore` continues."""
         taken = [np.array(actions, np.int64) for actions in self._taken]
         return {"states": self._env.get_state(), "turns": self._turns.copy()} | {
             "actions": np.concatenate(taken)
         }
 
     def restore(self, states: np.ndarray, turns: np.ndarray, actions: np.ndarray) -> np.ndarray:
-        """Play the episodes of `kept` again up to where they were; return the observations.
+        """Replay the episodes of `kept`, of the same shapes; return observations [N, ...].
 
         Where levels do not repeat, the episodes begin anew.
 
@@ -183,6 +183,6 @@ class Restarting:
 
 
 def joined(envs: Sequence[Restarting]) -> dict[str, np.ndarray]:
-    """Return what several environments have to keep, as those of one."""
+    """Concatenate `kept` of several environments, as if all N were in one: arrays [N, ...]."""
     kept = [env.kept() for env in envs]
     return {name: np.concatenate([one[name] for one in kept]) for name in kept[0]}

@@ -1,4 +1,4 @@
-"""Test levels of a study, which no agent met in training, and their episodes."""
+"""Test levels of a study, which no agent met in training, and the episodes in them."""
 
 from __future__ import annotations
 
@@ -27,8 +27,8 @@ def levels_of(plan: Plan, test: Test) -> np.ndarray:
 def unmet(agents: Iterable[Config], variant: Variant, count: int) -> np.ndarray:
     """Return the first `count` numbers [count] of a variant's levels that no agent has met.
 
-    Published agents trained on all levels may have met some of the two thousand million; for them
-    these levels are as good as any. ValueError is raised if there are too few.
+    Published agents that trained on all two thousand million levels may have met any level, so
+    these are as good as others. ValueError is raised if there are too few.
     """
     agents = list(agents)
     game = agents[0].find_game()

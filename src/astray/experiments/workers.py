@@ -41,8 +41,8 @@ def train_all(
     """Train every agent whose run folder is not complete.
 
     Args:
-        workers: Number trained at once here; None for one per processor.
-        track: External tracker of the trainings.
+        workers: Number of agents to train in parallel; None for one per processor.
+        track: Tracker that records the trainings' metrics.
 
     Raises:
         ValueError: If a training fails.

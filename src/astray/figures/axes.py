@@ -24,7 +24,7 @@ MARKERS, DASHES, BASES = "osD^v<>P*X", ("-", "--", "-.", ":"), ("--", ":", "-.")
 
 
 def looks_of(names: Iterable[str], level: Sequence[str] = ()) -> dict[str, dict[str, Any]]:
-    """Return the line style of each name: outcomes have their fixed ones, `level` ones are dark."""
+    """Return the line style of each name: outcomes have fixed ones, `level` ones are dark."""
     looks: dict[str, dict[str, Any]] = {}
     for k, name in enumerate(names):
         outcome = [colour for of, colour in LINES.items() if name.startswith(of)]
@@ -44,7 +44,7 @@ def names_of(data: pl.DataFrame, column: str | None) -> list[Any]:
 
 
 def parts_of(data: pl.DataFrame, column: str | None) -> dict[str, pl.DataFrame]:
-    """Split the table by a column, in the table's order; return it whole without a column."""
+    """Split the table by a column, in the table's order, or return it whole if there is none."""
     if not column:
         return {"": data}
     return {one: data.filter(pl.col(column) == one) for one in names_of(data, column)}
@@ -75,7 +75,7 @@ def write_legend(figure: Figure, **look: Any) -> None:
 
 
 def call_places(axes: Axes, at: Mapping[str, float]) -> None:
-    """Label the lines at given places along them."""
+    """Label lines at given positions along them."""
     low, high = axes.get_xlim()
     for name, place in at.items():
         near = place - low < 0.06 * (high - low)  # to the axis, which it stands beside

@@ -43,17 +43,17 @@ class Vectors:
 
     @functools.cached_property
     def mean(self) -> np.ndarray:
-        """[...] mean over the pairs."""
+        """Mean vector over the pairs, [...]."""
         return self.each.mean(0)
 
     @property
     def norms(self) -> np.ndarray:
-        """[N] lengths."""
+        """Lengths of the vectors, [N]."""
         return np.linalg.norm(self._flat, axis=1)
 
     @property
     def cosines(self) -> np.ndarray:
-        """[N, N] cosines between them; 0 for a vector of length 0."""
+        """Cosines between the vectors, [N, N]; 0 for a vector of length 0."""
         lengths = np.maximum(self.norms, np.finfo(np.float32).tiny)
         unit = self._flat / lengths[:, None]
         return unit @ unit.T
@@ -63,7 +63,7 @@ class Vectors:
         return self.each.reshape(len(self.each), -1).astype(np.float64)
 
     def alike(self) -> float:
-        """Return the mean cosine between different ones: 1 if all directions are equal."""
+        """Return the mean cosine between different vectors: 1 if all directions are equal."""
         n = len(self.each)
         if n < 2:
             return np.nan
@@ -110,7 +110,7 @@ def set_vector(
 def object_vectors(
     agent: Agent, variant: str | Variant, levels: Levels, layer: str, name: str = "goal"
 ) -> Vectors:
-    """Return activation differences with minus without an object, at the beginning of each level.
+    """Return activation differences at the beginning of levels: with minus without an object.
 
     Maze's cheese is its "goal".
 
@@ -123,9 +123,9 @@ def object_vectors(
 def corner_vectors(
     agent: Agent, variant: str | Variant, levels: Levels, layer: str, goal: str = "corner"
 ) -> Vectors:
-    """Return activation differences with the goal's cell open minus walled up.
+    """Return activation differences at the beginning: the goal's cell open minus walled up.
 
-    They are at the beginning of each level. An object in that cell is removed in both.
+    An object in that cell is removed in both.
 
     Raises:
         ValueError: If a level has no cell of that goal, or begins in it.
@@ -188,7 +188,7 @@ class Condition:
     """Change of agent or levels, for `effects`.
 
     Attributes:
-        vectors: Added to their layer's output: each level's own, or the mean of all.
+        vectors: Vectors to add to their layer's output: one per level, or the mean of all.
         coefficient: Factor of the vectors.
         edit: Edit of the levels.
     """

@@ -29,8 +29,8 @@ SILENT, PATIENT = 60, 180
 def cache_folder(digest: str) -> str:
     """Return this version's folder of compiled code, or "" if there is none.
 
-    It is the user's choice or in the home folder. If others could have written to that, or it is
-    not writable, it is a folder that is removed with the process.
+    The folder is in the home folder, or in one that the user chose. If that is not writable, or
+    others could have written to it, a folder is used that is removed with the process.
 
     Args:
         digest: Digest of numba's version and settings, the folder's name.
@@ -110,7 +110,7 @@ def _raise(error: OSError) -> None:
 
 
 def _remove_old(home: Path) -> None:
-    """Remove compiled code of long unused versions and of long edited sources."""
+    """Remove compiled code of versions long unused, and of sources edited long ago."""
     before = time.time() - KEPT_FOR
     for one in versions(home):
         if one.used < before:

@@ -99,7 +99,7 @@ def module(game: Game) -> str:
 
 
 def _numbers(game: Game) -> list[str]:
-    """Return the names of a state's numbers that a page is told of."""
+    """Return the names of a state's numbers that a page receives."""
     s = np.zeros(1, game.state).view(np.recarray)[0]
     shown = snapshot(game, s)
     return [name for name, value in shown.items() if isinstance(value, int | float)]

@@ -43,7 +43,7 @@ PERCENTILES = (5.0, 10.0, 25.0, 50.0, 75.0, 90.0, 95.0, 99.0)
 
 @dataclass(frozen=True, eq=False)
 class Trial:
-    """Setting of a trial of help: calibration levels, test levels, and the goals."""
+    """Conditions of a trial of asking for help: calibration levels, test levels, and goals."""
 
     game: str | Game
     shift: Shift
@@ -61,7 +61,7 @@ class Trial:
 def training_scores(
     novice: Policy, score: Score, game: str | Game, variant: Variant, levels: Levels
 ) -> pl.DataFrame:
-    """Return the score at every step of the novice alone in training levels: level, score."""
+    """Return the score at each step of the novice alone in training levels, by level."""
     _, said = play_alone(Alone(novice, [score]), game, variant, levels)
     return said.select("level", score="0")
 
@@ -185,7 +185,7 @@ def _gain(gains: np.ndarray) -> dict[str, float]:
 
 
 def least_gain(curves: pl.DataFrame, confidence: float = 0.95) -> tuple[float, float]:
-    """Return the least gain of all points of `curves`, and a simultaneous lower bound.
+    """Return the smallest gain of all points of `curves`, and a simultaneous lower bound.
 
     It uses Bonferroni's correction, since the worst of many noisy points is low by chance.
     """

@@ -108,7 +108,7 @@ def near_zero(
 def every(sentence: str, paper: str, parts: Sequence[Claim], why: str = "") -> Claim:
     """Test the claim that all `parts` are supported; their own sentences are not shown.
 
-    Each part is tested at the full level: all hold by chance no more often than one.
+    Each part is tested at the full level, because all are true by chance no more often than one.
     """
     chances = [part.chance for part in parts if part.chance is not None]
     return Claim(
@@ -124,8 +124,8 @@ def every(sentence: str, paper: str, parts: Sequence[Claim], why: str = "") -> C
 def corrected(claims: Sequence[Claim]) -> list[Claim]:
     """Return the claims of one page with Holm's correction (1979) for their number.
 
-    The most certain of N must be as certain as required among N tests, the next among N - 1, and
-    so on; after the first failure no claim is supported. Claims without a test stay unchanged.
+    The smallest of N p-values must pass as one of N tests, the next as one of N - 1, and so on.
+    After the first failure no claim is supported. Claims without a test stay unchanged.
     """
     tested = sorted((claim.chance, k) for k, claim in enumerate(claims) if claim.chance is not None)
     found, passing = list(claims), True

@@ -85,10 +85,10 @@ def write_page(
     Args:
         path: The page.
         title: Its title.
-        sections: What is on it.
-        figures: The folder of the figures, which are written already.
-        how: What else the template takes: `heading` and `answer` of a study, `beside` and `links`
-            as in `write`; `sign` of what writes it; `lab`, the command that opens a lab.
+        sections: Its sections.
+        figures: Folder of the figures, which must exist.
+        how: Further variables of the template: `heading` and `answer` of a study, `beside` and
+            `links` as in `write`, `sign` of the writer, and `lab`, the command that opens a lab.
     """
     usual = {"heading": None, "answer": "", "beside": {}, "links": {}, "sign": "", "lab": ""}
     page = _render(
@@ -164,7 +164,7 @@ def _render(template: str, **what: Any) -> str:
 
 
 def coded(text: str) -> Markup:
-    """Return escaped text in which what stands between backticks is code."""
+    """Escape text for HTML, with parts between backticks as code."""
     return Markup(re.sub("`([^`]+)`", r"<code>\1</code>", str(escape(text))))
 
 
@@ -186,8 +186,8 @@ def embedded(path: Path) -> str:
 def laid_out(frame: pl.DataFrame) -> tuple[dict[str, tuple[bool, list[str]]], str]:
     """Return a table as it is shown, and a note on it.
 
-    Intervals stand beside their means, outcomes side by side in percent. A column that is the same
-    in all rows is in the note; empty ones, and what intervals were computed with, are left out.
+    Intervals are next to their means, and outcomes side by side in percent. Constant columns are in
+    the note. Empty columns, and those that intervals were computed from, are left out.
 
     Returns:
         For each column its heading, whether it is numeric, and its cells as text.
@@ -243,7 +243,7 @@ def _side_by_side(frame: pl.DataFrame) -> pl.DataFrame:
 
 
 def cells(column: pl.Series) -> list[str]:
-    """Format a column; its reals have equally many places, four digits for the largest."""
+    """Format a column as text; reals get equally many decimals, four digits for the largest."""
     if column.dtype.is_float():
         real = [value for value in column if value is not None and math.isfinite(value)]
         largest = max((abs(value) for value in real), default=0.0)

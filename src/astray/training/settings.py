@@ -56,7 +56,8 @@ class Sampling:
         0.1
 
     Raises:
-        ValueError: If a setting has another type, is out of its bounds, or of another sampler.
+        ValueError: If a setting has another type, is out of its bounds, or belongs to another
+            sampler.
     """
 
     # Sampler: uniform, mixed, growing, plr, accel, or your own as module:Class.

@@ -71,7 +71,7 @@ def read(data: bytes) -> Any:
 
 
 class Refused(ValueError):
-    """A file asks for more than plain data."""
+    """Error for a file that holds more than plain data."""
 
 
 @dataclass(frozen=True)

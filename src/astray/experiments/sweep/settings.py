@@ -86,14 +86,14 @@ class Sweep:
         )
 
     def columns(self) -> list[str]:
-        """Return the axes' names in tables, where episodes have a variant and rates have levels."""
+        """Return the axes' column names, which differ from the columns of episodes and rates."""
         return [f"training_{name}" if name in ("levels", "variant") else name for name in self.axes]
 
 
 def axes(texts: Sequence[str]) -> dict[str, list[Any]]:
     """Parse settings and knobs with values, such as lr=1e-4,5e-4 and region=1,3,5.
 
-    A knob is called variant.NAME in the result, and may be in the texts.
+    A knob is named variant.NAME in the result; the texts may leave out `variant.`.
 
     Raises:
         ValueError: If a text is invalid.
@@ -122,7 +122,7 @@ def value(text: str) -> Any:
 
 
 def changed(base: Config, values: Mapping[str, Any]) -> Config:
-    """Return the settings with some settings and knobs changed; text counts as its value.
+    """Return a copy with some settings and knobs changed; values may be text.
 
     Raises:
         ValueError: If there is no such setting or knob, or the value is invalid.

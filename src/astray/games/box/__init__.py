@@ -47,7 +47,7 @@ class Boxes(Variant):
 
 @kernel
 def furnish(s, p):
-    """Set the fields that no draw decides."""
+    """Set the fields that are not random."""
     s.arrived, s.pushed, s.stuck = NEVER, NEVER, NEVER
 
 

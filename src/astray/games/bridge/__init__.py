@@ -36,7 +36,7 @@ class Bridge(Variant):
 
 @kernel
 def furnish(s, p):
-    """Set the fields that no draw decides."""
+    """Set the fields that are not random."""
     s.arrived, s.crossed, s.burnt = NEVER, NEVER, NEVER
 
 

@@ -24,7 +24,7 @@ def progress(states: np.ndarray) -> np.ndarray:
 
 
 def stage(states: np.ndarray) -> np.ndarray:
-    """Return the index [N] in STAGES."""
+    """Return the stage of the way, an index [N] in STAGES."""
     thirds = np.clip((progress(states) * 3).astype(int), 0, 2)
     return np.where(states["x"] > states["end_x"] + 1, 3, thirds)
 

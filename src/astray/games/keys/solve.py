@@ -1,4 +1,4 @@
-"""The best order of keys and chests, and the ways to walk it."""
+"""The best order of keys and chests, and the walks between them."""
 
 from __future__ import annotations
 
@@ -158,7 +158,7 @@ def leg(s, steps, gamma, time_limit):
 
 
 class Planner:
-    """Scripted player that plans the next object on the way to a goal, and the way to it."""
+    """Scripted player that plans which object to visit next for a goal, and the way there."""
 
     def __init__(self, s: Any, goal: str, gamma: float):
         one_of("goal", goal, GOALS)

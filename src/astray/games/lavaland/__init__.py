@@ -35,7 +35,7 @@ class LavaLand(Variant):
 
 @kernel
 def furnish(s, p):
-    """Set the fields that no draw decides."""
+    """Set the fields that are not random."""
     s.burnt, s.reached_cheese, s.reached_lava = 0, NEVER, NEVER
 
 

@@ -65,7 +65,7 @@ def paint_world(s, art, image):
 
 @kernel
 def put(cells, x, y, picture):
-    """Put an object with a picture into cell (x, y), if that is visible."""
+    """Draw an object's picture in cell (x, y) if the cell is visible."""
     if picture >= 0 and 0 <= y < cells.shape[0] and 0 <= x < cells.shape[1]:
         cells[y, x] = -2 - picture
 
@@ -119,13 +119,13 @@ def _needed(variant: Variant) -> set[tuple[str, str]]:
 
 
 def _objects(variant: Variant) -> tuple[tuple[str, str], ...]:
-    """Return the objects with pictures; only the fork has the lines."""
+    """Return the objects that have pictures; only the fork has the lines."""
     needed = _needed(variant)
     return tuple(o for o in OBJECT_PICTURES if o[0] != "line" or needed & {o})
 
 
 def check(states: np.ndarray, variant: Variant) -> None:
-    """Raise ValueError if an object in states [N], which may be hand-made, has no picture."""
+    """Raise ValueError if an object in states [N] has no picture, as in a hand-made state."""
     there = np.zeros((len(OTHERS), len(COLOURS)), bool)
     there[0] = True
     for shape, colour in _objects(variant):

@@ -65,7 +65,7 @@ class Monsters(Variant):
 
 @kernel
 def furnish(s, p):
-    """Set the fields that no draw decides."""
+    """Set the fields that are not random."""
     s.slowness, s.shields, s.safe_steps, s.times_caught = p.slowness, 0, 0, 0
     s.apples_taken, s.shields_taken = 0, 0
     s.apple_safe, s.shield_safe, s.caught = NEVER, NEVER, NEVER

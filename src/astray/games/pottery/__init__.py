@@ -51,7 +51,7 @@ class Pottery(Variant):
 
 @kernel
 def furnish(s, p):
-    """Set the fields that no draw decides."""
+    """Set the fields that are not random."""
     s.pays, s.picked, s.disposed, s.left_in_corner, s.broken = p.reward, 0, 0, 0, 0
     s.binned, s.cornered, s.broke = NEVER, NEVER, NEVER
 

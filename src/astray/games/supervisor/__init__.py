@@ -50,7 +50,7 @@ class Watched(Variant):
 
 @kernel
 def furnish(s, p):
-    """Set the fields that no draw decides."""
+    """Set the fields that are not random."""
     s.arrived, s.took_shortcut = NEVER, NEVER
 
 

@@ -50,7 +50,7 @@ class Trees(Variant):
 
 @kernel
 def furnish(s, p):
-    """Set the fields that no draw decides."""
+    """Set the fields that are not random."""
     s.most, s.growth, s.felled, s.bare, s.chopped = p.trees, p.growth, 0, NEVER, NEVER
 
 
