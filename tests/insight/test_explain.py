@@ -1,6 +1,8 @@
 """The page about an agent in a level, and an episode from within."""
 
+import io
 import re
+import sys
 
 import numpy as np
 import polars as pl
@@ -88,10 +90,21 @@ def test_a_level_that_distinguishes_the_goals_is_looked_for_from_a_number_on():
     assert found != [*range(5)]
 
 
-def test_explain_writes_one_page_that_needs_nothing_else(astray, tmp_path):
+def test_a_level_in_which_the_agent_reaches_a_goal_comes_first():
+    maze, mouse = games.find("maze"), load_agent("maze-corner")
+    variant, shift = maze.variant("anywhere-small"), maze.shifts["corner-small"]
+    assert first_distinguishing(maze, variant, shift) == 2  # in which this mouse is stuck
+    found = first_distinguishing(maze, variant, shift, agent=mouse)
+    (played,) = evaluate(mouse, maze, variant, [found]).to_dicts()
+    assert found > 2 and played["reached_corner"] is not None
+
+
+def test_explain_writes_one_page_that_needs_nothing_else(astray, tmp_path, monkeypatch):
+    monkeypatch.setattr(sys, "stderr", told := io.StringIO())
     path = astray("explain", "maze-corner", "--level", 200_003, "--others", 60, "--out", tmp_path)
     page = (tmp_path / "explain.html").read_text()
     assert path.strip() == str(tmp_path / "explain.html")
+    assert told.getvalue().startswith("1 of 6: where it would go\n2 of 6: ")
     headings = re.findall("<h2>(.*?)</h2>", page)
     for heading in (
         "Where it would go",
@@ -154,7 +167,7 @@ def test_probes_learn_from_other_levels_and_advantages_are_those_of_the_training
     astray, tmp_path, monkeypatch
 ):
     given = []
-    monkeypatch.setattr(explain, "explain", lambda asked, *_: given.append(asked))
+    monkeypatch.setattr(explain, "explain", lambda asked, *_, **_options: given.append(asked))
     config = open_run(folders.find("maze-corner"))[1]
     first = config.unseen_levels[0]
     for level in (None, first + 3, 5):

@@ -57,7 +57,8 @@ def explain(
     levels = config.played_variant(name, pairs(tested.knobs))
     number = level.find(game, levels)
     if number is None:
-        number = first_distinguishing(game, levels, shift, int(config.unseen_levels[0]))
+        first = int(config.unseen_levels[0])
+        number = first_distinguishing(game, levels, shift, first, player)
     if not isinstance(number, Level):
         drawn = Level.of(game, levels, initial_states(game, levels, [number])[0])
         where, given = f"{name} level {number}", f"--level {number}"
@@ -74,4 +75,4 @@ def explain(
     told = np.array(after), config.gamma, config.lam, deviation
     lab = f"astray lab {shlex.quote(str(agent.name))} --variant {name} {given}"
     asked = Asked(player, levels, drawn, named, reads, *told, lab=lab)
-    print(write(asked, out, f"{agent.name} in {game.name} {where}"))
+    print(write(asked, out, f"{agent.name} in {game.name} {where}", progress=True))

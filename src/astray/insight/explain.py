@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import sys
 from collections import Counter
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -74,10 +75,13 @@ class Asked:
         return self.between.intended if thing == "goal" else thing
 
 
-def explain(asked: Asked, folder: Path, heading: str) -> Path:
+def explain(asked: Asked, folder: Path, heading: str, progress: bool = False) -> Path:
     """Write the page, its figures (PNG and SVG) and tables (Parquet); return the page's path.
 
     Parts that an agent or a game does not support, such as goals without cells, say so.
+
+    Args:
+        progress: Name each part on standard error before it is computed.
 
     Raises:
         OSError: If the folder has files of these names that astray did not write.
@@ -91,7 +95,9 @@ def explain(asked: Asked, folder: Path, heading: str) -> Path:
         "Its episode": _episode,
     }
     parts: list[Section] = []
-    for title, make in makers.items():
+    for number, (title, make) in enumerate(makers.items(), 1):
+        if progress:
+            print(f"{number} of {len(makers)}: {title.lower()}", file=sys.stderr, flush=True)
         try:
             parts += make(asked)
         except (ValueError, ImportError) as error:

@@ -8,8 +8,9 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+import polars as pl
 
-from astray.acting import steps
+from astray.acting import Policy, steps
 from astray.agency import measure
 from astray.agency.gridworld import World as Gridworld
 from astray.agency.measure import CALIBRATED
@@ -23,6 +24,7 @@ from astray.lab.agents import rounded
 from astray.lab.messages import LONGEST
 from astray.lab.worlds import Episode, World
 from astray.level import Level
+from astray.outcome import FAILED
 from astray.record import NEVER
 
 NEITHER = "neither"  # of the goals
@@ -71,13 +73,21 @@ def distinguishes(world: World, shift: Shift) -> bool | None:
     return bool(played["distinguishing"][0])
 
 
-def first_distinguishing(game: Game, variant: Variant, shift: Shift, first: int = 0) -> int:
-    """Return the first level, from `first` on, that distinguishes the goals; else `first`."""
+def first_distinguishing(
+    game: Game, variant: Variant, shift: Shift, first: int = 0, agent: Policy | None = None
+) -> int:
+    """Return the first level, from `first` on, that distinguishes the goals; else `first`.
+
+    Args:
+        agent: Agent that reaches a goal in the level, if there is such a level.
+    """
     if game.real_time or not game.solver:
         return first
-    played = play_all(game, "shown", variant, shift, range(first, first + FIRST_FEW), [])
-    found = played.filter("distinguishing")["level"]
-    return int(found.min()) if len(found) else first  # pyright: ignore[reportArgumentType]
+    levels, agents = range(first, first + FIRST_FEW), [agent] if agent else []
+    played = play_all(game, "shown", variant, shift, levels, agents).filter("distinguishing")
+    reached = played.filter(pl.col("outcome") != FAILED)
+    shown = reached.filter(policy=agent.name) if agent else played
+    return min(shown["level"].to_list() or played["level"].to_list(), default=first)
 
 
 def _told(growth: Growth, counted: np.ndarray, named: dict[str, Any]) -> dict[str, Any]:

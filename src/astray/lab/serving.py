@@ -46,7 +46,8 @@ def make_lab(agent: str | Path | None, start: Mapping[str, Any]) -> Lab:
     if "level" not in first:
         shift = game.shifts.get(agents.about(name)["shift"]) if name else None
         if shift and first["variant"] == shift.test:
-            first["level"] = first_distinguishing(game, game.variant(shift.test), shift)
+            test, (player, _) = game.variant(shift.test), agents.open(name)
+            first["level"] = first_distinguishing(game, test, shift, agent=player)
         else:
             first["level"] = 0
     return Lab(agents, first | {"game": game.name})
