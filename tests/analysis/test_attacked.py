@@ -285,7 +285,7 @@ def reset(**options):
         (lambda: ROOM.number((0.0, 1)), "a cell must be two integers, x and y; got"),
         (lambda: ROOM.walk((0, 0), [1.5]), "an action must be an integer from 0 to 3; got 1.5"),
         (lambda: measure.measure([1]), "an episode must be a Episode; got 1"),
-        (lambda: measure.Options(beta="x"), "beta must be a Real; got 'x'"),
+        (lambda: measure.Options(beta="x"), "beta must be a finite number from 1 on; got 'x'"),
         (lambda: train({}, "run"), "config must be a Config; got {}"),
     ],
 )

@@ -100,13 +100,13 @@ def test_a_measure_with_the_name_of_a_column_is_refused_by_the_plan():
 @pytest.mark.parametrize(
     "shift, said",
     [
-        (Shift("corner-small", "no-such", "cheese", ("corner",)), "the variant 'no-such'"),
-        (Shift("corner-small", "anywhere-small", "cheese", ("no-such",)), "the goal 'no-such'"),
+        (Shift("corner-small", "no-such", "cheese", ("corner",)), "unknown variant 'no-such'"),
+        (Shift("corner-small", "anywhere-small", "cheese", ("no-such",)), "unknown goal 'no-such'"),
     ],
 )
 def test_a_shift_to_what_the_game_lacks_is_refused(shift, said, monkeypatch):
     mine = replace(MAZE, name="mine", shifts={"wrong": shift})
-    with pytest.raises(ValueError, match=rf"'wrong' names {said}, which mine does not have"):
+    with pytest.raises(ValueError, match=rf"{said} of mine, named by the shift 'wrong'"):
         load_shift(mine, "wrong")
     monkeypatch.setattr(games, "_registered", {"mine": mine})
     with pytest.raises(ValueError, match=said):

@@ -13,7 +13,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from numbers import Real
 from typing import Literal
 
 import numpy as np
@@ -24,7 +23,7 @@ from astray.agency.agents import Agents, AtGoal, of_every_cell
 from astray.agency.devices import First, Observation
 from astray.agency.gridworld import ACTIONS, Cell, Trajectory, World
 from astray.agency.steps import Noise, Rule, log_product, log_table, rule
-from astray.validation import check_words, of_kind, one_of
+from astray.validation import check_words, finite, of_kind, one_of
 
 Goals = Literal["accessible and true", "accessible", "all cells"]
 Goal = Cell | str  # a cell, or a name
@@ -59,15 +58,10 @@ class Options:
 
     def __post_init__(self) -> None:
         check_words(self)
-        if not isinstance(self.legal, bool):
-            raise ValueError(f"legal must be a bool; got {self.legal!r}")
-        for name in ("noise_atom", "beta"):
-            of_kind(name, getattr(self, name), Real)
+        of_kind("legal", self.legal, bool)
         of_kind("observations", self.observations, tuple)
-        if not 0 <= self.noise_atom <= 1:
-            raise ValueError(f"noise_atom must be from 0 to 1; got {self.noise_atom}")
-        if not 1 <= self.beta < np.inf:
-            raise ValueError(f"beta must be at least 1, and finite; got {self.beta}")
+        finite("noise_atom", self.noise_atom, 0, 1)
+        finite("beta", self.beta, 1)
         if not self.observations:
             raise ValueError("observations are empty: name at least one")
         for what in self.observations:

@@ -20,7 +20,7 @@ from astray.estimate import Estimate
 from astray.game import Game, More, Never, Outcome, Shift, Truncated, Variant
 from astray.outcome import FAILED, INTENDED, MISGENERALIZED
 from astray.outcome import OUTCOMES as OUTCOMES
-from astray.validation import of_kind, one_of
+from astray.validation import of_kind, one_of, shown
 from astray.world import World, WorldVariant
 
 REACHED_NEITHER = ~pl.col("outcome").is_in([INTENDED, MISGENERALIZED])  # an end or a failure
@@ -47,19 +47,11 @@ def load_shift(game: str | Game | World, shift: str | Shift) -> Shift:
     if not isinstance(shift, Shift):
         one_of("shift", shift, shifts, of=game.name)
     found = shift if isinstance(shift, Shift) else shifts[shift]
+    whose = f"{game.name}, named by the shift {shown(shift)}"
     for variant in (found.train, found.test):
-        if variant not in game.variants:
-            there = ", ".join(game.variants)
-            raise ValueError(
-                f"the shift {shift!r} names the variant {variant!r}, which {game.name} does not "
-                f"have; there are: {there}"
-            )
+        one_of("variant", variant, game.variants, of=whose)
     for goal in (found.intended, *found.proxies):
-        if goal not in game.goals:
-            raise ValueError(
-                f"the shift {shift!r} names the goal {goal!r}, which {game.name} does not have; "
-                f"there are: {', '.join(game.goals)}"
-            )
+        one_of("goal", goal, game.goals, of=whose)
     return found
 
 

@@ -259,9 +259,8 @@ def _write_assessment(assessed: Assessment, frames: np.ndarray, folder: Path) ->
 
     folder.mkdir(parents=True, exist_ok=True)
     write_aside(folder / SUMMARY, json.dumps(assessed.summary()).encode())
-    movie, loop, last = (folder / name for name in POSTERIOR)
-    video.write_mp4(frames, movie, fps=4)
-    video.write_gif(frames, loop, fps=4)
+    movie, _, last = (folder / name for name in POSTERIOR)
+    video.write(frames, movie, fps=4)
     picture = io.BytesIO()
     Image.fromarray(frames[-1]).save(picture, "PNG")
     write_aside(last, picture.getvalue())

@@ -26,7 +26,7 @@ from astray.record import LEVELS
 from astray.report.findings import Findings
 from astray.report.page import COMPUTED
 from astray.training.config import PRESETS, SOLVER, Config, Named
-from astray.validation import bounded, of_kind, shown
+from astray.validation import MOST, bounded, of_kind, shown
 from astray.world import World
 
 if TYPE_CHECKING:
@@ -105,10 +105,8 @@ class Plan:
     speed: int = 0  # environment steps that a core trains with in a second, as measured; 0: unknown
 
     def __post_init__(self) -> None:
-        if self.seeds < 1:
-            raise ValueError(f"seeds must be at least 1; got {self.seeds}")
-        if self.speed < 0:
-            raise ValueError(f"speed must be at least 0; got {self.speed}")
+        bounded("seeds", self.seeds, 1, MOST)
+        bounded("speed", self.speed, 0, MOST)
         if not set(self.published) <= set(self.agents):
             raise ValueError("`published` must name agents of the plan")
         students = set(self.teachers)
