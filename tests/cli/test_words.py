@@ -105,3 +105,15 @@ def test_the_nearest_name_is_named_for_settings_and_verbs_too(astray):
     assert astray("evaluat", "x", fails=True).endswith("; did you mean 'evaluate'?\n")
     told = astray("train", "maze", "cornr", fails=True)
     assert "unknown variant 'cornr'" in told and told.endswith("did you mean 'corner'?\n")
+
+
+@pytest.mark.parametrize("verb", ["train", "agency"])
+def test_help_begins_with_the_verbs_sentence_and_wraps_those_of_options(verb, capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "500")
+    with pytest.raises(SystemExit):
+        verbs._parsed(verbs.find(verb), [verb, "--help"])
+    said, function = capsys.readouterr().out, verbs.find(verb)
+    told = inspect.getdoc(getattr(function, "func", function))
+    assert told.splitlines()[0] in said and re.search("Example: astray", said)
+    for sentence in re.findall(r"^    \w+: (.*(?:\n {8}.*)*)", told, re.MULTILINE):
+        assert re.sub(r"\s+", " ", sentence).rstrip(".") in said

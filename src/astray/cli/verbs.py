@@ -5,7 +5,9 @@ from __future__ import annotations
 import argparse
 import contextlib
 import functools
+import inspect
 import io
+import re
 import sys
 import warnings
 from collections.abc import Callable
@@ -81,6 +83,7 @@ def _parsed(verb: Callable[..., Any], given: list[str]) -> Callable[[], Any]:
     def call(*values: Any, **options: Any) -> Callable[[], Any]:
         return functools.partial(verb, *values, **options)
 
+    call.__doc__ = getattr(verb, "func", verb).__doc__
     said, question = io.StringIO(), ""
     try:
         with contextlib.redirect_stderr(said):
@@ -144,6 +147,8 @@ def find(name: str) -> Callable[..., Any]:
     """Return the function of a verb; `train` and `sweep` get the preset's defaults."""
     module, _, function = VERBS[name].partition(":")
     verb = getattr(import_module(f"astray.cli.{module}"), function)
+    # An option's sentence is one line, as tyro would keep the docstring's breaks.
+    verb.__doc__ = re.sub(r"\n {8,}(?=\S)", " ", inspect.getdoc(verb) or "")
     if name not in ("train", "sweep"):
         return verb
     from astray.training.config import PRESETS
