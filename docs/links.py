@@ -28,6 +28,13 @@ LINK = re.compile(r"(?<!!)\[([^\[\]]+)\]\((?!\w+:)([^)\s#]+)(#[^)\s]*)?\)")
 STUDY = re.compile(r"src/astray/experiments/studies/\w+/([a-z]\w*)\.py")
 PICTURE = re.compile(r"(!\[[^\]]*\]\()(?!\w+:)([^)\s]+)\)")
 HREF = re.compile(r'<a\b[^>]*?\bhref="([^"]+)"')
+# In the theme's navigation, the list of a section that has a page: its title, and its name.
+SECTION = re.compile(
+    r'(<span class="md-ellipsis">\s*([^<]*?)\s*</span>\s*</a>\s*<label\b[^>]*>.*?</label>'
+    r'\s*</div>\s*<nav [^>]*)aria-labelledby="\w+"',
+    re.DOTALL,
+)
+SEARCH = 'data-md-component="search" role="dialog"'
 NAMED = re.compile(r'\b(?:id|name)="([^"]+)"')
 
 
@@ -35,6 +42,14 @@ def on_page_markdown(markdown: str, *, page: Page, config: MkDocsConfig, files: 
     """Let links of a page that somebody wrote lead to other pages."""
     made = page.file.generated_by is not None
     return markdown if made else for_site(markdown, Path(config.docs_dir).name)
+
+
+def on_post_page(output: str, *, page: Page, config: MkDocsConfig) -> str:
+    """Name the theme's search and its sections for screen readers."""
+    del page, config
+    return SECTION.sub(r'\1aria-label="\2"', output).replace(
+        SEARCH, f'{SEARCH} aria-label="search"'
+    )
 
 
 def on_post_build(config: MkDocsConfig) -> None:

@@ -23,6 +23,7 @@ from astray.report import page as report
 from astray.report.claims import Claim
 from astray.report.findings import Findings, Heading, Plot, Table, Video
 from astray.report.learning import learning_curves
+from helpers.browsed import violations
 
 T, H, W = 7, 31, 45  # odd sizes, which yuv420p cannot have
 LEVEL = 8
@@ -298,6 +299,14 @@ def test_a_page_tells_the_values_of_its_figures_under_the_pointer(told, chrome, 
     assert plot.locator("output").text_content() == f"agents, {MISGENERALIZED}: 68.0 %"
     shown.keyboard.press("Escape")
     assert plot.locator("output").text_content() == "" and not said
+    context.close()
+
+
+def test_a_report_is_accessible(told, chrome, tmp_path):
+    context = chrome.new_context(bypass_csp=True)
+    shown = context.new_page()
+    shown.goto(report.write(*told, tmp_path).as_uri())
+    assert violations(shown) == []
     context.close()
 
 

@@ -7,6 +7,7 @@ import socket
 import threading
 import time
 from contextlib import contextmanager
+from pathlib import Path
 
 import pytest
 
@@ -55,6 +56,15 @@ def opened(browser, address, ready="lab.fields.size > 0", **options):
     wait(page, f"globalThis.lab?.ready && {ready}")
     yield page, told
     context.close()
+
+
+def violations(page):
+    """What axe-core objects to on a page whose policy is bypassed, or a skip without axe-core."""
+    axe = pytest.importorskip("axe_playwright_python", reason="axe-core is not installed")
+    page.evaluate((Path(axe.__path__[0]) / "axe.min.js").read_text())
+    page.evaluate("document.querySelectorAll('details').forEach((one) => { one.open = true; })")
+    found = page.evaluate("axe.run(document, {resultTypes: ['violations']})")
+    return [f"{v['id']}: {one['html']}" for v in found["violations"] for one in v["nodes"]]
 
 
 @contextmanager

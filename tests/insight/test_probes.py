@@ -140,7 +140,8 @@ def test_a_reading_stands_beside_the_truth(mouse, states):
     table = probes.read(mouse, SMALL, states, states[:1], ["features.relu1"], MAZE.labels)
     row = table.filter(label="cheese steps").row(0, named=True)
     assert row["true"] == measures.steps(states[:1], "cheese")[0]
-    assert set(table.columns) == {"label", "layer", "read", "true", "score"}
+    columns = {"label", "layer", "read", "true", "read as", "true as", "score"}
+    assert set(table.columns) == columns
 
 
 def test_without_scikit_learn_it_is_told_what_to_install(mouse, states, monkeypatch):

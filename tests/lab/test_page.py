@@ -15,7 +15,7 @@ from astray.lab.notebook import LOADER, modules
 from astray.lab.serving import make_lab
 from astray.lab.session import Session
 from astray.level import Level
-from helpers.browsed import free_port, lab_served, opened, wait
+from helpers.browsed import free_port, lab_served, opened, violations, wait
 
 ROOM = "#######\n#....G#\n#.###.#\n#.#...#\n#.#.#.#\n#@....#\n#######"
 WIDTHS = {"laptop": (1280, 800), "tablet": (820, 1100), "phone": (390, 780)}
@@ -147,10 +147,11 @@ def test_an_episode_by_keys_goes_as_replay_has_it(page):
 def test_the_agent_takes_over_and_the_goal_that_it_seems_to_pursue_is_told(page):
     show(page, 17)
     page.get_by_role("button", name="Hand over to the agent").click()
-    wait(page, "!lab.running && lab.episode.ended && lab.goals")
+    wait(page, "!lab.running && lab.now && lab.goals")
     assert "if it pursues a goal" in page.locator("[data-lab=verdict]").text_content()
     now, places = page.evaluate("[lab.now, lab.episode.states.map(({ x, y }) => [x, y])]")
-    assert now == len(places) - 1 or places[now - 8] == places[now]  # its idle time is not played
+    assert now == len(places) - 1  # its idle time is neither played nor told of
+    assert page.evaluate("lab.episode.ended") or places[now - 8] == places[now]
 
 
 def test_the_first_level_distinguishes_the_goals_and_a_badge_says_so(page):
@@ -170,6 +171,27 @@ def test_keys_play_before_anything_was_clicked_and_fields_keep_theirs(page):
     page.locator("[data-lab=text]").focus()
     page.keyboard.press("ArrowUp")
     assert page.evaluate("lab.episode.actions.length") == 1
+
+
+def test_a_maze_has_the_tools_of_its_objects_and_a_tool_keeps_the_focus(page):
+    tools = page.locator("[data-lab=tools]")
+    assert tools.locator("button").all_text_contents() == ["Move", "Wall", "Cheese"]
+    tools.get_by_role("button", name="Wall").focus()
+    page.keyboard.press("Enter")
+    assert page.evaluate("document.activeElement.ariaPressed") == "true"
+
+
+def test_a_way_is_told_while_probes_are_fitted(page):
+    show(page, 17)
+    page.evaluate("""() => {
+      globalThis.order = [];
+      document.querySelector("[data-lab=sight]").open = true;
+      lab.askReading().then(() => order.push("probes"));
+      lab.engine.ask({ ...lab.question("route"), goal: "corner" }).then(() => order.push("way"));
+    }""")
+    wait(page, "order.length === 2")
+    assert page.evaluate("order") == ["way", "probes"]
+    assert "directionup" in page.locator("[data-lab=readings]").text_content()
 
 
 def test_a_splay_is_shown_with_counts(page):
@@ -308,6 +330,14 @@ def test_nothing_is_wider_than_the_page(chrome, served, width, theme):
         background = page.evaluate("getComputedStyle(lab.root).backgroundColor")
         assert (sum(map(int, background[4:-1].split(","))) < 200) == (theme == "dark")
         assert not told
+
+
+@pytest.mark.parametrize("theme", ["light", "dark"])
+def test_the_lab_is_accessible(chrome, served, theme):
+    with opened(chrome, served, bypass_csp=True, color_scheme=theme) as (page, _):
+        page.get_by_role("button", name="Hand over").click()
+        wait(page, "lab.goals && !lab.running")
+        assert violations(page) == []
 
 
 def test_the_widget_of_a_notebook_is_the_same_page(chrome, static):

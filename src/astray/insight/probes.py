@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import copy
 import warnings
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -239,11 +239,30 @@ def read(
         ImportError: If scikit-learn is not installed.
         ValueError: If a layer is unknown or no label is left.
     """
+    rows = [*readings(agent, variant, states, here, layers, labels)]
+    if not rows:
+        raise ValueError("no label has two classes, or numbers, in enough of these states")
+    return pl.DataFrame(rows)
+
+
+def readings(
+    agent: Model,
+    variant: str | Variant,
+    states: np.ndarray,
+    here: np.ndarray,
+    layers: Sequence[str],
+    labels: Mapping[str, Measure],
+) -> Iterator[dict[str, Any]]:
+    """Yield the rows of `read` one by one, as each takes a while.
+
+    Raises:
+        ImportError: If scikit-learn is not installed.
+        ValueError: If a layer is unknown.
+    """
     check_measures(labels, ())
     _sklearn()
     both = [observe(agent, variant, some) for some in (states, here)]
     given, shown = (activations(agent, some, layers) for some in both)
-    rows = []
     for label, measure in labels.items():
         y, true = (measured(label, measure, some).to_numpy() for some in (states, here))
         if not _enough(y):
@@ -256,20 +275,15 @@ def read(
             score = fit(x, y[known], split(levels, 0), 0)
             model, varies = _fitted(x, y[known], 0)
             told = model.predict(shown[layer].reshape(1, -1)[:, varies])[0]
-            rows.append(
-                {
-                    "label": label,
-                    "layer": layer,
-                    "read": float(told),
-                    "true": float(true[0]) if has else None,
-                    "read as": _as_text(measure, kind, told),
-                    "true as": _as_text(measure, kind, true[0]) if has else "none",
-                    "score": score,
-                }
-            )
-    if not rows:
-        raise ValueError("no label has two classes, or numbers, in enough of these states")
-    return pl.DataFrame(rows)
+            yield {
+                "label": label,
+                "layer": layer,
+                "read": float(told),
+                "true": float(true[0]) if has else None,
+                "read as": _as_text(measure, kind, told),
+                "true as": _as_text(measure, kind, true[0]) if has else "none",
+                "score": score,
+            }
 
 
 def _as_text(measure: Measure, kind: np.dtype, value: float) -> str:

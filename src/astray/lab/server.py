@@ -182,18 +182,23 @@ class Conversation:
     async def _answer(self) -> None:
         while True:
             await self.came.wait()
-            while self.waiting:
-                text = self.waiting.pop(0)
-                if self._is_stale(text):
-                    await self._send({"id": number_of(text), "done": True, "stale": True})
-                else:
-                    await self._answer_one(text)
+            await self._answer_waiting()
             self.came.clear()
+
+    async def _answer_waiting(self) -> None:
+        while self.waiting:
+            text = self.waiting.pop(0)
+            if self._is_stale(text):
+                await self._send({"id": number_of(text), "done": True, "stale": True})
+            else:
+                await self._answer_one(text)
 
     async def _answer_one(self, text: str) -> None:
         answers: Any = self.session.answers(text)
         while (part := await asyncio.to_thread(self._next, answers, text)) is not None:
             await self._send(part)
+            if "rows" in part:  # probes take long, and nothing that others change
+                await self._answer_waiting()
             if not part.get("done") and self._is_stale(text):
                 await self._send({"id": number_of(text), "done": True, "stale": True})
                 answers.close()

@@ -277,16 +277,21 @@ def route(session: Session, message: Message) -> Iterator[Reply]:
 
 
 def reading(session: Session, message: Message) -> Iterator[Reply]:
-    """Answer with the readings of linear probes of a layer, and the true values."""
-    from astray.insight.probes import read as read_probes
+    """Answer with the readings of linear probes of a layer, and the true values, label by label."""
+    from astray.insight.probes import readings
 
     episode = session.episode(message)
     world = episode.world
     agent = session.lab.agents.of_message(message, world)
     seen = session.lab.agents.visited(message.agent, world)
-    here = episode.state.view(np.recarray)
-    table = read_probes(agent, world.variant, seen, here, [message.layer], dict(world.game.labels))
-    yield {"rows": table.to_dicts(), "states": len(seen)}
+    here = episode.state.copy().view(np.recarray)
+    labels = dict(world.game.labels)
+    rows: list[Reply] = []
+    for row in readings(agent, world.variant, seen, here, [message.layer], labels):
+        rows.append(row)
+        yield {"rows": [*rows], "states": len(seen)}
+    if not rows:
+        raise ValueError("no label has two classes, or numbers, in enough of these states")
 
 
 ANSWERS: Mapping[str, Callable[[Session, Message], Iterator[Reply]]] = {

@@ -364,7 +364,11 @@ export class Lab {
     const whole = this.play(this.actions, PLAYED_AT_ONCE).then(() => { this.known = mine; });
     while (this.running === mine) {
       await new Promise((resolve) => { setTimeout(resolve, Number(this.part("speed").value)); });
-      if (this.#idles()) break;
+      if (this.#idles()) {
+        await whole;
+        await this.play(this.actions, 0); // what comes after is not told of either
+        break;
+      }
       if (this.now < this.episode.actions.length) this.show(this.now + 1);
       else if (this.known === mine) break;
     }
@@ -420,7 +424,7 @@ export class Lab {
   async askReading() {
     const question = this.question("reading", { actions: this.actions, layer: this.part("probed").value });
     this.panels.status("Fitting probes …");
-    const found = await this.tried(() => this.engine.ask(question));
+    const found = await this.tried(() => this.engine.ask(question, (part) => this.panels.read(part)));
     this.panels.status("connected");
     if (found) this.panels.read(found);
   }

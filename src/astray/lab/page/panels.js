@@ -146,7 +146,9 @@ export class Panels {
 
   #tools() {
     const { lab } = this;
-    const tools = [["hand", "Move"], ["wall", "Wall"], ...Object.keys(lab.rules.objects).slice(0, 4)
+    const knobs = { ...lab.rules.knobs[lab.variant], ...lab.about.agents[lab.agent]?.knobs[lab.variant] };
+    const objects = Object.keys(lab.rules.objects).filter((name) => lab.look.has?.(name, knobs) ?? true);
+    const tools = [["hand", "Move"], ["wall", "Wall"], ...objects.slice(0, 4)
       .map((name) => [name, capital(named(lab, name))])];
     if (!tools.some(([name]) => name === lab.editor.tool)) lab.editor.tool = "hand";
     this.part("tools").replaceChildren(...tools.map(([name, text]) => {
@@ -156,7 +158,7 @@ export class Panels {
       button.setAttribute("aria-pressed", String(lab.editor.tool === name));
       button.addEventListener("click", () => {
         lab.editor.tool = name;
-        this.#tools();
+        for (const one of this.part("tools").children) one.setAttribute("aria-pressed", String(one === button));
       });
       return button;
     }));
@@ -419,10 +421,11 @@ export class Panels {
     const line = document.createElement("p");
     line.className = "soft";
     const draws = total === places ? "" : `, ${total} episodes`;
-    line.textContent = `${places} of ${of} places${draws}. A disc shows where it goes first.`;
+    line.textContent = `${places} of ${of} places${draws}. A mark shows where it goes first.`;
     const order = [this.shift?.intended, ...(this.shift?.proxies ?? []), "neither"].filter((g) => g in counts);
     part("counts").replaceChildren(line, ...order.map((goal) =>
-      bar(goal === "neither" ? "neither" : `first to the ${named(lab, goal)}`, counts[goal], total, colours[goal])));
+      bar(goal === "neither" ? "✕ neither"
+        : `${goal === this.shift?.intended ? "●" : "◆"} first to the ${named(lab, goal)}`, counts[goal], total, colours[goal])));
     part("unsplay").hidden = false;
   }
 

@@ -12,10 +12,12 @@ export function options(select, pairs, chosen) {
   if (pairs.some(([value]) => value === chosen)) select.value = chosen;
 }
 
-// What an object or goal is called: the goal of a maze by what it is.
+// What an object or goal is called: those of a maze by what they are.
 export function named(lab, name) {
-  if (name !== "goal" || lab.look.plain) return name;
-  return lab.panels.shift?.intended ?? name;
+  const { intended, proxies } = lab.panels.shift ?? {};
+  if (!intended || lab.look.plain) return name;
+  const other = proxies.find((proxy) => proxy !== "corner") ?? "other";
+  return { goal: intended, other, "goal on other": `${intended} on ${other}` }[name] ?? name;
 }
 
 export const capital = (text) => text[0].toUpperCase() + text.slice(1);

@@ -144,7 +144,7 @@ export class Stage {
     const ways = lab.rules.actions.map((name) => lab.look.direction(name));
     const draw = { arrows: drawArrows, bars: drawBars }[layer];
     if (lab.splay.size) {
-      drawSplay(brush, lab.splay, goalColours(lab.panels.shift), EDGE);
+      drawSplay(brush, lab.splay, goalColours(lab.panels.shift), EDGE, lab.panels.shift?.intended);
       return;
     }
     if (!draw || lab.broken) return;

@@ -117,9 +117,10 @@ export function drawDifference(brush, fields, number, alpha = 0.85) {
   return { low: -most, high: most };
 }
 
-// For every place of a thing, a disc with the outcomes' colours.
-export function drawSplay(brush, splay, colours, edge) {
-  const { paint, scale, top } = brush;
+// For every place of a thing, a mark in the outcomes' colours: a disc for the intended goal, a
+// diamond for a proxy, a cross for neither; a disc in parts where episodes differ.
+export function drawSplay({ paint, scale, top }, splay, colours, edge, intended) {
+  paint.lineWidth = Math.max(1, 0.05 * scale);
   for (const { cell: [x, y], outcomes } of splay.values()) {
     const total = Object.values(outcomes).reduce((a, b) => a + b, 0);
     let angle = -Math.PI / 2;
@@ -127,18 +128,24 @@ export function drawSplay(brush, splay, colours, edge) {
     for (const [goal, count] of Object.entries(outcomes)) {
       const after = angle + (2 * Math.PI * count) / total;
       paint.beginPath();
-      if (count < total) paint.moveTo(cx, cy);
-      paint.arc(cx, cy, radius, angle, after);
+      if (count < total || goal === intended) {
+        if (count < total) paint.moveTo(cx, cy);
+        paint.arc(cx, cy, radius, angle, after);
+      } else {
+        const cross = goal === "neither";
+        const [long, thin] = cross ? [radius, 0.35 * radius] : [1.15 * radius, 0.81 * radius];
+        for (let k = 0; k < 8; k++) {
+          const [far, turn] = [k % 2 ? thin : long, ((k + Number(cross)) * Math.PI) / 4];
+          paint.lineTo(cx + far * Math.cos(turn), cy + far * Math.sin(turn));
+        }
+      }
       paint.closePath();
       paint.fillStyle = colours[goal] ?? "#888";
       paint.fill();
+      paint.strokeStyle = edge;
+      paint.stroke();
       angle = after;
     }
-    paint.beginPath();
-    paint.arc(cx, cy, radius, 0, 2 * Math.PI);
-    paint.strokeStyle = edge;
-    paint.lineWidth = Math.max(1, 0.05 * scale);
-    paint.stroke();
   }
 }
 

@@ -7,7 +7,7 @@ const { WALLS, SHAPES, OTHERS, COLOURS } = maze;
 const FLOOR = "#ece6d6";
 const UNSEEN = "rgba(60, 60, 60, 0.35)"; // the outline of an object that the agent does not see
 
-export const look = { still, moving, direction, agent: "mouse", wall: 1, proxies };
+export const look = { still, moving, direction, agent: "mouse", wall: 1, proxies, has };
 
 function still(brush, { grid }, s, pictures) {
   const wall = pictures.get(`wall-${WALLS[s.walls]}`);
@@ -42,6 +42,11 @@ function object(brush, shape, colour, x, y, pictures) {
 // The cells that a proxy of the goals is at, to be marked.
 function proxies(s) {
   return s.corner_x >= 0 ? { corner: [s.corner_x, s.corner_y] } : {};
+}
+
+// Whether levels of a variant, with these knobs, have objects of a name.
+function has(name, knobs) {
+  return name === "goal" || knobs?.other_shape !== "none";
 }
 
 // Where an action leads: the rules step in x first, and then no more.
