@@ -68,7 +68,7 @@ class Options:
         bounded("rand_seed", self.rand_seed or 0, 0, 2**31 - 1)
         for name in ("center_agent", "use_backgrounds"):
             if not getattr(self, name):
-                raise ValueError(f"{name} must be True: the other pictures are not drawn here")
+                raise ValueError(f"{name} must be True, as other pictures are not drawn; got False")
         for name in (
             "use_monochrome_assets",
             "restrict_themes",
@@ -76,7 +76,7 @@ class Options:
             "paint_vel_info",
         ):
             if getattr(self, name):
-                raise ValueError(f"{name} must be False: the other pictures are not drawn here")
+                raise ValueError(f"{name} must be False, as other pictures are not drawn; got True")
 
     def levels(self, name: str) -> range:
         """Return the levels to draw from.

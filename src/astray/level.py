@@ -126,7 +126,9 @@ class Level:
             ValueError: If a field is unknown, or differs from what `to_json` writes.
         """
         if not isinstance(data, Mapping) or not {"grid", "agent"} <= data.keys():
-            raise ValueError('a level is an object with at least "grid" and "agent"')
+            raise ValueError(
+                f'a level must be an object with at least "grid" and "agent"; got {shown(data)}'
+            )
         if data.get("game", game.name) != game.name:
             raise ValueError(f"the level is one of {shown(data['game'])}, not of {game.name!r}")
         rows = data["grid"]

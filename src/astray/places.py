@@ -10,7 +10,7 @@ from astray.protocols import Editing, Solver
 
 
 class Placement:
-    """The ability `places` of such a game.
+    """The ability `places` of a game whose agent can be put into cells.
 
     An agent may stand in its own cell and in the empty cells that it can reach.
     """

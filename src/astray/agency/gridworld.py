@@ -114,7 +114,7 @@ class World:
         if not (0 <= x < width and 0 <= y < height):
             raise ValueError(f"cell {cell} is outside of the map of {width} x {height} cells")
         if not self.free[y, x]:
-            raise ValueError(f"cell {cell} is a wall")
+            raise ValueError(f"cell {cell} is a wall; an agent or a goal needs a free cell")
         return int(self.numbers[y, x])
 
     def cell(self, number: int) -> Cell:

@@ -245,7 +245,7 @@ def _number(episode: Episode, cell: Cell) -> int:
 def _true(episode: Episode) -> int:
     """Return the number of the true goal's cell."""
     if episode.true is None:
-        raise ValueError("the true goal is among the goals, but none is given")
+        raise ValueError("an episode must have a true goal, as the goals name it; got none")
     return _number(episode, episode.true)
 
 

@@ -193,7 +193,7 @@ def _architecture(data: Any) -> Architecture:
     if isinstance(data, dict):
         data = {"widths": list(WIDTHS)} | data  # which older files do not have
     if not isinstance(data, dict) or not all(isinstance(data.get(k), list) for k in SEQUENCES):
-        raise ValueError(f"its architecture is {data!r}")
+        raise ValueError(f"its architecture is {data!r}; it must name a network and its sizes")
     fields: dict[str, Any] = data | {name: tuple(data[name]) for name in SEQUENCES}
     fields["name"] = renamed_network(data.get("name"))
     return Architecture(**fields)

@@ -105,7 +105,7 @@ def check_measures(measures: Mapping[str, Measure] | None, taken: Collection[str
                 f"measures must be functions of states by name; got {shown(name)}: {shown(measure)}"
             )
         if name in taken:
-            raise ValueError(f"measures have the names of other columns: {name}")
+            raise ValueError(f"measures have the names of other columns: {name}; give others")
 
 
 def measured(name: str, measure: Measure, states: np.ndarray) -> pl.Series:

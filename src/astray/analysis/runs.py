@@ -157,7 +157,7 @@ def evaluate_runs(
     for run, (agent, _) in zip(runs, opened, strict=True):
         digest = _digest(agent)
         if digest in digests:  # a duplicate would make intervals too narrow
-            raise ValueError(f"{digests[digest]} and {run} are the same agent")
+            raise ValueError(f"{digests[digest]} and {run} are the same agent; give it once")
         digests[digest] = run
     for run, (_, other) in zip(runs, opened, strict=True):
         for name in ("game", "variant", "knobs", *(["art"] if art is None else [])):

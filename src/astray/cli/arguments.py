@@ -127,7 +127,7 @@ class OwnPolicy:
             world.register(self.named())
 
     def named(self) -> World:
-        """Return the world of the option; raise ValueError if it is none."""
+        """Return the world that --world names; raise ValueError if it is not a world."""
         found = imports.find(self.world or "")
         of_kind("--world", found, World)
         return found

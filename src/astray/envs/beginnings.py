@@ -25,7 +25,7 @@ def initial_states(game: str | Game, variant: str | Variant, levels: Levels) -> 
     """
     of_kind("levels", levels, Sized)
     if not len(levels):
-        raise ValueError("no levels to begin")
+        raise ValueError("at least one level must be given to begin; got none")
     shown = "symbolic" if games.find(game).symbols else "image"  # symbols take less time
     env = GameVectorEnv(game, variant, min(CHUNK, len(levels)), observation=shown)
     option, begin = beginnings(levels, env.game.state)

@@ -199,7 +199,7 @@ def alone() -> tuple[np.ndarray, int, int]:
 
 
 def most_threads() -> int:
-    """Return the largest number of threads for a batch; more than processors are useless."""
+    """Return the largest useful number of threads for a batch: one per processor."""
     return max(LEAST_MOST, usable_processors())
 
 

@@ -136,7 +136,7 @@ class Restarting:
         }
 
     def restore(self, states: np.ndarray, turns: np.ndarray, actions: np.ndarray) -> np.ndarray:
-        """Replay the episodes of `kept`, of the same shapes; return observations [N, ...].
+        """Replay episodes: states [N], turns [N], actions [steps] -> their observations [N, ...].
 
         Where levels do not repeat, the episodes begin anew.
 

@@ -198,7 +198,9 @@ class GameVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
             if which.shape != (self.num_envs,) or which.dtype != bool:
                 raise ValueError(f"reset_mask must be {self.num_envs} booleans; got {which}")
         if not self._seeded and not which.all():
-            raise ValueError("the first reset is of all environments")
+            raise ValueError(
+                "the first reset is of all environments; got a reset_mask that leaves some out"
+            )
         chosen = np.full(self.num_envs, NEXT_LEVEL)
         level, state = options.get("level"), options.get("state")
         if level is not None and state is not None:
@@ -320,7 +322,9 @@ class GameVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
                 )
             self.game.check(states, self.variant, self._shown)
             if states["ended"].any():
-                raise ValueError(f"the episode of state {states['ended'].argmax()} has ended")
+                raise ValueError(
+                    f"the episode of state {states['ended'].argmax()} has ended; give one that runs"
+                )
             self._begins = np.array(states, self.game.state)
         self._source = (*self._source[:-1], self._begins)
 
@@ -335,7 +339,9 @@ class GameVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         given = np.broadcast_to(given, self.num_envs)[which]
         self.game.check(given, self.variant, self._shown)
         if self._mode == SAME_STEP and given["ended"].any():
-            raise ValueError(f"the episode of state {given['ended'].argmax()} has ended")
+            raise ValueError(
+                f"the episode of state {given['ended'].argmax()} has ended; give one that runs"
+            )
         kept = {name: self._states[name][which] for name in keep}
         self._states[which] = given
         for name, values in kept.items():

@@ -190,7 +190,9 @@ def _with_card(
     name = _slug(repository)
     if _has_card(its):
         if shift is not None:
-            raise ValueError(f"{its.path} has a card already, which says its shift; give none")
+            raise ValueError(
+                f"{its.path} has a card already, which states its shift; leave out --shift"
+            )
         folder = passing / name
         for path in _own_files(its):
             (folder / path).parent.mkdir(parents=True, exist_ok=True)

@@ -71,7 +71,7 @@ class Asked:
         return load_shift(self.level.game, self.shift)
 
     def named(self, thing: str) -> str:
-        """Return what an object is called; the goal of a maze by what it is."""
+        """Return the name of an object; a maze's goal is named by its shape."""
         return self.between.intended if thing == "goal" else thing
 
 

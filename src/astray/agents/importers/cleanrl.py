@@ -119,7 +119,9 @@ def _layer(module: str, path: tuple[str, ...]) -> str | None:
 def _dense(kernel: np.ndarray, module: str) -> np.ndarray:
     """Return a dense kernel as [out, in], with inputs ordered by channels first."""
     if kernel.ndim != 2:
-        raise ValueError(f"a dense layer has a kernel of {kernel.shape}")
+        raise ValueError(
+            f"the kernel of a dense layer must be [inputs, outputs]; got {kernel.shape}"
+        )
     if module == "0" and len(kernel) % 64 == 0:  # after three halvings, a picture is 8 x 8
         kernel = kernel.reshape(8, 8, -1, kernel.shape[1]).transpose(2, 0, 1, 3)
     return kernel.reshape(-1, kernel.shape[-1]).T

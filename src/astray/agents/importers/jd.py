@@ -102,7 +102,7 @@ def _turned(layer: str, kernel: np.ndarray) -> np.ndarray:
             raise ValueError(f"{layer} is no convolution: its kernel is {kernel.shape}")
         return np.ascontiguousarray(kernel.transpose(3, 2, 0, 1))
     if kernel.ndim != 2:
-        raise ValueError(f"{layer} is no dense layer: its kernel is {kernel.shape}")
+        raise ValueError(f"the kernel of {layer} must be [inputs, outputs]; got {kernel.shape}")
     channels = BLOCKS[-1][-1]
     if layer == "pi/dense" and len(kernel) % channels == 0:
         # It sees rows, columns, channels; ours channels first. Of a picture 4 x 4 x 32.

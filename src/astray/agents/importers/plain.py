@@ -157,7 +157,7 @@ class _Machine:
             or len(shape) > DIMENSIONS
             or any(type(n) is not int or n < 0 for n in shape)
         ):
-            raise ValueError(f"an array's shape is {shown(shape)}")
+            raise ValueError(f"an array's shape must be a tuple of integers; got {shown(shape)}")
         if description.get("numpy_array_alignment_bytes") is not None:
             self.file.read(self.file.read(1)[0])  # padding, after its length
         count = math.prod(shape)
@@ -198,7 +198,7 @@ def _mark(m: _Machine) -> None:
 def _tuple(count: int) -> Callable[[_Machine], None]:
     def done(m: _Machine) -> None:
         if len(m.stack) < count:
-            raise ValueError("a tuple of more than there is")
+            raise ValueError("a tuple must be of values that came before; it is of more")
         m.stack[-count:] = [tuple(m.stack[-count:])]
 
     return done
