@@ -241,7 +241,10 @@ def read(
     """
     rows = [*readings(agent, variant, states, here, layers, labels)]
     if not rows:
-        raise ValueError("no label has two classes, or numbers, in enough of these states")
+        raise ValueError(
+            f"a label needs two classes of {LEAST} states, or {LEAST} numbers; none has them in "
+            f"these {len(states)} states"
+        )
     return pl.DataFrame(rows)
 
 
@@ -253,7 +256,7 @@ def readings(
     layers: Sequence[str],
     labels: Mapping[str, Measure],
 ) -> Iterator[dict[str, Any]]:
-    """Yield the rows of `read` one by one, as each takes a while.
+    """Yield the rows of `read` one by one, for `states` [N] and `here` [1]; each takes a while.
 
     Raises:
         ImportError: If scikit-learn is not installed.

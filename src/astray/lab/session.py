@@ -277,7 +277,7 @@ def route(session: Session, message: Message) -> Iterator[Reply]:
 
 
 def reading(session: Session, message: Message) -> Iterator[Reply]:
-    """Answer with the readings of linear probes of a layer, and the true values, label by label."""
+    """Answer with a layer's probe readings and true values; raise ValueError without labels."""
     from astray.insight.probes import readings
 
     episode = session.episode(message)
