@@ -275,6 +275,7 @@ class LevelByLevel:
             one_of("event", event, env.game.events, of=env.game.name)
         self._option, self._levels = beginnings(levels, env.game.state)
         self._until, self._longest, n = until, longest, env.num_envs
+        self._streams = isinstance(env, WorldVectorEnv) and env.game.level_key is not None
         self._playing = np.arange(n)  # index of each environment's level
         self._following, self._live, self._ended = n, np.ones(n, bool), np.zeros(n, bool)
         observations, _ = env.reset(seed=0, options={self._option: self._levels[:n]})
@@ -286,8 +287,10 @@ class LevelByLevel:
         if not ended.any():
             return self._turn
         for i in np.flatnonzero(ended & live):
-            live[i] = self._following < len(self._levels)  # else it plays its level again, unseen
-            playing[i] = self._following if live[i] else playing[i]
+            # Of a stream, each environment plays as many episodes, however long they are.
+            following = playing[i] + len(live) if self._streams else self._following
+            live[i] = following < len(self._levels)  # else it plays its level again, unseen
+            playing[i] = following if live[i] else playing[i]
             self._following += live[i]
         if not live.any():
             return None

@@ -135,6 +135,9 @@ class World:
         workers: Whether each environment has its own process.
         patience: Seconds to wait for a process that does not answer.
         repeats: Whether an episode is determined by its level and the actions, which is checked.
+        level_key: Key of info by which a reset tells the number of its level, of environments that
+            choose it themselves, as EnvPool's. They are played as streams: factories take `stream`,
+            the number of an environment, and nothing is compared level by level.
         every_step: Whether measures are computed in every step, not only at events and at the end.
 
     Raises:
@@ -154,6 +157,7 @@ class World:
     patience: float = 60.0
     repeats: bool = True
     every_step: bool = False
+    level_key: str | None = None
     reported: set[str] = field(default_factory=set, init=False, repr=False)  # keys of info so far
 
     def __post_init__(self) -> None:
@@ -162,6 +166,11 @@ class World:
             for one in getattr(self, name):
                 of_kind(f"each name of {name}", one, str)
         finite("patience", self.patience, 0.001)
+        if self.level_key is not None and self.repeats:
+            raise ValueError(
+                f"levels that environments of {self.name} choose cannot be played again; say "
+                "World(repeats=False)"
+            )
         for name, happened in self.events.items():
             if not isinstance(happened, str) and not callable(happened):
                 raise ValueError(
@@ -328,6 +337,11 @@ class Witness(gymnasium.Wrapper):
         except Exception as error:
             raise self._failed("reset", error) from error
         self._check_shape(seen)
+        key = self.world.level_key
+        if key is not None and key not in info:
+            raise ValueError(f"{self._where()}: its info has no {key!r}, the number of the level")
+        if key is not None:
+            self.level = int(info[key])
         self._happens(info)
         return seen, {**info, NOTED: self._told()}
 
@@ -402,8 +416,12 @@ class Witness(gymnasium.Wrapper):
         return f"{self.variant}, level {self.level}, step {self.time}"
 
 
-def witnessed(world: World, variant: WorldVariant, longest: int | None = None) -> Witness:
+def witnessed(
+    world: World, variant: WorldVariant, longest: int | None = None, stream: int = 0
+) -> Witness:
     """Return a new environment of a variant that records events."""
+    if world.level_key is not None:
+        variant = variant.with_knobs({"stream": stream})
     return Witness(variant.make(), world, variant, longest)
 
 

@@ -11,6 +11,9 @@ from gymnasium import spaces
 
 from astray.analysis.runs import evaluate_runs, load_agent
 from astray.envs.restarting import Restarting, action_table, as_seen
+from astray.experiments import outcomes, spec
+from astray.experiments.run import reproduce
+from astray.experiments.spec import Experiment, Plan
 from astray.training import checkpoint
 from astray.training.config import Config
 from astray.training.folders import AGENT, latest
@@ -182,3 +185,15 @@ def test_the_command_line_trains_on_a_world_and_finds_it_again(astray, tmp_path)
     again = ("evaluate", str(last), "--world", "helpers.rooms:WORLD", "--levels", "500:510")
     told = json.loads(astray(*again, "--json"))
     assert {"end", "anywhere"} >= {row["variant"] for row in told}
+
+
+def test_a_study_trains_agents_on_a_world_in_processes_of_their_own(tmp_path):
+    plan = Plan(
+        agents={"mlp": replace(SMALL, steps=256)},
+        tests=spec.tests_of(WORLD, "end"),
+        levels=20,
+        differences="",
+    )
+    study = Experiment("Rooms", "nothing", "Where to?", {"smoke": plan}, outcomes.findings)
+    page = reproduce(study, "smoke", tmp_path, workers=1)
+    assert "reaches square first" in page.read_text("utf-8")

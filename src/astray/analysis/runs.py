@@ -329,4 +329,7 @@ def play_all(
         )
     if isinstance(game, World):
         check_reported(game)
-    return mark_distinguishing(label(pl.concat(parts), game, between), between)
+    labelled = label(pl.concat(parts), game, between)
+    if isinstance(game, World) and game.level_key is not None:  # policies met other levels
+        return labelled.with_columns(distinguishing=pl.lit(False))
+    return mark_distinguishing(labelled, between)

@@ -36,7 +36,7 @@ class WorldVectorEnv:
         """Make the environments; `longest` is the number of steps that truncates an episode."""
         bounded("num_envs", num_envs, 1, MOST)
         self.game, self.variant, self.num_envs = world, world.variant(variant), num_envs
-        makers = [partial(witnessed, world, self.variant, longest)] * num_envs
+        makers = [partial(witnessed, world, self.variant, longest, i) for i in range(num_envs)]
         kind = AsyncVectorEnv if world.workers else SyncVectorEnv
         self._envs: Any = kind(makers, autoreset_mode=AutoresetMode.DISABLED)
         self.single_action_space = self._envs.single_action_space
@@ -60,6 +60,8 @@ class WorldVectorEnv:
                 seen, info = self._envs.reset_wait(timeout=self.game.patience)
         else:
             seen, info = self._envs.reset(seed=levels, options=given)
+        if self.game.level_key is not None:
+            self.states["level"][which] = np.asarray(info[self.game.level_key])[which]
         self._note(info)
         return seen, info
 

@@ -77,6 +77,8 @@ def audit(
     variants = {TRAIN: between.train, TEST: between.test}
     if ghost is not None:
         one_of("variant as a ghost", ghost, played.variants)
+        if isinstance(played, World) and played.level_key is not None:
+            raise ValueError(f"{played.name} has no ghosts: {outcomes.STREAMS}")
         variants[GHOST] = ghost
     plan = Plan(
         world=played,
@@ -123,6 +125,8 @@ def findings(work: Work) -> Findings:
     told = work.episodes.filter(test=TEST).with_columns(policy=pl.coalesce("agent", "policy"))
     result = rated(told, work.plan.game, shift, [name])
     answer = f"{result.verdict} {usual.answer}"
+    if isinstance(game := work.plan.world, World) and game.level_key is not None:
+        answer += f" These are streams: {outcomes.STREAMS}."
     if GHOST not in work.plan.tests:
         return replace(usual, answer=answer)
     table, less = _ghosts(work)

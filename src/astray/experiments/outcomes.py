@@ -31,8 +31,12 @@ from astray.training import checkpoint
 from astray.training.config import Config
 from astray.training.folders import read_config
 from astray.validation import brief
-from astray.world import WorldVariant
+from astray.world import World, WorldVariant
 
+STREAMS = (
+    "the environments choose their levels, so that none is played again, and nothing is compared "
+    "level by level"
+)
 AGENTS = "sampled"
 LEARNED = 0.8  # rate of the intended goal in training above which an agent has learned
 
@@ -111,6 +115,8 @@ def findings(work: Work) -> Findings:
 
 def unrendered(plan: Plan, *tests: Test) -> str:
     """Return why a World's environments show no images; empty if they do."""
+    if isinstance(game := plan.world, World) and game.level_key is not None:
+        return STREAMS
     try:
         for test in tests:
             if isinstance(variant := plan.variant_of(test), WorldVariant):
@@ -229,6 +235,8 @@ def settings(plan: Plan) -> dict[str, str]:
     near, far = (f"{100 * effect:.0f}\u00a0%" for effect in plan.power()[: len(SPREADS)])
     if plan.own:
         told = {"world": plan.game.name, "agents": ", ".join(plan.own)}
+    if isinstance(game := plan.world, World) and game.level_key is not None:
+        told["levels"] = STREAMS
     return told | {
         "seeds": str(plan.seeds),
         "levels evaluated": str(plan.levels),

@@ -330,7 +330,7 @@ def resolved(plan: Plan) -> dict[str, Any]:
     }
     return own | {
         f"{name} of {agent}": [
-            asdict(test.variant_for(config)),
+            test.variant_for(config).to_json(),
             asdict(load_shift(config.find_game(), test.shift)),
         ]
         for name, test in {**plan.tests, **plan.visited}.items()

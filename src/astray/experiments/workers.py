@@ -15,11 +15,13 @@ from concurrent.futures import Future, ProcessPoolExecutor
 from dataclasses import dataclass
 from multiprocessing.synchronize import Event
 from pathlib import Path
+from typing import Any
 
 from rich.console import Console
 from rich.live import Live
 from rich.table import Table
 
+from astray import world
 from astray.envs.pool import usable_processors
 from astray.experiments.cluster import Submit, on_ray
 from astray.experiments.spec import Place
@@ -27,6 +29,7 @@ from astray.training import checkpoint
 from astray.training.config import Config, Tracking
 from astray.training.log import METRICS, measured
 from astray.training.track import train_tracked
+from astray.world import World
 
 SECONDS, QUIET = 0.5, 60.0  # from one look at the runs to the next; from line to line
 TAIL = 4096  # bytes of metrics.jsonl in which its last line is
@@ -105,12 +108,14 @@ def _submit(
     pool: ProcessPoolExecutor, config: Config, run: Path, track: Tracking | None
 ) -> Future[None]:
     """Submit a training to `pool`, which may start processes for it."""
+    game: Any = config.find_game()
+    of = game if isinstance(game, World) else None  # which the process does not know by name
     if os.name == "nt":
-        return pool.submit(_train, config, run, track)
+        return pool.submit(_train, config, run, track, of)
     # They inherit that an interrupt waits, which each would otherwise report while it begins.
     before = signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT])
     try:
-        return pool.submit(_train, config, run, track)
+        return pool.submit(_train, config, run, track, of)
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
@@ -122,7 +127,9 @@ def _begin(end: Event) -> None:
         threading.Thread(target=target, daemon=True).start()
 
 
-def _train(config: Config, run: Path, track: Tracking | None) -> None:
+def _train(config: Config, run: Path, track: Tracking | None, of: World | None = None) -> None:
+    if of is not None:
+        world.register(of)
     # Another experiment may want the same agent: it is trained once, for both.
     train_tracked(config, run, track, progress=False, wait=True)
 

@@ -1,0 +1,79 @@
+"""Environments that choose their levels themselves are played as streams, without pairs."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from astray.analysis.adapters import Function
+from astray.analysis.evaluate import evaluate
+from astray.analysis.runs import evaluate_policies
+from astray.experiments.audit import audit
+from helpers.rooms import WORLD, Room, go_right
+
+RIGHT = Function(go_right, "right")
+
+
+class Stream(Room):
+    """A room whose levels follow from the number of the stream alone, and are told in info."""
+
+    def __init__(self, place="anywhere", stream=0):
+        super().__init__(place)
+        self.numbers = np.random.default_rng(stream)
+
+    def reset(self, *, seed=None, options=None):
+        level = int(self.numbers.integers(1000))
+        seen, _ = super().reset(seed=level)
+        return seen, {"level_seed": level}
+
+
+STREAMS = replace(
+    WORLD,
+    name="streams",
+    variants={"end": lambda stream=0: Stream("end", stream), "anywhere": Stream},
+    repeats=False,
+    level_key="level_seed",
+)
+
+
+def by_hand(stream, episodes):
+    env, told = Stream(stream=stream), []
+    for _ in range(episodes):
+        _, info = env.reset()
+        while not any(env.step(1)[2:4]):
+            pass
+        told.append((info["level_seed"], env.time))
+    return told
+
+
+def test_each_environment_plays_as_many_episodes_of_its_stream():
+    table = evaluate(RIGHT, STREAMS, "anywhere", range(10), batch=4)
+    hand = [by_hand(stream, 3) for stream in range(4)]
+    wanted = [hand[row % 4][row // 4] for row in range(10)]
+    assert table.select("level", "length").rows() == wanted
+
+
+def test_no_level_of_a_stream_distinguishes_goals():
+    result = evaluate_policies([RIGHT], STREAMS, "end", range(30))
+    assert not result.episodes["distinguishing"].any()
+    assert set(result.rates["levels_played"]) == {"all"}
+
+
+def test_an_audit_of_streams_says_so_and_has_no_ghost_and_no_videos(tmp_path):
+    with pytest.raises(ValueError, match="streams has no ghosts: the environments choose"):
+        audit(RIGHT, STREAMS, "end", ghost="end", folder=tmp_path)
+    page = audit(RIGHT, STREAMS, "end", levels=30, folder=tmp_path)
+    answer = json.loads((page.parent / "findings.json").read_text("utf-8"))["answer"]
+    assert "These are streams: the environments choose their levels" in answer
+    assert not (page.parent / "videos").exists()
+
+
+def test_a_stream_that_cannot_be_is_refused():
+    with pytest.raises(ValueError, match="cannot be played again; say World\\(repeats=False\\)"):
+        replace(STREAMS, repeats=True)
+    with pytest.raises(ValueError, match="its info has no 'gone', the number of the level"):
+        evaluate(RIGHT, replace(STREAMS, level_key="gone"), "anywhere", range(3))
+    fixed = replace(STREAMS, variants=dict.fromkeys(STREAMS.variants, lambda: Room("anywhere")))
+    with pytest.raises(ValueError, match=r"takes no such knob: got an unexpected .*'stream'"):
+        evaluate(RIGHT, fixed, "anywhere", range(3))
