@@ -158,16 +158,10 @@ def train_agents(
             check_trainable(trainings)
         if plan.speed and on == "here":
             print(expected(todo, plan.speed, workers), file=sys.stderr, flush=True)
-    for students in (False, True):
-        if students:
-            give_teachers(plan, runs)
-        todo = {
-            run: config
-            for name, configs in trainings.items()
-            if (name in plan.teachers) == students
-            for run, config in zip(runs[name], configs, strict=True)
-        }
-        train_all(todo, workers, on, track)
+    students = {run for name in plan.teachers for run in runs[name]}
+    train_all({run: one for run, one in todo.items() if run not in students}, workers, on, track)
+    give_teachers(plan, runs)
+    train_all({run: one for run, one in todo.items() if run in students}, workers, on, track)
     return runs
 
 
