@@ -15,6 +15,7 @@ from astray.agents.importers import cleanrl, files, jd, pth
 from astray.agents.policy import Architecture, load, weights
 from helpers.foreign import (
     Runs,
+    as_cleanrl,
     as_pfrl,
     clarity,
     cleanba,
@@ -105,11 +106,12 @@ def test_every_activation_of_the_clear_network_is_named():
         ),
         ((8, 24, 40), lambda state: state),
         ((16, 32, 32), as_pfrl),
+        ((16, 32, 32), as_cleanrl),
     ],
 )
 def test_impala_of_any_widths_computes_what_it_did_there(widths, wrap):
     state, forward = reference(widths)
-    found = pth.read(saved(wrap(state)))
+    found = (cleanrl if wrap is as_cleanrl else pth).read(saved(wrap(state)))
     assert found.architecture.widths == widths
     with torch.no_grad():
         for ours, theirs in zip(found.network(IMAGES), forward(IMAGES), strict=True):

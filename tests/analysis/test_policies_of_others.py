@@ -11,6 +11,7 @@ from torch import nn
 
 from astray.acting import steps
 from astray.analysis.adapters import Function, from_sb3, from_torchrl
+from astray.analysis.cleanrl import from_cleanrl
 from astray.analysis.evaluate import evaluate
 from astray.analysis.trained import Network
 from helpers.rooms import CELLS, WORLD, Room
@@ -197,3 +198,48 @@ def test_continuous_actions_are_played():
         )
         total, ended = total + float(reward), terminated or truncated
     assert table["return"][2] == pytest.approx(total, rel=1e-3)
+
+
+def head(before, after):
+    layers = [nn.Linear(before, 5), nn.Tanh(), nn.Linear(5, 5), nn.Tanh(), nn.Linear(5, after)]
+    return nn.Sequential(*layers)
+
+
+def of_vectors():
+    """An agent as ppo.py of CleanRL writes it, and its actor and critic of observations."""
+    agent = nn.ModuleDict({"critic": head(2 * CELLS, 1), "actor": head(2 * CELLS, 2)})
+    return agent, SPACE, lambda x: [agent[name](x.flatten(1)) for name in ("actor", "critic")]
+
+
+def of_atari():
+    """The same of ppo_atari.py, with few channels."""
+    body = nn.Sequential(
+        *(nn.Conv2d(4, 2, 8, stride=4), nn.ReLU(), nn.Conv2d(2, 3, 4, stride=2), nn.ReLU()),
+        *(nn.Conv2d(3, 2, 3), nn.ReLU(), nn.Flatten(), nn.Linear(2 * 49, 6), nn.ReLU()),
+    )
+    parts = {"network": body, "actor": nn.Linear(6, 3), "critic": nn.Linear(6, 1)}
+    agent, space = nn.ModuleDict(parts), Box(0, 255, (4, 84, 84), np.uint8)
+    return agent, space, lambda x: [agent[n](body(x / 255.0)) for n in ("actor", "critic")]
+
+
+@pytest.mark.parametrize("script", [of_vectors, of_atari])
+def test_a_checkpoint_of_cleanrl_computes_what_its_script_does(script, tmp_path):
+    torch.manual_seed(0)
+    agent, space, forward = script()
+    torch.save(agent.state_dict(), tmp_path / "ppo.cleanrl_model")
+    policy = from_cleanrl(tmp_path / "ppo.cleanrl_model", space, game=WORLD)
+    seen = np.stack([space.sample() for _ in range(3)])
+    with torch.no_grad():
+        theirs = forward(torch.from_numpy(seen))
+    logits, values = policy.outputs(seen)
+    torch.testing.assert_close(logits, theirs[0])
+    torch.testing.assert_close(values, theirs[1][:, 0])
+    if space is SPACE:
+        assert evaluate(policy, WORLD, "anywhere", LEVELS).height == len(LEVELS)
+
+
+def test_a_file_of_another_agent_is_refused(tmp_path):
+    path = tmp_path / "dqn.cleanrl_model"
+    torch.save(nn.Linear(2, 2).state_dict(), path)
+    with pytest.raises(ValueError, match=r"refused: it is no agent of CleanRL's ppo\.py, .* bias"):
+        from_cleanrl(path, SPACE)

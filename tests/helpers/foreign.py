@@ -109,16 +109,22 @@ def reference(widths):
     return network.state_dict(), forward
 
 
-def as_pfrl(state):
+def as_pfrl(state, sequences="conv_seqs", heads=("hidden_fc", "logits_fc", "value_fc")):
     """The weights of `reference` by the names that train-procgen-pfrl gives them."""
-    names = {"embedder.fc": "hidden_fc", "fc_policy": "logits_fc", "fc_value": "value_fc"}
-    for block, there in ((1, "conv_seqs.0"), (2, "conv_seqs.1"), (3, "conv_seqs.2")):
+    names = dict(zip(("embedder.fc", "fc_policy", "fc_value"), heads, strict=True))
+    for block in (1, 2, 3):
+        there = f"{sequences}.{block - 1}"
         names[f"embedder.block{block}.conv"] = f"{there}.conv"
         for unit, conv in itertools.product((1, 2), (1, 2)):
             here = f"embedder.block{block}.res{unit}.conv{conv}"
             names[here] = f"{there}.res_block{unit - 1}.conv{conv - 1}"
     parted = {name: name.rpartition(".") for name in state}
     return {f"{names[layer]}.{kind}": state[n] for n, (layer, _, kind) in parted.items()}
+
+
+def as_cleanrl(state):
+    """The weights of `reference` by the names that CleanRL's ppo_procgen gives them."""
+    return as_pfrl(state, "network", ("network.5", "actor", "critic"))
 
 
 def cleanba(widths=(16, 32, 32), actions=15, **args):

@@ -1,6 +1,7 @@
-"""Importer of CleanRL's cleanba PPO agents on Procgen: IMPALA networks in Flax's msgpack.
+"""Importer of CleanRL's PPO agents on Procgen: IMPALA networks of torch, or in Flax's msgpack.
 
-A file holds the training's settings and the parameters of three modules: network, actor and critic
+Weights of torch are those of `ppo_procgen.py`, which `pth` reads. A file of Flax is cleanba's: it
+holds the training's settings and the parameters of three modules: network, actor and critic
 (`cleanba_ppo_envpool_procgen.py`). Kernels are [height, width, in, out], the dense layer's inputs
 are ordered by rows, columns, channels, and max-pooling is padded as "SAME": "impala-same".
 """
@@ -15,9 +16,11 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from astray.agents.importers import pth
 from astray.agents.importers.imported import ACTIONS, SHAPE, Imported, Plain, build, check_actions
 from astray.agents.policy import Architecture
 
+ZIP = b"PK"  # with which files of torch begin
 ARRAY, SCALAR = 1, 3  # Flax's extension types
 DEEPEST = 8  # names on the way to a parameter; the network's have 4
 KINDS = ("float16", "float32", "float64", "int32", "int64", "uint8", "bool")  # of their numbers
@@ -36,6 +39,8 @@ def read(data: bytes) -> Imported:
     Raises:
         ValueError: If the bytes are damaged, hold another network, or msgpack is not installed.
     """
+    if data.startswith(ZIP):
+        return pth.read(data)
     match _unpacked(data):
         case {"0": dict(told), "1": {"0": network, "1": actor, "2": critic}}:
             modules = {"0": network, "1": actor, "2": critic}

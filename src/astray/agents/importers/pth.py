@@ -1,8 +1,8 @@
-"""Importer of IMPALA agents from train-procgen-pytorch, as in the paper, and train-procgen-pfrl.
+"""Importer of IMPALA agents from train-procgen-pytorch, as in the paper, and two other programs.
 
 Files hold weights by name, either directly or under `model_state_dict` (older: `state_dict`), some
-with the optimizer's state. Both programs compute the same network, with any channels, under
-different names: images are divided by 255, actions are sampled from the policy.
+with the optimizer's state. train-procgen-pfrl and CleanRL's ppo_procgen compute the same network
+under other names, with any channels: images are divided by 255, actions are sampled.
 """
 
 from __future__ import annotations
@@ -85,6 +85,18 @@ PROGRAMS = (
             (r"^value_fc\.", "value."),
         ),
     ),
+    Names(
+        "CleanRL's ppo_procgen",
+        ("network.0.conv.weight", "actor.weight"),
+        (
+            (r"^network\.5\.", "features.linear."),
+            (r"^network\.\d|res_block\d|conv\d", _plus_one),
+            (r"^network\.", "block"),
+            (r"\.res_block", ".residual"),
+            (r"^actor\.", "policy."),
+            (r"^critic\.", "value."),
+        ),
+    ),
 )
 
 
@@ -94,7 +106,7 @@ def read(data: bytes) -> Imported:
     Raises:
         ValueError: If the bytes are damaged, hold more than weights, or another network.
     """
-    tensors = _tensors(_load(data), len(data))
+    tensors = weights(data)
     if any(name.startswith("gru.") for name in tensors):
         raise ValueError("it is a recurrent agent; only feed-forward ones are read")
     names = next((one for one in PROGRAMS if set(one.heads) <= set(tensors)), None)
@@ -111,6 +123,15 @@ def read(data: bytes) -> Imported:
     architecture = Architecture("impala", SHAPE, (), ACTIONS, widths=widths)
     about = f"{names.program}: IMPALA, channels {'/'.join(map(str, widths))}"
     return Imported(build(architecture, renamed), architecture, about)
+
+
+def weights(data: bytes) -> dict[str, Tensor]:
+    """Return the weights by name in the bytes of a file that torch wrote; nothing in it is run.
+
+    Raises:
+        ValueError: If the bytes are damaged or hold more than weights.
+    """
+    return _tensors(_load(data), len(data))
 
 
 def _load(data: bytes) -> Any:
