@@ -9,6 +9,7 @@ import pytest
 
 from astray.analysis import agency
 from astray.cli import agents as verbs
+from astray.cli import arguments
 from astray.files import (
     aside_of,
     check_free,
@@ -144,9 +145,9 @@ def test_no_file_takes_the_place_of_a_link(tmp_path, name, target):
 @pytest.mark.parametrize("name", ["episodes.parquet", "posterior.mp4", "posterior.gif"])
 def test_all_that_a_verb_writes_is_seen_before_anything_is_played(tmp_path, monkeypatch, name):
     (tmp_path / name).mkdir()
-    monkeypatch.setattr(agency, "assess_run", lambda *a, **k: pytest.fail("it was played"))
+    monkeypatch.setattr(agency, "assess_policy", lambda *a, **k: pytest.fail("it was played"))
     with pytest.raises(OSError, match=rf"{name} (must be a file|was not written by astray)"):
-        verbs.agency(agent="maze-corner", out=tmp_path)
+        verbs.agency(arguments.TestedPlayer(Path("maze-corner")), out=tmp_path)
 
 
 def test_what_astray_did_not_write_is_not_replaced(tmp_path):

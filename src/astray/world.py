@@ -7,7 +7,7 @@ import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, fields, replace
 from operator import itemgetter
-from typing import Any, ClassVar, cast
+from typing import Any, ClassVar, NamedTuple, cast
 
 import gymnasium
 import numpy as np
@@ -103,6 +103,20 @@ class WorldVariant:
         return f"{self.world} {self.name}{told}"
 
 
+class Layout(NamedTuple):
+    """The cells of a world whose agent moves from cell to cell, at one time.
+
+    Attributes:
+        free: [H, W] bool, indexed [y, x]: the cells that the agent can stand in.
+        agent: Its cell (x, y).
+        goals: Cell (x, y) of each goal, or None if it is absent.
+    """
+
+    free: np.ndarray
+    agent: tuple[int, int]
+    goals: Mapping[str, tuple[int, int] | None]
+
+
 @dataclass(frozen=True, eq=False, kw_only=True)
 class World:
     """Gymnasium environments in which goals may be pursued. A `Game` is the compiled counterpart.
@@ -132,6 +146,8 @@ class World:
         experts: Goal -> function of the unwrapped environment that returns the next action towards
             it, for base rates.
         measures: Name -> function of the unwrapped environment that returns a number.
+        cells: Function of the unwrapped environment that returns a `Layout`; the agency measure
+            needs it.
         workers: Whether each environment has its own process.
         patience: Seconds to wait for a process that does not answer.
         repeats: Whether an episode is determined by its level and the actions, which is checked.
@@ -152,6 +168,7 @@ class World:
     ends: Mapping[str, Outcome] = field(default_factory=dict)
     experts: Mapping[str, Callable[[Any], Any]] = field(default_factory=dict)
     measures: Mapping[str, Callable[[Any], float]] = field(default_factory=dict)
+    cells: Callable[[Any], Layout] | None = None
     about: str = ""
     workers: bool = False
     patience: float = 60.0

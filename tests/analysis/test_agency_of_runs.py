@@ -16,6 +16,7 @@ from astray.analysis.agency import (
     UNDECIDED,
     Assessment,
     assess,
+    assess_policy,
     heat,
     play,
     posterior_video,
@@ -24,6 +25,8 @@ from astray.analysis.outcomes import load_shift
 from astray.analysis.policies import Random, Walk
 from astray.envs.vector import GameVectorEnv
 from astray.estimate import Estimate
+from astray.world import Layout
+from helpers import rooms
 
 SHIFT = load_shift("maze", "corner-small")
 MAZE = games.find("maze")
@@ -134,3 +137,23 @@ def test_the_likeliest_cell_is_the_darkest():
         for n, (x, y) in enumerate(world.cells)
     }
     assert min(brightness, key=brightness.__getitem__) == 3
+
+
+def layout(env):
+    """The cells of a row, in which the square may lie."""
+    there = {"square": (env.square, 0), "end": (rooms.CELLS - 1, 0)}
+    return Layout(np.ones((1, rooms.CELLS), bool), (env.x, 0), there)
+
+
+def test_episodes_of_a_world_that_tells_its_cells_are_measured():
+    world = replace(rooms.WORLD, cells=layout)
+    found = play(Walk("end"), world, world.variant("anywhere"), range(12), world.shifts["end"])
+    for one in found:
+        ((square, _),) = one.goals["square"]
+        last = square if square > 4 else 8  # the square ends the episode
+        assert one.cells == [(x, 0) for x in range(4, last + 1)]
+    assert {one.level for one in found} <= set(range(12)) and len(found) > 3
+    assessed, _ = assess_policy(Walk("end"), world, world.variant("anywhere"), "end", range(12))
+    assert "end" in assessed.explanations
+    with pytest.raises(ValueError, match="'room' has no cells, which this needs: World"):
+        play(Walk("end"), rooms.WORLD, rooms.WORLD.variant("end"), [1], world.shifts["end"])

@@ -51,7 +51,7 @@ def test_agents_have_rows_of_their_own_and_are_pooled_when_asked():
     two = astray.evaluate_policies(
         [astray.load_agent("maze-corner"), walker], "maze", "corner-small", LEVELS
     )
-    assert two.agents == ("sampled", "<b>idle</b>") and len(two.verdict.splitlines()) == 2
+    assert two.agents == ("maze-corner", "<b>idle</b>") and len(two.verdict.splitlines()) == 2
     assert "&lt;b&gt;idle" in two._repr_html_() and "<b>idle" not in two._repr_html_()
 
 

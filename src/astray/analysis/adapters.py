@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal, Protocol
 
 import numpy as np
 import torch
-from gymnasium.spaces import Discrete
+from gymnasium.spaces import Box, Discrete
 
 from astray.acting import Answer, Turn
 from astray.agents import policy as trained
 from astray.agents.recurrent import Recurrent
-from astray.analysis.trained import AT_ONCE, chosen, recalled
+from astray.analysis.trained import AT_ONCE, Network, chosen, recalled
 from astray.envs.vector import Observation
 from astray.game import OWN
 from astray.training.trainer import Trainer
@@ -44,6 +45,9 @@ class Function:
     Attributes:
         observation: "image" for [N, 64, 64, 3], "symbolic" for planes [N, C, H, W].
         art: Art of the images.
+        remembers: Whether it is also given its memory and which episodes begin, and returns its
+            memory with the actions.
+        network: The network that it asks, if there is one that analyses can look into.
 
     Raises:
         ValueError: If it is not callable, or does not return one action per observation.
@@ -54,6 +58,7 @@ class Function:
     observation: Observation = "image"
     art: str = OWN
     remembers: bool = False
+    network: Network | None = None
 
     def __post_init__(self) -> None:
         if not callable(self.choose):
@@ -98,7 +103,8 @@ def from_sb3(
 ) -> Function:
     """Make a policy of a Stable-Baselines3 model; torch's random state samples its actions.
 
-    A recurrent model, as in sb3-contrib, begins every episode with empty memory.
+    A recurrent model, as in sb3-contrib, begins every episode with empty memory. An actor and
+    critic without memory, as of PPO and A2C, has a `network`, into which the lab and insight look.
 
     Args:
         greedy: Take its most likely action instead.
@@ -110,7 +116,32 @@ def from_sb3(
         actions, state = model.predict(seen, state, begins, deterministic=greedy)
         return actions, state and tuple(np.swapaxes(part, 0, 1) for part in state)
 
-    return Function(choose, name, observation, art, remembers=True)
+    network = _network_of(model)
+    if network:
+        told = {"name": name, "observation": observation, "art": art}
+        network = replace(network, mode="greedy" if greedy else "sampled", **told)
+    return Function(choose, name, observation, art, remembers=True, network=network)
+
+
+def _network_of(model: Any) -> Network | None:
+    """Return the actor and critic of a Stable-Baselines3 model without memory, or None."""
+    policies = sys.modules.get("stable_baselines3.common.policies")  # whose models come from there
+    net: Any = getattr(model, "policy", None)
+    space, actions = (getattr(model, f"{of}_space", None) for of in ("observation", "action"))
+    known = policies is not None and isinstance(net, policies.ActorCriticPolicy)
+    if not known or hasattr(net, "lstm_actor"):
+        return None
+    if not isinstance(space, Box) or not isinstance(actions, Discrete):
+        return None
+    turned = len(space.shape) == 3 and space.shape[0] <= 4 < space.shape[2]
+    if turned:  # its wrappers put the colours of images first
+        space = Box(0, 255, (*space.shape[1:], space.shape[0]), space.dtype.type)
+
+    def ask(net: Any, seen: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        seen = seen.permute(0, 3, 1, 2) if turned else seen
+        return net.get_distribution(seen).distribution.logits, net.predict_values(seen)
+
+    return Network(net, space, ask=ask)
 
 
 def from_torchrl(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -15,17 +15,20 @@ from scipy.special import softmax
 
 from astray import games
 from astray.acting import Policy, initial_states, steps
-from astray.agency.gridworld import Cell, World
+from astray.agency.gridworld import Cell
+from astray.agency.gridworld import World as Gridworld
 from astray.agency.measure import CALIBRATED, PRESETS, Episode, Options, decisions, measure_named
 from astray.agency.online import measure_online
 from astray.agency.population import pooled, rates
 from astray.analysis import video
 from astray.analysis.estimates import Estimate, estimate_mean
 from astray.analysis.outcomes import load_shift
-from astray.analysis.runs import Mode, open_run, shift_of
 from astray.game import Game, Shift, Variant
+from astray.validation import one_of
+from astray.world import Layout, World, WorldVariant, witnessed
 
 DEVICE = "device"
+PLACE = ("agent_x", "agent_y")  # measures of a world's episodes: the cell of the agent
 UNDECIDED = "undecided"
 LEAST, MOST = np.array([244, 243, 236]), np.array([196, 60, 20])  # colours of the posterior
 STONE, MOUSE = np.array([204, 184, 142]), np.array([34, 34, 34])  # walls are sand, as in the game
@@ -51,8 +54,8 @@ class Played:
 
 def play(
     policy: Policy,
-    game: str | Game,
-    variant: Variant,
+    game: str | Game | World,
+    variant: Variant | WorldVariant,
     levels: Sequence[int] | np.ndarray,
     shift: Shift,
     batch: int = 256,
@@ -60,16 +63,65 @@ def play(
     """Play `policy` in those of `levels` that contain all the goals.
 
     Raises:
-        ValueError: If the game has no `cells`.
+        ValueError: If the game or the world has no `cells`.
     """
-    game = games.find(game)
-    states = initial_states(game, variant, levels)
-    ways = [[cell] for cell in _cells(game, states)]
-    for step in steps(policy, game, variant, levels, batch=batch):
-        for level, cell in zip(step.level, _cells(game, step.after), strict=True):
+    found: Game | World
+    if isinstance(game, World):
+        begun = _layouts(game, game.variant(variant), levels)
+        found, numbers, cells_of = _noting(game), [*map(int, levels)], _noted
+    else:
+        assert not isinstance(variant, WorldVariant)
+        found = games.find(game)
+        states = initial_states(found, variant, levels)
+        numbers, cells_of = states["level"].tolist(), partial(_cells, found)
+        begun = [
+            Layout(found.cells.free(s), cell, named_places(found, s, shift))
+            for s, cell in zip(states, _cells(found, states), strict=True)
+        ]
+    ways = [[layout.agent] for layout in begun]
+    for step in steps(policy, found, variant, levels, batch=batch):
+        for level, cell in zip(step.level, cells_of(step.after), strict=True):
             ways[level].append(cell)
-    played = [_played(game, s, way, shift) for s, way in zip(states, ways, strict=True)]
+    played = map(partial(_played, found, shift), numbers, begun, ways)
     return [one for one in played if one]
+
+
+def _layouts(world: World, variant: WorldVariant, levels: Any) -> list[Layout]:
+    """Return the cells of a world at the beginning of each level."""
+    if world.cells is None:
+        raise ValueError(
+            f"the world {world.name!r} has no cells, which this needs: World(cells=...) is a "
+            "function of the environment that returns a Layout"
+        )
+    env, found = witnessed(world, variant), []
+    for level in levels:
+        env.reset(seed=int(level))
+        free, agent, goals = world.cells(env.unwrapped)
+        for goal in goals:
+            one_of("goal of a layout", goal, world.goals)
+        found.append(Layout(np.asarray(free, bool), _cell(agent), goals))
+    env.close()
+    return found
+
+
+def _cell(cell: Any) -> Cell:
+    x, y = cell
+    return int(x), int(y)
+
+
+def _coordinate(world: World, axis: int, env: Any) -> float:
+    assert world.cells is not None
+    return world.cells(env)[1][axis]
+
+
+def _noting(world: World) -> World:
+    """Return the world with the agent's cell as measures of every step."""
+    places = {name: partial(_coordinate, world, k) for k, name in enumerate(PLACE)}
+    return replace(world, every_step=True, measures={**world.measures, **places})
+
+
+def _noted(states: np.ndarray) -> list[Cell]:
+    return [_cell(cell) for cell in zip(*(states[name] for name in PLACE), strict=True)]
 
 
 def _cells(game: Game, states: np.ndarray) -> list[Cell]:
@@ -77,17 +129,19 @@ def _cells(game: Game, states: np.ndarray) -> list[Cell]:
     return [(int(x), int(y)) for x, y in np.floor(game.places.centre(states))]
 
 
-def _played(game: Game, s: Any, way: list[Cell], shift: Shift) -> Played | None:
-    """Return the episode from `s` along the cells of `way`; None if the level lacks a goal."""
-    places = named_places(game, s, shift)
+def _played(
+    game: Game | World, shift: Shift, level: int, begun: Layout, way: list[Cell]
+) -> Played | None:
+    """Return the episode along the cells of `way`; None if the level lacks a goal."""
+    places = _named(game, shift, begun.goals.get)
     if any(place is None for place in places.values()):
         return None
-    goals = {name: [place] for name, place in places.items()}
-    world = World(game.cells.free(s))
+    goals = {name: [_cell(place)] for name, place in places.items()}
+    world = Gridworld(begun.free)
     last = max((way.index(place) for place in places.values() if place in way), default=len(way))
     intended = goals[shift.intended][0]
     cells = way[: last + 1]
-    return Played(int(s.level), Episode(world, world.path(cells), intended), cells, goals)
+    return Played(level, Episode(world, world.path(cells), intended), cells, goals)
 
 
 def named_places(game: Game, s: Any, shift: Shift) -> dict[str, Any]:
@@ -95,10 +149,14 @@ def named_places(game: Game, s: Any, shift: Shift) -> dict[str, Any]:
 
     If goals share an event, only the first is included.
     """
+    return _named(game, shift, partial(game.cells.target, s))
+
+
+def _named(game: Game | World, shift: Shift, target: Callable[[str], Any]) -> dict[str, Any]:
     places: dict[str, Any] = {}
     events = set()
     for goal in (shift.intended, *shift.proxies, *game.event_goals):
-        event, place = game.event(goal), game.cells.target(s, goal)
+        event, place = game.event_goals.get(goal, goal), target(goal)
         of_shift = goal == shift.intended or goal in shift.proxies
         if event not in events and (of_shift or place is not None):
             places[goal] = place
@@ -208,38 +266,33 @@ def assess(played: Sequence[Played], options: Options = CALIBRATED) -> Assessmen
     )
 
 
-def assess_run(
-    run: Path,
-    levels: Sequence[int] | np.ndarray | None = None,
-    *,
-    variant: str | Variant | None = None,
-    shift: str | Shift | None = None,
+def assess_policy(
+    policy: Policy,
+    game: str | Game | World,
+    variant: Variant | WorldVariant,
+    shift: str | Shift,
+    levels: Sequence[int] | np.ndarray,
     measure: str = "calibrated",
-    mode: Mode = "sampled",
-    art: str | None = None,
-    knobs: dict[str, Any] | None = None,
 ) -> tuple[Assessment, Callable[[], np.ndarray]]:
-    """Assess a trained agent; also return a function that records its most informative episode.
+    """Assess any policy; also return a function that records its most informative episode.
 
     Args:
-        levels: Level numbers; None for the first 300 outside of the training.
         measure: Name in `PRESETS`.
-        art: Art of the agent's observations; None for that of its training.
+
+    Raises:
+        ValueError: If the game or the world has no `cells`, or no level has all the goals.
     """
-    agent, config = open_run(run, mode, art)
-    between = load_shift(config.find_game(), shift or shift_of(config))
-    made = config.played_variant(variant or between.test, knobs)
-    chosen = config.unseen_levels[:300] if levels is None else levels
-    played = play(agent, config.game, made, chosen, between)
-    assessed = assess(played, PRESETS[measure])
-    informative, options = played[assessed.most_informative], PRESETS[measure]
-    return assessed, lambda: posterior_video(agent, config.game, made, informative, options)
+    options = PRESETS[measure]
+    played = play(policy, game, variant, levels, load_shift(game, shift))
+    assessed = assess(played, options)
+    informative = played[assessed.most_informative]
+    return assessed, lambda: posterior_video(policy, game, variant, informative, options)
 
 
 def posterior_video(
     policy: Policy,
-    game: str | Game,
-    variant: Variant,
+    game: str | Game | World,
+    variant: Variant | WorldVariant,
     played: Played,
     options: Options = CALIBRATED,
     pixels: int = 320,
@@ -270,7 +323,7 @@ def posterior_video(
     return video.beside(frames, np.stack(maps), captions=[level, caption])
 
 
-def heat(world: World, belief: np.ndarray, here: int, pixels: int) -> np.ndarray:
+def heat(world: Gridworld, belief: np.ndarray, here: int, pixels: int) -> np.ndarray:
     """Draw `belief` [F] on the map, dark for likely, [pixels, pixels, 3] uint8."""
     height, width = world.free.shape
     image = np.broadcast_to(STONE, (height, width, 3)).astype(float)

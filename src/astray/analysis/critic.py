@@ -21,7 +21,7 @@ import polars as pl
 from astray.acting import Levels, steps
 from astray.analysis.evaluate import Measure, check_measures, measured
 from astray.analysis.policies import episode_noise
-from astray.analysis.trained import Model
+from astray.analysis.trained import Model, Opaque, check_network
 from astray.envs.vector import GameVectorEnv
 from astray.game import Variant
 from astray.validation import MOST, bounded, finite, of_kind
@@ -58,7 +58,7 @@ def visit(
     Raises:
         ValueError: If an argument is invalid.
     """
-    of_kind("agent", agent, Model)
+    check_network(agent)
     of_kind("levels", levels, Sized)
     if per_episode is not None:
         bounded("per_episode", per_episode, 1, MOST)
@@ -157,15 +157,41 @@ def policy_and_value(agent: Model, observations: np.ndarray) -> tuple[np.ndarray
     return logits.double().softmax(-1).numpy(force=True), values.double().numpy(force=True)
 
 
+def ask(
+    agent: Model | Opaque, variant: str | Variant, states: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return action probabilities [N, A] and values [N] of any policy in `states` [N].
+
+    A policy without a network has probability 1 for the action that it takes, and values NaN.
+
+    Raises:
+        ValueError: If the states are not those of the agent's game.
+    """
+    if isinstance(agent, Opaque):
+        return _each(agent, variant, states, 64, agent.chances), np.full(len(states), np.nan)
+    return policy_and_value(agent, observe(agent, variant, states))
+
+
 def observe(
-    agent: Model, variant: str | Variant, states: np.ndarray, *, batch: int = 64
+    agent: Model | Opaque, variant: str | Variant, states: np.ndarray, *, batch: int = 64
 ) -> np.ndarray:
     """Return the agent's observations of `states` [N]: [N, 64, 64, 3] or [N, C, H, W] uint8.
 
     Raises:
         ValueError: If the states are not those of the agent's game.
     """
-    of_kind("agent", agent, Model)
+    of_kind("agent", agent, Model | Opaque)
+    return _each(agent, variant, states, batch, lambda env, seen: seen)
+
+
+def _each(
+    agent: Model | Opaque,
+    variant: str | Variant,
+    states: np.ndarray,
+    batch: int,
+    told: Callable[[GameVectorEnv, np.ndarray], np.ndarray],
+) -> np.ndarray:
+    """Return the results [N, ...] of `told` in states [N], given observations and environments."""
     of_kind("states", states, np.ndarray)
     if not np.size(states):
         raise ValueError("no states are given")
@@ -184,7 +210,7 @@ def observe(
     )
     shown = np.concatenate(
         [
-            env.set_state(states[np.arange(first, first + n) % len(states)])
+            told(env, env.set_state(states[np.arange(first, first + n) % len(states)]))
             for first in range(0, len(states), n)
         ]
     )

@@ -184,14 +184,14 @@ def evaluate_runs(
     )
 
 
-def names_of(agents: Sequence[Agent], pool: bool) -> dict[str, str]:
-    """Return each agent's name in tables, by its run folder."""
+def names_of(agents: Sequence[Agent], pool: bool = False) -> dict[str, str]:
+    """Return the name of each agent in tables, by its run folder."""
     runs = [AgentFolder.of(agent.path).path for agent in agents]
     names = [folders.name_of(run) for run in runs]
     if pool and len(runs) > 1:
         names = [", ".join(names) if len(runs) <= NAMED else f"{len(runs)} agents"] * len(runs)
-    greedy = " (greedy)" if agents[0].mode == "greedy" else ""
-    return {str(run): name + greedy for run, name in zip(runs, names, strict=True)}
+    modes = [" (greedy)" if agent.mode == "greedy" else "" for agent in agents]
+    return {str(run): name + mode for run, name, mode in zip(runs, names, modes, strict=True)}
 
 
 def evaluate_policies(
@@ -225,8 +225,20 @@ def evaluate_policies(
     wanted: Any = variant or load_shift(game, shift).test
     played = range(LEVELS_PLAYED) if levels is None else levels
     changed = game.variant(wanted).with_knobs(knobs or {})
+    of_kind("policies", policies, Sequence)
+    names = names_of([policy for policy in policies if isinstance(policy, Agent)])
     return _outcomes(
-        policies, game, name_of(wanted), changed, shift, played, batch, solvable, longest, rewards
+        policies,
+        game,
+        name_of(wanted),
+        changed,
+        shift,
+        played,
+        batch,
+        solvable,
+        longest,
+        rewards,
+        names,
     )
 
 
@@ -241,7 +253,7 @@ def _outcomes(
     solvable: bool,
     longest: int | None,
     rewards: Mapping[str, Reward] | None,
-    names: Mapping[str, str] | None = None,
+    names: Mapping[str, str],
 ) -> Result:
     if isinstance(levels, Path):
         if isinstance(game, World) or isinstance(variant, WorldVariant):
@@ -254,7 +266,12 @@ def _outcomes(
     if names:
         of_run = pl.col("run").replace_strict(names, default=None)
         episodes = episodes.with_columns(policy=pl.coalesce(of_run, "policy"))
-    played = dict.fromkeys(names.values() if names else (policy.name for policy in policies))
+    played = dict.fromkeys(
+        names.get(str(AgentFolder.of(one.path).path), one.name)
+        if isinstance(one, Agent)
+        else one.name
+        for one in policies
+    )
     return rated(episodes, game, load_shift(game, shift), [*played])
 
 
@@ -268,6 +285,12 @@ def rated(
         if len(part)
     ]
     return Result(pl.concat(both), episodes, (*agents,), shift)
+
+
+def scripts_of(game: Game | World, shift: Shift) -> list[Policy]:
+    """Return the scripts for base rates: a walk to each goal of a shift, and random actions."""
+    goals = (shift.intended, *shift.proxies)
+    return [*(Walk(goal) for goal in goals if goal in game.walked), Random()]
 
 
 def play_all(
@@ -294,9 +317,7 @@ def play_all(
     for policy in policies:
         check_policy(policy)
     between = load_shift(game, shift)
-    goals = (between.intended, *between.proxies)
-    walks = [Walk(goal) for goal in goals if goal in game.walked]
-    scripts: list[Policy] = [*walks, Random()]
+    scripts = scripts_of(game, between)
     names = [
         policy.name for policy in (*scripts, *policies) if not isinstance(policy, Agent | Loaded)
     ]

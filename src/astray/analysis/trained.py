@@ -1,6 +1,7 @@
 """Trained networks as policies.
 
-An `Agent` comes from a file of astray's, a `Network` is any torch module of yours.
+An `Agent` comes from a file of astray's, a `Network` is any torch module of yours, and `Opaque`
+is any other policy, where an analysis takes what has no network, too.
 """
 
 from __future__ import annotations
@@ -8,7 +9,7 @@ from __future__ import annotations
 import contextlib
 import math
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal, TypeVar
 
@@ -20,9 +21,9 @@ from astray.acting import Answer, Policy, Turn
 from astray.agents import policy
 from astray.agents.names import is_own
 from astray.agents.recurrent import Recurrent
-from astray.analysis.policies import episode_noise
+from astray.analysis.policies import Random, episode_noise
 from astray.envs.restarting import action_table, as_seen
-from astray.envs.vector import Observation
+from astray.envs.vector import GameVectorEnv, Observation
 from astray.envs.worlds import WorldVectorEnv
 from astray.game import OWN, Game
 from astray.training import ppo
@@ -33,6 +34,7 @@ from astray.world import World
 # Observations per forward pass: more are not faster for a large network, and padding a batch to a
 # multiple of it costs time.
 AT_ONCE = {"symbolic": 64, "image": 16}
+IMAGE = 64 * 64  # numbers in an observation from which on it is passed on as an image
 # Multiplications per forward pass below which a second thread costs more than it saves, up to five
 # times as much on busy processors.
 FEW = 200_000_000
@@ -249,7 +251,8 @@ class Network:
             told = f"{self.space.shape}, not {observations.shape[1:]}"
             raise ValueError(f"{self.name} sees observations of shape {told}")
         here = torch.from_numpy(observations).to(self.device)
-        logits, values = policy.outputs(self.asked, here, AT_ONCE["symbolic"])
+        seen = "image" if math.prod(self.space.shape) >= IMAGE else "symbolic"
+        logits, values = policy.outputs(self.asked, here, AT_ONCE[seen])
         return logits, values
 
     def actions(self, turn: Turn) -> Answer:
@@ -287,6 +290,70 @@ class Loaded:
 
     def actions(self, turn: Turn) -> Answer:
         return self.policy.actions(turn)
+
+
+@dataclass
+class Opaque:
+    """Policy in a game that is played and asked for actions, but has no network to look into.
+
+    Attributes:
+        mode, seed: As an agent's; only random actions depend on the seed.
+    """
+
+    policy: Policy
+    game: str
+    mode: Literal["sampled", "greedy"] = "sampled"
+    seed: int = 0
+
+    @property
+    def name(self) -> str:
+        return self.policy.name
+
+    @property
+    def observation(self) -> Observation:
+        return self.policy.observation
+
+    @property
+    def art(self) -> str:
+        return self.policy.art
+
+    def actions(self, turn: Turn) -> Answer:
+        drawn = self.policy
+        if isinstance(drawn, Random):
+            drawn = replace(drawn, seed=drawn.seed + self.seed)
+        return drawn.actions(turn)
+
+    def chances(self, env: GameVectorEnv, observations: np.ndarray) -> np.ndarray:
+        """Return [N, A], 1 for the action that it takes in each state; random ones are all alike.
+
+        A policy with a memory is asked as if it saw nothing before.
+
+        Args:
+            env: Environments in the states [N].
+            observations: [N, ...], observations of them.
+        """
+        count = len(env.game.actions)
+        if isinstance(self.policy, Random):
+            return np.full((len(observations), count), 1 / count)
+        return np.eye(count)[self.actions(Turn.of(env, observations)).actions]
+
+
+def looked_into(policy: Policy, game: Game) -> Agent | Network | Opaque:
+    """Return a policy as what analyses of states take: its network if it has one, else `Opaque`."""
+    found = getattr(policy, "network", None) if not isinstance(policy, Agent | Network) else policy
+    if isinstance(found, Network):
+        return replace(found, game=game.name)
+    return found if isinstance(found, Agent) else Opaque(policy, game.name)
+
+
+def check_network(agent: Any) -> None:
+    """Raise ValueError unless an agent has a network to look into."""
+    if isinstance(agent, Opaque):
+        raise ValueError(
+            f"the policy {agent.name!r} has no network to look into: no probabilities, values or "
+            "layers; astray.Network(module, ...) is a policy with one"
+        )
+    of_kind("agent", agent, Model)
 
 
 Model = Agent | Network

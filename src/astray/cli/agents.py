@@ -26,6 +26,7 @@ from astray.cli.arguments import (
     Settings,
     Shift,
     Tested,
+    TestedPlayer,
     level_numbers,
     pairs,
     print_json,
@@ -46,6 +47,7 @@ if TYPE_CHECKING:
 
     from astray.analysis.agency import Assessment
 
+SOME = 300  # levels of `agency`, by default
 SUMMARY, EPISODES = "agency.json", "episodes.parquet"
 POSTERIOR = ("posterior.mp4", "posterior.gif", "posterior.png")
 
@@ -212,8 +214,7 @@ def record(
 
 
 def agency(
-    agent: Agent,
-    tested: Annotated[Tested, arg(name="")] = Tested(),
+    player: Annotated[TestedPlayer, arg(name="")] = TestedPlayer(),
     levels: Annotated[
         str | None, otherwise("the first 300 that the training does not draw from", NUMBERS)
     ] = None,
@@ -221,7 +222,7 @@ def agency(
     out: Annotated[Path | None, otherwise("none")] = None,
     json: Json = False,
 ) -> None:
-    """Measure whether a trained maze agent is goal-directed, and towards which goal.
+    """Measure whether a policy in mazes is goal-directed, and towards which goal.
 
     Example: astray agency maze-corner --levels 200000:200050
 
@@ -231,15 +232,16 @@ def agency(
         out: Folder for agency.json, episodes.parquet, and posterior.mp4, .gif and .png of the
             episode with the most steps that distinguish the goals.
     """
-    from astray.analysis.agency import assess_run
+    from astray.analysis.agency import assess_policy
 
     if out:
         check_free(out, SUMMARY, b'"explanations"', (EPISODES, *POSTERIOR))
         for name in (SUMMARY, EPISODES, *POSTERIOR):
             check_writable(out / name)
-    assessed, recorded = assess_run(
-        agent, level_numbers(levels) if levels else None, measure=measure, **tested.words()
-    )
+    policy, rules, _, variant, shift, config = player.open()
+    unseen = config.unseen_levels if config else range(SOME)
+    chosen = level_numbers(levels) if levels else unseen[:SOME]
+    assessed, recorded = assess_policy(policy, rules, variant, shift, chosen, measure)
     if out:
         _write_assessment(assessed, recorded(), out)
     if json:

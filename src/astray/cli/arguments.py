@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import inspect
 import json
+import shlex
 import sys
 from dataclasses import dataclass
 from pathlib import Path
@@ -105,7 +106,7 @@ class OwnPolicy:
     # Policy: random, walk:GOAL, or module:name, where the name is a policy, a function without
     # arguments that returns one, or a function from observations [N, ...] to actions [N].
     policy: Annotated[str | None, otherwise("none")] = None
-    # Game that the policy plays, for use with --policy.
+    # Game that the policy plays; the lab also shows a game without one.
     game: Annotated[str | None, otherwise("that of the agent")] = None
     # World of your own that the policy plays or the agent was trained on, as module:WORLD.
     world: Annotated[str | None, otherwise("none")] = None
@@ -137,6 +138,34 @@ class OwnPolicy:
         if (self.game is None) == (self.world is None):
             raise ValueError("--policy needs either --game or --world")
         return games.find(self.game) if self.game else self.named()
+
+    def check_game(self, verb: str) -> None:
+        """Raise ValueError for a world, whose environments cannot be set to a state."""
+        if self.world is not None:
+            raise ValueError(
+                f"astray {verb} sets states, which environments of a World do not let it: it takes "
+                "--game; evaluate, record, agency, export and audit take --world"
+            )
+
+    def open(
+        self, agent: Path | None, acting: Acting, needs: str
+    ) -> tuple[Policy, Any, Config | None]:
+        """Return the agent, or this policy in its place, its game or world, and its settings.
+
+        Raises:
+            ValueError: If neither or both are given; `needs` says what else a policy needs.
+        """
+        if self.policy is not None:
+            if agent or needs:
+                raise ValueError(
+                    f"--policy needs {needs or 'a variant'}, and --game or --world, and no agent"
+                )
+            return self.make(acting), world.find(self.rules()), None
+        self.check_unused()
+        if agent is None:
+            raise ValueError(NOBODY)
+        player, config = acting.open(agent)
+        return player, config.find_game(), config
 
     def make(self, acting: Acting) -> Policy:
         """Return the policy; raise ValueError if the name is unknown."""
@@ -183,18 +212,51 @@ class Player:
         Raises:
             ValueError: If no agent and no policy is named, or both are.
         """
-        if self.policy.policy is not None:
-            if self.agent or self.variant is None:
-                raise ValueError("--policy needs --variant, and --game or --world, and no agent")
-            rules = world.find(self.policy.rules())
-            made = rules.variant(self.variant).with_knobs(pairs(self.knobs))
-            return self.policy.make(self.acting), rules, made, None
-        self.policy.check_unused()
-        if self.agent is None:
-            raise ValueError(NOBODY)
-        player, config = self.acting.open(self.agent)
-        made = config.played_variant(self.variant or config.variant, pairs(self.knobs))
-        return player, config.find_game(), made, config
+        needs = "" if self.variant else "--variant"
+        player, rules, config = self.policy.open(self.agent, self.acting, needs)
+        made = played(rules, self.variant or config.variant, self.knobs, config)  # pyright: ignore
+        return player, rules, made, config
+
+
+def played(rules: Any, variant: str, knobs: Words, config: Config | None) -> Any:
+    """Return a variant with knobs set, and with those of an agent's training."""
+    if config:
+        return config.played_variant(variant, pairs(knobs))
+    return rules.variant(variant).with_knobs(pairs(knobs))
+
+
+@dataclass(frozen=True)
+class TestedPlayer:
+    """An agent, or a policy in its place, and the variant and goals that it is tested with."""
+
+    agent: Positional[Annotated[Path | None, otherwise("none", AN_AGENT)]] = None
+    variant: TestVariant = None
+    shift: Shift = None
+    knobs: Knobs = ()
+    acting: Acting = Acting()
+    policy: OwnPolicy = OwnPolicy()
+
+    @property
+    def words(self) -> str:
+        """The agent or the policy, as the command line has it."""
+        if self.agent:
+            return shlex.quote(str(self.agent))
+        return f"--policy {shlex.quote(str(self.policy.policy))} --game {self.policy.game}"
+
+    def open(self) -> tuple[Policy, Any, str, Any, str, Config | None]:
+        """Return the policy, its game or world, a variant's name, it, a shift, and settings.
+
+        Raises:
+            ValueError: If no agent and no policy is named, or both are, or a policy has no shift.
+        """
+        from astray.analysis.outcomes import load_shift
+        from astray.analysis.runs import shift_of
+
+        needs = "" if self.shift else "--shift"
+        player, rules, config = self.policy.open(self.agent, self.acting, needs)
+        shift = self.shift or shift_of(config)  # pyright: ignore[reportArgumentType]
+        name = self.variant or load_shift(rules, shift).test
+        return player, rules, name, played(rules, name, self.knobs, config), shift, config
 
 
 @dataclass(frozen=True)

@@ -38,9 +38,6 @@ def export(
     from astray.analysis.dataset import export as write
 
     bounded("batch", batch, 1, MOST)
-    given = player.policy
-    if given.policy and (player.agent or given.world or not given.game or not player.variant):
-        raise ValueError("--policy needs --game and --variant, and no agent")
     policy, game, variant, config = player.open()
     first = config.unseen_levels.start if config else 0
     numbers = level_numbers(levels or f"{first}:{first + 1000}")

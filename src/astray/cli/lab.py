@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
 
 from tyro.conf import Positional
 
-from astray.cli.arguments import AN_AGENT, GivenLevel
+from astray.cli.arguments import AN_AGENT, Acting, GivenLevel, OwnPolicy
 from astray.files import read
 from astray.training.settings import otherwise
 from astray.validation import bounded
@@ -18,7 +19,7 @@ EXPORTED, MOST = 50, 10_000  # levels of a variant that are exported: by default
 
 def lab(
     agent: Positional[Annotated[Path | None, otherwise("maze-corner", AN_AGENT)]] = None,
-    game: Annotated[str | None, otherwise("that of the agent")] = None,
+    policy: OwnPolicy = OwnPolicy(),
     variant: Annotated[str | None, otherwise("the variant that the agent is tested on")] = None,
     level: GivenLevel = GivenLevel(),
     port: int = 0,
@@ -26,12 +27,14 @@ def lab(
     export: Annotated[Path | None, otherwise("none")] = None,
     levels: Annotated[int | None, otherwise(f"{EXPORTED}")] = None,
 ) -> None:
-    """Open a page to edit levels and see an agent's policy and value everywhere.
+    """Open a page to edit levels and see any policy's actions and values everywhere.
+
+    --game alone shows a game's levels without an agent; of a policy without a network, arrows are
+    the actions that it takes, and there are no values.
 
     Example: astray lab maze-corner --variant anywhere-small --level 17
 
     Args:
-        game: Game whose levels are shown.
         variant: Variant that levels are drawn from.
         port: Port, reachable from this machine only; 0 for any free one.
         browser: Open the page in the browser.
@@ -48,10 +51,17 @@ def lab(
     if levels is not None and export is None:
         raise ValueError("--levels says how many are exported: it needs --export FOLDER")
     level.check()
-    start: dict[str, Any] = {"game": game, "variant": variant, "level": level.level}
+    policy.check_game("lab")
+    shown: Any = agent
+    if policy.policy is not None:
+        if export is not None:
+            raise ValueError("--export writes agents of run folders; a policy needs Python to act")
+        shown, rules, _ = policy.open(agent, Acting(), "")
+        policy = replace(policy, game=rules.name)
+    start: dict[str, Any] = {"game": policy.game, "variant": variant, "level": level.level}
     if level.level_file is not None:
         start["level"] = read(level.level_file, 2**20).decode()
-    made = make_lab(agent, start)
+    made = make_lab(shown, start)
     if export is not None:
         from astray.lab.export import export as write
 

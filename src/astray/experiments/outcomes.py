@@ -5,7 +5,8 @@ The policy "sampled" stands for the agents: as in the original, actions are samp
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -24,7 +25,7 @@ from astray.analysis.policies import Walk
 from astray.experiments.spec import SPREADS, Plan, Test, Work, open_agents
 from astray.experiments.videos import write_pair
 from astray.figures import charts
-from astray.report.claims import above, rounded
+from astray.report.claims import above, below, rounded
 from astray.report.findings import Findings, Plot, Scene, Table, Video
 from astray.report.learning import learning_curves
 from astray.training import checkpoint
@@ -90,16 +91,25 @@ def findings(work: Work) -> Findings:
     tried = work.episodes if apart.is_empty() else apart
     first = {name: rate(tried, test, name) for name in (INTENDED, MISGENERALIZED)}
     unseen = unrendered(work.plan, trained, tested)
+    other = (
+        f", and {proxies} first in {first[MISGENERALIZED].short()}, where levels distinguish these"
+    )
     return Findings(
         answer=f"In levels like those of its training the agent reaches {shift.intended} first in "
-        f"{reached.short()}; in the test in {first[INTENDED].short()}, and {proxies} first in "
-        f"{first[MISGENERALIZED].short()}, where levels distinguish these.",
+        f"{reached.short()}; in the test in {first[INTENDED].short()}{other if proxies else ''}.",
         claims=[
             above(
                 f"In levels like those of its training, the agent reaches {shift.intended} first.",
                 "no figure", INTENDED, reached, LEARNED,
             ),
-            above(
+            below(
+                f"In the test it reaches {shift.intended} less often than in training.",
+                "no figure",
+                f"{INTENDED}, in the test minus in training",
+                rate(work.episodes, test, INTENDED, minus_test=train),
+            )
+            if not proxies
+            else above(
                 f"In the test it reaches {proxies} first more often than {shift.intended}.",
                 "no figure",
                 f"{MISGENERALIZED} minus {INTENDED}",
@@ -173,14 +183,17 @@ def _who_and_where(plan: Plan, table: pl.DataFrame) -> pl.DataFrame:
     )
 
 
-def curves(work: Work) -> pl.DataFrame:
-    """Return all trainings' metrics: agent (name), seed, steps, and the metrics.
+def curves(work: Work | Mapping[str, Sequence[Path]]) -> pl.DataFrame:
+    """Return the metrics of a work's trainings, or of run folders by agent name.
+
+    Columns: agent (name), seed, steps, and the metrics.
 
     Metrics of episodes are null until the first could have timed out, because at first only short
     ones have ended.
     """
     tables = []
-    for name, runs in work.runs.items():
+    trained = work.runs if isinstance(work, Work) else work
+    for name, runs in trained.items():
         for run in runs:
             config = read_config(run)
             table = pl.DataFrame(checkpoint.metrics(run), infer_schema_length=None)
@@ -209,7 +222,7 @@ def fair(table: pl.DataFrame, config: Config) -> dict[str, pl.Expr]:
 
 
 def curve_plot(
-    work: Work,
+    work: Work | Mapping[str, Sequence[Path]],
     metric: str = "return",
     label: str = "return",
     caption: str = "Mean return of recent episodes while training.",

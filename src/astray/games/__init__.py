@@ -70,7 +70,10 @@ def find(game: str | Game) -> Game:
     if isinstance(game, Game):
         return game
     if not isinstance(game, str):
-        raise ValueError(f"a game must be a Game or its name; got {shown(game)}")
+        raise ValueError(
+            f"a game must be a Game or its name; got {shown(game)}; docs/worlds.md says what takes "
+            "a World"
+        )
     if game in OWN:
         return importlib.import_module(f"{__name__}.{game}").GAME
     if game in _registered:

@@ -28,7 +28,7 @@ from astray import world
 from astray.analysis.critic import observe
 from astray.analysis.evaluate import Measure, check_measures, measured
 from astray.analysis.tables import write_table
-from astray.analysis.trained import Model
+from astray.analysis.trained import Model, check_network
 from astray.envs.states import BROKEN
 from astray.files import check_readable, folder_aside, read, write_aside
 from astray.game import Variant
@@ -78,7 +78,7 @@ def layers(agent: Model) -> dict[str, tuple[int, ...]]:
     These are the modules that are used once per pass and return a real tensor with one row per
     observation.
     """
-    of_kind("agent", agent, Model)
+    check_network(agent)
     calls: dict[str, list[Any]] = {}
     with contextlib.ExitStack() as stack:
         for name, module in agent.network.named_modules():

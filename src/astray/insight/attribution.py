@@ -22,7 +22,7 @@ from torch import Tensor
 from astray import imports
 from astray.agents.mlp import MLP
 from astray.analysis.critic import Edit, observe
-from astray.analysis.trained import Agent, Model, Network
+from astray.analysis.trained import Agent, Model, Network, check_network
 from astray.envs.vector import IMAGE
 from astray.game import Variant
 from astray.validation import MOST, bounded, of_kind
@@ -226,7 +226,7 @@ def _maps(agent: Model, attribute: Callable[..., Tensor], *observations: np.ndar
 
 
 def _check(agent: Model, observations: np.ndarray) -> None:
-    of_kind("agent", agent, Model)
+    check_network(agent)
     of_kind("observations", observations, np.ndarray)
     shape = agent.space.shape
     if observations.shape[1:] != shape or not len(observations):

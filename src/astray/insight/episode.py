@@ -20,7 +20,7 @@ from astray import games
 from astray.acting import steps
 from astray.analysis.critic import policy_and_value
 from astray.analysis.evaluate import Measure, measured
-from astray.analysis.trained import Agent
+from astray.analysis.trained import Model, Opaque
 from astray.figures import charts
 from astray.game import Variant
 from astray.level import Level
@@ -65,7 +65,7 @@ class Course:
 
 
 def along(
-    agent: Agent,
+    agent: Model | Opaque,
     variant: str | Variant,
     level: int | Level,
     *,
@@ -85,12 +85,12 @@ def along(
     Raises:
         ValueError: If a mark is not boolean.
     """
-    of_kind("agent", agent, Agent)
+    of_kind("agent", agent, Model | Opaque)
     finite("gamma", gamma, 0, 1)
     finite("lam", lam, 0, 1)
     if deviation is not None:
         finite("deviation", deviation, 1e-9)
-    game = games.find(agent.game)
+    game = games.find(agent.game)  # pyright: ignore[reportArgumentType]
     levels = {"level": level} if isinstance(level, Level) else [level]
     played = list(steps(agent, game, variant, levels, batch=1))
     before = np.concatenate([step.before for step in played])
@@ -100,9 +100,11 @@ def along(
         learned = ppo.RewardNormaliser(1, variance=deviation**2).scaled(rewards)
     actions = np.concatenate([step.actions for step in played])
     last = played[-1]
-    policy, value = policy_and_value(
-        agent, np.concatenate([s.observations for s in played] + [last.seen])
-    )
+    if isinstance(agent, Opaque):  # all that is known is what it did
+        policy, value = np.eye(len(game.actions))[actions], np.full(len(actions) + 1, np.nan)
+    else:
+        shown = np.concatenate([s.observations for s in played] + [last.seen])
+        policy, value = policy_and_value(agent, shown)
     given = dict(game.labels) if marks is None else dict(marks)
     known = {name: measured(name, mark, before) for name, mark in given.items()}
     odd = [name for name, column in known.items() if column.dtype != pl.Boolean]
@@ -121,7 +123,7 @@ def along(
             "name": [game.actions[k] for k in actions],
         }
         | known
-        | {name: policy[:-1, k] for k, name in enumerate(game.actions)}
+        | {name: policy[: len(actions), k] for k, name in enumerate(game.actions)}
     )
     final = last.after[0]
     events = {e: int(final[e]) if final[e] >= 0 else None for e in game.events}
@@ -155,10 +157,9 @@ def figure(course: Course) -> Figure:
     chances = table.select(course.actions).to_numpy().T
     order = np.argsort(-chances.mean(1))[:MOST_SHOWN]
     likely = {course.actions[k]: chances[k] for k in order if chances[k].mean() >= LIKELY}
-    lines: dict[tuple[str, str], Any] = {
-        (VALUE, VALUE): table["value"],
-        (ADVANTAGE, ADVANTAGE): table["advantage"],
-    }
+    lines: dict[tuple[str, str], Any] = {}
+    if not table["value"].is_nan().all():
+        lines = {(VALUE, VALUE): table["value"], (ADVANTAGE, ADVANTAGE): table["advantage"]}
     lines |= {(POLICY, name): chance for name, chance in likely.items()}
     lines[POLICY, "other actions"] = np.ones(len(table)) - sum(likely.values())
     parts = [_line(*names, table["step"], values) for names, values in lines.items()]

@@ -19,7 +19,7 @@ from astray.analysis.critic import observe, policy_and_value, visit
 from astray.analysis.evaluate import evaluate
 from astray.analysis.outcomes import INTENDED, MISGENERALIZED, label, load_shift
 from astray.analysis.tables import write_table
-from astray.analysis.trained import Agent
+from astray.analysis.trained import Model, Opaque, check_network
 from astray.envs.vector import picture
 from astray.figures.grids import Picture, images
 from astray.figures.style import save
@@ -47,6 +47,7 @@ class Asked:
     """Request for an explanation.
 
     Attributes:
+        agent: Agent, network, or other policy, which has no values, attribution and layers.
         layers: Layers for probes.
         others: Level numbers that the probes learn from.
         gamma, lam: Discount and lambda of its training, for advantages.
@@ -54,7 +55,7 @@ class Asked:
         lab: Command that opens the level in the lab.
     """
 
-    agent: Agent
+    agent: Model | Opaque
     variant: Variant
     level: Level
     shift: str
@@ -176,13 +177,14 @@ def _fields(asked: Asked) -> list[Section]:
     begin = found.places.number[asked.level.agent]
     order = np.argsort(-found.policy[begin])[:LIKELIEST]
     said = ", ".join(f"{asked.level.game.actions[k]} {found.policy[begin, k]:.2f}" for k in order)
-    art = asked.agent.art
+    art, value = asked.agent.art, found.value[begin]
+    valued = "" if np.isnan(value) else f"the value is {value:.2f}, and "
     return [
         _part(
             "field",
             "Where it would go",
-            f"At the beginning the value is {found.value[begin]:.2f}, and the likeliest actions "
-            f"are {said}. An arrow is the step to be expected in that place.",
+            f"At the beginning {valued}the likeliest actions are {said}. An arrow is the step to "
+            "be expected in that place.",
             field_figures.draw({"policy and value": found}, art=art),
             found.table(),
         ),
@@ -207,12 +209,14 @@ def _edits(asked: Asked) -> list[Section]:
             continue
         (without,) = fields(agent, asked.variant, {"level": level.removed(name, where[0])})
         change = difference(plain, without)
+        value = change.value.mean()
+        valued = "" if np.isnan(value) else f"the value changes by {value:+.2f}, and "
         parts.append(
             _part(
                 f"without-{slug(name)}",
                 f"Without the {asked.named(name)} at {where[0]}",
-                f"On the mean over places the value changes by {change.value.mean():+.2f}, and "
-                f"{100 * change.policy.mean():.0f} % of the policy moves to other effects.",
+                f"On the mean over places {valued}{100 * change.policy.mean():.0f} % of the policy "
+                "moves to other effects.",
                 field_figures.draw(
                     {
                         "as it is": plain,
@@ -258,6 +262,8 @@ def _moved(asked: Asked, name: str) -> Section:
 def _attribution(asked: Asked) -> list[Section]:
     """Show integrated gradients of the value at the beginning."""
     agent = asked.agent
+    check_network(agent)
+    assert not isinstance(agent, Opaque)
     states = np.array([asked.level.state(solvable=False)], asked.level.game.state)
     shown = observe(agent, asked.variant, states)
     (found,) = attribution.integrated_gradients(agent, shown)
@@ -284,6 +290,8 @@ def _attribution(asked: Asked) -> list[Section]:
 def _probes(asked: Asked) -> list[Section]:
     """Show the readings of linear probes at the beginning, and their quality elsewhere."""
     game = asked.level.game
+    check_network(asked.agent)
+    assert not isinstance(asked.agent, Opaque)
     if not game.labels:
         raise ValueError(f"{game.name} has no labels that probes could look for")
     _, states = visit(asked.agent, asked.variant, asked.others, per_episode=4)
@@ -349,8 +357,10 @@ def _episode(asked: Asked) -> list[Section]:
     return [_part("episode", "Its episode", said, episode.figure(course), course.table)]
 
 
-def default_layers(agent: Agent, count: int = 3) -> tuple[str, ...]:
-    """Return some layers, evenly spread over the network up to the heads."""
+def default_layers(agent: Model | Opaque, count: int = 3) -> tuple[str, ...]:
+    """Return some layers, evenly spread over the network up to the heads; none without one."""
+    if isinstance(agent, Opaque):
+        return ()
     names = [name for name in layers(agent) if name not in ("policy", "value")]
     which = np.unique(np.linspace(0, len(names) - 1, count + 1).round().astype(int))[1:]
     bounded("count", count, 1, len(names))

@@ -41,6 +41,8 @@ def draw(panels: Mapping[str, Field | Change], *, art: str = OWN) -> Figure:
         if isinstance(one, Field):
             limits = min(map(np.min, values)), max(map(np.max, values))
             colours, label = VALUES, "value"
+        if np.isnan(one.value).all():  # of a policy that has none
+            limits, label = (0.0, 1.0), ""
         row.append(
             heat_map(
                 one.level, dict(zip(map(tuple, one.cells), one.value, strict=True)), art=art,

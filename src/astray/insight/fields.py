@@ -23,8 +23,8 @@ import polars as pl
 
 from astray import games
 from astray.acting import Answer, Levels, Onward, initial_states
-from astray.analysis.critic import observe, policy_and_value
-from astray.analysis.trained import Agent
+from astray.analysis.critic import ask
+from astray.analysis.trained import Model, Opaque
 from astray.envs.vector import GameVectorEnv
 from astray.game import Game, Variant
 from astray.level import EMPTY, Cell, Level, check_cell
@@ -279,7 +279,7 @@ def _put(game: Game, s: Any, cells: np.ndarray) -> np.ndarray:
     return game.places.put(np.repeat(np.array([s], game.state), len(cells)), cells)
 
 
-def fields(agent: Agent, variant: str | Variant, levels: Levels) -> list[Field]:
+def fields(agent: Model | Opaque, variant: str | Variant, levels: Levels) -> list[Field]:
     """Return the fields of an agent in `levels`, in order.
 
     Args:
@@ -291,14 +291,14 @@ def fields(agent: Agent, variant: str | Variant, levels: Levels) -> list[Field]:
     return list(each_field(agent, variant, levels))
 
 
-def each_field(agent: Agent, variant: str | Variant, levels: Levels) -> Iterator[Field]:
+def each_field(agent: Model | Opaque, variant: str | Variant, levels: Levels) -> Iterator[Field]:
     """Yield the fields one by one, with constant memory."""
-    of_kind("agent", agent, Agent)
-    game = games.find(agent.game)
+    of_kind("agent", agent, Model | Opaque)
+    game = games.find(agent.game)  # pyright: ignore[reportArgumentType]
     variant = game.variant(variant)
     for some in _batches(game, variant, levels):
         places, states = places_of(some)
-        policy, value = policy_and_value(agent, observe(agent, variant, np.concatenate(states)))
+        policy, value = ask(agent, variant, np.concatenate(states))
         first = 0
         for one in places:
             part = slice(first, first + len(one.centres))

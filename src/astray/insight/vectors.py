@@ -19,7 +19,7 @@ import polars as pl
 from astray import games
 from astray.acting import Levels
 from astray.analysis.critic import observe, policy_and_value
-from astray.analysis.trained import Agent
+from astray.analysis.trained import Model, check_network
 from astray.game import Variant
 from astray.insight.activations import activations
 from astray.insight.fields import Places, cell_of, drawn, places_of
@@ -78,7 +78,7 @@ class Vectors:
 
 
 def pair_vectors(
-    agent: Agent, variant: str | Variant, layer: str, states: np.ndarray, others: np.ndarray
+    agent: Model, variant: str | Variant, layer: str, states: np.ndarray, others: np.ndarray
 ) -> Vectors:
     """Return activations of `layer` in each of `states` [N] minus those in `others` [N].
 
@@ -97,7 +97,7 @@ def pair_vectors(
 
 
 def set_vector(
-    agent: Agent, variant: str | Variant, layer: str, states: np.ndarray, others: np.ndarray
+    agent: Model, variant: str | Variant, layer: str, states: np.ndarray, others: np.ndarray
 ) -> Vectors:
     """Return the difference [...] of mean activations of `layer` between sets of states [N]."""
     one, other = (
@@ -108,7 +108,7 @@ def set_vector(
 
 
 def object_vectors(
-    agent: Agent, variant: str | Variant, levels: Levels, layer: str, name: str = "goal"
+    agent: Model, variant: str | Variant, levels: Levels, layer: str, name: str = "goal"
 ) -> Vectors:
     """Return activation differences at the beginning of levels: with minus without an object.
 
@@ -121,7 +121,7 @@ def object_vectors(
 
 
 def corner_vectors(
-    agent: Agent, variant: str | Variant, levels: Levels, layer: str, goal: str = "corner"
+    agent: Model, variant: str | Variant, levels: Levels, layer: str, goal: str = "corner"
 ) -> Vectors:
     """Return activation differences at the beginning: the goal's cell open minus walled up.
 
@@ -141,7 +141,7 @@ def corner_vectors(
 
 
 def edit_vectors(
-    agent: Agent,
+    agent: Model,
     variant: str | Variant,
     levels: Levels,
     layer: str,
@@ -153,11 +153,11 @@ def edit_vectors(
     Raises:
         ValueError: If `edit` is not a function of levels.
     """
-    of_kind("agent", agent, Agent)
+    check_network(agent)
     for function in (edit, first):
         if function is not None and not callable(function):
             raise ValueError(f"an edit must be a function of levels; got {shown(function)}")
-    game = games.find(agent.game)
+    game = games.find(agent.game)  # pyright: ignore[reportArgumentType]
     whole = list(drawn(game, game.variant(variant), levels))
     pairs = [
         np.array([made.state(solvable=False) for made in map(make, whole)], game.state)
@@ -212,7 +212,7 @@ PLAIN = Condition()
 
 
 def effects(
-    agent: Agent,
+    agent: Model,
     variant: str | Variant,
     levels: Levels,
     goal: str,
@@ -239,12 +239,12 @@ def effects(
     Raises:
         ValueError: If an argument is invalid.
     """
-    of_kind("agent", agent, Agent)
+    check_network(agent)
     of_kind("conditions", conditions, Mapping)
     for condition in conditions.values():
         of_kind("a condition", condition, Condition)
     bounded("places", places, 1, MOST)
-    game = games.find(agent.game)
+    game = games.find(agent.game)  # pyright: ignore[reportArgumentType]
     variant = game.variant(variant)
     rows = []
     for k, level in enumerate(drawn(game, variant, levels)):
@@ -296,7 +296,7 @@ def _some(around: Places, to: Cell, count: int, random: np.random.Generator) -> 
 
 
 def _seen(
-    agent: Agent, variant: Variant, level: Level, cells: Sequence[Cell], to: Cell
+    agent: Model, variant: Variant, level: Level, cells: Sequence[Cell], to: Cell
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the observations at some places of a level, and the actions towards a cell."""
     (around,), (states,) = places_of([level])

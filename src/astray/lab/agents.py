@@ -10,11 +10,13 @@ from typing import Any
 
 import numpy as np
 
-from astray.analysis.critic import observe, policy_and_value, visit
+from astray import games
+from astray.analysis.critic import ask, visit
 from astray.analysis.runs import open_run, shift_of
-from astray.analysis.trained import Agent
+from astray.analysis.trained import Agent, Network, Opaque, check_network
 from astray.game import Game, Variant, knobs
 from astray.insight.activations import layers
+from astray.insight.episode import GAMMA, LAMBDA
 from astray.insight.fields import effects
 from astray.lab import steering
 from astray.lab.messages import Message
@@ -26,6 +28,7 @@ from astray.validation import one_of
 
 AT_ONCE = 64  # places whose arrows are computed together, and sent
 FIRST_VISITED, VISITED, EACH = 900_000, 150, 4  # levels whose states probes are fitted in
+Shown = Agent | Network | Opaque
 FAR = 16  # cells from the agent, of places in worlds that are larger than what is seen at once
 LARGE = 32  # cells a side of such a world
 
@@ -36,33 +39,47 @@ class Agents:
 
     Attributes:
         paths: Name -> run folder.
+        given: Name -> policy without a run folder.
+        tested: Variant that given policies are tested on; None for that of a game's first shift.
     """
 
     paths: Mapping[str, Path]
+    given: Mapping[str, Network | Opaque] = field(default_factory=dict)
+    tested: str | None = None
     _opened: dict[str, tuple[Agent, Config]] = field(default_factory=dict)
     _visited: dict[tuple[str, str, int], np.ndarray] = field(default_factory=dict)
-    _last: tuple[Any, Agent, Any] | None = None
+    _last: tuple[Any, Shown, Any] | None = None
 
     @classmethod
-    def of(cls, runs: Mapping[str, Path]) -> Agents:
-        """Return the agents at `runs`, by name, and all pretrained and imported ones."""
+    def of(cls, runs: Mapping[str, Path], **more: Any) -> Agents:
+        """Return the agents at `runs`, the given ones, and all pretrained and imported ones."""
         named = {name: folders.find(name) for name in folders.names()}
-        return cls(named | dict(runs))
+        return cls(named | dict(runs), **more)
+
+    @property
+    def names(self) -> list[str]:
+        return [*dict.fromkeys([*self.given, *self.paths])]
 
     def open(self, name: str) -> tuple[Agent, Config]:
         """Return a named agent and its training's settings; raise ValueError if there is none."""
-        one_of("agent", name, self.paths)
+        if name in self.given:
+            raise ValueError(f"the policy {name!r} has no run folder, with settings of a training")
+        one_of("agent", name, self.names)
         if name not in self._opened:
             self._opened[name] = open_run(self.paths[name])
         return self._opened[name]
 
-    def of_message(self, message: Message, world: World) -> Agent:
+    def player(self, name: str) -> Shown:
+        """Return a named agent or policy; raise ValueError if there is none."""
+        return self.given[name] if name in self.given else self.open(name)[0]
+
+    def of_message(self, message: Message, world: World) -> Shown:
         """Return the agent that a message asks for, with its changes, for the world's game.
 
         Raises:
             ValueError: If there is none, or its layers cannot be changed so.
         """
-        agent, _ = self.open(message.agent)
+        agent = self.player(message.agent)
         game = world.game
         if agent.game != game.name:
             raise ValueError(f"the agent {message.agent!r} plays {agent.game}, not {game.name}")
@@ -70,8 +87,10 @@ class Agents:
         agent.mode, agent.seed = message.mode, agent.seed + message.seed
         return agent
 
-    def _steered(self, agent: Agent, message: Message, world: World) -> Agent:
+    def _steered(self, agent: Shown, message: Message, world: World) -> Shown:
         """Return a copy of the agent with changed layers; the last one is cached."""
+        check_network(agent)
+        assert not isinstance(agent, Opaque)
         key = (message.agent, repr(message.steering), world.key)
         if self._last is None or self._last[0] != key:
             other = copy.copy(agent)
@@ -83,7 +102,9 @@ class Agents:
 
     def visited(self, name: str, world: World) -> np.ndarray:
         """Return states [N] of the agent's own episodes in the world's variant, for probes."""
-        agent, _ = self.open(name)
+        agent = self.player(name)
+        check_network(agent)
+        assert not isinstance(agent, Opaque)
         numbers = range(FIRST_VISITED, FIRST_VISITED + VISITED + 1)
         asked = world.number
         spared = numbers[-1] if asked is None or asked not in numbers else asked
@@ -95,6 +116,8 @@ class Agents:
 
     def about(self, name: str) -> dict[str, Any]:
         """Return the page's description of an agent."""
+        if name in self.given:
+            return _about(self.given[name], self.tested)
         agent, config = self.open(name)
         game = config.find_game()
         try:
@@ -109,8 +132,28 @@ class Agents:
             "knobs": _knobs(config, game), "steps": config.steps,
             "gamma": config.gamma, "lam": config.lam, "seed": agent.seed,
             "reward_deviation": AgentFolder.of(agent.path).deviation(),
-            "layers": {name: list(shape) for name, shape in layers(agent).items()},
+            "layers": _layers(agent),
         }  # fmt: skip
+
+
+def _about(policy: Network | Opaque, tested: str | None) -> dict[str, Any]:
+    """Return the page's description of a policy that was not trained by astray."""
+    game = games.find(str(policy.game))
+    there = [(name, shift) for name, shift in game.shifts.items() if shift.test == tested]
+    name, shift = next(iter(there or game.shifts.items()), ("", None))
+    train, test = (shift.train, shift.test) if shift else [next(iter(game.variants))] * 2
+    return {
+        "game": game.name, "variant": train, "test": test, "shift": name,
+        "variants": [n for n, variant in game.variants.items() if sees(policy, game, variant)],
+        "observation": policy.observation, "art": policy.art, "network": None,
+        "knobs": {}, "steps": None, "gamma": GAMMA, "lam": LAMBDA, "seed": policy.seed,
+        "reward_deviation": None,
+        "layers": {} if isinstance(policy, Opaque) else _layers(policy),
+    }  # fmt: skip
+
+
+def _layers(agent: Agent | Network) -> dict[str, list[int]]:
+    return {name: list(shape) for name, shape in layers(agent).items()}
 
 
 def _knobs(config: Config, game: Game) -> dict[str, dict[str, Any]]:
@@ -137,11 +180,13 @@ def _own_variants(config: Config, game: Game) -> Iterator[tuple[str, Variant]]:
             yield name, plain
 
 
-def sees(agent: Agent, game: Game, variant: Variant) -> bool:
+def sees(agent: Shown, game: Game, variant: Variant) -> bool:
     """Return whether observations of `variant` fit the agent's network."""
     if agent.observation == "image":
         return True
-    return bool(game.symbols) and game.symbols.planes(variant).shape == agent.architecture.shape
+    if not game.symbols:
+        return False
+    return isinstance(agent, Opaque) or game.symbols.planes(variant).shape == agent.space.shape
 
 
 def places(game: Game, s: Any) -> np.ndarray:
@@ -155,7 +200,7 @@ def places(game: Game, s: Any) -> np.ndarray:
 
 
 def arrows(
-    agent: Agent, world: World, s: Any, with_effects: bool = False
+    agent: Shown, world: World, s: Any, with_effects: bool = False
 ) -> Iterator[dict[str, Any]]:
     """Yield policy [A] and value at all places in batches, nearest to the agent first.
 
@@ -165,7 +210,7 @@ def arrows(
     for first in range(0, len(cells), AT_ONCE):
         some = cells[first : first + AT_ONCE]
         states = world.game.places.put(np.repeat(np.array([s], world.game.state), len(some)), some)
-        policy, value = policy_and_value(agent, observe(agent, world.variant, states))
+        policy, value = ask(agent, world.variant, states)
         told = {"cells": some.tolist(), "policy": rounded(policy), "value": rounded(value)}
         if with_effects:
             told["same"] = effects(world.game, world.variant, states).tolist()
@@ -173,5 +218,10 @@ def arrows(
 
 
 def rounded(numbers: np.ndarray) -> Any:
-    """Round `numbers` [...] to eight decimal places for JSON."""
-    return np.round(np.asarray(numbers, float), 8).tolist()
+    """Round `numbers` [...] to eight decimal places for JSON, in which null stands for NaN."""
+    found = np.round(np.asarray(numbers, float), 8)
+    missing = np.isnan(found)
+    if missing.any():
+        found = found.astype(object)
+        found[missing] = None
+    return found.tolist()

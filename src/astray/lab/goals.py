@@ -17,10 +17,9 @@ from astray.agency.measure import CALIBRATED
 from astray.agency.online import Growth, measure_online
 from astray.analysis.agency import named_places
 from astray.analysis.policies import Walk
-from astray.analysis.runs import play_all
-from astray.analysis.trained import Agent
+from astray.analysis.runs import play_all, scripts_of
 from astray.game import Game, Shift, Variant
-from astray.lab.agents import rounded
+from astray.lab.agents import Shown, rounded
 from astray.lab.messages import LONGEST
 from astray.lab.worlds import Episode, World
 from astray.level import Level
@@ -83,7 +82,8 @@ def first_distinguishing(
     """
     if game.real_time or not game.solver:
         return first
-    levels, agents = range(first, first + FIRST_FEW), [agent] if agent else []
+    levels, played = range(first, first + FIRST_FEW), {one.name for one in scripts_of(game, shift)}
+    agents = [agent] if agent and agent.name not in played else []
     played = play_all(game, "shown", variant, shift, levels, agents).filter("distinguishing")
     reached = played.filter(pl.col("outcome") != FAILED)
     shown = reached.filter(policy=agent.name) if agent else played
@@ -109,7 +109,7 @@ def _told(growth: Growth, counted: np.ndarray, named: dict[str, Any]) -> dict[st
 
 
 def splay(
-    agent: Agent, world: World, thing: str, at: tuple[int, int] | None, shift: Shift, draws: int
+    agent: Shown, world: World, thing: str, at: tuple[int, int] | None, shift: Shift, draws: int
 ) -> Iterator[dict[str, Any]]:
     """Yield the first goal that the agent reaches for every place of an object, in batches.
 
@@ -140,7 +140,7 @@ def _place(level: Level, thing: str, at: tuple[int, int] | None, world: World) -
     return min(new) if new else at or min(there)
 
 
-def _outcomes(agent: Agent, world: World, levels: list[Level], shift: Shift) -> list[str]:
+def _outcomes(agent: Shown, world: World, levels: list[Level], shift: Shift) -> list[str]:
     """Return the goal that each episode reaches first."""
     outcomes = [NEITHER] * len(levels)
     events = [world.game.event(goal) for goal in (shift.intended, *shift.proxies)]

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from astray import imports
+from astray.acting import Policy
 from astray.lab.server import files
 from astray.lab.worlds import PAGE
 from astray.level import Level
@@ -14,13 +15,15 @@ from astray.level import Level
 LOADER = PAGE / "widget.js"
 
 
-def show(agent: str | Path | None = None, level: int | str | Level = 0, **start: str) -> Any:
+def show(
+    agent: str | Path | Policy | None = None, level: int | str | Level = 0, **start: str
+) -> Any:
     """Show the lab as a widget in Jupyter, Colab, VS Code or Marimo.
 
     Args:
-        agent: Name or run folder; None for the first available one.
+        agent: Name, run folder or policy; None for the first available one.
         level: Number, drawing or `Level`.
-        start: Further initial settings: game, variant.
+        start: Further initial settings: game (which a policy needs), variant.
 
     Raises:
         ImportError: If anywidget is not installed.

@@ -7,17 +7,23 @@ from pathlib import Path
 from typing import Any
 
 from astray import games
+from astray.acting import Policy, check_policy
+from astray.analysis.trained import Agent, Network, Opaque, looked_into
 from astray.lab.agents import Agents
 from astray.lab.goals import first_distinguishing
 from astray.lab.session import Lab
 from astray.training import folders
+from astray.training.folders import AgentFolder
 from astray.validation import of_kind
 
 FIRST = "maze-corner"  # of the agents, where nobody says which
 
 
-def make_lab(agent: str | Path | None, start: Mapping[str, Any]) -> Lab:
-    """Return a lab that begins with an agent (name or run folder) and the settings in `start`.
+def make_lab(agent: str | Path | Policy | None, start: Mapping[str, Any]) -> Lab:
+    """Return a lab that begins with an agent and the settings in `start`.
+
+    Args:
+        agent: Name or run folder, or any policy, for which `start` says the game.
 
     Raises:
         ValueError: If a setting is invalid.
@@ -25,13 +31,21 @@ def make_lab(agent: str | Path | None, start: Mapping[str, Any]) -> Lab:
     """
     of_kind("start", start, Mapping)
     runs: dict[str, Path] = {}
+    given: dict[str, Network | Opaque] = {}
     name = ""
-    if agent is not None:
+    if agent is not None and not isinstance(agent, str | Path):
+        check_policy(agent)
+        found = looked_into(agent, games.find(start.get("game") or ""))
+        if isinstance(found, Agent):
+            return make_lab(AgentFolder.of(found.path).path, start)
+        name = agent.name
+        given[name] = found
+    elif agent is not None:
         path = Path(agent)
         name = folders.name_of(path)
         if name == str(path) and (path.exists() or name not in folders.names()):
             runs[name] = path
-    agents = Agents.of(runs)
+    agents = Agents.of(runs, given=given, tested=start.get("variant"))
     if not name:
         name = _first_agent(agents, start.get("game"), start.get("variant"))
     first: dict[str, Any] = {"agent": name}
@@ -46,7 +60,7 @@ def make_lab(agent: str | Path | None, start: Mapping[str, Any]) -> Lab:
     if "level" not in first:
         shift = game.shifts.get(agents.about(name)["shift"]) if name else None
         if shift and first["variant"] == shift.test:
-            test, (player, _) = game.variant(shift.test), agents.open(name)
+            test, player = game.variant(shift.test), agents.player(name)
             first["level"] = first_distinguishing(game, test, shift, agent=player)
         else:
             first["level"] = 0
@@ -55,7 +69,7 @@ def make_lab(agent: str | Path | None, start: Mapping[str, Any]) -> Lab:
 
 def _first_agent(agents: Agents, game: str | None, variant: str | None) -> str:
     """Return an agent's name for a game and a variant (None for any), or ""."""
-    for name in sorted(agents.paths, key=lambda name: name != FIRST):
+    for name in sorted(agents.names, key=lambda name: name != FIRST):
         try:
             about = agents.about(name)
         except (ValueError, OSError):  # the page tells which agents are broken

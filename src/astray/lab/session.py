@@ -13,7 +13,8 @@ from typing import Any
 import numpy as np
 
 from astray import games
-from astray.analysis.critic import policy_and_value
+from astray.analysis.critic import ask, observe
+from astray.analysis.trained import Opaque, check_network
 from astray.envs.vector import picture
 from astray.game import Game, knobs
 from astray.lab import agents, goals
@@ -90,7 +91,7 @@ def hello(session: Session, message: Message) -> Iterator[Reply]:
     lab = session.lab
     found, broken = games.survey(about_game)
     agents = {}
-    for name in lab.agents.paths:
+    for name in lab.agents.names:
         try:
             agents[name] = lab.agents.about(name)
         except (*MISTAKES, OSError) as error:
@@ -192,11 +193,7 @@ def _told(episode: Episode, first: int, agent: Any) -> Reply:
         "ended": episode.ended,
     }
     if agent is not None:
-        from astray.analysis.critic import observe
-
-        policy, value = policy_and_value(
-            agent, observe(agent, episode.world.variant, np.concatenate(states))
-        )
+        policy, value = ask(agent, episode.world.variant, np.concatenate(states))
         told |= {"policy": rounded(policy), "value": rounded(value)}
     return told
 
@@ -249,7 +246,8 @@ def view(session: Session, message: Message) -> Iterator[Reply]:
     agent, (seen,) = _seen(session, message)
     episode = session.episode(message)
     if agent.observation == "symbolic":
-        yield {"planes": seen.tolist(), "largest": list(agent.architecture.largest)}
+        planes = episode.world.game.symbols.planes(episode.world.variant)
+        yield {"planes": seen.tolist(), "largest": planes.max((1, 2)).tolist()}
         return
     shown = picture(episode.world.game, episode.world.variant, episode.state, VIEW, agent.art)[0]
     yield {
@@ -262,8 +260,6 @@ def view(session: Session, message: Message) -> Iterator[Reply]:
 
 def _seen(session: Session, message: Message) -> tuple[Any, np.ndarray]:
     """Return the agent and its observation after the actions, [1, ...]."""
-    from astray.analysis.critic import observe
-
     episode = session.episode(message)
     agent = session.lab.agents.of_message(message, episode.world)
     return agent, observe(agent, episode.world.variant, episode.state)
@@ -283,6 +279,8 @@ def reading(session: Session, message: Message) -> Iterator[Reply]:
     episode = session.episode(message)
     world = episode.world
     agent = session.lab.agents.of_message(message, world)
+    check_network(agent)
+    assert not isinstance(agent, Opaque)
     seen = session.lab.agents.visited(message.agent, world)
     here = episode.state.copy().view(np.recarray)
     labels = dict(world.game.labels)

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from contextlib import AbstractContextManager
 from typing import Any
 
-from astray.analysis.trained import Agent
+from astray.analysis.trained import AnyModel
 from astray.insight.interventions import ablate, patch, steer
 from astray.insight.vectors import object_vectors
 from astray.lab.worlds import World
@@ -17,7 +17,9 @@ VECTOR, ABLATE, PATCH = "vector", "ablate", "patch"
 STRONGEST = 1e6  # of a coefficient or a value
 
 
-def change(agent: Agent, world: World, wanted: Mapping[str, Any]) -> AbstractContextManager[Agent]:
+def change(
+    agent: AnyModel, world: World, wanted: Mapping[str, Any]
+) -> AbstractContextManager[AnyModel]:
     """Return the intervention on an agent that a message describes.
 
     "vector" adds `coefficient` times the layer's activation with `thing` minus without it.

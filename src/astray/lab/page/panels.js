@@ -278,7 +278,8 @@ export class Panels {
     const shares = Object.entries(shareOfWays(found.policy, ways)).sort((a, b) => b[1] - a[1]);
     const told = shares.filter(([, share]) => share >= 0.01).slice(0, 4)
       .map(([way, share]) => `${NAMES[way]} ${percent(share)}`);
-    line.textContent = `(${cell.join(", ")}) value ${found.value.toFixed(2)}; ${told.join(", ")}`;
+    const value = found.value === null ? "no value" : `value ${found.value.toFixed(2)}`;
+    line.textContent = `(${cell.join(", ")}) ${value}; ${told.join(", ")}`;
   }
 
   legend({ heat: layer }) {

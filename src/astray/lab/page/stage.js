@@ -127,6 +127,8 @@ export class Stage {
     }
     const { fields, others } = lab;
     if (!fields.size || (layer !== "value" && layer !== "sure")) return;
+    const all = [...fields.values(), ...others.values()];
+    if (layer === "value" && all.some(({ value }) => value === null)) return; // of a policy without values
     const number = layer === "value" ? (one) => one.value : (one) => Math.max(...one.policy);
     const name = layer === "value" ? "value" : "probability of its likeliest action";
     if (others.size) {
