@@ -29,6 +29,7 @@ VERBS = {
     "distil": "distil:distil",
     "evaluate": "agents:evaluate",
     "audit": "audit:audit",
+    "compare": "compare:compare",
     "reproduce": "experiments:reproduce",
     "sweep": "sweep:sweep",
     "keep": "agents:keep",

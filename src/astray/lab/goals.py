@@ -82,8 +82,8 @@ def first_distinguishing(
     """
     if game.real_time or not game.solver:
         return first
-    levels, played = range(first, first + FIRST_FEW), {one.name for one in scripts_of(game, shift)}
-    agents = [agent] if agent and agent.name not in played else []
+    levels, scripts = range(first, first + FIRST_FEW), scripts_of(game, shift)
+    agents = [agent] if agent and agent.name not in {one.name for one in scripts} else []
     played = play_all(game, "shown", variant, shift, levels, agents).filter("distinguishing")
     reached = played.filter(pl.col("outcome") != FAILED)
     shown = reached.filter(policy=agent.name) if agent else played

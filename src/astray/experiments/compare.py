@@ -1,0 +1,203 @@
+"""A page that compares agents in the same levels: outcomes, differences, curves, videos."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import polars as pl
+
+from astray import world
+from astray.acting import Policy
+from astray.analysis import video
+from astray.analysis.estimates import estimate_paired
+from astray.analysis.outcomes import INTENDED, MISGENERALIZED, load_shift, matrix, name_of
+from astray.analysis.results import ALL, APART, Result
+from astray.analysis.runs import evaluate_policies, names_of, scripts_of
+from astray.analysis.trained import Agent
+from astray.experiments.outcomes import curve_plot
+from astray.figures import charts
+from astray.figures.style import save
+from astray.files import check_free
+from astray.game import Game, Shift, Variant
+from astray.report.findings import Code, Item, Plot, Section, Table, Video
+from astray.report.page import write_page
+from astray.training.folders import AgentFolder
+from astray.training.log import METRICS
+from astray.validation import of_kind
+from astray.world import World, WorldVariant
+
+PAGE, WRITER = "compare.html", "astray compare"
+SIGN = f'<meta name="generator" content="{WRITER}">'.encode()  # in it
+MOST = 8  # agents beside each other
+SIDE, LONGEST = 224, 120  # pixels of a video, steps of an episode in it
+COMPARED = (INTENDED, MISGENERALIZED)
+
+
+def compare(
+    policies: Sequence[Policy],
+    game: str | Game | World,
+    shift: str | Shift,
+    levels: np.ndarray | range,
+    folder: Path,
+    *,
+    variant: str | Variant | WorldVariant | None = None,
+    command: str = "",
+    longest: int | None = None,
+) -> Path:
+    """Play agents in the same levels, and write a page that compares them; return its path.
+
+    Args:
+        policies: Two to eight agents or other policies, in the order of the page.
+        variant: None for the shift's test variant.
+        folder: Folder for compare.html, its figures and videos.
+        command: Command that repeats the page, to be shown on it.
+        longest: Steps after which an episode is truncated; None for no limit.
+
+    Raises:
+        ValueError: If there are fewer or more policies, or two of one name.
+        OSError: If the folder has files of these names that astray did not write.
+    """
+    of_kind("policies", policies, Sequence)
+    runs = names_of([one for one in policies if isinstance(one, Agent)])
+    names = [runs[one.origin[0]] if isinstance(one, Agent) else one.name for one in policies]
+    if not 2 <= len(names) <= MOST or len({*names}) < len(names):
+        raise ValueError(f"compare takes 2 to {MOST} agents of different names; got {names}")
+    check_free(folder, PAGE, SIGN, ("figures", "videos"))
+    between = load_shift(game, shift)
+    scripts = {one.name for one in scripts_of(world.find(game), between)}
+    tested = [one for one in policies if isinstance(one, Agent) or one.name not in scripts]
+    result = evaluate_policies(tested, game, shift, levels, variant=variant, longest=longest)
+    differences = paired(result, names)
+    where: Any = variant or between.test
+    shown: list[Plot] = [_outcomes(result, names), *_curves(policies, names)]
+    for plot in shown:
+        save(plot.figure, folder / "figures", plot.name)
+    told: dict[str, Sequence[Item]] = {
+        "": [
+            *result.verdict.splitlines(),
+            "Written by astray compare.",
+            *([Code(command)] if command else []),
+        ],
+        "Outcomes": [shown[0], Table("outcomes", "Rates and 95 % intervals", result.table)],
+        "In the same levels": [Table("differences", _caption(result), differences)],
+        "Side by side": _videos(
+            dict(zip(names, policies, strict=True)), game, where, result, folder
+        ),
+        "Learning curves": shown[1:],
+    }
+    sections = [Section(heading, items) for heading, items in told.items()]
+    write_page(
+        folder / PAGE, f"{', '.join(names)} in {_name(game, where)}", sections,
+        figures=folder / "figures", answer=_answer(differences), sign=WRITER,
+    )  # fmt: skip
+    return folder / PAGE
+
+
+def paired(result: Result, names: Sequence[str]) -> pl.DataFrame:
+    """Return the difference of each two agents in the same levels: a row per pair and outcome.
+
+    Columns: first, second, outcome, mean, low and high (rate of the first minus the second's, with
+    a 95 % interval over levels), differ (whether the interval excludes 0), levels.
+    """
+    rows = []
+    part = result.episodes.filter("distinguishing") if _apart(result) else result.episodes
+    for first, second in itertools.combinations(names, 2):
+        for outcome in COMPARED:
+            came = pl.col("outcome") == outcome
+            one, other = (matrix(part.filter(policy=name), came) for name in (first, second))
+            found = estimate_paired(one, other)
+            rows.append(
+                {"first": first, "second": second, "outcome": outcome}
+                | {name: getattr(found, name) for name in ("mean", "low", "high")}
+                | {"differ": not found.low <= 0 <= found.high, "levels": found.levels}
+            )
+    return pl.DataFrame(rows)
+
+
+def _name(game: Any, variant: Any) -> str:
+    """Return the name of a variant; for a custom one its description."""
+    there = world.find(game).variants.items()
+    return next((name for name, one in there if one == variant), name_of(variant))
+
+
+def _apart(result: Result) -> bool:
+    return APART in result.rates["levels_played"]
+
+
+def _caption(result: Result) -> str:
+    which = "levels that distinguish the goals" if _apart(result) else "levels"
+    return (
+        f"Rate of the first agent minus the second's in the same {which}, with 95 % intervals over "
+        "levels, which are not corrected for the number of pairs"
+    )
+
+
+def _answer(differences: pl.DataFrame) -> str:
+    """Return the verdict: the largest difference in misgeneralization that is certain."""
+    rows = differences.filter("differ", outcome=MISGENERALIZED)
+    if rows.is_empty():
+        return "No two of them differ for certain in how often a proxy comes first."
+    most = rows.sort(pl.col("mean").abs(), descending=True).row(0, named=True)
+    more, less = (most["first"], most["second"])[:: 1 if most["mean"] > 0 else -1]
+    low, high = sorted(abs(100 * most[end]) for end in ("low", "high"))
+    return (
+        f"{more} misgeneralizes more often than {less}: a proxy comes first in "
+        f"{abs(100 * most['mean']):.1f} percentage points more of the same {most['levels']:,} "
+        f"levels (95\u00a0% interval {low:.1f} to {high:.1f})."
+    )
+
+
+def _outcomes(result: Result, names: Sequence[str]) -> Plot:
+    which = APART if _apart(result) else ALL
+    scripts = [
+        one for one in result.rates["policy"].unique(maintain_order=True) if one not in names
+    ]
+    order = [*names, *scripts]
+    data = (
+        result.rates.filter(levels_played=which)
+        .with_columns(who="policy", where=pl.lit(f"{which} levels"))
+        .sort(pl.col("policy").replace_strict(order, range(len(order))), maintain_order=True)
+        .select("who", "where", "outcome", "mean", "low", "high")
+    )
+    return Plot("outcomes", "Which goal was reached first.", charts.outcome_bars(data), data)
+
+
+def _curves(policies: Sequence[Policy], names: Sequence[str]) -> list[Plot]:
+    """Plot the returns of trainings, of those agents whose folder has them."""
+    runs = {
+        name: [AgentFolder.of(one.path).path]
+        for name, one in zip(names, policies, strict=True)
+        if isinstance(one, Agent) and (AgentFolder.of(one.path).path / METRICS).exists()
+    }
+    return [curve_plot(runs)] if runs else []
+
+
+def _videos(
+    players: Mapping[str, Policy], game: Any, variant: Any, result: Result, folder: Path
+) -> Sequence[Item]:
+    """Record all agents in the first level in which most of their outcomes differ."""
+    mine = result.episodes.filter(pl.col("policy").is_in(players))
+    kinds = mine.group_by("level", maintain_order=True).agg(
+        pl.col("outcome").n_unique(), pl.col("distinguishing").first()
+    )
+    order = ["outcome", "distinguishing"]
+    level = int(kinds.sort(order, descending=True, maintain_order=True)["level"][0])
+    try:
+        frames = [
+            video.play(one, game, variant, level, pixels=SIDE, longest=LONGEST).frames
+            for one in players.values()
+        ]
+    except ValueError as error:
+        return [f"There is no video: {error}."]
+    there = mine.filter(level=level)
+    ends = dict(zip(there["policy"], there["outcome"], strict=True))
+    captions = [f"{name}: {ends[name]}" for name in players]
+    path = folder / "videos" / "together.mp4"
+    together = video.beside(*frames, captions=captions)
+    video.write_mp4(together, path, fps=8)
+    video.write_gif(together, path.with_suffix(".gif"), fps=8)
+    return [Video(f"Level {level}: the first in which most of their outcomes differ.", path)]

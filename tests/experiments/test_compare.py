@@ -1,0 +1,72 @@
+"""A page that compares agents: verdict first, outcomes, paired differences, curves and a video."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import astray
+from astray.analysis.adapters import Function
+from astray.analysis.policies import Random
+from astray.experiments.compare import compare, paired
+from helpers.rooms import WORLD, go_right
+
+AGENT = "maze-corner"
+
+
+def test_agents_and_scripts_are_compared_on_one_page(astray, tmp_path):
+    out = tmp_path / "page"
+    words = ("compare", AGENT, "walk:cheese", "--shift", "corner-small", "--levels", "0:60")
+    assert astray(*words, "--out", out).strip() == str(out / "compare.html")
+    page = (out / "compare.html").read_text()
+    said = "maze-corner misgeneralizes more often than walk to cheese: a proxy comes first in"
+    assert page.index(said) < page.index("<h2>Outcomes") < page.index("<h2>Side by side")
+    assert "walk to cheese" in page and "data:video/mp4" in page and "astray compare" in page
+    assert "Learning curves" not in page, "nobody trained here"
+
+
+def test_differences_are_of_the_same_levels():
+    result = astray.evaluate_policies([], "maze", "corner-small", range(60))
+    rows = paired(result, ["walk to cheese", "walk to corner"]).to_dicts()
+    assert [row["mean"] for row in rows] == [1, -1] and all(row["differ"] for row in rows)
+    (apart,) = {row["levels"] for row in rows}
+    assert apart == result.episodes.filter("distinguishing")["level"].n_unique() < 60
+    same = paired(result, ["random", "random"])
+    assert not same["differ"].any() and (same["mean"] == 0).all()
+
+
+def test_policies_of_a_world_are_compared(astray, tmp_path):
+    words = ("helpers.rooms:go_right", "walk:square", "--world", "helpers.rooms:WORLD")
+    astray("compare", *words, "--shift", "end", "--levels", "0:40", "--out", tmp_path)
+    page = (tmp_path / "compare.html").read_text()
+    assert "helpers.rooms:go_right misgeneralizes more often than walk to square" in page
+    right = Function(go_right, "right")
+    left = Function(lambda seen: np.zeros(len(seen), int), "left")
+    blind = replace(WORLD, name="blind", variants={v: Blind for v in WORLD.variants})
+    page = compare([right, left], blind, "end", range(4), tmp_path).read_text()
+    assert "There is no video: " in page
+
+
+class Blind(WORLD.variants["end"].func):
+    """A room that renders nothing."""
+
+    def __init__(self):
+        super().__init__("anywhere")
+
+
+@pytest.mark.parametrize("policies", [[], [Random()], [Random(), Random()]])
+def test_what_cannot_be_compared_is_told(policies, tmp_path):
+    with pytest.raises(ValueError, match="compare takes 2 to 8 agents of different names"):
+        compare(policies, WORLD, "end", range(4), tmp_path)
+
+
+def test_returns_of_trainings_are_drawn(monkeypatch, tmp_path):
+    import astray.experiments.compare as page
+
+    agent = astray.load_agent(AGENT)
+    folder = page.AgentFolder.of(agent.path).path
+    drawn = {}
+    monkeypatch.setattr(page, "curve_plot", lambda runs: drawn.update(runs))
+    monkeypatch.setattr(page, "METRICS", "config.json")  # which the folder has
+    page._curves([agent, Random()], ["mouse", "random"])
+    assert drawn == {"mouse": [folder]}
