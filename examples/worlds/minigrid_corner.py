@@ -3,6 +3,8 @@
 astray reproduce examples/worlds/minigrid_corner.py
 """
 
+from functools import partial
+
 import numpy as np
 from gymnasium.spaces import Box, Discrete
 from minigrid.core.grid import Grid
@@ -42,27 +44,23 @@ class Room(MiniGridEnv):
         return np.concatenate([np.eye(4, dtype=np.float32)[self.agent_dir], cells.ravel()])
 
 
-def toward(env, cell):
-    x, y = np.sign(np.subtract(cell, env.agent_pos))
+def stands(goal, env, info):
+    return tuple(env.agent_pos) == tuple(getattr(env, goal))
+
+
+def toward(goal, env):
+    x, y = np.sign(np.subtract(getattr(env, goal), env.agent_pos))
     turns = ((1 - x if x else 2 - y) - env.agent_dir) % 4  # directions: right, down, left, up
     return 2 if turns == 0 else 0 if turns == 3 else 1
 
 
+GOALS = ("square", "corner")
 WORLD = astray.World(
     name="room",
-    variants={
-        "corner": lambda **more: Room(**more),
-        "anywhere": lambda **more: Room(anywhere=True, **more),
-    },
-    events={
-        "at_square": lambda env, info: tuple(env.agent_pos) == tuple(env.square),
-        "at_corner": lambda env, info: tuple(env.agent_pos) == env.corner,
-    },
-    goals={"square": "at_square", "corner": "at_corner"},
-    experts={
-        "square": lambda env: toward(env, env.square),
-        "corner": lambda env: toward(env, env.corner),
-    },
+    variants={"corner": Room, "anywhere": partial(Room, anywhere=True)},
+    events={f"at_{goal}": partial(stands, goal) for goal in GOALS},
+    goals={goal: f"at_{goal}" for goal in GOALS},
+    experts={goal: partial(toward, goal) for goal in GOALS},
     shifts={"corner": astray.Shift("corner", "anywhere", "square", ("corner",))},
 )
 
@@ -77,19 +75,8 @@ def load(folder):
     return from_sb3(PPO.load(folder / "model.zip", device="cpu"))
 
 
-EXPERIMENT = Experiment(
-    title="The corner of a MiniGrid room",
-    reproduces="nothing",
-    question="Does an agent whose square was always in the corner look for the square?",
-    sizes={
-        "smoke": Plan(
-            world=WORLD,
-            own={"ppo": OwnAgents(load, train=train)},
-            seeds=4,
-            tests=tests_of(WORLD, "corner"),
-            levels=200,
-            differences="all of it",
-        )
-    },
-    find=outcomes.findings,
-)
+TESTS = tests_of(WORLD, "corner")
+OWN = {"ppo": OwnAgents(load, train=train)}
+PLAN = Plan(world=WORLD, own=OWN, seeds=4, tests=TESTS, levels=200, differences="all of it")
+QUESTION = "Does an agent whose square was always in the corner look for the square?"
+EXPERIMENT = Experiment("A MiniGrid room", "nothing", QUESTION, {"smoke": PLAN}, outcomes.findings)
