@@ -191,7 +191,7 @@ LEFT = ISLANDS.walk((0, 0), [3])
         (lambda: SMALL.path([(0, 2), (0, 0)]), "no move leads from (0, 2) to (0, 0)"),
         (lambda: measure(Episode(ISLANDS, LEFT, (2, 0))), "(2, 0) is a wall"),
         (lambda: measure(Episode(ISLANDS, LEFT, (4, 0))), "no way leads to the goal (4, 0)"),
-        (lambda: measure(Episode(ISLANDS, LEFT)), "none is given"),
+        (lambda: measure(Episode(ISLANDS, LEFT)), "must have a true goal"),
         (lambda: measure([]), "no episodes"),
         (lambda: measure_named([Episode(ISLANDS, LEFT)], [{"far": [(4, 0)]}]), "no way leads"),
         (lambda: measure_named([Episode(ISLANDS, LEFT)], [{"far": []}]), "at least one cell"),
