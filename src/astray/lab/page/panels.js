@@ -403,7 +403,7 @@ export class Panels {
     drawPosterior(canvas, found, colours, now);
     const [goal, share] = Object.entries(found.goals).map(([name, row]) => [name, row[now]])
       .reduce((best, one) => (one[1] > best[1] ? one : best));
-    const agent = found.agent ? ` It is an agent rather than a device with ${percent(found.agent[now])}.` : "";
+    const agent = found.agent ? ` That it pursues any goal has a probability of ${percent(found.agent[now])}.` : "";
     part("verdict").textContent = `After ${now} steps: if it pursues a goal, then ${goal} ` +
       `(${percent(share)}).${agent}`;
     const names = Object.keys(found.goals).map((name) => [colours[name], named(lab, name)]);

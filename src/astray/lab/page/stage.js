@@ -74,7 +74,10 @@ export class Stage {
     paint.clearRect(0, 0, this.canvas.width, this.canvas.height);
     paint.setTransform(1, 0, 0, 1, -Math.round(left * this.scale), Math.round(low * this.scale));
     const brush = new Brush(paint, this.scale, rows);
-    this.paintWorld(paint, this.scale, rows, this.state, () => this.#agent(brush));
+    this.paintWorld(paint, this.scale, rows, this.state, () => {
+      this.#agent(brush);
+      this.#rings(brush);
+    });
     this.#marks(brush);
     lab.panels.legend(this.layers);
   }
@@ -159,10 +162,6 @@ export class Stage {
     const { paint, scale, top } = brush;
     const ink = themed(this.canvas, "--held");
     if (!lab.broken) {
-      const colours = goalColours(lab.panels.shift, Object.keys(lab.rules.goals));
-      for (const [goal, cell] of Object.entries(lab.look.proxies(this.state))) {
-        ring(brush, ...cell, colours[goal] ?? "#f0a03c", EDGE);
-      }
       if (lab.now > 0 && !lab.rules.real_time) this.#trail(brush);
       if (lab.way) drawRoute(brush, lab.way, "#2e6db4", EDGE);
       const { view } = lab.look;
@@ -181,6 +180,16 @@ export class Stage {
       paint.strokeStyle = ink;
       paint.lineWidth = Math.max(2, 0.08 * scale);
       paint.strokeRect(cursor[0] * scale, (top - cursor[1] - 1) * scale, scale, scale);
+    }
+  }
+
+  // Where proxies are, below agent and objects.
+  #rings(brush) {
+    const { lab } = this;
+    if (lab.broken) return;
+    const colours = goalColours(lab.panels.shift, Object.keys(lab.rules.goals));
+    for (const [goal, cell] of Object.entries(lab.look.proxies(this.state))) {
+      ring(brush, ...cell, colours[goal] ?? "#f0a03c", EDGE);
     }
   }
 
