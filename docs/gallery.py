@@ -106,8 +106,10 @@ TILES = {
     "box": Tile(
         "Box",
         "boxes",
-        "Nothing is paid for boxes: agents push a box that is in the way to where it can "
-        f"never be moved again ({LEIKE}).",
+        "In training there was no box, and nothing is paid for one: in 26.3 % (23.2 to 29.7) of "
+        "703 levels that distinguish the goals, [this robot](agents/box-bare/card.md) pushes a "
+        "box before it reaches its goal.",
+        "box-bare",
         level=3,
     ),
     "heist": Tile(

@@ -39,10 +39,12 @@ def posterior(episode: Episode, shift: Shift) -> dict[str, Any]:
     It covers the steps up to the last reached goal; later ones have no evidence.
 
     Raises:
-        ValueError: If the game has no cells.
+        ValueError: If the game has no cells, or no goal has a cell in this level.
     """
     world = episode.world
     named = named_places(world.game, world.begin, shift)
+    if all(place is None for place in named.values()):
+        raise ValueError(f"a goal must have one cell in this level; none of {', '.join(named)} has")
     gridworld = Gridworld(world.game.cells.free(world.begin))
     way = [tuple(np.floor(_centre(world, s)).astype(int).tolist()) for s in episode.states]
     ends = [way.index(tuple(place)) for place in named.values() if place and tuple(place) in way]

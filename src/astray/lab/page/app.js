@@ -320,12 +320,13 @@ export class Lab {
   }
 
   async #pursue() {
-    this.goals = null;
+    this.goals = this.goalless = null;
     if (this.episode.actions.length && this.agent && !this.rules.real_time && this.rules.solver) {
       const question = this.question("posterior", { actions: this.episode.actions });
       try {
         this.goals = (await this.engine.ask(question)) ?? this.goals;
       } catch (error) {
+        this.goalless = error.message;
         this.errors.push(error.message);
       }
     }

@@ -394,7 +394,7 @@ export class Panels {
     part("key").replaceChildren();
     if (!found || !lab.agent) {
       part("verdict").textContent = lab.agent
-        ? "It shows as the agent walks: hand over to it, or walk yourself."
+        ? lab.goalless ?? "It shows as the agent walks: hand over to it, or walk yourself."
         : "";
       return;
     }

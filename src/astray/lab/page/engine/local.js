@@ -163,6 +163,10 @@ export class LocalEngine {
     const { level, s, rules } = await this.world(message);
     const game = this.about.games[message.game];
     const places = namedPlaces(game, this.shift(message), s, rules);
+    if (!Object.keys(places).length) {
+      const { intended, proxies } = this.shift(message);
+      throw new Error(`a goal must have one cell in this level; none of ${[intended, ...proxies].join(", ")} has`);
+    }
     const episode = played({ level, s, rules }, message.actions ?? []);
     let way = episode.states.map((one) => [Math.floor(one.x), Math.floor(one.y)]);
     const ends = Object.values(places)
