@@ -53,8 +53,8 @@ def test_the_hash_is_splitmix():
         assert int(rng.mix_two(np.uint64(number), 5)) == naive_mix(naive_mix(number) ^ 5)
 
 
-def test_shares_are_uniform():
-    values = [rng.share(k, 3) for k in range(2000)]
+def test_fractions_are_uniform():
+    values = [rng.fraction(k, 3) for k in range(2000)]
     assert min(values) >= 0 and max(values) < 1
     assert np.histogram(values, 10, (0, 1))[0].min() > 150
 
@@ -271,8 +271,8 @@ def test_rounds_are_shared_while_that_is_sooner():
     pace = Pace()
     assert min(pass_rounds(pace, 10, 2e-4, lambda k: 1.2e-4)) > 0.95
     # Beside a busy process one round in ten waits for a slice of the scheduler's.
-    share, sooner = pass_rounds(pace, 20, 2e-4, lambda k: 4e-3 if k % 10 == 0 else 1.2e-4)
-    assert share < 0.05 and sooner > 0.95
+    fraction, sooner = pass_rounds(pace, 20, 2e-4, lambda k: 4e-3 if k % 10 == 0 else 1.2e-4)
+    assert fraction < 0.05 and sooner > 0.95
     assert pass_rounds(pace, 20, 2e-4, lambda k: 1.2e-4)[0] > 0.75
     # A slice lost now and then is no reason.
     assert pass_rounds(pace, 10, 2e-4, lambda k: 4e-3 if k % 1000 == 0 else 1.2e-4)[0] > 0.9

@@ -10,7 +10,7 @@ import pytest
 from astray.envs.loops import SHIFT
 from astray.envs.vector import GameVectorEnv
 from astray.games.maze import GAME
-from astray.kernel.rng import share as share_of
+from astray.kernel.rng import fraction as fraction_of
 from astray.training import checkpoint, loop
 from astray.training.levels import (
     FIRST,
@@ -19,8 +19,8 @@ from astray.training.levels import (
     Plan,
     Played,
     discounted_returns,
+    fraction_at,
     positive_value_loss,
-    share_at,
 )
 from astray.training.loop import collect, play, train
 from astray.training.replay import Replay, draw_distinct, probabilities
@@ -89,30 +89,30 @@ def test_levels_are_drawn_one_after_the_other_by_their_chances():
 
 
 @pytest.mark.parametrize("schedule", ["throughout", "early", "late", "annealed"])
-def test_every_schedule_comes_to_the_same_share(schedule):
+def test_every_schedule_comes_to_the_same_fraction(schedule):
     progress = (np.arange(1000) + 0.5) / 1000
-    assert np.mean([share_at(schedule, 0.1, x) for x in progress]) == pytest.approx(0.1)
+    assert np.mean([fraction_at(schedule, 0.1, x) for x in progress]) == pytest.approx(0.1)
 
 
-def test_mixed_levels_are_shifted_with_the_share_and_are_the_variants_own_numbers():
+def test_mixed_levels_are_shifted_with_the_fraction_and_are_the_variants_own_numbers():
     sampler = Mixed(MIXED.changed(fraction=0.5, levels=1000))
     sampler.plan(0)
     numbers = np.concatenate([sampler.next(np.arange(16)) for _ in range(100)])
-    shifted = np.array([share_of(number, SHIFT) < 0.2 for number in numbers])
+    shifted = np.array([fraction_of(number, SHIFT) < 0.2 for number in numbers])
     assert abs(shifted.mean() - 0.5) < 0.05 and numbers.max() < 1000
     assert sampler.summary()["shifted_fraction"] == shifted.mean()
 
 
 def test_early_levels_are_shifted_first_and_late_ones_last():
-    shares = {}
+    fractions = {}
     for schedule in ("early", "late"):
         sampler = Mixed(MIXED.changed(schedule=schedule))
         for steps in (0, MIXED.steps // 2, MIXED.steps - 1):
             sampler.plan(steps)
             numbers = sampler.next(np.arange(16))
-            shifted = np.mean([share_of(number, SHIFT) < 0.2 for number in numbers])
-            shares.setdefault(schedule, []).append(shifted)
-    assert shares == {"early": [1, 0, 0], "late": [0, 0, 1]}
+            shifted = np.mean([fraction_of(number, SHIFT) < 0.2 for number in numbers])
+            fractions.setdefault(schedule, []).append(shifted)
+    assert fractions == {"early": [1, 0, 0], "late": [0, 0, 1]}
 
 
 @pytest.mark.parametrize("schedule", ["throughout", "early", "late", "annealed"])
@@ -122,7 +122,7 @@ def test_every_schedule_begins_as_many_shifted_levels_as_were_asked_for(schedule
     for steps in range(0, config.steps, config.batch):
         sampler.plan(steps)
         numbers = [sampler.next(np.arange(16)) for _ in range(1 + steps // 2048)]  # ever shorter
-        begun.append(sum(share_of(n, SHIFT) < 0.2 for n in np.concatenate(numbers)))
+        begun.append(sum(fraction_of(n, SHIFT) < 0.2 for n in np.concatenate(numbers)))
     assert sampler.summary()["shifted"] == sum(begun) == 40
     quarter = len(begun) // 4
     parts = {

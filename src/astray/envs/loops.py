@@ -8,7 +8,7 @@ import numpy as np
 
 from astray.kernel.barrier import arrive, release, take
 from astray.kernel.jit import entry, kernel
-from astray.kernel.rng import mix_two, seed_twister, share
+from astray.kernel.rng import fraction, mix_two, seed_twister
 
 SHIFT = 0x5817F7  # salt of the hash that decides which levels come from the shifted distribution
 NEXT_LEVEL, AS_SET, STEP, NOTHING = -1, -2, -3, -4  # to do, instead of a level's number
@@ -70,7 +70,7 @@ def observe_one(s, art, symbolic, scene, observation) -> None:
 def begin(s, params, level):
     """Begin an episode in level number `level`."""
     s.level = level
-    s.shifted = share(level, SHIFT) < params[0].shift_probability
+    s.shifted = fraction(level, SHIFT) < params[0].shift_probability
     p = params[1] if s.shifted else params[0]
     s.time, s.time_limit, s.ended = 0, p.time_limit, False
     seed_twister(s, level)

@@ -152,16 +152,16 @@ def mix_two(number, salt):
 
 
 @kernel
-def share(number, salt):
+def fraction(number, salt):
     """Hash `number` and `salt` to a real in [0, 1)."""
     return np.float64(mix_two(number, salt) >> U11) * TO_UNIT
 
 
 @entry
-def fill_shares(first, salt, out):
-    """Fill `out` [N] float64 with the `share` of the numbers from `first` on."""
+def fill_fractions(first, salt, out):
+    """Fill `out` [N] float64 with the `fraction` of the numbers from `first` on."""
     for i in range(out.shape[0]):
-        out[i] = share(first + i, salt)
+        out[i] = fraction(first + i, salt)
 
 
 @entry
@@ -176,4 +176,4 @@ def fill_noise(seed, levels, times, out):
     for i in range(out.shape[0]):
         episode = mix_two(seed, levels[i])
         for k in range(out.shape[1]):
-            out[i, k] = share(episode, times[i] * out.shape[1] + k)
+            out[i, k] = fraction(episode, times[i] * out.shape[1] + k)

@@ -14,7 +14,7 @@ import numpy as np
 
 from astray.envs.loops import SHIFT
 from astray.envs.vector import GameVectorEnv
-from astray.kernel.rng import fill_shares
+from astray.kernel.rng import fill_fractions
 from astray.memory import check_memory
 from astray.record import trusted
 from astray.training.config import Config
@@ -145,24 +145,24 @@ def positive_value_loss(advantage: np.ndarray) -> np.ndarray:
     return np.maximum(advantage, 0).mean(0, dtype=np.float64)
 
 
-def share_at(schedule: Schedule, share: float, progress: float) -> float:
+def fraction_at(schedule: Schedule, fraction: float, progress: float) -> float:
     """Return the fraction of shifted levels at `progress`, 0 to 1, of a training.
 
-    Over the whole training its mean is `share`, for every schedule.
+    Over the whole training its mean is `fraction`, for every schedule.
     """
     if schedule == "early":
-        return float(progress < share)
+        return float(progress < fraction)
     if schedule == "late":
-        return float(progress >= 1 - share)
-    return 2 * share * (1 - progress) if schedule == "annealed" else share
+        return float(progress >= 1 - fraction)
+    return 2 * fraction * (1 - progress) if schedule == "annealed" else fraction
 
 
-def part_at(schedule: Schedule, share: float, progress: float) -> float:
-    """Return the fraction of all shifted levels begun by `progress`: the integral of `share_at`."""
+def part_at(schedule: Schedule, fraction: float, progress: float) -> float:
+    """Return the fraction of shifted levels begun by `progress`, the integral of `fraction_at`."""
     if schedule == "early":
-        return min(progress / share, 1.0)
+        return min(progress / fraction, 1.0)
     if schedule == "late":
-        return max(1 - (1 - progress) / share, 0.0)
+        return max(1 - (1 - progress) / fraction, 0.0)
     return 1 - (1 - progress) ** 2 if schedule == "annealed" else progress
 
 
@@ -182,18 +182,18 @@ class Mixed:
                 "sampler 'mixed' needs a variant some of whose levels are shifted: "
                 f"shift_probability must be between 0 and 1; got {stock}"
             )
-        self.config, self.share = (
+        self.config, self.fraction = (
             config,
             stock if config.sampler.fraction is None else config.sampler.fraction,
         )
-        if not self.share and config.sampler.shifted_levels:
+        if not self.fraction and config.sampler.shifted_levels:
             raise ValueError("shifted_levels needs a fraction above 0; got 0")
-        if config.sampler.schedule == "annealed" and self.share > 0.5:
-            raise ValueError(f"fraction must be at most 0.5 to be annealed; got {self.share}")
+        if config.sampler.schedule == "annealed" and self.fraction > 0.5:
+            raise ValueError(f"fraction must be at most 0.5 to be annealed; got {self.fraction}")
         check_memory(10 * config.levels, f"{config.levels:,} training levels")
-        shares = np.empty(config.levels)
-        fill_shares(config.first_level, SHIFT, shares)
-        self.is_shifted = shares < stock
+        fractions = np.empty(config.levels)
+        fill_fractions(config.first_level, SHIFT, fractions)
+        self.is_shifted = fractions < stock
         self.shifted = config.first_level + np.flatnonzero(self.is_shifted)
         if not 0 < len(self.shifted) < config.levels:
             raise ValueError(
@@ -206,10 +206,10 @@ class Mixed:
     def plan(self, steps: int) -> Plan:
         config = self.config
         if config.sampler.shifted_levels is None:
-            self.now = share_at(config.sampler.schedule, self.share, steps / config.steps)
+            self.now = fraction_at(config.sampler.schedule, self.fraction, steps / config.steps)
         else:
             progress = min((steps + config.batch) / config.steps, 1.0)
-            part = part_at(config.sampler.schedule, self.share, progress)
+            part = part_at(config.sampler.schedule, self.fraction, progress)
             self.due = round(part * config.sampler.shifted_levels)
         return Plan(restart=not self.begun[0])
 
@@ -248,13 +248,13 @@ class Growing:
     """Curriculum from the smallest levels to all levels.
 
     The size of a level is the number of cells that its agent can reach. The fraction of levels in
-    use grows linearly from `FIRST` to 1 during `share` of the steps. From then on all levels are
+    use grows linearly from `FIRST` to 1 during `fraction` of the steps. From then on all levels are
     equally likely, as without a sampler.
     """
 
     def __init__(self, config: Config):
         self.config, game = config, config.find_game()
-        self.share = GROWS if config.sampler.fraction is None else config.sampler.fraction
+        self.fraction = GROWS if config.sampler.fraction is None else config.sampler.fraction
         reachable, numbers = game.solver.reachable, np.array(config.training_levels)
         check_memory(17 * len(numbers), f"{len(numbers):,} training levels")
         shown, n = "symbolic" if game.symbols else "image", min(len(numbers), MEASURED)
@@ -271,7 +271,7 @@ class Growing:
 
     def plan(self, steps: int) -> Plan:
         progress = steps / self.config.steps
-        part = FIRST + (1 - FIRST) * progress / self.share if progress < self.share else 1.0
+        part = FIRST + (1 - FIRST) * progress / self.fraction if progress < self.fraction else 1.0
         self.count = max(round(part * len(self.by_size)), 1)
         return Plan(restart=not self.turn)
 

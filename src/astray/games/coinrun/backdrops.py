@@ -53,8 +53,8 @@ def _render(k: int, height: int, width: int) -> np.ndarray:
     haze = np.linspace(0.35, 1, len(layers))[:, None]
     colours = np.concatenate([np.zeros((1, 3)), horizon + (near - horizon) * haze])
     picture = colours.astype(np.uint8)[which]
-    share = np.clip(up / HIGH, 0, 1)[:, None]
-    sky = (horizon + (top - horizon) * share).astype(np.uint8)
+    fraction = np.clip(up / HIGH, 0, 1)[:, None]
+    sky = (horizon + (top - horizon) * fraction).astype(np.uint8)
     is_sky = which == 0
     np.copyto(picture, sky[:, None], where=is_sky[..., None])
     pale = is_sky & _clouds(across, up, k)
@@ -158,8 +158,8 @@ def _clouds(across: np.ndarray, up: np.ndarray, k: int) -> np.ndarray:
 def _space(k: int, up: np.ndarray, across: np.ndarray) -> np.ndarray:
     """Return a starry sky with a planet and a hue of its own."""
     tint = np.array([30, 26, 56]) + (60 * _hash(k + 77, 3)).astype(int)
-    share = np.clip(up / HIGH, 0, 1)[:, None]
-    row = (tint * (1.25 - 0.7 * share)).astype(np.uint8)
+    fraction = np.clip(up / HIGH, 0, 1)[:, None]
+    row = (tint * (1.25 - 0.7 * fraction)).astype(np.uint8)
     picture = np.repeat(row[:, None], len(across), 1)
     nebula = _waves(across, k + 40, 5) * 14 + 4
     glow = np.abs(up[:, None] - nebula) < 2 + 2 * _waves(across, k + 41, 7)

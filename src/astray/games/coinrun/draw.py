@@ -178,9 +178,9 @@ def copy_round(target, source, begin):
 
 
 @kernel
-def blend(target, left, right, one, two, share, fine, begin):
+def blend(target, left, right, one, two, fraction, fine, begin):
     """Fill part of a row by interpolation between two periodic rows of a coarser picture."""
-    down, width = int(share * 256), one.shape[0]
+    down, width = int(fraction * 256), one.shape[0]
     for column in range(left, right):
         u = (column + 0.5) * fine + begin + width - 0.5
         a, b = int(u) % width, (int(u) + 1) % width
@@ -293,9 +293,9 @@ def foreground_planes(s, scene, planes):
 
 
 @kernel
-def gauge(planes, row, share):
-    """Fill two rows up to `share`, 0 to 1, of their length."""
-    marks = int(share * GAUGE + 0.5)
+def gauge(planes, row, fraction):
+    """Fill two rows up to `fraction`, 0 to 1, of their length."""
+    marks = int(fraction * GAUGE + 0.5)
     for k in range(min(max(marks, 0), GAUGE)):
         planes[GAUGE_PLANE, row + k // VIEW, k % VIEW] = 1
 

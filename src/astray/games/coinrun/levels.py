@@ -28,7 +28,7 @@ from astray.games.coinrun.rules import (
     stops,
 )
 from astray.kernel.jit import kernel, shared
-from astray.kernel.rng import draw_u32, share, unit
+from astray.kernel.rng import draw_u32, fraction, unit
 from astray.record import NEVER
 
 RUNNERS, GROUNDS, BACKGROUNDS, CRATES, LOOKS = 5, 6, 62, 4, 9  # how many looks there are
@@ -59,7 +59,7 @@ def generate(s, p):
     percent = 0
     if p.numbering == COINRUN:
         percent = word(s) % 100
-    random = percent + share(s.level, PERCENT) < 100 * p.random_coin
+    random = percent + fraction(s.level, PERCENT) < 100 * p.random_coin
     clear(s)
     s.background_offset, s.background = offset, 0 if p.easy else background
     s.runner_look, s.ground = runner, ground

@@ -24,7 +24,7 @@ from astray.games.coinrun.rules import (
     stops,
 )
 from astray.kernel.jit import kernel, shared
-from astray.kernel.rng import share
+from astray.kernel.rng import fraction
 
 PLACE = 0x97ACE  # salt of the hash that picks a place to stand
 TRIES = 100  # picks before the coin lies on a ledge after all
@@ -136,7 +136,7 @@ def pick_place(s, in_pit):
     touched = np.zeros((WORLD, WORLD), np.bool_)
     explored = False
     for turn in range(TRIES if count else 0):
-        k = int(share(s.level, PLACE + turn) * count)
+        k = int(fraction(s.level, PLACE + turn) * count)
         x, y = xs[k], ys[k]
         if not explored:  # a search that fails has been everywhere
             explored = not explore(s, x, y, touched)

@@ -128,7 +128,7 @@ def _art(scale: float, world: int, pixels: int) -> tuple[np.ndarray, ...]:
     floors = own.floors(ART, world * scale)
     wall = load("wall-brick", cell, cell)[..., :3]
     things = [*coloured("key", cell, cell), *coloured("door", cell, cell), load("gem", cell, cell)]
-    icons = coloured("icon", *(max(round(share * pixels), 1) for share in ICON))
+    icons = coloured("icon", *(max(round(fraction * pixels), 1) for fraction in ICON))
     thief = turned(load("thief-right", body, body), load("thief-right-up", body, body))
     # All contiguous, or compiled code would be compiled anew for another layout.
     return tuple(map(np.ascontiguousarray, (floors, wall, things, thief, icons)))

@@ -180,7 +180,7 @@ def put(s, what, x, y):
 
 @shared
 def furnish(s, p):
-    """Set all fields that no draw decides."""
+    """Set all fields that are not random."""
     s.world, s.window = p.world, p.window
     s.vx, s.vy, s.facing = F(0), F(0), STAY
     s.objects, s.keys, s.hand = 0, 0, 0

@@ -142,7 +142,7 @@ def _art(scale: float, world: int, pixels: int) -> tuple[np.ndarray, ...]:
     body = int(np.ceil(2 * HALF * scale))
     floors = own.floors(ART, world * scale)
     wall = load("wall-brick", cell, cell)[..., :3]
-    icon = load("icon", *(max(round(share * pixels), 1) for share in ICON))
+    icon = load("icon", *(max(round(fraction * pixels), 1) for fraction in ICON))
     thief = turned(load("thief-right", body, body), load("thief-right-up", body, body))
     made = (floors, wall, load("key", key, key), load("chest", cell, cell), thief, icon)
     # All contiguous, or compiled code would be compiled anew for another layout.

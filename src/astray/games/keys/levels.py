@@ -85,7 +85,7 @@ def put(s, what, x, y):
 
 @kernel
 def furnish(s, p):
-    """Set the fields that no draw decides."""
+    """Set the fields that are not random."""
     s.world, s.window, s.inventory, s.strict = p.world, p.window, p.inventory, p.strict
     s.key_penalty, s.step_penalty = p.key_penalty, p.step_penalty
     s.vx, s.vy, s.facing = F(0), F(0), STAY

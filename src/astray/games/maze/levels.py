@@ -11,7 +11,7 @@ from astray.games.maze.rules import BOTH, EMPTY, GOAL, LARGEST, OTHER, STATE, no
 from astray.games.maze.variants import COLOURS, OTHERS, SHAPES, WALLS
 from astray.kernel.jit import kernel, shared
 from astray.kernel.maze import AS_NUMBERED, FLOORS, WALL, carve
-from astray.kernel.rng import below, share, unit
+from astray.kernel.rng import below, fraction, unit
 from astray.record import NEVER, centre, within
 
 CORNER, REGION, ANYWHERE, ON_OTHER = 0, 1, 2, 3  # Maze.placement, in the order of its choices
@@ -60,7 +60,7 @@ def generate(s, p):
     if p.start != 0:
         turn, start = 0, goal
         while start in (goal, other):  # a hash: the same start wherever the goal was drawn
-            start = int(share(s.level, START + turn) * free)
+            start = int(fraction(s.level, START + turn) * free)
             turn += 1
         s.x, s.y = margin + free_x[start] + 0.5, margin + free_y[start] + 0.5
     note_arrivals(s)
@@ -68,7 +68,7 @@ def generate(s, p):
 
 @kernel
 def furnish(s, p):
-    """Set the fields that no draw decides."""
+    """Set the fields that are not random."""
     s.world, s.window, s.walls = p.world, p.window, p.walls
     s.goal_shape, s.goal_colour = p.goal_shape, p.goal_colour
     s.other_shape, s.other_colour = p.other_shape, p.other_colour
