@@ -60,7 +60,7 @@ class WorldVariant:
         return {n: v for n, v in changes.items() if mine.get(n) == its.get(n)}
 
     def to_json(self) -> dict[str, Any]:
-        """Return its name and knobs, as files of settings have them."""
+        """Return the name and the knobs, in the form that settings files use."""
         return {"name": self.name, "knobs": dict(self.knobs)}
 
     def make(self) -> Env:

@@ -339,7 +339,7 @@ class Opaque:
 
 
 def looked_into(policy: Policy, game: Game) -> Agent | Network | Opaque:
-    """Return a policy as what analyses of states take: its network if it has one, else `Opaque`."""
+    """Return a policy in the form that analyses take: its network, or `Opaque` without one."""
     found = getattr(policy, "network", None) if not isinstance(policy, Agent | Network) else policy
     if isinstance(found, Network):
         return replace(found, game=game.name)

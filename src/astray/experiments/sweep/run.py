@@ -37,10 +37,10 @@ def run_sweep(
     on: Place = "here",
     track: Tracking | None = None,
 ) -> Path:
-    """Compute what is missing of a sweep, write outcomes and report, and return its path.
+    """Compute the missing parts of a sweep, write outcomes and report, and return its path.
 
     Args:
-        workers: Number of agents trained at once here; None for one per processor.
+        workers: Number of agents to train in parallel; None for one per processor.
         on: Place of the trainings; evaluation happens here.
         track: External tracker of the trainings.
     """
