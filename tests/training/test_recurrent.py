@@ -9,24 +9,27 @@ from torch import nn
 
 import astray
 from astray.acting import steps
+from astray.agents.drc import DRC
 from astray.agents.mlp import MLP
 from astray.agents.policy import Architecture
 from astray.agents.recurrent import Recurrent
 from astray.analysis.adapters import from_trainer
 from astray.analysis.evaluate import evaluate
+from astray.mitigation.uncertainty import OfLogits
 from astray.training import checkpoint, loop, ppo
 from astray.training.trainer import Trainer
 from helpers.trainings import TINY, digest, train_to_first_checkpoint
 
-CELLS = ("gru", "lstm")
+NETWORKS = ("mlp+gru", "mlp+lstm", "drc-2-2")
+TRAINED = ("mlp+gru", "mlp+lstm", "drc-1-1")
 CONFIG = replace(TINY, network="mlp+gru", minibatches=4, validation=None)
 SHAPE, LARGEST = (3, 5, 5), (1, 1, 3)
 PLAYED = CONFIG.variant_for("anywhere-small")
 
 
-def network(cell):
+def network(name):
     torch.manual_seed(0)
-    return Architecture(f"mlp+{cell}", SHAPE, LARGEST, 9, width=8).build()
+    return Architecture(name, SHAPE, LARGEST, 9, width=8).build()
 
 
 def shown(*shape):
@@ -52,40 +55,81 @@ def remembered(cell, features, state):
     return torch.cat([sigmoid(out) * torch.tanh(inner), inner])
 
 
+def convolved(conv, x):
+    """A 3 x 3 convolution of [C, H, W], place by place."""
+    padded = nn.functional.pad(x, (1, 1, 1, 1))
+    rows = [
+        torch.stack([
+            (conv.weight * padded[:, i : i + 3, j : j + 3]).sum((1, 2, 3)) + conv.bias
+            for j in range(x.shape[2])
+        ])
+        for i in range(x.shape[1])
+    ]  # fmt: skip
+    return torch.stack(rows).permute(2, 0, 1)
+
+
+def ticked(net, seen, state):
+    """The next state of one episode of a DRC, by the formulas of Guez et al. 2019."""
+    depth = len(net.layers)
+    hidden, inner = state.view(2, depth, *seen.shape).clone()
+    edge = torch.tensor(
+        [[[1.0 * (0 in (i, j) or 4 in (i, j)) for j in range(5)] for i in range(5)]]
+    )
+    for _ in range(net.repeats):
+        for d, layer in enumerate(net.layers):
+            flat = hidden[d].flatten(1)
+            pooled = layer.pooled.weight @ torch.cat([flat.max(1)[0], flat.mean(1)])
+            injected = (pooled + layer.pooled.bias)[:, None, None].expand_as(seen)
+            sees = torch.cat([seen, hidden[d - 1], hidden[d], injected, edge])
+            into, forget, new, out = convolved(layer.gates, sees).split(len(seen))
+            cell = sigmoid(forget) * inner[d] + sigmoid(into) * torch.tanh(new)
+            inner = torch.cat([inner[:d], cell[None], inner[d + 1 :]])
+            top = sigmoid(out) * torch.tanh(cell)
+            hidden = torch.cat([hidden[:d], top[None], hidden[d + 1 :]])
+    return torch.cat([hidden, inner]).flatten()
+
+
 def slow(net, observation, state, begins):
     """What `net` says of [T, N], an episode and a step at a time."""
     logits, values = [], []
     for t in range(len(observation)):
-        rows = []
+        rows, said = [], []
         for i in range(len(state)):
             before = torch.zeros_like(state[i]) if begins[t, i] else state[i]
-            features = net.body.hidden(observation[t, i : i + 1])[0]
-            rows.append(remembered(net.cell, features, before))
+            if isinstance(net, DRC):
+                seen = net.encode(observation[t, i : i + 1])[0]
+                rows.append(ticked(net, seen, before))
+                top = rows[-1][: seen.numel() * len(net.layers)].view(-1, *seen.shape)[-1]
+                features = net.features(torch.cat([top, seen])[None])[0]
+                said.append((net.policy(features), net.value(features)[0]))
+            else:
+                features = net.body.hidden(observation[t, i : i + 1])[0]
+                rows.append(remembered(net.cell, features, before))
+                said.append(net.body.heads(rows[-1][: net.width]))
         state = torch.stack(rows)
-        said = [net.body.heads(row[: net.width]) for row in rows]
         logits.append(torch.stack([one for one, _ in said]))
         values.append(torch.stack([one for _, one in said]))
     return torch.stack(logits), torch.stack(values), state
 
 
-@pytest.mark.parametrize("cell", CELLS)
-def test_a_cell_remembers_as_its_formulas_say_and_forgets_where_an_episode_begins(cell):
-    net, observation = network(cell), shown(6, 4)
-    state, begins = torch.randn(4, net.memory), torch.rand(6, 4) < 0.3
+@pytest.mark.parametrize("name", NETWORKS)
+def test_a_network_remembers_as_its_formulas_say_and_forgets_where_an_episode_begins(name):
+    net, observation = network(name), shown(3, 2)
+    state, begins = torch.randn(2, net.memory), torch.tensor([[0, 1], [1, 0], [0, 0]]).bool()
     ours, theirs = net.unroll(observation, state, begins), slow(net, observation, state, begins)
     by_step = Recurrent.unroll(net, observation, state, begins)
     for one, two, three in zip(ours, theirs, by_step, strict=True):
         assert torch.allclose(one, two, atol=1e-5) and torch.allclose(one, three, atol=1e-5)
 
 
-@pytest.mark.parametrize("cell", CELLS)
-def test_the_gradient_of_a_minibatch_is_that_of_its_sequences_unrolled(cell):
-    net, (t, n) = network(cell), (5, 6)
+@pytest.mark.parametrize("name", NETWORKS)
+def test_the_gradient_of_a_minibatch_is_that_of_its_sequences_unrolled(name):
+    net, (t, n) = network(name), (3, 3)
     observation, begins = shown(t, n), torch.rand(t, n) < 0.3
     action, noise = torch.randint(0, 9, (t, n)), torch.randn(4, t, n)
     state = torch.randn(n, net.memory)
     whole = ppo.Sequences(observation, action, -2 + 0.1 * noise[0], *noise[1:], begins, state)
-    some = torch.tensor([4, 1, 2])
+    some = torch.tensor([2, 0])
     batch = whole.flat().at(some)
     gradients = []
     for said in (lambda _: batch.said(net), lambda _: tuple(
@@ -98,10 +142,10 @@ def test_the_gradient_of_a_minibatch_is_that_of_its_sequences_unrolled(cell):
     assert any(x.abs().max() > 1e-3 for x in gradients[0])
 
 
-@pytest.mark.parametrize("cell", CELLS)
-def test_acting_and_learning_agree_in_every_rollout(cell):
+@pytest.mark.parametrize("name", TRAINED)
+def test_acting_and_learning_agree_in_every_rollout(name):
     """Also in the second, which begins amid episodes."""
-    trainer = Trainer(replace(CONFIG, network=f"mlp+{cell}"))
+    trainer = Trainer(replace(CONFIG, network=name))
     for _ in range(2):
         rollout = loop.collect(trainer)
         assert isinstance(rollout, ppo.Sequences) and rollout.begins[1:].any()
@@ -134,9 +178,9 @@ def test_what_is_cut_off_is_valued_with_the_memory_of_its_episode(monkeypatch):
     assert cut.any() and not asked
 
 
-@pytest.mark.parametrize("cell", CELLS)
-def test_a_stopped_training_with_memory_goes_on_to_the_bit(cell, tmp_path, monkeypatch):
-    config = replace(CONFIG, network=f"mlp+{cell}", validation="anywhere-small")
+@pytest.mark.parametrize("name", TRAINED)
+def test_a_stopped_training_with_memory_goes_on_to_the_bit(name, tmp_path, monkeypatch):
+    config = replace(CONFIG, network=name, validation="anywhere-small")
     loop.train(config, tmp_path / "one", progress=False)
     train_to_first_checkpoint(config, tmp_path / "two", monkeypatch)
     loop.train(config, tmp_path / "two", progress=False)
@@ -155,8 +199,20 @@ def test_an_agent_with_memory_plays_a_level_alike_in_any_batch(batch, tmp_path):
     for k in (0, 7):
         alone = [s.actions[0] for s in steps(agent, "maze", PLAYED, [k])]
         assert moves[k] == alone
-    with pytest.raises(ValueError, match="has a memory: it can be played, and not yet be asked"):
-        agent.outputs(np.zeros((1, *agent.architecture.shape), np.uint8))
+
+
+def test_an_agent_asked_along_an_episode_remembers_and_in_a_single_state_does_not(tmp_path):
+    loop.train(replace(CONFIG, steps=256), tmp_path, progress=False)
+    agent = astray.load_agent(tmp_path)
+    agent.mode = "greedy"
+    played = list(steps(agent, "maze", PLAYED, [3], batch=1))
+    seen = np.concatenate([step.observations for step in played])
+    along, alone = agent.outputs(seen, episode=True)[0], agent.outputs(seen)[0]
+    assert along.argmax(1).tolist() == [int(step.actions[0]) for step in played]
+    assert torch.allclose(along[0], alone[0], atol=1e-6) and not torch.allclose(along, alone)
+    assert torch.allclose(alone[-1:], agent.outputs(seen[-1:])[0], atol=1e-6)
+    with pytest.raises(ValueError, match="needs an agent without memory"):
+        OfLogits(agent, "entropy")
 
 
 def test_a_training_with_memory_is_played_as_its_checkpoint(tmp_path):
@@ -194,8 +250,13 @@ def test_a_network_of_ones_own_remembers_by_the_same_interface():
     "change, said",
     [
         ({"minibatches": 32, "num_steps": 32}, "16 of 1 processes are not divided by 32"),
-        ({"network": "mlp+rnn"}, r"unknown network 'mlp\+rnn'; there are: .*each with \+gru or"),
+        (
+            {"network": "mlp+rnn"},
+            r"unknown network 'mlp\+rnn'; there are: .*each but drc with \+gru or",
+        ),
         ({"network": "mlp+"}, "unknown network"),
+        ({"network": "drc+gru"}, "each but drc"),
+        ({"network": "drc-3"}, "drc-D-N with its depth and ticks"),
         ({"teacher": "solver"}, "a student must have no memory"),
     ],
 )

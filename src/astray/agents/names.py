@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from typing import Any
 
 from astray import imports
@@ -9,7 +10,7 @@ from astray import imports
 # astray's own; what each builds is in `policy.BUILDERS`.
 NETWORKS = (
     "impala", "impala-same", "mlp", "clear", "nature", "overlap", "patch", "patch-pooled",
-    "patch-impala", "cells",
+    "patch-impala", "cells", "drc",
 )  # fmt: skip
 CELLS = ("gru", "lstm")  # that any of them can have on top, as in "mlp+gru"
 RENAMED = {"small": "mlp"}  # as older files have them, and what they are called now
@@ -20,11 +21,19 @@ def renamed_network(name: Any) -> Any:
     return RENAMED.get(name, name) if isinstance(name, str) else name
 
 
+def depth_and_ticks(name: str) -> tuple[int, int] | None:
+    """Return D and N of a network "drc-D-N", 3 and 3 of "drc", and None for others."""
+    found = re.fullmatch(r"drc(?:-([1-9])-([1-9]))?", name)
+    return found and (int(found[1] or 3), int(found[2] or 3))
+
+
 def is_own(name: Any) -> bool:
     """Return whether a network of that name is one of astray's own."""
     if not isinstance(name, str):
         return False
     body, plus, cell = name.partition("+")
+    if depth_and_ticks(body):
+        return not plus  # it has a memory of its own
     return body in NETWORKS and (cell in CELLS if plus else True)
 
 
@@ -33,6 +42,6 @@ def check_network(name: str) -> None:
     if not is_own(name) and not imports.is_name(name):
         there, cells = ", ".join(NETWORKS), " or ".join(f"+{cell}" for cell in CELLS)
         raise ValueError(
-            f"unknown network {name!r}; there are: {there}, each with {cells} for memory, and "
-            "module:Class"
+            f"unknown network {name!r}; there are: {there}, each but drc with {cells} for memory, "
+            "drc-D-N with its depth and ticks, and module:Class"
         )

@@ -18,9 +18,10 @@ from torch.utils.flop_counter import FlopCounterMode
 from astray import imports
 from astray.agents.cells import Cells
 from astray.agents.clear import Clear
+from astray.agents.drc import DRC
 from astray.agents.impala import WIDTHS, Impala
 from astray.agents.mlp import MLP
-from astray.agents.names import check_network, is_own, renamed_network
+from astray.agents.names import check_network, depth_and_ticks, is_own, renamed_network
 from astray.agents.patch import nature, overlap, patch, patch_impala
 from astray.agents.recurrent import WithCell
 from astray.files import check_readable
@@ -74,6 +75,8 @@ class Architecture:
         name, _, cell = self.name.partition("+")
         if cell:
             return WithCell(replace(self, name=name).build(), cell)  # pyright: ignore
+        if deep := depth_and_ticks(name):
+            return DRC(self.shape, list(self.largest), self.actions, *deep, self.scale)
         vectors = "vectors" if len(self.shape) == 1 else "images"
         seen = "symbolic planes" if self.largest else vectors
         if (self.name == "mlp") == (seen == "images") or len(self.shape) == 2:

@@ -151,25 +151,36 @@ def sees(agent: Model, variant: str | Variant, edit: Edit) -> Measure:
     return seen
 
 
-def policy_and_value(agent: Model, observations: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return action probabilities [N, A] and values [N], float64, for `observations` [N, ...]."""
-    logits, values = agent.outputs(observations)
+def policy_and_value(
+    agent: Model, observations: np.ndarray, *, episode: bool = False
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return action probabilities [N, A] and values [N], float64, for `observations` [N, ...].
+
+    Args:
+        episode: Whether these are one episode's from its first step on, which an agent with memory
+            remembers.
+    """
+    in_order = {"episode": True} if episode and getattr(agent, "caveat", "") else {}
+    logits, values = agent.outputs(observations, **in_order)
     return logits.double().softmax(-1).numpy(force=True), values.double().numpy(force=True)
 
 
 def ask(
-    agent: Model | Opaque, variant: str | Variant, states: np.ndarray
+    agent: Model | Opaque, variant: str | Variant, states: np.ndarray, *, episode: bool = False
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return action probabilities [N, A] and values [N] of any policy in `states` [N].
 
     A policy without a network has probability 1 for the action that it takes, and values NaN.
+
+    Args:
+        episode: As in `policy_and_value`.
 
     Raises:
         ValueError: If the states are not those of the agent's game.
     """
     if isinstance(agent, Opaque):
         return _each(agent, variant, states, 64, agent.chances), np.full(len(states), np.nan)
-    return policy_and_value(agent, observe(agent, variant, states))
+    return policy_and_value(agent, observe(agent, variant, states), episode=episode)
 
 
 def observe(

@@ -38,6 +38,10 @@ IMAGE = 64 * 64  # numbers in an observation from which on it is passed on as an
 # Multiplications per forward pass below which a second thread costs more than it saves, up to five
 # times as much on busy processors.
 FEW = 200_000_000
+BY_ITSELF = (
+    "This agent has a memory: in a single state, it is asked as at the beginning of an episode; "
+    "along an episode, it remembers what it saw."
+)
 
 
 def chosen(
@@ -114,23 +118,32 @@ class Agent:
         """Return logits [N, A] and values [N] of one pass, with gradients."""
         return self.network(observations)
 
-    def outputs(self, observations: np.ndarray) -> tuple[torch.Tensor, torch.Tensor]:
+    @property
+    def caveat(self) -> str:
+        """Return a sentence on what its outputs in a single state mean; "" without a memory."""
+        return BY_ITSELF if isinstance(self.network, Recurrent) else ""
+
+    def outputs(
+        self, observations: np.ndarray, *, episode: bool = False
+    ) -> tuple[torch.Tensor, torch.Tensor]:
         """Return logits [N, A] and values [N] for `observations` [N, ...].
 
+        Args:
+            episode: Whether these are the observations of one episode from its first step on, so
+                that a network with memory remembers those before. Without, it answers each as at
+                the beginning of an episode.
+
         Raises:
-            ValueError: If the agent has memory, so that outputs depend on earlier observations.
+            ValueError: If the observations have another shape.
         """
         of_kind("observations", observations, np.ndarray)
-        if isinstance(self.network, Recurrent):
-            raise ValueError(
-                f"the agent at {self.path} has a memory: it can be played, and not yet be asked "
-                "about observations out of their episodes"
-            )
         if self._kept and self._kept[0] is observations:
             return self._kept[1]
         shown, known = observations.shape[1:], self.architecture.shape
         if shown != known:
             raise ValueError(f"the agent sees observations of shape {known}, not {shown}")
+        if episode and isinstance(self.network, Recurrent):
+            return self._in_order(observations)
         chunk = AT_ONCE[self.observation]
         shown_here = torch.from_numpy(observations).to(self.device)
         before = torch.get_num_threads()
@@ -142,6 +155,15 @@ class Agent:
         if self._keeps:
             self._kept = observations, (logits, values)
         return logits, values
+
+    def _in_order(self, observations: np.ndarray) -> tuple[torch.Tensor, torch.Tensor]:
+        """Return the outputs of a network with memory for one episode's observations."""
+        seen = torch.from_numpy(observations).to(self.device)[:, None]
+        begins = torch.zeros((len(seen), 1), dtype=torch.bool, device=self.device)
+        state = torch.zeros((1, self.network.memory), device=self.device)  # pyright: ignore
+        with torch.no_grad():
+            logits, values, _ = self.network.unroll(seen, state, begins)  # pyright: ignore
+        return logits[:, 0], values[:, 0]
 
     @contextlib.contextmanager
     def asked_once(self) -> Iterator[None]:

@@ -104,7 +104,7 @@ def along(
         policy, value = np.eye(len(game.actions))[actions], np.full(len(actions) + 1, np.nan)
     else:
         shown = np.concatenate([s.observations for s in played] + [last.seen])
-        policy, value = policy_and_value(agent, shown)
+        policy, value = policy_and_value(agent, shown, episode=True)
     given = dict(game.labels) if marks is None else dict(marks)
     known = {name: measured(name, mark, before) for name, mark in given.items()}
     odd = [name for name, column in known.items() if column.dtype != pl.Boolean]

@@ -193,8 +193,10 @@ def _told(episode: Episode, first: int, agent: Any) -> Reply:
         "ended": episode.ended,
     }
     if agent is not None:
-        policy, value = ask(agent, episode.world.variant, np.concatenate(states))
-        told |= {"policy": rounded(policy), "value": rounded(value)}
+        # One with memory remembers what it saw before these states, too.
+        asked = episode.states if getattr(agent, "caveat", "") else states
+        policy, value = ask(agent, episode.world.variant, np.concatenate(asked), episode=True)
+        told |= {"policy": rounded(policy[-len(states) :]), "value": rounded(value[-len(states) :])}
     return told
 
 

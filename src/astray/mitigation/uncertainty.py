@@ -98,6 +98,12 @@ OF_LOGITS: dict[str, Callable[[np.ndarray], np.ndarray]] = {
 }
 
 
+def check_memoryless(agent: Agent) -> None:
+    """Raise ValueError if an agent has memory: a score sees one observation, not an episode."""
+    if getattr(agent, "caveat", ""):
+        raise ValueError(f"a score of uncertainty needs an agent without memory; got {agent.path}")
+
+
 @dataclass(frozen=True)
 class OfLogits:
     """Score computed from the agent's logits, one of `OF_LOGITS`."""
@@ -107,6 +113,7 @@ class OfLogits:
 
     def __post_init__(self) -> None:
         of_kind("agent", self.agent, Agent)
+        check_memoryless(self.agent)
         one_of("score", self.name, OF_LOGITS)
 
     def __call__(self, env: GameVectorEnv, observations: np.ndarray) -> np.ndarray:
@@ -150,6 +157,7 @@ class Disagreement:
         for agent in self.agents:
             if not callable(getattr(agent, "outputs", None)):
                 raise ValueError(f"an agent of an ensemble must have outputs; got {shown(agent)}")
+            check_memoryless(agent)
         if len(self.agents) < 2:
             raise ValueError(f"an ensemble must have two agents at least; got {len(self.agents)}")
 

@@ -140,7 +140,7 @@ export class Panels {
     part("zoomed").hidden = !lab.look.view;
     const [thing] = Object.keys(lab.rules.objects).map((name) => named(lab, name));
     part("lead").textContent = lab.agent
-      ? `Drag the ${thing ?? "agent"}. The arrows are what the agent would do.`
+      ? `Drag the ${thing ?? "agent"}. The arrows are what the agent would do. ${about.agents[lab.agent]?.caveat ?? ""}`
       : `Drag the ${thing ?? "agent"}, or play.`;
   }
 
