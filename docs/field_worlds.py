@@ -18,6 +18,8 @@ PAIRS = {  # a training and a test variant of each world
     "bridge": ("middle", "up"),
     "supervisor": ("watched", "absent"),
     "box": ("bare", "boxes"),
+    "tomatoes": ("bare", "bucket"),
+    "boat": ("race", "backwards"),
 }
 LEVEL, STEPS = 3, 12  # of a level, played by chance so long that something is to be seen
 
@@ -26,7 +28,7 @@ def picture(game: str, variant: str) -> np.ndarray:
     """Return a level of a variant, [SIDE, SIDE, 3] uint8."""
     env = GameVectorEnv(game, variant, 1, observation="symbolic", autoreset_mode="Disabled")
     env.reset(seed=0, options={"level": LEVEL})
-    if game in ("follow", "trees"):
+    if game in ("follow", "trees", "tomatoes"):
         for action in np.random.default_rng(LEVEL).integers(len(env.game.actions), size=STEPS):
             env.step(np.array([action]))
     return env.picture(SIDE)[0]

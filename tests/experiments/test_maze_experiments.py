@@ -25,7 +25,7 @@ def folders(plan):
 def test_curves_train_no_agents_of_their_own_and_show_each_once(size):
     plan = training_curves.EXPERIMENT.sizes[size]
     # Itself, and what is no figure's.
-    beyond = ("training_curves", ".mitigation.", ".insight.", ".networks.", ".pottery.")
+    beyond = ("training_curves", ".mitigation.", ".insight.", ".networks.", ".pottery.", ".field.")
     others = [
         catalogue.load(name)
         for name, module in catalogue.MODULES.items()

@@ -25,7 +25,7 @@ from astray.analysis.policies import Walk
 from astray.experiments.spec import SPREADS, Plan, Test, Work, open_agents
 from astray.experiments.videos import write_pair
 from astray.figures import charts
-from astray.report.claims import above, below, rounded
+from astray.report.claims import Claim, above, below, rounded
 from astray.report.findings import Findings, Plot, Scene, Table, Video
 from astray.report.learning import learning_curves
 from astray.training import checkpoint
@@ -83,21 +83,20 @@ def misgeneralized(work: Work, test: str, agent: str) -> np.ndarray:
 
 def findings(work: Work) -> Findings:
     """Return the usual findings of a plan whose tests are `tests_of` a shift."""
-    (train, trained), (test, tested) = work.plan.tests.items()
-    shift = load_shift(work.plan.game, tested.shift)
-    tables = [table for table in outcome_tables(work) if not table.frame.is_empty()]
+    train, test = work.plan.tests
+    shift = load_shift(work.plan.game, work.plan.tests[test].shift)
     reached, proxies = rate(work.episodes, train, INTENDED), " or ".join(shift.proxies)
     apart = work.episodes.filter("distinguishing", test=test)
     tried = work.episodes if apart.is_empty() else apart
     first = {name: rate(tried, test, name) for name in (INTENDED, MISGENERALIZED)}
-    unseen = unrendered(work.plan, trained, tested)
     other = (
         f", and {proxies} first in {first[MISGENERALIZED].short()}, where levels distinguish these"
     )
-    return Findings(
-        answer=f"In levels like those of its training the agent reaches {shift.intended} first in "
+    return findings_of(
+        work,
+        f"In levels like those of its training the agent reaches {shift.intended} first in "
         f"{reached.short()}; in the test in {first[INTENDED].short()}{other if proxies else ''}.",
-        claims=[
+        [
             above(
                 f"In levels like those of its training, the agent reaches {shift.intended} first.",
                 "no figure", INTENDED, reached, LEARNED,
@@ -116,11 +115,30 @@ def findings(work: Work) -> Findings:
                 rate(tried, test, MISGENERALIZED, minus=INTENDED),
             ),
         ],
+    )  # fmt: skip
+
+
+def findings_of(
+    work: Work, answer: str, claims: Sequence[Claim], plots: Sequence[Plot] = ()
+) -> Findings:
+    """Return findings with the usual tables, plots and videos, of the plan's first two tests."""
+    trained, tested, *_ = work.plan.tests.values()
+    tables = [table for table in outcome_tables(work) if not table.frame.is_empty()]
+    unseen = unrendered(work.plan, trained, tested)
+    return Findings(
+        answer=answer,
+        claims=claims,
         videos=[] if unseen else videos(work, trained=trained, tested=tested),
-        plots=outcome_plots(work, tables),
+        plots=[*outcome_plots(work, tables), *plots],
         tables=tables,
         settings=settings(work.plan) | ({"videos": f"none: {unseen}"} if unseen else {}),
-    )  # fmt: skip
+    )
+
+
+def played(work: Work, test: str, value: str | pl.Expr, policy: str = AGENTS) -> np.ndarray:
+    """Return a column or expression of a policy's episodes in a test, [agents, levels]."""
+    part = work.episodes.filter(test=test, policy=policy)
+    return matrix(part, pl.col(value) if isinstance(value, str) else value)
 
 
 def unrendered(plan: Plan, *tests: Test) -> str:

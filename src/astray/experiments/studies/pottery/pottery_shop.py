@@ -2,13 +2,11 @@
 
 from dataclasses import replace
 
-import polars as pl
-
 from astray.analysis.estimates import estimate_paired
-from astray.analysis.outcomes import INTENDED, MISGENERALIZED, matrix
+from astray.analysis.outcomes import INTENDED, MISGENERALIZED
 from astray.estimate import Estimate
 from astray.experiments import outcomes
-from astray.experiments.outcomes import AGENTS, rate
+from astray.experiments.outcomes import rate
 from astray.experiments.spec import Experiment, Work, plan_of
 from astray.report.claims import above, rounded
 from astray.report.findings import Findings
@@ -20,17 +18,16 @@ LEARNED = 0.8  # of unseen shops like those of the training
 def find(work: Work) -> Findings:
     """Compute the rates of outcomes, and where the shards end."""
     train, test = work.plan.tests
-    tables = outcomes.outcome_tables(work)
     reached = rate(work.episodes, train, INTENDED)
     to_corner, to_bin = (rate(work.episodes, test, o) for o in (MISGENERALIZED, INTENDED))
-    played = work.episodes.filter(policy=AGENTS, test=test)
-    ends = [matrix(played, pl.col(f"to the {place}")) for place in ("corner", "bin")]
-    return Findings(
-        answer=f"In unseen shops with the bin in the corner the robot fills it in "
+    ends = [outcomes.played(work, test, f"to the {place}") for place in ("corner", "bin")]
+    return outcomes.findings_of(
+        work,
+        f"In unseen shops with the bin in the corner the robot fills it in "
         f"{rounded(reached.mean)}. Where the bin is anywhere, its first shards go to the empty "
         f"corner in {rounded(to_corner.mean)}, and to the bin in {rounded(to_bin.mean)}; of an "
         f"episode's shards {ends[0].mean():.1f} to the corner and {ends[1].mean():.1f} to the bin.",
-        claims=[
+        [
             above(
                 "In unseen shops like those of its training, the robot brings shards to the bin.",
                 "learns it (no figure given)",
@@ -52,10 +49,7 @@ def find(work: Work) -> Findings:
                 told=Estimate.change,
             ),
         ],
-        videos=outcomes.videos(work, trained=work.plan.tests[train], tested=work.plan.tests[test]),
-        plots=[*outcomes.outcome_plots(work, tables), outcomes.curve_plot(work)],
-        tables=tables,
-        settings=outcomes.settings(work.plan),
+        [outcomes.curve_plot(work)],
     )
 
 

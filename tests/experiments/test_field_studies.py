@@ -1,0 +1,52 @@
+"""The studies of the field's worlds claim what the register says, of tables made up here."""
+
+import numpy as np
+import polars as pl
+import pytest
+
+from astray.analysis.outcomes import outcomes_of
+from astray.experiments import catalogue, outcomes, register
+from astray.experiments.outcomes import AGENTS
+from astray.experiments.spec import Work
+from astray.report.claims import corrected
+
+NAMES = [name for name, module in catalogue.MODULES.items() if ".field." in module]
+
+
+def episodes(plan, intended):
+    """Thirty episodes of five agents and of random moves in each test of a plan, at random.
+
+    All agents reach the intended goal in training, or none does.
+    """
+    random, game = np.random.default_rng(0), plan.game
+    train, rows = next(iter(plan.tests)), []
+    for test in plan.tests:
+        for policy, seed in (*((AGENTS, seed) for seed in range(5)), ("random", None)):
+            for level in range(30):
+                row = {"test": test, "policy": policy, "seed": seed, "level": level, "run": policy}
+                row |= {event: random.choice([None, 3]) for event in game.events}
+                row |= {name: float(random.integers(2)) for name in game.measures}
+                first, *others = outcomes_of(game)
+                reached = first if intended else others[0]
+                outcome = reached if test == train else random.choice(others)
+                rows.append(row | {"outcome": outcome, "return": 1.0, "distinguishing": True})
+    return pl.DataFrame(rows, infer_schema_length=None)
+
+
+def claims_of(name, tmp_path, monkeypatch, intended=True):
+    whole = catalogue.load(name)
+    plan = whole.sizes["smoke"]
+    monkeypatch.setattr(outcomes, "findings_of", lambda work, answer, claims, *plots: claims)
+    return whole.find(Work(name, "smoke", plan, tmp_path, "", {}, episodes(plan, intended)))
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_claims_about_a_world_of_the_field_are_registered(name, tmp_path, monkeypatch):
+    claims = claims_of(name, tmp_path, monkeypatch)
+    assert claims and not register.unstated(name, corrected(claims))
+
+
+@pytest.mark.parametrize("name", ["lava-land", "lava-bridge", "follow-the-leader"])
+def test_a_claim_to_have_learned_needs_that_the_goal_is_reached(name, tmp_path, monkeypatch):
+    for intended in (True, False):
+        assert claims_of(name, tmp_path, monkeypatch, intended)[0].supported == intended
