@@ -243,7 +243,7 @@ WORDS = {  # of each verb, so that nothing but the number is wrong
     "explain": ["maze-corner"], "export": ["maze-corner"],
     "lab": ["maze-corner", "--no-browser"],
     "sweep": ["maze", "corner-small", "--set", "gamma=0.9,0.99"],
-    "distil": ["maze-corner"],
+    "distil": ["maze-corner"], "audit": ["maze-corner"], "compare": ["maze-corner", "random"],
     "play": ["maze", "corner-small"], "replay": ["maze", "corner-small", "--actions", __file__],
 }  # fmt: skip
 NUMBERS = [

@@ -104,7 +104,7 @@ def missing(need: str, extra: str) -> ImportError:
 
 
 def needed_by(thing: str, error: ModuleNotFoundError) -> ImportError:
-    """Return the error for a missing library that a plain `pip install astray` does not install."""
+    """Return the error for a missing library that an installation without extras does not have."""
     library = f"{error.name}".partition(".")[0]
     if library == "astray":
         return error

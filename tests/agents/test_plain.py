@@ -100,8 +100,8 @@ HOSTILE = {
     "an array of text": (described(dtype=np.dtype("U4")), "only arrays of numbers"),
     "a class of its own": (described(subclass=dict), "asks for builtins|array of the class"),
     "a larger array than the file": (described(shape=(2**50,)), "beyond the end of the file"),
-    "a negative array": (described(shape=(-1,)), r"shape is \(-1,\)"),
-    "a shape of text": (described(shape="ab"), "shape is 'ab'"),
+    "a negative array": (described(shape=(-1,)), r"shape must be a tuple of integers; got \(-1,\)"),
+    "a shape of text": (described(shape="ab"), "shape must be a tuple of integers; got 'ab'"),
     "an entry in a list": (b"\x80\x03]K\x01K\x02s.", "a list where a dict belongs"),
     "more in a number": (b"\x80\x03K\x05K\x01a.", "a int where a list belongs"),
     "a key of a list": (b"\x80\x03}]K\x01s.", "a list is a key of a dict"),
@@ -118,7 +118,7 @@ HOSTILE = {
     "a name of shared tuples": (b"\x80\x04" + 2 * SHARED + b"\x93.", "a tuple where a str belongs"),
     "numbers of shared tuples": (
         b"\x80\x03cnumpy\ndtype\n" + SHARED + b"\x85R.", r"a type of numbers is \(\("),
-    "a shape of shared tuples": (described(shape=shared()), r"shape is \(\("),
+    "a shape of shared tuples": (described(shape=shared()), r"a tuple of integers; got \(\("),
     "a class of shared tuples": (described(subclass=shared()), r"array of the class \(\("),
     "an integer of a million digits": (
         b"\x80\x03\x8b" + struct.pack("<i", 500_000) + b"\x7f" * 500_000 + b".",

@@ -60,8 +60,10 @@ def make_lab(agent: str | Path | Policy | None, start: Mapping[str, Any]) -> Lab
     if "level" not in first:
         shift = game.shifts.get(agents.about(name)["shift"]) if name else None
         if shift and first["variant"] == shift.test:
-            test, player = game.variant(shift.test), agents.player(name)
-            first["level"] = first_distinguishing(game, test, shift, agent=player)
+            test = game.variant(shift.test).with_knobs(
+                agents.about(name)["knobs"].get(shift.test, {})
+            )
+            first["level"] = first_distinguishing(game, test, shift, agent=agents.player(name))
         else:
             first["level"] = 0
     return Lab(agents, first | {"game": game.name})
