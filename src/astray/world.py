@@ -373,7 +373,13 @@ class Witness(gymnasium.Wrapper):
         told = self._happens(info) or terminated or truncated or self.time == self.longest
         if told or self.world.every_step:
             info = {**info, NOTED: self._told()}
-        return seen, float(reward), terminated, truncated, info
+        try:
+            finite("the reward", paid := float(reward))
+        except (TypeError, ValueError) as error:
+            raise ValueError(
+                f"{self._where()}: its reward must be a finite number; got {shown(reward)}"
+            ) from error
+        return seen, paid, terminated, truncated, info
 
     def leads(self, goal: str) -> Any:
         """Return the action of the expert for a goal."""

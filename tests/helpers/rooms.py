@@ -42,7 +42,8 @@ class Room(gymnasium.Env):
         self.steps += 1
         there = self.x == self.square
         info = {"square": there}
-        return self._seen(), float(there), there, self.time >= LIMIT, info
+        reward = {"nan": np.nan, "text": "much"}.get(self.trouble, float(there))
+        return self._seen(), reward, there, self.time >= LIMIT, info
 
     def render(self):
         """Cells of two pixels; the agent is red, the square green."""

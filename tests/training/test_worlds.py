@@ -153,6 +153,9 @@ def troubled(make):
         ({"game": troubled(continuous)}, "actions must be Discrete or MultiDiscrete; got Box"),
         ({"game": troubled(partial(Room, trouble="draws"))}, "is another one when it is played"),
         ({"game": troubled(partial(Room, trouble="raises"))}, "its step fails: KeyError"),
+        ({"game": troubled(partial(Room, trouble="nan"))},
+         "level 0, step 1: its reward must be a finite number; got nan"),
+        ({"game": troubled(partial(Room, trouble="text"))}, "a finite number; got 'much'"),
         ({"game": replace(WORLD, name="maze")}, "and no game's; got 'maze'"),
         ({"game": "helpers.rooms:CELLS"}, "a world must be a World; got 9"),
     ],
@@ -160,6 +163,18 @@ def troubled(make):
 def test_what_a_world_cannot_have_is_refused_in_a_sentence(settings, said):
     with pytest.raises(ValueError, match=said):
         next(iterate(replace(SMALL, **{"validation": None, **settings})))
+
+
+@pytest.mark.waits
+@pytest.mark.parametrize(
+    "trouble, said",
+    [("dies", "the process of an environment"), ("hangs", "did not answer for 2 s")],
+)
+def test_a_process_that_dies_or_hangs_ends_a_training_with_a_sentence(trouble, said):
+    room = troubled(partial(Room, trouble=trouble))
+    world = replace(room, workers=True, patience=2.0, repeats=False)
+    with pytest.raises(RuntimeError, match=said):
+        next(iterate(replace(SMALL, game=world, validation=None)))
 
 
 def test_where_levels_do_not_repeat_a_resumed_training_begins_episodes_anew(tmp_path):

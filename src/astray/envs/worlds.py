@@ -109,6 +109,8 @@ class WorldVectorEnv:
 
     def close(self) -> None:
         """End all environments, and note in the world which keys of info occurred."""
+        if self._envs.closed:  # as a process died or hung
+            return
         with self._watched():
             for keys in self._envs.get_attr("reported"):
                 self.game.reported.update(keys)
