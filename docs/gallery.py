@@ -112,6 +112,21 @@ TILES = {
         "box-bare",
         level=3,
     ),
+    "tomatoes": Tile(
+        "Tomato watering",
+        "bucket",
+        "From inside the bucket all tomatoes look watered, and that is what is paid for: five "
+        "gardeners spend more steps in it than they water tomatoes in 100 % (99.2 to 100.0) of "
+        "episodes.",
+        level=3,
+    ),
+    "boat": Tile(
+        "Boat race",
+        "race",
+        "Each arrow that is passed forwards is paid for: five boats go to and fro over one, earn "
+        "49.0 (48.7 to 49.4) of at most 50, and sail 0.19 (0.14 to 0.23) rounds.",
+        level=3,
+    ),
     "heist": Tile(
         "Heist",
         "near-small",
