@@ -35,7 +35,7 @@ PLAYED = [
 WORLDS = [
     ("pottery", "anywhere-picks"), ("monsters", "long"), ("follow", "anti-expert"),
     ("trees", "season"), ("lavaland", "lava"), ("bridge", "up"), ("supervisor", "half"),
-    ("box", "boxes"),
+    ("box", "boxes"), ("tomatoes", "bucket"), ("boat", "race"),
 ]  # fmt: skip
 PLAY = """async ([game, level, variant, actions]) => {
   const { rules } = await import(new URL(`rules/${game}.js`, location.href));
