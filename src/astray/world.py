@@ -11,19 +11,16 @@ from typing import Any, ClassVar, NamedTuple, cast
 
 import gymnasium
 import numpy as np
-from gymnasium.utils.env_checker import data_equivalence
 
 from astray import games, imports
 from astray.game import OWN, Game, Missing, More, Never, Outcome, Shift, Truncated
-from astray.record import NEVER, record_dtype
-from astray.validation import MOST, bounded, brief, finite, of_kind, one_of, shown
+from astray.record import record_dtype
+from astray.validation import brief, finite, of_kind, one_of, shown
 
 Env = gymnasium.Env
 Happened = str | Callable[[Any, Mapping[str, Any]], Any]
 GROUP = "astray.worlds"  # of entry points
-NOTED = "astray"  # key of info that reports events and measures
 SEEN = "observation"  # field of states that holds what an environment showed in them
-BOOLEANS = (bool, np.bool_)
 NOT_OURS = {f.name for f in fields(Game)}  # names of a game, some of which a world has
 
 
@@ -323,159 +320,3 @@ def find(game: str | Game | World) -> Game:
                 of_kind(point.value, found := imports.find(point.value), World)
                 return cast("Game", found)
     return cast("Game", game) if isinstance(game, World) else games.find(game)
-
-
-class Witness(gymnasium.Wrapper):
-    """Wrapper that records at which step each event first happened.
-
-    It runs in the environment's process. A key of info reports the record when an event happens
-    and when the episode ends. Errors in the environment and in the world's functions name the
-    level and the step.
-
-    Args:
-        longest: Steps after which an episode is truncated for the evaluation.
-    """
-
-    def __init__(self, env: Env, world: World, variant: WorldVariant, longest: int | None):
-        super().__init__(env)
-        self.world, self.variant, self.longest = world, variant, longest
-        self.level, self.time = NEVER, 0
-        self.reported: set[str] = set()
-        self._inner, self._shape = env.unwrapped, env.observation_space.shape
-        self._waiting: dict[str, Happened] = {}  # events that have not happened
-
-    def reset(self, *, seed: int | None = None, options: dict | None = None) -> tuple[Any, dict]:
-        """Begin the level whose number is `seed`; raise ValueError if the world's code fails."""
-        self.level, self.time = NEVER if seed is None else seed, 0
-        self.first = dict.fromkeys(self.world.events, NEVER)
-        self._waiting = dict(self.world.events)
-        try:
-            seen, info = self.env.reset(seed=seed, options=options)
-        except Exception as error:
-            raise self._failed("reset", error) from error
-        self._check_shape(seen)
-        key = self.world.level_key
-        if key is not None and key not in info:
-            raise ValueError(f"{self._where()}: its info has no {key!r}, the number of the level")
-        if key is not None:
-            self.level = int(info[key])
-        self._happens(info)
-        return seen, {**info, NOTED: self._told()}
-
-    def step(self, action: Any) -> tuple[Any, float, bool, bool, dict]:
-        """Take a step and record its events, with the errors of `reset`: ValueError."""
-        self.time += 1
-        try:
-            seen, reward, terminated, truncated, info = self.env.step(action)
-        except Exception as error:
-            raise self._failed("step", error) from error
-        self._check_shape(seen)
-        told = self._happens(info) or terminated or truncated or self.time == self.longest
-        if told or self.world.every_step:
-            info = {**info, NOTED: self._told()}
-        try:
-            finite("the reward", paid := float(reward))
-        except (TypeError, ValueError) as error:
-            raise ValueError(
-                f"{self._where()}: its reward must be a finite number; got {shown(reward)}"
-            ) from error
-        return seen, paid, terminated, truncated, info
-
-    def leads(self, goal: str) -> Any:
-        """Return the action of the expert for a goal."""
-        try:
-            return self.world.experts[goal](self._inner)
-        except Exception as error:
-            raise self._failed(f"expert of {goal!r}", error) from error
-
-    def _happens(self, info: Mapping[str, Any]) -> bool:
-        """Record the events of this step; return whether there were any."""
-        if info:
-            self.reported.update(info)
-        new = []
-        for name, happened in self._waiting.items():
-            if isinstance(happened, str):
-                is_now = info.get(happened, False)
-            else:
-                try:
-                    is_now = happened(self._inner, info)
-                except Exception as error:
-                    raise self._failed(f"event {name!r}", error) from error
-            # Others may be NaN, which is truthy, or text; that check takes 3 us.
-            if type(is_now) not in BOOLEANS and (np.ndim(is_now) or is_now not in (0, 1)):
-                raise ValueError(
-                    f"{self._where()}: its event {name!r} must be True or False; got "
-                    f"{shown(is_now)}"
-                )
-            if is_now:
-                new.append(name)
-        for name in new:
-            self.first[name] = self.time
-            del self._waiting[name]
-        return bool(new)
-
-    def _told(self) -> np.ndarray:
-        """Return the record so far: the step of each event, and the measures."""
-        told: list[float] = [*self.first.values()]
-        for name, measure in self.world.measures.items():
-            try:
-                told.append(float(measure(self._inner)))
-            except Exception as error:
-                raise self._failed(f"measure {name!r}", error) from error
-        return np.array(told, np.float64)
-
-    def _check_shape(self, seen: Any) -> None:
-        shape = seen.shape if isinstance(seen, np.ndarray) else np.shape(seen)
-        if self._shape is not None and shape != self._shape:
-            raise ValueError(
-                f"{self._where()}: the observation is of shape {shape}, where the space "
-                f"says {self._shape}"
-            )
-
-    def _failed(self, doing: str, error: Exception) -> ValueError:
-        return ValueError(f"{self._where()}: its {doing} fails: {error!r:.300}")
-
-    def _where(self) -> str:
-        return f"{self.variant}, level {self.level}, step {self.time}"
-
-
-def witnessed(
-    world: World, variant: WorldVariant, longest: int | None = None, stream: int = 0
-) -> Witness:
-    """Return a new environment of a variant that records events."""
-    if world.level_key is not None:
-        variant = variant.with_knobs({"stream": stream})
-    return Witness(variant.make(), world, variant, longest)
-
-
-def check_repeats(world: World, variant: WorldVariant, level: int, steps: int = 50) -> None:
-    """Check that a level is the same when it is played twice with the same actions.
-
-    Otherwise results cannot be repeated, and nothing can be compared in the same levels.
-
-    Raises:
-        ValueError: If the two episodes differ: the environment has randomness besides its seed.
-    """
-    bounded("steps", steps, 1, MOST)
-    first, again = (_played(world, variant, level, steps) for _ in range(2))
-    for time, (one, other) in enumerate(zip(first, again, strict=False)):
-        if not data_equivalence(one, other, exact=True):
-            raise ValueError(
-                f"{variant}, level {level} is another one when it is played again with the same "
-                f"actions: step {time} differs. Let all that is drawn come from the seed of the "
-                "reset, or say World(repeats=False): results will then differ from run to run"
-            )
-
-
-def _played(world: World, variant: WorldVariant, level: int, steps: int) -> list[Any]:
-    env = witnessed(world, variant)
-    env.action_space.seed(level)
-    told: list[Any] = [env.reset(seed=level)[0]]
-    for _ in range(steps):
-        seen, reward, terminated, truncated, info = env.step(env.action_space.sample())
-        noted = info[NOTED].tobytes() if NOTED in info else b""  # as bytes, equal NaNs are equal
-        told.append((seen, reward, terminated, truncated, noted))
-        if terminated or truncated:
-            break
-    env.close()
-    return told

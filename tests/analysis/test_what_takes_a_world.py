@@ -1,4 +1,4 @@
-"""What takes a World and what refuses one, as the table in docs/worlds.md says."""
+"""A World is taken and refused as the table in docs/worlds.md says."""
 
 from dataclasses import replace
 from pathlib import Path

@@ -1,5 +1,7 @@
 """The studies of the field's worlds claim what the register says, of tables made up here."""
 
+from typing import Any
+
 import numpy as np
 import polars as pl
 import pytest
@@ -37,7 +39,8 @@ def claims_of(name, tmp_path, monkeypatch, intended=True):
     whole = catalogue.load(name)
     plan = whole.sizes["smoke"]
     monkeypatch.setattr(outcomes, "findings_of", lambda work, answer, claims, *plots: claims)
-    return whole.find(Work(name, "smoke", plan, tmp_path, "", {}, episodes(plan, intended)))
+    found: Any = whole.find(Work(name, "smoke", plan, tmp_path, "", {}, episodes(plan, intended)))
+    return found
 
 
 @pytest.mark.parametrize("name", NAMES)

@@ -59,7 +59,7 @@ def opened(browser, address, ready="lab.fields.size > 0", **options):
 
 
 def violations(page):
-    """What axe-core objects to on a page whose policy is bypassed, or a skip without axe-core."""
+    """Return axe-core's violations on a page whose policy is bypassed; skip without axe-core."""
     axe = pytest.importorskip("axe_playwright_python", reason="axe-core is not installed")
     page.evaluate((Path(axe.__path__[0]) / "axe.min.js").read_text())
     page.evaluate("document.querySelectorAll('details').forEach((one) => { one.open = true; })")

@@ -25,7 +25,8 @@ from astray.analysis.estimates import Estimate, estimate_mean
 from astray.analysis.outcomes import load_shift
 from astray.game import Game, Shift, Variant
 from astray.validation import one_of
-from astray.world import Layout, World, WorldVariant, witnessed
+from astray.witness import witnessed
+from astray.world import Layout, World, WorldVariant
 
 DEVICE = "device"
 PLACE = ("agent_x", "agent_y")  # measures of a world's episodes: the cell of the agent

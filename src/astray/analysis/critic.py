@@ -160,7 +160,7 @@ def policy_and_value(
         episode: Whether these are one episode's from its first step on, which an agent with memory
             remembers.
     """
-    in_order = {"episode": True} if episode and getattr(agent, "caveat", "") else {}
+    in_order = {"episode": True} if episode and agent.caveat else {}
     logits, values = agent.outputs(observations, **in_order)
     return logits.double().softmax(-1).numpy(force=True), values.double().numpy(force=True)
 

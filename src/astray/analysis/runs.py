@@ -32,7 +32,8 @@ from astray.training import folders
 from astray.training.config import Config
 from astray.training.folders import AgentFolder
 from astray.validation import of_kind, shown
-from astray.world import World, WorldVariant, check_repeats
+from astray.witness import check_repeats
+from astray.world import World, WorldVariant
 
 LEVELS_PLAYED = 1000  # default number of levels
 NAMED = 3  # agents of a pooled row that are named one by one

@@ -11,7 +11,7 @@ import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, Literal, TypeVar
+from typing import Any, ClassVar, Literal, TypeVar
 
 import numpy as np
 import torch
@@ -233,6 +233,7 @@ class Network:
     seed: int = 0
     observation: Observation = "image"
     art: str = OWN
+    caveat: ClassVar[str] = ""  # see `Agent.caveat`
 
     def __post_init__(self) -> None:
         of_kind("network", self.network, torch.nn.Module)
@@ -326,6 +327,7 @@ class Opaque:
     game: str
     mode: Literal["sampled", "greedy"] = "sampled"
     seed: int = 0
+    caveat: ClassVar[str] = ""
 
     @property
     def name(self) -> str:

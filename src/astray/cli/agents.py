@@ -140,7 +140,7 @@ def evaluate(
         check_writable(out)
     how: dict[str, Any] = {"batch": batch, "solvable": not unsolvable, "longest": longest}
     if policy.policy is None:
-        policy.check_unused()
+        policy.without_policy()
         if not agents:
             raise ValueError(NOBODY)
         rules = tested.acting.open(agents[0])[1].find_game()

@@ -115,8 +115,8 @@ class OwnPolicy:
         Literal["image", "symbolic"] | None, otherwise("those of the agent; image for a policy")
     ] = None
 
-    def check_unused(self) -> None:
-        """Register the world, by whose name a run is read.
+    def without_policy(self) -> None:
+        """Register the world that the agent was trained on, so that its run can be opened.
 
         Raises:
             ValueError: If another option of custom policies is given without a policy.
@@ -161,7 +161,7 @@ class OwnPolicy:
                     f"--policy needs {needs or 'a variant'}, and --game or --world, and no agent"
                 )
             return self.make(acting), world.find(self.rules()), None
-        self.check_unused()
+        self.without_policy()
         if agent is None:
             raise ValueError(NOBODY)
         player, config = acting.open(agent)

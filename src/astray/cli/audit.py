@@ -39,7 +39,7 @@ def audit(
     command = shlex.join(["astray", *sys.argv[1:]])
     how = {"ghost": ghost, "levels": levels, "folder": folder, "command": command}
     if policy.policy is None:
-        policy.check_unused()
+        policy.without_policy()
         if agent is None:
             raise ValueError(NOBODY)
         print(write(agent, shift=shift, **how))

@@ -12,7 +12,8 @@ from gymnasium.vector.utils import batch_space, iterate
 
 from astray.envs.worlds import WorldVectorEnv
 from astray.validation import shown
-from astray.world import World, WorldVariant, check_repeats
+from astray.witness import check_repeats
+from astray.world import World, WorldVariant
 
 MOST_ACTIONS = 4096  # combinations of a MultiDiscrete space
 

@@ -14,7 +14,8 @@ from gymnasium.vector import AsyncVectorEnv, AutoresetMode, SyncVectorEnv
 
 from astray.game import OWN
 from astray.validation import MOST, bounded, shown
-from astray.world import NOTED, World, WorldVariant, witnessed
+from astray.witness import NOTED, witnessed
+from astray.world import World, WorldVariant
 
 
 class WorldVectorEnv:

@@ -117,7 +117,7 @@ def explain(asked: Asked, folder: Path, heading: str, progress: bool = False) ->
     last = Section("How to go on", [about, Code(asked.level)])
     write_page(
         folder / PAGE, heading, [*parts, last], figures=folder, sign=WRITER, lab=asked.lab,
-        answer=f"{_verdict(asked)} {getattr(asked.agent, 'caveat', '')}".strip(),
+        answer=f"{_verdict(asked)} {asked.agent.caveat}".strip(),
     )  # fmt: skip
     return folder / PAGE
 

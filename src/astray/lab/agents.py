@@ -132,7 +132,7 @@ class Agents:
             "knobs": _knobs(config, game), "steps": config.steps,
             "gamma": config.gamma, "lam": config.lam, "seed": agent.seed,
             "reward_deviation": AgentFolder.of(agent.path).deviation(),
-            "caveat": getattr(agent, "caveat", ""),
+            "caveat": agent.caveat,
             "layers": _layers(agent),
         }  # fmt: skip
 

@@ -194,7 +194,7 @@ def _told(episode: Episode, first: int, agent: Any) -> Reply:
     }
     if agent is not None:
         # One with memory remembers what it saw before these states, too.
-        asked = episode.states if getattr(agent, "caveat", "") else states
+        asked = episode.states if agent.caveat else states
         policy, value = ask(agent, episode.world.variant, np.concatenate(asked), episode=True)
         told |= {"policy": rounded(policy[-len(states) :]), "value": rounded(value[-len(states) :])}
     return told

@@ -135,7 +135,7 @@ class Translation:
 
 
 class _Function:
-    """One function; `_of` has a method for each kind of syntax that kernels use."""
+    """Translation of one function; `of` and `_statement` have a case for each kind of syntax."""
 
     def __init__(self, made: Translation, function: Any):
         self.made, self.function = made, function

@@ -10,13 +10,13 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from astray.acting import Answer, Reward, Step, Turn, paid
+from astray.acting import Answer, Reward, Turn, paid
 from astray.envs import restarting
 from astray.envs.restarting import Restarting
-from astray.envs.vector import GameVectorEnv
 from astray.game import Variant
 from astray.training import parallel, ppo
 from astray.training.config import Config
+from astray.training.environments import environments, whole_step
 from astray.training.levels import Plan, Played, Sampler
 from astray.training.ppo import RewardNormaliser, Samples, Sequences
 from astray.validation import finite, of_kind, shown
@@ -69,8 +69,7 @@ class Player:
             raise ValueError(f"{n} environments are not divided into {groups} groups")
         self.groups = [slice(k * n // groups, (k + 1) * n // groups) for k in range(groups)]
         self.envs: list[Any] = [
-            _environments(config, variant, group.stop - group.start, levels)
-            for group in self.groups
+            environments(config, variant, group.stop - group.start, levels) for group in self.groups
         ]
         self.game, self.space = self.envs[0].game, self.envs[0].single_observation_space
         self.num_envs, self.actions = config.num_envs, int(self.envs[0].single_action_space.n)
@@ -115,7 +114,7 @@ class Player:
         _, reward, terminated, truncated, info = env.step(answer.actions, shown_here)
         self.begins[where] = ended = terminated | truncated
         if self._own_reward and before:
-            step = _whole(env, before, answer, shown_here, reward, terminated, ended, info)
+            step = whole_step(env, before, answer, shown_here, reward, terminated, ended, info)
             reward = paid(self._own_reward, step)
         if self.sampler is not None and not self._repeats and ended.any():
             self._begin(self.sampler, group, ended)
@@ -277,52 +276,6 @@ class Player:
         if self.sampler is not None:
             names = [name for name in tensors if name.startswith(LEVELS)]
             self.sampler.restore({n.removeprefix(LEVELS): tensors[n].numpy() for n in names})
-
-
-def _whole(
-    env: Any,
-    before: tuple[np.ndarray, np.ndarray],
-    answer: Answer,
-    shown_here: np.ndarray,
-    reward: np.ndarray,
-    terminated: np.ndarray,
-    ended: np.ndarray,
-    info: dict[str, Any],
-) -> Step:
-    """Return a step as evaluation has it, with the ends of episodes that begin anew."""
-    after, seen = env.get_state(), shown_here
-    if ended.any():
-        seen = shown_here.copy()
-        after[ended], seen[ended] = env.final_states[ended], np.stack(info["final_obs"][ended])
-    states, observations = before
-    return Step(
-        states["level"],
-        states,
-        observations,
-        answer.actions,
-        reward,
-        after.view(np.recarray),
-        seen,
-        terminated,
-        ended,
-        answer.extra,
-    )
-
-
-def _environments(config: Config, variant: Any, n: int, levels: range) -> Any:
-    if isinstance(variant, WorldVariant):
-        game: Any = config.find_game()
-        return Restarting(game, variant, n, levels, config.observation)
-    return GameVectorEnv(
-        config.game,
-        variant,
-        n,
-        observation=config.observation,
-        art=config.art,
-        levels=levels,
-        autoreset_mode="SameStep",
-        threads=config.threads,
-    )
 
 
 class Rollout:

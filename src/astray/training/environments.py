@@ -1,0 +1,71 @@
+"""The environments that a training plays in, of a game or a `World`."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from astray.acting import Answer, Step
+from astray.envs.restarting import Restarting
+from astray.envs.vector import GameVectorEnv
+from astray.training.config import Config
+from astray.world import WorldVariant
+
+
+def environments(config: Config, variant: Any, n: int, levels: range) -> Any:
+    """Return `n` environments of a variant, of a game or a `World`, that draw from `levels`."""
+    if isinstance(variant, WorldVariant):
+        game: Any = config.find_game()
+        return Restarting(game, variant, n, levels, config.observation)
+    return GameVectorEnv(
+        config.game,
+        variant,
+        n,
+        observation=config.observation,
+        art=config.art,
+        levels=levels,
+        autoreset_mode="SameStep",
+        threads=config.threads,
+    )
+
+
+def whole_step(
+    env: Any,
+    before: tuple[np.ndarray, np.ndarray],
+    answer: Answer,
+    shown_here: np.ndarray,
+    reward: np.ndarray,
+    terminated: np.ndarray,
+    ended: np.ndarray,
+    info: dict[str, Any],
+) -> Step:
+    """Return a step as evaluation has it, with the ends of episodes that begin anew.
+
+    Args:
+        env: Environments after the step.
+        before: States [n] and observations [n, ...] before it.
+        answer: What the actor chose.
+        shown_here: Observations [n, ...] after it.
+        reward: [n], as `env` returned them.
+        terminated: [n] bool.
+        ended: [n] bool, terminated or truncated.
+        info: As `env` returned it, with the last observations of ended episodes.
+    """
+    after, seen = env.get_state(), shown_here
+    if ended.any():
+        seen = shown_here.copy()
+        after[ended], seen[ended] = env.final_states[ended], np.stack(info["final_obs"][ended])
+    states, observations = before
+    return Step(
+        states["level"],
+        states,
+        observations,
+        answer.actions,
+        reward,
+        after.view(np.recarray),
+        seen,
+        terminated,
+        ended,
+        answer.extra,
+    )
