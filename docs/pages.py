@@ -111,8 +111,9 @@ def pages() -> dict[str, str]:
 
 
 def with_lab(text: str) -> str:
-    """Return a page with the lab and the gallery below its heading and its first sentence."""
+    """Return a page with the lab below its first sentence, and the gallery after what to try."""
     heading, about, rest = text.split("\n\n", 2)
+    first, later = rest.split("\n## Your own\n", 1)
     return "\n".join([
         heading, "", about, "",
         f'<iframe class="lab" src="lab/index.html?embedded#{FIRST}" '
@@ -120,10 +121,11 @@ def with_lab(text: str) -> str:
         "", "*A mouse that was trained with its cheese in the upper right corner, live in your "
         "browser. Drag the cheese: the arrows are what the mouse would do. "
         "[More of the lab](lab.md).*",
+        "", first,
         "", "## Every world, live", "",
         "Drag things, hand over to the agent, or play with the arrow keys. "
         "Nothing runs but your browser.", "",
-        all_worlds(), "", rest,
+        all_worlds(), "", "## Your own", later,
     ])  # fmt: skip
 
 
