@@ -175,10 +175,13 @@ def test_an_evaluation_that_finds_no_room_leaves_nothing(run_folder, tmp_path):
         ("level maze corner --set world=5 --set world=7", "knob 'world' is set twice: to '5' and"),
         ("level maze corner --set squid=5", "unknown knob 'squid'; there are: time_limit"),
         ("level maze corner --set region=5.5", "region must be of type int; got 5.5"),
-        ("reproduce maze-cornr", "unknown experiment 'maze-cornr'; there are: agency, "),
+        (
+            "reproduce maze-cornr",
+            "unknown experiment 'maze-cornr'; there are: absent-supervisor, agency, ",
+        ),
         (
             "reproduce maze-corner maze-cornr",
-            "unknown experiment 'maze-cornr'; there are: agency, ",
+            "unknown experiment 'maze-cornr'; there are: absent-supervisor, agency, ",
         ),
         (
             "evaluate nowhere",
