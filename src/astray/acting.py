@@ -7,6 +7,8 @@ for step in steps(policy, "maze", "anywhere", range(1000)):
 from __future__ import annotations
 
 import itertools
+import logging
+import time
 from collections.abc import Callable, Iterator, Mapping, Sequence, Sized
 from dataclasses import dataclass
 from typing import Any, NamedTuple, Protocol, TypeVar
@@ -25,7 +27,9 @@ from astray.game import Game, Variant
 from astray.validation import MOST, bounded, of_kind, one_of, shown
 from astray.world import World, WorldVariant
 
+EVERY = 5.0  # seconds between reports of the levels played
 LASTING = 1_000_000  # steps; longer episodes count as endless
+LOG = logging.getLogger(__name__)  # reports progress at level INFO
 POLICY = ("name", "observation", "art", "actions")  # required attributes of a policy
 
 
@@ -337,7 +341,8 @@ def steps(
 ) -> Iterator[Step]:
     """Play each of `levels` once, `batch` at a time; yield after every step of all of them.
 
-    An episode does not depend on `batch` or on the other levels.
+    An episode does not depend on `batch` or on the other levels. The number of levels played is
+    logged every few seconds.
 
     Args:
         levels: Level numbers, or drawn levels by name, which are numbered from 0.
@@ -359,7 +364,13 @@ def steps(
     n = min(batch, len(levels))
     env = _environments(game, variant, n, policy.observation, policy.art, longest)
     stage = LevelByLevel(env, levels, until, longest)
-    yield from play(Asking(policy), stage)
+    played, told = 0, time.monotonic()
+    for step in play(Asking(policy), stage):
+        played += int(step.ended.sum())
+        if time.monotonic() - told > EVERY:
+            told = time.monotonic()
+            LOG.info("%d of %d levels played", played, len(levels))
+        yield step
     stage.close()
 
 

@@ -179,7 +179,7 @@ def sweep_words(folder: Path) -> tuple[object, ...]:
         *tiny,
         "--set",
         "width=8,16",
-        "--test-levels",
+        "--num-test-levels",
         "4",
         "--workers",
         "1",

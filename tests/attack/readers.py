@@ -165,7 +165,7 @@ def _swept(file: str) -> Callable[[Place], tuple[Path, Use]]:
 
 def _in_lab(place: Place) -> tuple[Path, Use]:
     words = ("lab", "maze-corner", "--level-file", "maze.txt", "--export", "page",
-             "--levels", "1")  # fmt: skip
+             "--num-levels", "1")  # fmt: skip
     return place.copy("maze.txt"), lambda place: place.astray(*words)
 
 

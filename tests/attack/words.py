@@ -20,7 +20,7 @@ def words_of(verb: str, place: Place) -> list[Any]:
     maze, agent = ["maze", "corner-small"], ["maze-corner"]
     return {
         "list": [], "play": [*maze, "--level", "0"],
-        "lab": ["maze-corner", "--no-browser", "--export", "page", "--levels", "1"],
+        "lab": ["maze-corner", "--no-browser", "--export", "page", "--num-levels", "1"],
         "train": [*TINY, "--folder", "trained"],
         "distil": ["run", "--observation", "symbolic", "--steps", "16384", "--folder", "students"],
         "evaluate": ["run", *PLAY], "reproduce": ["experiment.py", "--workers", "1"],

@@ -10,7 +10,7 @@ import numpy as np
 import polars as pl
 import pytest
 
-from astray import cli, games
+from astray import acting, cli, games
 
 TINY = ["--steps", "512", "--num-envs", "16", "--num-steps", "16", "--minibatches", "4"]
 TINY += ["--width", "16", "--checkpoint-every", "1"]
@@ -166,7 +166,7 @@ def test_an_evaluation_that_finds_no_room_leaves_nothing(run_folder, tmp_path):
             "fraction is for the sampler mixed or growing; got 'uniform'",
         ),
         ("train maze corner --replay 0.5", "replay is for the sampler plr or accel; got 'uniform'"),
-        ("lab --levels 5", "--levels says how many are exported: it needs --export FOLDER"),
+        ("lab --num-levels 5", "--num-levels says how many are exported: it needs --export FOLDER"),
         (
             "evaluate --policy builtins:len --game maze --shift corner --mode greedy",
             "a policy of your own chooses by itself; it has no mode 'greedy'",
@@ -251,6 +251,15 @@ def test_time_goes_on_without_keys_where_things_move(game, variant, steps, monke
     monkeypatch.setattr(pygame.display, "flip", flip)
     play.play(games.find(game), games.find(game).variants[variant], level=3)
     assert told[:3] == [0, 0, 1] and told[5] == steps
+
+
+def test_levels_played_are_counted_on_standard_error(monkeypatch, capsys):
+    monkeypatch.setattr(acting, "EVERY", 0)
+    words = ["astray", "evaluate", "maze-corner", "--levels", "0:3", "--batch", "1", "--json"]
+    monkeypatch.setattr(sys, "argv", words)
+    cli.main()
+    told = capsys.readouterr()
+    assert json.loads(told.out) and "2 of 3 levels played\n" in told.err
 
 
 @pytest.mark.parametrize("words", ["--preset paper", "--preset=paper"])

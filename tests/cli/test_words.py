@@ -8,7 +8,7 @@ import shlex
 import pytest
 import tyro
 
-from astray.cli import guess, verbs
+from astray.cli import guess, settings, verbs
 from astray.cli.arguments import pairs
 from astray.experiments.sweep.settings import axes, changed
 from astray.training.config import PRESETS
@@ -51,15 +51,18 @@ def test_the_help_of_every_option_is_a_sentence_with_its_default(verb, capsys, m
 
 
 def test_no_word_is_an_option_and_a_number_of_things_at_once():
-    """--set, --shift, --mode, --art, --variant: each has one type in all verbs that have it."""
-    for name in ("set", "shift", "mode", "folder", "track", "seeds", "workers", "level_file"):
+    """--set, --shift, --mode, --levels: each has one type in all verbs that have it."""
+    for name in (
+        "set", "shift", "mode", "folder", "track", "seeds", "workers", "level_file", "levels",
+        "num_levels", "test_levels", "actions",
+    ):  # fmt: skip
         kinds = {
-            str(kind).replace(" | None", "").removeprefix("typing.Optional[").rstrip("]")
+            re.sub(r" \| None|typing.Optional\[|<class '|'>|\]+$", "", str(kind))
             for verb in verbs.VERBS
             for own, kind, _ in options(verb)
             if own == name and verb != "sweep"
         }
-        assert len(kinds - {"<class 'pathlib.Path'>"}) == 1, (name, kinds)
+        assert len(kinds) == 1, (name, kinds)
 
 
 def test_set_means_knobs_and_settings_by_their_names():
@@ -83,6 +86,9 @@ def test_set_means_knobs_and_settings_by_their_names():
             "train maze corner --share=0.5 --share 0.5",
             "train maze corner --fraction=0.5 --fraction 0.5",
         ),
+        ("sweep maze --levels 9 --test-levels=5", "sweep maze --num-levels 9 --num-test-levels=5"),
+        ("lab m --export page --levels 5", "lab m --export page --num-levels 5"),
+        ("import f --as m --actions greedy", "import f --as m --mode greedy"),
         ("train maze corner --compile=True --fraction None", "train maze corner --compile"),
     ],
 )
@@ -105,6 +111,18 @@ def test_the_nearest_name_is_named_for_settings_and_verbs_too(astray):
     assert astray("evaluat", "x", fails=True).endswith("; did you mean 'evaluate'?\n")
     told = astray("train", "maze", "cornr", fails=True)
     assert "unknown variant 'cornr'" in told and told.endswith("did you mean 'corner'?\n")
+
+
+def test_settings_of_trainings_are_in_groups_and_each_in_one(capsys):
+    with pytest.raises(SystemExit):
+        verbs._parsed(verbs.find("train"), ["train", "--help"])
+    groups = re.split(r"\n\S* ?(\w+) options", capsys.readouterr().out)
+    found = dict(zip(groups[1::2], groups[2::2], strict=True))
+    assert list(found) == ["experiment", "levels", "agent", "ppo", "hardware", "sampler", "fast"]
+    assert "--gamma " in found["ppo"] and "--num-levels " in found["levels"]
+    assert "--validation " in found["experiment"] and "--threads " in found["hardware"]
+    for preset in PRESETS.values():
+        assert settings.ungrouped(settings.grouped(preset)) == preset
 
 
 @pytest.mark.parametrize("verb", ["train", "agency"])

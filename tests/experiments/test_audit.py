@@ -44,10 +44,10 @@ def test_another_policy_of_the_same_name_is_played_anew(tmp_path):
 
 
 def test_a_pretrained_agent_is_audited_by_one_command(astray, tmp_path):
-    page = astray("audit", "maze-corner", "--levels", "30", "--folder", tmp_path).strip()
+    page = astray("audit", "maze-corner", "--num-levels", "30", "--folder", tmp_path).strip()
     text = Path(page).read_text("utf-8")
     assert "maze-corner misgeneralizes: it pursues corner, not cheese" in text
-    assert f"astray audit maze-corner --levels 30 --folder {tmp_path}" in text
+    assert f"astray audit maze-corner --num-levels 30 --folder {tmp_path}" in text
     first = pl.read_parquet(next((tmp_path / "audit-maze-corner-corner-small-smoke").glob(
         "computed/episodes-*.parquet")))["level"].min()  # fmt: skip
     assert first == FIRST
@@ -73,7 +73,7 @@ def blindly(place):
         (("--policy", "random"), "--policy needs --shift, and --game or --world, and no agent"),
         ((), "name an agent or a run folder, or give a --policy"),
         (("maze-corner", "--ghost", "gone"), "unknown variant as a ghost 'gone'; there are:"),
-        (("maze-corner", "--levels", "0"), "levels must be an integer from 1"),
+        (("maze-corner", "--num-levels", "0"), "levels must be an integer from 1"),
         (("nobody",), "unknown agent 'nobody'"),
     ],
 )  # fmt: skip

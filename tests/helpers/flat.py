@@ -34,9 +34,13 @@ def _fields(hints):
         kind = typing.get_args(hint)[0] if hasattr(hint, "__metadata__") else hint
         if name == "return":
             continue
+        marks = getattr(hint, "__metadata__", ())
+        makers = [
+            mark.constructor_factory for mark in marks if hasattr(mark, "constructor_factory")
+        ]
+        kind = next((make() for make in makers if make), kind)
         if is_dataclass(kind):
             yield from _fields(typing.get_type_hints(kind, include_extras=True))
             continue
-        marks = getattr(hint, "__metadata__", ())
         given = [mark.name for mark in marks if getattr(mark, "name", None)]
         yield given[0] if given else name, kind, _POSITIONAL in marks

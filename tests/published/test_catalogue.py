@@ -188,7 +188,7 @@ def test_a_card_tells_origin_licence_and_what_is_not_known(astray, home, tmp_pat
     (tmp_path / "a.jd").write_bytes(runner)
     (tmp_path / "m.pth").write_bytes(mouse)
     astray("import", tmp_path / "a.jd", "--as", "a", "--licence", "MIT", "--source", "a friend")
-    astray("import", tmp_path / "m.pth", "--as", "m", *MAZE, "--actions", "greedy", "--art", "own")
+    astray("import", tmp_path / "m.pth", "--as", "m", *MAZE, "--mode", "greedy", "--art", "own")
     card = (home / "a" / "README.md").read_text()
     for said in (
         "| licence | MIT |",

@@ -32,11 +32,12 @@ from astray.cli.arguments import (
     print_json,
     show,
 )
+from astray.cli.settings import Grouped, ungrouped
 from astray.envs.vector import PICTURES
 from astray.estimate import Estimate
 from astray.files import check_free, check_writable, write_aside
 from astray.game import Game
-from astray.training.config import Config, Tracking
+from astray.training.config import Tracking
 from astray.training.folders import PRETRAINED
 from astray.training.settings import SEEDS, otherwise
 from astray.validation import MOST, bounded
@@ -53,7 +54,7 @@ POSTERIOR = ("posterior.mp4", "posterior.gif", "posterior.png")
 
 
 def train(
-    settings: Annotated[Config, arg(help="Settings of the training.")],
+    settings: Grouped,
     preset: Preset = "small",
     knobs: Settings = (),
     seeds: int = 1,
@@ -77,7 +78,7 @@ def train(
     from astray.training import parallel
     from astray.training.track import train_tracked
 
-    config = changed(settings, pairs(knobs))
+    config = changed(ungrouped(settings), pairs(knobs))
     bounded("seeds", seeds, 1, SEEDS - config.seed)
     there = folder or Path("runs") / f"{config.game}-{config.variant}"
     for seed in range(config.seed, config.seed + seeds):

@@ -7,7 +7,7 @@ import sys
 from pathlib import Path
 from typing import Annotated
 
-from tyro.conf import Positional
+from tyro.conf import Positional, arg
 
 from astray.cli.arguments import AN_AGENT, NOBODY, Acting, OwnPolicy, Shift
 from astray.training.settings import otherwise
@@ -19,7 +19,7 @@ def audit(
     ghost: Annotated[
         str | None, otherwise("none", "Variant without the intended object, for comparison.")
     ] = None,
-    levels: int = 1000,
+    levels: Annotated[int, arg(name="num_levels")] = 1000,
     policy: OwnPolicy = OwnPolicy(),
     folder: Path = Path("reports"),
 ) -> None:

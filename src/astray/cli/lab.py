@@ -25,7 +25,7 @@ def lab(
     port: int = 0,
     browser: bool = True,
     export: Annotated[Path | None, otherwise("none")] = None,
-    levels: Annotated[int | None, otherwise(f"{EXPORTED}")] = None,
+    num_levels: Annotated[int | None, otherwise(f"{EXPORTED}")] = None,
 ) -> None:
     """Open a page to edit levels and see any policy's actions and values everywhere.
 
@@ -39,7 +39,7 @@ def lab(
         port: Port, reachable from this machine only; 0 for any free one.
         browser: Open the page in the browser.
         export: Folder for a copy of the page and the agents that any web server can serve.
-        levels: Number of levels of each variant to export.
+        num_levels: Number of levels of each variant to export.
 
     Raises:
         ValueError: If options do not go together.
@@ -47,9 +47,9 @@ def lab(
     from astray.lab.serving import make_lab
 
     bounded("port", port, 0, LARGEST_PORT)
-    bounded("levels", exported := EXPORTED if levels is None else levels, 1, MOST)
-    if levels is not None and export is None:
-        raise ValueError("--levels says how many are exported: it needs --export FOLDER")
+    bounded("num_levels", exported := EXPORTED if num_levels is None else num_levels, 1, MOST)
+    if num_levels is not None and export is None:
+        raise ValueError("--num-levels says how many are exported: it needs --export FOLDER")
     level.check()
     policy.check_game("lab")
     shown: Any = agent

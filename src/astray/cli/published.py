@@ -24,7 +24,7 @@ def import_(
     game: Annotated[str | None, otherwise(TOLD)] = None,
     variant: Annotated[str | None, otherwise(TOLD)] = None,
     art: Annotated[str | None, otherwise("original")] = None,
-    actions: Annotated[Mode | None, otherwise("sampled")] = None,
+    mode: Annotated[Mode | None, otherwise("sampled")] = None,
     source: Annotated[str | None, otherwise(TOLD)] = None,
     licence: Annotated[str | None, otherwise(TOLD)] = None,
 ) -> None:
@@ -40,7 +40,7 @@ def import_(
         game: Game that the agent was trained in.
         variant: Variant that the agent was trained on.
         art: Art of the images that the agent was trained on.
-        actions: Choice of actions when its published results were measured.
+        mode: Choice of actions when its published results were measured.
         source: Source of the file.
         licence: Licence of the file.
     """
@@ -49,7 +49,7 @@ def import_(
     from astray.published.imported import Known, import_agent
 
     entry = by_digest(files.digest(file))
-    given = {"game": game, "variant": variant, "art": art, "actions": actions,
+    given = {"game": game, "variant": variant, "art": art, "actions": mode,
              "source": source, "licence": licence}  # fmt: skip
     known = replace(
         entry.known if entry else Known(), **{key: value for key, value in given.items() if value}

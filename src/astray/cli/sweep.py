@@ -8,8 +8,9 @@ from typing import Annotated
 from tyro.conf import UseAppendAction, arg
 
 from astray.cli.arguments import MOST_WORKERS, Preset, Shift, Workers
+from astray.cli.settings import Grouped, ungrouped
 from astray.experiments.spec import Place
-from astray.training.config import Config, Tracking
+from astray.training.config import Tracking
 from astray.training.settings import otherwise
 from astray.validation import bounded
 
@@ -27,11 +28,11 @@ MOST_LEVELS = 10**6  # that each agent is evaluated on
 
 
 def sweep(
-    settings: Annotated[Config, arg(help="Settings of the trainings.")],
+    settings: Grouped,
     preset: Preset = "small",
     axes: Axes = (),
     seeds: int = 1,
-    test_levels: int = 1000,
+    test_levels: Annotated[int, arg(name="num_test_levels")] = 1000,
     shift: Shift = None,
     folder: Annotated[Path | None, otherwise("sweeps/<game>-<variant>")] = None,
     workers: Workers = None,
@@ -58,9 +59,10 @@ def sweep(
     from astray.experiments.sweep.settings import Sweep
     from astray.experiments.sweep.settings import axes as read_axes
 
-    bounded("test_levels", test_levels, 1, MOST_LEVELS)
+    bounded("num_test_levels", test_levels, 1, MOST_LEVELS)
     if workers is not None:
         bounded("workers", workers, 1, MOST_WORKERS)
-    there = folder or Path("sweeps") / f"{settings.game}-{settings.variant}"
-    wanted = Sweep(settings, read_axes(axes), seeds, test_levels, shift)
+    config = ungrouped(settings)
+    there = folder or Path("sweeps") / f"{config.game}-{config.variant}"
+    wanted = Sweep(config, read_axes(axes), seeds, test_levels, shift)
     print(run_sweep(wanted, there, workers=workers, on=on, track=track))

@@ -6,19 +6,17 @@ import argparse
 import contextlib
 import functools
 import inspect
-import io
+import logging
 import re
 import sys
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from importlib import import_module
 from importlib.metadata import version
 from typing import Any
 
 import tyro
 from tyro.conf import DisallowNone, OmitArgPrefixes, PositionalMetavarFromFieldName
-
-from astray.cli import guess
 
 # Where each is, beside this file: imported when it is asked for, as torch alone takes two seconds.
 VERBS = {
@@ -55,7 +53,12 @@ MARKERS = (OmitArgPrefixes, PositionalMetavarFromFieldName, DisallowNone)
 OF_AGENTS = ("evaluate", "record", "agency", "export", "lab")
 SWITCHES = tuple(f"--{name}" for name in ("fused-cpu", "bfloat16", "channels-last", "compile",
                                           "cudagraphs"))  # fmt: skip
-RENAMED = {"--share": "--fraction"}  # options of older versions
+RENAMED = {  # options of older versions, in the verbs that had them
+    "--share": ("--fraction", ("train", "sweep")),
+    "--levels": ("--num-levels", ("train", "sweep", "lab", "audit")),
+    "--test-levels": ("--num-test-levels", ("sweep",)),
+    "--actions": ("--mode", ("import",)),
+}
 
 
 def run() -> None:
@@ -65,7 +68,9 @@ def run() -> None:
     if given == ["--version"]:
         print(version("astray"))
     elif given and given[0] in VERBS:
-        _parsed(find(given[0]), given)()
+        verb = _parsed(find(given[0]), given)
+        with _progress():
+            verb()
     elif given and not given[0].startswith("-"):
         raise ValueError(f"unknown verb {given[0]!r}; there are: {', '.join(VERBS)}")
     else:  # help is asked for
@@ -78,25 +83,26 @@ def run() -> None:
 
 
 def _parsed(verb: Callable[..., Any], given: list[str]) -> Callable[[], Any]:
-    """Return the call of a verb with its options; add the nearest name to an error of these."""
+    """Return the call of a verb with its options."""
 
     @functools.wraps(verb)
     def call(*values: Any, **options: Any) -> Callable[[], Any]:
         return functools.partial(verb, *values, **options)
 
     call.__doc__ = getattr(verb, "func", verb).__doc__
-    said, question = io.StringIO(), ""
+    return tyro.cli(call, prog=f"astray {given[0]}", args=given[1:], config=MARKERS)
+
+
+@contextlib.contextmanager
+def _progress() -> Iterator[None]:
+    """Write on standard error how many levels have been played, every few seconds."""
+    log, handler = logging.getLogger("astray.acting"), logging.StreamHandler()
+    log.addHandler(handler)
+    log.setLevel(logging.INFO)
     try:
-        with contextlib.redirect_stderr(said):
-            return tyro.cli(call, prog=f"astray {given[0]}", args=given[1:], config=MARKERS)
-    except SystemExit:
-        lines = " ".join(line.strip("│ ") for line in said.getvalue().splitlines())
-        question = guess(lines[lines.find("unknown ") :]).removeprefix("; ")
-        raise
+        yield
     finally:
-        print(said.getvalue(), end="", file=sys.stderr)
-        if question:
-            print(f"astray: {question}", file=sys.stderr)
+        log.removeHandler(handler)
 
 
 def _warn(show: Callable[..., None], message: Any, category: type, *where: Any) -> None:
@@ -120,10 +126,10 @@ def in_todays_words(given: list[str]) -> list[str]:
         if word == "--agent" and after and first in OF_AGENTS:
             names.append(words.pop(0))
             notes.append("--agent NAME is now NAME alone")
-        elif word.partition("=")[0] in RENAMED:
+        elif first in RENAMED.get(word.partition("=")[0], ("", ()))[1]:
             name, *value = word.split("=", 1)
-            rest.append("=".join([RENAMED[name], *value]))
-            notes.append(f"{name} is now {RENAMED[name]}")
+            rest.append("=".join([RENAMED[name][0], *value]))
+            notes.append(f"{name} is now {RENAMED[name][0]}")
         elif word.startswith("--") and after == "None":
             words.pop(0)
             notes.append(f"{word} None is now said by leaving it out")
@@ -152,6 +158,7 @@ def find(name: str) -> Callable[..., Any]:
     verb.__doc__ = re.sub(r"\n {8,}(?=\S)", " ", inspect.getdoc(verb) or "")
     if name not in ("train", "sweep"):
         return verb
+    from astray.cli.settings import grouped
     from astray.training.config import PRESETS
 
     # The preset gives the other settings their defaults, so it is read before them.
@@ -159,4 +166,4 @@ def find(name: str) -> Callable[..., Any]:
     first.add_argument("--preset", nargs="?")
     preset = first.parse_known_args()[0].preset
     # tyro refuses an unknown one
-    return functools.partial(verb, settings=PRESETS.get(preset, PRESETS["small"]))
+    return functools.partial(verb, settings=grouped(PRESETS.get(preset, PRESETS["small"])))

@@ -57,7 +57,7 @@ def command(sweep: Sweep) -> str:
     for name, values in (alone | dict(sweep.axes)).items():
         words += ["--set", f"{name.removeprefix(KNOB)}={','.join(map(str, values))}"]
     words += ["--seeds", str(sweep.seeds)]
-    words += [] if sweep.levels == LEVELS_PLAYED else ["--test-levels", str(sweep.levels)]
+    words += [] if sweep.levels == LEVELS_PLAYED else ["--num-test-levels", str(sweep.levels)]
     words += [] if sweep.shift is None else ["--shift", sweep.shift]
     return shlex.join(words)
 
