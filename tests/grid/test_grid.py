@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
-from astray import games
+from astray import games, grid
 from astray.envs.vector import GameVectorEnv
+from astray.grid import abilities
 from astray.level import Level
 from helpers.scenes import play, room, scene
 
@@ -49,6 +50,22 @@ def test_the_return_of_a_script_is_that_of_its_steps_discounted(gamma, worth):
     env = scene("lavaland", LAKE)
     assert LAVA.solver.optimal_return(env.states[0], "cheese", gamma) == worth
     assert env.states[0].time == 0
+
+
+@pytest.mark.parametrize("name, goal", [("trees", "wood"), ("bridge", "goal")])
+def test_returns_that_are_remembered_are_those_of_a_new_solver(name, goal):
+    game = games.find(name)
+    world = grid.world_of(game)
+    env = GameVectorEnv(name, [*game.variants][-1], 4, observation="symbolic")
+    env.reset(seed=0, options={"level": 0})  # levels alike, whose random numbers go on differently
+    states = env.get_state()
+    for field in states.dtype.names:
+        if field not in ("mt", "mt_next"):
+            states[field] = states[field][0]
+    states["time_limit"] = 30
+    for s in states.view(np.recarray):
+        new = abilities.solver(world).optimal_return(s, goal, 0.9)
+        assert game.solver.optimal_return(s, goal, 0.9) == new != 0
 
 
 def test_walls_and_the_end_of_the_world_stop_the_agent():

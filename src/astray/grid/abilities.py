@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import functools
+import itertools
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import product
 from types import SimpleNamespace
 from typing import Any
 
@@ -13,10 +14,12 @@ import numpy as np
 from astray.game import Variant
 from astray.grid.rules import ACTIONS, DX, DY, settle
 from astray.kernel.grid import UNREACHABLE, distances
+from astray.kernel.rng import RNG_FIELDS
 from astray.protocols import Rules
 from astray.record import NEVER, check_record, within
 from astray.validation import finite, one_of
 
+MOST_KNOWN = 100_000  # returns that a solver keeps
 STAY, OVER = 0, 16  # the action; a mover's code counts so much in a level's grid
 SPARE = "ABCDEFGHIJKLMNOPQRSTUVWXYZ"  # characters of movers that are on things
 Cells = Sequence[tuple[int, int]]
@@ -59,7 +62,7 @@ class World:
         spare = iter(c for c in SPARE if c not in (*things, *movers))
         both = {
             next(spare): movers[mover] + things[thing]
-            for mover, thing in product(movers, open_things)
+            for mover, thing in itertools.product(movers, open_things)
         }
         return {".": 0} | things | movers | both
 
@@ -92,8 +95,15 @@ class World:
 
     def free(self, s: Any) -> np.ndarray:
         """Return the cells in which an agent may stand without harm, [H, W] bool."""
-        kept_out = self.codes([*self.solid, *self.hazards])
-        return ~(np.isin(s.cell, kept_out) | np.isin(s.mover, kept_out))
+        free = self.is_free
+        return free[s["cell"]] & free[s["mover"]]
+
+    @functools.cached_property
+    def is_free(self) -> np.ndarray:
+        """Whether an agent may stand without harm on each code, [256] bool."""
+        free = np.ones(256, bool)
+        free[self.codes([*self.solid, *self.hazards])] = False
+        return free
 
 
 def editing(world: World) -> Any:
@@ -167,6 +177,10 @@ def reachable(world: World, s: Any) -> np.ndarray:
 
 def solver(world: World) -> Any:
     """Return the solver: scripts that take the shortest way to what `seek` returns."""
+    # Returns of states whose way draws nothing, since they hold for any level and random numbers.
+    known: dict[tuple, float] = {}
+    unseen = {"level", "seed", "turn", "shifted", *(name for name, *_ in RNG_FIELDS)}
+    seen = [name for name in world.rules.STATE.names or () if name not in unseen]
 
     def expert(s: Any, goal: str) -> Callable[[Any], int]:
         one_of("goal", goal, world.events)
@@ -174,26 +188,30 @@ def solver(world: World) -> Any:
 
         def action(now: Any) -> int:
             world.check(now)
-            if now.ended or now[world.events[goal]] != NEVER:
-                return STAY
-            wanted = world.seek(now, goal)
-            if wanted is None or isinstance(wanted, int):
-                return STAY if wanted is None else wanted
-            return towards(world, now, wanted)
+            return scripted(world, now, goal)
 
         return action
 
     def optimal_return(s: Any, goal: str, gamma: float = 1.0) -> float:
         finite("gamma", gamma, 0, 1)
-        act = expert(s, goal)
-        states = np.zeros(1, world.rules.STATE).view(np.recarray)
-        states[0] = s
-        now, total, weight = states[0], 0.0, 1.0
-        while not now.ended and now[world.events[goal]] == NEVER:
-            now.time += 1
-            reward, done = world.rules.step(now, act(now))
-            total, weight = total + weight * float(reward), weight * gamma
-            now.ended = done or now.time >= now.time_limit
+        one_of("goal", goal, world.events)
+        world.check(s)
+        now = np.array([s], world.rules.STATE).view(np.recarray)[0]
+        total, way, drawn = 0.0, [], _drawn(now)
+        while not is_over(world, now, goal):
+            key = goal, gamma, *(now[name].tobytes() for name in seen)
+            if key in known:
+                total = known[key]
+                break
+            action = scripted(world, now, goal)
+            now["time"] += 1
+            reward, done = world.rules.step(now, action)
+            now["ended"] = done or now["time"] >= now["time_limit"]
+            way.append((key, float(reward)))
+        for key, reward in reversed(way):
+            total = reward + gamma * total
+            if len(known) < MOST_KNOWN and _drawn(now) == drawn:
+                known[key] = total
         return total
 
     def reached(s: Any) -> np.ndarray:
@@ -203,9 +221,27 @@ def solver(world: World) -> Any:
     return SimpleNamespace(reachable=reached, expert=expert, optimal_return=optimal_return)
 
 
+def _drawn(s: Any) -> list[bytes]:
+    """Return the state of the random numbers."""
+    return [s[name].tobytes() for name, *_ in RNG_FIELDS]
+
+
+def is_over(world: World, s: Any, goal: str) -> bool:
+    """Return whether a level has ended or its goal was reached."""
+    return bool(s["ended"] or s[world.events[goal]] != NEVER)
+
+
+def scripted(world: World, s: Any, goal: str) -> int:
+    """Return the action of the script of a goal in a valid state."""
+    wanted = None if is_over(world, s, goal) else world.seek(s, goal)
+    if wanted is None or isinstance(wanted, int):
+        return STAY if wanted is None else wanted
+    return towards(world, s, wanted)
+
+
 def towards(world: World, s: Any, cells: Cells) -> int:
     """Return the action that leads to the nearest of `cells` around hazards, or "stay"."""
-    here = int(s.x), int(s.y)
+    here = int(s["x"]), int(s["y"])
     free = _with(world.free(s), [*cells, here])
     away = distances(free, *here)
     near = [(int(away[y, x]), x, y) for x, y in cells if away[y, x] != UNREACHABLE]
@@ -230,4 +266,5 @@ def _with(free: np.ndarray, cells: Cells) -> np.ndarray:
 
 def where(layer: np.ndarray, *codes: int) -> list[tuple[int, int]]:
     """Return the cells (x, y) of a `layer` [H, W] that hold one of these codes."""
-    return [(int(x), int(y)) for y, x in np.argwhere(np.isin(layer, codes))]
+    found = [np.argwhere(layer == code).tolist() for code in codes]
+    return [(x, y) for y, x in sorted(itertools.chain.from_iterable(found))]
