@@ -55,6 +55,7 @@ EXPERIMENT = Experiment(
                 "robot": agent("bridge", "middle", 200_000, levels=300, teacher=SOLVER, taught=0.25)
             },
             seeds=5,
+            first_seed=5,
             tests={**tests_of("bridge", "up"), LOWER: Test("down", "down")},
             levels=500,
             differences=f"{OWN_WORLD}; begin and goal are in random cells of the banks; a solver "

@@ -42,8 +42,9 @@ EXPERIMENT = Experiment(
     question="Does a mouse whose training had no lava walk around lava?",
     sizes={
         "smoke": Plan(
-            agents={"mouse": agent("lavaland", "dry", 300_000, levels=1000)},
+            agents={"mouse": agent("lavaland", "dry", 500_000)},
             seeds=5,
+            first_seed=5,
             tests=tests_of("lavaland", "lava"),
             levels=500,
             differences=f"{OWN_WORLD}; lava is a symbol that no training had, not a pixel's colour",
