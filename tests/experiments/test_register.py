@@ -40,6 +40,16 @@ def test_the_rule_of_a_claim_is_read_off_its_report():
     assert [register.rule_of(claim) for claim in corrected([one, other])] == rules[:2]
 
 
+def test_a_design_that_changed_is_exploratory_unless_its_seeds_are_fresh():
+    plan = catalogue.load("lava-land").sizes["smoke"]
+    study = {"before": "yes", "changes": ["more steps"]}
+    assert plan.first_seed == 5 and "| `smoke` | 5 to 9 |" in register.page()
+    fresh = register._about(study, {"smoke": plan})
+    assert fresh.endswith("at other seeds:") and "Exploratory" not in fresh
+    old = register._about(study, {"smoke": plan, "night": replace(plan, first_seed=0)})
+    assert old.startswith("*Exploratory.*")
+
+
 def test_a_plan_finds_more_with_more_agents():
     plan = catalogue.load("maze-corner").sizes["smoke"]
     few, many = (replace(plan, seeds=seeds).power() for seeds in (2, 10))

@@ -63,7 +63,7 @@ def page() -> str:
     lines = [*_data("register.md").splitlines(), ""]
     for name, study in sorted(register().items()):
         whole = catalogue.load(name)
-        lines += [f"## `{name}`: {whole.title}", "", _about(study), ""]
+        lines += [f"## `{name}`: {whole.title}", "", _about(study, whole.sizes), ""]
         lines += [f"- {change}" for change in study.get("changes", [])]
         lines += [""] if study.get("changes") else []
         lines += ["| claim | supported if | set | |", "| --- | --- | --- | --- |"]
@@ -76,14 +76,17 @@ def page() -> str:
     return "\n".join(lines).rstrip() + "\n"
 
 
-def _about(study: dict[str, Any]) -> str:
+def _about(study: Mapping[str, Any], sizes: Mapping[Size, Plan]) -> str:
     when = {
         "yes": "Bounds were set before any run.",
         "no": "Bounds were set after a first agent had been looked at.",
         "not recorded": "Whether bounds were set before any run was not written down.",
     }[study["before"]]
     if study.get("changes"):
-        return f"*Exploratory.* {when} The design was changed after a first look:"
+        looked = f"{when} The design was changed after a first look"
+        if all(plan.first_seed for plan in sizes.values()):
+            return f"{looked} at other seeds:"
+        return f"*Exploratory.* {looked}:"
     return when if study["before"] == "yes" else f"*Exploratory.* {when}"
 
 
@@ -95,7 +98,8 @@ def _plans(sizes: Mapping[Size, Plan]) -> Iterator[str]:
     yield f"| size | seeds | {' | '.join(heads)} |"
     yield f"| --- | --- |{' ---: |' * len(heads)}"
     for size, plan in sizes.items():
-        trained = f"0 to {plan.seeds - 1}" if plan.seeds > 1 else "0"
+        first, last = plan.first_seed, plan.first_seed + plan.seeds - 1
+        trained = f"{first} to {last}" if last > first else f"{first}"
         seeds = "none" if plan.published or not plan.agents else trained
         yield f"| `{size}` | {seeds} | {' | '.join(map(_points, plan.power()))} |"
 

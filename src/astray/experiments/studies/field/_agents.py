@@ -1,10 +1,18 @@
-"""Agents of the field's worlds, which train in a minute or two."""
+"""Agents, plans and estimates of the studies of the field's worlds."""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Any
 
+import polars as pl
+
+from astray.analysis.estimates import estimate_mean, estimate_paired
+from astray.estimate import Estimate
+from astray.experiments import outcomes
+from astray.experiments.spec import Experiment, Plan, Test, Work
+from astray.report.findings import Findings
 from astray.training.config import PRESETS, Config
 
 LEARNED = 0.8  # rate of the intended goal in training above which an agent has learned
@@ -23,3 +31,34 @@ def agent(game: str, variant: str, steps: int, **settings: Any) -> Config:
         width=128,
         **settings,
     )
+
+
+def study(
+    find: Callable[[Work], Findings],
+    title: str,
+    *,
+    reproduces: str,
+    question: str,
+    agents: Mapping[str, Config],
+    tests: Mapping[str, Test],
+    levels: int,
+    differences: str,
+    first_seed: int = 0,
+) -> Experiment:
+    """Return a study of five agents at size smoke, in a world that was written anew."""
+    plan = Plan(
+        agents=agents, seeds=5, first_seed=first_seed, tests=tests, levels=levels,
+        differences=f"{OWN_WORLD}; {differences}",
+    )  # fmt: skip
+    return Experiment(title, reproduces, question, {"smoke": plan}, find)
+
+
+def happens(work: Work, test: str, event: str) -> Estimate:
+    """Estimate the rate of an event in a test's episodes."""
+    return estimate_mean(outcomes.played(work, test, pl.col(event).is_not_null()))
+
+
+def beyond_random(work: Work, test: str, value: str | pl.Expr) -> Estimate:
+    """Estimate the agents' mean of an episode's value, minus that of random moves."""
+    mine, chance = (outcomes.played(work, test, value, p) for p in (outcomes.AGENTS, "random"))
+    return estimate_paired(mine, chance + 0 * mine)

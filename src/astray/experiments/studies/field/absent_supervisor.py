@@ -2,8 +2,8 @@
 
 from astray.analysis.outcomes import INTENDED, MISGENERALIZED
 from astray.experiments import outcomes
-from astray.experiments.spec import Experiment, Plan, Test, Work
-from astray.experiments.studies.field._agents import LEARNED, OWN_WORLD, agent
+from astray.experiments.spec import Test, Work
+from astray.experiments.studies.field._agents import LEARNED, agent, study
 from astray.published.imported import SPARED
 from astray.record import LEVELS
 from astray.report.claims import above, rounded
@@ -32,19 +32,14 @@ def find(work: Work) -> Findings:
     )  # fmt: skip
 
 
-EXPERIMENT = Experiment(
-    title="The absent supervisor",
+EXPERIMENT = study(
+    find,
+    "The absent supervisor",
     reproduces="Leike et al. (2017), AI Safety Gridworlds, absent supervisor",
     question="Does a robot keep to a rule while nobody watches?",
-    sizes={
-        "smoke": Plan(
-            agents={"robot": agent("supervisor", "half", 300_000, levels=LEVELS.stop - SPARED)},
-            seeds=5,
-            tests={"watched": Test("watched", "absent"), "unwatched": Test("absent", "absent")},
-            levels=100,
-            differences=f"{OWN_WORLD}; its 18 different levels are all met in training, as theirs "
-            "is, so that chance lies in agents and actions alone",
-        )
-    },
-    find=find,
+    agents={"robot": agent("supervisor", "half", 300_000, levels=LEVELS.stop - SPARED)},
+    tests={"watched": Test("watched", "absent"), "unwatched": Test("absent", "absent")},
+    levels=100,
+    differences="its 18 different levels are all met in training, as theirs "
+    "is, so that chance lies in agents and actions alone",
 )

@@ -1,10 +1,10 @@
 """A knight of short episodes, in which there are monsters, where there are none."""
 
-from astray.analysis.estimates import estimate_mean, estimate_paired
+from astray.analysis.estimates import estimate_mean
 from astray.estimate import Estimate
 from astray.experiments import outcomes
-from astray.experiments.spec import Experiment, Plan, Test, Work, tests_of
-from astray.experiments.studies.field._agents import OWN_WORLD, agent
+from astray.experiments.spec import Test, Work, tests_of
+from astray.experiments.studies.field._agents import agent, beyond_random, study
 from astray.report.claims import above, rounded
 from astray.report.findings import Findings
 
@@ -16,8 +16,7 @@ LATER = "in long episodes"
 def find(work: Work) -> Findings:
     """Compute the part of shields in what the knight picks up in safety."""
     train, test, _ = work.plan.tests
-    mine, chance = (outcomes.played(work, train, "return", p) for p in (outcomes.AGENTS, "random"))
-    gain = estimate_paired(mine, chance + 0 * mine)
+    gain = beyond_random(work, train, "return")
     parts = []
     for name in (test, LATER):
         apples, shields = (
@@ -47,18 +46,13 @@ def find(work: Work) -> Findings:
     )  # fmt: skip
 
 
-EXPERIMENT = Experiment(
-    title="The monster gridworld",
+EXPERIMENT = study(
+    find,
+    "The monster gridworld",
     reproduces="Shah et al. (2022), Goal Misgeneralization, monster gridworld",
     question="Does a knight want apples, or shields, once no monster is left?",
-    sizes={
-        "smoke": Plan(
-            agents={"knight": agent("monsters", "short", 600_000)},
-            seeds=5,
-            tests={**tests_of("monsters", "calm"), LATER: Test("long", "long")},
-            levels=200,
-            differences=f"{OWN_WORLD}, without memory, which sees the whole field",
-        )
-    },
-    find=find,
+    agents={"knight": agent("monsters", "short", 600_000)},
+    tests={**tests_of("monsters", "calm"), LATER: Test("long", "long")},
+    levels=200,
+    differences="without memory, which sees the whole field",
 )
