@@ -142,8 +142,8 @@ def printable(text: str) -> str:
     return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
 
 
-def brief(error: BaseException) -> str:
-    """Return a library's error message, cut off because it may quote much of a file."""
+def brief(error: object) -> str:
+    """Return an error, or other text of a stranger, cut off because it may be long."""
     text = str(error)
     return text if len(text) <= 300 else f"{text[:297]}..."
 

@@ -60,6 +60,22 @@ def test_text_that_fails_when_it_is_printed_is_listed_as_text(tmp_path, monkeypa
     games._offered.cache_clear()
 
 
+def test_text_is_listed_without_its_markup_or_control_characters(tmp_path, monkeypatch, astray):
+    abouts = ["a [/] riddle", "a [bold]riddle", "a riddle\x1b[2J"]
+    module = (
+        "import dataclasses\nfrom astray import games\nMAZE = games.find('maze')\n"
+        "one = MAZE.variant('corner')\n"
+        f"these = {{str(n): dataclasses.replace(one, about=x) for n, x in enumerate({abouts})}}\n"
+        f"GAME = dataclasses.replace(MAZE, name='is_marked', variants=these, shifts={{}}, "
+        f"about={abouts[0] + ' ' + 'x' * 9999!r})"
+    )
+    offer(tmp_path, monkeypatch, is_marked=module)
+    listed = astray("list")
+    assert [listed.count(about.replace("\x1b", "\\x1b")) for about in abouts] == [2, 1, 1]
+    assert "x" * 400 not in "".join(listed.split())
+    games._offered.cache_clear()
+
+
 @pytest.mark.parametrize("text", [b"[astray.games]\nno sign of equality\n", b"[a]\n\xff = b:C\n"])
 def test_a_package_whose_entry_points_cannot_be_read_hides_no_game(strangers, tmp_path, text):
     ruined = tmp_path / "ruined-2.dist-info"

@@ -18,7 +18,7 @@ from astray.game import OWN, Game
 from astray.training import folders
 from astray.training.config import PRESETS, Tracking
 from astray.training.settings import otherwise
-from astray.validation import bounded, printable
+from astray.validation import bounded, brief, printable
 
 
 def list_(json: Json = False) -> None:
@@ -39,20 +39,25 @@ def list_(json: Json = False) -> None:
     for name, game in described.items():
         table = Table("variant", "levels", box=None, padding=(0, 2))
         for variant, about in game["variants"].items():
-            table.add_row(variant, about)
-        show(f"[bold]{name}[/]: {game['about']}", table)
+            table.add_row(_plain(variant), _plain(about))
+        show(f"[bold]{_plain(name)}[/]: {_plain(game['about'])}", table)
         for shift, what in game["shifts"].items():
             goals = f"{', or '.join((what['intended'], *what['proxies']))}?"
-            show(f"  shift {shift}: {what['train']} -> {what['test']}: {goals}")
+            show(_plain(f"  shift {shift}: {what['train']} -> {what['test']}: {goals}"))
     for name, reason in broken.items():
-        show(f"[bold]{escape(printable(name))}[/]: broken: {escape(printable(reason))}")
+        show(f"[bold]{_plain(name)}[/]: broken: {_plain(reason)}")
     show("[bold]experiments[/]")
     for name, title in found["experiments"].items():
         show(f"  {name}: {title}")
     show("[bold]agents[/]")
     for name, config in found["agents"].items():
         about = config.get("error") or f"{config['game']}, trained on {config['variant']}"
-        show(f"  {escape(printable(name))}: {escape(printable(about))}")
+        show(_plain(f"  {name}: {about}"))
+
+
+def _plain(text: str) -> str:
+    """Return a stranger's text without markup or control characters, cut off if it is long."""
+    return escape(printable(brief(text)))
 
 
 def _game(game: Game) -> dict[str, Any]:
@@ -76,9 +81,8 @@ Names = Positional[
     Annotated[
         tuple[str, ...],
         arg(
-            help="Names of experiments, as `astray list` has them, or all; or your own, "
-            "module:OBJECT or a Python file that defines EXPERIMENT; of several, where one fails "
-            "the next goes on.",
+            help="Names of experiments in `astray list`, or all; for your own, module:OBJECT or a "
+            "Python file that defines EXPERIMENT. If one of several fails, the next one begins.",
             help_behavior_hint="(required)",
         ),
     ]
