@@ -2,6 +2,8 @@
 
 import base64
 import json
+import re
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,7 +15,7 @@ from astray.agents.policy import Architecture
 from astray.analysis.critic import policy_and_value
 from astray.analysis.replay import replay
 from astray.envs.vector import GameVectorEnv
-from astray.lab import goals, translate
+from astray.lab import constants, goals, translate
 from astray.lab.agents import Agents
 from astray.lab.export import export, file_names
 from astray.lab.link import link
@@ -267,6 +269,20 @@ def test_a_page_has_the_constants_that_python_has_now(chrome, untrained, tmp_pat
     assert dict(zip(map(tuple, here["cells"]), here["outcomes"], strict=True)) == dict(
         zip(map(tuple, there["cells"]), there["outcomes"], strict=True)
     )
+
+
+def test_the_page_repeats_no_constant_of_python():
+    """It would stay as it is when Python's is changed."""
+    modules = {module for parts in constants.TABLES.values() for module, _ in parts}
+    numbers = {
+        (name, float(value))
+        for module in modules
+        for name, value in vars(module).items()
+        if isinstance(value, int | float)
+    }
+    for file in Path(constants.__file__).with_name("page").rglob("*.js"):
+        for name, value in re.findall(r"const ([A-Z_]+) = ([\d.]+);", file.read_text("utf-8")):
+            assert (name, float(value)) not in numbers, (file.name, name)
 
 
 def test_the_posterior_is_that_of_python(page):

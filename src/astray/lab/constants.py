@@ -20,13 +20,18 @@ from astray.games.keys import variants as keys_variants
 from astray.games.maze import levels as maze_levels
 from astray.games.maze import rules as maze_rules
 from astray.games.maze import variants as maze_variants
+from astray.grid import abilities
 from astray.kernel import grid, maze, rng, thief
 from astray.lab import goals
+from astray.training import ppo
 
 PATH = "rules/constants.js"  # from the page
 # By the name that JavaScript imports: modules, and the names in them.
 TABLES: dict[str, tuple[tuple[ModuleType, str], ...]] = {
-    "common": ((grid, "ACTIONS MOVES STAY"), (maze, "WALL"), (record, "NEVER"), (rng, "WORDS")),
+    "common": ((grid, "ACTIONS MOVES STAY"), (maze, "WALL"), (record, "NEVER")),
+    "twister": ((rng, "WORDS MIDDLE"),),
+    "grid": ((abilities, "OVER"),),
+    "rewards": ((ppo, "CLIP"),),
     "goals": ((goals, "TOGETHER NEITHER OTHER"),),
     "maze": (
         (maze_rules, "EMPTY GOAL OTHER BOTH REWARD"),

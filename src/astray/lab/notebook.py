@@ -27,7 +27,7 @@ def show(
 
     Raises:
         ImportError: If anywidget is not installed.
-        ValueError: If the level is of no variant with a name.
+        ValueError: If no named variant has such a level.
     """
     from astray.lab.serving import make_lab
     from astray.lab.session import Session

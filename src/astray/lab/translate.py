@@ -69,7 +69,7 @@ def module(game: Game) -> str:
     """Return the module `rules/NAME.js` of a grid world's page.
 
     Raises:
-        ValueError: If its rules hold what cannot be translated.
+        ValueError: If its rules contain something that cannot be translated.
     """
     world = grid.world_of(game)
     assert world
@@ -126,7 +126,7 @@ class Translation:
         return self._names[function]
 
     def constant(self, name: str, value: Any) -> str:
-        """Return the JavaScript name of a constant, or raise TypeError if it is no plain data."""
+        """Return the JavaScript name of a constant; raise TypeError if it is not plain data."""
         line = f"const {name} = {json.dumps(value, default=lambda array: array.tolist())};"
         while self.constants.setdefault(name, line) != line:
             name += "_"

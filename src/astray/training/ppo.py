@@ -15,6 +15,8 @@ from torch import Tensor
 from astray.agents.recurrent import Recurrent
 from astray.training.config import Config
 
+CLIP = 10.0  # of normalised rewards, as in the original
+
 
 @dataclass(frozen=True)
 class Samples:
@@ -180,12 +182,12 @@ class RewardNormaliser:
     """Divides rewards by the running standard deviation of the discounted return.
 
     As in the original, it has its own discount (0.99, not the agent's 0.999), subtracts no mean
-    and clips the result to +-10. The statistics include a step before that step is normalised.
+    and clips the result to +-CLIP. The statistics include a step before that step is normalised.
     """
 
     num_envs: int
     gamma: float = 0.99
-    clip: float = 10.0
+    clip: float = CLIP
     mean: float = 0.0
     variance: float = 1.0
     count: float = 1e-4

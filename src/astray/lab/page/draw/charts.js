@@ -1,10 +1,11 @@
 // Curves of an episode: fractions of goals that add up to 1, and values with advantages and events.
 
+import { rewards as clipped } from "../rules/constants.js";
 import { themed } from "./colours.js";
 
 const EDGE = 8; // pixels around a chart
 const AXIS = 36; // pixels of the numbers at its left
-const CLIP = 10; // of divided rewards, as in the training
+const { CLIP } = clipped; // of divided rewards
 
 // A canvas as sharp as the screen; its size in CSS pixels.
 export function fitted(canvas, height) {

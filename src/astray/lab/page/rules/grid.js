@@ -4,9 +4,10 @@
 
 import { mixTwo } from "../agent/noise.js";
 import { NEVER, WALL, checkAgent, distances, unreachable } from "./common.js";
+import { grid as counted } from "./constants.js";
 import { Twister } from "./twister.js";
 
-const OVER = 16; // a mover's code counts so much in a level's grid
+const { OVER } = counted;
 
 export const floorDiv = (a, b) => Math.floor(a / b);
 export const mod = (a, b) => a - b * Math.floor(a / b);

@@ -1,9 +1,8 @@
 // The Mersenne Twister that decides ties, as `astray.kernel.rng` draws from it.
 
-import { common } from "./constants.js";
+import { twister } from "./constants.js";
 
-const { WORDS } = common;
-const MIDDLE = 397;
+const { WORDS, MIDDLE } = twister;
 
 export class Twister {
   constructor(number) {
