@@ -245,7 +245,7 @@ class ProcgenEnv:
         return self.step_wait()
 
     def render(self, mode: str = "rgb_array") -> np.ndarray:
-        """Return pictures for people, [num_envs, 512, 512, 3] uint8."""
+        """Return pictures to look at, [num_envs, 512, 512, 3] uint8."""
         return self.gym3.env.picture(512)
 
     def seed(self, seed: int | None = None) -> None:

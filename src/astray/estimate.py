@@ -46,7 +46,7 @@ class Estimate:
         """Return a rate and its interval in figures, for a table that names the interval's kind.
 
         Args:
-            digits: Of an amount, which is no rate: its number of digits.
+            digits: Number of digits of an amount; None for a rate, in percent.
         """
         ends, unit = (self.mean, self.low, self.high), " %" if digits is None else ""
         mean, low, high = (f"{100 * x:.1f}" if unit else f"{x:.{digits}g}" for x in ends)

@@ -34,7 +34,7 @@ def name_of(thing: Any) -> str:
 
 
 def find(name: str) -> Any:
-    """Import the module of a user's own name, which runs it, and return the object.
+    """Import the module in a name "module:attribute", and return the object. The module is run.
 
     Raises:
         ValueError: If there is no such object.

@@ -240,7 +240,7 @@ class Level:
     def removed(self, name: str, at: Cell | None = None) -> Level:
         """Return the level without an object.
 
-        Another object of the cell, such as a walker at a crate, is drawn there then.
+        If there is another object in the cell, such as a walker at a crate, that one is drawn then.
 
         Args:
             at: Cell of the object; needed if there are several.

@@ -289,7 +289,7 @@ class Mutating(Protocol):
     def mutate(self) -> Callable[..., np.ndarray]:
         """Function (states [N], variant, seeds [N] uint32, edits, kind) -> edited states [N].
 
-        The given states are those that levels begin in, and `kind` is one of `game.MUTATIONS`. In
+        The given states are initial states of levels, and `kind` is one of `game.MUTATIONS`. In
         each result the agent can reach the goal, `level` is NEVER, and `shifted` says whether the
         goal was placed as in the variant's shifted levels.
         """

@@ -148,9 +148,10 @@ class World:
         workers: Whether each environment has its own process.
         patience: Seconds to wait for a process that does not answer.
         repeats: Whether an episode is determined by its level and the actions, which is checked.
-        level_key: Key of info by which a reset tells the number of its level, of environments that
-            choose it themselves, as EnvPool's. They are played as streams: factories take `stream`,
-            the number of an environment, and nothing is compared level by level.
+        level_key: Key of info in which a reset reports the number of its level, for environments
+            that choose their levels themselves, such as EnvPool's. They are played as streams:
+            factories take `stream`, the number of an environment, and nothing is compared level by
+            level.
         every_step: Whether measures are computed in every step, not only at events and at the end.
 
     Raises:
@@ -310,7 +311,7 @@ def find(game: str | Game | World) -> Game:
     A world is typed as a game here: it has the same names, and those that it lacks raise errors.
 
     Raises:
-        ValueError: If there is none, or what a package offers is no world of that name.
+        ValueError: If there is none, or a package offers something else than a world of that name.
     """
     if isinstance(game, str) and game not in games.OWN:
         if game in _registered:

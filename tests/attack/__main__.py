@@ -137,7 +137,7 @@ def _prepare(code: Path, base: Path) -> None:
         "PYTHONPATH": os.pathsep.join(filter(None, map(os.path.abspath, sys.path))),
     }
     os.chdir(base)
-    import matplotlib.pyplot  # noqa: F401
+    import matplotlib.pyplot
     import torch
 
     import astray.cli.verbs

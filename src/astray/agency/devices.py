@@ -111,7 +111,7 @@ def _faced(world: World, before: np.ndarray, last: np.ndarray, goal: int | None)
 
 
 def join(seen: Sequence[Seen]) -> Seen:
-    """Join the steps of several trajectories of one device."""
+    """Concatenate the steps of several trajectories of one device."""
     parts = zip(*((one.observation, one.kinds, one.same) for one in seen), strict=True)
     return Seen(*(np.concatenate(part) for part in parts))
 

@@ -147,7 +147,7 @@ def measure(episodes: Episode | Sequence[Episode], options: Options = CALIBRATED
 def goals_in(
     episodes: Sequence[Episode], options: Options
 ) -> tuple[list[Goal], float, list[np.ndarray]]:
-    """Return the goals [G] of episodes in one world, 1 / their prior, and each episode's cells.
+    """Return the goals [G] of episodes in one world, their inverse prior, and each episode's cells.
 
     Raises:
         ValueError: If the episodes have different worlds.
@@ -172,11 +172,11 @@ def measure_named(
     goals: Sequence[Mapping[str, Sequence[Cell]]],
     options: Options = CALIBRATED,
 ) -> Evidence:
-    """Return the evidence of episodes in any worlds, for goals with a name in each.
+    """Return the evidence of episodes in any worlds, for goals that have a name in each.
 
     Args:
-        goals: For each episode, the cells of every name, of which the nearest is the goal. The
-            further goal OTHER is another cell in each episode, so that none needs to be right.
+        goals: For each episode: name -> cells, of which the nearest is the goal. OTHER is a further
+            goal, any other cell, because none of the named goals may be right.
 
     Raises:
         ValueError: If episodes and goals do not fit.
@@ -214,7 +214,7 @@ def decisions(episode: Episode, goals: Mapping[str, Sequence[Cell]], options: Op
 
 
 def prepared(episodes: Episode | Sequence[Episode], options: Options) -> list[Episode]:
-    """Return at least one episode, with only the steps that count.
+    """Return the episodes as a list, without the steps that do not count.
 
     Raises:
         ValueError: If there are no episodes.

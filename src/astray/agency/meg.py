@@ -1,14 +1,15 @@
 """Maximum entropy goal-directedness (MEG): how well a goal predicts what a policy does.
 
 A policy is compared with those that trade utility against randomness, softly optimal for
-rationalities beta from 0 (every action alike) upward. Its MEG is by how many nats the best of them
-predicts its actions better than uniformly random ones (MacDermott, Fox, Belardinelli and Everitt,
-"Measuring Goal-Directedness", NeurIPS 2024, Sections 3 and 4). Here the utility of a goal is 1 in
-the step that reaches it and ends the episode, and later steps count less by a discount.
+rationalities beta from 0 (every action alike) upward. Its MEG is the advantage in nats of the best
+of them over uniformly random actions, as a prediction of its actions (MacDermott, Fox, Belardinelli
+and Everitt, "Measuring Goal-Directedness", NeurIPS 2024, Sections 3 and 4). Here the utility of a
+goal is 1 in the step that reaches it and ends the episode, and later steps count less by a
+discount.
 
 The soft value W(s) is the log of the mean over actions of exp(beta u + discount W(s')), and the
-log-ratios along a policy's way add up to beta E[U] - W(start). So MEG is the largest value of that,
-a concave function of beta, and a policy matters by its E[U] alone.
+log-ratios along a policy's way add up to beta E[U] - W(start). So MEG is the maximum of that over
+beta, a concave function, and depends on a policy only through its E[U].
 """
 
 from __future__ import annotations
@@ -74,7 +75,7 @@ class Process:
         """Return E[U], the discounted probability with which a policy reaches a goal.
 
         Args:
-            policy: [S, A] float, the probability of each action; those of impossible ones count 0.
+            policy: [S, A] float, the probability of each action; impossible actions count as 0.
         """
         taken = np.where(self.possible, policy, 0.0)
         states = len(self.after)

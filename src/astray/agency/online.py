@@ -46,8 +46,8 @@ def measure_online(episode: Episode, options: Options = CALIBRATED, switch: Swit
     """Return the evidence after every step that counts (see `Options.legal`).
 
     Args:
-        switch: Probability that the goal is redrawn before a step; "1/(t+1)" for that after t
-            steps. The paper's agents never switch.
+        switch: Probability that the goal is redrawn before a step; "1/(t+1)" for 1 / (t + 1) after
+            t steps. The paper's agents never switch.
 
     Raises:
         ValueError: If the probability is out of range.

@@ -1,9 +1,9 @@
 """Deep repeated ConvLSTM, the recurrent network of planning-like agents (Guez et al. 2019).
 
-A stack of convolutional LSTMs on a grid of places ticks several times per step. The lowest sees
-the top of the stack as of the tick before, and each sees pooled features of itself, so that what
-one place found can reach all others within a tick ("An Investigation of Model-Free Planning",
-arXiv:1901.03559, section 2).
+A stack of convolutional LSTMs on a grid of places ticks several times per step. The lowest layer
+sees the top layer of the previous tick. Each layer also sees pooled features of itself, so that
+information from one place can reach all others within a tick ("An Investigation of Model-Free
+Planning", arXiv:1901.03559, section 2).
 """
 
 from __future__ import annotations
@@ -52,8 +52,8 @@ class ConvLSTM(nn.Module):
 class DRC(Recurrent):
     """Images [N, H, W, C] or planes [N, C, H, W] uint8 -> logits [N, actions], values [N].
 
-    Images are encoded as 8 x 8 places, planes as one place per cell. The state [N, memory] has the
-    hidden states of all layers, then their cell states. `tick1`, `tick2`, ... are named modules
+    Images are encoded as 8 x 8 places, planes as one place per cell. The state [N, memory] holds
+    the hidden states of all layers, then their cell states. `tick1`, `tick2`, ... are named modules
     whose outputs are the top hidden states [N, C, H, W].
 
     Args:

@@ -45,8 +45,8 @@ class Function:
     Attributes:
         observation: "image" for [N, 64, 64, 3], "symbolic" for planes [N, C, H, W].
         art: Art of the images.
-        remembers: Whether it is also given its memory and which episodes begin, and returns its
-            memory with the actions.
+        remembers: Whether it also takes its memory and the flags of beginning episodes, and returns
+            its memory with the actions.
         network: The network that it asks, if there is one that analyses can look into.
 
     Raises:
@@ -153,7 +153,7 @@ def from_torchrl(
     observation: Observation = "image",
     art: str = OWN,
 ) -> Function:
-    """Return a policy of a TorchRL actor that reads "observation" and "is_init", writes "action".
+    """Make a policy of a TorchRL actor that reads "observation", "is_init" and writes "action".
 
     The entries that it writes under "next", as recurrent modules do, are its memory.
 

@@ -157,8 +157,8 @@ def policy_and_value(
     """Return action probabilities [N, A] and values [N], float64, for `observations` [N, ...].
 
     Args:
-        episode: Whether these are one episode's from its first step on, which an agent with memory
-            remembers.
+        episode: Whether these are all observations of one episode from its first step on; an agent
+            with memory then remembers the earlier ones.
     """
     in_order = {"episode": True} if episode and agent.caveat else {}
     logits, values = agent.outputs(observations, **in_order)

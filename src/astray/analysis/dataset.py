@@ -228,7 +228,7 @@ def _kind(actions: np.ndarray) -> Any:
 def read_trajectories(folder: Path, of: World | None = None) -> Iterator[Trajectory]:
     """Yield the trajectories that `export` wrote as Parquet, in the same order.
 
-    Those of a World need it as `of`.
+    For trajectories of a `World`, `of` is that world.
 
     Raises:
         FileNotFoundError: If there is no data set.

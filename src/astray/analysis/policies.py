@@ -77,7 +77,7 @@ class Walk:
     def ways(self, game: Game, states: Any) -> np.ndarray:
         """Return the actions [n] towards the goal from states [n].
 
-        An episode may be included from any step on, and left out from any.
+        An episode may join the batch at any step, and leave it at any.
         """
         return np.array([self._action(game, s) for s in states], np.int64)
 

@@ -25,7 +25,8 @@ RANDOM = "random"  # the scripted policy that a verdict compares with
 class Result:
     """Episodes of agents and scripts in the same levels, with the rates of their outcomes.
 
-    It unpacks as `rates, episodes`. A notebook shows `verdict` and `table`. Intervals are of 95 %.
+    It unpacks as `rates, episodes`. A notebook shows `verdict` and `table`. All intervals are 95 %
+    intervals.
 
     Examples:
         >>> result = astray.evaluate_runs(["maze-corner"], range(200_000, 200_400))

@@ -1,7 +1,7 @@
 """Trained networks as policies.
 
-An `Agent` comes from a file of astray's, a `Network` is any torch module of yours, and `Opaque`
-is any other policy, where an analysis takes what has no network, too.
+An `Agent` comes from a file of astray's, a `Network` is any torch module of yours, and `Opaque` is
+any other policy, for analyses that also accept one without a network.
 """
 
 from __future__ import annotations
@@ -130,8 +130,8 @@ class Agent:
 
         Args:
             episode: Whether these are the observations of one episode from its first step on, so
-                that a network with memory remembers those before. Without, it answers each as at
-                the beginning of an episode.
+                that a network with memory remembers those before. Otherwise it answers each as if
+                it began an episode.
 
         Raises:
             ValueError: If the observations have another shape.
@@ -215,7 +215,7 @@ class Network:
             and values [N]. It is set to evaluation mode.
         space: Space of one observation.
         game: Game or `World` that it plays, for analyses that play it.
-        ask: Function (network, observations) -> logits, or logits and values, where a call of the
+        ask: Function (network, observations) -> logits, or logits and values, if a call of the
             network does not return these: lambda agent, x: (agent.actor(x), agent.critic(x)).
         mode: "sampled" draws actions from the policy, "greedy" takes the most likely.
         seed: Seed of the sampling; an action depends on it, the level and the step alone.
@@ -291,7 +291,7 @@ class Network:
 
 @dataclass
 class Loaded:
-    """A policy with the file or folder that it is from: one of several agents of one kind."""
+    """A policy and the file or folder that it is from; one of several agents of one kind."""
 
     policy: Policy
     path: Path
@@ -308,7 +308,7 @@ class Loaded:
 
     @property
     def origin(self) -> tuple[str, int, int | None]:
-        """Return its file or folder, seed and training steps, which nobody knows."""
+        """Return its file or folder, its seed, and its training steps, which are unknown."""
         return str(self.path), self.seed, None
 
     def actions(self, turn: Turn) -> Answer:
@@ -317,7 +317,7 @@ class Loaded:
 
 @dataclass
 class Opaque:
-    """Policy in a game that is played and asked for actions, but has no network to look into.
+    """A policy without a network, in the game in which analyses ask it for actions.
 
     Attributes:
         mode, seed: As an agent's; only random actions depend on the seed.
@@ -348,9 +348,9 @@ class Opaque:
         return drawn.actions(turn)
 
     def chances(self, env: GameVectorEnv, observations: np.ndarray) -> np.ndarray:
-        """Return [N, A], 1 for the action that it takes in each state; random ones are all alike.
+        """Return its policy [N, A]: 1 for the action that it takes, or uniform if it is random.
 
-        A policy with a memory is asked as if it saw nothing before.
+        A policy with memory is asked as if each state began an episode.
 
         Args:
             env: Environments in the states [N].

@@ -33,7 +33,7 @@ Caption = str | Callable[[int], str]  # or a function of the step
 
 @dataclass(frozen=True, eq=False)
 class Episode:
-    """One episode of T steps: frames for people, observations and states."""
+    """One episode of T steps: frames to look at, observations and states."""
 
     frames: np.ndarray  # [T + 1, P, P, 3] uint8; of a World as it renders, scaled
     observations: Any  # [T + 1, ...]; uint8 of games

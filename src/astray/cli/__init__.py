@@ -104,7 +104,7 @@ def _tell(what: str) -> None:
 
 
 def guess(line: str) -> str:
-    """Return a question with the nearest name from the list in an error, or ""."""
+    """Return a "did you mean" question with the nearest name in an error's list, or ""."""
     found = re.match(r"unknown [^']*'([^']+)'.*; there are: (.*)", line)
     near = get_close_matches(found[1], re.split(r",? (?:and )?", found[2]), 1) if found else []
     return f"; did you mean {near[0]!r}?" if near else ""

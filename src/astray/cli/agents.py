@@ -271,7 +271,7 @@ def _write_assessment(assessed: Assessment, frames: np.ndarray, folder: Path) ->
 
 
 def show_amounts(episodes: pl.DataFrame, game: Game | World) -> None:
-    """Print the means of a game's measures as a table, where it has any: a row a policy."""
+    """Print the means of a game's measures, if it has any, as a table with a row per policy."""
     from astray.analysis.outcomes import amounts
 
     if not game.measures:
@@ -285,7 +285,7 @@ def show_amounts(episodes: pl.DataFrame, game: Game | World) -> None:
 
 
 def show_rates(rates: pl.DataFrame) -> None:
-    """Print `outcomes.rates` as a table: a row a policy, a column an outcome, 95 % intervals."""
+    """Print `outcomes.rates` as a table: a row per policy, a column per outcome, 95 % intervals."""
     outcomes = rates["outcome"].unique(maintain_order=True).to_list()
     shown = Table(
         "policy",

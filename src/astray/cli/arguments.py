@@ -106,7 +106,7 @@ class OwnPolicy:
     # Policy: random, walk:GOAL, or module:name, where the name is a policy, a function without
     # arguments that returns one, or a function from observations [N, ...] to actions [N].
     policy: Annotated[str | None, otherwise("none")] = None
-    # Game that the policy plays; the lab also shows a game without one.
+    # Game that the policy plays; the lab also shows a game without a policy.
     game: Annotated[str | None, otherwise("that of the agent")] = None
     # World of your own that the policy plays or the agent was trained on, as module:WORLD.
     world: Annotated[str | None, otherwise("none")] = None
@@ -207,7 +207,7 @@ class Player:
     policy: OwnPolicy = OwnPolicy()
 
     def open(self) -> tuple[Policy, Any, Any, Config | None]:
-        """Return the policy, its game or world, that one's variant, and an agent's settings.
+        """Return the policy, its game or world, the variant, and the agent's settings.
 
         Raises:
             ValueError: If no agent and no policy is named, or both are.
@@ -238,13 +238,13 @@ class TestedPlayer:
 
     @property
     def words(self) -> str:
-        """The agent or the policy, as the command line has it."""
+        """The agent or the policy, as given on the command line."""
         if self.agent:
             return shlex.quote(str(self.agent))
         return f"--policy {shlex.quote(str(self.policy.policy))} --game {self.policy.game}"
 
     def open(self) -> tuple[Policy, Any, str, Any, str, Config | None]:
-        """Return the policy, its game or world, a variant's name, it, a shift, and settings.
+        """Return policy, game or world, the variant's name, the variant, shift and settings.
 
         Raises:
             ValueError: If no agent and no policy is named, or both are, or a policy has no shift.
@@ -269,7 +269,7 @@ class Tested:
     acting: Acting = Acting()
 
     def words(self) -> dict[str, Any]:
-        """Return these options as functions that test agents take them."""
+        """Return these options as keyword arguments of the functions that test agents."""
         others = {"variant": self.variant, "shift": self.shift, "knobs": pairs(self.knobs)}
         return vars(self.acting) | others
 

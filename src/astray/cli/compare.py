@@ -39,12 +39,12 @@ def compare(
 ) -> None:
     """Write a page that compares agents and other policies in the same levels.
 
-    Outcomes and differences with intervals, learning curves and a video, side by side.
+    It shows outcomes and differences with intervals, learning curves and a video, side by side.
 
     Example: astray compare maze-corner walk:cheese random --shift corner-small
 
     Args:
-        game: Game that the policies play; needed where no agent is among them.
+        game: Game that the policies play; needed if no agent is among them.
         world: World of your own that the policies play, or the agents were trained on, as
             module:WORLD.
         out: Folder for compare.html, its figures and videos.

@@ -21,7 +21,7 @@ MOST_LEVELS = 10_000
 def explain(
     player: Annotated[TestedPlayer, arg(name="")] = TestedPlayer(),
     level: GivenLevel = GivenLevel(),
-    layers: Annotated[str | None, otherwise("three of them, with the last one")] = None,
+    layers: Annotated[str | None, otherwise("three layers, including the last")] = None,
     others: int = 100,
     out: Path = Path("explained"),
 ) -> None:
@@ -29,8 +29,8 @@ def explain(
 
     The page shows policy and value at every place, the effects of edits to the level, the parts
     that the value depends on, probes of the layers, the evidence for each goal, and the episode
-    step by step. By default the level is the first unseen one that distinguishes the goals. A part
-    that needs a network says so for a policy without one.
+    step by step. By default the level is the first unseen one that distinguishes the goals. For a
+    policy without a network, the parts that need one say so.
 
     Example: astray explain maze-corner
 

@@ -35,8 +35,8 @@ def import_(
     Example: astray import model_200015872.pth --as their-runner --game coinrun --variant coin-end
 
     Args:
-        file: File of the agent: .pth of train-procgen-pytorch (IMPALA), or .jd of RL-Clarity (the
-            clear network).
+        file: File of the agent: .pth or .pt (train-procgen-pytorch), .cleanrl_model (CleanRL), or
+            .jd (RL-Clarity).
         game: Game that the agent was trained in.
         variant: Variant that the agent was trained on.
         art: Art of the images that the agent was trained on.

@@ -20,7 +20,7 @@ Axes = UseAppendAction[
         arg(
             name="set",
             metavar="NAME=VALUE,...",
-            help="Train with each value of a knob of the variant or a setting; more add to it.",
+            help="Train with each value of a knob of the variant or a setting.",
         ),
     ]
 ]

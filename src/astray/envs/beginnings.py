@@ -1,4 +1,4 @@
-"""The states that levels begin in."""
+"""The initial states of levels."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ CHUNK = 1000  # levels begun at once
 
 
 def initial_states(game: str | Game, variant: str | Variant, levels: Levels) -> np.recarray:
-    """Return the states [N] that `levels` begin in.
+    """Return the initial states [N] of `levels`.
 
     Raises:
         ValueError: If a level number or a drawn level is invalid.

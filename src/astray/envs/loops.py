@@ -109,7 +109,7 @@ def next_level(s, i, n, levels, first, count):
 
 
 def run(states, looks, source, orders, seen, results, barrier, thread, generation):
-    """Run an order in every environment and observe it; False: an action is invalid.
+    """Run an order in every environment and observe it; return False if an action is invalid.
 
     There is a single loop, since each further one would compile the whole game again.
 

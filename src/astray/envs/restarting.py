@@ -19,7 +19,7 @@ MOST_ACTIONS = 4096  # combinations of a MultiDiscrete space
 
 
 def action_table(space: Space) -> np.ndarray:
-    """Return the actions [A] or, of a MultiDiscrete space, [A, k] that numbers from 0 stand for.
+    """Return the actions that numbers from 0 stand for: [A], or [A, k] of a MultiDiscrete space.
 
     Raises:
         ValueError: If the space is neither Discrete nor MultiDiscrete, or has too many actions.
@@ -37,7 +37,7 @@ def action_table(space: Space) -> np.ndarray:
 
 
 def seen_space(space: Space, observation: str) -> spaces.Box:
-    """Return the space of what a network sees: see `as_seen`.
+    """Return the space of the observations that a network receives: see `as_seen`.
 
     Raises:
         ValueError: If such observations are no images.
@@ -54,7 +54,7 @@ def seen_space(space: Space, observation: str) -> spaces.Box:
 
 
 def as_seen(space: Space, observation: str, shown_here: Any) -> np.ndarray:
-    """Return observations [N, ...] as a network sees them.
+    """Return observations [N, ...] in the form that a network receives.
 
     Args:
         observation: "image" leaves their axes: uint8, or float32. "symbolic" makes vectors [N, D]
@@ -74,10 +74,10 @@ def as_seen(space: Space, observation: str, shown_here: Any) -> np.ndarray:
 
 
 class Restarting:
-    """Environments in which a drawn level begins wherever an episode ends, as in mode SameStep.
+    """Environments that draw and begin a level when an episode ends, as in mode SameStep.
 
     Attributes:
-        final_states: Records [N] of the episodes before the last beginnings.
+        final_states: Records [N] of the episodes that ended before the current ones began.
         single_action_space: Numbers of the rows of `action_table`.
     """
 
@@ -139,10 +139,10 @@ class Restarting:
     def restore(self, states: np.ndarray, turns: np.ndarray, actions: np.ndarray) -> np.ndarray:
         """Replay episodes: states [N], turns [N], actions [steps] -> their observations [N, ...].
 
-        Where levels do not repeat, the episodes begin anew.
+        If levels do not repeat, the episodes begin anew.
 
         Raises:
-            ValueError: If an episode is another one than before.
+            ValueError: If an episode differs from before.
         """
         self._turns = turns.copy()
         lengths = states["time"].astype(int)

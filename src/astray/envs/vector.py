@@ -285,7 +285,7 @@ class GameVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
 
     @property
     def final_states(self) -> np.ndarray:
-        """States [N] in which episodes ended, where the last step ended one; in mode SameStep."""
+        """Final states [N] of the episodes that the last step ended, in mode SameStep."""
         return self._final_states
 
     def get_state(self) -> np.ndarray:
@@ -305,7 +305,7 @@ class GameVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         return self._do(np.full(self.num_envs, AS_SET))
 
     def repeat(self, states: np.ndarray | None) -> None:
-        """Begin every following episode in the environment's own one of `states` [N].
+        """Begin every following episode of environment i in `states[i]`, of [N].
 
         None returns to the usual levels. Running episodes continue.
 
@@ -348,7 +348,7 @@ class GameVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
             self._states[name][which] = values
 
     def render(self) -> tuple[np.ndarray, ...] | None:
-        """Return pictures for people, [512, 512, 3] uint8 each, if render_mode is "rgb_array"."""
+        """Return pictures to look at, [512, 512, 3] uint8 each, if render_mode is "rgb_array"."""
         return tuple(self.picture(PICTURE)) if self.render_mode == "rgb_array" else None
 
     def picture(self, pixels: int) -> np.ndarray:

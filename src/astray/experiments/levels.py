@@ -28,8 +28,8 @@ def levels_of(plan: Plan, test: Test) -> np.ndarray:
 def unmet(agents: Iterable[Config], variant: Variant, count: int) -> np.ndarray:
     """Return the first `count` numbers [count] of a variant's levels that no agent has met.
 
-    Published agents that trained on all two thousand million levels may have met any level, so
-    these are as good as others. ValueError is raised if there are too few.
+    Published agents that trained on all two billion levels may have met any level, so these are as
+    good as others. ValueError is raised if there are too few.
     """
     agents = list(agents)
     game = agents[0].find_game()

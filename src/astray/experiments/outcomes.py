@@ -279,8 +279,8 @@ def settings(plan: Plan) -> dict[str, str]:
 def videos(work: Work, *, trained: Test, tested: Test, agent: str | None = None) -> list[Video]:
     """Show an agent in a training and a test level of one number, for each outcome of the test.
 
-    The most common outcome comes first. Each has the first distinguishing level with a longer way
-    to the proxy (without one, the intended goal) than most.
+    The most common outcome comes first. Each shows the first distinguishing level whose way to the
+    proxy (or else to the intended goal) is longer than in most levels.
     """
     plan = work.plan
     name = agent or next(iter(work.runs))

@@ -161,9 +161,9 @@ class Plan:
     def power(self) -> list[float]:
         """Return the detectable distances of rates and differences, with 80 % power.
 
-        Rates have a distance from their bound. There is one value for each of `SPREADS`, before
-        corrections for the number of claims. With one agent only levels vary. NaN stands for a
-        single kind.
+        The distance of a rate is that from its bound. There is one value for each of `SPREADS`,
+        before corrections for the number of claims. With one agent only levels vary. With a single
+        kind of agents the difference is NaN.
         """
         alone = self.seeds == 1 or bool(self.published)
         kinds = len(self.agents) + len(self.own)

@@ -1,4 +1,4 @@
-"""Values of a figure by place, for pages that tell them under the pointer."""
+"""Values of a figure by place, for pages that show them under the pointer."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ UNNAMED = "_child", "_nolegend_", "95 % interval"  # lines that are no series
 
 
 def points(figure: Figure) -> list[tuple[float, float, str]]:
-    """Return places in a figure and what is measured there, once the figure was drawn.
+    """Return places in a figure that was drawn, and the values measured there.
 
     Returns:
         From the left and from the top, as percentages of the figure's size, and the text.

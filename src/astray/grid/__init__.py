@@ -41,21 +41,22 @@ def world(
     centred: bool = False,
     **rest: Any,
 ) -> Game:
-    """Make the game of a module that has the rules and levels of a grid world.
+    """Make a game from a module with the rules and levels of a grid world.
 
     Args:
         module: Module with `ACTIONS`, `STATE` (of `rules.state`), `EVENTS`, `step`, `generate` and
             `furnish(s, p)`, which sets the initial numbers and events of a level.
         name: Name of the game.
         about: Description, a sentence.
-        things: Character in drawings -> name, which is its picture's; the first is "#", a wall.
+        things: Character in drawings -> name of the kind and of its picture; the first is "#", a
+            wall.
         movers: The same for kinds that move on things.
         agents: Names of the agent's pictures, one for each value of `held`.
         variants: As in a `Game`.
         goals: As in a `Game`.
         shifts: As in a `Game`.
-        seek: Function (s, goal) -> what a script does to reach a goal that is an event: the cells
-            of which it goes to the nearest, an action, or None for nothing.
+        seek: Function (s, goal) -> the target of a script, for each goal that is an event: cells,
+            of which it goes to the nearest; an action; or None to do nothing.
         hazards: Names of kinds that scripts walk around.
         solid: Names of kinds that nobody can walk on.
         stood: Characters of kinds that the agent may stand on.

@@ -24,7 +24,7 @@ TURNS = np.array([3, -4, -3, 2, 0, -2, 1, 0, -1])
 
 @kernel
 def looking(s, side):
-    """Return the camera."""
+    """Return the camera for the whole world, or for the window around the thief."""
     if s.window:
         return camera(side, s.window, s.x, s.y)
     return camera(side, s.world, F(s.world) * F(0.5), F(s.world) * F(0.5))

@@ -62,13 +62,13 @@ def draw_u32(s):
 
 @kernel
 def below(s, n):
-    """Draw a uniform integer in [0, n) as the original: one word modulo n."""
+    """Draw a uniform integer in [0, n) as the original does: one word modulo n."""
     return np.int64(draw_u32(s) % np.uint64(n))
 
 
 @kernel
 def unit(s):
-    """Draw a uniform real in [0, 1] as the original: one word / 2^32 as float32."""
+    """Draw a uniform real in [0, 1] as the original does: one word / 2^32 as float32."""
     return np.float64(np.float32(np.float64(draw_u32(s)) / 4294967296.0))
 
 
@@ -104,7 +104,7 @@ def choose(s, cells, count, n):
 def wind(s: Any, given: Any) -> tuple[int, int]:
     """Set the twister of `s` to a level's look `given`, a seed and a number of draws; return both.
 
-    None is seed 0 and no draw, and returns -1 and 0.
+    None means seed 0 without draws; -1 and 0 are then returned.
 
     Raises:
         ValueError: If `given` is neither.

@@ -71,9 +71,9 @@ def mark_thief(s, planes, left, low, thief, across, up):
 
 
 def turned(right: np.ndarray, right_up: np.ndarray) -> np.ndarray:
-    """Return the thief as each moving action turns it, [9, S, S, 4]; "stay" is to the right.
+    """Return a picture of the thief for each action, [9, S, S, 4]; "stay" faces right.
 
-    The arguments are pictures of the thief to the right, and to the upper right; all [S, S, 4].
+    The arguments are pictures of the thief facing right, and facing the upper right; all [S, S, 4].
     """
     straight, oblique = (
         ("right", "up", "left", "down"),

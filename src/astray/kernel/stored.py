@@ -89,7 +89,7 @@ class Stored(Cache):
     """Compiled code that is read from files, and written while `writes` is true.
 
     Args:
-        function: Function that names the file of its source.
+        function: Function whose source file names the files of code.
         digest: Digest of the sources that it depends on.
         folder: Function that returns the folder, "" for none; called when code is first needed.
     """

@@ -106,7 +106,7 @@ def curves(
     granularities: Sequence[Granularity] = ("step",),
     percentiles: Sequence[float] = PERCENTILES,
 ) -> pl.DataFrame:
-    """Return the effect of each amount of help: a row per percentile, for none and for all.
+    """Return the effect of each amount of help: a row per percentile, and for no and full help.
 
     It covers each score and granularity. Shared episodes, of the novice and the expert alone, are
     played once.

@@ -225,10 +225,10 @@ class GoalPosterior:
     independent of other levels.
 
     Attributes:
-        kind: "entropy" is the entropy, in nats, of the most likely fractions of the splay's
-            episodes that each goal, and "a device", explain; it is high if the agent pursues
-            various goals. "misgeneralization" is 1 minus the posterior of the intended goal in the
-            level itself; an overseer has to name this goal.
+        kind: "entropy" is the entropy in nats of the explanations of the splay's episodes: the most
+            likely fraction of each goal, and of "a device". It is high if the agent pursues various
+            goals. "misgeneralization" is 1 minus the posterior of the intended goal in the level
+            itself; an overseer has to name this goal.
     """
 
     agent: Policy

@@ -52,7 +52,7 @@ def check(
     length (mean steps), start_value (mean) and published_value, verdict.
 
     Args:
-        levels: [N] numbers; None for as many first ones as the published count needs.
+        levels: [N] numbers; None for the first ones, as many as the published count needs.
     """
     agent, config = open_run(run)
     rows = []

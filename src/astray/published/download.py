@@ -149,12 +149,12 @@ def in_time(ask: Callable[[], T], stop: Callable[[], None], arrived: Callable[[]
     """Return the result of `ask`, which runs in a thread, as long as enough bytes arrive.
 
     Args:
-        ask: Asks a server.
-        stop: Ends that; called where this is not waited for any longer.
-        arrived: The bytes that have come so far.
+        ask: Function that asks a server.
+        stop: Function that ends the request, called if it is given up.
+        arrived: Function that returns the number of bytes received so far.
 
     Raises:
-        OSError: In `WAIT` seconds fewer than `LEAST` bytes came.
+        OSError: If fewer than `LEAST` bytes arrive in `WAIT` seconds.
     """
     came: Future[T] = Future()
 

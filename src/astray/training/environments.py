@@ -40,12 +40,12 @@ def whole_step(
     ended: np.ndarray,
     info: dict[str, Any],
 ) -> Step:
-    """Return a step as evaluation has it, with the ends of episodes that begin anew.
+    """Return a step in the form of evaluation, with the final states of restarted episodes.
 
     Args:
         env: Environments after the step.
         before: States [n] and observations [n, ...] before it.
-        answer: What the actor chose.
+        answer: The actor's answer.
         shown_here: Observations [n, ...] after it.
         reward: [n], as `env` returned them.
         terminated: [n] bool.

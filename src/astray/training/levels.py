@@ -139,7 +139,7 @@ def discounted_returns(
 def positive_value_loss(advantage: np.ndarray) -> np.ndarray:
     """Return each environment's mean of max(advantage, 0), [T, N] -> [N].
 
-    This is the gain that the critic did not expect (Jiang et al., "Replay-Guided Adversarial
+    It is the gain that the critic did not expect (Jiang et al., "Replay-Guided Adversarial
     Environment Design", 2021).
     """
     return np.maximum(advantage, 0).mean(0, dtype=np.float64)

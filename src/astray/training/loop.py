@@ -164,7 +164,7 @@ def iterate(
 
 @contextlib.contextmanager
 def chance(config: Config, iteration: int) -> Iterator[None]:
-    """Seed torch's random state, for instance for dropout, from the seed and the iteration."""
+    """Seed torch's random state from the seed and the iteration, for dropout for instance."""
     with torch.random.fork_rng(range(torch.cuda.device_count() if config.device == "cuda" else 0)):
         torch.manual_seed(
             int(np.random.SeedSequence((config.seed, iteration)).generate_state(1)[0])

@@ -241,7 +241,7 @@ class Trainer:
                 state[name] = torch.empty_like(weight).copy_(state[name])
 
     def close(self) -> None:
-        """Release the CUDA graphs; a communicator between processes cannot end before."""
+        """Release the CUDA graphs; a communicator between processes cannot end before that."""
         if self._captured:
             self._captured.graph.reset()
         for player in self.players().values():

@@ -35,7 +35,7 @@ STATE = state(SIDE, EVENTS)
 
 @dataclass(frozen=True, kw_only=True)
 class Boxes(Variant):
-    """A room with boxes anywhere but at its walls."""
+    """A room with boxes anywhere except at its walls."""
 
     boxes: int = 0
     time_limit: int = 50  # steps

@@ -146,7 +146,7 @@ def put(target, sprite, top, left):
 
 @shared
 def lay_sky(s, target, picture, first, after, left, right, top, shift, scale):
-    """Fill rows first..after with the backdrop, from the world's floor up; above it, its top row.
+    """Fill rows first..after with the backdrop above the world's floor; its top row repeats above.
 
     The target's upper left pixel is (`top`, `shift`) in the scene.
     """

@@ -232,7 +232,7 @@ def finish(s, permeable):
 
 @kernel
 def put_coins(s, p, random, random_x, random_y):
-    """Put a coin at the end, at the random place, or both; otherwise an invisible one there."""
+    """Put a coin at the end, at the random place, or both; the others are invisible."""
     if p.coins == TWO_COINS:
         at_end, at_random = True, True
     elif p.coins == ONE_COIN:

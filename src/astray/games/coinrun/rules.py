@@ -95,7 +95,7 @@ def act(s, action, horizontal_first):
 
 @kernel
 def stay_inside(s):
-    """Keep the runner in the world; it gets to the ends only if it was set into a wall."""
+    """Keep the runner in the world, which it could leave only if an edit put it into a wall."""
     s.x = min(max(s.x, HALF), WORLD - HALF)
     s.y = min(max(s.y, TALL), WORLD - TALL)
 

@@ -18,7 +18,7 @@ class CoinRun(Variant):
     cells from the start), or uniform over all reachable places to stand. If the end or the random
     place holds no coin, an invisible one is placed there.
 
-    A permeable wall that would leave the world ends with it, with nothing beyond; the original
+    A permeable wall may reach beyond the world; it is then cut off there, where the original
     aborts. Without hazards, pits are filled with ground.
     """
 

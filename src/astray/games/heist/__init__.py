@@ -1,4 +1,4 @@
-"""Heist: a thief gets at a gem, behind doors of three colours that keys of their colours open."""
+"""Heist: a thief looks for a gem behind coloured doors, which keys of their colours open."""
 
 from astray.game import Benchmark, Game
 from astray.games.heist import draw, levels, measures, original, rules, solve, variants

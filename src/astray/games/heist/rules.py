@@ -1,4 +1,4 @@
-"""Heist: a thief takes coloured keys, opens doors of their colours, and gets at a gem."""
+"""Heist: a thief takes coloured keys, opens doors of their colours, and takes a gem."""
 
 import numpy as np
 
@@ -61,7 +61,7 @@ def step(s, action):
 
 @kernel
 def locked(s):
-    """Return a bit mask of the doors without a key in hand."""
+    """Return a bit mask of the doors whose key is not in hand."""
     found = 0
     for k in range(s.objects):
         if is_door(s, k) and s.gone[k] == NEVER and not has_key(s, k):

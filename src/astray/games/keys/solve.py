@@ -31,8 +31,8 @@ check = functools.partial(check_record, rules=rules, truths=truths)
 def walk(s, steps, objects, target, most):
     """Walk until `objects[target]` is touched.
 
-    It returns the number of steps, UNREACHABLE above `most`, and a bit mask of the other objects
-    that are touched before.
+    It returns the number of steps, or UNREACHABLE if there are more than `most`, and a bit mask of
+    the other objects touched on the way.
     """
     met = 0
     for time in range(1, most + 1):

@@ -1,4 +1,4 @@
-"""Lava land: a mouse that never saw lava looks for its cheese among lava.
+"""Lava land: a mouse trained without lava looks for its cheese among lava.
 
 After Hadfield-Menell et al., Inverse Reward Design (2017), and jaxgmg. In training there is no
 lava; in the test some cells are lava, and each step on one costs 1.
@@ -23,7 +23,7 @@ STATE = state(SIDE, EVENTS, "burnt")  # steps on lava
 
 @dataclass(frozen=True, kw_only=True)
 class LavaLand(Variant):
-    """An open room with lava in a number of cells."""
+    """An open room with lava in some of its cells."""
 
     lava: int = 0  # cells
     time_limit: int = 50  # steps

@@ -22,7 +22,7 @@ check = functools.partial(check_record, rules=rules, truths=truths)
 
 
 def free(s: Any) -> np.ndarray:
-    """Return the cells of the world of state `s` that are no wall, [H, W] bool."""
+    """Return the cells of the world of state `s` that are not walls, [H, W] bool."""
     return np.asarray(s.cell[: s.world, : s.world] != WALL)
 
 

@@ -35,7 +35,7 @@ COUNTS = ("picked", "disposed", "left_in_corner", "broken")
 
 @dataclass(frozen=True, kw_only=True)
 class Pottery(Variant):
-    """A shop of 4 x 4 cells, whose upper left corner holds at most the bin."""
+    """A shop of 4 x 4 cells, in whose upper left corner only the bin may stand."""
 
     bin: Literal["corner", "anywhere"] = "corner"  # where the bin stands; the corner: upper left
     reward: Literal["bin", "picks", "careful", "corner"] = "bin"  # which reward function pays

@@ -1,7 +1,8 @@
 """Tomato watering: with a bucket over its head, a gardener sees all tomatoes as watered.
 
 After the reward gaming of Leike et al., AI Safety Gridworlds (2017). The reward is the fraction of
-tomatoes that look watered. The goal is that they are, which pays less than to stay in the bucket.
+tomatoes that look watered. The goal is that they are watered, which pays less than staying in the
+bucket.
 """
 
 import sys

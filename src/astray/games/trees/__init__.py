@@ -1,8 +1,8 @@
 """Tree gridworld: a woodcutter learns in a single endless life how to treat a forest.
 
 After Shah et al., Goal Misgeneralization (2022). A tree is worth 1, and fewer trees grow if fewer
-are left. An agent that learned in a forest that grew back as fast as a beginner felled it fells it
-all.
+are left. While the agent is a beginner, the forest grows back as fast as it is felled. A skilled
+agent then fells it all.
 """
 
 import sys

@@ -96,7 +96,7 @@ def resolve(config: Config, ours: bool = True, planes: bool = True) -> Accelerat
 
     Args:
         ours: Whether network and loss are astray's own; otherwise nothing is used.
-        planes: Whether an mlp sees planes, which the kernels are for, and not vectors.
+        planes: Whether an mlp sees planes; the kernels do not support vectors.
 
     Raises:
         ValueError: If a setting asks for something unavailable.
@@ -205,8 +205,8 @@ def accelerate(
     A warning then names which of the two is custom.
 
     Raises:
-        ValueError: If the settings ask for what a custom network or loss does not have, or a loss
-            gives a network with memory another batch than it got.
+        ValueError: If the settings ask for an acceleration that a custom network or loss does not
+            have, or a loss passes another batch than its own to a network with memory.
     """
     if isinstance(network, Recurrent):
         whole = lambda batch: loss(_told(network, batch), batch, config)  # noqa: E731
@@ -284,7 +284,7 @@ def agree(network: nn.Module, config: Config, architecture: Architecture) -> boo
 
 
 def agreement(fast: Accelerated, network: nn.Module, batch: Samples, config: Config) -> dict:
-    """Compare the accelerated gradient with the float32 gradient as written: cosine, length ratio.
+    """Return cosine and length ratio of the accelerated gradient to the plain float32 gradient.
 
     Convolutions in bfloat16 have been wrong on some GPUs (pytorch issue 150700).
     """

@@ -74,7 +74,7 @@ def find(work: Work) -> Findings:
 
 
 def claims(rows: pl.DataFrame, mean: Mapping[tuple[str, str], Estimate]) -> list[Claim]:
-    """Return what was claimed before the levels of this study were played."""
+    """Return the claims, which were made before the levels of this study were played."""
     found = []
     for name in (SYMBOLS, PICTURES):
         mine = rows.filter(policy=name)
@@ -118,7 +118,7 @@ def claims(rows: pl.DataFrame, mean: Mapping[tuple[str, str], Estimate]) -> list
 def measured(work: Work) -> pl.DataFrame:
     """Return a row per policy, level and goal: policy, level, condition (the goal), fraction.
 
-    Levels count that have both goals, in cells of their own, and neither where the mouse begins.
+    Only levels with both goals count, in two cells in which the mouse does not begin.
     """
     test = work.plan.visited[WHERE]
     variant, levels = test.variant_for(work.plan.config), levels_of(work.plan, test)
@@ -161,7 +161,7 @@ def fields_of(
 
 
 def scripted(field: Field, taken: np.ndarray) -> Field:
-    """Return a policy that takes each of some actions [K, A] alike; all where there is none."""
+    """Return the uniform policy over the given actions [K, A], or over all if there are none."""
     taken = taken | ~taken.any(1, keepdims=True)
     return Field(field.places, taken / taken.sum(1, keepdims=True), field.value)
 

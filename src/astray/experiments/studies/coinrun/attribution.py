@@ -253,7 +253,7 @@ def pictures(example: dict[str, Any]) -> list[Picture]:
 
 
 def grey(agent, variant, states: np.ndarray) -> list:
-    """Return the picture of one state for people, [PIXELS, PIXELS] from 0 to 255."""
+    """Return the picture of one state to look at, [PIXELS, PIXELS] from 0 to 255."""
     shown = picture("coinrun", variant, states, PIXELS, agent.art)[0]
     return shown.mean(2).round().astype(int).tolist()
 

@@ -162,7 +162,7 @@ def in_training(work: Work) -> pl.DataFrame:
 def coin_at_end(work: Work) -> pl.DataFrame:
     """Play the agents without random coins in the levels of each test as in training.
 
-    An invisible coin is in the test's place.
+    An invisible coin marks the place of the test's coin.
     """
     parts = []
     for where, test in BLIND.items():

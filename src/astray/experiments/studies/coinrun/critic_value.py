@@ -233,7 +233,7 @@ def calibration(table: pl.DataFrame) -> pl.DataFrame:
 
 
 def unit_of(work: Work) -> str:
-    """Return the unit of values, compared with returns."""
+    """Return the unit of the critic's values, in units of returns."""
     config = open_run(work.runs[RUNNER][0])[1]
     if config.normalise_reward:
         return "Values are in standard deviations of returns, as in the training."

@@ -184,7 +184,7 @@ def episodes(work: Work) -> pl.DataFrame:
 
 
 def play(work: Work, policy: Policy, test: str) -> pl.DataFrame:
-    """Return the rows of one policy in one test; after: the fate of an episode that went on."""
+    """Return the rows of one policy in one test; `after` is the fate of an episode that went on."""
     variant = TESTS[test].variant_for(work.plan.config)
     levels = levels_of(work.plan, TESTS[test])
     place = places(work, test, levels)

@@ -1,4 +1,4 @@
-"""A robot that is watched in half of its training, and then never."""
+"""A robot watched in half of its training, and never in the test."""
 
 from astray.analysis.outcomes import INTENDED, MISGENERALIZED
 from astray.experiments import outcomes

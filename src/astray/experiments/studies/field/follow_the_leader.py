@@ -1,4 +1,4 @@
-"""An agent that learned beside an expert, beside an anti-expert."""
+"""An agent trained beside an expert, and tested beside an anti-expert."""
 
 from astray.analysis.estimates import estimate_paired
 from astray.analysis.outcomes import INTENDED, MISGENERALIZED

@@ -1,4 +1,4 @@
-"""A robot that learned where the gap in the lava is, with the gap elsewhere."""
+"""A robot trained with the gap in the lava in one place, and tested with it elsewhere."""
 
 from astray.analysis.outcomes import INTENDED
 from astray.experiments import outcomes

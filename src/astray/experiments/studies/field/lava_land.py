@@ -1,4 +1,4 @@
-"""A mouse that never saw lava, among lava."""
+"""A mouse trained without lava, and tested among lava."""
 
 from astray.analysis.outcomes import INTENDED
 from astray.experiments import outcomes

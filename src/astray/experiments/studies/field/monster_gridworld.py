@@ -1,4 +1,4 @@
-"""A knight of short episodes, in which there are monsters, where there are none."""
+"""A knight trained in short episodes with monsters, and tested after the monsters are gone."""
 
 from astray.analysis.estimates import estimate_mean
 from astray.estimate import Estimate
@@ -14,7 +14,7 @@ LATER = "in long episodes"
 
 
 def find(work: Work) -> Findings:
-    """Compute the part of shields in what the knight picks up in safety."""
+    """Compute the fraction of shields among the things that the knight picks up in safety."""
     train, test, _ = work.plan.tests
     gain = beyond_random(work, train, "return")
     parts = []

@@ -1,4 +1,4 @@
-"""A robot that is paid for its way alone, among boxes."""
+"""A robot paid only for reaching its goal, and tested among boxes."""
 
 from astray.experiments import outcomes
 from astray.experiments.spec import Test, Work

@@ -1,4 +1,4 @@
-"""A gardener that is paid for tomatoes that look watered, with a bucket to look from."""
+"""A gardener paid for tomatoes that look watered; with a bucket over its head all of them do."""
 
 from astray.analysis.estimates import estimate_mean
 from astray.analysis.outcomes import MISGENERALIZED

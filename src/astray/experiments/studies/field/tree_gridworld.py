@@ -1,4 +1,4 @@
-"""A woodcutter that learned in one life without end."""
+"""A woodcutter trained in a single endless life."""
 
 import polars as pl
 
