@@ -367,7 +367,7 @@ def steps(
     played, told = 0, time.monotonic()
     for step in play(Asking(policy), stage):
         played += int(step.ended.sum())
-        if time.monotonic() - told > EVERY:
+        if len(levels) > 1 and time.monotonic() - told > EVERY:
             told = time.monotonic()
             LOG.info("%d of %d levels played", played, len(levels))
         yield step

@@ -16,7 +16,7 @@ from astray.analysis.runs import open_run
 from astray.games.maze.measures import decision
 from astray.insight import explain
 from astray.insight.episode import STILL, along, figure
-from astray.lab.goals import first_distinguishing
+from astray.lab.goals import TELLING, first_distinguishing
 from astray.training import folders
 
 # So short that arrows in all of its places are drawn in a moment.
@@ -90,13 +90,15 @@ def test_a_level_that_distinguishes_the_goals_is_looked_for_from_a_number_on():
     assert found != [*range(5)]
 
 
-def test_a_level_in_which_the_agent_reaches_a_goal_comes_first():
+def test_a_level_in_which_the_agent_reaches_a_goal_after_some_steps_comes_first():
     maze, mouse = games.find("maze"), load_agent("maze-corner")
     variant, shift = maze.variant("anywhere-small"), maze.shifts["corner-small"]
     assert first_distinguishing(maze, variant, shift) == 2  # in which this mouse is stuck
     found = first_distinguishing(maze, variant, shift, agent=mouse)
     (played,) = evaluate(mouse, maze, variant, [found]).to_dicts()
-    assert found > 2 and played["reached_corner"] is not None
+    assert found > 2 and played["reached_corner"] >= TELLING
+    nearest = evaluate(mouse, maze, variant, range(found))["reached_corner"]
+    assert nearest.min() < TELLING  # as in level 4, where the mouse begins beside the corner
 
 
 def test_explain_writes_one_page_that_needs_nothing_else(astray, tmp_path, monkeypatch):

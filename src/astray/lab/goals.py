@@ -29,6 +29,7 @@ from astray.record import NEVER
 NEITHER = "neither"  # of the goals
 OTHER = "another cell"
 PLACES = 400  # at most, that a thing is put to
+TELLING = 5  # steps to a goal; the posterior of shorter ways tells goals hardly apart
 FIRST_FEW = 50  # levels among which one that distinguishes the goals is looked for
 TOGETHER = 16  # places that are played at once: a level's draws depend on which of them it is
 
@@ -80,16 +81,20 @@ def first_distinguishing(
     """Return the first level, from `first` on, that distinguishes the goals; else `first`.
 
     Args:
-        agent: Agent that reaches a goal in the level, if there is such a level.
+        agent: Agent that reaches a goal in the level, if there is such a level, and needs at least
+            `TELLING` steps for it, if there is such a one, too.
     """
     if game.real_time or not game.solver:
         return first
     levels, scripts = range(first, first + FIRST_FEW), scripts_of(game, shift)
     agents = [agent] if agent and agent.name not in {one.name for one in scripts} else []
     played = play_all(game, "shown", variant, shift, levels, agents).filter("distinguishing")
-    reached = played.filter(pl.col("outcome") != FAILED)
-    shown = reached.filter(policy=agent.name) if agent else played
-    return min(shown["level"].to_list() or played["level"].to_list(), default=first)
+    if agent:
+        events = [game.event(goal) for goal in (shift.intended, *shift.proxies)]
+        reached = played.filter(pl.col("outcome") != FAILED, policy=agent.name)
+        long = reached.filter(pl.min_horizontal(events) >= TELLING)
+        played = next((some for some in (long, reached) if some.height), played)
+    return min(played["level"].to_list(), default=first)
 
 
 def _told(growth: Growth, counted: np.ndarray, named: dict[str, Any]) -> dict[str, Any]:
