@@ -4,6 +4,7 @@ import copy
 import pickle
 import zipfile
 from dataclasses import replace
+from itertools import product
 
 import numpy as np
 import pytest
@@ -17,6 +18,13 @@ from astray.envs.vector import GameVectorEnv
 from helpers.cases import FEW, SHAPES
 
 MODES = list(AutoresetMode)
+WAYS = list(product(MODES, ["image", "symbolic"]))
+# Every way in a game with rules of its own and in a grid world, and a way for each shape in turn.
+RESTORED = [
+    (*shape, *way)
+    for k, shape in enumerate(SHAPES)
+    for way in (WAYS if shape[0] in ("coinrun", "lavaland") else [WAYS[k % len(WAYS)]])
+]
 
 
 def played(game, variant, mode="SameStep", steps=20, n=4, **options):
@@ -24,7 +32,7 @@ def played(game, variant, mode="SameStep", steps=20, n=4, **options):
     mode = AutoresetMode(mode)
     kind = replace(games.find(game).variants[variant], time_limit=15)
     env = GameVectorEnv(game, kind, n, autoreset_mode=mode, **options)
-    env.reset(seed=1)
+    env.reset(seed=2)  # in every game, time alone ends some of these episodes
     rng = np.random.default_rng(0)
     for _ in range(steps):
         ended = env.states.ended.copy()
@@ -34,9 +42,7 @@ def played(game, variant, mode="SameStep", steps=20, n=4, **options):
     return env
 
 
-@pytest.mark.parametrize("observation", ["image", "symbolic"])
-@pytest.mark.parametrize("mode", MODES)
-@pytest.mark.parametrize("game, variant", SHAPES)
+@pytest.mark.parametrize("game, variant, mode, observation", RESTORED)
 def test_a_restored_state_plays_on_byte_for_byte(game, variant, mode, observation, tmp_path):
     # Every episode that time alone ends has just ended: so it must have, once restored.
     steps = 31 if mode is AutoresetMode.NEXT_STEP else 30
@@ -186,7 +192,7 @@ def test_a_header_that_promises_too_much_takes_no_memory(tmp_path):
 @pytest.mark.parametrize("game, variant", FEW)
 def test_every_state_that_is_played_passes_the_check(game, variant):
     for mode in MODES:
-        env = played(game, variant, mode, n=32, steps=40)
+        env = played(game, variant, mode, n=32, steps=40, observation="symbolic")
         env.game.check(env.get_state(), env.variant)
 
 

@@ -12,18 +12,17 @@ from gymnasium.wrappers.vector import RecordEpisodeStatistics
 from astray import games, testing
 from astray.envs.single import GameEnv
 from astray.envs.vector import GameVectorEnv
-from helpers.cases import ALL, FEW, SHAPES
+from helpers.cases import FEW, SHAPES
 
 MODES = list(AutoresetMode)
-SLOW = (testing.check_batches, testing.check_gymnasium, testing.check_compiled_once)
+OF_SHAPES = (testing.check_batches, testing.check_gymnasium, testing.check_compiled_once)  # slow
 
 
-@pytest.mark.parametrize("check", testing.CHECKS)
 @pytest.mark.parametrize("game, variant", FEW)
-def test_a_game_is_what_it_is_taken_for(game, variant, check):
-    if check in SLOW and (game, variant) not in SHAPES:
-        pytest.skip("slow, and the same for variants of this shape")
-    check(games.find(game), games.find(game).variant(variant))
+def test_a_game_is_what_it_is_taken_for(game, variant):
+    for check in testing.CHECKS:
+        if check not in OF_SHAPES or (game, variant) in SHAPES:
+            check(games.find(game), games.find(game).variant(variant))
 
 
 @pytest.mark.parametrize("game", games.OWN)
@@ -31,18 +30,19 @@ def test_its_parts_lead_to_what_there_is(game):
     testing.check_parts(games.find(game))
 
 
-@pytest.mark.parametrize("game, variant", SHAPES)
-def test_registered_ids_make_environments(game, variant):
-    env = gymnasium.make(f"astray/{game}-{variant}-v0", render_mode="rgb_array")
-    assert isinstance(env.unwrapped, GameEnv)
-    check_env(env.unwrapped)
+@pytest.mark.parametrize("game", games.OWN)
+def test_registered_ids_make_environments(game):
+    for name, variant in games.find(game).variants.items():
+        one = gymnasium.make(f"astray/{game}-{name}-v0").unwrapped
+        assert isinstance(one, GameEnv) and one.vector.variant == variant
+        env = gymnasium.make_vec(f"astray/{game}-{name}-v0", num_envs=2, observation="symbolic")
+        assert isinstance(env, GameVectorEnv) and env.variant == variant
+        assert env.reset(seed=0)[0] in env.observation_space
 
 
-@pytest.mark.parametrize("game, variant", ALL)
-def test_registered_ids_make_vectors(game, variant):
-    env = gymnasium.make_vec(f"astray/{game}-{variant}-v0", num_envs=2, observation="symbolic")
-    assert isinstance(env, GameVectorEnv)
-    assert env.reset(seed=0)[0] in env.observation_space
+@pytest.mark.parametrize("name", ["astray/maze-corner-v0", "astray/lavaland-lava-v0"])
+def test_what_is_rendered_passes_gymnasiums_checker_too(name):
+    check_env(gymnasium.make(name, render_mode="rgb_array").unwrapped)
 
 
 def test_levels_of_a_list_are_each_walked_once():

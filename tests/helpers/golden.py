@@ -14,38 +14,48 @@ import argparse
 import hashlib
 import json
 import sys
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
 
 from astray import games
 from astray.envs.vector import GameVectorEnv
+from helpers.cases import SHAPES
 
 LEVELS = {"levels": 100, "images": 10, "symbols": 10}  # how many of each are digested
 STEPS = (10, 100, 1000)  # after which an episode's digest so far is told
 SEED, PLAYED = 7, (0, 6)  # of the batch, and which of its environments are looked at
 
 
-def golden(game: str, variant: str, *, batch: int = 7, threads: int = 1, steps: int = 1000) -> dict:
+def golden(
+    game: str,
+    variant: str,
+    *,
+    batch: int = 7,
+    threads: int = 1,
+    steps: int = 1000,
+    levels: Mapping[str, int] = LEVELS,
+) -> dict:
     """The digests of a variant by name; those of episodes up to `steps`."""
     found = {}
     for observation in ("symbolic", "image"):
         env = GameVectorEnv(game, variant, batch, observation=observation, threads=threads)
-        found |= _of_levels(env) | _of_episodes(env, steps)
+        found |= _of_levels(env, levels) | _of_episodes(env, steps)
         env.close()
     return found
 
 
-def _of_levels(env: GameVectorEnv) -> dict[str, str]:
+def _of_levels(env: GameVectorEnv, counts: Mapping[str, int]) -> dict[str, str]:
     """Of levels as data, with symbols; and of what is seen at their beginning."""
     seen = "symbols" if env.symbolic else "images"
     digests = {name: hashlib.sha256() for name in ("levels", seen)}
-    count = LEVELS["levels"] if env.symbolic else LEVELS[seen]
+    count = counts["levels"] if env.symbolic else counts[seen]
     for first in range(0, count, env.num_envs):
         numbers = np.arange(first, first + env.num_envs)
         observations, _ = env.reset(seed=0, options={"level": numbers})
         for number, s, observation in zip(numbers, env.states, observations, strict=True):
-            if number < LEVELS[seen]:
+            if number < counts[seen]:
                 digests[seen].update(observation.tobytes())
             if env.symbolic and number < count:
                 digests["levels"].update(json.dumps(env.game.editing.describe(s)).encode())
@@ -107,13 +117,26 @@ def over_an_end(game: str) -> str:
         )
         digest.update(env.reset(seed=0)[0].tobytes())
         states = env.get_state()
-        states["time"] = states["time_limit"] - [5, 12]
+        states["time"] = states["time_limit"] - [2, 4]
         env.set_state(states)
-        for action in np.random.default_rng(0).integers(len(env.game.actions), size=(20, 2)):
+        for action in np.random.default_rng(0).integers(len(env.game.actions), size=(7, 2)):
             seen, reward, *_ = env.step(action)
             digest.update(seen.tobytes() + reward.tobytes() + env.states.tobytes())
         env.close()
     return digest.hexdigest()[:16]
+
+
+def few_of_all() -> dict[str, list]:
+    """Of each game an end, and a few levels, pictures and steps of two shapes.
+
+    Without compiled code, they take seconds, and all digests many minutes.
+    """
+    few = {"levels": 10, "images": 2, "symbols": 2}
+    found: dict[str, list] = {game: [over_an_end(game)] for game in games.OWN}
+    for game, variant in SHAPES:
+        if len(found[game]) < 3:
+            found[game].append(golden(game, variant, batch=1, steps=10, levels=few))
+    return found
 
 
 def file(game: str) -> Path:
