@@ -3,29 +3,39 @@ PYTHON ?= python3
 BIN := .venv/bin
 INSTALLED := .venv/installed
 
-.PHONY: demo test quick compiled fuzz attack golden check lint docs bench wheel sbom notebooks clean
+.PHONY: demo test tested quick compiled thorough fuzz attack golden check lint docs bench wheel sbom notebooks clean
 
 # Train mice on cheese in the corner, test them on cheese anywhere, report what they pursue.
 demo: $(INSTALLED)
 	$(BIN)/astray reproduce maze-corner --size smoke
 
-# All checks, the documentation, then all tests; those that compare images with the original's need
+# All checks, the documentation, and all tests; those that compare images with the original's need
 # its pictures, which are fetched where the package index answers, and are skipped where not.
+# Compiling is one process's work, and begins first; types and pages are checked beside it, and
+# beside the tests where it is done sooner.
 test: export ASTRAY_ART ?= $(CURDIR)/.art
 test: $(INSTALLED)
 	-$(BIN)/astray art import
-	$(MAKE) --no-print-directory --jobs 2 check docs compiled
+	$(MAKE) --no-print-directory --jobs 2 tested check docs
+
+# Two workers on two cores; a second thread in each would wait for a core, and keep it busy. Each
+# takes as long as thousands of small tests to begin with. One begins with half of all tests in a
+# row, so that most of what they share is made once. What Python has parsed is kept, as tests start
+# many processes.
+test tested quick thorough fuzz: export OMP_NUM_THREADS ?= 1
+test tested quick thorough fuzz: export PYTHONDONTWRITEBYTECODE =
+PYTEST := $(BIN)/python -m pytest -n 2 --dist worksteal
+
+tested: compiled
 	$(PYTEST)
 
-# Three workers on two cores, as tests wait for other processes; a second thread in each would wait
-# for a core, and keep it busy.
-# A worker begins with half of all tests in a row, so that most of what they share is made once.
-test quick fuzz: export OMP_NUM_THREADS ?= 1
-PYTEST := $(BIN)/python -m pytest -n 3 --dist worksteal
-
-# What tests run compiled: here beside the linters, for compiling is one process's work.
+# What tests run compiled: of two processes that compile a game, one would wait for the other.
 compiled: $(INSTALLED)
 	cd tests && ../$(BIN)/python -m helpers.compiled
+
+# What `make test` leaves out: longer ways, and other cases, of what it does test.
+thorough: $(INSTALLED)
+	$(PYTEST) -m thorough
 
 # An answer within a minute or two: linters, and tests of rules, levels, pictures, kernels, formulas
 # and the agency measure, in folders that start no process and train nothing. It says nothing of

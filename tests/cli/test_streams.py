@@ -14,6 +14,7 @@ from helpers.processes import environment
 LEVEL = ("level", "maze", "corner-small", "--numbers")
 # Without coverage, which only tests have, and which numba imports: it needs a working folder.
 RUN = "import sys; sys.modules['coverage'] = None; from astray.cli import main; main()"
+THOROUGH = pytest.mark.thorough
 POSIX = pytest.mark.skipif(os.name == "nt", reason="needs a POSIX shell")
 
 
@@ -46,7 +47,7 @@ def test_a_variable_that_numba_cannot_read_is_told_without_a_traceback():
 
 
 @POSIX
-@pytest.mark.parametrize("words", [(*LEVEL, "0:2000"), ("list",)])
+@pytest.mark.parametrize("words", [(*LEVEL, "0:2000"), pytest.param(("list",), marks=THOROUGH)])
 def test_who_is_read_no_further_stops_quietly(words):
     process = begin(*words, shell='"$@"; exit $?')
     process.stdout.close()
@@ -60,9 +61,9 @@ def test_who_is_read_no_further_stops_quietly(words):
 @pytest.mark.parametrize(
     "words, shell, code, said",
     [
-        ((*LEVEL, "7"), 'exec "$@" >&-', 0, ""),
+        pytest.param((*LEVEL, "7"), 'exec "$@" >&-', 0, "", marks=THOROUGH),
         ((*LEVEL, "7"), 'exec "$@" >&- 2>&- <&-', 0, ""),
-        (("level", "mase", "corner"), 'exec "$@" >&- 2>&-', 2, ""),
+        pytest.param(("level", "mase", "corner"), 'exec "$@" >&- 2>&-', 2, "", marks=THOROUGH),
         (("replay", "maze", "corner", "--level", "1", "--actions", "-"), 'exec "$@" <&-', 2,
          "astray: standard input is closed; there is nothing to read\n"),
         ((*LEVEL, "7"), 'mkdir gone; cd gone; rmdir "$PWD"; exec "$@"', 2,
@@ -81,7 +82,7 @@ def test_output_that_has_no_room_is_told_in_a_line():
 
 
 @pytest.mark.skipif(not Path("/dev/full").is_char_device(), reason="needs a full device")
-@pytest.mark.parametrize("number, expected", [("7", 2), ("x", 2)])
+@pytest.mark.parametrize("number, expected", [("7", 2), pytest.param("x", 2, marks=THOROUGH)])
 def test_with_no_room_for_words_either_the_code_says_it(number, expected):
     code, _, _ = ended(begin(*LEVEL, number, shell='exec "$@" >/dev/full 2>/dev/full'))
     assert code == expected

@@ -49,7 +49,9 @@ def test_a_mistake_is_told_in_a_few_lines():
 
 
 @pytest.mark.skipif(os.name == "nt", reason="streams are closed otherwise")
-@pytest.mark.parametrize("words, code", [("--help", 0), ("nope", 2)])
+@pytest.mark.parametrize(
+    "words, code", [("--help", 0), pytest.param("nope", 2, marks=pytest.mark.thorough)]
+)
 def test_help_that_nobody_can_read_is_no_mistake(words, code):
     command = f"{sys.executable} -m astray {words} >&-"
     done = subprocess.run(["bash", "-c", command], capture_output=True, text=True)
@@ -66,18 +68,15 @@ def test_a_full_disk_is_told_in_a_line_by_threads_too(monkeypatch, capsys):
 
 
 @pytest.mark.parametrize("name, content", [("[red]x", None), ("broken", "{}")])
-def test_the_list_has_the_others_where_one_agent_is_none(tmp_path, name, content):
+def test_the_list_has_the_others_where_one_agent_is_none(
+    tmp_path, name, content, astray, monkeypatch
+):
     folder = tmp_path / name
     folder.mkdir()
     (folder / "config.json").write_text(content or json.dumps(Config().to_json()))
-    listed = subprocess.run(
-        [sys.executable, "-m", "astray", "list"],
-        capture_output=True,
-        text=True,
-        env=os.environ | {"ASTRAY_AGENTS": str(tmp_path)},
-    )
-    assert listed.returncode == 0, listed.stderr
-    assert folder.name in listed.stdout and "maze-corner: maze" in listed.stdout
+    monkeypatch.setenv("ASTRAY_AGENTS", str(tmp_path))
+    listed = astray("list")
+    assert folder.name in listed and "maze-corner: maze" in listed
 
 
 @pytest.mark.parametrize(

@@ -56,6 +56,9 @@ TRAINED = [
 ]
 # A network of patches, and one that is distilled from the symbols of another.
 TRAINED.append(("inherited-goals", "pixels"))
+# All but the levels is as in minimax-regret.
+TRAINED.remove(LIKE_ANOTHER := ("minimax-regret-dish", "smoke"))
+TRAINED.append(pytest.param(*LIKE_ANOTHER, marks=pytest.mark.thorough))
 
 
 def of_report(found):
@@ -312,7 +315,9 @@ def test_a_training_that_another_process_does_is_waited_for(tmp_path):
 
 
 @pytest.mark.skipif(os.name == "nt", reason="needs signals")
-@pytest.mark.parametrize("first", ["agents", "agents/*/seed-*/metrics.jsonl"])
+@pytest.mark.parametrize(
+    "first", [pytest.param("agents", marks=pytest.mark.thorough), "agents/*/seed-*/metrics.jsonl"]
+)
 def test_an_interrupt_ends_all_trainings_in_a_line(first, tmp_path):
     program = "from astray.cli import main; import sys; sys.argv = ['astray', 'reproduce', "
     program += "'maze-corner', '--folder', sys.argv[1]]; main()"

@@ -10,20 +10,31 @@ import pytest
 from astray.experiments import cluster
 from astray.experiments.workers import train_all
 from astray.training import checkpoint
+from astray.training.loop import train
 from helpers.killed import CONFIG
 from helpers.processes import environment
+from helpers.trainings import TINY, digest, train_to_first_checkpoint
 
 RAY = importlib.util.find_spec("ray") is not None
 
 
 @pytest.mark.skipif(not RAY or sys.platform != "linux", reason="needs ray, and /proc")
-@pytest.mark.waits
+@pytest.mark.thorough
 def test_a_process_and_a_node_that_die_lose_nothing(tmp_path):
     words = [sys.executable, "-m", "helpers.on_ray", str(tmp_path)]
     done = subprocess.run(words, env=environment(), capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
     told = json.loads(done.stdout.splitlines()[-1])
     assert all(0 < told[what]["saved"] < told[what]["done"] for what in ("process", "node"))
+
+
+def test_a_node_goes_on_with_what_another_began(tmp_path, monkeypatch):
+    train(TINY, tmp_path / "whole", progress=False)
+    run = tmp_path / "run"
+    train_to_first_checkpoint(TINY, run, monkeypatch)
+    assert not checkpoint.finished(run, TINY)
+    cluster.train_on_node(TINY, run, None)
+    assert digest(run) == digest(tmp_path / "whole")
 
 
 def test_how_many_train_at_once_is_not_asked_of_a_cluster(tmp_path):

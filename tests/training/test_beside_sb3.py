@@ -99,6 +99,7 @@ def test_updates_are_the_same():
         assert (ours - theirs).abs().max() < 1e-3 * moved
 
 
+@pytest.mark.thorough
 def test_learning_is_the_same():
     """Mean lengths of episodes (steps), which begin at about 47 and end at 12 to 15.
 
