@@ -101,7 +101,6 @@ def test_every_entry_of_the_catalogue_can_be_acted_on(one):
     assert bool(one.address) != bool(one.by_hand)
     assert not one.address or (one.address.startswith("https://") and one.known.variant)
     assert not one.tried or (one.sha256 and len(one.sha256) == 64 and one.size)
-    assert not one.tried or one.checks or one.kind == "results"
     if one.known.game:
         assert one.known.variant in games.find(one.known.game).variants
 
@@ -292,6 +291,21 @@ def test_a_check_is_written_to_the_card(astray, home, tmp_path, monkeypatch, mou
     assert rows[0]["alike"].endswith("n = 4)") and rows[0]["published_value"] == 7.5
     card = (home / "m" / "README.md").read_text()
     assert rows[0]["here"] in card and rows[0]["verdict"] in card and "Not checked" not in card
+
+
+def test_an_agent_without_published_measurements_is_compared_with_random_actions(
+    astray, home, tmp_path, mouse
+):
+    file = tmp_path / "agent.pth"
+    file.write_bytes(mouse)
+    astray(
+        "import", file, "--as", "m", "--game", "maze", "--variant", "corner-small", "--art", "own"
+    )
+    (row,) = json.loads(astray("agents", "check", "m", "--levels", "0:8", "--json"))
+    assert row["levels"] == 8 and row["published"] == ""
+    assert "random actions succeed in" in row["verdict"]
+    assert row["verdict"].endswith("the agent is not shown to be better.")
+    assert row["verdict"] in (home / "m" / "README.md").read_text()
 
 
 HERE = Path(os.environ.get("ASTRAY_PUBLISHED", "")) if os.environ.get("ASTRAY_PUBLISHED") else None

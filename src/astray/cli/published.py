@@ -141,16 +141,16 @@ def _fetch(name: str, unchecked: bool) -> None:
 
 def _check(name: str, levels: str | None, json: bool) -> None:
     from astray.published.catalogue import by_digest
-    from astray.published.check import check
+    from astray.published.check import check, check_unmeasured
     from astray.published.imported import write_checks
 
     run = folders.find(name)
     if name not in folders.imported():
         raise ValueError(f"{name!r} comes with astray; its card has what was measured: {run}")
     entry = by_digest(folders.AgentFolder.open(run).origin()["sha256"])
-    if entry is None or not entry.checks:
-        raise ValueError(f"the catalogue has no measurements of {name!r} to compare with")
-    rows = check(run, entry.checks, level_numbers(levels) if levels else None)
+    chosen = level_numbers(levels) if levels else None
+    published = entry.checks if entry else ()
+    rows = check(run, published, chosen) if published else check_unmeasured(run, chosen)
     write_checks(run, rows)
     if json:
         print_json(rows)

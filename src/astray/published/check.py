@@ -15,8 +15,11 @@ from astray.acting import initial_states
 from astray.analysis.critic import observe, policy_and_value
 from astray.analysis.estimates import estimate_mean
 from astray.analysis.evaluate import evaluate
+from astray.analysis.policies import Random
 from astray.analysis.runs import open_run
 from astray.published.catalogue import Check
+
+SOME = 100  # levels of an agent of which nothing was published
 
 
 @dataclass(frozen=True)
@@ -72,6 +75,27 @@ def check(
                 told = f"{one.by} {value}", f"{100 * rate:g} %"
                 rows.append(_row(one, episodes.filter(its), alike.filter(its), *told))
     return rows
+
+
+def check_unmeasured(run: Path, levels: np.ndarray | None = None) -> list[dict[str, Any]]:
+    """Compare an agent of which no measurement was published with random actions: one row.
+
+    Columns are those of `check`.
+
+    Args:
+        levels: [N] numbers; None for the first 100 of the agent's training variant.
+    """
+    _, config = open_run(run)
+    chosen = np.arange(SOME) if levels is None else levels
+    (row,) = check(run, (Check(config.variant, len(chosen), 0),), chosen)
+    here = Rate(row["succeeded"], row["levels"])
+    chance = _rate(evaluate(Random(), config.game, config.variant, chosen))
+    better = "better" if here.interval[0] > chance.interval[1] else "not shown to be better"
+    verdict = (
+        f"No measurement was published. On `{config.variant}` random actions succeed in {chance}; "
+        f"the agent is {better}."
+    )
+    return [row | {"alike": "", "published": "", "verdict": verdict}]
 
 
 def first_to_end(lengths: np.ndarray, count: int, environments: int) -> np.ndarray:
