@@ -25,6 +25,7 @@ from astray.analysis.policies import Walk
 from astray.experiments.spec import SPREADS, Plan, Test, Work, open_agents
 from astray.experiments.videos import write_pair
 from astray.figures import charts
+from astray.published.curves import beside
 from astray.report.claims import Claim, above, below, rounded
 from astray.report.findings import Findings, Plot, Scene, Table, Video
 from astray.report.learning import learning_curves
@@ -250,7 +251,20 @@ def curve_plot(
     series = {f"training/{metric}": "training variant", f"validation/{metric}": "test variant"}
     there = {column: name for column, name in series.items() if column in data.columns}
     name = "curves" if metric == "return" else f"curves-{metric.replace('_', '-')}"
-    return Plot(name, caption, learning_curves(data, there, label), data)
+    others = published_curves(work, data) if metric == "return" else None
+    if others is not None and len(others):
+        caption += " Dashed: training returns of the paper's own program, from its public logs."
+    return Plot(name, caption, learning_curves(data, there, label, others), data)
+
+
+def published_curves(work: Work | Mapping[str, Sequence[Path]], data: pl.DataFrame) -> pl.DataFrame:
+    """Return published curves of the worlds that agents were trained in, by agent name."""
+    trained = work.runs if isinstance(work, Work) else work
+    last = dict(data.group_by("agent").agg(pl.col("steps").max()).iter_rows())
+    return pl.concat(
+        beside(read_config(runs[0]), last[name]).with_columns(agent=pl.lit(name))
+        for name, runs in trained.items()
+    )
 
 
 def settings(plan: Plan) -> dict[str, str]:

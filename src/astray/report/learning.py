@@ -13,7 +13,9 @@ from astray.figures import charts
 from astray.figures.axes import names_of
 
 
-def learning_curves(data: pl.DataFrame, series: Mapping[str, str], label: str) -> Figure:
+def learning_curves(
+    data: pl.DataFrame, series: Mapping[str, str], label: str, published: pl.DataFrame | None = None
+) -> Figure:
     """Draw metrics during training: a thin line for each seed, a thick one for the mean.
 
     The band is the mean's 95 % interval, Student's t over seeds. Agents of several names have axes
@@ -24,6 +26,7 @@ def learning_curves(data: pl.DataFrame, series: Mapping[str, str], label: str) -
             are skipped.
         series: Column -> its label.
         label: Label of the axis of values.
+        published: Curves of others, drawn dashed: columns agent, series (name), steps and mean.
     """
     agents = names_of(data, "agent") if "agent" in data else [""]
     parts = []
@@ -34,10 +37,15 @@ def learning_curves(data: pl.DataFrame, series: Mapping[str, str], label: str) -
             values = mine.select("seed", steps=pl.col("steps") / 1e6, mean=value).drop_nulls("mean")
             one = pl.concat([_over_seeds(values), values], how="diagonal_relaxed")
             parts.append(one.with_columns(series=pl.lit(name), agent=pl.lit(agent)))
+    others = [] if published is None else published["series"].unique(maintain_order=True).to_list()
+    if published is not None and others:
+        named = pl.col("agent") if len(agents) > 1 else pl.lit(agents[0])
+        parts.append(published.with_columns(pl.col("steps") / 1e6, agent=named))
     return charts.curves(
         pl.concat(parts, how="diagonal_relaxed"), x="steps", line="series", each="seed",
         panel="agent" if len(agents) > 1 else None, columns=3, label=label,
         x_label="million environment steps" if len(agents) == 1 else "million steps",
+        base=others,
     )  # fmt: skip
 
 
