@@ -10,7 +10,9 @@ from astray.agents.policy import BUILDERS, Architecture
 
 SHAPE = (64, 64, 3)
 NAMES = [
-    name for name in BUILDERS if name not in ("mlp", "impala", "impala-same", "clear", "cells")
+    name
+    for name in BUILDERS
+    if not name.startswith("impala") and name not in ("mlp", "clear", "cells")
 ]
 
 

@@ -18,17 +18,23 @@ FEATURES = 256
 
 
 class Residual(nn.Module):
-    """Residual unit x + conv(relu(conv(relu(x)))), [B, C, H, W], at the same width."""
+    """Residual unit x + conv(relu(conv(relu(x)))), [B, C, H, W], at the same width.
 
-    def __init__(self, channels: int):
+    Args:
+        rectified: Add relu(x) in the place of x.
+    """
+
+    def __init__(self, channels: int, rectified: bool = False):
         super().__init__()
+        self.rectified = rectified
         self.relu1 = nn.ReLU()
         self.conv1 = nn.Conv2d(channels, channels, 3, padding=1)
         self.relu2 = nn.ReLU()
         self.conv2 = nn.Conv2d(channels, channels, 3, padding=1)
 
     def forward(self, x: Tensor) -> Tensor:
-        return x + self.conv2(self.relu2(self.conv1(self.relu1(x))))
+        begun = self.relu1(x)
+        return (begun if self.rectified else x) + self.conv2(self.relu2(self.conv1(begun)))
 
 
 class SamePool(nn.Module):
@@ -45,14 +51,14 @@ class SamePool(nn.Module):
         return nn.functional.max_pool2d(padded, 3, stride=2)
 
 
-def block(before: int, after: int, same: bool = False) -> nn.Sequential:
+def block(before: int, after: int, same: bool = False, rectified: bool = False) -> nn.Sequential:
     """Build a convolution, pooling to half the side, and two residual units."""
     return nn.Sequential(
         OrderedDict(
             conv=nn.Conv2d(before, after, 3, padding=1),
             pool=SamePool() if same else nn.MaxPool2d(3, stride=2, padding=1),
-            residual1=Residual(after),
-            residual2=Residual(after),
+            residual1=Residual(after, rectified),
+            residual2=Residual(after, rectified),
         )
     )
 
@@ -64,6 +70,7 @@ class Impala(Pixels):
         scale: Multiplies the channels: 1 in the published code, 4 in the paper's sweeps.
         widths: Channels of the three blocks at scale 1.
         same: Pool as TensorFlow's and JAX's "SAME" does: see `SamePool`.
+        rectified: RLLTE's variant: see `Residual`; and no ReLU before the dense layer.
     """
 
     def __init__(
@@ -73,18 +80,19 @@ class Impala(Pixels):
         scale: int = 1,
         widths: tuple[int, ...] = WIDTHS,
         same: bool = False,
+        rectified: bool = False,
     ):
         super().__init__()
         height, width, channels = shape
         widths = tuple(scale * w for w in widths)
-        self.block1 = block(channels, widths[0], same)
-        self.block2 = block(widths[0], widths[1], same)
-        self.block3 = block(widths[1], widths[2], same)
+        self.block1 = block(channels, widths[0], same, rectified)
+        self.block2 = block(widths[0], widths[1], same, rectified)
+        self.block3 = block(widths[1], widths[2], same, rectified)
         for _ in widths:  # each block's pooling halves the picture, rounding up
             height, width = (height + 1) // 2, (width + 1) // 2
         self.features = nn.Sequential(
             OrderedDict(
-                relu_in=nn.ReLU(),
+                relu_in=nn.Identity() if rectified else nn.ReLU(),
                 flatten=nn.Flatten(),
                 linear=nn.Linear(widths[2] * height * width, FEATURES),
                 relu=nn.ReLU(),

@@ -9,8 +9,8 @@ from astray import imports
 
 # astray's own; what each builds is in `policy.BUILDERS`.
 NETWORKS = (
-    "impala", "impala-same", "mlp", "clear", "nature", "overlap", "patch", "patch-pooled",
-    "patch-impala", "cells", "drc",
+    "impala", "impala-same", "impala-rectified", "mlp", "clear", "nature", "overlap", "patch",
+    "patch-pooled", "patch-impala", "cells", "drc",
 )  # fmt: skip
 CELLS = ("gru", "lstm")  # that any of them can have on top, as in "mlp+gru"
 RENAMED = {"small": "mlp"}  # as older files have them, and what they are called now

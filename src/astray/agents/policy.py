@@ -89,6 +89,9 @@ BUILDERS: dict[str, Callable[[Architecture], nn.Module]] = {
     "impala-same": lambda given: Impala(
         given.shape, given.actions, given.scale, given.widths, same=True
     ),
+    "impala-rectified": lambda given: Impala(
+        given.shape, given.actions, given.scale, given.widths, rectified=True
+    ),
     "mlp": lambda given: MLP(given.shape, list(given.largest), given.actions, given.width),
     "clear": lambda given: Clear(given.shape, given.actions),
     "nature": lambda given: nature(given.shape, given.actions),

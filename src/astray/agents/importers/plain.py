@@ -32,6 +32,8 @@ DICTS = ("collections OrderedDict", "collections defaultdict")
 FACTORIES = tuple(
     f"{m} {kind}" for m in ("builtins", "__builtin__") for kind in ("list", "dict", "int", "float")
 )
+TENSOR, PARAMETER = "torch._utils _rebuild_tensor_v2", "torch._utils _rebuild_parameter"
+FLOATS = "torch FloatStorage"
 NAMES = (WRAPPER, NDARRAY, DTYPE, BYTES, *SCALARS, *DICTS, *FACTORIES)  # that a file may mention
 KINDS = re.compile(r"b1|[iu][1248]|f[248]")  # of numbers in arrays
 NODES = 100_000  # that a file may make; those of RL-Clarity take a few hundred
@@ -44,9 +46,14 @@ PUSHED = (  # instructions that carry the value that they push
 )  # fmt: skip
 
 
-def read(data: bytes) -> Any:
-    """Return the plain data in a pickle or uncompressed joblib file; otherwise raise ValueError."""
-    machine = _Machine(io.BytesIO(data), len(data))
+def read(data: bytes, storage: Callable[[str], bytes] | None = None) -> Any:
+    """Return the plain data in a pickle or uncompressed joblib file; otherwise raise ValueError.
+
+    Args:
+        storage: Function key -> bytes of a tensor, for the pickle in a file of torch. Objects
+            of any class are then read as `Foreign`, and their classes are not imported.
+    """
+    machine = _Machine(io.BytesIO(data), len(data), storage)
     try:
         for instruction, argument, _ in pickletools.genops(machine.file):
             machine.spend(1)
@@ -81,6 +88,14 @@ class _Name:
     path: str  # "module name"
 
 
+@dataclass(eq=False)
+class Foreign:
+    """An object of a class that is not imported: its name, and what the file says is in it."""
+
+    path: str  # "module name"
+    state: Any = None
+
+
 @dataclass
 class _Dtype:
     """A number type in the file's description."""
@@ -109,6 +124,7 @@ class _Pending:
 class _Machine:
     file: io.BytesIO
     size: int  # bytes of the file
+    storage: Callable[[str], bytes] | None = None  # if given, objects of any class are read
     stack: list[Any] = field(default_factory=list)
     below: list[list[Any]] = field(default_factory=list)  # stacks under the marks
     memo: dict[int, Any] = field(default_factory=dict)
@@ -130,9 +146,11 @@ class _Machine:
         elif name in ("BINGET", "LONG_BINGET"):
             self.stack.append(self.memo[argument])
         elif name == "GLOBAL":
-            self.stack.append(_name(argument))
+            self.stack.append(self.named(argument))
         elif name in DONE:
             DONE[name](self)
+        elif name == "BINPERSID" and self.storage:
+            self.stack.append(_stored(self.storage, self.stack.pop()))
         elif name not in ("PROTO", "FRAME"):
             raise Refused(f"it has the instruction {name}, which plain data does not need")
 
@@ -141,6 +159,15 @@ class _Machine:
         value = self.memo[number] = self.stack[-1]
         if isinstance(value, _Pending):
             value.numbers.append(number)
+
+    def named(self, argument: str) -> _Name:
+        if self.storage is None and argument not in NAMES:
+            asked = shown(argument.replace(" ", "."))[1:-1]
+            raise Refused(
+                f"it asks for {asked}; only arrays and plain containers are read, and nothing in a "
+                "file is run"
+            )
+        return _Name(argument)
 
     def popped_to_mark(self) -> list[Any]:
         popped, self.stack = self.stack, self.below.pop()
@@ -170,16 +197,6 @@ class _Machine:
         return flat.reshape(shape)
 
 
-def _name(argument: str) -> _Name:
-    if argument not in NAMES:
-        asked = shown(argument.replace(" ", "."))[1:-1]
-        raise Refused(
-            f"it asks for {asked}; only arrays and plain containers are read, and nothing in a "
-            "file is run"
-        )
-    return _Name(argument)
-
-
 def _only(stack: list[Any]) -> Any:
     (value,) = stack
     return value
@@ -187,7 +204,7 @@ def _only(stack: list[Any]) -> Any:
 
 def _stack_global(m: _Machine) -> None:
     name, module = _of(str, m.stack.pop()), _of(str, m.stack.pop())
-    m.stack.append(_name(f"{module} {name}"))
+    m.stack.append(m.named(f"{module} {name}"))
 
 
 def _mark(m: _Machine) -> None:
@@ -257,12 +274,40 @@ def _reduce(m: _Machine) -> None:
         pairs = arguments[0] if arguments and type(arguments[0]) is list else []
         m.spend(len(pairs))
         m.stack.append({_key(key): value for key, value in pairs})
+    elif name == _Name(PARAMETER):
+        m.stack.append(arguments[0])
+    elif name == _Name(TENSOR):
+        m.stack.append(_tensor(*arguments[:4]))
+    elif m.storage and isinstance(name, _Name):
+        m.stack.append(Foreign(name.path))
     else:
         raise Refused(f"it calls {shown(getattr(name, 'path', name))}")
 
 
+def _tensor(flat: np.ndarray, offset: int, shape: tuple, strides: tuple) -> np.ndarray:
+    """Return the part of a storage that a tensor is; its numbers must lie in order."""
+    numbers = (offset, *shape, *strides)
+    if any(type(n) is not int or n < 0 for n in numbers) or len(shape) > DIMENSIONS:
+        raise ValueError("a tensor's shape and strides must be integers from 0 on")
+    wanted = [math.prod(shape[k + 1 :]) for k in range(len(shape))]
+    if list(strides) != wanted:
+        raise Refused("it has a tensor whose numbers are not in order")
+    return flat[offset : offset + math.prod(shape)].reshape(shape)
+
+
+def _stored(storage: Callable[[str], bytes], described: Any) -> np.ndarray:
+    """Return the numbers [n] that a file of torch keeps under a key."""
+    kind, name, key, *_ = described
+    if kind != "storage" or name != _Name(FLOATS):
+        raise Refused("it keeps something other than numbers of 32 bits beside its data")
+    return np.frombuffer(storage(_of(str, key)), "<f4")
+
+
 def _new(m: _Machine) -> None:
     arguments, name = m.stack.pop(), m.stack.pop()
+    if m.storage and isinstance(name, _Name):
+        m.stack.append(Foreign(name.path))
+        return
     if name != _Name(WRAPPER) or arguments != ():
         raise Refused(f"it makes an object of {shown(getattr(name, 'path', name))}")
     m.stack.append(_Pending())
@@ -270,7 +315,9 @@ def _new(m: _Machine) -> None:
 
 def _build(m: _Machine) -> None:
     state, built = m.stack.pop(), m.stack[-1]
-    if isinstance(built, _Dtype):
+    if isinstance(built, Foreign):
+        built.state = state
+    elif isinstance(built, _Dtype):
         built.order = state[1]
     elif isinstance(built, _Pending):
         m.stack[-1] = m.array(state)

@@ -22,6 +22,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from astray.agents.importers import rllte
 from astray.agents.importers.imported import ACTIONS, SHAPE, Imported, build, check_actions
 from astray.agents.policy import Architecture
 from astray.validation import shown
@@ -106,6 +107,8 @@ def read(data: bytes) -> Imported:
     Raises:
         ValueError: If the bytes are damaged, hold more than weights, or another network.
     """
+    if rllte.is_module(data):
+        return rllte.read(data)
     tensors = weights(data)
     if any(name.startswith("gru.") for name in tensors):
         raise ValueError("it is a recurrent agent; only feed-forward ones are read")

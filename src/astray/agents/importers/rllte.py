@@ -1,0 +1,109 @@
+"""Importer of RLLTE's agents on Procgen: whole modules of torch, which are read and not run.
+
+`rllte-hub` has PPO's encoder and actor as pickled modules, without a critic. The network is
+IMPALA with two differences: the ReLU at the beginning of a residual unit works in place, so what is
+added at its end is the rectified input; and there is none before the dense layer.
+"""
+
+from __future__ import annotations
+
+import io
+import re
+import zipfile
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import torch
+
+from astray.agents.importers import plain
+from astray.agents.importers.imported import ACTIONS, SHAPE, Imported, build, check_actions
+from astray.agents.policy import Architecture
+
+MARK = b"crllte.common.utils\nExportModel\n"  # with which its pickles begin, after two bytes
+PICKLE = "/data.pkl"
+LARGEST = 4_000_000  # bytes of a pickle; those of its agents have some 10,000
+DEEPEST, MOST = 8, 200  # modules in each other, and modules in all
+NAMES = (
+    (r"^encoder\.trunk\.4\.", "features.linear."),
+    (r"^actor\.actor\.", "policy."),
+    (r"^encoder\.trunk\.([012])\.main\.", lambda m: f"block{int(m[1]) + 1}."),
+    (r"^(block\d)\.0\.", r"\1.conv."),
+    (r"^(block\d)\.([23])\.", lambda m: f"{m[1]}.residual{int(m[2]) - 1}."),
+)
+
+
+def is_module(data: bytes) -> bool:
+    """Return whether the bytes of a file of torch are a module of RLLTE."""
+    try:
+        with zipfile.ZipFile(io.BytesIO(data)) as archive:
+            (name,) = (one for one in archive.namelist() if one.endswith(PICKLE))
+            with archive.open(name) as file:
+                return MARK in file.read(len(MARK) + 2)
+    except (ValueError, OSError, RuntimeError, NotImplementedError, zipfile.BadZipFile):
+        return False
+
+
+def read(data: bytes) -> Imported:
+    """Return the agent in the bytes of a file of rllte-hub.
+
+    Raises:
+        ValueError: If the bytes are damaged or hold another network.
+    """
+    root = _root(data)
+    tensors = {_renamed(name): torch.from_numpy(t.copy()) for name, t in _parameters(root)}
+    if "policy.bias" not in tensors:
+        raise ValueError("it has no actor of one layer, as agents of images have")
+    check_actions(tensors["policy.bias"])
+    convolutions = [tensors.get(f"block{k}.conv.weight") for k in (1, 2, 3)]
+    widths = tuple(len(c) for c in convolutions if c is not None)
+    architecture = Architecture("impala-rectified", SHAPE, (), ACTIONS, widths=widths)
+    tensors |= {"value.weight": torch.zeros(1, 256), "value.bias": torch.zeros(1)}
+    channels = "/".join(map(str, widths))
+    about = f"RLLTE: IMPALA, channels {channels}; without a critic: every value is 0"
+    return Imported(build(architecture, tensors), architecture, about)
+
+
+def _root(data: bytes) -> Any:
+    try:
+        with zipfile.ZipFile(io.BytesIO(data)) as archive:
+            stored = {one.filename: one for one in archive.infolist()}
+            if any(one.compress_type != zipfile.ZIP_STORED for one in stored.values()):
+                raise ValueError("it is compressed, which files of torch are not")
+            (name,) = (one for one in stored if one.endswith(PICKLE))
+            if stored[name].file_size > LARGEST:
+                raise ValueError(f"its data.pkl has more than {LARGEST:,} bytes")
+            home = name.removesuffix(PICKLE)
+            return plain.read(archive.read(name), lambda key: archive.read(f"{home}/data/{key}"))
+    except (OSError, RuntimeError, NotImplementedError, zipfile.BadZipFile) as error:
+        raise ValueError(f"it is damaged, or no file of torch: {error}") from error
+
+
+def _parameters(root: Any) -> Iterator[tuple[str, np.ndarray]]:
+    """Yield the parameters in a module and those in it, by name."""
+    left, todo = MOST, [("", root, 0)]
+    while todo:
+        path, module, depth = todo.pop()
+        left -= 1
+        state = module.state if isinstance(module, plain.Foreign) else None
+        if not isinstance(state, dict) or depth > DEEPEST or left < 0:
+            raise ValueError(f"{path or 'it'} is no module, or one of too many")
+        if path.endswith(".relu.") and state.get("inplace") is not True:
+            raise ValueError(f"{path[:-1]} does not work in place, as that of its network does")
+        for name, value in _dict(state, "_parameters").items():
+            if isinstance(value, np.ndarray):
+                yield f"{path}{name}", value
+        todo += [(f"{path}{n}.", m, depth + 1) for n, m in _dict(state, "_modules").items()]
+
+
+def _dict(state: dict[Any, Any], name: str) -> dict[Any, Any]:
+    found = state.get(name)
+    if not isinstance(found, dict):
+        raise ValueError(f"one of its modules has no {name}")
+    return found
+
+
+def _renamed(name: str) -> str:
+    for there, here in NAMES:
+        name = re.sub(there, here, name)
+    return name

@@ -1,0 +1,125 @@
+"""Modules that RLLTE pickles: read without importing their classes, and equal in what they say."""
+
+import io
+import sys
+from types import ModuleType
+
+import numpy as np
+import pytest
+import torch
+from torch import nn
+
+from astray.agents.importers import pth
+
+MODULE = "rllte.common.utils"
+
+
+class Residual(nn.Module):
+    def __init__(self, width):
+        super().__init__()
+        self.conv1 = nn.Conv2d(width, width, 3, padding=1)
+        self.relu = nn.ReLU(inplace=True)
+        self.conv2 = nn.Conv2d(width, width, 3, padding=1)
+
+    def forward(self, x):
+        rectified = x.relu()
+        return rectified + self.conv2(self.conv1(rectified).relu())
+
+
+class Layer(nn.Module):
+    def __init__(self, before, after):
+        super().__init__()
+        parts = Residual(after), Residual(after)
+        pool = nn.MaxPool2d(3, 2, 1)
+        self.main = nn.Sequential(nn.Conv2d(before, after, 3, padding=1), pool, *parts)
+
+    def forward(self, x):
+        return self.main(x)
+
+
+class Encoder(nn.Module):
+    def __init__(self, widths):
+        super().__init__()
+        layers = [Layer(a, b) for a, b in zip((3, *widths), widths, strict=False)]
+        dense = nn.Linear(64 * widths[-1], 256)
+        self.trunk = nn.Sequential(*layers, nn.Flatten(), dense, nn.ReLU())
+
+
+class Actor(nn.Module):
+    def __init__(self, actions):
+        super().__init__()
+        self.actor = nn.Linear(256, actions)
+
+
+class ExportModel(nn.Module):
+    def __init__(self, widths=(2, 3, 4), actions=15):
+        super().__init__()
+        self.encoder, self.actor = Encoder(widths), Actor(actions)
+
+    def forward(self, images):
+        planes = torch.as_tensor(images).permute(0, 3, 1, 2) / 255
+        return self.actor.actor(self.encoder.trunk(planes))
+
+
+@pytest.fixture
+def saved(monkeypatch):
+    """A function that saves modules as files of RLLTE, whose package is gone when they are read."""
+    classes = Residual, Layer, Encoder, Actor, ExportModel
+
+    def save(model):
+        with monkeypatch.context() as patch:
+            package = ModuleType(MODULE)
+            for kind in classes:
+                patch.setattr(kind, "__module__", MODULE)
+                setattr(package, kind.__name__, kind)
+            for name in ("rllte", "rllte.common", MODULE):
+                patch.setitem(sys.modules, name, package)
+            torch.save(model, file := io.BytesIO())
+        return file.getvalue()
+
+    return save
+
+
+def test_a_pickled_module_says_what_it_said_there(saved):
+    torch.manual_seed(0)
+    there = ExportModel()
+    found = pth.read(saved(there))
+    assert MODULE not in sys.modules, "the class is not there, nor needed"
+    assert found.architecture.name == "impala-rectified" and found.architecture.widths == (2, 3, 4)
+    images = np.random.default_rng(0).integers(0, 256, (5, 64, 64, 3), np.uint8)
+    with torch.no_grad():
+        logits, values = found.network(torch.from_numpy(images))
+        assert logits.numpy() == pytest.approx(there(images).numpy(), abs=1e-5)
+    assert values.abs().max() == 0 and "without a critic" in found.about
+
+
+def changed(model, change):
+    change(model)
+    return model
+
+
+@pytest.mark.parametrize(
+    "change, message",
+    [
+        (lambda m: setattr(m.encoder.trunk[0].main[2].relu, "inplace", False), "work in place"),
+        (lambda m: setattr(m.actor, "actor", nn.Linear(256, 9)), "chooses from 9 actions"),
+        (lambda m: setattr(m.encoder.trunk[4], "bias", None), "lacks features.linear.bias"),
+        (lambda m: m.encoder.add_module("other", nn.Linear(2, 2)), "has encoder.other"),
+        (lambda m: setattr(m.actor, "actor", nn.Sequential()), "no actor of one layer"),
+        (lambda m: m.double(), "other than numbers of 32 bits"),
+    ],
+)
+def test_other_networks_are_refused_with_the_reason(saved, change, message):
+    with pytest.raises(ValueError, match=message):
+        pth.read(saved(changed(ExportModel(), change)))
+
+
+def test_a_file_that_asks_for_more_runs_nothing(saved, tmp_path):
+    class Evil:
+        def __reduce__(self):
+            return (open, (str(tmp_path / "made"), "w"))
+
+    model = ExportModel()
+    model.encoder.space = Evil()
+    assert pth.read(saved(model)).architecture.widths == (2, 3, 4)
+    assert not (tmp_path / "made").exists()
