@@ -13,6 +13,7 @@ ROOT = Path(__file__).parent.parent
 PAGES = [*ROOT.glob("docs/*.md"), *ROOT.glob("*.md"), *ROOT.glob("benchmarks/*.md")]
 MODULES = [*ROOT.glob("src/**/*.py"), *ROOT.glob("benchmarks/*.py")]
 TEMPLATES = [*ROOT.glob("src/astray/**/*.html"), *ROOT.glob("src/astray/**/*.md")]
+SCRIPTS = [*ROOT.glob("src/**/*.js"), *ROOT.glob("docs/*.js")]
 LABELS = ("about", "claim", "help", "label", "question", "title", "x_label", "y_label")
 
 # A question may begin so, and a heading, which ends without a stop.
@@ -59,7 +60,7 @@ def faults(text: str) -> list[str]:
 
 
 def texts(path: Path) -> Iterator[tuple[int, str]]:
-    """Return the docstrings, errors and labels of a module, with their lines."""
+    """Return the docstrings, errors, labels and sentences of a module, with their lines."""
     for node in ast.walk(ast.parse(path.read_text())):
         if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef):
             yield getattr(node, "lineno", 1), ast.get_docstring(node) or ""
@@ -67,6 +68,18 @@ def texts(path: Path) -> Iterator[tuple[int, str]]:
             yield node.lineno, " ".join(words(node.exc))
         elif isinstance(node, ast.keyword) and node.arg in LABELS:
             yield node.value.lineno, " ".join(words(node.value))
+        elif isinstance(node, ast.JoinedStr | ast.Constant):
+            said = "_".join(words(node))
+            if len(said.split()) > 2:
+                yield node.lineno, said
+
+
+def script_texts(text: str) -> Iterator[str]:
+    """Return the comments and strings of JavaScript; a comment of several lines is one text."""
+    for block in re.findall(r"(?:^[ \t]*//.*\n)+", text, re.MULTILINE):
+        yield " ".join(line.strip(" \t/") for line in block.splitlines())
+    yield from re.findall(r"\S[ \t]+//(.*)", text)
+    yield from ("".join(pair) for pair in re.findall(r'"([^"\n]*)"|`([^`]*)`', text))
 
 
 def words(node: ast.AST | None) -> Iterator[str]:
@@ -110,6 +123,35 @@ def test_docstrings_errors_and_labels_are_in_the_words_of_the_field():
         for fault in faults(text)
     }
     assert not found
+
+
+def test_pages_of_the_lab_are_in_the_words_of_the_field():
+    found = {
+        f"{path.relative_to(ROOT)}: {fault}"
+        for path in SCRIPTS
+        for text in script_texts(path.read_text())
+        for fault in faults(text)
+    }
+    assert SCRIPTS and not found
+
+
+@pytest.mark.parametrize(
+    "script",
+    ["// What is seen, and\n// by whom.\n", "x = 1; // a film of it\n", 'say("a film of it");\n',
+     "say(`It goes astray.`);\n"],
+)  # fmt: skip
+def test_comments_and_strings_of_scripts_are_read(script):
+    assert [fault for text in script_texts(script) for fault in faults(text)]
+
+
+@pytest.mark.parametrize(
+    "module",
+    ['"""What is seen."""', 'raise ValueError("the film is old")', 'Plot(title="films")',
+     'CAPTION = f"{n} short films of {m}"', 'warn("no film is here")'],
+)  # fmt: skip
+def test_docstrings_errors_labels_and_sentences_of_modules_are_read(module, tmp_path):
+    (tmp_path / "module.py").write_text(module)
+    assert [fault for _, text in texts(tmp_path / "module.py") for fault in faults(text)]
 
 
 @pytest.mark.parametrize("verb", VERBS)

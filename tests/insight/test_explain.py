@@ -117,7 +117,7 @@ def test_explain_writes_one_page_that_needs_nothing_else(astray, tmp_path, monke
         "Its episode",
     ):
         assert heading in headings
-    assert "Not told here" not in page and "`" not in page.split("<script>")[0]
+    assert "Not available here" not in page and "`" not in page.split("<script>")[0]
     (answer,) = re.findall('<p class="answer">(.*?)</p>', page)
     assert answer.startswith("Here the agent goes to the corner rather than to the cheese")
     assert "<code>astray lab maze-corner --variant anywhere-small --level 200003</code>" in page

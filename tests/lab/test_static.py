@@ -288,7 +288,7 @@ def test_the_page_repeats_no_constant_of_python():
 def test_the_posterior_is_that_of_python(page):
     actions = replayed(3)
     here, there = both(page, kind="posterior", **MAZE, level=3, actions=actions)
-    assert np.allclose(here["shares"], there["shares"], atol=2e-5)  # Python rounds to 1e-5
+    assert np.allclose(here["rates"], there["rates"], atol=2e-5)  # Python rounds to 1e-5
     for goal, rates in there["goals"].items():
         assert np.allclose(here["goals"][goal], rates, atol=1e-6)
     assert here["agent"] is None
@@ -344,7 +344,7 @@ def test_who_sees_dishes_does_as_in_python(chrome, untrained, tmp_path, kind, th
         assert np.allclose(here["value"], there["value"], atol=1e-5)
         here, there = both(page, lab, kind="posterior", **asked, level=0, actions=actions[:3])
         assert here["goals"].keys() == there["goals"].keys() >= {"cheese", "corner"}
-        assert np.allclose(here["shares"], there["shares"], atol=2e-5)
+        assert np.allclose(here["rates"], there["rates"], atol=2e-5)
         here, there = both(page, lab, kind="splay", **asked, level=0, thing=thing)
         assert sorted(map(str, zip(here["cells"], here["outcomes"], strict=True))) == sorted(
             map(str, zip(map(list, there["cells"]), there["outcomes"], strict=True))

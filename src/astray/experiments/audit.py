@@ -156,8 +156,8 @@ def _ghosts(work: Work) -> tuple[Table, str]:
         )
     table = Table(
         "ghost",
-        "How often each goal is reached in the test and, in levels of the same numbers, without "
-        "the object; the difference is paired by level.",
+        "Rate at which each goal is reached in the test, and without the object in levels of the "
+        "same numbers; the difference is paired by level.",
         pl.DataFrame(rows),
     )
     return table, ", ".join(told)

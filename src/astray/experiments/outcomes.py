@@ -169,7 +169,7 @@ def outcome_plots(work: Work, tables: Sequence[Table]) -> list[Plot]:
     """Plot `outcome_tables`, or the first of them, with a panel per test."""
     captions = (
         "Which goal was reached first, in all levels.",
-        "Likewise, in the distinguishing levels: the shortest way to either does not "
+        "The same in the distinguishing levels: the shortest way to either goal does not "
         "pass the other.",
     )
     shown = [_who_and_where(work.plan, table.frame) for table in tables]
@@ -182,7 +182,7 @@ def outcome_plots(work: Work, tables: Sequence[Table]) -> list[Plot]:
 def _who_and_where(plan: Plan, table: pl.DataFrame) -> pl.DataFrame:
     """Return `rates` in the form of `figures.outcome_bars`, agents first."""
     shift = load_shift(plan.game, next(iter(plan.tests.values())).shift)
-    scripts = {Walk(goal).name: f"walks to the {goal}, blind to all else" for goal in shift.proxies}
+    scripts = {Walk(goal).name: f"walks to the {goal}, blind to the rest" for goal in shift.proxies}
     scripts |= {Walk(shift.intended).name: f"walks to the {shift.intended}", "random": "random"}
     count = f"{plan.seeds} agents" if plan.seeds > 1 else "one agent"
     kinds = [*plan.agents, *plan.own]

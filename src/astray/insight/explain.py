@@ -102,7 +102,7 @@ def explain(asked: Asked, folder: Path, heading: str, progress: bool = False) ->
         try:
             parts += make(asked)
         except (ValueError, ImportError) as error:
-            parts.append(Section(title, [f"Not told here: {error}."]))
+            parts.append(Section(title, [f"Not available here: {error}."]))
     shown = [item for part in parts for item in part.items]
     plots = [item for item in shown if isinstance(item, Plot)]
     tables = {item.name: item.frame for item in shown if isinstance(item, Table)}

@@ -111,7 +111,7 @@ def _told(growth: Growth, counted: np.ndarray, named: dict[str, Any]) -> dict[st
         "goals": {goal: rounded(rate) for goal, rate in grown.items()},
         "agent": rounded(growth.agent[counted]),
         "cells": cells,
-        "shares": np.round(rates, 5).tolist(),
+        "rates": np.round(rates, 5).tolist(),
     }
 
 

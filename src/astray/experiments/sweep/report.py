@@ -77,7 +77,7 @@ def findings(sweep: Sweep, episodes: pl.DataFrame, table: pl.DataFrame) -> Findi
         f"with {ends[1]}.",
         claims=[],
         plots=list(_plots(sweep, episodes)),
-        tables=[Table("agents", "What the agents do", agents.drop("policy"))],
+        tables=[Table("agents", "Outcomes of the agents", agents.drop("policy"))],
         settings=settings | {"seeds": str(sweep.seeds), "levels": str(sweep.levels)},
     )
 
@@ -103,7 +103,7 @@ def _plots(sweep: Sweep, episodes: pl.DataFrame) -> Iterator[Plot]:
         )
         name = "-".join(one.replace(".", "-").replace("_", "-") for one in pair)
         others = [one for one in several if one not in pair]
-        caption = f"What agents do, by {' and '.join(pair)}; fractions of episodes"
+        caption = f"Outcomes of agents, by {' and '.join(pair)}; fractions of episodes"
         if others:
             caption += f", over all values of {', '.join(others)}"
         x, *y = pair

@@ -20,7 +20,7 @@ export class Lab {
     Object.assign(this, { root, engine, links });
     this.part = (name) => root.querySelector(`[data-lab="${name}"]`);
     this.fields = new Map(); // "x,y" -> {cell, policy, value}
-    this.others = new Map(); // likewise, of what is compared with
+    this.others = new Map(); // also, of what is compared with
     this.splay = new Map();
     Object.assign(this, { past: [], future: [], pictures: {}, now: 0, errors: [] });
     this.stage = new Stage(this);
@@ -55,7 +55,7 @@ export class Lab {
     await this.open(level ?? 0, wrong);
   }
 
-  // What `work` returns; null where it fails, and the page says why.
+  // Return the result of `work`, or null if it fails; then the page says why.
   async tried(work) {
     try {
       return await work();
@@ -79,7 +79,7 @@ export class Lab {
     return this.about.games[this.game];
   }
 
-  // What every question about the level begins with.
+  // Fields of every question about the level.
   question(kind, more = {}) {
     const { game, variant, agent } = this;
     const knobs = this.about.agents[agent]?.knobs[variant] ?? {};
@@ -212,7 +212,7 @@ export class Lab {
     ]);
   }
 
-  // Whether the goals can be told apart in this level; engines that cannot say so are not heard.
+  // Whether this level distinguishes the goals; engines that cannot say are ignored.
   async #distinguishes() {
     const mine = (this.telling = Symbol("level"));
     this.panels.distinguishes(null);
@@ -268,7 +268,7 @@ export class Lab {
     }
   }
 
-  // The question for arrows; where they are compared, it is told which actions do the same.
+  // The question for arrows; where they are compared, it says which actions do the same.
   #asked() {
     const effects = this.part("compare").value !== "";
     return this.question("fields", { actions: this.actions, ...(effects && { effects }) });
@@ -367,7 +367,7 @@ export class Lab {
       await new Promise((resolve) => { setTimeout(resolve, Number(this.part("speed").value)); });
       if (this.#idles()) {
         await whole;
-        await this.play(this.actions, 0); // what comes after is not told of either
+        await this.play(this.actions, 0); // neither reports the rest
         break;
       }
       if (this.now < this.episode.actions.length) this.show(this.now + 1);

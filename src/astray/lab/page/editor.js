@@ -37,7 +37,7 @@ export class Editor {
     });
   }
 
-  // What is in a cell: "agent", an object's name, "wall", or "" for nothing.
+  // The content of a cell: "agent", an object's name, "wall", or "" for nothing.
   what([x, y]) {
     const { level, rules } = this.lab;
     if (String(level.agent.map(Math.floor)) === String([x, y])) return "agent";

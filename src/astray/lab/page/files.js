@@ -1,4 +1,4 @@
-// What is taken along: links, pictures, videos, levels.
+// Files to take along: links, pictures, videos, levels.
 
 import { plain } from "./level.js";
 import { toLink } from "./link.js";

@@ -5,7 +5,7 @@ import { plain } from "./level.js";
 const LEVELS = 2 ** 31 - 1; // numbers of levels are below
 const LONGEST = 200_000; // characters of a level in an address
 
-// What an address says; and in `wrong` what of it this lab cannot show. No other agent is ever put
+// Parse an address; `wrong` has the parts that this lab cannot show. No other agent is ever put
 // in the place of one that is not here.
 export async function fromLink(hash, about) {
   const words = new URLSearchParams(hash.slice(1));

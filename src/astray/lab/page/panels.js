@@ -1,8 +1,8 @@
-// What stands around the world: choices, sentences, charts.
+// Panels around the world: choices, sentences, charts.
 
 import { drawPosterior, stepAt } from "./draw/charts.js";
 import { goalColours, heat, signed } from "./draw/colours.js";
-import { meanWay, shareOfWays } from "./draw/arrows.js";
+import { meanWay, rateOfWays } from "./draw/arrows.js";
 import { drawSight } from "./draw/sight.js";
 import { save } from "./files.js";
 import { firstOf } from "./link.js";
@@ -164,7 +164,7 @@ export class Panels {
     }));
   }
 
-  // What a person may do beside what the arrow keys say: pick up, drop.
+  // Buttons for actions that no arrow key stands for: pick up, drop.
   #acts() {
     const { lab } = this;
     this.part("acts").replaceChildren(...lab.further.map((name, k) => {
@@ -265,7 +265,7 @@ export class Panels {
     line.textContent = text ?? "";
   }
 
-  // What is told of the cell under the pointer.
+  // Description of the cell under the pointer.
   readout(cell) {
     const { lab } = this;
     const line = this.part("readout");
@@ -275,9 +275,9 @@ export class Panels {
       return;
     }
     const ways = lab.rules.actions.map((name) => lab.look.direction(name));
-    const shares = Object.entries(shareOfWays(found.policy, ways)).sort((a, b) => b[1] - a[1]);
-    const told = shares.filter(([, share]) => share >= 0.01).slice(0, 4)
-      .map(([way, share]) => `${NAMES[way]} ${percent(share)}`);
+    const rates = Object.entries(rateOfWays(found.policy, ways)).sort((a, b) => b[1] - a[1]);
+    const told = rates.filter(([, rate]) => rate >= 0.01).slice(0, 4)
+      .map(([way, rate]) => `${NAMES[way]} ${percent(rate)}`);
     const value = found.value === null ? "no value" : `value ${found.value.toFixed(2)}`;
     line.textContent = `(${cell.join(", ")}) ${value}; ${told.join(", ")}`;
   }
@@ -401,11 +401,11 @@ export class Panels {
     const now = Math.min(lab.now, Object.values(found.goals)[0].length - 1);
     const colours = goalColours(this.shift, Object.keys(found.goals));
     drawPosterior(canvas, found, colours, now);
-    const [goal, share] = Object.entries(found.goals).map(([name, row]) => [name, row[now]])
+    const [goal, rate] = Object.entries(found.goals).map(([name, row]) => [name, row[now]])
       .reduce((best, one) => (one[1] > best[1] ? one : best));
-    const agent = found.agent ? ` That it pursues any goal has a probability of ${percent(found.agent[now])}.` : "";
+    const agent = found.agent ? ` The probability that it pursues any goal is ${percent(found.agent[now])}.` : "";
     part("verdict").textContent = `After ${now} steps: if it pursues a goal, then ${goal} ` +
-      `(${percent(share)}).${agent}`;
+      `(${percent(rate)}).${agent}`;
     const names = Object.keys(found.goals).map((name) => [colours[name], named(lab, name)]);
     part("key").replaceChildren(...names.map(([colour, name]) => keyed(colour, name)),
       ...(found.agent ? [keyed(null, "an agent at all")] : []));
@@ -447,7 +447,7 @@ export class Panels {
       : `${way.cells.length - 1} steps; it takes nothing.`;
   }
 
-  // What probes read of the state, beside what is true of it.
+  // The labels that probes read from the state, beside the true ones.
   read({ rows, states }) {
     const table = this.part("readings");
     table.hidden = false;
@@ -456,7 +456,7 @@ export class Panels {
     table.title = `Probes fitted in ${states} states of its own episodes.`;
   }
 
-  // What the agent sees now, where that is open.
+  // Show the agent's observation if its panel is open.
   async look() {
     const { lab, part } = this;
     if (!part("sight").open || !lab.agent || lab.broken) return;

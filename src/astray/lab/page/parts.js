@@ -1,6 +1,6 @@
 // Small parts of the page that are made anew whenever what they tell changes.
 
-export const percent = (share) => `${Math.round(100 * share)} %`;
+export const percent = (rate) => `${Math.round(100 * rate)} %`;
 
 // Fill a choice with [value, text] pairs, and keep what is chosen where it is among them.
 export function options(select, pairs, chosen) {
@@ -12,7 +12,7 @@ export function options(select, pairs, chosen) {
   if (pairs.some(([value]) => value === chosen)) select.value = chosen;
 }
 
-// What an object or goal is called: those of a maze by what they are.
+// Name of an object or a goal; in a maze, by its appearance.
 export function named(lab, name) {
   const { intended, proxies } = lab.panels.shift ?? {};
   if (!intended || lab.look.plain) return name;

@@ -121,8 +121,8 @@ export class Stage {
     const { lab } = this;
     const layer = lab.splay.size ? "none" : lab.part("heat").value;
     if (layer === "goals" && lab.goals) {
-      const { cells, shares } = lab.goals;
-      const row = shares[Math.min(lab.now, shares.length - 1)];
+      const { cells, rates } = lab.goals;
+      const row = rates[Math.min(lab.now, rates.length - 1)];
       const most = Math.max(...row);
       cells.forEach((cell, k) => brush.fill(heat(row[k] / most, 0.9), ...cell));
       this.layers.heat = { name: "likelihood of its goal", low: 0, high: most, percent: true };

@@ -71,7 +71,7 @@ def find(work: Work) -> Findings:
             ),
             Plot(
                 "factors",
-                "How much a trajectory speaks for an agent, on average, with 95 % "
+                "Mean evidence of a trajectory for an agent, with 95 % "
                 "intervals: by the paper's measure and by the calibrated one.",
                 factors,
                 table,
@@ -307,9 +307,9 @@ def answer(table: pl.DataFrame) -> str:
     _, small = span(of.filter(type=NEVER_ON_WAY)["at most 0.0674"])
     return (
         f"The measure recognises goal-directed trajectories ({called(*GOAL_DIRECTED)} are called "
-        "agents, by map and type), misgeneralizing ones with them. That capability failures are "
-        f"devices does not follow from the paper's specification: {called(LOST)} are called "
-        f"agents, of those that only walk at random {called(NEVER_ON_WAY)}, and at most "
+        "agents, by map and type), misgeneralizing ones with them. By the paper's "
+        f"specification, capability failures need not be devices: {called(LOST)} are called "
+        f"agents. {called(NEVER_ON_WAY)} of those that only walk at random are, and at most "
         f"{100 * small:.0f}\u00a0% of these fall as low as the published 0.0674."
     )
 

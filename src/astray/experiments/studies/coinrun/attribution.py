@@ -98,8 +98,8 @@ def find(work: Work) -> Findings:
         | {
             "states": f"up to {DRAWN} of each episode",
             "the paper and its code": "There eight pictures were looked at. Here parts are found "
-            "in every state by drawing it without them. Of symbols, cells in which there is "
-            "nothing are a part of their own, for a gradient asks what adding something would do.",
+            "in every state by drawing it without them. In symbols, empty cells are "
+            "a part of their own, because a gradient asks what adding something would do.",
         },
     )
 

@@ -117,8 +117,8 @@ def find(work: Work) -> Findings:
         plots=[
             Plot(
                 "calibration",
-                "What the critic expects and what came of it, in levels as in training: the "
-                f"discounted return from a state on, of {BINS} groups of states by their value, "
+                "The return that the critic expects, and the actual one, in levels of training: "
+                f"the discounted return from a state on, of {BINS} groups of states by value, "
                 f"with 95\u00a0% intervals. {unit}",
                 came_figure,
                 came,
@@ -134,8 +134,8 @@ def find(work: Work) -> Findings:
             ),
             Plot(
                 "coins",
-                "What a coin adds to the value of the same state: where one is in view it is "
-                "taken away, where none is one is put at a random place to stand that is in view.",
+                "The effect of a coin on the value of a state: a coin in view is removed, and "
+                "otherwise one is put at a random visible place to stand.",
                 coins,
                 effects,
             ),
@@ -144,7 +144,7 @@ def find(work: Work) -> Findings:
             Table("stages", "Values by stage and coin", bars),
             Table("no-coin", "Values by stage in levels that hold no coin", alone),
             Table("calibration", "Values and the returns that came", came),
-            Table("coins", "What a coin adds to the value of the same state", effects),
+            Table("coins", "The effect of a coin on the value of a state", effects),
         ],
         settings=outcomes.settings(work.plan)
         | {

@@ -137,14 +137,14 @@ def find(work: Work) -> Findings:
         plots=[
             Plot(
                 "fates",
-                "What became of episodes, which are left at the coin, its ghost, or the "
-                "end of the level.",
+                "The fates of episodes, which are left at the coin, its ghost, or the end of "
+                "the level.",
                 _agents.fate_bars(fates, FATES),
                 fates,
             ),
             Plot(
                 "gains",
-                "How much more often the coin is taken than its ghost is touched, at the "
+                "The rate of taking the coin minus that of touching its ghost, at the "
                 "same places of the same levels: in all, by whether a runner that only holds "
                 "right and jump touches it, by where it is on the way to the end, and by its "
                 "height over the start; with 95\u00a0% intervals.",
@@ -153,8 +153,8 @@ def find(work: Work) -> Findings:
             ),
         ],
         tables=[
-            Table("fates", "What became of episodes", fates),
-            Table("gains", "What seeing the coin adds to the fraction in which it is taken", gains),
+            Table("fates", "The fates of episodes", fates),
+            Table("gains", "The effect of seeing the coin on the rate of taking it", gains),
         ],
         settings=outcomes.settings(work.plan)
         | {

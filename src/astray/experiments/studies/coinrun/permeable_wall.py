@@ -79,7 +79,7 @@ def find(work: Work) -> Findings:
         label="the critic's value",
     )  # fmt: skip
     return Findings(
-        answer=f"Of the runners that reach the wall, {rounded(through.mean)} go through it, and "
+        answer=f"{rounded(through.mean)} of runners that reach the wall go through it, and "
         f"{rounded(entered.mean)} at least into it. The critic's value is highest just left of the "
         f"wall in {rounded(before.mean)} of these episodes.",
         claims=[
@@ -120,7 +120,7 @@ def find(work: Work) -> Findings:
             ),
         ],
         tables=[
-            Table("fates", "What became of those who reached the wall", fates),
+            Table("fates", "The fates of those who reached the wall", fates),
             *outcomes.outcome_tables(work),
         ],
         settings=outcomes.settings(work.plan)

@@ -63,15 +63,13 @@ def find(work: Work) -> Findings:
             ),
         ],
         plots=[
-            Plot(
-                "fates", "What became of episodes in the same levels.", fate_bars(bars, FATES), bars
-            )
+            Plot("fates", "The fates of episodes in the same levels.", fate_bars(bars, FATES), bars)
         ],
         tables=[
-            Table("fates", "What became of episodes in the same levels", bars),
+            Table("fates", "The fates of episodes in the same levels", bars),
             Table(
                 "foretold",
-                "How often the agent takes the coin, and dies",
+                "The rates at which the agent takes the coin, and dies",
                 pl.DataFrame(
                     [
                         {

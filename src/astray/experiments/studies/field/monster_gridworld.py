@@ -26,8 +26,8 @@ def find(work: Work) -> Findings:
     return outcomes.findings_of(
         work,
         f"In episodes of 25 steps among monsters the knight earns {gain.amount()} more than by "
-        f"random moves. Of what it picks up where there is no monster, shields are "
-        f"{rounded(parts[0].mean)}, and {rounded(parts[1].mean)} after the monsters are gone.",
+        f"random moves. Shields are {rounded(parts[0].mean)} of the things that "
+        f"it picks up without a monster, and {rounded(parts[1].mean)} after the monsters are gone.",
         [
             above(
                 "In episodes like those of its training, the knight earns more than by chance.",

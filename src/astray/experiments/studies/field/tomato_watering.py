@@ -22,8 +22,8 @@ def find(work: Work) -> Findings:
     return outcomes.findings_of(
         work,
         f"With a bucket in the garden the gardener earns {earned.mean():.0f} of 100, and spends "
-        f"more steps in it than it waters tomatoes in {rounded(hides.mean)}. Of its tomatoes "
-        f"{rounded(watered.mean)} are watered.",
+        f"more steps in it than it waters tomatoes in {rounded(hides.mean)}. It keeps "
+        f"{rounded(watered.mean)} of its tomatoes watered.",
         [
             above(
                 "With a bucket in the garden, the gardener earns more than by chance.",

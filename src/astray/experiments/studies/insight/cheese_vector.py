@@ -95,7 +95,7 @@ def find(work: Work) -> Findings:
             ),
             Plot(
                 "dose",
-                f"Likewise at {main}, by the coefficient; dashed: random vectors.",
+                f"The same at {main}, by the coefficient; dashed: random vectors.",
                 by_coefficient,
                 dose,
             ),

@@ -52,7 +52,7 @@ def find(work: Work) -> Findings:
         label="log odds of the cheese, a standard deviation more",
     )
     return Findings(
-        answer=f"Of {len(rows):,} episodes the ways to cheese and corner part in {every.levels:,}; "
+        answer=f"The ways to cheese and corner part in {every.levels:,} of {len(rows):,} episodes; "
         f"the cheese is reached first in {100 * taken:.1f}\u00a0% of these. All "
         f"{len(names)} distances tell which with an area under the curve of {every.auc.mean:.2f}, "
         f"the published four with {four.auc.mean:.2f}.",

@@ -92,14 +92,14 @@ def find(work: Work) -> Findings:
         plots=[
             Plot(
                 "probes",
-                "What linear probes read in levels that they were not fitted on, layer "
-                "by layer, with intervals over levels.",
+                "Scores of linear probes in levels that they were not fitted on, layer by "
+                "layer, with intervals over levels.",
                 draw(table),
                 table,
             )
         ],
         tables=[
-            Table("probes", "What probes read", table),
+            Table("probes", "Scores of probes", table),
             Table("changes", "Total variation of the policy, with and without", by_edit),
         ],
         settings={

@@ -117,8 +117,8 @@ def table(work: Work, episodes: pl.DataFrame) -> Table:
     ]
     return Table(
         "hoarding",
-        "What was done with the keys, by episode; in training every key is needed. Of keys in "
-        "hand: in the levels in which each of the agents opened a chest.",
+        "Use of the keys, by episode; in training every key is needed. Keys in hand are counted "
+        "in the levels in which each of the agents opened a chest.",
         pl.DataFrame(rows),
     )
 
@@ -131,7 +131,7 @@ def plot(work: Work, table: Table) -> Plot:
     )
     return Plot(
         "hoarding",
-        "What was done with the keys: by the agents, by a thief that opens all chests in the "
+        "Use of the keys: by the agents, by a thief that opens all chests in the "
         "fewest steps, by one that cares for keys alone, and by chance. Lines are 95 % intervals.",
         charts.points(
             drawn, row="policy", group="test", panel="measure", columns=2, sharex=False, label=""

@@ -55,7 +55,7 @@ def find(work: Work) -> Findings:
         answer=f"In mazes of {sizes['size'].min()} to {sizes['size'].max()} cells it finds the "
         f"cheese in {rounded(reached.mean)}, passes the corner before in "
         f"{rounded(first[MISGENERALIZED])} and reaches neither in {rounded(first[FAILED])}. "
-        f"{said[MOUSE].sentence()} Of our mouse of the corner: {said[OURS].sentence()}",
+        f"{said[MOUSE].sentence()} Our mouse of the corner, by contrast: {said[OURS].sentence()}",
         claims=[
             above(
                 "It reaches the cheese in unseen levels like those of its training.",

@@ -96,7 +96,7 @@ def find(work: Work) -> Findings:
                 "levels in which neither lies on the way to the other",
                 table,
             ),
-            Table("agents", "Likewise, by agent: intervals are over levels alone", agents),
+            Table("agents", "The same by agent: intervals are over levels alone", agents),
             *tables,
         ],
         settings=outcomes.settings(work.plan),
@@ -105,8 +105,8 @@ def find(work: Work) -> Findings:
 
 CODES = (
     " These mice see symbols: a colour and a shape are numbers, spread on a circle, so that some "
-    "are nearer to what the mouse knows than others. What it takes for the same says something of "
-    "these numbers, and nothing of pictures."
+    "are nearer to what the mouse knows than others. The object that it takes shows something "
+    "about these numbers, and nothing about pictures."
 )
 
 

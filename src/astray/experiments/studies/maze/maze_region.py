@@ -79,15 +79,15 @@ def find(work: Work) -> Findings:
         plots=[
             Plot(
                 "regions",
-                "How often the cheese is reached within the time limit, which is the "
-                "paper's measure, and what is reached first, with 95 % intervals. In training: "
-                "the last tenth of it, on its own levels.",
+                "The rate at which the cheese is reached within the time limit, which is the "
+                "paper's measure, and the goal that is reached first, with 95 % intervals. In "
+                "training: its last tenth, on its own levels.",
                 lines,
                 both,
             )
         ],
         tables=[
-            Table("success", "How often the cheese is reached, where it is anywhere", shown),
+            Table("success", "The rate at which the cheese is reached if it is anywhere", shown),
             *outcomes.outcome_tables(work),
         ],
         settings=outcomes.settings(work.plan),

@@ -178,9 +178,9 @@ def find(work: Work) -> Findings:
         label="fraction of the episodes that misgeneralize without help",
     )  # fmt: skip
     return Findings(
-        answer=f"Help by the step: {told}. Of the episodes that misgeneralize, and need not, the "
-        "entropy of the policy would have asked only after the goal was passed, or never, in "
-        f"{asks}.",
+        answer=f"Help by the step: {told}. In {asks} of the episodes that misgeneralize "
+        "avoidably, the entropy of the policy would have asked only after the goal was passed, or "
+        "never.",
         claims=claims(table, areas, late),
         plots=[
             Plot(

@@ -73,7 +73,7 @@ def find(work: Work) -> Findings:
         label="the better head is chosen",
     )  # fmt: skip
     return Findings(
-        answer="Of two heads that learned what is rewarded where the cheese is in the corner, one "
+        answer="Two heads learned the reward while the cheese was in the corner. One of them "
         f"holds the cheese in {rounded(held[MADE].mean)} of ensembles that were made to differ on "
         f"unlabelled frames of the test, and in {rounded(held[ALONE].mean)} of those that were "
         f"not. The head that is nearest to the cheese answers as it does in "
@@ -116,7 +116,7 @@ def find(work: Work) -> Findings:
             ),
             Plot(
                 "labels",
-                "How often so many labels choose the better head of ensembles that "
+                "The rate at which a number of labels chooses the better head, of ensembles that "
                 "were made to differ.",
                 chosen,
                 labels,
@@ -126,7 +126,7 @@ def find(work: Work) -> Findings:
         settings={
             "ensembles": f"{ENSEMBLES} of each kind, of two heads on shared features",
             "frames": f"{work.plan.levels} labelled of training levels, as many unlabelled of the "
-            "test's, as many others to judge by; half with the mouse in any cell, a quarter on "
+            "test's, as many others to assess by; half with the mouse in any cell, a quarter on "
             "the cheese, a quarter in the corner",
             "a head holds a hypothesis": f"it answers as it does in {100 * HOLDS:g}\u00a0% of the "
             "frames in which cheese and corner differ",

@@ -51,7 +51,7 @@ def find(work: Work) -> Findings:
                 "curves",
                 "Return of recent episodes while training: the mean of "
                 f"{outcomes.settings(work.plan)['seeds']} agents and its 95 % interval over them. "
-                "What there is to get can differ between the variants.",
+                "The largest possible return can differ between the variants.",
                 lines,
                 shown,
             )

@@ -1,11 +1,11 @@
-// The goals that a walk speaks for, if whoever walks is an agent: `astray.agency.online`, with the
+// The goals that a walk is evidence for, if the walker is an agent: `astray.agency.online`, with the
 // settings called CALIBRATED there. Whether it is an agent at all needs Python.
 
 import { WALL, distances } from "../rules/common.js";
 
 const SIDES = [[0, 1], [0, -1], [-1, 0], [1, 0]];
 
-// The posterior over cells after every step: {cells [G], shares [T + 1][G]}.
+// The posterior over cells after every step: {cells [G], rates [T + 1][G]}.
 export function posterior(grid, way) {
   const open = grid.map((row) => row.map((what) => what !== WALL));
   const moves = way.filter((cell, k) => k === 0 || String(cell) !== String(way[k - 1]));
@@ -17,20 +17,20 @@ export function posterior(grid, way) {
   const steps = cells.map(([x, y]) => distances(open, x, y));
   const nodes = ruleOf(moves.length - 1);
   const weights = cells.map(() => nodes.map(() => 0));
-  const shares = [shareOf(weights, nodes)];
+  const rates = [rateOf(weights, nodes)];
   for (let t = 1; t < moves.length; t++) {
     steps.forEach((away, g) => {
       const kind = kindOf(open, away, moves[t - 1], moves[t]);
       nodes.forEach(({ eps }, n) => { weights[g][n] += logStep(kind, eps); });
     });
-    shares.push(shareOf(weights, nodes));
+    rates.push(rateOf(weights, nodes));
   }
   let moved = -1;
   const counted = way.map((cell, k) => {
     if (k === 0 || String(cell) !== String(way[k - 1])) moved += 1;
-    return shares[moved];
+    return rates[moved];
   });
-  return { cells, shares: counted };
+  return { cells, rates: counted };
 }
 
 // Whether a step comes nearer to a goal, how many others would, and how many steps there are.
@@ -47,7 +47,7 @@ function logStep({ best, k, of }, eps) {
   return Math.log((best ? (1 - eps) / k : 0) + eps / of);
 }
 
-function shareOf(weights, nodes) {
+function rateOf(weights, nodes) {
   const logs = weights.map((row) => logSum(row.map((w, n) => w + nodes[n].logWeight)));
   const all = logSum(logs);
   return logs.map((log) => Math.exp(log - all));

@@ -26,9 +26,9 @@ export function noise(seed, level, time, count) {
 // An action drawn from probabilities by the Gumbel trick, as `astray.training.ppo.sample` does.
 export function sample(policy, uniform) {
   let [best, most] = [0, -Infinity];
-  policy.forEach((share, action) => {
+  policy.forEach((rate, action) => {
     const u = Math.min(Math.max(uniform[action], TINY), Math.fround(1 - 1e-7));
-    const score = Math.log(share) - Math.log(-Math.log(u));
+    const score = Math.log(rate) - Math.log(-Math.log(u));
     if (score > most) [best, most] = [action, score];
   });
   return best;

@@ -1,4 +1,4 @@
-// What an agent does, looked up: of agents that are too large to be computed here.
+// Tables of the outputs of agents that are too large to be computed here.
 //
 // For some levels, and in them for every place of the goal and of the agent, its policy and value
 // were computed beforehand, a byte for each probability. A level is known by what else images show,
@@ -33,6 +33,6 @@ export async function readTable(file, about) {
     const policy = Array.from(bytes.subarray(at, at + actions), (byte) => byte / most);
     const sum = policy.reduce((a, b) => a + b, 0) || 1;
     const value = low + ((high - low) * bytes[at + actions]) / most;
-    return { policy: policy.map((share) => share / sum), value };
+    return { policy: policy.map((rate) => rate / sum), value };
   };
 }

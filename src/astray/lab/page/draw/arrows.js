@@ -1,4 +1,4 @@
-// What the agent does at all places, drawn over the world: arrows, bars, heat, splays, routes.
+// The agent's actions at all places, drawn over the world: arrows, bars, heat, splays, routes.
 
 import { heat, signed } from "./colours.js";
 
@@ -7,21 +7,21 @@ const LEAST = 0.04; // of an arrow that is drawn at all
 // The mean way of a policy, [x, y] with lengths from 0 to 1.
 export function meanWay(policy, ways) {
   let [x, y] = [0, 0];
-  policy.forEach((share, action) => {
-    x += share * ways[action][0];
-    y += share * ways[action][1];
+  policy.forEach((rate, action) => {
+    x += rate * ways[action][0];
+    y += rate * ways[action][1];
   });
   return [x, y];
 }
 
 // The fractions of each of the ways that a policy's actions lead: {"1,0": 0.7, ...}.
-export function shareOfWays(policy, ways) {
-  const shares = {};
-  policy.forEach((share, action) => {
+export function rateOfWays(policy, ways) {
+  const rates = {};
+  policy.forEach((rate, action) => {
     const way = String(ways[action]);
-    shares[way] = (shares[way] ?? 0) + share;
+    rates[way] = (rates[way] ?? 0) + rate;
   });
-  return shares;
+  return rates;
 }
 
 // fields: a Map of "x,y" -> {cell, policy, value}; colour and edge: of the arrows.
@@ -77,10 +77,10 @@ export function drawBars(brush, fields, ways, colour, edge) {
   const { paint, scale, top } = brush;
   for (const { cell: [x, y], policy } of fields.values()) {
     const [cx, cy] = [(x + 0.5) * scale, (top - y - 0.5) * scale];
-    for (const [way, share] of Object.entries(shareOfWays(policy, ways))) {
+    for (const [way, rate] of Object.entries(rateOfWays(policy, ways))) {
       const [dx, dy] = way.split(",").map(Number);
-      if ((!dx && !dy) || share < 0.02) continue;
-      const reach = (0.46 * share) / Math.hypot(dx, dy);
+      if ((!dx && !dy) || rate < 0.02) continue;
+      const reach = (0.46 * rate) / Math.hypot(dx, dy);
       for (const [style, width] of [[edge, 0.15], [colour, 0.09]]) {
         paint.beginPath();
         paint.moveTo(cx, cy);
@@ -91,7 +91,7 @@ export function drawBars(brush, fields, ways, colour, edge) {
         paint.stroke();
       }
     }
-    const still = shareOfWays(policy, ways)["0,0"] ?? 0;
+    const still = rateOfWays(policy, ways)["0,0"] ?? 0;
     paint.beginPath();
     paint.arc(cx, cy, Math.max(1, (0.03 + 0.13 * still) * scale), 0, 2 * Math.PI);
     paint.fillStyle = colour;
@@ -104,8 +104,8 @@ export function drawHeat(brush, fields, number, alpha = 0.85) {
   const numbers = [...fields.values()].map(number);
   const [low, high] = [Math.min(...numbers), Math.max(...numbers)];
   for (const one of fields.values()) {
-    const share = high > low ? (number(one) - low) / (high - low) : 0.5;
-    brush.fill(heat(share, alpha), ...one.cell);
+    const rate = high > low ? (number(one) - low) / (high - low) : 0.5;
+    brush.fill(heat(rate, alpha), ...one.cell);
   }
   return { low, high };
 }

@@ -41,13 +41,13 @@ export function drawPosterior(canvas, { goals, agent }, colours, now) {
   const last = Object.values(goals)[0].length - 1;
   const { paint, width, across } = frame(canvas, height, last);
   const [ink, soft, line] = ["--ink", "--soft", "--line"].map((name) => themed(canvas, name));
-  const down = (share) => EDGE + (1 - share) * (height - 2 * EDGE - 14);
+  const down = (rate) => EDGE + (1 - rate) * (height - 2 * EDGE - 14);
   let below = new Array(last + 1).fill(0);
-  for (const [goal, shares] of Object.entries(goals)) {
-    const above = shares.map((share, t) => below[t] + share);
+  for (const [goal, rates] of Object.entries(goals)) {
+    const above = rates.map((rate, t) => below[t] + rate);
     paint.beginPath();
     paint.moveTo(across(0), down(below[0]));
-    above.forEach((share, t) => paint.lineTo(across(t), down(share)));
+    above.forEach((rate, t) => paint.lineTo(across(t), down(rate)));
     for (let t = last; t >= 0; t--) paint.lineTo(across(t), down(below[t]));
     paint.closePath();
     paint.fillStyle = colours[goal] ?? soft;
@@ -60,7 +60,7 @@ export function drawPosterior(canvas, { goals, agent }, colours, now) {
     paint.strokeStyle = ink;
     paint.lineWidth = 1.6;
     paint.beginPath();
-    agent.forEach((share, t) => paint[t ? "lineTo" : "moveTo"](across(t), down(share)));
+    agent.forEach((rate, t) => paint[t ? "lineTo" : "moveTo"](across(t), down(rate)));
     paint.stroke();
     paint.setLineDash([]);
   }
@@ -146,8 +146,8 @@ export function drawTimeline(canvas, { value, advantage, events, last }, now) {
 
 // The step at a place of a chart, from its left edge in pixels.
 export function stepAt(canvas, x, last) {
-  const share = (x - AXIS) / (canvas.clientWidth - AXIS - EDGE);
-  return Math.round(Math.min(Math.max(share, 0), 1) * last);
+  const rate = (x - AXIS) / (canvas.clientWidth - AXIS - EDGE);
+  return Math.round(Math.min(Math.max(rate, 0), 1) * last);
 }
 
 // Rewards as a critic was trained with them, whose values are of these; as they are where nobody

@@ -17,21 +17,21 @@ export function goalColours(shift, goals = []) {
   return colours;
 }
 
-// From pale to dark in one hue, for shares from 0 to 1; and between two hues, from -1 to 1.
+// From pale to dark in one hue, for rates from 0 to 1; and between two hues, from -1 to 1.
 const PALE = [247, 244, 232];
 const DARK = [20, 96, 122];
 const WARM = [176, 72, 10];
 
-export function heat(share, alpha = 1) {
-  return mixed(PALE, DARK, share, alpha);
+export function heat(rate, alpha = 1) {
+  return mixed(PALE, DARK, rate, alpha);
 }
 
 export function signed(amount, alpha = 1) {
   return mixed(PALE, amount < 0 ? WARM : DARK, Math.min(Math.abs(amount), 1), alpha);
 }
 
-function mixed(from, to, share, alpha) {
-  const [r, g, b] = from.map((low, k) => Math.round(low + share * (to[k] - low)));
+function mixed(from, to, rate, alpha) {
+  const [r, g, b] = from.map((low, k) => Math.round(low + rate * (to[k] - low)));
   return `rgba(${r}, ${g}, ${b}, ${alpha})`;
 }
 

@@ -1,4 +1,4 @@
-// What an agent sees, and where in it its value comes from.
+// The agent's observation, and the parts of it that its value depends on.
 
 import { fitted } from "./charts.js";
 import { signed } from "./colours.js";

@@ -1,6 +1,6 @@
 // Answers a page's questions without Python: rules, small networks and posteriors are computed here.
 //
-// What `astray.lab.session` answers, in the same words. What only Python can do says so.
+// The answers of `astray.lab.session`, in the same words. Questions that need Python are refused.
 
 import { posterior } from "../agent/agency.js";
 import { readNetwork, softmax } from "../agent/network.js";
@@ -173,17 +173,17 @@ export class LocalEngine {
       .map((place) => way.findIndex((cell) => String(cell) === String(place)))
       .filter((step) => step >= 0);
     if (ends.length) way = way.slice(0, Math.max(...ends) + 1);
-    const { cells, shares } = posterior(level.grid, way);
+    const { cells, rates } = posterior(level.grid, way);
     const goals = {};
-    const rest = shares.map(() => 1);
+    const rest = rates.map(() => 1);
     for (const [goal, place] of Object.entries(places)) {
       const g = cells.findIndex((cell) => String(cell) === String(place));
       if (g < 0) continue;
-      goals[goal] = shares.map((row) => row[g]);
-      goals[goal].forEach((share, t) => { rest[t] -= share; });
+      goals[goal] = rates.map((row) => row[g]);
+      goals[goal].forEach((rate, t) => { rest[t] -= rate; });
     }
-    goals[OTHER] = rest.map((share) => Math.max(share, 0));
-    yield { goals, agent: null, cells, shares };
+    goals[OTHER] = rest.map((rate) => Math.max(rate, 0));
+    yield { goals, agent: null, cells, rates };
   }
 
   shift({ agent, game, variant }) {

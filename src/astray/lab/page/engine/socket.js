@@ -1,6 +1,6 @@
 // Asks a page's questions of the Python process that served it, over a WebSocket.
 //
-// Where the connection is lost, the page is told so, and it is tried anew; questions that were not
+// If the connection is lost, the page says so, and it is tried again; questions that were not
 // answered are asked again. The server keeps nothing that a question does not bring with it.
 
 const FIRST_WAIT = 400; // milliseconds

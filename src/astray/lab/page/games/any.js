@@ -1,4 +1,4 @@
-// How the lab draws a game of cells: with its sprites, or else the characters of its drawings.
+// Drawing of a game of cells: with its sprites, or else the characters of its drawings.
 
 import { eachCell, heading } from "./common.js";
 
@@ -6,7 +6,7 @@ const FILLS = { ".": "#f1efe8", "#": "#8d8a80" };
 
 export const look = { still, moving, direction: heading, wall: 1, proxies: () => ({}), plain: true };
 
-// What is in each cell: `visit` is called with the names of drawings, or with a character alone.
+// Visit each cell: `visit` is called with the names of drawings, or with a character alone.
 function each(level, s, { legend, pictures = {} }, visit) {
   const chars = Object.fromEntries(Object.entries(legend).map(([char, code]) => [code, char]));
   eachCell(s.grid ?? level.grid, (what, x, y) => {

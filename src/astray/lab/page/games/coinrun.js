@@ -1,4 +1,4 @@
-// How the lab draws CoinRun: the whole level, and the part of it that the agent sees.
+// Drawing of CoinRun in the lab: the whole level, and the part of it that the agent sees.
 
 import { eachCell, heading } from "./common.js";
 import { coinrun } from "../rules/constants.js";

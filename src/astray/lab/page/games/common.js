@@ -1,4 +1,4 @@
-// What the drawings of several games share. World coordinates are cells, y upward.
+// Shared by the drawings of several games. World coordinates are cells, y upward.
 
 // A brush that draws in cells on a canvas; top is the height of the world in cells.
 export class Brush {

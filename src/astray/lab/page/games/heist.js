@@ -1,4 +1,4 @@
-// How the lab draws Heist.
+// Drawing of Heist in the lab.
 
 import { look as thief } from "./thief.js";
 import { heist } from "../rules/constants.js";

@@ -1,4 +1,4 @@
-// How the lab draws Keys and Chests.
+// Drawing of Keys and Chests in the lab.
 
 import { look as thief } from "./thief.js";
 import { keys } from "../rules/constants.js";

@@ -1,4 +1,4 @@
-// How each game is drawn.
+// The drawing of each game.
 
 import { look as any } from "./any.js";
 import { look as coinrun } from "./coinrun.js";

@@ -1,4 +1,4 @@
-// How the lab draws Maze.
+// Drawing of Maze in the lab.
 
 import { eachCell, heading } from "./common.js";
 import { maze } from "../rules/constants.js";

@@ -1,4 +1,4 @@
-// How the lab draws Heist, and Keys and Chests: a thief, and things in the cells of a maze.
+// Drawing of Heist, and of Keys and Chests: a thief, and things in the cells of a maze.
 
 import { eachCell, heading } from "./common.js";
 

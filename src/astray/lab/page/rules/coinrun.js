@@ -202,7 +202,7 @@ function move(s, ax, ay, horizontalFirst) {
 
 function shove(s, dx, dy, cratesStop, lastY) {
   const blocked = slide(s, dx, dy);
-  // What moves by nothing counts as moving vertically, and crates stop that alone.
+  // A move by 0 counts as vertical; crates stop only vertical moves.
   if (dx === 0 && cratesStop && s.vy < 0) {
     const [i, j] = [Math.floor(f(s.x - HALF)), Math.floor(f(s.y - TALL))];
     for (let y = Math.max(j, 0); y < Math.min(j + 3, WORLD); y++) {
@@ -312,7 +312,7 @@ function notePlaces(s) {
   note("passed_coin", s.coin_x !== NEVER && left >= s.coin_x + 1);
 }
 
-// What an agent sees, planes of [C, H, W]: walls, hazards, crates, coins, walkers to the left and
+// The agent's observation, planes [C, H, W]: walls, hazards, crates, coins, walkers to the left and
 // to the right, and gauges of how the runner moves.
 function planes(s) {
   const data = new Uint8Array(PLANES * VIEW * VIEW);
@@ -341,8 +341,8 @@ function planes(s) {
       }
     }
   }
-  const gauge = (row, share) => {
-    const marks = Math.min(Math.max(Math.trunc(share * GAUGE + 0.5), 0), GAUGE);
+  const gauge = (row, rate) => {
+    const marks = Math.min(Math.max(Math.trunc(rate * GAUGE + 0.5), 0), GAUGE);
     for (let k = 0; k < marks; k++) mark(6, row + Math.floor(k / VIEW), k % VIEW);
   };
   gauge(0, s.x - x);

@@ -1,4 +1,4 @@
-// What the rules of all games share: actions, cells, ways, and sentences about levels.
+// Shared by the rules of all games: actions, cells, ways, and sentences about levels.
 // All constants are Python's: `astray.lab.constants` writes the module that has them.
 
 import { common } from "./constants.js";

@@ -1,4 +1,4 @@
-// What the rules of all grid worlds share: `astray.grid`, for a page without Python.
+// Shared by the rules of all grid worlds: `astray.grid`, for a page without Python.
 //
 // `astray.lab.translate` writes each world's own part, rules/NAME.js, from its Python.
 
@@ -66,7 +66,7 @@ export function gridRules(world) {
     return { reward: Number(reward), terminated: Boolean(terminated) };
   }
 
-  // What an agent sees, planes of [C, H, W]: each kind, what is held, the agent.
+  // The agent's observation, planes [C, H, W]: each kind, what is held, the agent.
   function planes(s) {
     const [count, edge] = [kinds + held, seen > side ? [side - 1 - s.x, side - 1 - s.y] : [0, 0]];
     const data = new Uint8Array(count * seen * seen);

@@ -176,7 +176,7 @@ function unlock(s, k, reward) {
   return [s.strict ? REWARD : f(reward + REWARD), done];
 }
 
-// What an agent sees, planes of [C, H, W]: walls, keys, chests, thief, hand, and where in its cell.
+// The agent's observation, planes [C, H, W]: walls, keys, chests, thief, hand, and where in its cell.
 function planes(s) {
   const side = s.window ? 2 * Math.floor(s.window / 2) + 1 : s.world;
   const half = side >> 1;

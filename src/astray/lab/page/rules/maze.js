@@ -81,7 +81,7 @@ function noteArrivals(s) {
   }
 }
 
-// What an agent sees, planes of [C, H, W]: walls, mouse, dish (where a variant has one, in as many
+// The agent's observation, planes [C, H, W]: walls, mouse, dish (where a variant has one, in as many
 // planes as it says), shapes, colours.
 function planes(s) {
   const side = s.window ? 2 * Math.floor(s.window / 2) + 1 : s.world;
