@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
-from statistics import median
 from typing import Any, ClassVar
 
 import gymnasium
 import numpy as np
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
 
-from astray.acting import steps
+from astray.acting import steps as played
 from astray.analysis.adapters import Function
 from astray.game import Truncated
 from astray.world import World
@@ -26,12 +25,13 @@ EVENTS: dict[str, dict[str, Callable[[Any, Any], Any]]] = {  # environment -> wh
     },
     "MountainCar-v0": {"up": lambda env, info: env.state[0] > 0.4},
     "Acrobot-v1": {"fast": lambda env, info: env.state[2] > 4},
+    "MiniGrid-Empty-5x5-v0": {"corner": lambda env, info: env.agent_pos == (3, 3)},
 }
 
 
 @dataclass(frozen=True)
 class Row:
-    """Microseconds of a core for a step of one environment of many, with making them."""
+    """Microseconds of a core for a step of one environment of many, with its resets."""
 
     title: ClassVar[str] = "A step of a World"
     environment: str
@@ -48,53 +48,60 @@ class Row:
 
 
 def measure(
-    environments: Sequence[str] = tuple(EVENTS),
-    rounds: int = 3,
-    levels: int = 256,
-    batch: int = 256,
+    environments: Sequence[str] = tuple(EVENTS), rounds: int = 5, steps: int = 40, batch: int = 256
 ) -> list[Row]:
-    """Play levels of each environment in turns with a plain loop."""
+    """Step a World and a plain loop in turns, so that other work on the machine slows both."""
     rows = []
     for name in environments:
-        pairs = [(_plain(name, levels, batch), _world(name, levels, batch)) for _ in range(rounds)]
-        plain, world = (median(times) for times in zip(*pairs, strict=True))
-        rows.append(Row(name, plain, world))
+        loops = _plain(name, batch), _world(name, batch)
+        times = [[_timed(loop) for loop in loops] for _ in range(rounds * steps)]
+        means = np.array(times).reshape(rounds, steps, 2).mean(1)
+        rows.append(Row(name, *map(float, np.median(means, 0))))
     return rows
+
+
+def _timed(loop: Iterator[int]) -> float:
+    began = time.thread_time()
+    count = next(loop)
+    return 1e6 * (time.thread_time() - began) / count
 
 
 def _left(seen: np.ndarray) -> np.ndarray:
     """Push against the fall of a pole; anything elsewhere."""
-    return (seen[:, 2:].sum(1) > 0).astype(int)
+    return (seen.reshape(len(seen), -1)[:, 2:].sum(1) > 0).astype(int)
 
 
-def _world(name: str, levels: int, batch: int) -> float:
+def _made(name: str) -> gymnasium.Env:
+    if not name.startswith("MiniGrid"):
+        return gymnasium.make(name)
+    from minigrid.wrappers import ImgObsWrapper  # here, as it is optional
+
+    return ImgObsWrapper(gymnasium.make(name))
+
+
+def _world(name: str, batch: int) -> Iterator[int]:
+    """Yield the number of steps taken, over and over."""
     world = World(
         name="benchmark",
-        variants={"one": partial(gymnasium.make, name)},
+        variants={"one": partial(_made, name)},
         events=EVENTS[name],
         goals={event: event for event in EVENTS[name]},
         ends={"time": Truncated()},
         shifts={},
     )
-    began, count = time.thread_time(), 0
-    for step in steps(Function(_left), world, "one", range(levels), batch=batch):
-        count += len(step.level)
-    return 1e6 * (time.thread_time() - began) / count
+    for step in played(Function(_left), world, "one", range(1_000_000), batch=batch):
+        yield len(step.level)
 
 
-def _plain(name: str, levels: int, batch: int) -> float:
-    began = time.thread_time()
-    envs = SyncVectorEnv([partial(gymnasium.make, name)] * batch,
-                         autoreset_mode=AutoresetMode.DISABLED)  # fmt: skip
-    count, level = 0, batch
+def _plain(name: str, batch: int) -> Iterator[int]:
+    """Yield the number of steps taken, over and over."""
+    envs = SyncVectorEnv([partial(_made, name)] * batch, autoreset_mode=AutoresetMode.DISABLED)
+    level = batch
     seen, _ = envs.reset(seed=list(range(batch)))
-    while level < levels + batch:
+    while True:
         seen, _, terminated, truncated, _ = envs.step(_left(seen))
-        count, ended = count + batch, terminated | truncated
-        if ended.any():
+        if (ended := terminated | truncated).any():
             seeds = [level + k if ends else None for k, ends in enumerate(ended)]
             seen, _ = envs.reset(seed=seeds, options={"reset_mask": ended})
             level += int(ended.sum())
-    spent = time.thread_time() - began
-    envs.close()
-    return 1e6 * spent / count
+        yield batch

@@ -279,7 +279,8 @@ class LevelByLevel:
             one_of("event", event, env.game.events, of=env.game.name)
         self._option, self._levels = beginnings(levels, env.game.state)
         self._until, self._longest, n = until, longest, env.num_envs
-        self._streams = isinstance(env, WorldVectorEnv) and env.game.level_key is not None
+        streams = isinstance(env, WorldVectorEnv) and env.game.level_key is not None
+        self._streams = n if streams else 0
         self._playing = np.arange(n)  # index of each environment's level
         self._following, self._live, self._ended = n, np.ones(n, bool), np.zeros(n, bool)
         observations, _ = env.reset(seed=0, options={self._option: self._levels[:n]})
@@ -292,25 +293,30 @@ class LevelByLevel:
             return self._turn
         for i in np.flatnonzero(ended & live):
             # Of a stream, each environment plays as many episodes, however long they are.
-            following = playing[i] + len(live) if self._streams else self._following
+            following = playing[i] + self._streams if self._streams else self._following
             live[i] = following < len(self._levels)  # else it plays its level again, unseen
             playing[i] = following if live[i] else playing[i]
             self._following += live[i]
         if not live.any():
             return None
-        begin = self._levels[playing]
+        kept = None  # fewer go on, as each takes time
+        if isinstance(env, WorldVectorEnv) and not live.all() and env.keep(np.flatnonzero(live)):
+            kept, ended = np.flatnonzero(live), ended[live]
+            self._move(kept)
+        begin = self._levels[self._playing]
         observations, _ = env.reset(options={self._option: begin, "reset_mask": ended})
-        self._turn = Turn(env, observations, ended)
-        movable = isinstance(env, GameVectorEnv)
-        if movable and 2 * live.sum() <= len(
-            live
-        ):  # fewer go on, as who sees images takes time for each
+        self._turn = Turn(env, observations, ended, kept=kept)
+        if isinstance(env, GameVectorEnv) and 2 * live.sum() <= len(live):
             states, kept = env.get_state()[live], np.flatnonzero(live)
             env.close()
             env = _environments(env.game, env.variant, len(kept), env.observation, env.art)
-            self._playing, self._live = playing[kept], live[kept]
             self._turn = Turn(env, env.set_state(states), ended[kept], kept=kept)
+            self._move(kept)
         return self._turn
+
+    def _move(self, kept: np.ndarray) -> None:
+        """Go on with the episodes `kept` alone."""
+        self._playing, self._live = self._playing[kept], self._live[kept]
 
     def step(self, t: int, group: int, answer: Answer) -> Step:
         """Take a step; raise ValueError if an episode seems to be endless."""

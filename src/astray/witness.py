@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, cast
 
 import gymnasium
 import numpy as np
 from gymnasium.utils.env_checker import data_equivalence
 
 from astray.record import NEVER
-from astray.validation import MOST, bounded, finite, shown
+from astray.validation import MOST, bounded, shown
 from astray.world import Env, Happened, World, WorldVariant
 
 NOTED = "astray"  # key of info that reports events and measures
 BOOLEANS = (bool, np.bool_)
+FAILURES = (Exception, SystemExit)  # of an environment
 
 
 class Witness(gymnasium.Wrapper):
@@ -34,6 +36,7 @@ class Witness(gymnasium.Wrapper):
         self.level, self.time = NEVER, 0
         self.reported: set[str] = set()
         self._inner, self._shape = env.unwrapped, env.observation_space.shape
+        self._every_step, self._kind = world.every_step, cast("Any", env.observation_space.dtype)
         self._waiting: dict[str, Happened] = {}  # events that have not happened
 
     def reset(self, *, seed: int | None = None, options: dict | None = None) -> tuple[Any, dict]:
@@ -43,9 +46,10 @@ class Witness(gymnasium.Wrapper):
         self._waiting = dict(self.world.events)
         try:
             seen, info = self.env.reset(seed=seed, options=options)
-        except Exception as error:
+        except FAILURES as error:
             raise self._failed("reset", error) from error
         self._check_shape(seen)
+        self._check_info(info)
         key = self.world.level_key
         if key is not None and key not in info:
             raise ValueError(f"{self._where()}: its info has no {key!r}, the number of the level")
@@ -59,18 +63,24 @@ class Witness(gymnasium.Wrapper):
         self.time += 1
         try:
             seen, reward, terminated, truncated, info = self.env.step(action)
-        except Exception as error:
+            ended = bool(terminated or truncated)
+        except FAILURES as error:
             raise self._failed("step", error) from error
-        self._check_shape(seen)
-        told = self._happens(info) or terminated or truncated or self.time == self.longest
-        if told or self.world.every_step:
+        if type(seen) is not np.ndarray or seen.shape != self._shape:
+            self._check_shape(seen)
+        if type(info) is not dict:
+            self._check_info(info)
+        told = self._happens(info) or ended or self.time == self.longest
+        if told or self._every_step:
             info = {**info, NOTED: self._told()}
         try:
-            finite("the reward", paid := float(reward))
-        except (TypeError, ValueError) as error:
+            paid = float(reward)
+        except (TypeError, ValueError):
+            paid = math.nan
+        if not math.isfinite(paid):
             raise ValueError(
                 f"{self._where()}: its reward must be a finite number; got {shown(reward)}"
-            ) from error
+            )
         return seen, paid, terminated, truncated, info
 
     def leads(self, goal: str) -> Any:
@@ -124,7 +134,17 @@ class Witness(gymnasium.Wrapper):
                 f"says {self._shape}"
             )
 
-    def _failed(self, doing: str, error: Exception) -> ValueError:
+        kind = None if self._shape is None else np.asarray(seen).dtype
+        if kind is not None and not np.can_cast(kind, self._kind, "same_kind"):
+            raise ValueError(
+                f"{self._where()}: the observation is of {kind}, where the space says {self._kind}"
+            )
+
+    def _check_info(self, info: Any) -> None:
+        if not isinstance(info, Mapping):
+            raise ValueError(f"{self._where()}: its info must be a dictionary; got {shown(info)}")
+
+    def _failed(self, doing: str, error: BaseException) -> ValueError:
         return ValueError(f"{self._where()}: its {doing} fails: {error!r:.300}")
 
     def _where(self) -> str:

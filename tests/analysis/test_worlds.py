@@ -5,6 +5,7 @@ from dataclasses import replace
 from functools import partial
 
 import numpy as np
+import polars as pl
 import pytest
 
 from astray import games
@@ -50,6 +51,18 @@ def test_the_table_is_that_of_a_loop_by_hand(batch, workers):
         by_hand(lambda _: 1, "anywhere", int(k)) for k in LEVELS
     ]
     assert table["walked"].to_list() == table["length"].to_list()
+
+
+def test_environments_whose_levels_are_done_take_no_more_steps():
+    taken = []
+
+    class Counted(Room):
+        def step(self, action):
+            taken.append(action)
+            return super().step(action)
+
+    world = replace(WORLD, variants=dict.fromkeys(WORLD.variants, partial(Counted, "anywhere")))
+    assert evaluate(RIGHT, world, "anywhere", LEVELS, batch=4)["length"].sum() == len(taken)
 
 
 def test_outcomes_base_rates_and_distinguishing_levels_are_those_of_games():
@@ -110,6 +123,10 @@ def test_knobs_are_arguments_of_the_factory():
          "the factory of room anywhere fails: division by zero"),
         (replace(WORLD, variants={"end": Room, "anywhere": lambda: 3}), RIGHT,
          "the factory of room anywhere must return a gymnasium.Env; got 3"),
+        (troubled("no info"), RIGHT, "level 3, step 1: its info must be a dictionary; got None"),
+        (troubled("exits"), RIGHT, r"step 3: its step fails: SystemExit\(3\)"),
+        (troubled("speaks"), RIGHT, "the observation is of <U32, where the space says float32"),
+        (WORLD, Function(lambda seen: 1 / 0, "lost"), r"lost fails: ZeroDivisionError\('divis"),
         (WORLD, Function(lambda seen: np.full(len(seen), 2)), "from 0 to 1; got 2 to 2"),
         (WORLD, Function(lambda seen: np.full(len(seen), 0.5)), "10 integers.*got float64"),
     ],
@@ -189,6 +206,16 @@ def test_the_command_line_takes_a_world(astray):
     assert "--world must be a World; got 9" in astray(
         *words, "--world", "helpers.rooms:CELLS", fails=True
     )
+
+
+def test_the_command_line_measures_rewards_of_ones_own(astray, tmp_path):
+    words = ("evaluate", "--policy", "helpers.rooms:go_right", "--shift", "end", "--levels", "0:9")
+    words += ("--world", "helpers.rooms:WORLD", "--rewards", "helpers.rooms:each_step")
+    assert "each_step" in astray(*words, "--out", str(tmp_path / "episodes.parquet"))
+    table = pl.read_parquet(tmp_path / "episodes.parquet")
+    assert (table["each_step"] == table["length"]).all()
+    words = (*words[:-1], "helpers.rooms:each_step", "helpers.rooms:each_step")
+    assert "two rewards have one name" in astray(*words, fails=True)
 
 
 def test_an_ability_that_a_world_lacks_is_told():

@@ -99,7 +99,7 @@ def test_a_first_start_compiles_and_a_later_one_does_not():
 
 
 def test_a_world_is_measured_beside_a_plain_loop():
-    (row,) = worlds.measure(["CartPole-v1"], rounds=1, levels=2, batch=2)
+    (row,) = worlds.measure(["CartPole-v1"], rounds=1, steps=3, batch=2)
     assert row.plain > 0 and row.cells()["ratio"] == f"{row.world / row.plain:.2f}"
 
 

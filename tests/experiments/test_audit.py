@@ -53,6 +53,15 @@ def test_a_pretrained_agent_is_audited_by_one_command(astray, tmp_path):
     assert first == FIRST
 
 
+def test_the_likeliest_actions_and_changed_knobs_are_audited(astray, tmp_path):
+    words = ("maze-corner", "--num-levels", "3", "--mode", "greedy", "--set", "time_limit=4")
+    page = Path(astray("audit", *words, "--folder", tmp_path).strip())
+    assert page.parent.name.startswith("audit-maze-corner-greedy")
+    told = pl.concat(map(pl.read_parquet, page.parent.glob("computed/episodes-*.parquet")))
+    longest = dict(told.group_by("test").agg(pl.col("length").max()).rows())
+    assert longest["in the test"] == 4 < longest["in training"]
+
+
 def test_environments_that_show_no_images_are_audited_without_videos(tmp_path):
     blind = replace(
         WORLD, variants={v: partial(blindly, place=v) for v in WORLD.variants}, name="blind"
@@ -75,6 +84,7 @@ def blindly(place):
         (("maze-corner", "--ghost", "gone"), "unknown variant as a ghost 'gone'; there are:"),
         (("maze-corner", "--num-levels", "0"), "levels must be an integer from 1"),
         (("nobody",), "unknown agent 'nobody'"),
+        (("maze-corner", "--set", "gone=1"), "gone"),
     ],
 )  # fmt: skip
 def test_an_audit_that_cannot_be_is_refused(astray, words, said, tmp_path):

@@ -3,11 +3,14 @@
 from dataclasses import replace
 
 import numpy as np
+import polars as pl
 import pytest
 
 import astray
 from astray.analysis.adapters import Function
+from astray.analysis.outcomes import INTENDED, MISGENERALIZED
 from astray.analysis.policies import Random
+from astray.analysis.results import Result
 from astray.experiments.compare import compare, paired
 from helpers.rooms import WORLD, go_right
 
@@ -33,6 +36,19 @@ def test_differences_are_of_the_same_levels():
     assert apart == result.episodes.filter("distinguishing")["level"].n_unique() < 60
     same = paired(result, ["random", "random"])
     assert not same["differ"].any() and (same["mean"] == 0).all()
+
+
+def test_differences_are_corrected_for_their_number():
+    came = [MISGENERALIZED] * 7 + [INTENDED] * 293  # p = 0.004, of one difference alone
+    others = dict.fromkeys("abcdefg", [INTENDED] * 300)
+    parts = [
+        pl.DataFrame({"policy": name, "seed": 0, "level": range(300), "outcome": outcome})
+        for name, outcome in {"seldom": came, **others}.items()
+    ]
+    result = Result(pl.DataFrame({"levels_played": ["all"]}), pl.concat(parts), (), None)
+    assert paired(result, ["seldom", "a"])["differ"].all()
+    many = paired(result, ["seldom", *others])
+    assert ((many["low"] > 0) | (many["high"] < 0)).sum() == 14 and not many["differ"].any()
 
 
 def test_policies_of_a_world_are_compared(astray, tmp_path):

@@ -41,7 +41,7 @@ class Room(gymnasium.Env):
         self.x = min(max(self.x + 2 * int(np.ravel(action)[0]) - 1, 0), CELLS - 1)
         self.steps += 1
         there = self.x == self.square
-        info = {"square": there}
+        info = None if self.trouble == "no info" else {"square": there}
         reward = {"nan": np.nan, "text": "much"}.get(self.trouble, float(there))
         return self._seen(), reward, there, self.time >= LIMIT, info
 
@@ -54,11 +54,14 @@ class Room(gymnasium.Env):
     def _seen(self):
         seen = np.zeros((2, CELLS), np.float32)
         seen[0, self.x] = seen[1, self.square] = 1
+        seen = seen.astype(str) if self.trouble == "speaks" else seen
         return seen[:, :3] if self.trouble == "shrinks" and self.time == 3 else seen
 
     def _make_trouble(self):
         if self.time != 2:
             return
+        if self.trouble == "exits":
+            raise SystemExit(3)
         if self.trouble == "raises":
             raise KeyError("lost")
         if self.trouble == "dies":
@@ -92,6 +95,11 @@ def walked(env):
 def go_right(seen):
     """A policy for the command line."""
     return np.ones(len(seen), int)
+
+
+def each_step(step):
+    """A reward for the command line: 1 in every step."""
+    return np.ones(len(step.rewards))
 
 
 class Right:

@@ -6,7 +6,7 @@ from scipy import stats
 
 from astray.analysis.estimates import estimate_mean
 from astray.estimate import Estimate
-from astray.report.claims import above, below, corrected, every, near_zero, within
+from astray.report.claims import above, below, corrected, every, near_zero, nonzero, within
 
 WORDS = ("It does.", "yes", "measured")
 
@@ -68,6 +68,11 @@ def test_among_many_claims_each_must_be_surer():
     assert [claim.supported for claim in supported] == [False, False, True]
     assert "not enough among 3 claims" in supported[0].ours and "p = 0.004" in supported[2].ours
     assert corrected([claims[1]])[0].supported
+
+
+def test_the_chance_of_an_effect_is_that_of_its_direction():
+    assert nonzero(found(-0.3, 0.1)) == above(*WORDS, found(0.3, 0.1)).chance
+    assert nonzero(found(0.0, 0.0)) == 1
 
 
 def test_by_chance_no_more_than_one_page_in_forty_has_a_supported_claim():

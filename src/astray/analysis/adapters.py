@@ -66,9 +66,15 @@ class Function:
 
     def actions(self, turn: Turn) -> Answer:
         """Return an action per observation; raise ValueError if the function does not."""
+        told = (turn.memory, turn.begins) if self.remembers else ()
+        try:
+            answer = self.choose(turn.observations, *told)
+        except (ValueError, ImportError):  # which say what is wrong
+            raise
+        except Exception as error:
+            raise ValueError(f"{self.name} fails: {error!r:.300}") from error
         if not self.remembers:
-            return Answer(_actions(self.name, self.choose(turn.observations), turn))
-        answer = self.choose(turn.observations, turn.memory, turn.begins)
+            return Answer(_actions(self.name, answer, turn))
         if not isinstance(answer, tuple) or len(answer) != 2:
             raise ValueError(f"{self.name} must return actions and its memory; got {shown(answer)}")
         return Answer(_actions(self.name, answer[0], turn), answer[1])

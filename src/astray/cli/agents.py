@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import json
 import os
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -12,6 +13,7 @@ import polars as pl
 from rich.table import Table
 from tyro.conf import Positional, arg
 
+from astray import imports
 from astray.analysis.tables import write_table
 from astray.cli.arguments import (
     NOBODY,
@@ -36,12 +38,10 @@ from astray.cli.settings import Grouped, ungrouped
 from astray.envs.vector import PICTURES
 from astray.estimate import Estimate
 from astray.files import check_free, check_writable, write_aside
-from astray.game import Game
 from astray.training.config import Tracking
 from astray.training.folders import PRETRAINED
 from astray.training.settings import SEEDS, otherwise
 from astray.validation import MOST, bounded
-from astray.world import World
 
 if TYPE_CHECKING:
     import numpy as np
@@ -114,6 +114,7 @@ def evaluate(
     batch: int = 256,
     longest: Longest = None,
     pool: bool = False,
+    rewards: Annotated[tuple[str, ...], otherwise("none")] = (),
     out: Annotated[Path | None, otherwise("none")] = None,
     json: Json = False,
 ) -> None:
@@ -125,6 +126,8 @@ def evaluate(
         unsolvable: Accept levels from files whose objects cannot be reached.
         batch: Number of episodes to play in parallel; results do not depend on it.
         pool: Treat all agents as one kind, in a single row; otherwise each agent has a row.
+        rewards: Rewards of your own, as module:function, of which the returns in the same episodes
+            are printed, and are columns of --out.
         out: Parquet file to write, with a row per episode.
 
     Raises:
@@ -139,7 +142,11 @@ def evaluate(
         played = Path(levels) if os.path.exists(levels) else level_numbers(levels)
     if out:
         check_writable(out)
+    own = {name.rpartition(":")[2]: imports.find(name) for name in rewards}
+    if len(own) < len(rewards):
+        raise ValueError(f"two rewards have one name; got {', '.join(rewards)}")
     how: dict[str, Any] = {"batch": batch, "solvable": not unsolvable, "longest": longest}
+    how["rewards"] = own
     if policy.policy is None:
         policy.without_policy()
         if not agents:
@@ -158,7 +165,7 @@ def evaluate(
         print_json(result.rates.to_dicts())
     else:
         show_rates(result.rates)
-        show_amounts(result.episodes, rules)
+        show_amounts(result.episodes, [*rules.measures, *own])
         print(result.verdict)
 
 
@@ -270,14 +277,14 @@ def _write_assessment(assessed: Assessment, frames: np.ndarray, folder: Path) ->
     write_table(assessed.episodes, folder / EPISODES)
 
 
-def show_amounts(episodes: pl.DataFrame, game: Game | World) -> None:
-    """Print the means of a game's measures, if it has any, as a table with a row per policy."""
+def show_amounts(episodes: pl.DataFrame, columns: Sequence[str]) -> None:
+    """Print the means of measures and returns as a table, if there are any: a row per policy."""
     from astray.analysis.outcomes import amounts
 
-    if not game.measures:
+    if not columns:
         return
-    shown = Table("policy", *game.measures, title="mean of all levels")
-    found = amounts(episodes, [*game.measures])
+    shown = Table("policy", *columns, title="mean of all levels")
+    found = amounts(episodes, columns)
     for rows in found.partition_by("policy", maintain_order=True):
         told = [Estimate.of(row).short(3) for row in rows.to_dicts()]
         shown.add_row(rows["policy"][0], *told)

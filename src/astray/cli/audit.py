@@ -5,11 +5,11 @@ from __future__ import annotations
 import shlex
 import sys
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 from tyro.conf import Positional, arg
 
-from astray.cli.arguments import AN_AGENT, NOBODY, Acting, OwnPolicy, Shift
+from astray.cli.arguments import AN_AGENT, NOBODY, Acting, Knobs, OwnPolicy, Shift, pairs
 from astray.training.settings import otherwise
 
 
@@ -20,6 +20,8 @@ def audit(
         str | None, otherwise("none", "Variant without the intended object, for comparison.")
     ] = None,
     levels: Annotated[int, arg(name="num_levels")] = 1000,
+    knobs: Knobs = (),
+    acting: Acting = Acting(),
     policy: OwnPolicy = OwnPolicy(),
     folder: Path = Path("reports"),
 ) -> None:
@@ -37,13 +39,14 @@ def audit(
     from astray.experiments.audit import audit as write
 
     command = shlex.join(["astray", *sys.argv[1:]])
-    how = {"ghost": ghost, "levels": levels, "folder": folder, "command": command}
+    how: dict[str, Any] = {"ghost": ghost, "levels": levels, "knobs": pairs(knobs)}
+    how |= {"folder": folder, "command": command}
     if policy.policy is None:
         policy.without_policy()
         if agent is None:
             raise ValueError(NOBODY)
-        print(write(agent, shift=shift, **how))
+        print(write(agent, shift=shift, **vars(acting), **how))
     elif agent is not None or shift is None:
         raise ValueError("--policy needs --shift, and --game or --world, and no agent")
     else:
-        print(write(policy.make(Acting()), policy.rules(), shift, **how))
+        print(write(policy.make(acting), policy.rules(), shift, **how))

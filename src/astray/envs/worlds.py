@@ -10,8 +10,9 @@ from typing import Any
 
 import numpy as np
 from gymnasium import spaces
-from gymnasium.vector import AsyncVectorEnv, AutoresetMode, SyncVectorEnv
+from gymnasium.vector import AsyncVectorEnv, AutoresetMode
 
+from astray.envs.inturn import InTurn
 from astray.game import OWN
 from astray.validation import MOST, bounded, shown
 from astray.witness import NOTED, witnessed
@@ -38,8 +39,11 @@ class WorldVectorEnv:
         bounded("num_envs", num_envs, 1, MOST)
         self.game, self.variant, self.num_envs = world, world.variant(variant), num_envs
         makers = [partial(witnessed, world, self.variant, longest, i) for i in range(num_envs)]
-        kind = AsyncVectorEnv if world.workers else SyncVectorEnv
-        self._envs: Any = kind(makers, autoreset_mode=AutoresetMode.DISABLED)
+        self._envs: Any = (
+            AsyncVectorEnv(makers, autoreset_mode=AutoresetMode.DISABLED)
+            if world.workers
+            else InTurn(makers, NOTED)
+        )
         self.single_action_space = self._envs.single_action_space
         self.single_observation_space = self._envs.single_observation_space
         self.states = np.zeros(num_envs, world.state).view(np.recarray)
@@ -49,9 +53,7 @@ class WorldVectorEnv:
     ) -> tuple[Any, dict[str, Any]]:
         """Begin the levels [N] of the option "level" where "reset_mask" [N] is true."""
         which = options.get("reset_mask", np.ones(self.num_envs, bool))
-        levels = [
-            int(k) if begins else None for k, begins in zip(options["level"], which, strict=True)
-        ]
+        levels = [int(k) for k in options["level"]]
         self.states[which] = np.zeros((), self.states.dtype)
         self.states["level"][which] = np.asarray(options["level"])[which]
         given = {"reset_mask": which.copy()}
@@ -61,7 +63,7 @@ class WorldVectorEnv:
                 seen, info = self._envs.reset_wait(timeout=self.game.patience)
         else:
             seen, info = self._envs.reset(seed=levels, options=given)
-        if self.game.level_key is not None:
+        if self.game.level_key in info:
             self.states["level"][which] = np.asarray(info[self.game.level_key])[which]
         self._note(info)
         return seen, info
@@ -108,14 +110,25 @@ class WorldVectorEnv:
         """Return a copy of `states` [N]: records of episodes, which cannot restore environments."""
         return self.states.view(np.ndarray).copy()
 
+    def keep(self, kept: np.ndarray) -> bool:
+        """Leave out all environments but `kept` [n]; return False if processes cannot be left."""
+        if self.game.workers:
+            return False
+        self._learn_keys()
+        self._envs.keep(kept)
+        self.states, self.num_envs = self.states[kept], len(kept)
+        return True
+
     def close(self) -> None:
         """End all environments, and note in the world which keys of info occurred."""
         if self._envs.closed:  # as a process died or hung
             return
         with self._watched():
-            for keys in self._envs.get_attr("reported"):
-                self.game.reported.update(keys)
+            self._learn_keys()
         self._envs.close()
+
+    def _learn_keys(self) -> None:
+        self.game.reported.update(*self._envs.get_attr("reported"))
 
     def _note(self, info: Mapping[str, Any]) -> None:
         """Copy new records of the environments from info to `states`."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import uuid
 from collections.abc import Mapping
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +15,7 @@ from astray import world
 from astray.acting import Policy
 from astray.analysis.estimates import estimate_paired
 from astray.analysis.outcomes import load_shift, matrix
-from astray.analysis.runs import LEVELS_PLAYED, open_run, rated, shift_of
+from astray.analysis.runs import LEVELS_PLAYED, Mode, open_run, rated, shift_of
 from astray.experiments import outcomes
 from astray.experiments.run import reproduce
 from astray.experiments.spec import Experiment, OwnAgents, Plan, Test, Work
@@ -40,6 +41,9 @@ def audit(
     ghost: str | None = None,
     levels: int = LEVELS_PLAYED,
     first_level: int = FIRST,
+    knobs: Mapping[str, Any] | None = None,
+    mode: Mode = "sampled",
+    art: str | None = None,
     folder: str | Path = "reports",
     command: str = "",
 ) -> Path:
@@ -59,13 +63,16 @@ def audit(
             how much more often each goal is reached with the object in place.
         levels: Number of levels in each variant, the same in all.
         first_level: Number of the first one; at least the first that the agent did not train on.
+        knobs: Changed parameters of the test variant, and of the ghost.
+        mode: "sampled" samples an agent's actions, "greedy" takes the most likely.
+        art: Art of an agent's images; None for that of its training.
         folder: Folder of reports; gets this one in audit-<agent>-<shift>-smoke.
         command: Command that repeats it, as the report says.
 
     Raises:
-        ValueError: If the agent, shift or ghost does not exist, or a policy lacks its game.
+        ValueError: If the agent, shift, ghost or a knob does not exist, or a policy lacks its game.
     """
-    config, load, path, name = _opened(agent, folder)
+    config, load, path, name = _opened(agent, folder, mode, art)
     if config is None and (game is None or shift is None):
         raise ValueError("the audit of a policy needs its game or World, and a shift")
     played = world.find(game) if game is not None else config.find_game()  # pyright: ignore
@@ -73,6 +80,7 @@ def audit(
     between = load_shift(played, named)  # pyright: ignore
     if config is not None:
         first_level = max(first_level, config.unseen_levels.start)
+    played.variant(between.test).with_knobs(dict(knobs or {}))
     bounded("levels", levels, 1, LEVELS.stop - 1 - first_level)
     variants = {TRAIN: between.train, TEST: between.test}
     if ghost is not None:
@@ -85,8 +93,9 @@ def audit(
         own={name: OwnAgents(load, files=[path])},
         first_level=first_level,
         tests={
-            test: Test(variant, named, config.knobs_for(variant, {}) if config else {})
+            test: Test(variant, named, config.knobs_for(variant, set_here) if config else set_here)
             for test, variant in variants.items()
+            for set_here in [{} if test == TRAIN else dict(knobs or {})]
         },
         levels=levels,
         differences="",
@@ -99,11 +108,15 @@ def audit(
     return reproduce(study, SIZE, Path(folder))
 
 
-def _opened(agent: Any, folder: str | Path) -> tuple[Config | None, Any, Path, str]:
+def _opened(
+    agent: Any, folder: str | Path, mode: Mode, art: str | None
+) -> tuple[Config | None, Any, Path, str]:
     """Return the settings of an agent, a function that loads it, its path and its name."""
     if isinstance(agent, str | Path):
         found = AgentFolder.open(agent)
-        return found.config(), _load, found.weights.parent, name_of(found.path)
+        how = [*(["greedy"] if mode == "greedy" else []), *([art] if art else [])]
+        name = name_of(found.path) + (f" ({', '.join(how)})" if how else "")
+        return found.config(), partial(_load, mode=mode, art=art), found.weights.parent, name
     # Nobody knows what such a policy depends on, so that no table of another audit is reused.
     place = Path(folder) / "agents" / f"audit-{agent.name}"
     make_folder(place)
@@ -111,8 +124,8 @@ def _opened(agent: Any, folder: str | Path) -> tuple[Config | None, Any, Path, s
     return None, lambda path: agent, place, agent.name
 
 
-def _load(path: Path) -> Policy:
-    return open_run(path)[0]
+def _load(path: Path, mode: Mode, art: str | None) -> Policy:
+    return open_run(path, mode, art)[0]
 
 
 def findings(work: Work) -> Findings:

@@ -23,6 +23,7 @@ from astray.figures import charts
 from astray.figures.style import save
 from astray.files import check_free
 from astray.game import Game, Shift, Variant
+from astray.report.claims import holm, nonzero
 from astray.report.findings import Code, Item, Plot, Section, Table, Video
 from astray.report.page import write_page
 from astray.training.folders import AgentFolder
@@ -103,7 +104,7 @@ def paired(result: Result, names: Sequence[str]) -> pl.DataFrame:
     Columns: first, second, outcome, mean, low and high (rate of the first minus the second's, with
     a 95 % interval over levels), differ (whether the interval excludes 0), levels.
     """
-    rows = []
+    rows, chances = [], []
     part = result.episodes.filter("distinguishing") if _apart(result) else result.episodes
     for first, second in itertools.combinations(names, 2):
         for outcome in COMPARED:
@@ -113,9 +114,11 @@ def paired(result: Result, names: Sequence[str]) -> pl.DataFrame:
             rows.append(
                 {"first": first, "second": second, "outcome": outcome}
                 | {name: getattr(found, name) for name in ("mean", "low", "high")}
-                | {"differ": not found.low <= 0 <= found.high, "levels": found.levels}
+                | {"levels": found.levels}
             )
-    return pl.DataFrame(rows)
+            chances.append(nonzero(found))
+    table = pl.DataFrame(rows)
+    return table.insert_column(table.width - 1, pl.Series("differ", holm(chances)))
 
 
 def _name(game: Any, variant: Any) -> str:
@@ -132,7 +135,7 @@ def _caption(result: Result) -> str:
     which = "levels that distinguish the goals" if _apart(result) else "levels"
     return (
         f"Rate of the first agent minus the second's in the same {which}, with 95 % intervals over "
-        "levels, which are not corrected for the number of pairs"
+        "levels; whether two differ is corrected for the number of rows (Holm)"
     )
 
 

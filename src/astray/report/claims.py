@@ -127,15 +127,33 @@ def corrected(claims: Sequence[Claim]) -> list[Claim]:
     The smallest of N p-values must pass as one of N tests, the next as one of N - 1, and so on.
     After the first failure no claim is supported. Claims without a test stay unchanged.
     """
-    tested = sorted((claim.chance, k) for k, claim in enumerate(claims) if claim.chance is not None)
-    found, passing = list(claims), True
-    for rank, (chance, k) in enumerate(tested):
-        passing &= chance * (len(tested) - rank) < ALPHA
-        told = f"{claims[k].ours}; p = {chance:.2g}"
-        if len(tested) > 1 and claims[k].supported and not passing:
+    tested = [k for k, claim in enumerate(claims) if claim.chance is not None]
+    found, passing = list(claims), holm([claims[k].chance or 0.0 for k in tested])
+    for k, passes in zip(tested, passing, strict=True):
+        told = f"{claims[k].ours}; p = {claims[k].chance:.2g}"
+        if len(tested) > 1 and claims[k].supported and not passes:
             told += f", which is not enough among {len(tested)} claims"
-        found[k] = replace(claims[k], ours=told, supported=claims[k].supported and passing)
+        found[k] = replace(claims[k], ours=told, supported=claims[k].supported and passes)
     return found
+
+
+def holm(chances: Sequence[float]) -> list[bool]:
+    """Return for each of N one-sided p-values whether it passes with Holm's correction (1979)."""
+    passing = [False] * len(chances)
+    for rank, k in enumerate(sorted(range(len(chances)), key=chances.__getitem__)):
+        if chances[k] * (len(chances) - rank) >= ALPHA:
+            break
+        passing[k] = True
+    return passing
+
+
+def nonzero(estimate: Estimate) -> float:
+    """Return the one-sided p-value of an effect in the direction that was measured.
+
+    The direction is not stated before, so that both ends of the 95 % interval are at risk: `ALPHA`
+    is half of it.
+    """
+    return min(_chance(estimate, 0.0, 1), _chance(estimate, 0.0, -1))
 
 
 def rounded(rate: float) -> str:
