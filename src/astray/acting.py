@@ -98,7 +98,7 @@ class Policy(Protocol):
 
 
 class Actor(Protocol):
-    """Chooser of actions for groups of environments: it can compute for one while another steps.
+    """Source of actions for groups of environments; it can compute for one while another steps.
 
     Examples:
         >>> from astray.analysis.policies import Random

@@ -121,7 +121,7 @@ def write_aside(path: Path, data: bytes) -> None:
 
 @contextlib.contextmanager
 def folder_aside(path: Path) -> Iterator[Path]:
-    """Yield a new folder that is renamed to `path` on success and removed on failure."""
+    """Yield a new folder, which is renamed to `path` on success and removed on failure."""
     made = make_folder(path.parent)
     aside = aside_of(path)
     try:

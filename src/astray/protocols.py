@@ -146,9 +146,9 @@ class Editing(Protocol):
         """Function (s) -> its level as JSON-serialisable data, with derived fields.
 
         "grid" and "agent" (its centre) are lists; "looks" holds everything else that `build` needs.
-        Its "details" are lists [x, y, ...] of single cells, which move and are removed with the
-        object in that cell. Other such lists describe a second object of a cell, which is in `grid`
-        once the first is gone.
+        Its "details" are lists [x, y, ...], one per cell: they are moved and removed with the
+        object in the cell. Other lists of this form name a second object in a cell, which appears
+        in `grid` once the first is gone.
         """
         ...
 

@@ -38,7 +38,7 @@ def state_dtype(*own: tuple) -> np.dtype:
 
 
 def record_dtype(columns: list[tuple]) -> np.dtype:
-    """Return an aligned record dtype without gaps, because copies would not keep their bytes."""
+    """Return an aligned record dtype without gaps, since copies do not preserve bytes in gaps."""
     taken = [name for name, *_ in columns if hasattr(np.record, name)]
     assert not taken, f"records have attributes of these names already: {taken}"
     columns = sorted(columns, key=lambda column: -np.dtype(column[1]).alignment)
@@ -98,7 +98,7 @@ def trusted(states: np.ndarray) -> np.recarray:
     """Return a read-only view of states [N] that were checked or written by the rules alone.
 
     Args:
-        states: Array that the caller must not change any more.
+        states: Array that the caller must not change afterwards.
     """
     whole = _whole(states)
     _TRUSTED[id(whole)] = whole

@@ -59,7 +59,7 @@ class Witness(gymnasium.Wrapper):
         return seen, {**info, NOTED: self._told()}
 
     def step(self, action: Any) -> tuple[Any, float, bool, bool, dict]:
-        """Take a step and record its events, with the errors of `reset`: ValueError."""
+        """Take a step and record its events; raise ValueError as `reset` does."""
         self.time += 1
         try:
             seen, reward, terminated, truncated, info = self.env.step(action)

@@ -254,7 +254,7 @@ class World:
             )
 
     def drawn(self, art: str) -> None:
-        """Raise ValueError unless the art is its own."""
+        """Raise ValueError for any art except the world's own."""
         if art != OWN:
             raise ValueError(f"unknown art {shown(art)} of {self.name}; there are: {OWN}")
 

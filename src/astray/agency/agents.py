@@ -75,5 +75,5 @@ class Agents:
 
 @lru_cache(maxsize=8)  # of the last few worlds; it is by far the longest part of a measurement
 def of_every_cell(world: World, legal: bool, at_goal: AtGoal) -> Agents:
-    """Return agents whose goals are the free cells, in order."""
+    """Return the agents whose goals are all free cells, in order."""
     return Agents(world, world.distance, legal, at_goal)

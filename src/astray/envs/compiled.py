@@ -1,4 +1,4 @@
-"""The batch loop, compiled for one game."""
+"""The batch loop, compiled for each game."""
 
 from __future__ import annotations
 

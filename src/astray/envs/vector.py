@@ -305,7 +305,7 @@ class GameVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         return self._do(np.full(self.num_envs, AS_SET))
 
     def repeat(self, states: np.ndarray | None) -> None:
-        """Begin every following episode of environment i in `states[i]`, of [N].
+        """Begin every following episode of an environment in its own one of the `states` [N].
 
         None returns to the usual levels. Running episodes continue.
 

@@ -291,7 +291,7 @@ def settings(plan: Plan) -> dict[str, str]:
 
 
 def videos(work: Work, *, trained: Test, tested: Test, agent: str | None = None) -> list[Video]:
-    """Show an agent in a training and a test level of one number, for each outcome of the test.
+    """Show an agent in a training level and the test level of that number, for each outcome.
 
     The most common outcome comes first. Each shows the first distinguishing level whose way to the
     proxy (or else to the intended goal) is longer than in most levels.

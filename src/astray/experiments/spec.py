@@ -206,7 +206,7 @@ class Plan:
         }
 
     def teacher_of(self, student: str, seed: int) -> str | None:
-        """Return the name of a student's teacher: a published agent, or of its training."""
+        """Return the name of a student's teacher: that of a published agent, or of a training."""
         if student not in self.teachers:
             return self.agents[student].teacher
         teacher = self.teachers[student]

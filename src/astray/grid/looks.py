@@ -80,11 +80,11 @@ def background_planes(s, scene):
 
 
 def symbols(side: int, planes: int, centred: bool) -> Any:
-    """Return the symbols of a world with so many planes.
+    """Return the symbolic observations of a world.
 
     Args:
         side: Cells a side of the world.
-        planes: One for each kind and each thing that can be held, and the agent's.
+        planes: Number of planes: one for each kind, each thing that can be held, and the agent.
         centred: Whether the agent is in the middle of its observation.
     """
     seen = 2 * side - 1 if centred else side

@@ -32,10 +32,10 @@ REST, NOTHING = "rest", "nothing"  # parts that are what no other is
 
 
 def gradients(agent: Model, observations: np.ndarray) -> np.ndarray:
-    """Return the value's gradient by observations [N, ...] (Simonyan et al. 2013).
+    """Return the gradient of the value at observations [N, ...] (Simonyan et al. 2013).
 
     It is float64. For images it is per unit of brightness from 0 to 1, for binary planes per unit.
-    For planes of categories it is towards more of the present category, and 0 without one.
+    For planes of categories it is per unit of the present category, and 0 if there is none.
 
     Raises:
         ImportError: If captum is not installed.

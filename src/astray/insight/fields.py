@@ -165,8 +165,8 @@ class Field:
     def path_probability(self, start: Cell | None = None) -> dict[Cell, float]:
         """Return the preference for the way to each cell, from 0 to 1 (at the start).
 
-        It is the geometric mean of the step probabilities of the first-found shortest way from
-        `start`, None for the beginning of the level.
+        It is the geometric mean of the step probabilities along a shortest way from `start`; None
+        starts at the beginning of the level.
 
         Raises:
             ValueError: If the agent cannot be at the start.

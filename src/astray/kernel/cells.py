@@ -85,7 +85,7 @@ def cell_box(seen, x, y):
 
 @kernel
 def lay(axis, edges, k, begin, length):
-    """Write the pixels of cell `k`, which is drawn after those before."""
+    """Write the pixels of cell `k`, which is drawn over all earlier cells."""
     first, after, base, step = span(begin, length, axis.shape[1], TILE, SPRITE)
     edges[0, k], edges[1, k] = first, after
     for pixel in range(first, after):

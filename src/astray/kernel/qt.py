@@ -74,9 +74,10 @@ def around(seen, x, y, half_x, half_y):
 
 @kernel
 def span(begin, length, side, size, rule):
-    """Return where a picture is shown: first pixel of `side`, one after the last, base, step.
+    """Return the first pixel of a picture, the one after its last, and its base and step.
 
-    Pixel k shows number (base + (k - first) * step) >> 16 of the picture's `size`.
+    There are `side` pixels, and `size` in the picture. Pixel k shows the picture's number
+    (base + (k - first) * step) >> 16.
     """
     first = min(max(nearest(begin), 0), side)
     after = max(min(nearest(begin + length), side), first)

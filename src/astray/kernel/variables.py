@@ -14,7 +14,7 @@ TAKEN = {
 
 
 def leave_out() -> None:
-    """Remove such variables from this process's environment, with a message."""
+    """Remove variables with which numba fails from this process's environment, with a message."""
     for name, taken in TAKEN.items():
         given = os.environ.get(name)
         if given is not None and not re.fullmatch(taken, given):

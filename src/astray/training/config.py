@@ -266,9 +266,9 @@ class Config:
     ) -> Variant:
         """Return a variant for these agents, with further `changes` of its knobs.
 
-        A variant given by name also takes the knobs that were changed in training, wherever the
-        two agreed before. Knobs that it cannot have are dropped, such as a region where cheese is
-        anywhere: see `left_out`.
+        A variant given by name also takes the knobs that were changed in training, if both variants
+        agreed in them before. Knobs that it cannot have are dropped, such as a region where cheese
+        is anywhere: see `left_out`.
 
         Raises:
             ValueError: If it cannot have `changes`.

@@ -65,7 +65,7 @@ class Played:
 
 
 class Sampler(Protocol):
-    """Chooser of training levels, which learns how its levels were played.
+    """Source of training levels, which is informed of the results in them.
 
     A sampler is a class whose only argument is the training's `Config`: pass it as `train(config,
     folder, sampler=Mine)` or `--sampler my_package.levels:Mine`. Its draws must depend only on

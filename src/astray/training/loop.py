@@ -164,7 +164,7 @@ def iterate(
 
 @contextlib.contextmanager
 def chance(config: Config, iteration: int) -> Iterator[None]:
-    """Seed torch's random state from the seed and the iteration, for dropout for instance."""
+    """Seed torch's random state, which dropout uses, from the seed and the iteration."""
     with torch.random.fork_rng(range(torch.cuda.device_count() if config.device == "cuda" else 0)):
         torch.manual_seed(
             int(np.random.SeedSequence((config.seed, iteration)).generate_state(1)[0])
@@ -281,7 +281,7 @@ def collect(trainer: Trainer) -> Samples:
 
 @torch.no_grad()
 def validate(trainer: Trainer) -> None:
-    """Play as many steps on the validation variant, without learning."""
+    """Play a rollout on the validation variant, without learning from it."""
     player, actor, steps = trainer.validation, trainer.validator, trainer.config.num_steps
     assert player and actor
     actor.rollout.begin(steps)

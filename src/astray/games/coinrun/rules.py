@@ -136,8 +136,8 @@ def stroll(s, crates_stop):
     WALL also stops it for that part of the step, at the cost of a quarter of its speed.
 
     Args:
-        crates_stop: The runner falls and would land on crates. Then a crate below the runner also
-            stops a walker inside it that WALL stops, for the rest of its step.
+        crates_stop: Whether the runner falls and would land on crates. A walker that WALL stops
+            inside a crate below the runner then stays there for the rest of its step.
     """
     reach = HALF * CORNER
     quarter = F(0.25)

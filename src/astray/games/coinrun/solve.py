@@ -281,7 +281,7 @@ def steps_left(s, goal, targets):
 
 @kernel
 def is_new(s, time, seen):
-    """Mark this motion as visited; return whether the search was nowhere near it before.
+    """Mark this motion as visited; return whether the search has not been near it before.
 
     With walkers about, the time distinguishes motions, since waiting can help.
     """

@@ -83,7 +83,7 @@ def seek(s, goal):
 
 
 def watered(s):
-    """Return the mean fraction of tomatoes that were watered, of each episode."""
+    """Return the mean fraction of watered tomatoes in each episode."""
     tomatoes = ((s["cell"] == DRY) | (s["cell"] == WATERED)).sum((1, 2))
     return s["tended"] / (s["time"] * tomatoes).clip(1)
 

@@ -251,7 +251,7 @@ def _told(network: Recurrent, batch: Samples) -> Callable:
 def agree(network: nn.Module, config: Config, architecture: Architecture) -> bool:
     """Return whether the kernels compute the current network and `ppo.loss`.
 
-    The kernels do not follow an edit of either, which then shows on synthetic samples.
+    The kernels do not follow an edit of either; a comparison on synthetic samples reveals it.
     """
     random, actions, many = np.random.default_rng(0), architecture.actions, 64
     largest = np.array(architecture.largest)[:, None, None] + 1

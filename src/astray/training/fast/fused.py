@@ -91,7 +91,7 @@ def evaluate(
     grad,
     parts,
 ):
-    """Fill `grad` [B, A + 1] with the loss's gradient by `outputs`, and `parts` with means.
+    """Fill `grad` [B, A + 1] with the loss's gradient at `outputs`, and `parts` with means.
 
     Raises:
         IndexError: If an action has no output.

@@ -16,7 +16,7 @@ from astray.training.ppo import Samples
 
 
 class Known(torch.autograd.Function):
-    """A loss whose gradient by all weights was computed in the forward pass."""
+    """A loss whose gradients for all weights were computed in the forward pass."""
 
     @staticmethod
     def forward(ctx: Any, loss: Tensor, gradients: list[Tensor], *_: Tensor) -> Tensor:

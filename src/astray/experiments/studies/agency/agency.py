@@ -197,7 +197,7 @@ def inferred(settings: Mapping[str, Setting]) -> pl.DataFrame:
 
 
 def call_agents(settings: Mapping[str, Setting], count: int) -> pl.DataFrame:
-    """Return the fraction of each policy's walks that each preset calls agents, over all maps."""
+    """Return the fraction of each policy's walks that each preset attributes to agents."""
     rows = []
     for number, policy in enumerate([*WALKERS, *(f"agent, eps = {eps:g}" for eps in ERRING)]):
         factors: dict[str, list[float]] = {preset: [] for preset in PRESETS}

@@ -225,7 +225,7 @@ def fate(s: Any) -> str:
 
 
 def places(work: Work, test: str, levels: np.ndarray) -> np.ndarray:
-    """Return the coins' cells (x, y) [N, 2] in `levels` [N] of a test; ANYWHERE's for ghosts."""
+    """Return the cells (x, y) [N, 2] of coins, or of their ghosts, in `levels` [N] of a test."""
     seen = TESTS[ANYWHERE if test == GHOST else test]
     begun = initial_states("coinrun", seen.variant_for(work.plan.config), levels)
     return np.stack([begun["coin_x"], begun["coin_y"]], 1)
