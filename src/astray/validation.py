@@ -5,9 +5,10 @@ from __future__ import annotations
 import itertools
 import math
 import reprlib
+import sys
 import typing
 import warnings
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from typing import Any, Literal
 
 import numpy as np
@@ -104,6 +105,25 @@ def renamed(data: Any, names: Mapping[str, str], where: str) -> Any:
         said = f"{where} says {old!r}; this is now {names[old]!r}; a later version will not read it"
         warnings.warn(said, OldName, stacklevel=2)
     return {names.get(name, name): value for name, value in data.items()}
+
+
+def older_names(module: str, names: Mapping[str, str]) -> Callable[[str], Any]:
+    """Return a module's `__getattr__` that finds functions by their old names, with a note.
+
+    Args:
+        module: Name of the module.
+        names: New names by old ones; the result raises AttributeError for all others.
+    """
+
+    def find(name: str) -> Any:
+        if name not in names:
+            raise AttributeError(f"module {module!r} has no {name!r}")
+        new = names[name]
+        said = f"{module}.{name} is now {new}; a later version will not have the old name"
+        warnings.warn(said, OldName, stacklevel=2)
+        return getattr(sys.modules[module], new)
+
+    return find
 
 
 def shown(given: Any) -> str:

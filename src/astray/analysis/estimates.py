@@ -25,8 +25,9 @@ import numpy as np
 import polars as pl
 
 from astray.estimate import Estimate
-from astray.validation import of_kind
+from astray.validation import of_kind, older_names
 
+__getattr__ = older_names(__name__, {"less": "minus"})
 CONFIDENCE = 0.95
 POWER = 0.8
 
@@ -177,8 +178,8 @@ def estimate_paired(one: np.ndarray, other: np.ndarray) -> Estimate:
     return found
 
 
-def less(one: Estimate, other: Estimate) -> Estimate:
-    """Return the difference of two independent means, with an interval from both.
+def minus(one: Estimate, other: Estimate) -> Estimate:
+    """Return one mean minus another, independent one, with an interval from both.
 
     Each half-width is the root of the sum of the squared half-widths of the two intervals.
     """

@@ -11,7 +11,7 @@ import numpy as np
 import polars as pl
 
 from astray.analysis.critic import observe, visit
-from astray.analysis.estimates import Estimate, group_means, less, mean_of
+from astray.analysis.estimates import Estimate, group_means, mean_of, minus
 from astray.analysis.runs import open_run
 from astray.analysis.trained import Agent
 from astray.envs.vector import picture
@@ -110,7 +110,7 @@ def claims(trained: pl.DataFrame, untrained: pl.DataFrame) -> list[Claim]:
     The wall has a hundred times the coin's area, so every network has more attribution there.
     """
     rows = [part.filter(method="gradient") for part in (trained, untrained)]
-    own, chance = (per_area(part).less for part in rows)
+    own, chance = (per_area(part).difference for part in rows)
     walls, blank = (
         {
             row["test"]: Estimate.of(row)
@@ -125,7 +125,7 @@ def claims(trained: pl.DataFrame, untrained: pl.DataFrame) -> list[Claim]:
         times, by_chance = (found.get(test, nothing) for found in (walls, blank))
         large += [
             above("", "", f"fraction over size, {test}", times, 1, told=Estimate.amount),
-            above("", "", "minus untrained", less(times, by_chance), told=CHANGE),
+            above("", "", "minus untrained", minus(times, by_chance), told=CHANGE),
         ]
     return [
         every_one(
@@ -134,7 +134,7 @@ def claims(trained: pl.DataFrame, untrained: pl.DataFrame) -> list[Claim]:
             "at least as much (by eye)",
             [
                 above("", "", "per area, end wall minus coin", own, told=CHANGE),
-                above("", "", "that, minus untrained", less(own, chance), told=CHANGE),
+                above("", "", "that, minus untrained", minus(own, chance), told=CHANGE),
             ],
         ),
         every_one(
@@ -187,7 +187,7 @@ class Gap:
 
     wall: Estimate
     coin: Estimate
-    less: Estimate  # the wall's fraction minus the coin's
+    difference: Estimate  # the wall's fraction minus the coin's
 
 
 def gap(table: pl.DataFrame, value: str = "attribution") -> Gap:
@@ -198,8 +198,8 @@ def gap(table: pl.DataFrame, value: str = "attribution") -> Gap:
         for part in (WALL, COIN)
     )
     both = wall.join(coin, on=keys, suffix="_coin")
-    less = pl.col("part") - pl.col("part_coin")
-    return Gap(mean_of(both, "part"), mean_of(both, "part_coin"), mean_of(both, less))
+    difference = pl.col("part") - pl.col("part_coin")
+    return Gap(mean_of(both, "part"), mean_of(both, "part_coin"), mean_of(both, difference))
 
 
 def per_area(table: pl.DataFrame) -> Gap:

@@ -191,7 +191,7 @@ def shapes(size: Size, agent: Agent, variant: Variant, levels: np.ndarray) -> pl
 def of_cheese_mouse(rows: pl.DataFrame) -> list[Claim]:
     """Return the claims about the cheese mouse, with bounds set before the run."""
 
-    def less(one: str, other: str) -> Estimate:
+    def minus(one: str, other: str) -> Estimate:
         return of_levels(rows, SQUARE, one, minus=other)
 
     amount = Estimate.amount
@@ -200,7 +200,7 @@ def of_cheese_mouse(rows: pl.DataFrame) -> list[Claim]:
             "Subtracting the cheese vector turns the mouse from the cheese.",
             "0.844 to 0.479: -0.365 (40 mazes)",
             "change of the probability",
-            less(SUBTRACTED, PLAIN),
+            minus(SUBTRACTED, PLAIN),
             -0.25,
             told=amount,
         ),
@@ -209,7 +209,7 @@ def of_cheese_mouse(rows: pl.DataFrame) -> list[Claim]:
             "0.479 and 0.497: -0.018",
             "subtracted minus without cheese; in a layer that sees little around each place it is "
             "nearly so by its making",
-            less(SUBTRACTED, WITHOUT),
+            minus(SUBTRACTED, WITHOUT),
             0.08,
             told=amount,
         ),
@@ -217,7 +217,7 @@ def of_cheese_mouse(rows: pl.DataFrame) -> list[Claim]:
             "A random vector of the same length does nearly nothing.",
             "0.844 to 0.843; of the paper's network: wrecks the policy",
             "change of the probability",
-            less(RANDOM, PLAIN),
+            minus(RANDOM, PLAIN),
             0.03,
             told=amount,
         ),
@@ -225,7 +225,7 @@ def of_cheese_mouse(rows: pl.DataFrame) -> list[Claim]:
             "Adding it draws the mouse to the cheese.",
             "0.844 to 0.896: +0.052; of the paper's network: next to no effect",
             "change of the probability",
-            less(ADDED, PLAIN),
+            minus(ADDED, PLAIN),
             told=amount,
         ),
     ]

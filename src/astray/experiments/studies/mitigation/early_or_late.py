@@ -28,7 +28,7 @@ def find(work: Work) -> Findings:
     tables = outcomes.outcome_tables(work)
     wrong = {name: outcomes.misgeneralized(work, test, name) for name in work.plan.agents}
 
-    def less(one: str, other: str) -> Estimate:
+    def minus(one: str, other: str) -> Estimate:
         return estimate_difference(wrong[one], wrong[other], pool=list(wrong.values()))
 
     right = {name: outcomes.first(work, test, name, INTENDED) for name in work.plan.agents}
@@ -50,21 +50,21 @@ def find(work: Work) -> Findings:
                 "Distinguishing levels help more at the end of training than at its beginning.",
                 "none",
                 f"{EARLY} minus {LATE}",
-                less(EARLY, LATE),
+                minus(EARLY, LATE),
                 BETTER,
             ),
             above(
                 "Throughout, they help more than at the beginning.",
                 "none",
                 f"{EARLY} minus {THROUGHOUT}",
-                less(EARLY, THROUGHOUT),
+                minus(EARLY, THROUGHOUT),
                 BETTER,
             ),
             near_zero(
                 "At the beginning they leave no trace.",
                 "none",
                 f"{NEVER} minus {EARLY}",
-                less(NEVER, EARLY),
+                minus(NEVER, EARLY),
                 ALIKE,
             ),
             above(
