@@ -148,9 +148,9 @@ def other(module, *path, weights):
 @pytest.mark.parametrize(
     "data, why",
     [
-        (b"\xc1", "damaged, or no msgpack"),
-        (b"\x93\x01", "damaged, or no msgpack"),
-        (b"\x91" * 5000, "damaged, or no msgpack"),
+        (b"\xc1", "damaged, or not msgpack"),
+        (b"\x93\x01", "damaged, or not msgpack"),
+        (b"\x91" * 5000, "damaged, or not msgpack"),
         (flax_bytes({"0": {}, "1": {}}), "no settings and three modules"),
         (flax_bytes({"0": {}, "1": {"0": {}, "1": {}, "2": {}}}), "without parameters"),
         (msgpack.packb(msgpack.ExtType(7, b"")), "the extension 7"),
@@ -233,11 +233,11 @@ HUGE = torch.zeros(1).expand(2**40, 256)
 REFUSED_PTH = {
     "a command": (lambda: saved({"state_dict": Runs()}), "more than weights.*for posix.system"),
     "a plain pickle": (lambda: pickle.dumps(Runs(), 2), "nothing in a file is run"),
-    "nothing": (lambda: b"", "damaged, or no file of torch"),
-    "half a file": (lambda: changed()[:5000], "damaged, or no file of torch"),
+    "nothing": (lambda: b"", "damaged, or not a file of torch"),
+    "half a file": (lambda: changed()[:5000], "damaged, or not a file of torch"),
     "a list": (lambda: saved([1, 2]), "holds a list, not weights by name"),
-    "no weights": (lambda: saved({"steps": 5}), "holds 'steps', which is no weight"),
-    "another network": (lambda: saved({"conv.weight": torch.zeros(3)}), "no IMPALA of train-procg"),
+    "no weights": (lambda: saved({"steps": 5}), "holds 'steps', which is not a weight"),
+    "another network": (lambda: saved({"conv.weight": torch.zeros(3)}), "not an IMPALA network"),
     "a memory": (lambda: changed(gru__weight=torch.zeros(3)), "recurrent agent"),
     "9 actions": (lambda: changed(fc_policy__weight=torch.zeros(9, 256)), "9 actions, of CoinRun"),
     "16 actions": (lambda: changed(fc_policy__weight=torch.zeros(16, 256)), "from 16 actions; Pro"),
@@ -268,7 +268,7 @@ REFUSED_PTH = {
     "a compressed pickle": (lambda: archived(BYTEARRAY, zipfile.ZIP_BZIP2), "it is compressed"),
     "compressed weights": (lambda: archived(b"\x80\x02}.", zipfile.ZIP_DEFLATED), "compressed"),
     "a wrong checksum": (
-        lambda: archived(BYTEARRAY).replace(BYTEARRAY, BYTEARRAY[:-1] + b" "), "is damaged, or no"),
+        lambda: archived(BYTEARRAY).replace(BYTEARRAY, BYTEARRAY[:-1] + b" "), "damaged, or not"),
 }  # fmt: skip
 
 
@@ -302,7 +302,10 @@ REFUSED_JD = {
         lambda: joblib_bytes({"args": {}, "params": {"ppo2_model/pi/5a/w:0": np.zeros(3)}}),
         "which the clear network does not",
     ),
-    "no array": (lambda: joblib_bytes({"args": {}, "params": {"a": 3}}), "'a', which is no array"),
+    "no array": (
+        lambda: joblib_bytes({"args": {}, "params": {"a": 3}}),
+        "'a', which is not an array",
+    ),
     "no dimension": (lambda: wrong("pi/b", ()), "chooses from 0 actions"),
 }  # fmt: skip
 

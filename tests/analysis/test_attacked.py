@@ -197,7 +197,7 @@ def test_a_length_that_is_no_number_is_no_length(address, tmp_path):
 @pytest.mark.parametrize("content", [b"", b"[]", b"null", b"{}", b"[" * 100_000, b"\xff\xfe"])
 def test_the_origin_of_an_agent_is_what_was_written(run, content):
     (run / imported.ORIGIN).write_bytes(content)
-    with pytest.raises(ValueError, match=r"origin\.json (is no JSON|must be a dict with file)"):
+    with pytest.raises(ValueError, match=r"origin\.json (is not JSON|must be a dict with file)"):
         AgentFolder.open(run).origin()
 
 

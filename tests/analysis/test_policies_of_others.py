@@ -241,5 +241,7 @@ def test_a_checkpoint_of_cleanrl_computes_what_its_script_does(script, tmp_path)
 def test_a_file_of_another_agent_is_refused(tmp_path):
     path = tmp_path / "dqn.cleanrl_model"
     torch.save(nn.Linear(2, 2).state_dict(), path)
-    with pytest.raises(ValueError, match=r"refused: it is no agent of CleanRL's ppo\.py, .* bias"):
+    with pytest.raises(
+        ValueError, match=r"refused: it is not an agent of CleanRL's ppo\.py, .* bias"
+    ):
         from_cleanrl(path, SPACE)

@@ -314,7 +314,7 @@ def test_what_stands_between_backticks_is_code():
     assert report.coded("a < `b` and `c") == "a &lt; <code>b</code> and `c"
 
 
-RUINED = r"findings.json (is no JSON|must be the findings)"
+RUINED = r"findings.json (is not JSON|must be the findings)"
 
 
 def without_claims(told, folder, claims):
@@ -346,7 +346,9 @@ def test_a_table_that_was_cut_short_is_told(tmp_path):
     path = tmp_path / "computed" / "a.parquet"
     assert spec.cached(tmp_path, "a", whole.clear).equals(whole)
     path.write_bytes(path.read_bytes()[:-9])
-    with pytest.raises(ValueError, match=r"a.parquet is no table of astray's.* it is made anew"):
+    with pytest.raises(
+        ValueError, match=r"a.parquet is not a table of astray's.* it is computed again"
+    ):
         spec.cached(tmp_path, "a", whole.clear)
 
 

@@ -227,7 +227,7 @@ def test_a_line_of_metrics_that_is_none_is_named(run, line):
 
 def test_metrics_that_are_no_text_are_refused(run):
     (run / METRICS).write_bytes(b"\xff\xfe\n")
-    with pytest.raises(ValueError, match=r"metrics\.jsonl is no text"):
+    with pytest.raises(ValueError, match=r"metrics\.jsonl is not text"):
         checkpoint.metrics(run)
 
 

@@ -338,7 +338,7 @@ def test_what_a_sampler_must_not_do_is_told(method, message, tmp_path, monkeypat
         ({"sampler": "plr", "replay": 0.0}, "replay must be from 0.01 to 1; got 0.0"),
         (
             {"sampler": "plr", "score": "regret", "variant": "region-1-strict", "validation": None},
-            "a variant of which a shift says the goal; got 'region-1-strict'",
+            "a variant of a shift, which names the goal; got 'region-1-strict'",
         ),
         (
             {"sampler": "accel", "game": "coinrun", "variant": "coin-end", "validation": None,

@@ -214,7 +214,7 @@ def test_a_resumed_student_of_the_solver_is_the_one_that_was_not_stopped(tmp_pat
     [
         ({"taught": 0.5, "teacher": None}, "taught must be 1 without a teacher; got 0.5"),
         ({"taught": 2.0}, "taught must be from 0 to 1; got 2.0"),
-        ({"variant": "region-4", "validation": None}, "a variant of which a shift says the goal"),
+        ({"variant": "region-4", "validation": None}, "a variant of a shift, which names the goal"),
     ],
 )
 def test_lessons_that_nobody_can_give_are_refused(change, message):

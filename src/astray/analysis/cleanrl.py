@@ -102,8 +102,8 @@ def _filled(weights: Mapping[str, Tensor]) -> Agent:
     except (KeyError, ValueError, RuntimeError) as error:
         there = ", ".join(list(weights)[:4])
         raise ValueError(
-            "it is no agent of CleanRL's ppo.py, ppo_atari.py or ppo_procgen.py: its weights are "
-            f"{there}, ..."
+            "it is not an agent of CleanRL's ppo.py, ppo_atari.py or ppo_procgen.py: its weights "
+            f"are {there}, ..."
         ) from error
     if bad := [name for name, tensor in weights.items() if not tensor.isfinite().all()]:
         raise ValueError(f"{bad[0]} is not all finite numbers")

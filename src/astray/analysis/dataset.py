@@ -251,7 +251,7 @@ def read_trajectories(folder: Path, of: World | None = None) -> Iterator[Traject
     except FileNotFoundError:
         raise FileNotFoundError(f"there is no data set in {folder}") from None
     except (ValueError, KeyError, TypeError, RecursionError) as error:
-        raise ValueError(f"{path} is no data set that can be read: {error}") from error
+        raise ValueError(f"{path} cannot be read as a data set: {error}") from error
     for part in sorted((folder / "steps").glob("[0-9]*.parquet")):
         try:  # polars would expand [ and * in a path
             table = pl.read_parquet(io.BytesIO(read(part)))

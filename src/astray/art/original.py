@@ -193,7 +193,7 @@ def _read_wheel(wheel: Path) -> dict[str, bytes]:
 
             return _read_all(wheel, read)
     except (zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, RuntimeError) as error:
-        raise ValueError(f"{wheel} is no wheel, or not all of one: {error}") from error
+        raise ValueError(f"{wheel} is not a complete wheel: {error}") from error
 
 
 def _check_member(wheel: Path, member: zipfile.ZipInfo) -> None:
@@ -216,7 +216,7 @@ def _reader(checkout: Path) -> Callable[[Picture], bytes | None]:
     inside = [checkout / part for part in (INSIDE, "data/assets", "")]
     assets = next((path for path in inside if (path / "kenney").is_dir()), None)
     if assets is None:
-        raise ValueError(f"{checkout} is no checkout of Procgen: it has no {INSIDE}")
+        raise ValueError(f"{checkout} is not a checkout of Procgen: it has no {INSIDE}")
 
     def read(picture: Picture) -> bytes | None:
         path = assets / PurePosixPath(picture.path)

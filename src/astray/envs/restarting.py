@@ -40,7 +40,7 @@ def seen_space(space: Space, observation: str) -> spaces.Box:
     """Return the space of the observations that a network receives: see `as_seen`.
 
     Raises:
-        ValueError: If such observations are no images.
+        ValueError: If such observations are not images.
     """
     if observation != "image":
         return spaces.Box(-np.inf, np.inf, (spaces.flatdim(space),), np.float32)

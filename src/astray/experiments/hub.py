@@ -219,7 +219,7 @@ def _has_card(its: AgentFolder) -> bool:
         return False
     if PURSUES not in path.read_text(encoding="utf-8"):
         raise ValueError(
-            f"{path} does not say {PURSUES!r}: it is no card; without it, one is written"
+            f"{path} does not say {PURSUES!r}: it is not a card; remove it, and one is written"
         )
     return True
 

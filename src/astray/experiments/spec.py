@@ -284,7 +284,7 @@ def cached(folder: Path, name: str, compute: Callable[[], pl.DataFrame]) -> pl.D
             return pl.read_parquet(io.BytesIO(read(path)))
         except pl.exceptions.PolarsError as error:
             raise ValueError(
-                f"{path} is no table of astray's: {error}; without it, it is made anew"
+                f"{path} is not a table of astray's: {error}; remove it, and it is computed again"
             ) from error
     table = compute()
     write_table(table, path)

@@ -236,4 +236,4 @@ def _check(agent: Model, observations: np.ndarray) -> None:
             f"not {observations.shape}"
         )
     if isinstance(agent, Network) and agent.outputs(observations[:1])[1].isnan().any():
-        raise ValueError(f"attribution is of values, of which {agent.name} gives none")
+        raise ValueError(f"attribution needs values; {agent.name} returns none")

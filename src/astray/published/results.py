@@ -39,13 +39,13 @@ def read_results(path: Path) -> pl.DataFrame:
     try:
         table = pl.read_csv(io.BytesIO(read(path, LARGEST)), infer_schema_length=None)
     except pl.exceptions.PolarsError as error:
-        raise ValueError(f"{path} is no table of results: {error}") from error
+        raise ValueError(f"{path} is not a table of results: {error}") from error
     found = {}
     for ours, theirs in NAMES.items():
         there = [name for name in theirs if name in table.columns]
         if not there:
             raise ValueError(
-                f"{path} is no table of results: it must have a column {' or '.join(theirs)}; "
+                f"{path} is not a table of results: it must have a column {' or '.join(theirs)}; "
                 f"it has {', '.join(table.columns[:12])}"
             )
         found[ours] = table[there[0]]

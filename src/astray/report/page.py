@@ -134,7 +134,7 @@ def _findings(path: Path) -> dict[str, Any]:
     try:
         found = json.loads(read(path))
     except (ValueError, RecursionError) as error:
-        raise ValueError(f"{path} is no JSON: {error}") from error
+        raise ValueError(f"{path} is not JSON: {error}") from error
     names = ("claims", "answer", *(f.name for f in fields(Heading)))
     missing = [name for name in names if not isinstance(found, dict) or name not in found]
     claims = [] if missing else found["claims"]

@@ -252,8 +252,8 @@ class Config:
                     return shift.intended
         known = ", ".join(dict.fromkeys(shift.train for shift in shifts))
         raise ValueError(
-            "score 'regret' and a solver as teacher need a variant of which a shift says the goal; "
-            f"got {self.variant!r}, and there are: {known}"
+            "score 'regret' and a solver as teacher need a variant of a shift, which names the "
+            f"goal; got {self.variant!r}, and there are: {known}"
         )
 
     def validation_variant(self) -> Variant:

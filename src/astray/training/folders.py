@@ -157,7 +157,7 @@ def read_json(path: Path, kind: type, names: Sequence[str] = ()) -> Any:
     try:
         data = json.loads(read(path, LARGEST))
     except (ValueError, RecursionError) as error:
-        raise ValueError(f"{path} is no JSON: {error}") from error
+        raise ValueError(f"{path} is not JSON: {error}") from error
     missing = [name for name in names if not isinstance(data, dict) or name not in data]
     if not isinstance(data, kind) or missing:
         raise ValueError(

@@ -30,7 +30,7 @@ def read_metrics(path: Path) -> Iterator[tuple[str, dict[str, Any]]]:
     try:
         lines = read(path).decode().splitlines(keepends=True)
     except UnicodeDecodeError as error:
-        raise ValueError(f"{path} is no text: {error}") from error
+        raise ValueError(f"{path} is not text: {error}") from error
     for number, line in enumerate(lines, 1):
         if line.endswith("\n"):
             try:
@@ -38,7 +38,7 @@ def read_metrics(path: Path) -> Iterator[tuple[str, dict[str, Any]]]:
             except ValueError as error:
                 raise ValueError(f"{path}, line {number}: {error}") from error
         elif not (line.startswith(BEGINNING) or BEGINNING.startswith(line)):
-            raise ValueError(f"{path}, line {number}: it is no part of what a training wrote")
+            raise ValueError(f"{path}, line {number}: a training did not write it")
 
 
 def measured(line: str | bytes) -> dict[str, Any]:
@@ -46,7 +46,7 @@ def measured(line: str | bytes) -> dict[str, Any]:
     try:
         data = json.loads(line)
     except (ValueError, RecursionError) as error:
-        raise ValueError(f"it is no JSON: {error}") from error
+        raise ValueError(f"it is not JSON: {error}") from error
     if not isinstance(data, dict) or type(data.get("steps")) is not int or data["steps"] < 0:
         raise ValueError(f"it must be an object with a number of steps; got {reprlib.repr(data)}")
     for name, value in data.items():

@@ -163,7 +163,7 @@ def _id(folder: Path, by: str) -> str:
     try:
         ids = json.loads(read(path, LARGEST)) if path.exists() else {}
         if not isinstance(ids, dict) or not all(isinstance(x, str) for x in ids.values()):
-            raise ValueError("it must be an object of texts")
+            raise ValueError("it must map names to texts")
     except (ValueError, RecursionError) as error:
         raise ValueError(f"{path} is not as astray writes it: {error}") from error
     if by not in ids:

@@ -69,7 +69,7 @@ def _unpacked(data: bytes) -> Any:
 
     def extended(code: int, packed: bytes) -> Any:
         if code not in (ARRAY, SCALAR):
-            raise ValueError(f"it has the extension {code}, which is no array")
+            raise ValueError(f"it has the extension {code}, which is not an array")
         shape, kind, raw = msgpack.unpackb(packed)
         if kind not in KINDS:
             raise ValueError(f"it has an array of {str(kind)[:40]!r}; only numbers are read")
@@ -80,7 +80,7 @@ def _unpacked(data: bytes) -> Any:
         return msgpack.unpackb(data, ext_hook=extended)
     except (ValueError, TypeError, msgpack.UnpackException) as error:
         why = str(error) or type(error).__name__
-        raise ValueError(f"it is damaged, or no msgpack: {why}") from error
+        raise ValueError(f"it is damaged, or not msgpack: {why}") from error
 
 
 def _tensors(modules: Mapping[str, Any]) -> Iterator[tuple[str, Tensor]]:

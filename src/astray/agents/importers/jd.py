@@ -83,7 +83,7 @@ def _weights(params: dict[Any, Any]) -> dict[str, Tensor]:
     weights = {}
     for name, array in params.items():
         if not isinstance(name, str) or not isinstance(array, np.ndarray):
-            raise ValueError(f"its params have {shown(name)}, which is no array")
+            raise ValueError(f"its params have {shown(name)}, which is not an array")
         layer, _, part = name.removeprefix(SCOPE).removesuffix(":0").rpartition("/")
         renamed = (CONVOLUTIONS | DENSE | HEADS).get(layer)
         if renamed is None:
@@ -99,7 +99,7 @@ def _turned(layer: str, kernel: np.ndarray) -> np.ndarray:
     """Return a kernel with inputs last: [out, in], or [out, in, height, width]."""
     if layer in CONVOLUTIONS:
         if kernel.ndim != 4:
-            raise ValueError(f"{layer} is no convolution: its kernel is {kernel.shape}")
+            raise ValueError(f"{layer} is not a convolution: its kernel is {kernel.shape}")
         return np.ascontiguousarray(kernel.transpose(3, 2, 0, 1))
     if kernel.ndim != 2:
         raise ValueError(f"the kernel of {layer} must be [inputs, outputs]; got {kernel.shape}")

@@ -116,7 +116,7 @@ def read(data: bytes) -> Imported:
     if names is None:
         there = ", ".join(list(tensors)[:3])
         programs = " or ".join(one.program for one in PROGRAMS)
-        raise ValueError(f"it is no IMPALA of {programs}: its weights are {there}, ...")
+        raise ValueError(f"it is not an IMPALA network of {programs}: its weights are {there}, ...")
     check_actions(tensors[names.heads[1]])
     renamed = {_rename(name, names): tensor for name, tensor in tensors.items()}
     if len(renamed) < len(tensors):
@@ -148,7 +148,7 @@ def _load(data: bytes) -> Any:
         raise ValueError(_more(why[1] if why else "")) from error
     except Exception as error:  # torch raises nearly anything for what is no file of its own
         first = (str(error).strip().splitlines() or [type(error).__name__])[0]
-        raise ValueError(f"it is damaged, or no file of torch: {first}") from error
+        raise ValueError(f"it is damaged, or not a file of torch: {first}") from error
 
 
 def _more(asked: str) -> str:
@@ -173,7 +173,7 @@ def check_plain(data: bytes) -> None:
             pickles = [archive.read(one) for one in inside]
     except (*BROKEN, zipfile.BadZipFile) as error:
         if data.startswith(b"PK"):  # to torch it may be a whole one
-            raise ValueError(f"it is damaged, or no file of torch: {error}") from error
+            raise ValueError(f"it is damaged, or not a file of torch: {error}") from error
         pickles = [data]  # as torch wrote them before 1.6
     for raw in pickles:
         again, tuples, is_tuple = 0, 0, {}  # the latter as the memo's entries
@@ -214,7 +214,7 @@ def _tensors(found: Any, size: int) -> dict[str, Tensor]:
     wrong = [n for n, t in tensors.items() if not (isinstance(n, str) and isinstance(t, Tensor))]
     if wrong:
         raise ValueError(
-            f"it holds {shown(wrong[0])}, which is no weight; {' or '.join(HOLDS)} has all"
+            f"it holds {shown(wrong[0])}, which is not a weight; {' or '.join(HOLDS)} has all"
         )
     if sum(t.numel() * t.element_size() for t in tensors.values()) > size:
         raise ValueError("its weights are more than the file holds")

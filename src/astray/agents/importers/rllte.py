@@ -76,7 +76,7 @@ def _root(data: bytes) -> Any:
             home = name.removesuffix(PICKLE)
             return plain.read(archive.read(name), lambda key: archive.read(f"{home}/data/{key}"))
     except (OSError, RuntimeError, NotImplementedError, zipfile.BadZipFile) as error:
-        raise ValueError(f"it is damaged, or no file of torch: {error}") from error
+        raise ValueError(f"it is damaged, or not a file of torch: {error}") from error
 
 
 def _parameters(root: Any) -> Iterator[tuple[str, np.ndarray]]:
@@ -87,7 +87,7 @@ def _parameters(root: Any) -> Iterator[tuple[str, np.ndarray]]:
         left -= 1
         state = module.state if isinstance(module, plain.Foreign) else None
         if not isinstance(state, dict) or depth > DEEPEST or left < 0:
-            raise ValueError(f"{path or 'it'} is no module, or one of too many")
+            raise ValueError(f"{path or 'it'} is not a module, or there are too many")
         if path.endswith(".relu.") and state.get("inplace") is not True:
             raise ValueError(f"{path[:-1]} does not work in place, as that of its network does")
         for name, value in _dict(state, "_parameters").items():

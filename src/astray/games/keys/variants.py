@@ -73,7 +73,7 @@ class Keys(Variant):
         if self.keys + self.chests > room:
             raise ValueError(
                 f"a group has {self.keys} keys and {self.chests} chests; a maze of "
-                f"{self.smallest} cells a side surely has room for {room}"
+                f"{self.smallest} cells a side certainly has room for {room}"
             )
 
 
