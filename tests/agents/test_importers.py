@@ -118,6 +118,31 @@ def test_impala_of_any_widths_computes_what_it_did_there(widths, wrap):
             torch.testing.assert_close(ours, theirs, rtol=1e-4, atol=1e-5)
 
 
+HEADS = ("fc_policy", "fc_value")
+
+
+def with_gru(state, layers=1):
+    """Weights of `reference` with a GRU, by train-procgen-pytorch's names, and that GRU."""
+    gru = torch.nn.GRU(256, 256, layers)
+    return {**state, **{f"gru.gru.{name}": x for name, x in gru.state_dict().items()}}, gru
+
+
+def test_a_recurrent_agent_computes_what_it_did_there_along_an_episode():
+    plain, _ = reference((2, 3, 4))
+    state, gru = with_gru(plain)
+    found = pth.read(saved({"model_state_dict": state}))
+    assert found.architecture.name == "impala+gru"
+    with torch.no_grad():
+        seen = pth.read(saved(plain)).network.hidden(IMAGES)  # compared with theirs above
+        recalled, last = gru(seen)
+        theirs = [recalled @ state[f"{n}.weight"].T + state[f"{n}.bias"] for n in HEADS]
+        begins = torch.tensor([[True], [False], [False]])
+        logits, values, memory = found.network.unroll(IMAGES[:, None], torch.ones(1, 256), begins)
+    torch.testing.assert_close(logits[:, 0], theirs[0], rtol=1e-4, atol=1e-5)
+    torch.testing.assert_close(values, theirs[1], rtol=1e-4, atol=1e-5)
+    torch.testing.assert_close(memory, last, rtol=1e-4, atol=1e-5)
+
+
 @pytest.mark.parametrize("widths", [(16, 32, 32), (2, 3, 4)])
 def test_an_agent_of_cleanba_computes_what_it_did_there(widths):
     data, forward = cleanba(widths)
@@ -238,7 +263,11 @@ REFUSED_PTH = {
     "a list": (lambda: saved([1, 2]), "holds a list, not weights by name"),
     "no weights": (lambda: saved({"steps": 5}), "holds 'steps', which is not a weight"),
     "another network": (lambda: saved({"conv.weight": torch.zeros(3)}), "not an IMPALA network"),
-    "a memory": (lambda: changed(gru__weight=torch.zeros(3)), "recurrent agent"),
+    "half a GRU": (lambda: changed(gru__gru__bias_ih_l0=torch.zeros(768)), "lacks cell.weight_ih"),
+    "a GRU of two layers": (
+        lambda: saved(with_gru(reference((2, 2, 2))[0], layers=2)[0]),
+        "has body.gru.gru.weight_ih_l1",
+    ),
     "9 actions": (lambda: changed(fc_policy__weight=torch.zeros(9, 256)), "9 actions, of CoinRun"),
     "16 actions": (lambda: changed(fc_policy__weight=torch.zeros(16, 256)), "from 16 actions; Pro"),
     "a layer less": (lambda: changed(fc_value__bias=None), "lacks value.bias"),

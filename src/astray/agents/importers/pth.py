@@ -2,7 +2,8 @@
 
 Files hold weights by name, either directly or under `model_state_dict` (older: `state_dict`), some
 with the optimizer's state. train-procgen-pfrl and CleanRL's ppo_procgen compute the same network
-under other names, with any channels: images are divided by 255, actions are sampled.
+under other names, with any channels: images are divided by 255, actions are sampled. Recurrent
+agents of train-procgen-pytorch have a GRU between the network and its heads.
 """
 
 from __future__ import annotations
@@ -72,6 +73,7 @@ PROGRAMS = (
             (r"^embedder\.", ""),
             (r"\.res(?=\d)", ".residual"),
             (r"^fc_", ""),
+            (r"^gru\.gru\.(.*)_l0$", r"cell.\1"),
         ),
     ),
     Names(
@@ -110,8 +112,6 @@ def read(data: bytes) -> Imported:
     if rllte.is_module(data):
         return rllte.read(data)
     tensors = weights(data)
-    if any(name.startswith("gru.") for name in tensors):
-        raise ValueError("it is a recurrent agent; only feed-forward ones are read")
     names = next((one for one in PROGRAMS if set(one.heads) <= set(tensors)), None)
     if names is None:
         there = ", ".join(list(tensors)[:3])
@@ -123,8 +123,11 @@ def read(data: bytes) -> Imported:
         raise ValueError("it has two weights of the same layer, under two names")
     convolutions = [renamed.get(f"block{k}.conv.weight") for k in (1, 2, 3)]
     widths = tuple(len(c) for c in convolutions if c is not None and c.ndim == 4)
-    architecture = Architecture("impala", SHAPE, (), ACTIONS, widths=widths)
-    about = f"{names.program}: IMPALA, channels {'/'.join(map(str, widths))}"
+    cell = "+gru" if any(name.startswith("cell.") for name in renamed) else ""
+    if cell:
+        renamed = {n if n.startswith("cell.") else f"body.{n}": t for n, t in renamed.items()}
+    architecture = Architecture(f"impala{cell}", SHAPE, (), ACTIONS, widths=widths)
+    about = f"{names.program}: IMPALA{cell}, channels {'/'.join(map(str, widths))}"
     return Imported(build(architecture, renamed), architecture, about)
 
 
