@@ -257,7 +257,6 @@ def test_a_network_of_ones_own_remembers_by_the_same_interface():
         ({"network": "mlp+"}, "unknown network"),
         ({"network": "drc+gru"}, "each but drc"),
         ({"network": "drc-3"}, "drc-D-N with its depth and ticks"),
-        ({"teacher": "solver"}, "a student must have no memory"),
     ],
 )
 def test_what_memory_cannot_be_is_refused(change, said):

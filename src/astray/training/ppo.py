@@ -60,7 +60,7 @@ class Sequences(Samples):
     def at(self, indices: Tensor) -> Sequences:
         """Return the sequences of the environments at `indices` [B] as [T * B], step by step."""
         steps = {k: x.index_select(1, indices).flatten(0, 1) for k, x in self._by_step().items()}
-        return Sequences(**steps, state=self.state.index_select(0, indices))
+        return type(self)(**steps, state=self.state.index_select(0, indices))
 
     def said(self, network: Recurrent) -> tuple[Tensor, Tensor]:
         """Return logits [T * B, actions] and values [T * B] of a minibatch."""

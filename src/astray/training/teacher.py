@@ -27,7 +27,7 @@ from astray.training import ppo
 from astray.training.config import Config
 from astray.training.folders import CONFIG
 from astray.training.player import Rollout
-from astray.training.ppo import Samples
+from astray.training.ppo import Samples, Sequences
 
 TEACHER = "teacher.safetensors"  # in the run folder of a student
 SURE = 0.9  # the chance that a solver gives its action; all others share what is left
@@ -38,6 +38,11 @@ class Taught(Samples):
     """Samples whose `target` is the teacher's value; advantages are unused and 0."""
 
     wanted: Tensor  # [..., actions] float32, logarithms of the teacher's probabilities
+
+
+@dataclass(frozen=True)
+class TaughtSequences(Sequences, Taught):
+    """Samples of a student with memory."""
 
 
 @contextlib.contextmanager
@@ -79,7 +84,7 @@ class Lessons:
 
     def send(self, t: int, group: int, turn: Turn) -> None:
         if t < len(self._value):
-            self._wanted[t], self._value[t] = self.says()
+            self._wanted[t], self._value[t] = self.says(turn.begins)
         self.student.send(t, group, turn)
 
     def receive(self, group: int) -> Answer:
@@ -89,15 +94,20 @@ class Lessons:
         """Return the student's samples of a rollout, with the teacher's policies and values."""
         if self.config.taught < 1:  # rewards are to teach, too
             self.rollout.take_in()
-        own = vars(self.rollout.samples())
-        return Taught(**own | {"target": self.targets()}, wanted=self._wanted)
+        own = self.rollout.samples()
+        made = TaughtSequences if isinstance(own, Sequences) else Taught
+        return made(**vars(own) | {"target": self.targets()}, wanted=self._wanted)
 
     def targets(self) -> Tensor:
         """Return the values [T, N] that the student is taught."""
         return self._value
 
-    def says(self) -> tuple[Tensor, Tensor]:
-        """Return log-probabilities [N, actions] and values [N] for the current states."""
+    def says(self, begins: np.ndarray) -> tuple[Tensor, Tensor]:
+        """Return log-probabilities [N, actions] and values [N] for the current states.
+
+        Args:
+            begins: [N] bool, whether an episode has begun.
+        """
         raise NotImplementedError
 
 
@@ -116,8 +126,9 @@ class Teacher(Lessons):
             raise FileNotFoundError(
                 f"the teacher {config.teacher} must be at {path}; see `astray distil`"
             ) from None
-        if isinstance(self.network, Recurrent):
-            raise ValueError(f"the teacher {config.teacher} must have no memory; got {known.name}")
+        size = self.network.memory if isinstance(self.network, Recurrent) else 0
+        # What a teacher with memory remembers of the student's episodes.
+        self.state = torch.zeros((len(rollout.player.images), size), device=config.device)
         symbolic = bool(known.largest)
         self.env = GameVectorEnv(
             config.game,
@@ -134,10 +145,14 @@ class Teacher(Lessons):
                 f"{config.variant}; it knows {known.shape}"
             )
 
-    def says(self) -> tuple[Tensor, Tensor]:
+    def says(self, begins: np.ndarray) -> tuple[Tensor, Tensor]:
         states = np.concatenate([env.get_state() for env in self.rollout.player.envs])
         observations = torch.from_numpy(self.env.set_state(states)).to(self.config.device)
-        logits, values = self.network(observations)
+        if isinstance(self.network, Recurrent):
+            first = torch.from_numpy(begins).to(self.config.device)
+            logits, values, self.state = self.network.recall(observations, self.state, first)
+        else:
+            logits, values = self.network(observations)
         return ppo.log_probabilities(logits), values
 
 
@@ -153,7 +168,7 @@ class Solver(Lessons):
         self.goal = config.intended_goal()
         self.experts: list[Callable[[Any], int] | None] = [None] * len(rollout.player.images)
 
-    def says(self) -> tuple[Tensor, Tensor]:
+    def says(self, begins: np.ndarray) -> tuple[Tensor, Tensor]:
         player = self.rollout.player
         solver, actions = player.game.solver, player.actions
         states = trusted(np.concatenate([env.get_state() for env in player.envs]))
@@ -161,7 +176,7 @@ class Solver(Lessons):
         values = np.empty(len(states))
         for i, s in enumerate(states):
             expert = self.experts[i]
-            if expert is None or s.time == 0:  # a level has begun
+            if expert is None or begins[i]:
                 expert = self.experts[i] = solver.expert(s, self.goal)
             wanted[i, expert(s)] = np.log(SURE)
             values[i] = solver.optimal_return(s, self.goal, self.config.gamma)

@@ -184,17 +184,22 @@ class Trainer:
         result = {"steps": torch.tensor([self.steps])}
         for name, player in self.players().items():
             result |= {f"{name}.{key}": value for key, value in player.tensors().items()}
-        for name, rollout in self._remembers():
-            states = parallel.joined(rollout.state.numpy(force=True))
+        for name, one in self._remembers().items():
+            states = parallel.joined(one.state.numpy(force=True))
             result[f"{name}.memory"] = torch.from_numpy(states)
         for k, moments in self.optimizer.state_dict()["state"].items():
             result |= {f"adam.{k}.{key}": value.cpu() for key, value in moments.items()}
         return result
 
-    def _remembers(self) -> list[tuple[str, Rollout]]:
-        """Return the rollouts whose network states a checkpoint must hold, by player."""
+    def _remembers(self) -> dict[str, Rollout | Teacher]:
+        """Return all that holds states of networks with memory, which a checkpoint must hold."""
         actors = {"training": self.actor, "validation": self.validator}
-        return [(name, a.rollout) for name, a in actors.items() if a and self.memory]
+        found: dict[str, Rollout | Teacher] = {
+            name: actor.rollout for name, actor in actors.items() if actor and self.memory
+        }
+        if isinstance(self.teacher, Teacher) and self.teacher.state.shape[1]:
+            found["teacher"] = self.teacher
+        return found
 
     def _check(self, tensors: dict[str, Tensor]) -> None:
         """Check names, dtypes and shapes of `tensors` against this training's own.
@@ -230,8 +235,8 @@ class Trainer:
         self.steps = int(tensors["steps"])
         for name, player in self.players().items():
             player.restore(_below(tensors, f"{name}."))
-        for name, rollout in self._remembers():
-            rollout.state = tensors[f"{name}.memory"][self.player.here].to(self.config.device)
+        for name, one in self._remembers().items():
+            one.state = tensors[f"{name}.memory"][self.player.here].to(self.config.device)
         adam = self.optimizer.state_dict()
         count = len(adam["param_groups"][0]["params"])
         adam["state"] = {k: _below(tensors, f"adam.{k}.") for k in range(count)}
@@ -288,8 +293,6 @@ def _check_sequences(config: Config) -> None:
             f"a minibatch of a network with memory has whole environments: {config.num_envs} of "
             f"{parallel.size()} processes are not divided by {config.minibatches} minibatches"
         )
-    if config.teacher is not None:
-        raise ValueError(f"a student must have no memory; got network={config.network!r}")
 
 
 def _check_alike(config: Config, trained: tuple | None, validated: tuple | None) -> None:
