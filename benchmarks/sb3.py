@@ -68,6 +68,15 @@ def ppo(config: Config, network: nn.Module) -> PPO:
     And where a value has moved by more than `config.clip` since the rollout, its loss is that of
     the clipped value, ours the larger of the two: only ours brings back one that moved away.
     """
+    policy = cast(type[ActorCriticPolicy], NetworkPolicy)
+    given = {"network": copy.deepcopy(network)}
+    model = PPO(policy, played(config), policy_kwargs=given, **settings(config))
+    model.set_logger(Logger(None, []))  # or it makes a temporary folder at each `learn`
+    return model
+
+
+def played(config: Config) -> VecEnv:
+    """Our environments with the rewards that are learned from."""
     if config.anneal or config.timeouts != "bootstrap" or not config.normalise_advantage:
         raise ValueError("it needs anneal=False, timeouts='bootstrap', normalise_advantage=True")
     env = GameVectorEnv(
@@ -82,26 +91,26 @@ def ppo(config: Config, network: nn.Module) -> PPO:
     played: VecEnv = VecMonitor(GameVecEnv(env))
     if config.normalise_reward:
         played = VecNormalize(played, norm_obs=False, gamma=config.reward_gamma, clip_reward=10.0)
-    model = PPO(
-        cast(type[ActorCriticPolicy], NetworkPolicy),
-        played,
-        policy_kwargs={"network": copy.deepcopy(network)},
-        learning_rate=config.learning_rate,
-        n_steps=config.num_steps,
-        batch_size=config.batch // config.minibatches,
-        n_epochs=config.epochs,
-        gamma=config.gamma,
-        gae_lambda=config.lam,
-        clip_range=config.clip,
-        clip_range_vf=config.clip,
-        ent_coef=config.entropy_weight,
-        vf_coef=config.value_weight / 2,  # our loss has half the squared error
-        max_grad_norm=config.gradient_norm,
-        seed=config.seed,
-        device=config.device,
-    )
-    model.set_logger(Logger(None, []))  # or it makes a temporary folder at each `learn`
-    return model
+    return played
+
+
+def settings(config: Config) -> dict[str, Any]:
+    """The settings by the names that they have there."""
+    return {
+        "learning_rate": config.learning_rate,
+        "n_steps": config.num_steps,
+        "batch_size": config.batch // config.minibatches,
+        "n_epochs": config.epochs,
+        "gamma": config.gamma,
+        "gae_lambda": config.lam,
+        "clip_range": config.clip,
+        "clip_range_vf": config.clip,
+        "ent_coef": config.entropy_weight,
+        "vf_coef": config.value_weight / 2,  # our loss has half the squared error
+        "max_grad_norm": config.gradient_norm,
+        "seed": config.seed,
+        "device": config.device,
+    }
 
 
 def learning_curve(model: PPO, iterations: Sequence[int]) -> list[float]:
