@@ -83,7 +83,7 @@ def test_the_interval_of_a_score_is_over_levels():
     levels = np.repeat(np.arange(100), 5)
     y = random.integers(0, 2, 500)
     told = np.where(random.random(100)[levels] < 0.8, y, 1 - y)
-    values = probes._by_level(y, told, levels)
+    values = probes.by_level(y, told, levels)
     assert values.mean() == pytest.approx(balanced_accuracy_score(y, told))
     again = []
     for _ in range(1000):
@@ -92,7 +92,7 @@ def test_the_interval_of_a_score_is_over_levels():
     assert values.std() / 10 == pytest.approx(np.std(again), rel=0.1)
     numbers = random.normal(size=500) + levels / 30
     guess = numbers + random.normal(0, 0.5, 500)
-    values = probes._by_level(numbers, guess, levels)
+    values = probes.by_level(numbers, guess, levels)
     assert values.mean() == pytest.approx(r2_score(numbers, guess))
 
 

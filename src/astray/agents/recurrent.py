@@ -51,12 +51,17 @@ class Recurrent(nn.Module):
 
 
 class WithCell(Recurrent):
-    """One of astray's networks with a recurrent cell and state [N, memory] before its heads."""
+    """One of astray's networks with a recurrent cell and state [N, memory] before its heads.
+
+    `recalled` is a named module whose output is the hidden state [N, width], of which the heads are
+    linear functions; a change of it lasts.
+    """
 
     def __init__(self, body: ActorCritic, cell: str):
         super().__init__()
         self.body, self.width = body, body.policy.in_features
         self.cell = CELLS[cell](self.width, self.width)
+        self.recalled = nn.Identity()
         self.memory = self.width * (2 if cell == "lstm" else 1)  # an LSTM's cells, too
         for name, weight in self.cell.named_parameters():
             nn.init.zeros_(weight) if "bias" in name else nn.init.orthogonal_(weight)
@@ -80,5 +85,6 @@ class WithCell(Recurrent):
     def _next(self, features: Tensor, state: Tensor, begins: Tensor) -> Tensor:
         state = state * ~begins[:, None]
         if isinstance(self.cell, nn.LSTMCell):
-            return torch.cat(self.cell(features, tuple(state.chunk(2, 1))), 1)
-        return self.cell(features, state)
+            hidden, inner = self.cell(features, tuple(state.chunk(2, 1)))
+            return torch.cat([self.recalled(hidden), inner], 1)
+        return self.recalled(self.cell(features, state))

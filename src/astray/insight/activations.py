@@ -11,10 +11,12 @@ module's output. This works for every network: astray's own, imported and custom
 from __future__ import annotations
 
 import contextlib
+import functools
 import io
+import itertools
 import json
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -28,7 +30,7 @@ from astray import world
 from astray.analysis.critic import observe
 from astray.analysis.evaluate import Measure, check_measures, measured
 from astray.analysis.tables import write_table
-from astray.analysis.trained import Model, check_network
+from astray.analysis.trained import Agent, Model, check_network
 from astray.envs.states import BROKEN
 from astray.files import check_readable, folder_aside, read, write_aside
 from astray.game import Variant
@@ -113,11 +115,15 @@ def check_layers(agent: Model, names: Sequence[str]) -> dict[str, tuple[int, ...
 
 
 def activations(
-    agent: Model, observations: np.ndarray, names: Sequence[str]
+    agent: Model, observations: np.ndarray, names: Sequence[str], begins: np.ndarray | None = None
 ) -> dict[str, np.ndarray]:
     """Return the activations of layers for observations [N, ...]: layer -> [N, ...] float32.
 
     They do not depend on the batch.
+
+    Args:
+        begins: [N] bool, whether each is the first of an episode, where the observations are whole
+            episodes, which an agent with memory remembers; None to ask it in each state alone.
 
     Raises:
         ValueError: If a layer is unknown, or the observations are not the agent's.
@@ -131,7 +137,12 @@ def activations(
                 lambda _, __, output, name=name: parts[name].append(output)
             )
             stack.callback(hook.remove)
-        agent.outputs(observations)  # in chunks of one size, the last one padded
+        if begins is None or not agent.caveat:
+            agent.outputs(observations)  # in chunks of one size, the last one padded
+        else:
+            assert isinstance(agent, Agent)
+            for episode in np.split(observations, np.flatnonzero(begins)[1:]):
+                agent.outputs(episode, episode=True)
     n = len(observations)
     return {
         name: torch.cat(some)[:n].float().numpy(force=True)
@@ -150,6 +161,7 @@ def capture(
     measures: Mapping[str, Measure] | None = None,
     folder: Path | None = None,
     batch: int = 1024,
+    episodes: bool = False,
 ) -> Activations:
     """Capture the activations of `layers` in `states` [N] of the agent's game, with labels.
 
@@ -160,9 +172,12 @@ def capture(
         folder: New folder for an .npy file per layer if memory does not suffice; results are then
             read on demand.
         batch: States per pass; results do not depend on it.
+        episodes: Whether the states are those of whole episodes, one episode after another, as
+            `critic.visit` returns them. An agent with memory then remembers what it saw before.
 
     Raises:
-        ValueError: If a layer is unknown or a state is not one of the variant.
+        ValueError: If a layer is unknown, a state is not one of the variant, or states are not of
+            whole episodes.
         MemoryError: If they do not fit in memory.
     """
     of_kind("states", states, np.ndarray)
@@ -170,13 +185,32 @@ def capture(
     shapes, game = check_layers(agent, layers), world.find(agent.game)
     game.check(states, game.variant(variant))
     n = len(states)
+    begins = beginnings_in(states) if episodes else None
     labels = _labels(states, measures)
+    fill = functools.partial(_fill, agent, variant, states, batch, begins)
     if folder is not None:
-        return _capture_aside(agent, variant, states, shapes, labels, folder, batch)
+        return _capture_aside(n, shapes, labels, folder, fill)
     check_memory(4 * n * sum(int(np.prod(s)) for s in shapes.values()), "activations")
     values = {name: np.empty((n, *shape), np.float32) for name, shape in shapes.items()}
-    _fill(values, agent, variant, states, batch)
+    fill(values)
     return Activations(values, labels)
+
+
+def beginnings_in(states: np.ndarray) -> np.ndarray:
+    """Return [N] bool, whether each of `states` [N] begins an episode.
+
+    Raises:
+        ValueError: If they are not whole episodes, one after another, each from its first step on.
+    """
+    time, level = states["time"], states["level"]
+    begins = time == 0
+    goes_on = (time[1:] == time[:-1] + 1) & (level[1:] == level[:-1])
+    if not len(states) or not begins[0] or not (begins[1:] | goes_on).all():
+        raise ValueError(
+            "states must be those of whole episodes, each from its first step on and one after "
+            "another, as `critic.visit` returns them without `per_episode`"
+        )
+    return begins
 
 
 def _labels(states: np.ndarray, measures: Mapping[str, Measure] | None) -> pl.DataFrame:
@@ -186,42 +220,41 @@ def _labels(states: np.ndarray, measures: Mapping[str, Measure] | None) -> pl.Da
 
 
 def _fill(
-    values: Mapping[str, np.ndarray],
     agent: Model,
     variant: str | Variant,
     states: np.ndarray,
     batch: int,
+    begins: np.ndarray | None,
+    values: Mapping[str, np.ndarray],
 ) -> None:
-    """Write each layer's activations in `states` into `values`."""
-    for first in range(0, len(states), batch):
-        part = slice(first, first + batch)
+    """Write activations in `states` into `values`, by episodes where `begins` is given."""
+    n = len(states)
+    firsts = range(0, n, batch) if begins is None else np.flatnonzero(begins)
+    for part in itertools.starmap(slice, itertools.pairwise([*firsts, n])):
         shown = observe(agent, variant, states[part])
-        for name, some in activations(agent, shown, list(values)).items():
+        first = None if begins is None else begins[part]
+        for name, some in activations(agent, shown, list(values), first).items():
             values[name][part] = some
 
 
 def _capture_aside(
-    agent: Model,
-    variant: str | Variant,
-    states: np.ndarray,
+    count: int,
     shapes: Mapping[str, tuple[int, ...]],
     labels: pl.DataFrame,
     folder: Path,
-    batch: int,
+    fill: Callable[[Mapping[str, np.ndarray]], None],
 ) -> Activations:
-    """Capture to a folder, which is complete or absent."""
+    """Capture `count` states to a folder, which is complete or absent."""
     folder = Path(folder)
     if os.path.lexists(folder):
         raise ValueError(f"{folder} must be a new folder; there is something already")
     files = {name: f"{k}.npy" for k, name in enumerate(shapes)}
     with folder_aside(folder) as aside:
         values: dict[str, np.ndarray] = {
-            name: np.lib.format.open_memmap(
-                aside / files[name], "w+", np.float32, (len(states), *shape)
-            )
+            name: np.lib.format.open_memmap(aside / files[name], "w+", np.float32, (count, *shape))
             for name, shape in shapes.items()
         }
-        _fill(values, agent, variant, states, batch)
+        fill(values)
         for value in values.values():
             assert isinstance(value, np.memmap)
             value.flush()

@@ -20,12 +20,15 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from astray.analysis.trained import AnyModel, Model
+from astray.agents.drc import DRC
+from astray.analysis.critic import observe
+from astray.analysis.trained import Agent, AnyModel, Model
 from astray.game import Variant
-from astray.insight.activations import check_layers
+from astray.insight.activations import activations, check_layers
 from astray.level import Cell
 from astray.validation import MOST, bounded, finite, of_kind, shown
 
+AT_ONCE = 64  # states per pass
 Change = Callable[[Tensor], Tensor]  # activations [B, ...] -> those in their place
 
 
@@ -179,6 +182,71 @@ def resample(
         return x
 
     return changed(agent, {layer: change})
+
+
+def interchange(
+    agent: Model,
+    variant: str | Variant,
+    states: np.ndarray,
+    others: np.ndarray,
+    layer: str,
+    channels: Sequence[int] | None = None,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return policy [N, A] and values [N] in `states`, with a layer's activations in `others`.
+
+    Everything else is as in `states`: if the result is that of `others`, what differs between the
+    two passes through these channels.
+
+    Args:
+        states: [N], of the agent's game.
+        others: [N], from which the activations are taken, row by row.
+        channels: Channels, or units of a layer without places; None for all.
+
+    Raises:
+        ValueError: If there are not as many states, or the layer has no such channels.
+    """
+    shape = check_layers(agent, [layer])[layer]
+    which = _channels(channels, shape[0])
+    if np.shape(states) != np.shape(others):
+        raise ValueError(
+            f"there must be another state for each; got {np.shape(states)} and {np.shape(others)}"
+        )
+    seen, donors = (observe(agent, variant, some) for some in (states, others))
+    given = torch.from_numpy(activations(agent, donors, [layer])[layer][:, which])
+    said = []
+    for first in range(0, len(seen), AT_ONCE):
+        part = slice(first, first + AT_ONCE)
+
+        def change(x: Tensor, part: slice = part) -> Tensor:
+            x = x.clone()
+            x[:, which] = given[part].to(x)
+            return x
+
+        with torch.no_grad(), changed(agent, {layer: change}):
+            logits, values = agent.asked(torch.from_numpy(seen[part]).to(agent.device))
+        said.append((logits.double().softmax(-1).cpu(), values.double().cpu()))
+    policy, value = (torch.cat(parts).numpy() for parts in zip(*said, strict=True))
+    return policy, value
+
+
+@contextlib.contextmanager
+def thinking(agent: Agent, ticks: int) -> Iterator[Agent]:
+    """Let a DRC tick fewer times per step than it was trained with.
+
+    Fields within show what it would do after each tick: {k: fields(...)} with k ticks each.
+
+    Raises:
+        ValueError: If the network does not tick, or not as often.
+    """
+    network = getattr(agent, "network", None)
+    if not isinstance(network, DRC):
+        raise ValueError(f"only the network drc ticks; got {type(network).__name__}")
+    bounded("ticks", ticks, 1, network.repeats)
+    before, network.repeats = network.repeats, ticks
+    try:
+        yield agent
+    finally:
+        network.repeats = before
 
 
 def place(agent: Model, variant: Variant, cell: Cell, shape: Sequence[int]) -> tuple[int, int]:

@@ -27,7 +27,7 @@ from astray.analysis.evaluate import Measure, check_measures, measured
 from astray.analysis.trained import Agent, AnyModel, Model
 from astray.estimate import Estimate
 from astray.game import Variant
-from astray.insight.activations import activations
+from astray.insight.activations import activations, beginnings_in
 from astray.protocols import Classes
 from astray.validation import MOST, bounded, of_kind
 
@@ -50,6 +50,7 @@ def probe(
     labels: Mapping[str, Measure],
     *,
     folds: int = 5,
+    episodes: bool = False,
 ) -> pl.DataFrame:
     """Fit linear probes of each label to each layer and to the observation, and score them.
 
@@ -66,23 +67,26 @@ def probe(
             logistic regression; reals are numbers, for ridge regression; -1 and NaN do not count.
         folds: Parts of the levels. Each is predicted by a probe fitted on the others, with its own
             shuffling and its own untrained network.
+        episodes: Whether the states are whole episodes, as for `activations.capture`: probes then
+            read what an agent with memory remembers.
 
     Raises:
         ImportError: If scikit-learn is not installed.
-        ValueError: If a layer is unknown or no label is left.
+        ValueError: If a layer is unknown, no label is left, or states are not of whole episodes.
     """
     of_kind("states", states, np.ndarray)
     bounded("folds", folds, 2, MOST)
     check_measures(labels, ())
-    _sklearn()
+    need_sklearn()
+    begins = beginnings_in(states) if episodes else None
     shown = observe(agent, variant, states)
     known = {name: measured(name, measure, states).to_numpy() for name, measure in labels.items()}
     known = {name: y for name, y in known.items() if _enough(y)}
     if not known:
         raise ValueError(f"no label of {', '.join(labels)} has two classes of {LEAST} states each")
-    given = {SEEN: shown.astype(np.float32)} | activations(agent, shown, layers)
+    given = {SEEN: shown.astype(np.float32)} | activations(agent, shown, layers, begins)
     fold = _folds(states["level"], folds)
-    fresh = [activations(untrained(agent, k), shown, layers) for k in range(folds)]
+    fresh = [activations(untrained(agent, k), shown, layers, begins) for k in range(folds)]
     rows = [
         {"label": label, "layer": layer}
         | _told(x, [one.get(layer) for one in fresh], y, states["level"], fold)
@@ -166,7 +170,7 @@ def _told(
             told.pop("untrained", None)
         else:
             told["untrained"][1][test] = _predicted(network[keep], y, ~test, k)
-    found = {name: _by_level(*both, levels) for name, both in told.items()}
+    found = {name: by_level(*both, levels) for name, both in told.items()}
     row = {
         "kind": "class" if is_class(y) else "number",
         "states": len(y),
@@ -188,7 +192,7 @@ def _told(
     return row
 
 
-def _by_level(y: np.ndarray, told: np.ndarray, levels: np.ndarray) -> np.ndarray:
+def by_level(y: np.ndarray, told: np.ndarray, levels: np.ndarray) -> np.ndarray:
     """Return numbers [levels] with the score as mean and its variance over levels.
 
     They are the score plus each level's contribution, to first order.
@@ -263,7 +267,7 @@ def readings(
         ValueError: If a layer is unknown.
     """
     check_measures(labels, ())
-    _sklearn()
+    need_sklearn()
     both = [observe(agent, variant, some) for some in (states, here)]
     given, shown = (activations(agent, some, layers) for some in both)
     for label, measure in labels.items():
@@ -309,12 +313,12 @@ def fit(x: np.ndarray, y: np.ndarray, learn: np.ndarray, seed: int) -> float:
         ImportError: If scikit-learn is not installed.
     """
     told = _predicted(x, y, learn, seed)
-    return float(_by_level(y[~learn], told, np.zeros(len(told)))[0])
+    return float(by_level(y[~learn], told, np.zeros(len(told)))[0])
 
 
 def _predicted(x: np.ndarray, y: np.ndarray, learn: np.ndarray, seed: int) -> np.ndarray:
     """Fit a probe on the states in `learn` and return its predictions for the others."""
-    _sklearn()
+    need_sklearn()
     if not np.ptp(x[learn].reshape(np.count_nonzero(learn), -1), axis=0).any():  # nothing varies
         values, counts = np.unique(y[learn], return_counts=True)
         usual = values[counts.argmax()] if is_class(y) else y[learn].mean()
@@ -349,7 +353,8 @@ def _fitted(x: np.ndarray, y: np.ndarray, seed: int) -> tuple[Any, np.ndarray]:
         return make_pipeline(*steps).fit(flat, y), varies
 
 
-def _sklearn() -> None:
+def need_sklearn() -> None:
+    """Raise ImportError if scikit-learn is not installed."""
     try:
         import sklearn  # noqa: F401
     except ImportError:
