@@ -83,7 +83,21 @@ def test_a_link_in_the_cache_to_a_file_of_the_users_is_not_followed(hub, tmp_pat
     assert ours.pull("ada/mouse", name="third").is_dir()
 
 
-@pytest.mark.parametrize("revision", ["/etc/x", "../../x", "a/../b", "", "a//b", "C:\\x", "a\n"])
+@pytest.mark.parametrize("repository", ["../x", "./x", "ada/..", "ada/.x", "/x", "ada/a/b"])
+def test_a_repository_that_may_be_a_path_is_refused_before_anything_is_asked(hub, repository):
+    hub.requests.clear()
+    for ask in (
+        lambda: ours.pull(repository),
+        lambda: ours.push(folders.find("maze-corner"), repository),
+    ):
+        with pytest.raises(ValueError, match="a repository must be USER/NAME"):
+            ask()
+    assert hub.requests == []
+
+
+@pytest.mark.parametrize(
+    "revision", ["/etc/x", "../../x", "a/../b", "", "a//b", "C:\\x", "a\n", ".", "./x", "a/.b"]
+)
 def test_a_revision_that_may_be_a_path_is_refused_before_anything_is_asked(hub, revision):
     hub.requests.clear()
     for ask in (

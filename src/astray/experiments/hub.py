@@ -34,8 +34,8 @@ if TYPE_CHECKING:
 DIGESTS = "digests.json"
 PAGE = (CONFIG, CARD, "curve.csv", "curve.png", "episode.gif")
 AGENT = re.compile(r"checkpoints/(0|[1-9][0-9]{0,17})/agent\.safetensors")
-REVISION = re.compile(r"[\w.+@#-]+(/[\w.+@#-]+)*")
-REPOSITORY = re.compile(r"[\w.-]+/[\w.-]+")
+REVISION = re.compile(r"(?!\.)[\w.+@#-]+(/(?!\.)[\w.+@#-]+)*")
+REPOSITORY = re.compile(r"(?!\.)[\w.-]+/(?!\.)[\w.-]+")
 DIGEST = re.compile(r"[0-9a-f]{64}")
 FORMAT = 1  # of digests.json
 LARGEST, LARGEST_AGENT = 2**25, 2**31  # bytes of a file, and of one with weights
