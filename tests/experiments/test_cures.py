@@ -1,5 +1,7 @@
 """What the experiments with cures compute, on made-up tables and a few frames."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import polars as pl
 import pytest
@@ -13,12 +15,39 @@ from astray.mitigation.helped import AFTER, BEFORE
 
 def test_agents_of_a_method_differ_in_the_fraction_and_in_nothing_else():
     plan = regret.experiment("t", "corner-small", "corner", {}).sizes["smoke"]
-    assert len(plan.agents) == len(regret.METHODS) * len(regret.FRACTIONS) == 16
+    assert len(regret.METHODS) * len(regret.FRACTIONS) == 16
+    assert len(plan.agents) == 16 + len(regret.DOSES) + len((regret.LARGE, regret.ORACLE))
     for method in regret.METHODS:
         configs = [plan.agents[regret.name_of(method, fraction)] for fraction in regret.FRACTIONS]
         fractions = [c.training_variant().shift_probability for c in configs]
         assert fractions == list(regret.FRACTIONS)
         assert len({(c.sampler, c.steps) for c in configs}) == 1
+
+
+def test_a_ceiling_more_doses_and_a_larger_buffer_stand_beside_the_methods():
+    plan = regret.experiment("t", "corner-small", "corner", {}).sizes["smoke"]
+    oracle, large, small = (
+        plan.agents[name]
+        for name in (regret.ORACLE, regret.LARGE, regret.name_of(regret.PLR, regret.SOME))
+    )
+    assert oracle.variant == "anywhere-small" and oracle.steps == large.steps
+    assert large.sampler.buffer == 16 * small.sampler.buffer
+    rows = [
+        {"agent": name, "policy": "sampled", "test": test, "seed": seed, "level": level,
+         "distinguishing": test == regret.TESTED,
+         "outcome": INTENDED if level < (8 if test == regret.TRAINED else k) else MISGENERALIZED}
+        for k, name in enumerate(plan.agents) for test in (regret.TRAINED, regret.TESTED)
+        for seed in (0, 1) for level in range(20)
+    ]  # fmt: skip
+    found = regret.against_training(SimpleNamespace(plan=plan, episodes=pl.DataFrame(rows)))
+    assert found["training"].to_list() == [0.4] * len(plan.agents)
+    assert found["mean"].to_list() == pytest.approx([k / 20 for k in range(len(plan.agents))])
+    assert found.filter(method=regret.DR)["fraction"].to_list() == [
+        *regret.FRACTIONS,
+        *regret.DOSES,
+    ]
+    assert found["method"].to_list()[-2:] == [regret.LARGE, regret.ORACLE]
+    assert len(regret.ceiling_figure(found).axes) == 1
 
 
 def test_the_schedules_have_the_same_levels_at_other_times():

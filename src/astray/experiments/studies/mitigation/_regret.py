@@ -15,7 +15,7 @@ from astray.experiments import outcomes
 from astray.experiments.outcomes import AGENTS
 from astray.experiments.spec import Experiment, Plan, Work, tests_of
 from astray.figures import charts
-from astray.report.claims import Claim, above, below, rounded
+from astray.report.claims import Claim, above, below, near_zero, rounded
 from astray.report.findings import Findings, Plot, Table
 from astray.training.config import PRESETS, Config
 
@@ -28,9 +28,13 @@ METHODS: dict[str, dict[str, Any]] = {
     CONSTANT: {"sampler": "accel", "score": "regret", "mutation": "constant"},
 }
 FEW, SOME, MANY = FRACTIONS[1:]
-OFTEN, SELDOM, BETTER, MORE = 0.5, 0.2, 0.1, 2.0  # bounds of the claims
+OFTEN, SELDOM, BETTER, MORE, NEAR = 0.5, 0.2, 0.1, 2.0, 0.1  # bounds of the claims
+DOSES = (0.5, 0.9)  # more fractions of DR: as many as the buffers of ACCEL come to hold
+TIMES = 16  # size of the larger buffer
+LARGE = f"PLR, {TIMES} times the buffer, 1\u00a0%"
+ORACLE = "trained in the test's levels throughout"  # a ceiling for every method
 LAST = 0.25  # of a training, over which the buffer is looked at
-TESTED = "in the test"
+TRAINED, TESTED = "in training", "in the test"
 
 
 def name_of(method: str, fraction: float) -> str:
@@ -50,12 +54,17 @@ def plan(
         for fraction in FRACTIONS:
             few = knobs | ({"shift_probability": fraction} if fraction else {})
             agents[name_of(method, fraction)] = base.changed(knobs=few, **settings)
+    for dose in DOSES:
+        agents[name_of(DR, dose)] = base.changed(knobs=knobs | {"shift_probability": dose})
+    few = knobs | {"shift_probability": SOME}
+    agents[LARGE] = base.changed(knobs=few, **METHODS[PLR], buffer=TIMES * base.sampler.buffer)
+    agents[ORACLE] = base.changed(variant=test)
     return Plan(agents=agents, seeds=seeds, tests=tests, levels=levels, differences=differences)
 
 
 def find(proxy: str, work: Work) -> Findings:
     """Measure misgeneralization, return and the buffer's contents, by method and fraction."""
-    table, buffers = by_fraction(work), in_buffers(work)
+    table, buffers, ceiling = by_fraction(work), in_buffers(work), against_training(work)
     told = {
         method: ", ".join(
             rounded(row["mean"])
@@ -85,6 +94,14 @@ def find(proxy: str, work: Work) -> Findings:
                 table.filter(what="return"),
             ),
             Plot(
+                "ceiling",
+                "The goal in distinguishing levels against the goal in levels like those of the "
+                "training, a point for each fraction. Methods are better to the upper right; no "
+                f"method is expected above the mice {ORACLE}.",
+                ceiling_figure(ceiling),
+                ceiling,
+            ),
+            Plot(
                 "buffer",
                 "The fraction of the buffer's levels whose goal is placed as in the test, in the "
                 "last quarter of training, a dot an agent; dashed: the fraction of new "
@@ -95,12 +112,13 @@ def find(proxy: str, work: Work) -> Findings:
         ],
         videos=outcomes.videos(
             work,
-            trained=work.plan.tests["in training"],
+            trained=work.plan.tests[TRAINED],
             tested=work.plan.tests[TESTED],
             agent=name_of(DR, 0.0),
         ),
         tables=[
             Table("by-fraction", "Distinguishing levels", table),
+            Table("ceiling", "The goal in both kinds of levels", ceiling),
             Table("buffers", "Levels of the test's kind in the buffer", buffers),
             *outcomes.outcome_tables(work),
         ],
@@ -138,6 +156,27 @@ def by_fraction(work: Work) -> pl.DataFrame:
     return pl.DataFrame(rows)
 
 
+def against_training(work: Work) -> pl.DataFrame:
+    """Return how often each kind of agents reaches the goal first in the test and in training.
+
+    Columns: method, fraction (null for the oracle and the larger buffer), training (rate), mean,
+    low, high (rate in distinguishing levels).
+    """
+    kinds = {name: outcomes.first(work, TESTED, name, INTENDED) for name in work.plan.agents}
+    named = {name_of(m, f): (m, f) for m in METHODS for f in (*FRACTIONS, *DOSES)}
+    rows = []
+    for name, came in kinds.items():
+        method, fraction = named.get(name, (name, None))
+        mine = work.episodes.filter(policy=AGENTS, test=TRAINED, agent=name)
+        found = estimate_mean(came, pool=list(kinds.values()))
+        rows.append(
+            {"method": method, "fraction": fraction}
+            | {"training": (mine["outcome"] == INTENDED).mean()}
+            | {"mean": found.mean, "low": found.low, "high": found.high}
+        )
+    return pl.DataFrame(rows, schema_overrides={"fraction": pl.Float64})
+
+
 def in_buffers(work: Work) -> pl.DataFrame:
     """Return columns method, fraction, seed, in_buffer (of its levels), amplified (ratio)."""
     measured = outcomes.curves(work)
@@ -164,6 +203,7 @@ def in_buffers(work: Work) -> pl.DataFrame:
 def claims(work: Work, buffers: pl.DataFrame) -> list[Claim]:
     """Return the claims of the paper's abstract, with bounds set before any run."""
     wrong = {name: outcomes.misgeneralized(work, TESTED, name) for name in work.plan.agents}
+    right = {name: outcomes.first(work, TESTED, name, INTENDED) for name in work.plan.agents}
     kinds = list(wrong.values())
 
     def often(method: str, fraction: float) -> Estimate:
@@ -207,6 +247,15 @@ def claims(work: Work, buffers: pl.DataFrame) -> list[Claim]:
             f"supported if above {MORE:g} times",
             least > MORE,
         ),
+        near_zero(
+            f"At {percent[1]}, ACCEL with identity edits reaches the cheese first as often as mice "
+            f"{ORACLE}.",
+            "not measured", f"{ORACLE} minus {name_of(IDENTITY, SOME)}",
+            estimate_difference(
+                right[ORACLE], right[name_of(IDENTITY, SOME)], pool=[*right.values()]
+            ),
+            NEAR,
+        ),
         above(
             "Without any such level every method misgeneralizes.",
             "not in all cases (no figure at hand)", "the method that does least", lowest, OFTEN,
@@ -218,6 +267,15 @@ def by_fraction_figure(table: pl.DataFrame, label: str) -> Figure:
     """Plot a line for each method over the fractions, which are evenly spaced."""
     told: dict[str, Any] = {} if label == "return" else {"limits": (-0.02, 1.02), "percent": "y"}
     return _over_fractions(table, label, whiskers=True, **told)
+
+
+def ceiling_figure(table: pl.DataFrame) -> Figure:
+    """Plot the goal in distinguishing levels against that in training's, a line a method."""
+    return charts.curves(
+        table.sort("fraction", nulls_last=True), x="training", line="method",
+        label="cheese first in distinguishing levels", percent="xy", limits=(-0.02, 1.02),
+        whiskers=True, x_label="cheese first in levels like those of the training",
+    )  # fmt: skip
 
 
 def buffer_figure(buffers: pl.DataFrame) -> Figure:
