@@ -3,9 +3,11 @@
 import numpy as np
 import polars as pl
 import pytest
+from matplotlib.figure import Figure
 
 from astray.analysis.outcomes import FAILED, INTENDED, MISGENERALIZED
 from astray.figures import charts
+from astray.figures.axes import call_places
 from astray.figures.grids import Picture, cells, images
 from astray.figures.style import OTHERS, save
 
@@ -97,3 +99,11 @@ def test_a_name_is_written_as_it_is_given(tmp_path):
     odd = VALUES.with_columns(who=pl.lit("costs $x_{$"))
     save(charts.curves(odd, x="when", line="who", label=""), tmp_path, "odd")
     assert ">costs $x_{$</text>" in (tmp_path / "odd.svg").read_text()
+
+
+def test_labels_of_lines_that_lie_close_stand_side_by_side():
+    shown = Figure().subplots()
+    shown.set_xlim(0, 100)
+    call_places(shown, {"a": 50, "b": 50, "c": 51, "d": 80})
+    at = {text.get_text(): text.xy[0] for text in shown.texts}
+    assert at["d"] == 80 and at["c"] == 51 and at["c"] - at["a"] > 2 < at["a"] - at["b"]

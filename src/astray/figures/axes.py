@@ -75,11 +75,14 @@ def write_legend(figure: Figure, **look: Any) -> None:
 
 
 def call_places(axes: Axes, at: Mapping[str, float]) -> None:
-    """Label lines at given positions along them."""
+    """Label lines at given positions along them, none of the labels over another."""
     low, high = axes.get_xlim()
-    for name, place in at.items():
+    line = 0.025 * (high - low)  # a little more than the height of the text
+    there = high + line
+    for name, place in sorted(at.items(), key=lambda one: -one[1]):
         near = place - low < 0.06 * (high - low)  # to the axis, which it stands beside
-        axes.annotate(name, (place, 1.0), (3 if near else -3, -2), ha="left" if near else "right",
+        there = place if near else min(place, there - line)
+        axes.annotate(name, (there, 1.0), (3 if near else -3, -2), ha="left" if near else "right",
                       va="top", xycoords=("data", "axes fraction"), textcoords="offset points",
                       fontsize=8.5, rotation=90)  # fmt: skip
 
