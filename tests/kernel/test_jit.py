@@ -96,6 +96,32 @@ def test_compiled_code_is_new_after_an_edit_of_a_constant_that_it_imports(tmp_pa
     assert told == [["-1", "0"], ["-1", "1"], ["-2", "0"]]
 
 
+DISTANCES = """
+import numpy as np
+from astray.kernel.grid import distances
+
+distances(np.ones((1, 1), bool), 0, 0)
+print(sum(distances.stats.cache_hits.values()))
+"""
+
+
+@pytest.mark.skipif(numba.config.DISABLE_JIT, reason="nothing is compiled")
+def test_another_installation_of_the_same_code_does_not_compile_it_again(tmp_path):
+    (tmp_path / "elsewhere").mkdir()
+    (tmp_path / "elsewhere" / "astray").symlink_to(Path(astray.__file__).parent)
+    known, told = environment(NUMBA_CACHE_DIR=str(tmp_path / "cache")), []
+    for folder in (Path(astray.__file__).parents[1], tmp_path / "elsewhere"):
+        done = subprocess.run(
+            [sys.executable, "-c", DISTANCES],
+            env=known | {"PYTHONPATH": str(folder)},
+            capture_output=True,
+            text=True,
+        )
+        assert done.returncode == 0, done.stderr
+        told.append(done.stdout.split())
+    assert told == [["0"], ["1"]]
+
+
 PAID = """
 import sys
 from dataclasses import replace

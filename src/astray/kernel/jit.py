@@ -13,6 +13,7 @@ from types import FunctionType
 from typing import Any
 
 import numba
+import numpy as np
 from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import Compiler
 
@@ -23,8 +24,9 @@ from astray.kernel.versions import LOCK
 
 
 def version_digest() -> str:
-    """Return a digest of numba's version and settings, on which all compiled code depends."""
-    flags = (numba.__version__, numba.config.BOUNDSCHECK, numba.config.OPT)  # pyright: ignore
+    """Return a digest of versions and numba's settings, on which all compiled code depends."""
+    settings = (numba.config.BOUNDSCHECK, numba.config.OPT)  # pyright: ignore
+    flags = (numba.__version__, np.__version__, *settings)
     return hashlib.sha256(repr(flags).encode()).hexdigest()[:16]
 
 

@@ -21,6 +21,7 @@ from numba.core.caching import (
     UserProvidedCacheLocator,
 )
 
+PACKAGE = Path(__file__).parents[1]
 SUM = hashlib.sha256().digest_size  # bytes
 
 
@@ -35,7 +36,9 @@ class _Locator(UserProvidedCacheLocator):
             function.__code__.co_filename,
             function.__code__.co_firstlineno,
         )
-        self._cache_path = os.path.join(folder, self.get_suitable_cache_subpath(self._py_file))
+        # Digests tell apart what is astray's own, so that installations and clones share it.
+        own, path = Path(self._py_file).parent, self.get_suitable_cache_subpath(self._py_file)
+        self._cache_path = os.path.join(folder, own.name if PACKAGE in own.parents else path)
 
     def ensure_cache_path(self) -> None:
         path = self.get_cache_path()
