@@ -83,6 +83,13 @@ class Witness(gymnasium.Wrapper):
             )
         return seen, paid, terminated, truncated, info
 
+    def close(self) -> None:
+        """End the environment; raise ValueError if it fails."""
+        try:
+            self.env.close()
+        except FAILURES as error:
+            raise self._failed("close", error) from error
+
     def leads(self, goal: str) -> Any:
         """Return the action of the expert for a goal."""
         try:

@@ -9,17 +9,19 @@ import torch
 from torch import nn
 
 from astray.acting import initial_states
+from astray.analysis.adapters import from_sb3
 from astray.analysis.critic import visit
 from astray.analysis.overlap import overlap
 from astray.analysis.replay import replay
 from astray.analysis.trained import Network
 from astray.envs.vector import GameVectorEnv
 from astray.insight.activations import capture
-from astray.insight.attribution import gradients
+from astray.insight.attribution import gradients, integrated_gradients
 from astray.insight.behaviour import level_features
 from astray.insight.episode import along
 from astray.insight.fields import fields
-from astray.insight.interventions import ablate
+from astray.insight.interventions import ablate, patch, steer
+from astray.insight.probes import probe
 from astray.lab.serving import make_lab
 from helpers.rooms import CELLS, WORLD, Room
 
@@ -63,6 +65,30 @@ def test_a_network_is_looked_into_in_a_world(network):
     assert capture(network, "anywhere", states, ["1"]).values["1"].shape == (len(states), 2)
     with ablate(network, "1", None):
         assert not network.outputs(seen)[0].any()
+
+
+def test_a_model_of_stable_baselines3_is_changed_and_read_in_a_world():
+    sb3 = pytest.importorskip("stable_baselines3")
+    model = sb3.PPO("MlpPolicy", Room(), seed=0, device="cpu")
+    agent, layer = from_sb3(model).network, "mlp_extractor.policy_net.1"
+    agent = replace(agent, game=WORLD)
+    states = visit(agent, "anywhere", range(80), per_episode=3)[1]
+    seen, net = states["observation"], model.policy
+    values = capture(agent, "anywhere", states, [layer]).values[layer]
+
+    def logits(changed):
+        with torch.no_grad():
+            hidden = net.mlp_extractor.policy_net[2:](torch.as_tensor(changed))
+            return net.action_net(hidden).log_softmax(1)
+
+    with steer(agent, {layer: np.ones(64, np.float32)}, 2.0):
+        assert torch.allclose(agent.outputs(seen)[0], logits(values + 2), atol=1e-5)
+    with patch(agent, layer, [5], 9.0):
+        values[:, 5] = 9
+        assert torch.allclose(agent.outputs(seen)[0], logits(values), atol=1e-5)
+    right = {"right": lambda states: states["observation"][:, 0, CELLS // 2 :].any(1)}
+    assert (probe(agent, "anywhere", states, [layer], right, folds=2)["score"] > 0.8).all()
+    assert np.isfinite(integrated_gradients(agent, seen, steps=4)).all()
 
 
 def test_states_of_levels_are_of_games():

@@ -124,6 +124,7 @@ def test_knobs_are_arguments_of_the_factory():
         (replace(WORLD, variants={"end": Room, "anywhere": lambda: 3}), RIGHT,
          "the factory of room anywhere must return a gymnasium.Env; got 3"),
         (troubled("no info"), RIGHT, "level 3, step 1: its info must be a dictionary; got None"),
+        (troubled("stuck"), RIGHT, r"its close fails: OSError\('busy'\)"),
         (troubled("exits"), RIGHT, r"step 3: its step fails: SystemExit\(3\)"),
         (troubled("speaks"), RIGHT, "the observation is of <U32, where the space says float32"),
         (WORLD, Function(lambda seen: 1 / 0, "lost"), r"lost fails: ZeroDivisionError\('divis"),
@@ -179,6 +180,12 @@ def test_a_worker_that_dies_or_hangs_is_told(trouble, said):
     world = troubled(trouble, workers=True, patience=2.0, repeats=False)
     with pytest.raises(RuntimeError, match=said):
         evaluate(RIGHT, world, "anywhere", LEVELS, batch=2)
+
+
+@pytest.mark.waits
+def test_a_process_that_hangs_where_it_closes_is_ended():
+    world = troubled("stays", workers=True, patience=1.0)
+    assert evaluate(RIGHT, world, "anywhere", LEVELS[:2], batch=1).height == 2
 
 
 def test_an_episode_without_end_is_left_after_the_longest():

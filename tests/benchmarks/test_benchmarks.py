@@ -18,6 +18,7 @@ from astray.cli.experiments import bench
 from astray.envs.vector import GameVectorEnv
 from benchmarks import agency, environments, insight, profile, start, tables, train, worlds
 from benchmarks.plain import Loop
+from helpers.foreign import procgen_of_envpool
 
 TINY = replace(train.SYMBOLIC[0], num_envs=8, num_steps=8, minibatches=2, width=8)
 
@@ -70,9 +71,7 @@ def test_ratios_are_those_of_the_rows(rows):
 
 
 def test_a_game_is_measured_beside_envpool():
-    envpool = pytest.importorskip("envpool")
-    if "MazeHard-v0" not in envpool.list_all_envs():
-        pytest.skip("this EnvPool has no Procgen")
+    procgen_of_envpool()
     rows = environments.measure_game("maze", "anywhere", "MazeHard-v0", 0.01, 1, batches=(4, 8))
     peer = next(row for row in rows if row.what == "EnvPool MazeHard-v0")
     assert rows[0].to_peer == speed(rows[0]) / speed(peer)

@@ -4,11 +4,15 @@ import importlib.util
 from dataclasses import replace
 from pathlib import Path
 
+import gymnasium
+import numpy as np
 import pytest
 import torch
 
+import astray
+from astray.analysis.policies import Random
 from astray.experiments.run import reproduce
-from helpers.foreign import as_cleanrl, reference
+from helpers.foreign import as_cleanrl, procgen_of_envpool, reference
 
 WORLDS = Path(__file__).parents[2] / "examples" / "worlds"
 
@@ -32,7 +36,7 @@ def test_an_agent_of_stable_baselines3_goes_to_the_corner_of_a_minigrid_room(tmp
 
 
 def test_agents_of_cleanrl_play_coinrun_of_envpool(tmp_path, monkeypatch):
-    pytest.importorskip("envpool")
+    procgen_of_envpool()
     monkeypatch.chdir(tmp_path)
     (tmp_path / "agents").mkdir()
     torch.save(as_cleanrl(reference((16, 32, 32))[0]), tmp_path / "agents" / "one.cleanrl_model")
@@ -43,3 +47,37 @@ def test_agents_of_cleanrl_play_coinrun_of_envpool(tmp_path, monkeypatch):
     plan = replace(example.EXPERIMENT.sizes["smoke"], levels=2)
     page = reproduce(replace(example.EXPERIMENT, sizes={"smoke": plan}), "smoke", tmp_path)
     assert "reaches coin less often than in training" in page.read_text("utf-8")
+
+
+class Stream(gymnasium.Env):
+    """CoinRun of EnvPool, whose pool chooses its levels and tells their numbers."""
+
+    observation_space = gymnasium.spaces.Box(0, 255, (64, 64, 3), np.uint8)
+    action_space = gymnasium.spaces.Discrete(15)
+
+    def __init__(self, stream):
+        self.pool = procgen_of_envpool(seed=stream, channel_first=False)
+
+    def reset(self, *, seed=None, options=None):
+        (seen,), info = self.pool.reset()
+        return seen, {"level_seed": info["level_seed"][0], "complete": False}
+
+    def step(self, action):
+        (seen,), (reward,), (ended,), (cut,), info = self.pool.step(np.array([action], np.int32))
+        return seen, reward, ended, cut, {"complete": ended and info["prev_level_complete"][0] > 0}
+
+
+def test_streams_of_envpool_tell_their_levels():
+    first = [int(procgen_of_envpool(seed=k).reset()[1]["level_seed"][0]) for k in range(2)]
+    world = astray.World(
+        name="streams",
+        variants={"easy": Stream},
+        events={"complete": "complete"},
+        goals={"coin": "complete"},
+        shifts={},
+        level_key="level_seed",
+        repeats=False,
+    )
+    table = astray.evaluate(Random(), world, "easy", range(4), batch=2, longest=5)
+    assert table["level"].to_list()[:2] == first and table["level"].n_unique() == 4
+    assert table["length"].to_list() == [5] * 4

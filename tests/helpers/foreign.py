@@ -9,10 +9,20 @@ from typing import Any
 
 import msgpack
 import numpy as np
+import pytest
 import torch
 from torch import nn
 
 from astray.agents.clear import BLOCKS
+
+
+def procgen_of_envpool(**options):
+    """EnvPool's CoinRun, one environment; the test is skipped where it or its Qt is missing."""
+    envpool = pytest.importorskip("envpool")
+    try:
+        return envpool.make_gymnasium("CoinrunEasy-v0", num_envs=1, **options)
+    except (ImportError, AssertionError) as error:
+        pytest.skip(f"EnvPool's Procgen does not run: {error}")
 
 
 def joblib_bytes(data, alignment=None):

@@ -1,6 +1,7 @@
 """Environments of nobody's: a row of cells with a square, which in training lies at its end."""
 
 import itertools
+import multiprocessing
 import os
 import time
 from functools import partial
@@ -50,6 +51,12 @@ class Room(gymnasium.Env):
         picture = np.zeros((1, CELLS, 3), np.uint8)
         picture[0, self.x, 0] = picture[0, self.square, 1] = 255
         return picture.repeat(2, 0).repeat(2, 1)
+
+    def close(self):
+        if self.trouble == "stays" and multiprocessing.parent_process():
+            time.sleep(1000)
+        if self.trouble == "stuck":
+            raise OSError("busy")
 
     def _seen(self):
         seen = np.zeros((2, CELLS), np.float32)

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import contextlib
 import multiprocessing
+import threading
+import warnings
 from collections.abc import Iterator, Mapping
 from functools import partial
 from typing import Any
@@ -17,6 +19,9 @@ from astray.game import OWN
 from astray.validation import MOST, bounded, shown
 from astray.witness import NOTED, witnessed
 from astray.world import World, WorldVariant
+
+# Gymnasium's warnings of an error in a process, which it also raises.
+RECEIVED = r"(?s).*ERROR: (Received the following|Traceback|Raising the last)"
 
 
 class WorldVectorEnv:
@@ -89,8 +94,7 @@ class WorldVectorEnv:
         Raises:
             ValueError: If an environment renders anything else.
         """
-        with self._watched():
-            images = np.asarray(self._envs.call("render"))
+        images = np.asarray(self._call("render"))
         if images.dtype != np.uint8 or images.ndim != 4 or images.shape[3] != 3:
             raise ValueError(
                 f"environments of {self.variant} must render images [H, W, 3] uint8; got "
@@ -100,11 +104,15 @@ class WorldVectorEnv:
 
     def leads(self, goal: str) -> np.ndarray:
         """Return the actions [N] of the world's expert for a goal."""
+        return np.array(self._call("leads", goal))
+
+    def _call(self, name: str, *given: Any) -> Any:
+        """Return what a method of each environment returns."""
         if not self.game.workers:
-            return np.array(self._envs.call("leads", goal))
+            return self._envs.call(name, *given)
         with self._watched():
-            self._envs.call_async("leads", goal)
-            return np.array(self._envs.call_wait(timeout=self.game.patience))
+            self._envs.call_async(name, *given)
+            return self._envs.call_wait(timeout=self.game.patience)
 
     def get_state(self) -> np.ndarray:
         """Return a copy of `states` [N]: records of episodes, which cannot restore environments."""
@@ -123,9 +131,15 @@ class WorldVectorEnv:
         """End all environments, and note in the world which keys of info occurred."""
         if self._envs.closed:  # as a process died or hung
             return
-        with self._watched():
-            self._learn_keys()
-        self._envs.close()
+        # Gymnasium waits for ever for a process that hangs, also where its environment closes.
+        patience = threading.Timer(self.game.patience, self._kill)
+        if self.game.workers:
+            patience.start()
+        try:
+            with contextlib.closing(self._envs), self._watched():
+                self._learn_keys()
+        finally:
+            patience.cancel()
 
     def _learn_keys(self) -> None:
         self.game.reported.update(*self._envs.get_attr("reported"))
@@ -165,7 +179,9 @@ class WorldVectorEnv:
     def _watched(self) -> Iterator[None]:
         """Raise a readable error if a process died or hangs, after ending the others."""
         try:
-            yield
+            with warnings.catch_warnings():  # of what the error says
+                warnings.filterwarnings("ignore", RECEIVED, UserWarning)
+                yield
         except multiprocessing.TimeoutError as error:
             self._give_up()
             raise RuntimeError(
@@ -176,9 +192,12 @@ class WorldVectorEnv:
             self._give_up()
             raise RuntimeError(f"the process of an environment of {self.variant} died") from error
 
-    def _give_up(self) -> None:
+    def _kill(self) -> None:
         for process in self._envs.processes:
             process.kill()
+
+    def _give_up(self) -> None:
+        self._kill()
         self._envs.closed = True  # to Gymnasium, which would wait for what is pending
 
 
