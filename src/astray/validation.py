@@ -126,10 +126,10 @@ def older_names(module: str, names: Mapping[str, str]) -> Callable[[str], Any]:
     return find
 
 
-def shown(given: Any) -> str:
-    """Return `given` as text of bounded length, for an error."""
+def shown(given: Any, most: int = 80) -> str:
+    """Return `given` as text of at most `most` characters, for an error."""
     text = _Bounded().repr(given)
-    return text if len(text) <= 80 else f"{text[:77]}..."
+    return text if len(text) <= most else f"{text[: most - 3]}..."
 
 
 class _Bounded(reprlib.Repr):
@@ -147,6 +147,14 @@ class _Bounded(reprlib.Repr):
         if _is_endless(x):
             return f"a number of {x.bit_length()} bits"
         return super().repr1(x, level) if self.left >= 0 else "..."
+
+    def repr_instance(self, x: Any, level: int) -> str:
+        try:
+            return super().repr_instance(x, level)
+        except KeyboardInterrupt:
+            raise
+        except BaseException:  # a stranger's object may even exit
+            return f"<{type(x).__name__} that cannot be shown>"
 
     def repr_dict(self, x: dict[Any, Any], level: int) -> str:
         if level <= 0:

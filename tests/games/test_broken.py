@@ -1,6 +1,7 @@
 """A game of a stranger that is broken is told, and keeps nothing else from being seen."""
 
 import json
+import re
 
 import pytest
 
@@ -13,6 +14,9 @@ SOURCES = {
     "raises": "raise RuntimeError('it lacks a file')",
     "leaves": "import sys; sys.exit(0)",
     "is_none": "GAME = 3",
+    "hides": "class Hidden:\n    def __repr__(self): raise SystemExit(0)\nGAME = Hidden()",
+    "fails_unsaid": "class Unsaid(Exception):\n    def __repr__(self): raise SystemExit(0)\n"
+    "raise Unsaid",
     "ends": "class End(BaseException): pass\nraise End('for good')",
     "leaves_late": "import dataclasses, sys\nfrom astray import games\n"
     "class Variants(dict):\n    items = sys.exit\n"
@@ -26,6 +30,8 @@ REASONS = {
     "raises": "RuntimeError('it lacks a file')",
     "leaves": "SystemExit(0)",
     "is_none": "must be a Game called 'is_none'; got 3",
+    "hides": "must be a Game called 'hides'; got <Hidden that cannot be shown>",
+    "fails_unsaid": "fails: <Unsaid that cannot be shown>",
     "ends": "End('for good')",
     "leaves_late": "SystemExit()",
     "is_no_text": "type bytes is not JSON",
@@ -47,6 +53,15 @@ def test_what_is_there_is_listed_beside_broken_games_and_why(strangers, astray):
         assert reason in found[name]["error"]
     said = "".join(astray("list").split())
     assert all("".join(f"{n}: broken:".split()) in said for n in REASONS) and "coinrun" in said
+
+
+@pytest.mark.parametrize("name", REASONS)
+def test_a_broken_game_is_refused_where_it_is_asked_for(strangers, name):
+    if name in ("leaves_late", "is_no_text", "is_hollow"):
+        assert games.find(name).name == name  # it is broken where it is described
+    else:
+        with pytest.raises(ValueError, match=re.escape(REASONS[name])):
+            games.find(name)
 
 
 def test_text_that_fails_when_it_is_printed_is_listed_as_text(tmp_path, monkeypatch, astray):

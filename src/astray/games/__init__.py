@@ -114,7 +114,9 @@ def _load(point: EntryPoint) -> Game:
     except KeyboardInterrupt:
         raise
     except BaseException as error:  # else a module that exits would end every verb
-        raise ValueError(f"the game {point.name!r}, {point.value}, fails: {error!r}") from error
+        raise ValueError(
+            f"the game {point.name!r}, {point.value}, fails: {shown(error)}"
+        ) from error
     if not isinstance(game, Game) or game.name != point.name:
-        raise ValueError(f"{point.value} must be a Game called {point.name!r}; got {game!r}")
+        raise ValueError(f"{point.value} must be a Game called {point.name!r}; got {shown(game)}")
     return game
