@@ -115,7 +115,7 @@ def _load(point: EntryPoint) -> Game:
         raise
     except BaseException as error:  # else a module that exits would end every verb
         raise ValueError(
-            f"the game {point.name!r}, {point.value}, fails: {shown(error)}"
+            f"the game {point.name!r}, {point.value}, fails: {shown(error, 300)}"
         ) from error
     if not isinstance(game, Game) or game.name != point.name:
         raise ValueError(f"{point.value} must be a Game called {point.name!r}; got {shown(game)}")

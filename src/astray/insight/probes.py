@@ -196,6 +196,11 @@ def by_level(y: np.ndarray, told: np.ndarray, levels: np.ndarray) -> np.ndarray:
     """Return numbers [levels] with the score as mean and its variance over levels.
 
     They are the score plus each level's contribution, to first order.
+
+    Args:
+        y: [N] labels of states.
+        told: [N] the predictions of a probe.
+        levels: [N] the states' levels.
     """
     _, level = np.unique(levels, return_inverse=True)
     count = level.max() + 1
