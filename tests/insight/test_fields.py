@@ -175,3 +175,9 @@ def test_other_games_have_fields_too(game, tmp_path):
     assert (abs(found.arrows) <= 1.5).all() and abs(found.arrows).max() > 0.05
     figure = field_figures.draw({game: found})
     field_figures.save(figure, tmp_path, game)
+    objects = found.level.game.editing.OBJECTS
+    things = [cell for name in objects for cell in found.level.where(name)]
+    shown = field_figures.heat_map(found.level, {found.level.agent: 1.0})  # of one cell
+    assert things and {*shown.letters} == {*things} and shown.window is not None
+    left, right, low, high = shown.window
+    assert all(left <= x < right and low <= y < high for x, y in things)

@@ -95,6 +95,7 @@ class Picture:
         arrows: Cells [N, 2] and arrows [N, 2] from their middles, at most a cell long.
         way: [N, 2] cells in order.
         marks: Colour of marked cells.
+        letters: Letters of cells.
         window: Left, right, lowest and highest visible cells; None for all.
         note: Text below.
     """
@@ -109,6 +110,7 @@ class Picture:
     arrows: tuple[np.ndarray, np.ndarray] | None = None
     way: np.ndarray | None = None
     marks: Mapping[Any, str] = field(default_factory=dict)
+    letters: Mapping[Any, str] = field(default_factory=dict)
     window: tuple[float, float, float, float] | None = None
     note: str = ""
 
@@ -162,6 +164,8 @@ def _show(figure: Figure, axes: Any, one: Picture) -> None:
         axes.plot(one.way[:, 0] + shift, one.way[:, 1] + 1 - shift, color=OTHERS[0], linewidth=1.6)
     for (x, y), colour in one.marks.items():
         axes.plot(x + 0.5, y + 0.5, "s", color=colour, markersize=8)
+    for (x, y), letter in one.letters.items():
+        axes.text(x + 0.5, y + 0.5, letter, ha="center", va="center", fontsize=9, clip_on=True)
     if one.window:
         axes.set_xlim(*one.window[:2])
         axes.set_ylim(*one.window[2:])

@@ -179,15 +179,20 @@ def _fields(asked: Asked) -> list[Section]:
     said = ", ".join(f"{asked.level.game.actions[k]} {found.policy[begin, k]:.2f}" for k in order)
     art, value = asked.agent.art, found.value[begin]
     valued = "" if np.isnan(value) else f"the value is {value:.2f}, and "
+    letters = ", ".join(f"{c}: {n}" for n, c in asked.level.game.editing.OBJECTS.items())
+    lettered = "" if sees_world(asked.variant) else f" Letters are objects ({letters})."
+    field = _part(
+        "field",
+        "Where it would go",
+        f"At the beginning {valued}the likeliest actions are {said}. An arrow is the step to "
+        f"be expected in that place.{lettered}",
+        field_figures.draw({"policy and value": found}, art=art),
+        found.table(),
+    )
+    if 2 * len(found.path_probability()) < len(found.cells):  # objects are in the way
+        return [field]
     return [
-        _part(
-            "field",
-            "Where it would go",
-            f"At the beginning {valued}the likeliest actions are {said}. An arrow is the step to "
-            "be expected in that place.",
-            field_figures.draw({"policy and value": found}, art=art),
-            found.table(),
-        ),
+        field,
         _part(
             "paths",
             "Which ways it takes to",
