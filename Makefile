@@ -105,9 +105,10 @@ sbom:
 		.bare/bin/python
 	rm -rf .bare .sbom
 
-# The notebooks at their full size, with the seconds that each takes.
+# Run the notebooks at their full size, and save them with their outputs.
 notebooks: $(INSTALLED)
-	ASTRAY_NOTEBOOKS=full $(BIN)/python -m pytest -n 0 tests/examples/test_notebooks.py --durations=0
+	ASTRAY_NOTEBOOKS=full ASTRAY_NOTEBOOKS_OUT=$(CURDIR)/examples/notebooks \
+		$(BIN)/python -m pytest -n 0 tests/examples/test_notebooks.py -k runs --durations=0
 
 $(INSTALLED): pyproject.toml constraints.txt
 	$(PYTHON) -m venv .venv
