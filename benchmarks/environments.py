@@ -105,9 +105,22 @@ def measure(
     """Measure these games, each turn for `seconds`."""
     rows = []
     for name in names:
-        on = games.find(name).benchmark
-        rows += measure_game(name, on.variant, on.envpool, seconds, rounds, seed=seed)
+        game = games.find(name)
+        on = game.benchmark
+        if ORIGINAL in game.looks:
+            rows += measure_game(name, on.variant, on.envpool, seconds, rounds, seed=seed)
+        else:
+            rows += measure_world(name, on.variant, seconds, rounds, seed=seed)
     return rows
+
+
+def measure_world(
+    game: str, variant: str, seconds: float = 0.4, rounds: int = 15, *, seed: int = 0
+) -> list[Row]:
+    """Measure a world without an original, in 256 environments and one thread."""
+    contenders = [_ours(game, variant, what, 256, 1, seed) for what in (IMAGES, SYMBOLS)]
+    _take_turns(contenders, seconds, rounds)
+    return [contender.result() for contender in contenders]
 
 
 def measure_game(

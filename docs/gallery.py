@@ -131,7 +131,7 @@ TILES = {
         "Heist",
         "near-small",
         "Procgen's game, with the gem before the first door, where the ways to gem and keys "
-        "part. `astray lab --game heist` plays it.",
+        f"part. {PLAY}",
     ),
 }
 

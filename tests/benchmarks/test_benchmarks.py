@@ -70,6 +70,12 @@ def test_ratios_are_those_of_the_rows(rows):
     assert one.to_one_thread is None and one.to_peer is None
 
 
+def test_a_world_without_an_original_is_measured_alone():
+    images, symbols = environments.measure(["lavaland"], seconds=0.01, rounds=1)
+    assert (images.what, symbols.what) == ("images", "symbolic")
+    assert images.steps_per_second and symbols.steps_per_second
+
+
 def test_a_game_is_measured_beside_envpool():
     procgen_of_envpool()
     rows = environments.measure_game("maze", "anywhere", "MazeHard-v0", 0.01, 1, batches=(4, 8))

@@ -45,6 +45,12 @@ def test_scripts_walk_around_hazards_and_stay_where_nothing_can_be_reached():
         walled.state()
 
 
+def test_hazards_are_cells_that_an_agent_can_be_in_and_walls_are_not():
+    for char, is_free in (("~", True), ("#", False)):
+        env = scene("lavaland", room(8, f"@{char}.G"))
+        assert LAVA.cells.free(env.states[0])[0, :4].tolist() == [True, is_free, True, True]
+
+
 @pytest.mark.parametrize("gamma, worth", [(1.0, 1.0), (0.5, 0.5**6)])
 def test_the_return_of_a_script_is_that_of_its_steps_discounted(gamma, worth):
     env = scene("lavaland", LAKE)

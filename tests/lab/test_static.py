@@ -32,7 +32,7 @@ PLAYED = [
     ("maze", "anywhere-small"), ("maze", "red-line-yellow-gem"), ("maze", "anywhere-memory"),
     ("maze", "dish-small"), ("maze", "dish-apart-small"),
     ("keys", "many-keys-small"), ("keys", "many-chests"), ("keys", "many-keys-penalties"),
-    ("coinrun", "coin-anywhere"), ("coinrun", "coin-end-permeable-continue"),
+    ("coinrun", "coin-anywhere"), ("coinrun", "coin-end-permeable-continue"), ("heist", "near"),
 ]  # fmt: skip
 WORLDS = [
     ("pottery", "anywhere-picks"), ("monsters", "long"), ("follow", "anti-expert"),
@@ -73,6 +73,24 @@ def test_rules_are_those_of_python_state_by_state(page, name, kind):
     often = [*[0.03] * 6, 0.1, 0.3, 0.3, *[0.02] * 6]
     episodes = [np.repeat(random.choice(15, STEPS, p=often), 3) for _ in range(4)]
     compare(page, name, kind, episodes)
+
+
+def test_keys_open_doors_as_in_python(page):
+    game, episodes = games.find("heist"), []
+    env = GameVectorEnv("heist", "small", 1, observation="symbolic", autoreset_mode="Disabled")
+    for level in range(3):
+        env.reset(seed=0, options={"level": level})
+        if level == 0:  # what would be done with the keys in hand, which a locked door ends
+            states = env.get_state()
+            states["hand"] = states["keys"]
+            env.set_state(states)
+        expert, actions = game.solver.expert(env.states[0], "gem"), []
+        while not env.states[0].ended:
+            actions.append(expert(env.states[0]))
+            env.step(np.array(actions[-1:]))
+        episodes.append(np.array(actions))
+    assert env.states[0].opened_blue > 0
+    compare(page, "heist", "small", episodes)
 
 
 @pytest.mark.parametrize("name, kind", WORLDS)

@@ -237,7 +237,9 @@ def assess(played: Sequence[Played], options: Options = CALIBRATED) -> Assessmen
         ValueError: If there are no episodes.
     """
     if not played:
-        raise ValueError("there are no episodes to assess: no level has all the goals")
+        raise ValueError(
+            "there are no episodes to assess: in no level has each of the goals one cell"
+        )
     if any(set(one.goals) != set(played[0].goals) for one in played):
         raise ValueError("some episodes are of levels with other goals than the first")
     rows, logs, explanations = [], [], ()

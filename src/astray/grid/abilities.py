@@ -154,6 +154,9 @@ def places(world: World) -> Any:
         found[int(s.y), int(s.x)] = True
         return found
 
+    def free(s: Any) -> np.ndarray:
+        return walkable(world, s)
+
     def put(states: np.ndarray, cells: np.ndarray) -> np.ndarray:
         found = states.copy()
         found["x"], found["y"] = cells.T
@@ -166,13 +169,17 @@ def places(world: World) -> Any:
         ((x, y),) = wanted
         return (x, y) if s.mover[y, x] == 0 else None  # what moves has no cell
 
-    return SimpleNamespace(centre=centre, stand=stand, put=put, free=world.free, target=target)
+    return SimpleNamespace(centre=centre, stand=stand, put=put, free=free, target=target)
 
 
 def reachable(world: World, s: Any) -> np.ndarray:
     """Return the cells that the agent can reach, through hazards if need be, [H, W] bool."""
-    is_open = ~np.isin(s.cell, world.codes(world.solid))
-    return distances(is_open, int(s.x), int(s.y)) != UNREACHABLE
+    return distances(walkable(world, s), int(s.x), int(s.y)) != UNREACHABLE
+
+
+def walkable(world: World, s: Any) -> np.ndarray:
+    """Return the cells that an agent can walk on, hazards too, [H, W] bool."""
+    return ~np.isin(s.cell, world.codes(world.solid))
 
 
 def solver(world: World) -> Any:

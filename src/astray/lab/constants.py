@@ -12,6 +12,8 @@ from astray import record
 from astray.games.coinrun import cells as coinrun_cells
 from astray.games.coinrun import draw as coinrun_draw
 from astray.games.coinrun import rules as coinrun_rules
+from astray.games.heist import draw as heist_draw
+from astray.games.heist import levels as heist_levels
 from astray.games.heist import rules as heist_rules
 from astray.games.keys import draw as keys_draw
 from astray.games.keys import levels as keys_levels
@@ -21,7 +23,7 @@ from astray.games.maze import levels as maze_levels
 from astray.games.maze import rules as maze_rules
 from astray.games.maze import variants as maze_variants
 from astray.grid import abilities
-from astray.kernel import grid, maze, rng, thief
+from astray.kernel import grid, maze, rng, stage, thief
 from astray.lab import goals
 from astray.training import ppo
 
@@ -40,12 +42,20 @@ TABLES: dict[str, tuple[tuple[ModuleType, str], ...]] = {
     ),
     "keys": (
         (keys_rules, "KEY CHEST MOST KEY_X KEY_Y CHEST_X CHEST_Y REWARD HIDDEN"),
-        (thief, "HALF CORNER MIX TOP_SPEED DECAY PARTS TIES JITTER"),
-        (keys_draw, "STRIPS PLANES"),
+        (keys_draw, "PLANES"),
         (keys_variants, "INVENTORIES"),
         (keys_levels, "LEGEND STOOD_ON"),
     ),
-    "heist": ((heist_rules, "COLOURS KEY DOOR_CODE GEM"),),
+    "thief": (
+        (thief, "HALF CORNER MIX TOP_SPEED DECAY PARTS TIES JITTER DOOR IN_DOOR"),
+        (stage, "STRIPS"),
+    ),
+    "heist": (
+        (heist_rules, "COLOURS MOST KEY DOOR_CODE GEM REWARD KEY_X KEY_Y GEM_X GEM_Y"),
+        (heist_draw, "KEY_PLANE DOOR_PLANE GEM_PLANE THIEF_PLANE HAND_PLANE X_PLANE Y_PLANE"),
+        (heist_draw, "PLANES"),
+        (heist_levels, "LEGEND STOOD_ON OBJECTS"),
+    ),
     "coinrun": (
         (coinrun_rules, "WORLD PUFFS REWARD EMPTY WALL TOP LAVA LAVA_TOP BARRIER COIN INVISIBLE"),
         (coinrun_rules, "PERMEABLE NOTHING CRATE SAW HALF TALL CORNER NEAR FOOT GRAVITY JUMP"),

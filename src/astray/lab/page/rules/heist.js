@@ -1,0 +1,90 @@
+// Heist: `astray.games.heist.rules` and its observations, without Python.
+
+import { NEVER, unreachable } from "./common.js";
+import { heist, thief } from "./constants.js";
+import { begin, left, move, places as placesOf, planes as planesOf, put, touches, ways } from "./thief.js";
+
+const { COLOURS, KEY, DOOR_CODE, GEM, REWARD, KEY_X, KEY_Y, GEM_X, GEM_Y, OBJECTS, LEGEND } = heist;
+const { KEY_PLANE, DOOR_PLANE, GEM_PLANE, THIEF_PLANE, HAND_PLANE, X_PLANE, Y_PLANE, PLANES } = heist;
+
+export const rules = { build, step, planes, copy, problem, places, put };
+
+const isDoor = (what) => what >= DOOR_CODE && what < GEM;
+const bit = (what) => 1 << ((what - KEY) % COLOURS.length);
+
+function build(level, variant) {
+  const s = begin(level, variant, heist, { keys: 0, hand: 0, reached_gem: NEVER }, (t, k) => {
+    if (t.what[k] < DOOR_CODE) t.keys |= bit(t.what[k]);
+  });
+  for (const name of COLOURS) [s[`took_${name}`], s[`opened_${name}`]] = [NEVER, NEVER];
+  for (const name of level.looks?.hand ?? []) s.hand |= 1 << COLOURS.indexOf(name);
+  s.keys |= s.hand;
+  s.all_keys = s.hand && s.hand === s.keys ? 0 : NEVER;
+  return s;
+}
+
+function copy(s) {
+  return { ...s, gone: [...s.gone], draws: s.draws.copy() };
+}
+
+function step(s, action) {
+  move(s, action, (k) => s.gone[k] === NEVER && isDoor(s.what[k]) && !(s.hand & bit(s.what[k])));
+  for (const [k] of left(s)) meet(s, k);
+  const reached = s.reached_gem === s.time;
+  return { reward: reached ? REWARD : 0, terminated: reached };
+}
+
+function meet(s, k) {
+  const what = s.what[k];
+  let near = [KEY_X, KEY_Y];
+  if (isDoor(what)) near = s.hand & bit(what) ? [thief.DOOR, thief.DOOR] : [0, 0];
+  if (what === GEM) near = [GEM_X, GEM_Y];
+  if (!touches(s, k, ...near)) return;
+  s.gone[k] = s.time;
+  const first = (event) => { if (s[event] === NEVER) s[event] = s.time; };
+  if (what === GEM) {
+    first("reached_gem");
+    return;
+  }
+  const name = COLOURS[(what - KEY) % COLOURS.length];
+  first(`${isDoor(what) ? "opened" : "took"}_${name}`);
+  if (isDoor(what)) return;
+  s.hand |= bit(what);
+  if (s.hand === s.keys) first("all_keys");
+}
+
+function planes(s) {
+  const of = (what) => {
+    if (what === GEM) return [GEM_PLANE, 1];
+    return isDoor(what) ? [DOOR_PLANE, what - DOOR_CODE + 1] : [KEY_PLANE, what - KEY + 1];
+  };
+  return planesOf(s, PLANES, of, [THIEF_PLANE, X_PLANE, Y_PLANE], (mark) => {
+    COLOURS.forEach((_, k) => mark(HAND_PLANE, k, 0, (s.hand >> k) & 1));
+  });
+}
+
+// Steps from the thief with the keys on its way.
+function withKeys(s) {
+  const things = new Map(left(s).map(([k, x, y]) => [`${x},${y}`, s.what[k]]));
+  for (let hand = s.hand; ;) {
+    const steps = ways(s, (x, y) => {
+      const what = things.get(`${x},${y}`);
+      return isDoor(what) && !(hand & bit(what));
+    });
+    const before = hand;
+    for (const [k, x, y] of left(s)) {
+      if (s.what[k] < DOOR_CODE && steps[y][x] >= 0) hand |= bit(s.what[k]);
+    }
+    if (hand === before) return steps;
+  }
+}
+
+function problem({ grid, agent }, s) {
+  const steps = withKeys(s);
+  const objects = Object.entries(OBJECTS).map(([name, char]) => [name, LEGEND[char]]);
+  return unreachable(grid, agent.map(Math.floor), objects, (x, y) => steps[y][x] >= 0);
+}
+
+function places(s) {
+  return placesOf(s, withKeys(s));
+}
