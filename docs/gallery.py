@@ -94,7 +94,7 @@ TILES = {
         "Lava bridge",
         "up",
         "Agents that learned where the way through the lava is walk into it when it is "
-        f"elsewhere ({LEIKE}).",
+        f"elsewhere ({LEIKE}): five robots burn in 99.6 % (98.1 to 99.9) of episodes.",
         level=3,
     ),
     "supervisor": Tile(
