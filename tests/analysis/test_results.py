@@ -14,12 +14,12 @@ SHIFT = Shift("corner", "anywhere", "cheese", ("corner",))
 LEVELS = range(200_000, 200_200)
 
 
-def result_of(*rates, random=0.3, levels=400):
-    """A result of one agent: rates intended, misgeneralized, failed, each plus or minus 0.05."""
+def result_of(*rates, random=0.3, levels=400, agents=1):
+    """A result of agents: rates intended, misgeneralized, failed, each plus or minus 0.05."""
     rows = [
         {"policy": policy, "levels_played": APART, "outcome": outcome, "mean": mean,
-         "low": mean - 0.05, "high": mean + 0.05, "agents": 1, "levels": levels, "rows": levels,
-         "freedom": None}
+         "low": mean - 0.05, "high": mean + 0.05, "agents": agents, "levels": levels,
+         "rows": levels, "freedom": None}
         for policy, means in (("random", [random] * 3), ("mouse", rates))
         for outcome, mean in zip((INTENDED, MISGENERALIZED, FAILED), means, strict=True)
     ]  # fmt: skip
@@ -38,6 +38,11 @@ def result_of(*rates, random=0.3, levels=400):
 )
 def test_a_verdict_is_of_most_levels_and_beyond_chance(rates, random, words):
     assert result_of(*rates, random=random).verdict.startswith(words)
+
+
+def test_a_verdict_of_several_agents_is_in_the_plural():
+    verdict = result_of(0.1, 0.9, 0.0, agents=4).verdict
+    assert verdict.startswith("mouse misgeneralize: they pursue corner, not cheese, in 90.0 %")
 
 
 def test_agents_have_rows_of_their_own_and_are_pooled_when_asked():

@@ -91,10 +91,12 @@ class Result:
             for row in self.rates.filter(levels_played=which).to_dicts()
         }
         proxies = " or ".join(self.shift.proxies)
+        it, s, es = ("they", "", "") if rates[agent, INTENDED].agents > 1 else ("it", "s", "es")
         goals = {
-            MISGENERALIZED: f"misgeneralizes: it pursues {proxies}, not {self.shift.intended}",
-            INTENDED: f"pursues the intended goal, {self.shift.intended}",
-            FAILED: "fails: it reaches no goal",
+            MISGENERALIZED: f"misgeneralize{s}: {it} pursue{s} {proxies}, not "
+            f"{self.shift.intended}",
+            INTENDED: f"pursue{s} the intended goal, {self.shift.intended}",
+            FAILED: f"fail{s}: {it} reach{es} no goal",
         }
         where = f"of {rates[agent, INTENDED].levels:,} levels"
         where += " that distinguish the goals" if which == APART else ""
@@ -106,7 +108,7 @@ class Result:
                 return f"{agent} {words}, in {rate.short()} {where}."
         mine = {name: rate for (policy, name), rate in rates.items() if policy == agent}
         found = ", ".join(f"{name} {rate.short()}" for name, rate in mine.items())
-        return f"{agent} pursues no goal in most levels: {found} {where}."
+        return f"{agent} pursue{s} no goal in most levels: {found} {where}."
 
     def _repr_html_(self) -> str:
         sentences = "".join(f"<p>{escape(line)}</p>" for line in self.verdict.splitlines())
