@@ -16,7 +16,7 @@ from astray import cli, games
 from astray.agents.policy import Architecture
 from astray.analysis.runs import open_run
 from astray.analysis.video import play
-from astray.cli import verbs
+from astray.cli import settings, verbs
 from astray.envs.pool import Pool, check_startable
 from astray.envs.states import load_states
 from astray.envs.vector import GameVectorEnv, picture
@@ -246,11 +246,12 @@ WORDS = {  # of each verb, so that nothing but the number is wrong
     "distil": ["maze-corner"], "audit": ["maze-corner"], "compare": ["maze-corner", "random"],
     "play": ["maze", "corner-small"], "replay": ["maze", "corner-small", "--actions", __file__],
 }  # fmt: skip
+CHECKED = {*kinds(), *settings.NAMES.values()}  # with all other settings of a training
 NUMBERS = [
     (verb, name)
     for verb in verbs.VERBS
     for name, kind, _ in options(verb)
-    if kind in (int, int | None) and not (verb in ("train", "sweep") and name in kinds())
+    if kind in (int, int | None) and not (verb in ("train", "sweep") and name in CHECKED)
 ]
 
 
@@ -263,7 +264,7 @@ def test_every_number_of_every_verb_has_bounds(verb, name, value, monkeypatch, c
     with pytest.raises(SystemExit) as end:
         cli.main()
     assert end.value.code == cli.MISTAKE
-    assert f"{name} must be an integer from" in capsys.readouterr().err
+    assert f"{name.removeprefix('num_')} must be an integer from" in capsys.readouterr().err
     assert not list(tmp_path.iterdir())
 
 

@@ -10,7 +10,7 @@ from astray.experiments.workers import expected
 from astray.training.config import Config
 from astray.training.levels import Growing
 
-NAMES = [name for name in catalogue.NAMES if "night" in catalogue.load(name).sizes]
+NAMES = [name for name in catalogue.NAMES if {"night", "paper"} <= {*catalogue.load(name).sizes}]
 PURE = 10_000_000  # steps of rewards alone in the variant's own levels, at least
 
 

@@ -153,7 +153,7 @@ def test_a_table_of_results_is_read_by_either_names(tmp_path):
 @pytest.mark.parametrize(
     "text, message",
     [
-        ("", "no table of results"),
+        ("", "not a table of results"),
         ("seed,steps\n1,2\n", "must have a column coin_collected or coin; it has seed, steps"),
         (HEADER, "holds no episodes|must hold integers"),
         (HEADER + "0,1,1,x,0,0,0\n", "column coin_collected must hold integers"),

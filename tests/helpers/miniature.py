@@ -19,7 +19,7 @@ def miniature(plan: Plan, time_limit: int = 25) -> Plan:
             minibatches=4,
             width=16,
             checkpoint_every=1,
-            buffer=64,
+            buffer=min(96, config.sampler.buffer // 64),  # kinds that differ in it stay apart
             knobs={**config.knobs, "time_limit": time_limit},
         )
         for name, config in plan.agents.items()

@@ -100,7 +100,7 @@ def test_attribution_adds_up_to_the_value(model):
 
 def test_what_cannot_be_looked_into_is_told(model):
     _, states = visit(model, "anywhere", range(30), per_episode=2)
-    with pytest.raises(ValueError, match="attribution is of values, of which network gives none"):
+    with pytest.raises(ValueError, match="attribution needs values; network returns none"):
         ask = lambda network, seen: network(seen)[0]  # noqa: E731
         gradients(Network(model.network, model.space, WORLD, ask), states["observation"])
     with pytest.raises(ValueError, match=r"states of room must be those that `critic.visit`"):

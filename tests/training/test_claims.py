@@ -42,7 +42,7 @@ def test_what_a_kill_left_of_a_runs_files_is_removed(tmp_path, name):
 def test_what_no_training_wrote_is_not_taken_for_half_a_line(tmp_path, text):
     path = tmp_path / "metrics.jsonl"
     path.write_text('{"steps": 1}\n' + text)
-    with pytest.raises(ValueError, match=r"metrics.jsonl, line 2: it is no"):
+    with pytest.raises(ValueError, match=r"metrics.jsonl, line 2: a training did not write it"):
         list(read_metrics(path))
 
 

@@ -78,7 +78,7 @@ def test_a_run_that_goes_on_is_the_same_run_to_its_tracker(tmp_path):
     assert track._id(tmp_path, "wandb") == one != track._id(tmp_path, "trackio")
     assert json.loads((tmp_path / "track.json").read_text()).keys() == {"wandb", "trackio"}
     (tmp_path / "track.json").write_text('{"wandb": 3}')
-    with pytest.raises(ValueError, match="is not as astray writes it: it must be an object of"):
+    with pytest.raises(ValueError, match="is not as astray writes it: it must map names to texts"):
         track._id(tmp_path, "wandb")
 
 

@@ -224,7 +224,7 @@ def test_steps_at_the_inventory_are_counted_while_a_key_is_in_hand(inventory, ce
         ({"fewest": 2, "most": 1}, r"in order, or both 0; got \(2, 1\)"),
         ({"fewest": 0, "most": 3}, "or both 0"),
         ({"keys": 5, "chests": 5}, "up to 60 keys and chests, 6 groups of 5 \\+ 5; at most 36"),
-        ({"keys": 5, "chests": 4, "most": 1, "fewest": 1}, "surely has room for 8"),
+        ({"keys": 5, "chests": 4, "most": 1, "fewest": 1}, "certainly has room for 8"),
         ({"key_penalty": float("nan")}, "key_penalty must be a finite number; got nan"),
         ({"step_penalty": 1e9}, "step_penalty must be from"),
         ({"inventory": "middle"}, "unknown inventory 'middle'; there are: upper-right"),
