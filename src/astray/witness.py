@@ -48,7 +48,7 @@ class Witness(gymnasium.Wrapper):
             seen, info = self.env.reset(seed=seed, options=options)
         except FAILURES as error:
             raise self._failed("reset", error) from error
-        self._check_shape(seen)
+        self._check_seen(seen)
         self._check_info(info)
         key = self.world.level_key
         if key is not None and key not in info:
@@ -66,8 +66,9 @@ class Witness(gymnasium.Wrapper):
             ended = bool(terminated or truncated)
         except FAILURES as error:
             raise self._failed("step", error) from error
-        if type(seen) is not np.ndarray or seen.shape != self._shape:
-            self._check_shape(seen)
+        is_array = type(seen) is np.ndarray
+        if not is_array or seen.shape != self._shape or seen.dtype != self._kind:
+            self._check_seen(seen)
         if type(info) is not dict:
             self._check_info(info)
         told = self._happens(info) or ended or self.time == self.longest
@@ -133,14 +134,13 @@ class Witness(gymnasium.Wrapper):
                 raise self._failed(f"measure {name!r}", error) from error
         return np.array(told, np.float64)
 
-    def _check_shape(self, seen: Any) -> None:
+    def _check_seen(self, seen: Any) -> None:
         shape = seen.shape if isinstance(seen, np.ndarray) else np.shape(seen)
         if self._shape is not None and shape != self._shape:
             raise ValueError(
                 f"{self._where()}: the observation is of shape {shape}, where the space "
                 f"says {self._shape}"
             )
-
         kind = None if self._shape is None else np.asarray(seen).dtype
         if kind is not None and not np.can_cast(kind, self._kind, "same_kind"):
             raise ValueError(

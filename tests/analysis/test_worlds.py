@@ -127,6 +127,7 @@ def test_knobs_are_arguments_of_the_factory():
         (troubled("stuck"), RIGHT, r"its close fails: OSError\('busy'\)"),
         (troubled("exits"), RIGHT, r"step 3: its step fails: SystemExit\(3\)"),
         (troubled("speaks"), RIGHT, "the observation is of <U32, where the space says float32"),
+        (troubled("murmurs"), RIGHT, "step 3: the observation is of <U32, where the space says"),
         (WORLD, Function(lambda seen: 1 / 0, "lost"), r"lost fails: ZeroDivisionError\('divis"),
         (WORLD, Function(lambda seen: np.full(len(seen), 2)), "from 0 to 1; got 2 to 2"),
         (WORLD, Function(lambda seen: np.full(len(seen), 0.5)), "10 integers.*got float64"),

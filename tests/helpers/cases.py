@@ -34,7 +34,7 @@ def few(game: str) -> list[str]:
 
 
 def fullness(variant: Variant) -> int:
-    """How much there is in the levels of a grid world: most knobs are a number of things."""
+    """Return how many things the levels of a grid world have, in all."""
     return sum(n for knob, n in vars(variant).items() if knob != "time_limit" and type(n) is int)
 
 

@@ -127,7 +127,7 @@ def over_an_end(game: str) -> str:
 
 
 def few_of_all() -> dict[str, list]:
-    """Of each game an end, and a few levels, pictures and steps of two shapes.
+    """Return digests of an end of each game, and of few levels, pictures and steps of two shapes.
 
     Without compiled code, they take seconds, and all digests many minutes.
     """

@@ -61,7 +61,8 @@ class Room(gymnasium.Env):
     def _seen(self):
         seen = np.zeros((2, CELLS), np.float32)
         seen[0, self.x] = seen[1, self.square] = 1
-        seen = seen.astype(str) if self.trouble == "speaks" else seen
+        speaks = self.trouble == "speaks" or (self.trouble == "murmurs" and self.time == 3)
+        seen = seen.astype(str) if speaks else seen
         return seen[:, :3] if self.trouble == "shrinks" and self.time == 3 else seen
 
     def _make_trouble(self):

@@ -48,7 +48,7 @@ def made(network, factory):
 
 @pytest.fixture(scope="module")
 def states(planner):
-    """Of whole episodes."""
+    """States of whole episodes."""
     return visit(planner, SMALL, range(200_000, 200_030))[1]
 
 

@@ -18,7 +18,7 @@ STUDENT = replace(MEMORY, teacher="tiny", steps=4096, learning_rate=3e-3)
 
 @pytest.fixture(scope="module")
 def weights(tmp_path_factory):
-    """Of a teacher with memory, which was trained for a moment."""
+    """Run folder of a teacher with memory, which was trained for a moment."""
     folder = tmp_path_factory.mktemp("teacher")
     train(replace(MEMORY, steps=256), folder, progress=False)
     return checkpoint.latest(folder) / checkpoint.AGENT

@@ -6,7 +6,7 @@ The result has a row for each label and layer, with intervals over levels.
 
 A score is the accuracy in levels outside of the fit. Controls are the scores with shuffled labels,
 on an untrained network of the same shape, and on the picture itself. A layer that loses nothing
-    contains everything in the picture, so a score alone does not show that the agent uses it.
+contains everything in the picture, so a score alone does not show that the agent uses it.
 """
 
 from __future__ import annotations

@@ -9,7 +9,7 @@ import { Twister } from "./twister.js";
 export const f = Math.fround;
 const { HALF, CORNER, MIX, TOP_SPEED, DECAY, PARTS, TIES, DOOR, IN_DOOR, STRIPS } = thief;
 
-// The state of a level without its objects, each of which `put(s, what, x, y, drawn)` adds.
+// The state of a level; `put(s, k, x, y, off)` fills in each object k, which may be off centre.
 export function begin({ grid, agent, looks = {} }, variant, game, fields, put) {
   const cell = agent.map(Math.floor);
   checkAgent(grid, cell, game);
