@@ -4,6 +4,7 @@ import functools
 import inspect
 import re
 import shlex
+import sys
 
 import pytest
 import tyro
@@ -111,6 +112,29 @@ def test_the_nearest_name_is_named_for_settings_and_verbs_too(astray):
     assert astray("evaluat", "x", fails=True).endswith("; did you mean 'evaluate'?\n")
     told = astray("train", "maze", "cornr", fails=True)
     assert "unknown variant 'cornr'" in told and told.endswith("did you mean 'corner'?\n")
+
+
+@pytest.mark.parametrize(
+    "given, meant",
+    [
+        ("reproduce maze-corner --size smok", "--size; there are: .*; did you mean 'smoke'[?]"),
+        ("train maze corner --preset smal", "--preset; there are: .*; did you mean 'small'[?]"),
+        (
+            "agents fech openai-coinrun",
+            "what; there are: list, fetch, check; did you mean 'fetch'[?]",
+        ),
+    ],
+)
+def test_the_nearest_choice_of_an_option_is_named_in_colour_too(given, meant, monkeypatch):
+    verb = given.split()
+    monkeypatch.setenv("TERM", "xterm")
+    monkeypatch.setenv("COLUMNS", "40")
+    for coloured in (False, True):
+        monkeypatch.setattr(sys.stdout, "isatty", lambda coloured=coloured: coloured)
+        with pytest.raises(ValueError, match="unknown choice") as refused:
+            verbs._parsed(verbs.find(verb[0]), verb)
+        line = str(refused.value)
+        assert re.fullmatch(f"unknown choice .* for {meant}", line + guess(line))
 
 
 def test_settings_of_trainings_are_in_groups_and_each_in_one(capsys):

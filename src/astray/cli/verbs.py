@@ -6,6 +6,7 @@ import argparse
 import contextlib
 import functools
 import inspect
+import io
 import logging
 import re
 import sys
@@ -83,14 +84,27 @@ def run() -> None:
 
 
 def _parsed(verb: Callable[..., Any], given: list[str]) -> Callable[[], Any]:
-    """Return the call of a verb with its options."""
+    """Return the call of a verb with its options; raise ValueError for an unknown choice."""
 
     @functools.wraps(verb)
     def call(*values: Any, **options: Any) -> Callable[[], Any]:
         return functools.partial(verb, *values, **options)
 
     call.__doc__ = getattr(verb, "func", verb).__doc__
-    return tyro.cli(call, prog=f"astray {given[0]}", args=given[1:], config=MARKERS)
+    refused = io.StringIO()
+    try:
+        with contextlib.redirect_stderr(refused):
+            return tyro.cli(call, prog=f"astray {given[0]}", args=given[1:], config=MARKERS)
+    except SystemExit:
+        line = re.sub(r"[│\s]+", " ", re.sub(r"\x1b\[[\d;]*m", "", refused.getvalue()))
+        choice = r"invalid choice '(.*?)' for argument '(.*?)'\. Expected one of \((.*)\)\."
+        if found := re.search(choice, line):
+            name, option, there = found.groups()
+            raise ValueError(
+                f"unknown choice {name!r} for {option}; there are: {there.replace(chr(39), '')}"
+            ) from None
+        sys.stderr.write(refused.getvalue())
+        raise
 
 
 @contextlib.contextmanager
