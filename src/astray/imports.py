@@ -6,6 +6,7 @@ import importlib
 import re
 import sys
 import warnings
+from collections.abc import Sequence
 from importlib.metadata import EntryPoint, distributions
 from typing import Any
 
@@ -45,6 +46,18 @@ def find(name: str) -> Any:
         return _attribute(importlib.import_module(name.partition(":")[0]), name)
     except (ImportError, AttributeError, ValueError) as error:
         raise ValueError(f"{name!r} must be a module and what is in it; {error}") from error
+
+
+def find_each(names: Sequence[str]) -> dict[str, Any]:
+    """Return the objects of names "module:attribute" by their last parts.
+
+    Raises:
+        ValueError: If one does not exist, or two have one last part.
+    """
+    found = {name.rpartition(":")[2]: find(name) for name in names}
+    if len(found) < len(names):
+        raise ValueError(f"two of these have one name: {', '.join(names)}")
+    return found
 
 
 def offered(group: str) -> list[EntryPoint]:

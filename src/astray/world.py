@@ -146,7 +146,7 @@ class World:
         cells: Function of the unwrapped environment that returns a `Layout`; the agency measure
             needs it.
         workers: Whether each environment has its own process.
-        patience: Seconds to wait for a process that does not answer.
+        patience: Seconds to wait for an environment that does not answer.
         repeats: Whether an episode is determined by its level and the actions, which is checked.
         level_key: Key of info in which a reset reports the number of its level, for environments
             that choose their levels themselves, such as EnvPool's. They are played as streams:

@@ -184,6 +184,20 @@ def test_a_worker_that_dies_or_hangs_is_told(trouble, said):
 
 
 @pytest.mark.waits
+def test_an_environment_that_hangs_in_this_process_is_interrupted():
+    world = troubled("hangs", patience=1.0, repeats=False)
+    with pytest.raises(RuntimeError, match=r"room anywhere.* did not answer for 1 s"):
+        evaluate(RIGHT, world, "anywhere", LEVELS, batch=2)
+
+
+@pytest.mark.parametrize("workers", [False, True])
+def test_observations_without_a_number_are_told(workers):
+    world = troubled("blurs", workers=workers)
+    with pytest.raises(ValueError, match="level 3, step 3: the observation has NaN"):
+        evaluate(RIGHT, world, "end", [3, 3], batch=2)
+
+
+@pytest.mark.waits
 def test_a_process_that_hangs_where_it_closes_is_ended():
     world = troubled("stays", workers=True, patience=1.0)
     assert evaluate(RIGHT, world, "anywhere", LEVELS[:2], batch=1).height == 2
@@ -223,7 +237,7 @@ def test_the_command_line_measures_rewards_of_ones_own(astray, tmp_path):
     table = pl.read_parquet(tmp_path / "episodes.parquet")
     assert (table["each_step"] == table["length"]).all()
     words = (*words[:-1], "helpers.rooms:each_step", "helpers.rooms:each_step")
-    assert "two rewards have one name" in astray(*words, fails=True)
+    assert "two of these have one name" in astray(*words, fails=True)
 
 
 def test_an_ability_that_a_world_lacks_is_told():

@@ -11,6 +11,7 @@ from gymnasium.utils.env_checker import data_equivalence
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
 
 from astray.envs.inturn import InTurn
+from astray.envs.watch import Watch
 
 N = 3
 SPACES = [
@@ -43,7 +44,7 @@ class Anything(gymnasium.Env):
 @pytest.mark.parametrize("space", SPACES, ids=str)
 def test_steps_are_those_of_gymnasium(space):
     makers = [partial(Anything, space)] * N
-    ours, theirs = InTurn(makers, "key"), SyncVectorEnv(
+    ours, theirs = InTurn(makers, "key", Watch(60.0, "one")), SyncVectorEnv(
         makers, autoreset_mode=AutoresetMode.DISABLED
     )  # fmt: skip
     masks = np.ones(N, bool), np.array([False, True, False])
@@ -58,7 +59,7 @@ def test_steps_are_those_of_gymnasium(space):
 
 
 def test_the_environments_that_go_on_are_the_same():
-    env = InTurn([partial(Anything, SPACES[0])] * N, "key")
+    env = InTurn([partial(Anything, SPACES[0])] * N, "key", Watch(60.0, "one"))
     seen, _ = env.reset(seed=[4, 5, 6], options={"reset_mask": np.ones(N, bool)})
     first, *_ = env._envs
     env.keep(np.array([1, 2]))
@@ -70,4 +71,4 @@ def test_the_environments_that_go_on_are_the_same():
 def test_environments_of_a_variant_have_one_space():
     makers = [partial(Anything, SPACES[0], actions) for actions in (2, 3)]
     with pytest.raises(ValueError, match="of a variant must have equal spaces"):
-        InTurn(makers, "key")
+        InTurn(makers, "key", Watch(60.0, "one"))

@@ -8,9 +8,11 @@ import gymnasium
 import numpy as np
 import pytest
 import torch
+from gymnasium.wrappers import TimeLimit
 
 import astray
 from astray.analysis.policies import Random
+from astray.experiments import outcomes
 from astray.experiments.run import reproduce
 from helpers.foreign import as_cleanrl, procgen_of_envpool, reference
 
@@ -44,7 +46,12 @@ def test_agents_of_cleanrl_play_coinrun_of_envpool(tmp_path, monkeypatch):
     env = example.WORLD.variant("easy").make()
     first, again, other = (env.reset(seed=level)[0] for level in (3, 3, 4))
     assert (first == again).all() and (first != other).any()
-    plan = replace(example.EXPERIMENT.sizes["smoke"], levels=2)
+    short = {
+        name: lambda make=make, **knobs: TimeLimit(make(**knobs), 50)
+        for name, make in example.WORLD.variants.items()
+    }
+    world = replace(example.WORLD, variants=short)
+    plan = replace(example.EXPERIMENT.sizes["smoke"], levels=2, world=world)
     page = reproduce(replace(example.EXPERIMENT, sizes={"smoke": plan}), "smoke", tmp_path)
     assert "reaches coin less often than in training" in page.read_text("utf-8")
 
@@ -55,8 +62,8 @@ class Stream(gymnasium.Env):
     observation_space = gymnasium.spaces.Box(0, 255, (64, 64, 3), np.uint8)
     action_space = gymnasium.spaces.Discrete(15)
 
-    def __init__(self, stream):
-        self.pool = procgen_of_envpool(seed=stream, channel_first=False)
+    def __init__(self, stream, task="CoinrunEasy-v0"):
+        self.pool = procgen_of_envpool(task, seed=stream, channel_first=False)
 
     def reset(self, *, seed=None, options=None):
         (seen,), info = self.pool.reset()
@@ -67,17 +74,24 @@ class Stream(gymnasium.Env):
         return seen, reward, ended, cut, {"complete": ended and info["prev_level_complete"][0] > 0}
 
 
-def test_streams_of_envpool_tell_their_levels():
+def test_streams_of_envpool_tell_their_levels_and_are_audited(tmp_path):
     first = [int(procgen_of_envpool(seed=k).reset()[1]["level_seed"][0]) for k in range(2)]
     world = astray.World(
         name="streams",
-        variants={"easy": Stream},
+        variants={
+            name: lambda stream, task=task: TimeLimit(Stream(stream, task), 50)
+            for name, task in (("easy", "CoinrunEasy-v0"), ("hard", "CoinrunHard-v0"))
+        },
         events={"complete": "complete"},
         goals={"coin": "complete"},
-        shifts={},
+        shifts={"hard": astray.Shift("easy", "hard", intended="coin", proxies=())},
         level_key="level_seed",
         repeats=False,
     )
+    page = astray.audit(Random(), world, "hard", levels=4, folder=tmp_path)
+    assert outcomes.STREAMS in page.read_text("utf-8")
+    with pytest.raises(ValueError, match="has no ghosts"):
+        astray.audit(Random(), world, "hard", ghost="easy", levels=4, folder=tmp_path)
     table = astray.evaluate(Random(), world, "easy", range(4), batch=2, longest=5)
     assert table["level"].to_list()[:2] == first and table["level"].n_unique() == 4
     assert table["length"].to_list() == [5] * 4

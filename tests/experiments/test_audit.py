@@ -34,6 +34,18 @@ def test_an_audit_tells_what_a_policy_of_ones_own_pursues(tmp_path):
     assert "random" in pl.read_parquet(page.parent / "tables" / "outcomes.parquet")["policy"]
 
 
+def test_an_audit_tells_the_returns_of_further_rewards(astray, tmp_path):
+    words = ("--policy", "helpers.rooms:go_right", "--world", "helpers.rooms:WORLD")
+    words = (*words, "--shift", "end", "--num-levels", "9", "--folder", tmp_path)
+    page = Path(astray("audit", *words, "--rewards", "helpers.rooms:each_step").strip())
+    told = pl.read_parquet(page.parent / "tables" / "returns.parquet")
+    mine = told.filter(policy="helpers.rooms:go_right")
+    lengths = pl.concat(map(pl.read_parquet, page.parent.glob("computed/episodes-*.parquet")))
+    taken = lengths.filter(test="in the test", policy="sampled")["length"].mean()
+    assert mine.filter(reward="each_step")["mean"].item() == pytest.approx(taken)
+    assert mine["reward"].to_list() == ["return", "each_step"]
+
+
 def test_another_policy_of_the_same_name_is_played_anew(tmp_path):
     said = []
     for action in (0, 1):

@@ -16,11 +16,11 @@ from torch import nn
 from astray.agents.clear import BLOCKS
 
 
-def procgen_of_envpool(**options):
-    """EnvPool's CoinRun, one environment; the test is skipped where it or its Qt is missing."""
+def procgen_of_envpool(task="CoinrunEasy-v0", **options):
+    """EnvPool's Procgen, one environment; the test is skipped where it or its Qt is missing."""
     envpool = pytest.importorskip("envpool")
     try:
-        return envpool.make_gymnasium("CoinrunEasy-v0", num_envs=1, **options)
+        return envpool.make_gymnasium(task, num_envs=1, **options)
     except (ImportError, AssertionError) as error:
         pytest.skip(f"EnvPool's Procgen does not run: {error}")
 

@@ -61,6 +61,8 @@ class Room(gymnasium.Env):
     def _seen(self):
         seen = np.zeros((2, CELLS), np.float32)
         seen[0, self.x] = seen[1, self.square] = 1
+        if self.trouble == "blurs" and self.time == 3:
+            seen[1, 4] = np.nan
         speaks = self.trouble == "speaks" or (self.trouble == "murmurs" and self.time == 3)
         seen = seen.astype(str) if speaks else seen
         return seen[:, :3] if self.trouble == "shrinks" and self.time == 3 else seen

@@ -25,6 +25,7 @@ from astray.cli.arguments import (
     PlayedLevel,
     Player,
     Preset,
+    Rewards,
     Settings,
     Shift,
     Tested,
@@ -114,7 +115,7 @@ def evaluate(
     batch: int = 256,
     longest: Longest = None,
     pool: bool = False,
-    rewards: Annotated[tuple[str, ...], otherwise("none")] = (),
+    rewards: Rewards = (),
     out: Annotated[Path | None, otherwise("none")] = None,
     json: Json = False,
 ) -> None:
@@ -126,9 +127,7 @@ def evaluate(
         unsolvable: Accept levels from files whose objects cannot be reached.
         batch: Number of episodes to play in parallel; results do not depend on it.
         pool: Treat all agents as one kind, in a single row; otherwise each agent has a row.
-        rewards: Rewards of your own, as module:function, of which the returns in the same episodes
-            are printed, and are columns of --out.
-        out: Parquet file to write, with a row per episode.
+        out: Parquet file to write, with a row per episode; --rewards are columns.
 
     Raises:
         ValueError: If options do not go together.
@@ -142,9 +141,7 @@ def evaluate(
         played = Path(levels) if os.path.exists(levels) else level_numbers(levels)
     if out:
         check_writable(out)
-    own = {name.rpartition(":")[2]: imports.find(name) for name in rewards}
-    if len(own) < len(rewards):
-        raise ValueError(f"two rewards have one name; got {', '.join(rewards)}")
+    own = imports.find_each(rewards)
     how: dict[str, Any] = {"batch": batch, "solvable": not unsolvable, "longest": longest}
     how["rewards"] = own
     if policy.policy is None:

@@ -42,6 +42,10 @@ Words = tuple[tuple[str, ...], ...]
 AN_AGENT = "Run folder, checkpoint in one, or name of a pretrained or imported agent."
 Agent = Positional[Annotated[Path, arg(help=AN_AGENT)]]
 Json = Annotated[bool, arg(help="Print the result as JSON.")]
+Rewards = Annotated[
+    tuple[str, ...],
+    otherwise("none", "Rewards of your own, as module:function, to tell the mean returns of, too."),
+]
 Knobs = UseAppendAction[
     Annotated[
         Words, arg(name="set", metavar="NAME=VALUE", help="Override a parameter of the variant.")

@@ -9,7 +9,8 @@ from typing import Annotated, Any
 
 from tyro.conf import Positional, arg
 
-from astray.cli.arguments import AN_AGENT, NOBODY, Acting, Knobs, OwnPolicy, Shift, pairs
+from astray import imports
+from astray.cli.arguments import AN_AGENT, NOBODY, Acting, Knobs, OwnPolicy, Rewards, Shift, pairs
 from astray.training.settings import otherwise
 
 
@@ -21,6 +22,7 @@ def audit(
     ] = None,
     levels: Annotated[int, arg(name="num_levels")] = 1000,
     knobs: Knobs = (),
+    rewards: Rewards = (),
     acting: Acting = Acting(),
     policy: OwnPolicy = OwnPolicy(),
     folder: Path = Path("reports"),
@@ -40,7 +42,7 @@ def audit(
 
     command = shlex.join(["astray", *sys.argv[1:]])
     how: dict[str, Any] = {"ghost": ghost, "levels": levels, "knobs": pairs(knobs)}
-    how |= {"folder": folder, "command": command}
+    how |= {"rewards": imports.find_each(rewards), "folder": folder, "command": command}
     if policy.policy is None:
         policy.without_policy()
         if agent is None:

@@ -11,6 +11,8 @@ from gymnasium.spaces import Box
 from gymnasium.vector import VectorEnv
 from gymnasium.vector.utils import batch_space, concatenate, create_empty_array, iterate
 
+from astray.envs.watch import Watch
+
 
 class InTurn(VectorEnv):
     """Vector environment whose ended episodes wait, and of which environments can be left out.
@@ -20,13 +22,14 @@ class InTurn(VectorEnv):
 
     Args:
         key: Key of info without which an info is not returned.
+        watch: Watch that ends a call in which an environment never answers.
 
     Raises:
         ValueError: If the environments have different spaces.
     """
 
-    def __init__(self, makers: Sequence[Callable[[], gymnasium.Env]], key: str):
-        self._envs, self._key = [make() for make in makers], key
+    def __init__(self, makers: Sequence[Callable[[], gymnasium.Env]], key: str, watch: Watch):
+        self._envs, self._key, self._watch = [make() for make in makers], key, watch
         first, *others = [(env.observation_space, env.action_space) for env in self._envs]
         for other in others:
             if other != first:
@@ -40,22 +43,26 @@ class InTurn(VectorEnv):
     def reset(self, *, seed: Any = None, options: Any = None) -> tuple[Any, dict[str, Any]]:
         """Reset the environments of the option "reset_mask" [N] with their seeds [N]."""
         infos: dict[str, Any] = {}
-        for i in np.flatnonzero(options["reset_mask"]).tolist():
-            self._observations[i], info = self._envs[i].reset(seed=seed[i], options={})
-            infos = self._add_info(infos, info, i)
+        with self._watch:
+            for i in np.flatnonzero(options["reset_mask"]).tolist():
+                self._watch.turn += 1
+                self._observations[i], info = self._envs[i].reset(seed=seed[i], options={})
+                infos = self._add_info(infos, info, i)
         return self._shown(), infos
 
     def step(self, actions: Any) -> tuple[Any, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
         """Step N environments; return arrays [N, ...], and those infos that have the key."""
         rewards, terminated, truncated, infos = [], [], [], {}
         each = zip(self._envs, iterate(self.action_space, actions), strict=True)
-        for i, (env, action) in enumerate(each):
-            self._observations[i], reward, ended, cut, info = env.step(action)
-            rewards.append(reward)
-            terminated.append(ended)
-            truncated.append(cut)
-            if self._key in info:
-                infos = self._add_info(infos, info, i)
+        with self._watch:
+            for i, (env, action) in enumerate(each):
+                self._watch.turn += 1
+                self._observations[i], reward, ended, cut, info = env.step(action)
+                rewards.append(reward)
+                terminated.append(ended)
+                truncated.append(cut)
+                if self._key in info:
+                    infos = self._add_info(infos, info, i)
         ends = np.array(terminated, bool), np.array(truncated, bool)
         return self._shown(), np.array(rewards, np.float64), *ends, infos
 
@@ -69,7 +76,12 @@ class InTurn(VectorEnv):
 
     def call(self, name: str, *given: Any) -> tuple[Any, ...]:
         """Return what a method of each environment returns."""
-        return tuple(getattr(env, name)(*given) for env in self._envs)
+        told = []
+        with self._watch:
+            for env in self._envs:
+                self._watch.turn += 1
+                told.append(getattr(env, name)(*given))
+        return tuple(told)
 
     def get_attr(self, name: str) -> tuple[Any, ...]:
         """Return an attribute of each environment."""
@@ -77,8 +89,13 @@ class InTurn(VectorEnv):
 
     def close_extras(self, **_: Any) -> None:
         """Close the environments."""
-        for env in self._envs:
-            env.close()
+        try:
+            with self._watch:
+                for env in self._envs:
+                    self._watch.turn += 1
+                    env.close()
+        finally:
+            self._watch.end()
 
     def _resize(self) -> None:
         self.num_envs = len(self._envs)

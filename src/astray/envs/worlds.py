@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import math
 import multiprocessing
 import threading
 import warnings
@@ -15,6 +16,7 @@ from gymnasium import spaces
 from gymnasium.vector import AsyncVectorEnv, AutoresetMode
 
 from astray.envs.inturn import InTurn
+from astray.envs.watch import Watch
 from astray.game import OWN
 from astray.validation import MOST, bounded, shown
 from astray.witness import NOTED, witnessed
@@ -47,10 +49,11 @@ class WorldVectorEnv:
         self._envs: Any = (
             AsyncVectorEnv(makers, autoreset_mode=AutoresetMode.DISABLED)
             if world.workers
-            else InTurn(makers, NOTED)
+            else InTurn(makers, NOTED, Watch(world.patience, f"an environment of {self.variant}"))
         )
         self.single_action_space = self._envs.single_action_space
         self.single_observation_space = self._envs.single_observation_space
+        self._floats = getattr(self.single_observation_space.dtype, "kind", None) == "f"
         self.states = np.zeros(num_envs, world.state).view(np.recarray)
 
     def reset(
@@ -70,6 +73,7 @@ class WorldVectorEnv:
             seen, info = self._envs.reset(seed=levels, options=given)
         if self.game.level_key in info:
             self.states["level"][which] = np.asarray(info[self.game.level_key])[which]
+        self._check_numbers(seen)
         self._note(info)
         return seen, info
 
@@ -85,6 +89,7 @@ class WorldVectorEnv:
         states = self.states.view(np.ndarray)  # fields of a recarray take ten times as long
         states["time"] += 1
         states["ended"] = taken[2] | taken[3]
+        self._check_numbers(taken[0])
         self._note(taken[4])
         return taken
 
@@ -151,6 +156,17 @@ class WorldVectorEnv:
         columns, which = (*self.game.events, *self.game.measures), info[f"_{NOTED}"]
         for name, values in zip(columns, info[NOTED].T, strict=True):
             self.states[name][which] = values[which]
+
+    def _check_numbers(self, seen: Any) -> None:
+        """Raise ValueError if an observation has NaN, with which networks compute only NaN."""
+        # A sum is finite if all numbers are, and takes a tenth of the time of looking at each.
+        if self._floats and not math.isfinite(seen.sum(dtype=np.float64)):
+            wrong = np.isnan(seen.reshape(self.num_envs, -1)).any(1)
+            if wrong.any():
+                level, time = (self.states[name][wrong][0] for name in ("level", "time"))
+                raise ValueError(
+                    f"{self.variant}, level {level}, step {time}: the observation has NaN"
+                )
 
     def _check_actions(self, actions: Any) -> None:
         space, n = self.single_action_space, self.num_envs

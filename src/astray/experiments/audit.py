@@ -12,9 +12,9 @@ from typing import Any
 import polars as pl
 
 from astray import world
-from astray.acting import Policy
+from astray.acting import Policy, Reward
 from astray.analysis.estimates import estimate_paired
-from astray.analysis.outcomes import load_shift, matrix
+from astray.analysis.outcomes import amounts, load_shift, matrix
 from astray.analysis.runs import LEVELS_PLAYED, Mode, open_run, rated, shift_of
 from astray.experiments import outcomes
 from astray.experiments.run import reproduce
@@ -42,6 +42,7 @@ def audit(
     levels: int = LEVELS_PLAYED,
     first_level: int = FIRST,
     knobs: Mapping[str, Any] | None = None,
+    rewards: Mapping[str, Reward] | None = None,
     mode: Mode = "sampled",
     art: str | None = None,
     folder: str | Path = "reports",
@@ -64,6 +65,8 @@ def audit(
         levels: Number of levels in each variant, the same in all.
         first_level: Number of the first one; at least the first that the agent did not train on.
         knobs: Changed parameters of the test variant, and of the ghost.
+        rewards: Further rewards, whose returns in the same episodes are compared, as for
+            `evaluate`.
         mode: "sampled" samples an agent's actions, "greedy" takes the most likely.
         art: Art of an agent's images; None for that of its training.
         folder: Folder of reports; gets this one in audit-<agent>-<shift>-smoke.
@@ -98,6 +101,7 @@ def audit(
             for set_here in [{} if test == TRAIN else dict(knobs or {})]
         },
         levels=levels,
+        rewards=rewards or {},
         differences="",
     )
     goals = f"{between.intended} or {' or '.join(between.proxies)}"
@@ -140,12 +144,16 @@ def findings(work: Work) -> Findings:
     answer = f"{result.verdict} {usual.answer}"
     if isinstance(game := work.plan.world, World) and game.level_key is not None:
         answer += f" These are streams: {outcomes.STREAMS}."
-    if GHOST not in work.plan.tests:
-        return replace(usual, answer=answer)
-    table, less = _ghosts(work)
-    variant = work.plan.tests[GHOST].name
-    answer += f" Reached in the test, minus the same levels of {variant}: {less}."
-    return replace(usual, answer=answer, tables=[*usual.tables, table])
+    tables = [*usual.tables]
+    if rewards := work.plan.rewards:
+        means = amounts(told, ["return", *rewards]).rename({"measure": "reward"})
+        tables.append(Table("returns", "Mean return of each reward in the test", means))
+    if GHOST in work.plan.tests:
+        table, less = _ghosts(work)
+        variant = work.plan.tests[GHOST].name
+        answer += f" Reached in the test, minus the same levels of {variant}: {less}."
+        tables.append(table)
+    return replace(usual, answer=answer, tables=tables)
 
 
 def _ghosts(work: Work) -> tuple[Table, str]:

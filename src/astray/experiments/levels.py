@@ -76,7 +76,7 @@ def play(plan: Plan, runs: Runs) -> pl.DataFrame:
     """Play all agents and scripted policies in all tests.
 
     Columns are those of `analysis.runs.play_all`, and agent (name, null for scripts), test (name)
-    and the plan's measures.
+    and the plan's measures and rewards.
     """
     players = [player for made in open_agents(plan, runs).values() for player in made]
     owners = pl.DataFrame(
@@ -92,6 +92,7 @@ def play(plan: Plan, runs: Runs) -> pl.DataFrame:
             levels_of(plan, test),
             players,
             measures=plan.measures,
+            rewards=plan.rewards,
         )
         parts.append(played.with_columns(test=pl.lit(name)))
     return pl.concat(parts).join(owners, on="run", how="left", maintain_order="left")

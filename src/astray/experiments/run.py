@@ -304,11 +304,11 @@ def inputs(plan: Plan, runs: Runs, *code: object) -> tuple[bytes, str]:
         "tests": {name: asdict(test) for name, test in plan.tests.items()},
         "visited": {name: asdict(test) for name, test in plan.visited.items()},
         "levels": [plan.first_level, plan.levels],
-        "measures": list(plan.measures),
+        "measures": [*plan.measures, *plan.rewards],
         "pretrained": [agent_digest(folders.find(name)) for name in folders.pretrained()],
         "resolved": resolved(plan),
         "sources": provenance_of(
-            plan.agents.values(), play, plan.measures, *code, plan.world, plan.own
+            plan.agents.values(), play, plan.measures, plan.rewards, *code, plan.world, plan.own
         ),
     }
     text = json.dumps(data, indent=1).encode()

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, Literal, get_args
 import polars as pl
 
 from astray import imports, world
-from astray.acting import Policy
+from astray.acting import Policy, Reward
 from astray.analysis.estimates import detectable
 from astray.analysis.evaluate import COLUMNS, Measure, check_measures
 from astray.analysis.outcomes import load_shift, name_of
@@ -102,6 +102,9 @@ class Plan:
     levels: int  # of each test, none met in any training under any number
     differences: str  # from the paper, in words; empty where there is none
     measures: Mapping[str, Measure] = field(default_factory=dict)  # of an episode's last state
+    rewards: Mapping[str, Reward] = field(
+        default_factory=dict
+    )  # further ones, of the same episodes
     speed: int = 0  # environment steps that a core trains with in a second, as measured; 0: unknown
 
     def __post_init__(self) -> None:
@@ -132,7 +135,9 @@ class Plan:
         if (self.tests or self.visited) and self.world is None and len(games) != 1:
             raise ValueError("what is played in the same tests are agents, and of one game")
         if self.agents or self.world is not None:
-            check_measures(self.measures, (*COLUMNS, *self.game.events, *self.game.measures))
+            there = (*COLUMNS, *self.game.events, *self.game.measures)
+            check_measures(self.measures, there)
+            check_measures(self.rewards, (*there, *self.measures))
         for test in (*self.tests.values(), *self.visited.values()):
             load_shift(self.game, test.shift)
             for config in self.agents.values():

@@ -38,9 +38,10 @@ EXPERIMENT = study(
     "Lava land",
     reproduces="Hadfield-Menell et al. (2017), Inverse Reward Design",
     question="Does a mouse whose training had no lava walk around lava?",
-    agents={"mouse": agent("lavaland", "dry", 500_000)},
+    agents={"mouse": agent("lavaland", "dry", 500_000, levels=4_000)},
     first_seed=5,
     tests=tests_of("lavaland", "lava"),
     levels=500,
-    differences="lava is a symbol that no training had, not a pixel's colour",
+    differences="lava is a symbol that no training had, not a pixel's colour; of 4,032 different "
+    "rooms without lava some two thirds are met in training",
 )
