@@ -163,14 +163,20 @@ def test_the_first_level_distinguishes_the_goals_and_a_badge_says_so(page):
     assert badge.text_content() == "does not distinguish the goals"
 
 
-def test_keys_play_before_anything_was_clicked_and_fields_keep_theirs(page):
+def test_keys_play_before_and_after_anything_was_clicked_and_fields_keep_theirs(page):
     show(page, ROOM)
     page.keyboard.press("ArrowUp")
     wait(page, "lab.episode.actions.length === 1")
+    page.get_by_role("button", name="Wall").click()
+    page.keyboard.press("Space")  # presses the button
+    page.keyboard.press("ArrowDown")
+    wait(page, "lab.episode.actions.length === 2")
+    page.keyboard.press(",")
+    wait(page, "lab.now === 1")
     page.locator("[data-lab=text]").evaluate("(field) => field.closest('details').open = true")
     page.locator("[data-lab=text]").focus()
     page.keyboard.press("ArrowUp")
-    assert page.evaluate("lab.episode.actions.length") == 1
+    assert page.evaluate("lab.episode.actions.length") == 2
 
 
 def test_a_maze_has_the_tools_of_its_objects_and_a_tool_keeps_the_focus(page):

@@ -7,6 +7,8 @@ const KEYS = {
   a: [-1, 0], d: [1, 0], w: [0, 1], s: [0, -1],
 };
 
+const FIELDS = "select, textarea, input:not([type=checkbox])";
+
 export class Editor {
   constructor(lab) {
     this.lab = lab;
@@ -21,11 +23,14 @@ export class Editor {
     canvas.addEventListener("pointercancel", () => this.#drop());
     canvas.addEventListener("pointerleave", () => this.lab.panels.readout(null));
     const board = lab.part("board");
-    // A page hears keys wherever they are pressed, but for fields and buttons; a notebook's cell
-    // hears them on the board alone.
+    // A page hears keys wherever they are pressed, but for those that fields take or that press
+    // buttons; a notebook's cell hears them on the board alone.
     const ear = lab.links ? globalThis : board;
     ear.addEventListener("keydown", (event) => {
-      if (!event.target.closest?.("input, select, textarea, button, summary, a")) this.#key(event);
+      const presses = event.key === " " || event.key === "Enter";
+      if (!event.target.closest?.(presses ? `${FIELDS}, input, button, summary, a` : FIELDS)) {
+        this.#key(event);
+      }
     });
     ear.addEventListener("keyup", (event) => this.pressed.delete(event.key));
     globalThis.addEventListener("blur", () => this.pressed.clear());
