@@ -9,7 +9,7 @@ from astray.analysis.outcomes import FAILED, INTENDED, MISGENERALIZED
 from astray.figures import charts
 from astray.figures.axes import call_places
 from astray.figures.grids import Picture, cells, images
-from astray.figures.style import OTHERS, save
+from astray.figures.style import ON_COLOUR, OTHERS, save
 
 VALUES = pl.DataFrame(
     {
@@ -87,8 +87,12 @@ def test_cells_are_where_their_settings_are_and_missing_ones_empty():
 def test_a_picture_has_its_highest_row_on_top_and_arrows_in_the_middle_of_cells():
     heat = np.array([[1.0, 2.0], [3.0, 4.0]])
     arrows = np.array([[0, 1]]), np.array([[0.0, 0.0]])
-    figure = images([[Picture("one", heat=heat, limits=(1, 4), label="value", arrows=arrows)], []])
+    one = Picture(
+        "one", heat=heat, limits=(1, 4), label="value", arrows=arrows, letters={(1, 0): "u"}
+    )
+    figure = images([[one], []])
     axes = figure.axes[0]
+    assert [(t.get_text(), t.get_color()) for t in axes.texts] == [("u", ON_COLOUR)]  # on dark pages
     (shown,) = axes.images
     assert tuple(shown.get_extent()) == (0, 2, 0, 2) and shown.origin == "upper"
     assert [c.get_offsets().tolist() for c in axes.collections] == [[[0.5, 1.5]]]

@@ -165,7 +165,10 @@ def _show(figure: Figure, axes: Any, one: Picture) -> None:
     for (x, y), colour in one.marks.items():
         axes.plot(x + 0.5, y + 0.5, "s", color=colour, markersize=8)
     for (x, y), letter in one.letters.items():
-        axes.text(x + 0.5, y + 0.5, letter, ha="center", va="center", fontsize=9, clip_on=True)
+        axes.text(
+            x + 0.5, y + 0.5, letter, ha="center", va="center", fontsize=9, clip_on=True,
+            color=ON_COLOUR,
+        )  # fmt: skip
     if one.window:
         axes.set_xlim(*one.window[:2])
         axes.set_ylim(*one.window[2:])

@@ -195,7 +195,7 @@ def _fields(asked: Asked) -> list[Section]:
         field,
         _part(
             "paths",
-            "Which ways it takes to",
+            "Which ways it would take",
             "The geometric mean of the probabilities of the steps of the shortest way from the "
             "beginning to each cell. Grey cells are not reached: an episode ends before them.",
             field_figures.draw_paths({"from the beginning": found}, art=art),
