@@ -1,7 +1,9 @@
 """Modules that RLLTE pickles: read without importing their classes, and equal in what they say."""
 
 import io
+import struct
 import sys
+import zipfile
 from types import ModuleType
 
 import numpy as np
@@ -9,7 +11,7 @@ import pytest
 import torch
 from torch import nn
 
-from astray.agents.importers import pth
+from astray.agents.importers import pth, rllte
 
 MODULE = "rllte.common.utils"
 
@@ -123,3 +125,44 @@ def test_a_file_that_asks_for_more_runs_nothing(saved, tmp_path):
     model.encoder.space = Evil()
     assert pth.read(saved(model)).architecture.widths == (2, 3, 4)
     assert not (tmp_path / "made").exists()
+
+
+START = b"\x80\x02" + rllte.MARK
+
+
+def packed(method, **parts):
+    with zipfile.ZipFile(file := io.BytesIO(), "w", method) as archive:
+        for name, data in parts.items():
+            archive.writestr(f"agent/{name.replace('_', '/')}", data)
+    return file.getvalue()
+
+
+def damaged(data, after, by):
+    at = data.index(after) + len(after)
+    return data[:at] + by + data[at + len(by) :]
+
+
+@pytest.mark.parametrize(
+    "file, message",
+    [
+        (packed(zipfile.ZIP_BZIP2, **{"data.pkl": bytes(1 << 20)}), "it is compressed"),
+        (damaged(packed(zipfile.ZIP_LZMA, **{"data.pkl": START}), b".pkl", bytes(30)), "compress"),
+        (damaged(packed(zipfile.ZIP_DEFLATED, **{"data.pkl": START}), b".pkl", b"\7"), "compress"),
+        (damaged(packed(0, **{"data.pkl": START}), b"PK\1\2", bytes(16) + b"\xff" * 8), "damaged"),
+    ],
+)
+def test_a_compressed_or_damaged_archive_is_refused(file, message):
+    with pytest.raises(ValueError, match=message):
+        pth.read(file)
+
+
+def test_numbers_that_a_pickle_asks_for_again_are_read_once():
+    def text(said):
+        return b"X" + struct.pack("<I", len(said)) + said.encode()
+
+    name = b"ctorch\nFloatStorage\n"
+    asked = b"(" + text("storage") + name + text("0") + text("cpu") + b"K\1tQ"
+    one, other = rllte._root(
+        packed(0, **{"data.pkl": b"\x80\2" + asked * 2 + b"\x86.", "data_0": bytes(8)})
+    )
+    assert np.shares_memory(one, other)

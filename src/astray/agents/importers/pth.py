@@ -13,9 +13,7 @@ import io
 import pickle
 import pickletools
 import re
-import struct
 import warnings
-import zipfile
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -41,7 +39,6 @@ MAKES_OTHERS = {
     "SHORT_BINBYTES", "BINBYTES", "LONG1",
 }  # fmt: skip
 LARGEST_PICKLE = 64_000_000  # bytes; the names and shapes of weights take some 10,000
-BROKEN = (NotImplementedError, RuntimeError, EOFError, OverflowError, struct.error)  # of an archive
 HOLDS = ("model_state_dict", "state_dict")
 
 
@@ -167,14 +164,12 @@ def check_plain(data: bytes) -> None:
     hash: as a key it would keep torch busy for ever. One nested 100,000 deep would crash it.
     """
     try:
-        with zipfile.ZipFile(io.BytesIO(data)) as archive:
-            if any(one.compress_type != zipfile.ZIP_STORED for one in archive.infolist()):
-                raise ValueError("it is compressed, which files of torch are not")
+        with rllte.stored(data) as archive:
             inside = [one for one in archive.infolist() if one.filename.endswith("data.pkl")]
             if sum(one.file_size for one in inside) > LARGEST_PICKLE:
                 raise ValueError(f"its data.pkl has more than {LARGEST_PICKLE:,} bytes")
             pickles = [archive.read(one) for one in inside]
-    except (*BROKEN, zipfile.BadZipFile) as error:
+    except rllte.BROKEN as error:
         if data.startswith(b"PK"):  # to torch it may be a whole one
             raise ValueError(f"it is damaged, or not a file of torch: {error}") from error
         pickles = [data]  # as torch wrote them before 1.6

@@ -7,8 +7,11 @@ added at its end is the rectified input; and there is none before the dense laye
 
 from __future__ import annotations
 
+import contextlib
+import functools
 import io
 import re
+import struct
 import zipfile
 from collections.abc import Iterator
 from typing import Any
@@ -22,6 +25,10 @@ from astray.agents.policy import Architecture
 
 MARK = b"crllte.common.utils\nExportModel\n"  # with which its pickles begin, after two bytes
 PICKLE = "/data.pkl"
+BROKEN = (  # errors of a damaged archive
+    OSError, NotImplementedError, RuntimeError, EOFError, OverflowError, struct.error,
+    zipfile.BadZipFile,
+)  # fmt: skip
 LARGEST = 4_000_000  # bytes of a pickle; those of its agents have some 10,000
 DEEPEST, MOST = 8, 200  # modules in each other, and modules in all
 NAMES = (
@@ -36,12 +43,28 @@ NAMES = (
 def is_module(data: bytes) -> bool:
     """Return whether the bytes of a file of torch are a module of RLLTE."""
     try:
-        with zipfile.ZipFile(io.BytesIO(data)) as archive:
+        with stored(data) as archive:
             (name,) = (one for one in archive.namelist() if one.endswith(PICKLE))
             with archive.open(name) as file:
                 return MARK in file.read(len(MARK) + 2)
-    except (ValueError, OSError, RuntimeError, NotImplementedError, zipfile.BadZipFile):
+    except (ValueError, *BROKEN):
         return False
+
+
+@contextlib.contextmanager
+def stored(data: bytes) -> Iterator[zipfile.ZipFile]:
+    """Open the archive in the bytes of a file of torch, whose parts together are no larger.
+
+    Raises:
+        ValueError: If parts are compressed, or overlap: a few bytes could unpack to any size.
+    """
+    with zipfile.ZipFile(io.BytesIO(data)) as archive:
+        parts = archive.infolist()
+        if any(one.compress_type != zipfile.ZIP_STORED for one in parts):
+            raise ValueError("it is compressed, which files of torch are not")
+        if sum(one.file_size for one in parts) > len(data):
+            raise ValueError("it is damaged, or not a file of torch: its parts overlap")
+        yield archive
 
 
 def read(data: bytes) -> Imported:
@@ -66,16 +89,15 @@ def read(data: bytes) -> Imported:
 
 def _root(data: bytes) -> Any:
     try:
-        with zipfile.ZipFile(io.BytesIO(data)) as archive:
-            stored = {one.filename: one for one in archive.infolist()}
-            if any(one.compress_type != zipfile.ZIP_STORED for one in stored.values()):
-                raise ValueError("it is compressed, which files of torch are not")
-            (name,) = (one for one in stored if one.endswith(PICKLE))
-            if stored[name].file_size > LARGEST:
+        with stored(data) as archive:
+            (name,) = (one for one in archive.namelist() if one.endswith(PICKLE))
+            if archive.getinfo(name).file_size > LARGEST:
                 raise ValueError(f"its data.pkl has more than {LARGEST:,} bytes")
             home = name.removesuffix(PICKLE)
-            return plain.read(archive.read(name), lambda key: archive.read(f"{home}/data/{key}"))
-    except (OSError, RuntimeError, NotImplementedError, zipfile.BadZipFile) as error:
+            # Once each: a pickle may ask for the same bytes any number of times.
+            numbers = functools.cache(lambda key: archive.read(f"{home}/data/{key}"))
+            return plain.read(archive.read(name), numbers)
+    except BROKEN as error:
         raise ValueError(f"it is damaged, or not a file of torch: {error}") from error
 
 
