@@ -137,7 +137,8 @@ class Plan:
         if self.agents or self.world is not None:
             there = (*COLUMNS, *self.game.events, *self.game.measures)
             check_measures(self.measures, there)
-            check_measures(self.rewards, (*there, *self.measures))
+            own: Any = self.rewards
+            check_measures(own, (*there, *self.measures))
         for test in (*self.tests.values(), *self.visited.values()):
             load_shift(self.game, test.shift)
             for config in self.agents.values():
