@@ -80,7 +80,7 @@ SMALL = replace(
     PRESETS["small"],
     variant="anywhere-small",
     knobs={"world": 9, "smallest": 9, "largest": 9, "window": 3, "time_limit": 40},
-    steps=3_000_000,
+    steps=1_500_000,
     num_envs=64,
     num_steps=32,
     minibatches=4,
@@ -102,7 +102,7 @@ EXPERIMENT = Experiment(
             tests={WHERE: Test("anywhere-small", "corner-small")},
             levels=1000,
             differences="mazes of 9 cells, 3 of them seen at a time, 40 steps an episode; networks "
-            "of two hidden layers, and 3 million steps",
+            "of two hidden layers, and 1.5 million steps",
         ),
         "night": Plan(
             agents=agents(LARGE, "corner-memory"),
