@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from math import isfinite
 from typing import Any, cast
 
 import gymnasium
@@ -17,6 +17,7 @@ from astray.world import Env, Happened, World, WorldVariant
 NOTED = "astray"  # key of info that reports events and measures
 BOOLEANS = (bool, np.bool_)
 FAILURES = (Exception, SystemExit)  # of an environment
+Asked = Callable[[Any, Mapping[str, Any]], Any]  # (environment, info) -> whether an event happens
 
 
 class Witness(gymnasium.Wrapper):
@@ -37,13 +38,15 @@ class Witness(gymnasium.Wrapper):
         self.reported: set[str] = set()
         self._inner, self._shape = env.unwrapped, env.observation_space.shape
         self._every_step, self._kind = world.every_step, cast("Any", env.observation_space.dtype)
-        self._waiting: dict[str, Happened] = {}  # events that have not happened
+        self._waiting: dict[
+            str, Callable[[Any, Mapping[str, Any]], Any]
+        ] = {}  # events that have not happened
 
     def reset(self, *, seed: int | None = None, options: dict | None = None) -> tuple[Any, dict]:
         """Begin the level whose number is `seed`; raise ValueError if the world's code fails."""
         self.level, self.time = NEVER if seed is None else seed, 0
         self.first = dict.fromkeys(self.world.events, NEVER)
-        self._waiting = dict(self.world.events)
+        self._waiting = {name: _asked(event) for name, event in self.world.events.items()}
         try:
             seen, info = self.env.reset(seed=seed, options=options)
         except FAILURES as error:
@@ -66,8 +69,12 @@ class Witness(gymnasium.Wrapper):
             ended = bool(terminated or truncated)
         except FAILURES as error:
             raise self._failed("step", error) from error
-        is_array = type(seen) is np.ndarray
-        if not is_array or seen.shape != self._shape or seen.dtype != self._kind:
+        # Kinds of numbers are single objects; to compare them takes longer.
+        if (
+            type(seen) is not np.ndarray
+            or seen.dtype is not self._kind
+            or seen.shape != self._shape
+        ):
             self._check_seen(seen)
         if type(info) is not dict:
             self._check_info(info)
@@ -75,14 +82,13 @@ class Witness(gymnasium.Wrapper):
         if told or self._every_step:
             info = {**info, NOTED: self._told()}
         try:
-            paid = float(reward)
+            if isfinite(reward):
+                return seen, float(reward), terminated, truncated, info
         except (TypeError, ValueError):
-            paid = math.nan
-        if not math.isfinite(paid):
-            raise ValueError(
-                f"{self._where()}: its reward must be a finite number; got {shown(reward)}"
-            )
-        return seen, paid, terminated, truncated, info
+            pass
+        raise ValueError(
+            f"{self._where()}: its reward must be a finite number; got {shown(reward)}"
+        )
 
     def close(self) -> None:
         """End the environment; raise ValueError if it fails."""
@@ -102,15 +108,16 @@ class Witness(gymnasium.Wrapper):
         """Record the events of this step; return whether there were any."""
         if info:
             self.reported.update(info)
-        new = []
-        for name, happened in self._waiting.items():
-            if isinstance(happened, str):
-                is_now = info.get(happened, False)
-            else:
-                try:
-                    is_now = happened(self._inner, info)
-                except Exception as error:
-                    raise self._failed(f"event {name!r}", error) from error
+        told, inner, name = [], self._inner, ""
+        try:
+            for name, happened in self._waiting.items():
+                is_now = happened(inner, info)
+                if is_now is not False:
+                    told.append((name, is_now))
+        except Exception as error:
+            raise self._failed(f"event {name!r}", error) from error
+        new = False
+        for name, is_now in told:
             # Others may be NaN, which is truthy, or text; that check takes 3 us.
             if type(is_now) not in BOOLEANS and (np.ndim(is_now) or is_now not in (0, 1)):
                 raise ValueError(
@@ -118,11 +125,9 @@ class Witness(gymnasium.Wrapper):
                     f"{shown(is_now)}"
                 )
             if is_now:
-                new.append(name)
-        for name in new:
-            self.first[name] = self.time
-            del self._waiting[name]
-        return bool(new)
+                self.first[name], new = self.time, True
+                del self._waiting[name]
+        return new
 
     def _told(self) -> np.ndarray:
         """Return the record so far: the step of each event, and the measures."""
@@ -156,6 +161,13 @@ class Witness(gymnasium.Wrapper):
 
     def _where(self) -> str:
         return f"{self.variant}, level {self.level}, step {self.time}"
+
+
+def _asked(event: Happened) -> Asked:
+    """Return the function that tells whether an event happens."""
+    if isinstance(event, str):
+        return lambda env, info: info.get(event, False)
+    return event
 
 
 def witnessed(

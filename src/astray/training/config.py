@@ -242,10 +242,13 @@ class Config:
     def intended_goal(self) -> str:
         """Return the intended goal of the training variant's shifts, or else of the validation's.
 
+        Goals that are no events, such as "more right than wrong", have no way to them.
+
         Raises:
             ValueError: If no shift of the game has either variant.
         """
-        shifts = self.find_game().shifts.values()
+        game = self.find_game()
+        shifts = [shift for shift in game.shifts.values() if shift.intended in game.event_goals]
         for variant in (self.variant, self.validation):
             for shift in shifts:
                 if variant in (shift.train, shift.test):
