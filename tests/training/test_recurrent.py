@@ -246,6 +246,30 @@ def test_a_network_of_ones_own_remembers_by_the_same_interface():
     assert loop.update(trainer, loop.collect(trainer), 1e-3)["first_kl"] < 1e-9
 
 
+class Onward(Own):
+    """Does not notice in learning that an episode begins."""
+
+    def unroll(self, observation, state, begins):
+        return super().unroll(observation, state, begins & False)
+
+
+class Keeps(Own):
+    """Keeps more of its memory itself."""
+
+    kept = 0.0
+
+    def recall(self, observation, state, begins):
+        logits, value, state = super().recall(observation, state, begins)
+        self.kept += 1
+        return logits * self.kept, value, state
+
+
+@pytest.mark.parametrize("network", [Onward, Keeps])
+def test_a_network_that_learns_from_other_memories_than_it_acts_by_is_refused(network):
+    with pytest.raises(ValueError, match="must say the same step by step, in recall, and of"):
+        next(loop.iterate(CONFIG, network=network))
+
+
 @pytest.mark.parametrize(
     "change, said",
     [

@@ -1,4 +1,4 @@
-"""Checks of a training: that its network keeps no memory of its own, its loss, and its weights."""
+"""Checks of a training: that its network acts as it learns, its loss, and its weights."""
 
 from __future__ import annotations
 
@@ -8,16 +8,18 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
+from astray.agents.recurrent import Recurrent
 from astray.training import ppo
 from astray.training.config import Config
 from astray.training.fast import acceleration
-from astray.training.ppo import Samples
+from astray.training.ppo import Samples, Sequences
 from astray.training.trainer import Trainer
 from astray.validation import shown
 
 # Largest difference between a network's outputs in acting and in learning: relative to their
 # deviation (rounding gives 1e-3, also in TF32, hidden state about 1), and to their size.
 APART, ROUNDED = 0.05, 1e-4
+UNROLLED = 8  # steps of sequences that are compared
 REPEATED = 1e-6  # likewise in two calls in a row, of its size: float32 is rounded by 6e-8
 
 
@@ -28,7 +30,9 @@ class Diverged(RuntimeError):
 def check_first(trainer: Trainer, samples: Samples) -> dict[str, float]:
     """Check the network on the first rollout; return how far accelerated outputs differ."""
     config, using = trainer.config, trainer.fast.using
-    if not (using.of_network or trainer.memory):
+    if isinstance(samples, Sequences):
+        check_recalled(trainer.network, samples)
+    elif not using.of_network:
         check_memoryless(trainer.network, samples, config)
     if not using.bfloat16:
         return {}
@@ -58,6 +62,30 @@ def check_memoryless(network: nn.Module, samples: Samples, config: Config) -> No
                 f"a network must say the same of an observation whenever it is shown it; what "
                 f"{type(network).__name__} said of some in two calls differs by "
                 f"{float(apart / _size(then)):.2g} of its size, as with a memory of its own"
+            )
+
+
+@torch.no_grad()
+def check_recalled(network: nn.Module, samples: Sequences) -> None:
+    """Raise ValueError if a network's `recall`, by which it acts, and its `unroll` differ.
+
+    Episodes begin at any step of the sequences that are compared.
+    """
+    assert isinstance(network, Recurrent)
+    shown = samples.observation[:UNROLLED]
+    _, _, state = network.recall(shown[0], samples.state, samples.begins[0])
+    steps, places = (torch.arange(n, device=state.device) for n in shown.shape[:2])
+    begins = (steps[:, None] + places) % 3 == 2
+    acted, learned = (
+        Recurrent.unroll(network, shown, state, begins),
+        network.unroll(shown, state, begins),
+    )
+    for then, now in zip(acted[:2], learned[:2], strict=True):
+        if (apart := _size(now - then)) > APART * then.std() + ROUNDED * _size(then):
+            raise ValueError(
+                f"a network with memory must say the same step by step, in recall, and of a whole "
+                f"sequence, in unroll; what {type(network).__name__} says differs by "
+                f"{float(apart / _size(then)):.2g} of its size"
             )
 
 
