@@ -17,7 +17,6 @@ NOTEBOOKS = sorted(FOLDER.glob("*.ipynb"))
 SIZE = os.environ.get("ASTRAY_NOTEBOOKS", "small")
 # In small, `test_steer` runs all cells of the one that steers.
 RUN = [path for path in NOTEBOOKS if SIZE == "full" or path.stem != "steer"]
-SAVED = [path for path in NOTEBOOKS if path.stem != "pottery-shop"]  # not run in full yet
 LONGEST = 300  # seconds of a cell of full size, on two cores
 LIVE = "application/vnd.jupyter.widget-view+json"  # an output that needs a running kernel
 INSTALL = "install"  # the id of the cell that installs astray
@@ -63,7 +62,7 @@ def test_all_notebooks_are_valid_and_install_astray_by_the_same_cell():
     assert len(cells) == len(NOTEBOOKS) and len({cell.source for cell in cells}) == 1
 
 
-@pytest.mark.parametrize("path", SAVED, ids=lambda path: path.stem)
+@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
 def test_a_notebook_is_saved_with_the_outputs_of_its_code(path):
     notebook = read(path)
     counts = [cell.execution_count for cell in codes(notebook)]

@@ -4,7 +4,7 @@ import { rewards as clipped } from "../rules/constants.js";
 import { themed } from "./colours.js";
 
 const EDGE = 8; // pixels around a chart
-const AXIS = 36; // pixels of the numbers at its left
+const AXIS = 42; // pixels of the numbers at its left
 const { CLIP } = clipped; // of divided rewards
 
 // A canvas as sharp as the screen; its size in CSS pixels.
@@ -129,8 +129,8 @@ export function drawTimeline(canvas, { value, advantage, events, last }, now) {
     paint.stroke();
     paint.setLineDash([]);
     const wide = paint.measureText(name).width;
-    const x = Math.min(across(step) - 20, width - wide - 4);
-    if (x < right) continue; // its button below names it
+    const x = Math.min(Math.max(across(step) - 20, right), width - wide - 4);
+    if (x < right || x > across(step)) continue; // its button below names it
     paint.fillText(name, x, 10);
     right = x + wide + 10;
   }
