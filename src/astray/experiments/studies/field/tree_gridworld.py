@@ -46,7 +46,8 @@ EXPERIMENT = study(
     "The tree gridworld",
     reproduces="Shah et al. (2022), Goal Misgeneralization, tree gridworld",
     question="Does a woodcutter that learns in one life leave trees to grow?",
-    agents={"woodcutter": agent("trees", "life", 600_000)},
+    agents={"woodcutter": agent("trees", "life", 150_000, learning_rate=2e-4, anneal=False)},
+    first_seed=5,
     tests={
         "100 steps": Test("season", "season", {"time_limit": 100}),
         "500 steps": Test("season", "season"),
