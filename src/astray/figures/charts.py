@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from itertools import cycle
+from textwrap import fill
 from typing import Any
 
 import matplotlib
@@ -39,6 +40,7 @@ ENDS = ("#a3a39d", "#c9b8a4", "#8f9aa8", "#b9a9b9")  # of other ends than those 
 HATCHES = ("//", "", "..", "\\\\", "xx", "--", "||")
 NARROWEST = 0.07  # fraction of a bar that has room for its percentage
 PALE = 0.2  # opacity of an interval
+TITLE = 66  # letters of panels' titles side by side
 FEW = 25  # points of a curve that are marked
 PLAIN: dict[str, Any] = {"fontweight": "normal", "fontsize": 10.5}  # of a title that is a label
 
@@ -163,7 +165,7 @@ def points(
             for place, text in zip(y, part[note] if note else (), strict=False):
                 axes.text(1.01, place, text, transform=axes.get_yaxis_transform(), va="center",
                           fontsize=8)  # fmt: skip
-        axes.set_title(title)
+        axes.set_title(fill(title, TITLE // min(columns, len(grid))))
         if symlog:
             axes.set_xscale("symlog", linthresh=symlog)
             ticks = [0, *(s * x for x in (1, 2, 5, 10, 20, 50) for s in (-1, 1))]
@@ -242,7 +244,8 @@ def curves(
             shift = 0.06 * beside(k, looks) if whiskers and places else 0.0
             _series(axes, part.drop_nulls([x, "mean"]), name, look, (x, places, shift), each,
                     whiskers)  # fmt: skip
-        axes.set_title(title or label, **{} if title else PLAIN)
+        named = fill(title, TITLE // min(columns, len(grid)))
+        axes.set_title(named or label, **{} if title else PLAIN)
         if places:
             axes.set_xticks(range(len(places)), [f"{one}" for one in places])
             if max(len(f"{one}") for one in places) * len(places) * min(columns, len(grid)) > 90:
