@@ -2,6 +2,7 @@
 
 import io
 import itertools
+import json
 import os
 import pickle
 from collections import OrderedDict, defaultdict
@@ -189,6 +190,122 @@ def cleanba(widths=(16, 32, 32), actions=15, **args):
     modules = {str(k): {"params": one} for k, one in enumerate((network, actor, critic))}
     told = {"env_id": "CoinrunHard-v0", "gamma": 0.999, "seed": 1, "target_kl": None} | args
     return flax_bytes({"0": told, "1": modules}), forward
+
+
+NET = {
+    "_type_": "cleanba.convlstm:ConvLSTMConfig", "norm": {"_type_": "cleanba.network:IdentityNorm"},
+    "normalize_input": False, "residual": False, "use_relu": False, "skip_final": True,
+    "head_scale": 1, "mlp_hiddens": [9], "n_recurrent": 3, "repeats_per_step": 2,
+    "yang_init": False,
+}  # fmt: skip
+CELLS = {
+    "pool_and_inject": "horizontal", "pool_projection": "per-channel", "fence_pad": "valid",
+    "output_activation": "tanh", "forget_bias": 0.0,
+}  # fmt: skip
+
+
+def square(size, features):
+    """Settings of one of their convolutions."""
+    return {"features": features, "kernel_size": [size, size], "strides": [1, 1],
+            "padding": "SAME", "use_bias": True, "initialization": "lecun"}  # fmt: skip
+
+
+def sokoban_planner(folder, side=5, channels=4, actions=4, devices=0, **changed):
+    """Write a checkpoint of train-learned-planner with random weights to `folder`.
+
+    Returns a naive forward of these for one episode, after their description: images
+    [T, side, side, 3] -> logits [T, actions], values [T].
+    """
+    random = np.random.default_rng(3)
+    net = {k: changed.get(k, v) for k, v in NET.items()}
+    cell = {k: changed.get(k, v) for k, v in CELLS.items()} | {"conv": square(3, channels)}
+    net |= {"embed": changed.get("embed", [square(4, channels)] * 2), "recurrent": cell}
+
+    def weights(*shape):
+        return (random.normal(size=shape) * np.prod(shape[:-1]) ** -0.5).astype(np.float32)
+
+    def layer(*shape, bias=True):
+        return {"kernel": weights(*shape)} | ({"bias": weights(shape[-1])} if bias else {})
+
+    network = {
+        f"conv_list_{k}": layer(4, 4, 3 if k == 0 else channels, channels)
+        for k in range(len(net["embed"]))
+    }
+    for d in range(net["n_recurrent"]):
+        one = {"ih": layer(3, 3, 3 * channels, 4 * channels)}
+        one["hh"] = layer(3, 3, channels, 4 * channels, bias=False)
+        one["fence"] = layer(3, 3, 1, 4 * channels, bias=False)
+        one["project"] = weights(2, channels)
+        network[f"cell_list_{d}"] = one
+    network["dense_list_0"] = layer(side * side * channels, 9)
+    params = {
+        "network_params": network,
+        "actor_params": {"Output": layer(9, actions)},
+        "critic_params": {"Output": layer(9, 1)},
+    }
+
+    def convolve(x, conv, pad=True):
+        size = len(conv["kernel"])
+        before, after = ((size - 1) // 2, size // 2) if pad else (0, 0)
+        padded = np.pad(x, ((before, after), (before, after), (0, 0)))
+        windows = np.lib.stride_tricks.sliding_window_view(padded, (size, size), (0, 1))
+        out = np.einsum("yxcij,ijco->yxo", windows, conv["kernel"])
+        return out + conv.get("bias", 0)
+
+    def sigmoid(x):
+        return 1 / (1 + np.exp(-x))
+
+    def pooled(one, hidden):
+        most, mean = hidden.max((0, 1)), hidden.mean((0, 1))
+        return one["project"][0] * most + one["project"][1] * mean
+
+    def fenced(one):
+        plane = np.ones((side + 2, side + 2, 1))
+        plane[1:-1, 1:-1] = 0
+        return convolve(plane, one["fence"], pad=False)
+
+    def tick(one, seen, below, hidden, inner):
+        about = np.broadcast_to(pooled(one, hidden), hidden.shape)
+        gates = convolve(np.concatenate([seen, below, about], -1), one["ih"])
+        new, into, forget, out = np.split(
+            gates + convolve(hidden, one["hh"]) + fenced(one), 4, axis=-1
+        )
+        inner = inner * sigmoid(forget) + np.tanh(new) * sigmoid(into)
+        return np.tanh(inner) * np.tanh(out), inner
+
+    def forward(images):
+        depth, said = net["n_recurrent"], []
+        hidden = [np.zeros((side, side, channels)) for _ in range(depth)]
+        inner = list(hidden)
+        for image in images:
+            seen = image / 255.0
+            for k in range(len(net["embed"])):
+                seen = convolve(seen, network[f"conv_list_{k}"])
+            for _ in range(net["repeats_per_step"]):
+                below = hidden[-1]
+                for d in range(depth):
+                    one = network[f"cell_list_{d}"]
+                    below, inner[d] = tick(one, seen, below, hidden[d], inner[d])
+                    hidden[d] = below
+            x = (below + seen).reshape(-1)
+            heads = [network["dense_list_0"], *(params[f"{h}_params"]["Output"] for h in
+                     ("actor", "critic"))]  # fmt: skip
+            x = np.maximum(x @ heads[0]["kernel"] + heads[0]["bias"], 0)
+            logits, value = (x @ head["kernel"] + head["bias"] for head in heads[1:])
+            said.append((logits, value[0]))
+        logits, values = zip(*said, strict=True)
+        return np.array(logits), np.array(values)
+
+    def of_devices(tree):
+        if isinstance(tree, dict):
+            return {name: of_devices(branch) for name, branch in tree.items()}
+        return np.stack([tree] * devices) if devices else tree
+
+    state = {"step": 7, "params": {"params": of_devices(params)}, "opt_state": {"0": {}}}
+    folder.mkdir(exist_ok=True)
+    (folder / "model").write_bytes(flax_bytes(state))
+    (folder / "cfg.json").write_text(json.dumps({"cfg": {"net": net}, "update_step": 7}))
+    return forward
 
 
 def flax_bytes(data):

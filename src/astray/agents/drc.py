@@ -9,6 +9,7 @@ Planning", arXiv:1901.03559, section 2).
 from __future__ import annotations
 
 from collections import OrderedDict
+from collections.abc import Callable
 
 import torch
 from torch import Tensor, nn
@@ -27,7 +28,8 @@ class ConvLSTM(nn.Module):
     def __init__(self, channels: int):
         super().__init__()
         self.pooled = nn.Linear(2 * channels, channels)
-        self.gates = nn.Conv2d(4 * channels + 1, 4 * channels, 3, padding=1)
+        self.gates: nn.Module = nn.Conv2d(4 * channels + 1, 4 * channels, 3, padding=1)
+        self.output: Callable[[Tensor], Tensor] = torch.sigmoid  # of the output gate
 
     def forward(
         self, seen: Tensor, below: Tensor, hidden: Tensor, inner: Tensor, edge: Tensor
@@ -46,7 +48,7 @@ class ConvLSTM(nn.Module):
         gates = self.gates(torch.cat([seen, below, hidden, injected, edge], 1))
         into, forget, new, out = gates.chunk(4, 1)
         inner = torch.sigmoid(forget) * inner + torch.sigmoid(into) * torch.tanh(new)
-        return torch.sigmoid(out) * torch.tanh(inner), inner
+        return self.output(out) * torch.tanh(inner), inner
 
 
 class DRC(Recurrent):
@@ -61,6 +63,7 @@ class DRC(Recurrent):
         largest: Largest value of each plane; empty for images.
         depth: Number of ConvLSTMs, D in the publication.
         ticks: Number of ticks per step, N in the publication.
+        encoder: Module that encodes images, in the place of our own; it gives `channels`.
 
     Raises:
         ValueError: If observations have no places.
@@ -74,11 +77,14 @@ class DRC(Recurrent):
         depth: int = 3,
         ticks: int = 3,
         scale: int = 1,
+        features: int = FEATURES,
+        encoder: nn.Module | None = None,
+        channels: int = CHANNELS,
     ):
         super().__init__()
         if len(shape) != 3:
             raise ValueError(f"drc sees images or symbolic planes, of three axes; got {shape}")
-        channels = CHANNELS * scale
+        channels *= scale
         if largest:
             self.spread = CircleEmbedding(largest)
             layers = {"conv1": nn.Conv2d(self.spread.channels, channels, 3, padding=1)}
@@ -89,7 +95,7 @@ class DRC(Recurrent):
                 "conv2": nn.Conv2d(channels, channels, 4, 2, padding=1),
             }
         self.images = not largest
-        self.encoder = nn.Sequential(OrderedDict(layers))
+        self.encoder = encoder or nn.Sequential(OrderedDict(layers))
         self.layers = nn.ModuleList(ConvLSTM(channels) for _ in range(depth))
         self.repeats = ticks
         for k in range(ticks):
@@ -105,12 +111,12 @@ class DRC(Recurrent):
         self.features = nn.Sequential(
             OrderedDict(
                 flatten=nn.Flatten(),
-                linear=nn.Linear(2 * channels * places, FEATURES),
+                linear=nn.Linear(2 * channels * places, features),
                 relu=nn.ReLU(),
             )
         )
-        self.policy = nn.Linear(FEATURES, actions)
-        self.value = nn.Linear(FEATURES, 1)
+        self.policy = nn.Linear(features, actions)
+        self.value = nn.Linear(features, 1)
         initialise(self)
 
     def encode(self, observation: Tensor) -> Tensor:

@@ -55,7 +55,7 @@ def chosen(
 
 
 def recalled(
-    network: Recurrent, turn: Turn, device: str, chunk: int
+    network: Recurrent, turn: Turn, device: str | torch.device, chunk: int
 ) -> tuple[torch.Tensor, torch.Tensor]:
     """Return the logits [N, A] of a network with memory in a turn, and its new states."""
     shown, begins = (torch.from_numpy(x).to(device) for x in (turn.observations, turn.begins))
@@ -64,6 +64,18 @@ def recalled(
         state = torch.zeros((len(shown), network.memory), device=device)
     logits, _, state = policy.outputs(network.recall, shown, chunk, state, begins)
     return logits, state
+
+
+def in_order(
+    network: Recurrent, observations: np.ndarray, device: str | torch.device
+) -> tuple[torch.Tensor, torch.Tensor]:
+    """Return logits [T, A] and values [T] of a network with memory along one episode."""
+    seen = torch.from_numpy(observations).to(device)[:, None]
+    begins = torch.zeros((len(seen), 1), dtype=torch.bool, device=device)
+    state = torch.zeros((1, network.memory), device=device)
+    with torch.no_grad():
+        logits, values, _ = network.unroll(seen, state, begins)
+    return logits[:, 0], values[:, 0]
 
 
 @dataclass
@@ -143,7 +155,7 @@ class Agent:
         if shown != known:
             raise ValueError(f"the agent sees observations of shape {known}, not {shown}")
         if episode and isinstance(self.network, Recurrent):
-            return self._in_order(observations)
+            return in_order(self.network, observations, self.device)
         chunk = AT_ONCE[self.observation]
         shown_here = torch.from_numpy(observations).to(self.device)
         before = torch.get_num_threads()
@@ -155,15 +167,6 @@ class Agent:
         if self._keeps:
             self._kept = observations, (logits, values)
         return logits, values
-
-    def _in_order(self, observations: np.ndarray) -> tuple[torch.Tensor, torch.Tensor]:
-        """Return the outputs of a network with memory for one episode's observations."""
-        seen = torch.from_numpy(observations).to(self.device)[:, None]
-        begins = torch.zeros((len(seen), 1), dtype=torch.bool, device=self.device)
-        state = torch.zeros((1, self.network.memory), device=self.device)  # pyright: ignore
-        with torch.no_grad():
-            logits, values, _ = self.network.unroll(seen, state, begins)  # pyright: ignore
-        return logits[:, 0], values[:, 0]
 
     @contextlib.contextmanager
     def asked_once(self) -> Iterator[None]:
@@ -212,7 +215,8 @@ class Network:
 
     Attributes:
         network: Module that returns logits [N, A] for observations [N, ...], or a tuple of logits
-            and values [N]. It is set to evaluation mode.
+            and values [N]. It is set to evaluation mode. A `Recurrent` one, without `ask`, has a
+            memory, and remembers along an episode.
         space: Space of one observation.
         game: Game or `World` that it plays, for analyses that play it.
         ask: Function (network, observations) -> logits, or logits and values, if a call of the
@@ -233,13 +237,16 @@ class Network:
     seed: int = 0
     observation: Observation = "image"
     art: str = OWN
-    caveat: ClassVar[str] = ""  # see `Agent.caveat`
 
     def __post_init__(self) -> None:
         of_kind("network", self.network, torch.nn.Module)
         of_kind("space", self.space, Box)
         one_of("mode", self.mode, Literal["sampled", "greedy"])
         self.network.eval()
+
+    @property
+    def caveat(self) -> str:
+        return BY_ITSELF if isinstance(self.network, Recurrent) and not self.ask else ""
 
     @property
     def device(self) -> torch.device:
@@ -263,8 +270,13 @@ class Network:
         value = parts[1].reshape(n) if parts[1:] else parts[0].new_full((n,), torch.nan)
         return parts[0], value
 
-    def outputs(self, observations: np.ndarray) -> tuple[torch.Tensor, torch.Tensor]:
+    def outputs(
+        self, observations: np.ndarray, *, episode: bool = False
+    ) -> tuple[torch.Tensor, torch.Tensor]:
         """Return logits [N, A] and values [N], which do not depend on the batch.
+
+        Args:
+            episode: As an agent's.
 
         Raises:
             ValueError: If observations have another shape, or the network returns anything else.
@@ -273,6 +285,8 @@ class Network:
         if observations.shape[1:] != self.space.shape:
             told = f"{self.space.shape}, not {observations.shape[1:]}"
             raise ValueError(f"{self.name} sees observations of shape {told}")
+        if episode and self.caveat:
+            return in_order(self.network, observations, self.device)  # pyright: ignore
         here = torch.from_numpy(observations).to(self.device)
         seen = "image" if math.prod(self.space.shape) >= IMAGE else "symbolic"
         logits, values = policy.outputs(self.asked, here, AT_ONCE[seen])
@@ -281,12 +295,16 @@ class Network:
     def actions(self, turn: Turn) -> Answer:
         """Return an action per observation; raise ValueError if the logits do not give one."""
         space = turn.env.single_action_space
-        actions, (logits, _) = action_table(space), self.outputs(turn.observations)
+        actions, memory = action_table(space), None
+        if self.caveat:
+            logits, memory = recalled(self.network, turn, self.device, AT_ONCE["image"])  # pyright: ignore
+        else:
+            logits, _ = self.outputs(turn.observations)
         if logits.shape[1] != len(actions):
             raise ValueError(f"{self.name} has {logits.shape[1]} logits for actions of {space}")
         if not logits.isfinite().all():
             raise ValueError(f"{self.name} gives logits that are not finite")
-        return Answer(actions[chosen(logits, self.mode, self.seed, turn.env)])
+        return Answer(actions[chosen(logits, self.mode, self.seed, turn.env)], memory)
 
 
 @dataclass

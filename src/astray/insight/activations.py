@@ -30,7 +30,7 @@ from astray import world
 from astray.analysis.critic import observe
 from astray.analysis.evaluate import Measure, check_measures, measured
 from astray.analysis.tables import write_table
-from astray.analysis.trained import Agent, Model, check_network
+from astray.analysis.trained import Model, check_network
 from astray.envs.states import BROKEN
 from astray.files import check_readable, folder_aside, read, write_aside
 from astray.game import Variant
@@ -140,7 +140,6 @@ def activations(
         if begins is None or not agent.caveat:
             agent.outputs(observations)  # in chunks of one size, the last one padded
         else:
-            assert isinstance(agent, Agent)
             for episode in np.split(observations, np.flatnonzero(begins)[1:]):
                 agent.outputs(episode, episode=True)
     n = len(observations)

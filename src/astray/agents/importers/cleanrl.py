@@ -41,7 +41,7 @@ def read(data: bytes) -> Imported:
     """
     if data.startswith(ZIP):
         return pth.read(data)
-    match _unpacked(data):
+    match unpacked(data):
         case {"0": dict(told), "1": {"0": network, "1": actor, "2": critic}}:
             modules = {"0": network, "1": actor, "2": critic}
         case _:
@@ -56,12 +56,11 @@ def read(data: bytes) -> Imported:
     told = {str(name): value for name, value in told.items() if isinstance(value, Plain)}
     ours = {here: told[there] for there, here in SETTINGS.items() if told.get(there) is not None}
     about = f"CleanRL's cleanba: IMPALA, channels {'/'.join(map(str, widths))}"
-    return Imported(
-        build(architecture, tensors), architecture, about, _world(told.get("env_id")), ours, told
-    )
+    network, world = build(architecture.build, tensors), _world(told.get("env_id"))
+    return Imported(network, architecture, about, world, ours, told)
 
 
-def _unpacked(data: bytes) -> Any:
+def unpacked(data: bytes) -> Any:
     try:
         import msgpack
     except ImportError:
@@ -86,7 +85,7 @@ def _unpacked(data: bytes) -> Any:
 def _tensors(modules: Mapping[str, Any]) -> Iterator[tuple[str, Tensor]]:
     """Yield the parameters by our names, in torch's layout."""
     for number, module in modules.items():
-        for path, array in _leaves(module.get("params") if isinstance(module, dict) else None):
+        for path, array in leaves(module.get("params") if isinstance(module, dict) else None):
             if (layer := _layer(number, path)) is None:
                 raise ValueError(f"it has {'/'.join(path)}, which cleanba's network does not")
             if path[-1] == "bias":
@@ -97,10 +96,10 @@ def _tensors(modules: Mapping[str, Any]) -> Iterator[tuple[str, Tensor]]:
                 yield f"{layer}.weight", torch.from_numpy(_dense(array, number).copy())
 
 
-def _leaves(tree: Any, path: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], np.ndarray]]:
+def leaves(tree: Any, path: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], np.ndarray]]:
     if isinstance(tree, dict) and tree and len(path) < DEEPEST:
         for name, branch in tree.items():
-            yield from _leaves(branch, (*path, str(name)))
+            yield from leaves(branch, (*path, str(name)))
     elif isinstance(tree, np.ndarray) and path:
         yield path, tree
     else:

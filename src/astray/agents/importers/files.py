@@ -6,7 +6,7 @@ import hashlib
 from pathlib import Path
 
 from astray import files
-from astray.agents.importers import cleanrl, jd, pth
+from astray.agents.importers import cleanrl, jd, planner, pth
 from astray.agents.importers.imported import Imported
 
 READERS = {".pth": pth.read, ".pt": pth.read, ".jd": jd.read, ".cleanrl_model": cleanrl.read}
@@ -14,7 +14,17 @@ LARGEST = 512_000_000  # bytes; the largest known, with its optimizer's state, i
 
 
 def digest(path: Path) -> str:
-    """Return the SHA-256 of a file that is small enough to be an agent's."""
+    """Return the SHA-256 of a file that is small enough to be an agent's.
+
+    Raises:
+        ValueError: If it is larger, or a planner's, which plays no game here.
+    """
+    if path.name == planner.MODEL or (path / planner.MODEL).exists():
+        raise ValueError(
+            f"{path} is refused: planners of train-learned-planner play Sokoban, which is not a "
+            "game here; astray.agents.importers.planner.read(folder) returns the network alone, "
+            "for observations of your own"
+        )
     return hashlib.sha256(files.read(path, LARGEST)).hexdigest()
 
 

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from typing import Any
 
 import torch
 from torch import Tensor, nn
@@ -35,11 +36,11 @@ class Imported:
     told: Mapping[str, Plain] = field(default_factory=dict)
 
 
-def build(architecture: Architecture, tensors: Mapping[str, Tensor]) -> nn.Module:
-    """Build the network with these weights; raise ValueError if they are invalid or too few."""
+def build(make: Callable[[], nn.Module], tensors: Mapping[str, Tensor]) -> Any:
+    """Return the made network with these weights; raise ValueError if they do not fit it."""
     try:
         with torch.device("meta"):  # first without memory: a file can promise any size
-            wanted = {name: t.shape for name, t in architecture.build().state_dict().items()}
+            wanted = {name: t.shape for name, t in make().state_dict().items()}
     except (RuntimeError, OverflowError) as error:  # widths of weights without a number in them
         raise ValueError(f"its width fits no network: {brief(error)}") from error
     for name in (*tensors, *wanted):
@@ -54,7 +55,7 @@ def build(architecture: Architecture, tensors: Mapping[str, Tensor]) -> nn.Modul
         if not tensors[name].is_floating_point() or not tensors[name].float().isfinite().all():
             raise ValueError(f"{name} is not all finite numbers")
     with torch.random.fork_rng(devices=[]):
-        network = architecture.build()
+        network = make()
     network.load_state_dict({name: tensor.float() for name, tensor in tensors.items()})
     return network
 

@@ -68,14 +68,8 @@ def read(data: bytes) -> Imported:
         ours["normalise_reward"] = False
     mode = told.get("distribution_mode") or "hard"
     world = (str(told["env_name"]), str(mode)) if told.get("env_name") else None
-    return Imported(
-        build(architecture, weights),
-        architecture,
-        'RL-Clarity: the "clear" network',
-        world,
-        ours,
-        told,
-    )
+    network, about = build(architecture.build, weights), 'RL-Clarity: the "clear" network'
+    return Imported(network, architecture, about, world, ours, told)
 
 
 def _weights(params: dict[Any, Any]) -> dict[str, Tensor]:

@@ -125,7 +125,7 @@ def read(data: bytes) -> Imported:
         renamed = {n if n.startswith("cell.") else f"body.{n}": t for n, t in renamed.items()}
     architecture = Architecture(f"impala{cell}", SHAPE, (), ACTIONS, widths=widths)
     about = f"{names.program}: IMPALA{cell}, channels {'/'.join(map(str, widths))}"
-    return Imported(build(architecture, renamed), architecture, about)
+    return Imported(build(architecture.build, renamed), architecture, about)
 
 
 def weights(data: bytes) -> dict[str, Tensor]:

@@ -84,7 +84,7 @@ def read(data: bytes) -> Imported:
     tensors |= {"value.weight": torch.zeros(1, 256), "value.bias": torch.zeros(1)}
     channels = "/".join(map(str, widths))
     about = f"RLLTE: IMPALA, channels {channels}; without a critic: every value is 0"
-    return Imported(build(architecture, tensors), architecture, about)
+    return Imported(build(architecture.build, tensors), architecture, about)
 
 
 def _root(data: bytes) -> Any:
