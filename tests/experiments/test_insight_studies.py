@@ -3,17 +3,13 @@
 import json
 from dataclasses import replace
 
-import numpy as np
 import polars as pl
 import pytest
 
-import astray
-from astray.analysis.critic import visit
 from astray.estimate import Estimate
 from astray.experiments import catalogue, register, run
 from astray.experiments.studies.insight import choice, retargeting
 from astray.experiments.studies.insight._plans import of_levels
-from astray.experiments.studies.networks import maze_plans
 from astray.insight.retarget import AS_IS, MOVED
 from astray.report.claims import Claim, above, below, within
 
@@ -73,13 +69,3 @@ def test_paths_are_means_of_levels_not_of_targets():
 def test_the_published_features_are_ones_that_mazes_have():
     table = choice.level_features("maze", "anywhere-easy", range(3))
     assert set(choice.PUBLISHED) <= set(table.columns)
-
-
-def test_maps_of_plans_are_read_at_the_goals():
-    agent = astray.load_agent("maze-corner")
-    _, states = visit(agent, "anywhere-small", range(20), per_episode=1)
-    maps = np.tile(np.arange(49).reshape(7, 7), (20, 1, 1))
-    cheese, corner = (maze_plans.at(maps, states, goal) for goal in ("cheese", "corner"))
-    assert (cheese == 7 * states["goal_y"] + states["goal_x"]).all()
-    far = (7 - states["maze_size"]) // 2 + states["maze_size"] - 1
-    assert (corner == 8 * far).all() and (corner != cheese).any()

@@ -1,4 +1,9 @@
-"""Does a mouse that ticks plan its way, and to the proxy where the goals come apart?"""
+"""Does a mouse that ticks plan its way, and to the proxy where the goals come apart?
+
+    astray reproduce examples/studies/maze_plans.py
+
+Bounds of its claims were set on 2026-11-24, before any run.
+"""
 
 from dataclasses import replace
 from pathlib import Path
