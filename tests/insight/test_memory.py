@@ -10,7 +10,7 @@ import astray
 from astray.analysis.critic import observe, policy_and_value, visit
 from astray.insight import cell_probes
 from astray.insight.activations import activations, capture, layers
-from astray.insight.fields import fields
+from astray.insight.fields import fields, states_at
 from astray.insight.interventions import changed, interchange, steer, thinking
 from astray.insight.probes import probe
 from astray.training.loop import train
@@ -135,6 +135,23 @@ def test_fields_after_fewer_ticks_are_those_of_a_network_that_ticks_less(planner
         pass
     with pytest.raises(ValueError, match="only the network drc ticks"):
         thinking(astray.load_agent("maze-corner"), 1).__enter__()
+
+
+def test_an_agent_that_is_led_to_a_place_remembers_the_way(agent):
+    (led,), (alone,) = (fields(agent, SMALL, [5], led=led) for led in (True, False))
+    number, net = led.places.number, agent.network
+    start = number[led.level.agent]
+    assert np.allclose(led.policy[start], alone.policy[start], atol=1e-6)
+    far = max(number, key=lambda cell: len(led.places.way(cell)))
+    way, state = led.places.way(far), torch.zeros(1, net.memory)
+    assert len(way) > 3
+    for k, s in enumerate(states_at(led.level, way)):
+        seen = torch.from_numpy(observe(agent, SMALL, np.array([s])))
+        with torch.no_grad():
+            logits, value, state = net.recall(seen, state, torch.tensor([k == 0]))
+    assert np.allclose(led.policy[number[far]], logits.softmax(-1)[0], atol=1e-5)
+    assert np.allclose(led.value[number[far]], value, atol=1e-5)
+    assert abs(led.value - alone.value).max() > 1e-4
 
 
 def test_the_cells_ahead_are_those_of_the_rest_of_the_episode(states):

@@ -23,7 +23,7 @@ import polars as pl
 
 from astray import games
 from astray.acting import Answer, Levels, Onward, initial_states
-from astray.analysis.critic import ask
+from astray.analysis.critic import ask, observe, policy_and_value
 from astray.analysis.trained import Model, Opaque
 from astray.envs.vector import GameVectorEnv
 from astray.game import Game, Variant
@@ -279,31 +279,51 @@ def _put(game: Game, s: Any, cells: np.ndarray) -> np.ndarray:
     return game.places.put(np.repeat(np.array([s], game.state), len(cells)), cells)
 
 
-def fields(agent: Model | Opaque, variant: str | Variant, levels: Levels) -> list[Field]:
+def fields(
+    agent: Model | Opaque, variant: str | Variant, levels: Levels, *, led: bool = False
+) -> list[Field]:
     """Return the fields of an agent in `levels`, in order.
 
     Args:
         levels: Level numbers, or drawn levels by name.
+        led: Whether an agent with memory remembers a shortest way to each place, seen with nothing
+            taken. Otherwise, and without a way, it is asked as at the beginning of an episode.
 
     Raises:
         ValueError: If the game has no `places`, or the levels do not fit the agent.
     """
-    return list(each_field(agent, variant, levels))
+    return list(each_field(agent, variant, levels, led=led))
 
 
-def each_field(agent: Model | Opaque, variant: str | Variant, levels: Levels) -> Iterator[Field]:
-    """Yield the fields one by one, with constant memory."""
+def each_field(
+    agent: Model | Opaque, variant: str | Variant, levels: Levels, *, led: bool = False
+) -> Iterator[Field]:
+    """Yield the fields one by one, with constant memory; arguments as in `fields`."""
     of_kind("agent", agent, Model | Opaque)
     game = games.find(agent.game)  # pyright: ignore[reportArgumentType]
     variant = game.variant(variant)
     for some in _batches(game, variant, levels):
         places, states = places_of(some)
+        if led and agent.caveat:
+            both = zip(places, states, strict=True)
+            yield from (Field(one, *_led(agent, variant, one, there)) for one, there in both)
+            continue
         policy, value = ask(agent, variant, np.concatenate(states))
         first = 0
         for one in places:
             part = slice(first, first + len(one.centres))
             yield Field(one, policy[part], value[part])
             first = part.stop
+
+
+def _led(
+    agent: Model | Opaque, variant: Variant, places: Places, states: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the policy [K, A] and values [K] of an agent that was led to each of K places."""
+    number, seen = places.number, observe(agent, variant, states)
+    ways = ([number[c] for c in places.way(cell)] or [k] for cell, k in number.items())
+    told = [policy_and_value(agent, seen[way], episode=True) for way in ways]  # pyright: ignore
+    return np.array([policy[-1] for policy, _ in told]), np.array([value[-1] for _, value in told])
 
 
 def _batches(game: Game, variant: Variant, levels: Levels) -> Iterator[list[Level]]:
