@@ -61,6 +61,7 @@ def read(data: bytes) -> Imported:
 
 
 def unpacked(data: bytes) -> Any:
+    """Return what Flax's msgpack holds; raise ValueError if it is damaged or holds more."""
     try:
         import msgpack
     except ImportError:
@@ -97,6 +98,7 @@ def _tensors(modules: Mapping[str, Any]) -> Iterator[tuple[str, Tensor]]:
 
 
 def leaves(tree: Any, path: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], np.ndarray]]:
+    """Yield the arrays of a tree with their paths; raise ValueError for anything else."""
     if isinstance(tree, dict) and tree and len(path) < DEEPEST:
         for name, branch in tree.items():
             yield from leaves(branch, (*path, str(name)))

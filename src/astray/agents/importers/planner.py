@@ -49,6 +49,7 @@ class Same(nn.Conv2d):
     """A convolution that keeps the sides, with the padding of Flax's "SAME"."""
 
     def forward(self, input: Tensor) -> Tensor:
+        """Return [N, C, H, W] for `input` [N, D, H, W]."""
         ends = (self.kernel_size[0] - 1) // 2, self.kernel_size[0] // 2
         found = super().forward(functional.pad(input, ends * 2))
         return found + self.fence if hasattr(self, "fence") else found  # [1, C, H, W]
