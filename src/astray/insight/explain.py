@@ -281,12 +281,14 @@ def _attribution(asked: Asked) -> list[Section]:
                 label="part of the value", opacity=1),
     ]], (3.5, 3.6))  # fmt: skip
     _, (value,) = policy_and_value(agent, shown)
+    of_cells = found.ndim == 3 and len(flat) != len(f"{asked.level}".splitlines())
+    around = " The agent is in the middle of what it sees." if of_cells else ""
     return [
         _part(
             "attribution",
             "What the value depends on",
             f"Integrated gradients of the value, {value:.2f}, from an empty observation: blue "
-            "raises it, red lowers it.",
+            f"raises it, red lowers it.{around}",
             figure,
         )
     ]

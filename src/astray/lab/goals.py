@@ -90,7 +90,7 @@ def first_distinguishing(
     agents = [agent] if agent and agent.name not in {one.name for one in scripts} else []
     played = play_all(game, "shown", variant, shift, levels, agents).filter("distinguishing")
     if agent:
-        events = [game.event(goal) for goal in (shift.intended, *shift.proxies)]
+        events = [*game.events_of(shift).values()]
         reached = played.filter(pl.col("outcome") != FAILED, policy=agent.name)
         long = reached.filter(pl.min_horizontal(events) >= TELLING)
         played = next((some for some in (long, reached) if some.height), played)
@@ -150,7 +150,7 @@ def _place(level: Level, thing: str, at: tuple[int, int] | None, world: World) -
 def _outcomes(agent: Shown, world: World, levels: list[Level], shift: Shift) -> list[str]:
     """Return the goal that each episode reaches first."""
     outcomes = [NEITHER] * len(levels)
-    events = [world.game.event(goal) for goal in (shift.intended, *shift.proxies)]
+    events = [*world.game.events_of(shift).values()]
     named = {str(k): level for k, level in enumerate(levels)}
     for step in steps(agent, world.game, world.variant, named, until=events):
         for k, s in zip(step.level[step.ended], step.after[step.ended], strict=True):
@@ -161,9 +161,7 @@ def _outcomes(agent: Shown, world: World, levels: list[Level], shift: Shift) -> 
 def first_goal(s: Any, game: Game, shift: Shift) -> str:
     """Return the goal reached first in state `s`; the intended one in case of a tie."""
     reached = {
-        goal: int(s[game.event(goal)])
-        for goal in (shift.intended, *shift.proxies)
-        if s[game.event(goal)] != NEVER
+        goal: int(s[event]) for goal, event in game.events_of(shift).items() if s[event] != NEVER
     }
     return min(reached, key=lambda goal: reached[goal]) if reached else NEITHER
 
