@@ -29,6 +29,7 @@ from astray.world import World, WorldVariant
 
 EVERY = 5.0  # seconds between reports of the levels played
 LASTING = 1_000_000  # steps; longer episodes count as endless
+OF_WORLD = 100_000  # likewise of a World, which tells no limit; its steps can take milliseconds
 LOG = logging.getLogger(__name__)  # reports progress at level INFO
 POLICY = ("name", "observation", "art", "actions")  # required attributes of a policy
 
@@ -279,6 +280,7 @@ class LevelByLevel:
             one_of("event", event, env.game.events, of=env.game.name)
         self._option, self._levels = beginnings(levels, env.game.state)
         self._until, self._longest, n = until, longest, env.num_envs
+        self._lasting = OF_WORLD if isinstance(env, WorldVectorEnv) else LASTING
         streams = isinstance(env, WorldVectorEnv) and env.game.level_key is not None
         self._streams = n if streams else 0
         self._playing = np.arange(n)  # index of each environment's level
@@ -325,8 +327,8 @@ class LevelByLevel:
             step.ended[:] |= step.after[event] >= 0
         if self._longest is not None:
             step.ended[:] |= step.after["time"] >= self._longest
-        elif (step.after["time"] > LASTING).any():
-            raise ValueError(lasting(f"a level has not ended after {LASTING:,} steps"))
+        elif (step.after["time"] > self._lasting).any():
+            raise ValueError(lasting(f"a level has not ended after {self._lasting:,} steps"))
         self._ended = step.ended
         self._turn = Turn(self._turn.env, step.seen, np.zeros(len(step.ended), bool))
         return step if self._live.all() else step.of(self._live)

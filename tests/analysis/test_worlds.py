@@ -8,7 +8,7 @@ import numpy as np
 import polars as pl
 import pytest
 
-from astray import games
+from astray import acting, games
 from astray.analysis.adapters import Function, from_sb3
 from astray.analysis.dataset import export, read_trajectories, trajectories
 from astray.analysis.evaluate import evaluate
@@ -203,10 +203,13 @@ def test_a_process_that_hangs_where_it_closes_is_ended():
     assert evaluate(RIGHT, world, "anywhere", LEVELS[:2], batch=1).height == 2
 
 
-def test_an_episode_without_end_is_left_after_the_longest():
+def test_an_episode_without_end_is_left_after_the_longest(monkeypatch):
     left = Function(lambda seen: np.zeros(len(seen), int), "left")
     table = evaluate(left, troubled("endless"), "end", LEVELS, longest=30)
     assert table["length"].to_list() == [30] * len(LEVELS) and not table["terminated"].any()
+    monkeypatch.setattr(acting, "OF_WORLD", 500)
+    with pytest.raises(ValueError, match="has not ended after 500 steps: say `longest`"):
+        evaluate(left, troubled("endless"), "end", LEVELS[:1])
 
 
 def test_what_a_world_names_must_be_there():

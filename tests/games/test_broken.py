@@ -17,6 +17,7 @@ SOURCES = {
     "hides": "class Hidden:\n    def __repr__(self): raise SystemExit(0)\nGAME = Hidden()",
     "fails_unsaid": "class Unsaid(Exception):\n    def __repr__(self): raise SystemExit(0)\n"
     "raise Unsaid",
+    "poses": "class Posed:\n    __class__ = property(lambda self: exit())\nGAME = Posed()",
     "ends": "class End(BaseException): pass\nraise End('for good')",
     "leaves_late": "import dataclasses, sys\nfrom astray import games\n"
     "class Variants(dict):\n    items = sys.exit\n"
@@ -32,6 +33,7 @@ REASONS = {
     "is_none": "must be a Game called 'is_none'; got 3",
     "hides": "must be a Game called 'hides'; got <Hidden that cannot be shown>",
     "fails_unsaid": "fails: <Unsaid that cannot be shown>",
+    "poses": "SystemExit(None)",
     "ends": "End('for good')",
     "leaves_late": "SystemExit()",
     "is_no_text": "type bytes is not JSON",

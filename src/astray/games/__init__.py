@@ -111,12 +111,13 @@ def _offered() -> dict[str, EntryPoint]:
 def _load(point: EntryPoint) -> Game:
     try:
         game = point.load()
+        known = isinstance(game, Game) and game.name == point.name  # a stranger's class may exit
     except KeyboardInterrupt:
         raise
     except BaseException as error:  # else a module that exits would end every verb
         raise ValueError(
             f"the game {point.name!r}, {point.value}, fails: {shown(error, 300)}"
         ) from error
-    if not isinstance(game, Game) or game.name != point.name:
+    if not known:
         raise ValueError(f"{point.value} must be a Game called {point.name!r}; got {shown(game)}")
     return game
