@@ -326,7 +326,13 @@ def without_claims(told, folder, claims):
 
 @pytest.mark.parametrize(
     "text",
-    ["", "{}", "[]", "[" * 99_999, '{"claims": [1], "answer": ""}', None, 7, [{"supported": 1}]],
+    [
+        *["", "{}", "[]", "[" * 99_999, '{"claims": [1], "answer": ""}', None, 7],
+        [{"supported": 1}],
+        [{"sentence": [], "ours": "5 %", "supported": True}],
+        [{"sentence": "It does.", "ours": "5 %", "supported": "no"}],
+        [{"sentence": "\ud800", "ours": "5 %", "supported": True}],
+    ],
 )
 def test_ruined_findings_are_told_and_hide_no_other_report(told, tmp_path, capsys, text):
     report.write(*told, tmp_path / "whole")

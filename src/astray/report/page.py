@@ -133,22 +133,25 @@ def _findings(path: Path) -> dict[str, Any]:
     """Return the contents of findings.json; raise ValueError if `write` did not write it."""
     try:
         found = json.loads(read(path))
+        json.dumps(found, ensure_ascii=False).encode()  # half a character can be on no page
     except (ValueError, RecursionError) as error:
         raise ValueError(f"{path} is not JSON: {error}") from error
-    names = ("claims", "answer", *(f.name for f in fields(Heading)))
-    missing = [name for name in names if not isinstance(found, dict) or name not in found]
-    claims = [] if missing else found["claims"]
+    kinds = dict.fromkeys(("answer", *(f.name for f in fields(Heading))), str)
+    claims = found.get("claims") if isinstance(found, dict) else None
     if isinstance(claims, list):
         claims = [renamed(claim, {"held": "supported"}, str(path)) for claim in claims]
-    if missing or not isinstance(claims, list) or not all(map(_is_claim, claims)):
+    if not (_has(found, kinds) and isinstance(claims, list) and all(map(_is_claim, claims))):
         raise ValueError(f"{path} must be the findings of a report; got {shown(found)}")
-    return found | {"claims": claims}
+    return {**found, "claims": claims}
 
 
 def _is_claim(given: Any) -> bool:
-    return isinstance(given, dict) and all(
-        name in given for name in ("sentence", "ours", "supported")
-    )
+    return _has(given, {"sentence": str, "ours": str, "supported": bool})
+
+
+def _has(given: Any, kinds: Mapping[str, type]) -> bool:
+    """Return whether data are an object with these kinds of values by name."""
+    return isinstance(given, dict) and all(type(given.get(n)) is kind for n, kind in kinds.items())
 
 
 def _render(template: str, **what: Any) -> str:
