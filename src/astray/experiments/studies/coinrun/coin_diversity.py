@@ -237,9 +237,7 @@ def unmet(work: Work) -> str:
     return "; ".join(told) + ". Others are in a training under another number, as short ones often."
 
 
-def plan(
-    size: Size, fractions: tuple[int, ...], seeds: range, levels: int, differences: str
-) -> Plan:
+def plan(size: Size, fractions: tuple[int, ...], seeds: int, levels: int, differences: str) -> Plan:
     """Return a plan with agents for each fraction of random coins; 0 is shared by all studies."""
     agent = _agents.AGENTS[size]
     agents = {
@@ -250,8 +248,7 @@ def plan(
     }
     return Plan(
         agents=agents,
-        seeds=len(seeds),
-        first_seed=seeds.start,
+        seeds=seeds,
         tests=TESTS,
         levels=levels,
         differences=differences,
@@ -268,32 +265,32 @@ EXPERIMENT = Experiment(
         "smoke": plan(
             "smoke",
             (0, 2, 6, 20),
-            range(10, 20),
+            2,
             500,
             f"four of the eight fractions; {_agents.DIFFERENCES['smoke']}",
         ),
         "pixels": plan(
             "pixels",
             (0, 2, 20),
-            range(3),
+            3,
             500,
             f"three of the eight fractions; {_agents.DIFFERENCES['pixels']}",
         ),
         "night": plan(
             "night",
             (0, 2, 20),
-            range(2),
+            2,
             1000,
             f"three of the eight fractions; {_agents.DIFFERENCES['night']}",
         ),
         "hour": plan(
             "hour",
             (0, 2, 10),
-            range(1),
+            1,
             1000,
             f"{_agents.DIFFERENCES['hour']}; three fractions of random coins instead of eight",
         ),
-        "paper": plan("paper", FRACTIONS, range(3), 10_000, ""),
+        "paper": plan("paper", FRACTIONS, 3, 10_000, ""),
     },
     find=find,
 )

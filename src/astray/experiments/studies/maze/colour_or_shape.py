@@ -242,8 +242,7 @@ EXPERIMENT = Experiment(
             replace(PRESETS["small"], steps=11_000_000),
             "maze",
             "colour-or-shape-small",
-            seeds=10,
-            first_seed=10,
+            seeds=2,
             differences="worlds of 7 cells instead of 25, seen as symbols instead of a picture, so "
             "that colours and shapes are codes; a mouse that starts anywhere and has 100 steps "
             "instead of 500; a network of two hidden layers, and 11 million steps instead of 200 "
