@@ -26,10 +26,11 @@ def loaded(name):
     return module
 
 
-def test_an_agent_of_stable_baselines3_goes_to_the_corner_of_a_minigrid_room(tmp_path):
+@pytest.mark.parametrize("name, steps", [("minigrid_corner", 10_000), ("minigrid_door", 15_000)])
+def test_an_agent_of_stable_baselines3_pursues_the_proxy_in_minigrid(name, steps, tmp_path):
     pytest.importorskip("minigrid")
-    example = loaded("minigrid_corner")
-    example.STEPS = 10_000
+    example = loaded(name)
+    example.STEPS = steps
     plan = replace(example.EXPERIMENT.sizes["smoke"], seeds=1, levels=80)
     page = reproduce(replace(example.EXPERIMENT, sizes={"smoke": plan}), "smoke", tmp_path)
     told = page.read_text("utf-8")
