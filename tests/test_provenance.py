@@ -48,12 +48,22 @@ def lazy():
     from twelve \\
         import thirteen
 """
+ODDLY = """from.six import seven
+from.import ten
+\ffrom .import(one)
+from .größe import weiß
+from two . three import four; import five . six as nine
+from . import \\
+    eight
+"""
 
 
-def test_imports_are_found_however_they_are_written(tmp_path):
-    (tmp_path / "written.py").write_text(STATEMENTS)
-    found = provenance._statements(STATEMENTS.encode())
-    assert found == set(parsed(tmp_path / "written.py")) and len(found) == 8
+@pytest.mark.parametrize("end", ["\n", "\r\n", "\r"])
+@pytest.mark.parametrize(("text", "count"), [(STATEMENTS, 8), ("\ufeff" + ODDLY, 7)])
+def test_imports_are_found_however_they_are_written(tmp_path, text, count, end):
+    (tmp_path / "written.py").write_text(text, newline=end)
+    found = provenance._statements((tmp_path / "written.py").read_bytes())
+    assert found == set(parsed(tmp_path / "written.py")) and len(found) == count
 
 
 @pytest.mark.parametrize("game", games.OWN)

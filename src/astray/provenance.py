@@ -5,6 +5,7 @@ The code is found by following imports from the given functions, also imports wi
 
 from __future__ import annotations
 
+import codecs
 import contextlib
 import functools
 import hashlib
@@ -23,8 +24,8 @@ INSTALLED = {"site-packages", "dist-packages"}  # names of folders
 LIBRARIES = {"gymnasium", "numba", "numpy", "torch"}  # whose objects games and agents consist of
 # A parser takes 100 ms for what a game imports, this 7; with names as a list in parentheses or not.
 IMPORT = re.compile(
-    rb"(?:^|[;:])[ \t]*(?:from[ \t]+([\w.]+)[ \t]+import[ \t]*(\((?:[^()#]|#[^\n]*)*\)|[^\n;(]+)"
-    rb"|import[ \t]+([^\n;]+))",
+    rb"(?:^|[;:])[ \t]*(?:from(?=[ \t.])([\w. \t\x80-\xff]+?)(?<![\w\x80-\xff])"
+    rb"import(?![\w\x80-\xff])[ \t]*(\((?:[^()#]|#[^\n]*)*\)|[^\n;(]+)|import[ \t]+([^\n;]+))",
     re.MULTILINE,
 )
 _seen: dict[str, str] = {}  # module -> the digest of its source when it was first seen
@@ -163,13 +164,17 @@ def _imported(source: bytes, name: str, spec: ModuleSpec) -> Iterator[tuple[str,
 def _statements(source: bytes) -> frozenset[tuple[str, str]]:
     """Return each module that is imported, with each name that is imported from it, or ""."""
     found = set()
-    for module, names, modules in IMPORT.findall(source.replace(b"\\\n", b" ")):
-        listed = re.sub(rb"#[^\n]*", b"", names or modules).strip(b"() \t\r\n").split(b",")
-        for one in (
-            words[0].decode(errors="replace") for words in map(bytes.split, listed) if words
-        ):
-            found.add((module.decode(), one) if module else (one, ""))
+    lines = b"\n".join(source.removeprefix(codecs.BOM_UTF8).splitlines())  # which end in any way
+    for words in IMPORT.findall(lines.replace(b"\\\n", b" ").replace(b"\f", b" ")):
+        module, names, modules = (text.decode(errors="replace") for text in words)
+        for listed in re.sub(r"#[^\n]*", "", names or modules).strip("() \t\n").split(","):
+            if one := _joined(re.split(r"\sas\s", listed)[0]):
+                found.add((_joined(module), one) if module else (one, ""))
     return frozenset(found)
+
+
+def _joined(name: str) -> str:
+    return "".join(name.split())
 
 
 def _place(name: str) -> ModuleSpec | None:
