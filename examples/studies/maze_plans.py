@@ -43,8 +43,8 @@ def find(work: Work) -> Findings:
         "readings",
         lambda: pl.concat([readings(work, k, run) for k, run in enumerate(work.runs[MOUSE])]),
     )
-    wheres = [(AFTER, TRAIN), (AFTER, TEST), (CHEESE, TRAIN), (CHEESE, TEST), (FIRST, TEST)]
-    seen, moved, there, lost, corner = (of(rows, *where) for where in wheres)
+    places = [(AFTER, TRAIN), (AFTER, TEST), (CHEESE, TRAIN), (CHEESE, TEST), (FIRST, TEST)]
+    seen, moved, there, lost, corner = (of(rows, *where) for where in places)
     tables = outcomes.outcome_tables(work)
     return Findings(
         answer=f"Off its last tick, the cells that a mouse will step on are read with a balanced "

@@ -118,7 +118,7 @@ def test_the_nearest_name_is_named_for_settings_and_verbs_too(astray):
     "given, meant",
     [
         ("reproduce maze-corner --size smok", "--size; there are: .*; did you mean 'smoke'[?]"),
-        ("train maze corner --preset smal", "--preset; there are: .*; did you mean 'small'[?]"),
+        ("train maze corner --preset smallx", "--preset; there are: .*; did you mean 'small'[?]"),
         (
             "agents fech openai-coinrun",
             "what; there are: list, fetch, check; did you mean 'fetch'[?]",
