@@ -48,11 +48,13 @@ WRONG = (ValueError, TypeError, AttributeError, IndexError, ArithmeticError, Run
 class Same(nn.Conv2d):
     """A convolution that keeps the sides, with the padding of Flax's "SAME"."""
 
+    fence: Tensor  # [1, C, H, W], added; missing where there is none
+
     def forward(self, input: Tensor) -> Tensor:
         """Return [N, C, H, W] for `input` [N, D, H, W]."""
         ends = (self.kernel_size[0] - 1) // 2, self.kernel_size[0] // 2
         found = super().forward(functional.pad(input, ends * 2))
-        return found + self.fence if hasattr(self, "fence") else found  # [1, C, H, W]
+        return found + self.fence if hasattr(self, "fence") else found
 
 
 class Planner(DRC):
@@ -67,6 +69,7 @@ class Planner(DRC):
         shape, encoder = (side, side, 3), nn.Sequential(layers)
         super().__init__(shape, [], actions, *sizes, encoder, inputs)
         self.edge = self.edge[:, :0]  # gates have the fence
+        layer: Any
         for layer in self.layers:
             layer.output = torch.tanh
             layer.gates = Same(4 * inputs, 4 * inputs, cells["conv"]["kernel_size"][0])
