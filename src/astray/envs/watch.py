@@ -32,9 +32,11 @@ class Watch:
         self._busy = self._hangs = False
         self._lock, self._ended = threading.Lock(), threading.Event()
         self._is_main = threading.current_thread() is threading.main_thread()
-        threading.Thread(target=self._look, daemon=True, name="astray-watch").start()
+        self._thread = threading.Thread(target=self._look, daemon=True, name="astray-watch")
 
     def __enter__(self) -> None:
+        if self._thread.ident is None:
+            self._thread.start()
         self._busy = True
 
     def __exit__(
