@@ -16,6 +16,7 @@ from astray.world import Env, Happened, World, WorldVariant
 
 NOTED = "astray"  # key of info that reports events and measures
 BOOLEANS = (bool, np.bool_)
+NO = np.False_  # a single object, what comparisons of numpy's numbers return
 FAILURES = (Exception, SystemExit)  # of an environment
 Asked = Callable[[Any, Mapping[str, Any]], Any]  # (environment, info) -> whether an event happens
 
@@ -112,7 +113,7 @@ class Witness(gymnasium.Wrapper):
         try:
             for name, happened in self._waiting.items():
                 is_now = happened(inner, info)
-                if is_now is not False:
+                if is_now is not False and is_now is not NO:
                     told.append((name, is_now))
         except Exception as error:
             raise self._failed(f"event {name!r}", error) from error

@@ -54,14 +54,15 @@ class InTurn(VectorEnv):
         """Step N environments; return arrays [N, ...], and those infos that have the key."""
         rewards, terminated, truncated, infos = [], [], [], {}
         each = zip(self._envs, iterate(self.action_space, actions), strict=True)
-        with self._watch:
+        observations, watch, key = self._observations, self._watch, self._key
+        with watch:
             for i, (env, action) in enumerate(each):
-                self._watch.turn += 1
-                self._observations[i], reward, ended, cut, info = env.step(action)
+                watch.turn += 1
+                observations[i], reward, ended, cut, info = env.step(action)
                 rewards.append(reward)
                 terminated.append(ended)
                 truncated.append(cut)
-                if self._key in info:
+                if key in info:
                     infos = self._add_info(infos, info, i)
         ends = np.array(terminated, bool), np.array(truncated, bool)
         return self._shown(), np.array(rewards, np.float64), *ends, infos
