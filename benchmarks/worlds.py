@@ -48,7 +48,7 @@ class Row:
 
 
 def measure(
-    environments: Sequence[str] = tuple(EVENTS), rounds: int = 5, steps: int = 40, batch: int = 256
+    environments: Sequence[str] = tuple(EVENTS), rounds: int = 15, steps: int = 40, batch: int = 256
 ) -> list[Row]:
     """Step a World and a plain loop in turns, so that other work on the machine slows both."""
     rows = []

@@ -11,6 +11,7 @@ from typing import Any, Literal, Self
 
 import numpy as np
 
+from astray.outcome import check_ends
 from astray.protocols import (
     Cells,
     Editing,
@@ -298,6 +299,7 @@ class Game:
     real_time: bool = False  # things move while the agent stays; otherwise a player may take time
 
     def __post_init__(self) -> None:
+        check_ends(self.ends)
         for part, kind in PARTS.items():
             if not isinstance(given := getattr(self, part), Missing | None):
                 _check_whole(self.name, part, given, kind)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from functools import cache
 from math import isfinite
 from typing import Any, cast
 
@@ -39,15 +40,13 @@ class Witness(gymnasium.Wrapper):
         self.reported: set[str] = set()
         self._inner, self._shape = env.unwrapped, env.observation_space.shape
         self._every_step, self._kind = world.every_step, cast("Any", env.observation_space.dtype)
-        self._waiting: dict[
-            str, Callable[[Any, Mapping[str, Any]], Any]
-        ] = {}  # events that have not happened
+        self._events = self._waiting = _events(world)  # those that have not happened
 
     def reset(self, *, seed: int | None = None, options: dict | None = None) -> tuple[Any, dict]:
         """Begin the level whose number is `seed`; raise ValueError if the world's code fails."""
         self.level, self.time = NEVER if seed is None else seed, 0
         self.first = dict.fromkeys(self.world.events, NEVER)
-        self._waiting = {name: _asked(event) for name, event in self.world.events.items()}
+        self._waiting = self._events
         try:
             seen, info = self.env.reset(seed=seed, options=options)
         except FAILURES as error:
@@ -111,7 +110,7 @@ class Witness(gymnasium.Wrapper):
             self.reported.update(info)
         told, inner, name = [], self._inner, ""
         try:
-            for name, happened in self._waiting.items():
+            for name, happened in self._waiting:
                 is_now = happened(inner, info)
                 if is_now is not False and is_now is not NO:
                     told.append((name, is_now))
@@ -127,7 +126,7 @@ class Witness(gymnasium.Wrapper):
                 )
             if is_now:
                 self.first[name], new = self.time, True
-                del self._waiting[name]
+                self._waiting = tuple(one for one in self._waiting if one[0] != name)
         return new
 
     def _told(self) -> np.ndarray:
@@ -164,11 +163,14 @@ class Witness(gymnasium.Wrapper):
         return f"{self.variant}, level {self.level}, step {self.time}"
 
 
+@cache  # as steps of many environments that share an object take less time
+def _events(world: World) -> tuple[tuple[str, Asked], ...]:
+    return tuple((name, _asked(event)) for name, event in world.events.items())
+
+
 def _asked(event: Happened) -> Asked:
     """Return the function that tells whether an event happens."""
-    if isinstance(event, str):
-        return lambda env, info: info.get(event, False)
-    return event
+    return (lambda env, info: info.get(event, False)) if isinstance(event, str) else event
 
 
 def witnessed(

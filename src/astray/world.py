@@ -14,6 +14,7 @@ import numpy as np
 
 from astray import games, imports
 from astray.game import OWN, Game, Missing, More, Never, Outcome, Shift, Truncated
+from astray.outcome import check_ends
 from astray.record import record_dtype
 from astray.validation import brief, finite, of_kind, one_of, shown
 
@@ -192,6 +193,7 @@ class World:
                     f"the event {name!r} must be a key of info or a function of the environment "
                     f"and info; got {shown(happened)}"
                 )
+        check_ends(self.ends)
         for goal in self.experts:
             one_of("goal of an expert", goal, self.goals)
         for outcome in (*self.goals.values(), *self.ends.values()):

@@ -110,7 +110,7 @@ def test_of_several_ends_the_first_is_told_and_a_goal_is_no_end():
     told = label(episodes, game, load_shift(game, "lava"))["outcome"]
     assert told.to_list() == ["soon", "late", INTENDED]
     with pytest.raises(ValueError, match=f"a name of its own; got {FAILED}"):
-        outcomes_of(replace(game, ends={FAILED: "late"}))
+        replace(game, ends={FAILED: "late"})
 
 
 def test_a_runner_that_dies_is_told_and_other_labels_are_as_before():

@@ -208,13 +208,15 @@ def test_an_episode_without_end_is_left_after_the_longest(monkeypatch):
     table = evaluate(left, troubled("endless"), "end", LEVELS, longest=30)
     assert table["length"].to_list() == [30] * len(LEVELS) and not table["terminated"].any()
     monkeypatch.setattr(acting, "OF_WORLD", 500)
-    with pytest.raises(ValueError, match="has not ended after 500 steps: say `longest`"):
+    with pytest.raises(ValueError, match=r"after 500 steps: say `longest`.*longest\)$"):
         evaluate(left, troubled("endless"), "end", LEVELS[:1])
 
 
 def test_what_a_world_names_must_be_there():
     with pytest.raises(ValueError, match="unknown event of a goal 'gone'; there are: reached_"):
         replace(WORLD, goals={**WORLD.goals, "end": "gone"})
+    with pytest.raises(ValueError, match=f"an end must have a name of its own; got {INTENDED}"):
+        replace(WORLD, ends={INTENDED: "reached_end"})
     with pytest.raises(ValueError, match="unknown goal of an expert 'gone'"):
         replace(WORLD, experts={"gone": lambda env: 0})
     with pytest.raises(ValueError, match="unknown variant of room 'gone'; there are: end, any"):

@@ -82,7 +82,7 @@ def test_a_row_says_what_guessing_gets_and_what_a_network_learned(rows):
 
 
 def test_larger_mazes_come_once_it_is_right_in_the_largest(lessons, monkeypatch):
-    monkeypatch.setattr(eyes, "ENOUGH", -1.0)
+    monkeypatch.setattr(eyes, "ENOUGH", -10.0)  # also just after growth
     _, pictures, largest = eyes.learn("patch", lessons, 0.5, np.random.default_rng(0))
     updates = pictures // BATCH
     assert largest == min(7 + 2 * updates, 25)

@@ -16,6 +16,7 @@ from astray.agents import policy as trained
 from astray.agents.recurrent import Recurrent
 from astray.analysis.trained import AT_ONCE, Network, chosen, recalled
 from astray.envs.vector import Observation
+from astray.envs.worlds import WorldVectorEnv
 from astray.game import OWN
 from astray.training.trainer import Trainer
 from astray.validation import one_of, shown
@@ -83,8 +84,8 @@ class Function:
 def _actions(name: str, chosen: Any, turn: Turn) -> np.ndarray:
     """Return a policy's actions [N]; raise ValueError if they are invalid."""
     chosen, n, space = np.asarray(chosen), turn.env.num_envs, turn.env.single_action_space
-    if not isinstance(space, Discrete):  # a world checks its own actions
-        return chosen
+    if isinstance(turn.env, WorldVectorEnv) or not isinstance(space, Discrete):
+        return chosen  # a world checks its own actions
     first, count = int(space.start), int(space.n)
     if chosen.shape != (n,) or not np.issubdtype(chosen.dtype, np.integer):
         raise ValueError(
