@@ -89,7 +89,7 @@ class Symbols(Protocol):
 
     @property
     def planes(self) -> Callable[..., np.ndarray]:
-        """Function (variant) -> [C, H, W] uint8, the largest possible values."""
+        """Function (variant) -> [C, H, W] uint8, the largest values; binary planes first."""
         ...
 
     @property

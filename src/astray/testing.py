@@ -190,9 +190,11 @@ def check_events(game: Game, variant: Variant) -> None:
 
 
 def check_symbols(game: Game, variant: Variant) -> None:
-    """Check that symbols are within their largest values."""
+    """Check that symbols are within their largest values, and planes of 0 and 1 come first."""
     if not game.symbols:
         return
+    several = (game.symbols.planes(variant).max((1, 2)) > 1).tolist()
+    assert several == sorted(several), "planes of 0 and 1 must come first, as the mlp takes them"
     env = GameVectorEnv(game, variant, 3, observation="symbolic")
     assert env.reset(seed=0)[0] in env.observation_space
     for actions in _actions(env, 20):

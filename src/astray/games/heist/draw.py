@@ -29,11 +29,11 @@ from astray.kernel.thief import HALF
 ART = Path(__file__).parent / "art"
 ICON = (0.06, 0.045)  # height and width of an icon, of the picture's side
 ICON_RIGHT, ICON_DOWN, SLOT = 0.0375, 0.0597, 0.06  # of the first one's centre; to the next one's
-# The symbolic planes: walls; keys and doors, of each colour its number, 1 for blue; the gem, the
-# thief's cell, and in the first cells the keys in hand, a cell for each colour; then, in the
-# thief's cell, where in it the thief is.
-WALL_PLANE, KEY_PLANE, DOOR_PLANE, GEM_PLANE, THIEF_PLANE = range(5)
-HAND_PLANE, X_PLANE, Y_PLANE, PLANES = range(5, 9)
+# The symbolic planes, those of 0 and 1 first: walls, the gem, the thief's cell, and in the first
+# cells the keys in hand, a cell for each colour; then keys and doors, of each colour its number, 1
+# for blue; then, in the thief's cell, where in it the thief is.
+WALL_PLANE, GEM_PLANE, THIEF_PLANE, HAND_PLANE = range(4)
+KEY_PLANE, DOOR_PLANE, X_PLANE, Y_PLANE, PLANES = range(4, 9)
 
 
 @kernel
@@ -83,7 +83,7 @@ def foreground_planes(s, scene, planes):
     for k in range(s.objects):
         if s.gone[k] == s.time:
             x, y = edge + int(s.object_x[k]), edge + int(s.object_y[k])
-            for plane in range(KEY_PLANE, GEM_PLANE + 1):
+            for plane in (GEM_PLANE, KEY_PLANE, DOOR_PLANE):
                 scene[plane, y, x] = 0
     left, low = show_planes(s, scene, planes)
     mark_thief(s, planes, left, low, THIEF_PLANE, X_PLANE, Y_PLANE)
