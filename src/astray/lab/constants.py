@@ -19,6 +19,7 @@ from astray.games.keys import draw as keys_draw
 from astray.games.keys import levels as keys_levels
 from astray.games.keys import rules as keys_rules
 from astray.games.keys import variants as keys_variants
+from astray.games.maze import draw as maze_draw
 from astray.games.maze import levels as maze_levels
 from astray.games.maze import rules as maze_rules
 from astray.games.maze import variants as maze_variants
@@ -34,15 +35,17 @@ TABLES: dict[str, tuple[tuple[ModuleType, str], ...]] = {
     "twister": ((rng, "WORDS MIDDLE"),),
     "grid": ((abilities, "OVER"),),
     "rewards": ((ppo, "CLIP"),),
-    "goals": ((goals, "TOGETHER NEITHER OTHER"),),
+    "goals": ((goals, "TOGETHER NEITHER OTHER BETA"),),
     "maze": (
         (maze_rules, "EMPTY GOAL OTHER BOTH REWARD"),
         (maze_variants, "SHAPES OTHERS COLOURS WALLS"),
         (maze_levels, "LEGEND STOOD_ON"),
+        (maze_draw, "WALL_PLANE MOUSE_PLANE DISH_PLANE SHAPE_PLANE COLOUR_PLANE"),
     ),
     "keys": (
         (keys_rules, "KEY CHEST MOST KEY_X KEY_Y CHEST_X CHEST_Y REWARD HIDDEN"),
-        (keys_draw, "PLANES"),
+        (keys_draw, "WALL_PLANE KEY_PLANE CHEST_PLANE THIEF_PLANE HAND_PLANE"),
+        (keys_draw, "X_PLANE Y_PLANE PLANES"),
         (keys_variants, "INVENTORIES"),
         (keys_levels, "LEGEND STOOD_ON"),
     ),
@@ -53,15 +56,17 @@ TABLES: dict[str, tuple[tuple[ModuleType, str], ...]] = {
     "heist": (
         (heist_rules, "COLOURS MOST KEY DOOR_CODE GEM REWARD KEY_X KEY_Y GEM_X GEM_Y"),
         (heist_draw, "KEY_PLANE DOOR_PLANE GEM_PLANE THIEF_PLANE HAND_PLANE X_PLANE Y_PLANE"),
-        (heist_draw, "PLANES"),
+        (heist_draw, "WALL_PLANE PLANES"),
         (heist_levels, "LEGEND STOOD_ON OBJECTS"),
     ),
     "coinrun": (
         (coinrun_rules, "WORLD PUFFS REWARD EMPTY WALL TOP LAVA LAVA_TOP BARRIER COIN INVISIBLE"),
         (coinrun_rules, "PERMEABLE NOTHING CRATE SAW HALF TALL CORNER NEAR FOOT GRAVITY JUMP"),
-        (coinrun_rules, "FASTEST MIX_GROUND MIX_AIR STROLL TURN WALKERS EVENTS"),
+        (coinrun_rules, "FASTEST MIX_GROUND MIX_AIR STROLL TURN WALKERS EVENTS STAND WALK"),
         (coinrun_cells, "CRATE_HERE SAW_HERE WALKER_LEFT SAW_AND_LEFT LEGEND STOOD_ON"),
-        (coinrun_draw, "VIEW AROUND GAUGE PLANES GROUNDS RUNNERS POSES RUNNER_HEIGHT"),
+        (coinrun_draw, "VIEW AROUND GAUGE PLANES GROUNDS RUNNERS POSES RUNNER_HEIGHT PERIOD"),
+        (coinrun_draw, "WALL_PLANE HAZARD_PLANE CRATE_PLANE COIN_PLANE LEFT_PLANE RIGHT_PLANE"),
+        (coinrun_draw, "GAUGE_PLANE CRATES"),
     ),
 }
 

@@ -31,6 +31,7 @@ OTHER = "another cell"
 PLACES = 400  # at most, that a thing is put to
 TELLING = 5  # steps to a goal; the posterior of shorter ways tells goals hardly apart
 FIRST_FEW = 50  # levels among which one that distinguishes the goals is looked for
+BETA = CALIBRATED.beta  # of the prior of how often an agent errs
 TOGETHER = 16  # places that are played at once: a level's draws depend on which of them it is
 
 

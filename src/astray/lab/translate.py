@@ -36,33 +36,12 @@ SIGNS: dict[type, str] = {
     ast.And: "&&", ast.Or: "||",
 }  # fmt: skip
 CALLS: dict[type, str] = {ast.FloorDiv: "floorDiv", ast.Mod: "mod"}  # by the page's functions
-WORDS = frozenset(
-    [
-        "new",
-        "in",
-        "delete",
-        "function",
-        "var",
-        "let",
-        "class",
-        "case",
-        "default",
-        "this",
-        "switch",
-        "void",
-    ]
-)
-NAMES = [
-    "below",
-    "fill",
-    "floorDiv",
-    "gridRules",
-    "mod",
-    "or",
-    "settle",
-    "where",
-    "yes",
-]  # of `page/rules/grid.js`
+WORDS = frozenset((
+    "new", "in", "delete", "function", "var", "let", "class", "case", "default", "this", "switch",
+    "void",
+))  # fmt: skip
+# Of `page/rules/grid.js`:
+NAMES = ["below", "fill", "floorDiv", "gridRules", "mod", "or", "settle", "where", "yes"]
 
 
 def module(game: Game) -> str:

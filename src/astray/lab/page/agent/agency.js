@@ -2,7 +2,9 @@
 // settings called CALIBRATED there. Whether it is an agent at all needs Python.
 
 import { WALL, distances } from "../rules/common.js";
+import { goals } from "../rules/constants.js";
 
+const { BETA } = goals;
 const SIDES = [[0, 1], [0, -1], [-1, 0], [1, 0]];
 
 // The posterior over cells after every step: {cells [G], rates [T + 1][G]}.
@@ -58,9 +60,9 @@ function logSum(logs) {
   return most + Math.log(logs.reduce((sum, log) => sum + Math.exp(log - most), 0));
 }
 
-// Gauss-Legendre nodes in (0, 1) under the prior Beta(1, 2) of how often an agent errs.
+// Gauss-Legendre nodes in (0, 1) under the prior Beta(1, BETA) of how often an agent errs.
 function ruleOf(degree) {
-  const half = Math.floor((degree + 1) / 2);
+  const half = Math.floor((degree + Math.ceil(BETA - 1)) / 2);
   const n = Math.max(16, 2 ** (half === 0 ? 0 : Math.floor(Math.log2(half)) + 1));
   return Array.from({ length: n }, (_, i) => {
     let x = Math.cos((Math.PI * (i + 0.75)) / (n + 0.5));
@@ -75,6 +77,6 @@ function ruleOf(degree) {
     }
     const weight = 2 / ((1 - x * x) * slope * slope);
     const eps = (1 + x) / 2;
-    return { eps, logWeight: Math.log(weight / 2) + Math.log(2) + Math.log(1 - eps) };
+    return { eps, logWeight: Math.log((weight / 2) * BETA) + (BETA - 1) * Math.log(1 - eps) };
   });
 }

@@ -1,10 +1,11 @@
 // Drawing of a game of cells: with its sprites, or else the characters of its drawings.
 
 import { eachCell, heading } from "./common.js";
+import { WALL } from "../rules/common.js";
 
 const FILLS = { ".": "#f1efe8", "#": "#8d8a80" };
 
-export const look = { still, moving, direction: heading, wall: 1, proxies: () => ({}), plain: true };
+export const look = { still, moving, direction: heading, wall: WALL, proxies: () => ({}), plain: true };
 
 // Visit each cell: `visit` is called with the names of drawings, or with a character alone.
 function each(level, s, { legend, pictures = {} }, visit) {

@@ -3,30 +3,33 @@
 import { eachCell, heading } from "./common.js";
 import { coinrun } from "../rules/constants.js";
 
-const { GROUNDS, RUNNERS, POSES, VIEW, TALL, RUNNER_HEIGHT: HIGH } = coinrun;
+const {
+  GROUNDS, RUNNERS, POSES, VIEW, TALL, RUNNER_HEIGHT: HIGH, PERIOD, CRATES, EMPTY, WALL, TOP, LAVA, LAVA_TOP,
+  COIN, INVISIBLE, PERMEABLE, CRATE_HERE, SAW_HERE, SAW_AND_LEFT,
+} = coinrun;
 const SKY = "#cfe3ea";
 
 export const look = {
-  still, moving, direction: heading, agent: "runner-beige-stand", wall: 1, view: VIEW, proxies, wide,
+  still, moving, direction: heading, agent: "runner-beige-stand", wall: WALL, view: VIEW, proxies, wide,
 };
 
 function still(brush, { grid, looks }, s, pictures) {
   const ground = GROUNDS[s.ground] ?? "dirt";
   const details = Object.fromEntries((looks?.details ?? []).map(([x, y, d]) => [`${x},${y}`, d]));
   eachCell(grid, (what, x, y) => {
-    if (what === 1) return brush.tile(pictures.get(`ground-${ground}`), x, y);
-    if (what === 2) return brush.tile(pictures.get(`ground-${ground}-top`), x, y);
+    if (what === WALL) return brush.tile(pictures.get(`ground-${ground}`), x, y);
+    if (what === TOP) return brush.tile(pictures.get(`ground-${ground}-top`), x, y);
     brush.fill(SKY, x, y);
-    if (what === 8) {
+    if (what === PERMEABLE) {
       brush.paint.globalAlpha = 0.55;
       brush.tile(pictures.get("ground-dirt"), x, y);
       brush.paint.globalAlpha = 1;
     }
-    if (what === 3) brush.tile(pictures.get("lava"), x, y);
-    if (what === 4) brush.tile(pictures.get("lava-top"), x, y);
-    if (what === 6) brush.tile(pictures.get("coin"), x, y);
-    if (what === 7) ghost(brush, x, y);
-    if (what === 9) brush.tile(pictures.get(`crate-${(details[`${x},${y}`] ?? 0) % 4}`), x, y);
+    if (what === LAVA) brush.tile(pictures.get("lava"), x, y);
+    if (what === LAVA_TOP) brush.tile(pictures.get("lava-top"), x, y);
+    if (what === COIN) brush.tile(pictures.get("coin"), x, y);
+    if (what === INVISIBLE) ghost(brush, x, y);
+    if (what === CRATE_HERE) brush.tile(pictures.get(`crate-${(details[`${x},${y}`] ?? 0) % CRATES}`), x, y);
   });
 }
 
@@ -43,12 +46,12 @@ function ghost(brush, x, y) {
 
 function moving(brush, { grid }, s, pictures) {
   eachCell(grid, (what, x, y) => {
-    if (what === 10 || what >= 13) brush.tile(pictures.get(`saw-${s.time % 2}`), x, y);
+    if (what === SAW_HERE || what >= SAW_AND_LEFT) brush.tile(pictures.get(`saw-${s.time % 2}`), x, y);
   });
   const runner = `runner-${RUNNERS[s.runner_look]}-${POSES[s.pose]}`;
   brush.stamp(pictures.get(runner), s.x, s.y - TALL + HIGH / 2, 1, HIGH, s.faces_left);
   for (let k = 0; k < s.walkers; k++) {
-    const image = pictures.get(`walker-${s.walker_look[k]}-${Math.floor(s.time / 5) % 2}`);
+    const image = pictures.get(`walker-${s.walker_look[k]}-${Math.floor(s.time / PERIOD) % 2}`);
     brush.stamp(image, s.walker_x[k], s.walker_y[k], 1, 1, s.walker_vx[k] > 0);
   }
 }
@@ -62,7 +65,7 @@ function proxies(s) {
 function wide({ grid }, s) {
   let top = 0;
   grid.forEach((row, y) => row.forEach((what, x) => {
-    if (x <= s.end_x && x > 0 && what !== 0 && y < grid.length - 1) top = Math.max(top, y);
+    if (x <= s.end_x && x > 0 && what !== EMPTY && y < grid.length - 1) top = Math.max(top, y);
   }));
   const columns = Math.min(grid[0].length, s.end_x + (s.permeable || 0) + 4);
   return [columns, Math.min(grid.length, Math.max(top + 6, 13))];

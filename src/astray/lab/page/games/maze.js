@@ -1,18 +1,19 @@
 // Drawing of Maze in the lab.
 
 import { eachCell, heading } from "./common.js";
+import { WALL } from "../rules/common.js";
 import { maze } from "../rules/constants.js";
 
 const { WALLS, SHAPES, OTHERS, COLOURS } = maze;
 const FLOOR = "#ece6d6";
 const UNSEEN = "rgba(60, 60, 60, 0.35)"; // the outline of an object that the agent does not see
 
-export const look = { still, moving, direction, agent: "mouse", wall: 1, proxies, has };
+export const look = { still, moving, direction, agent: "mouse", wall: WALL, proxies, has };
 
 function still(brush, { grid }, s, pictures) {
   const wall = pictures.get(`wall-${WALLS[s.walls]}`);
   eachCell(grid, (what, x, y) => {
-    if (what === 1) brush.tile(wall, x, y);
+    if (what === WALL) brush.tile(wall, x, y);
     else brush.fill(FLOOR, x, y);
   });
 }

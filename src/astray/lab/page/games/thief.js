@@ -1,12 +1,13 @@
 // Drawing of Heist, and of Keys and Chests: a thief, and things in the cells of a maze.
 
 import { eachCell, heading } from "./common.js";
+import { WALL, push } from "../rules/common.js";
 
 const FLOORS = "#e9e4dc";
 
 // thing: the picture of a thing and its size in cells; hand: the pictures of what is in hand.
 export const look = (thing, hand) => ({
-  still, direction: heading, agent: "thief-right", wall: 1, proxies: () => ({}),
+  still, direction: heading, agent: "thief-right", wall: WALL, proxies: () => ({}),
   moving(brush, level, s, pictures) {
     for (let k = 0; k < s.objects; k++) {
       if (s.gone[k] >= 0) continue;
@@ -23,14 +24,14 @@ export const look = (thing, hand) => ({
 function still(brush, { grid }, s, pictures) {
   const wall = pictures.get("wall-brick");
   eachCell(grid, (what, x, y) => {
-    if (what === 1) brush.tile(wall, x, y);
+    if (what === WALL) brush.tile(wall, x, y);
     else brush.fill(FLOORS, x, y);
   });
 }
 
 function thief(brush, s, pictures) {
   const { paint, scale, top } = brush;
-  const [dx, dy] = [Math.floor(s.facing / 3) - 1, (s.facing % 3) - 1];
+  const [dx, dy] = push(s.facing);
   const oblique = dx !== 0 && dy !== 0;
   const image = pictures.get(oblique ? "thief-right-up" : "thief-right");
   const quarters = oblique

@@ -11,7 +11,8 @@ const {
   WORLD, PUFFS, REWARD, EMPTY, WALL, TOP, LAVA, LAVA_TOP, BARRIER, COIN, INVISIBLE, PERMEABLE,
   NOTHING, CRATE, SAW, CRATE_HERE, SAW_HERE, WALKER_LEFT, SAW_AND_LEFT, HALF, TALL, CORNER, NEAR,
   FOOT, GRAVITY, JUMP, FASTEST, MIX_GROUND, MIX_AIR, STROLL, TURN, WALKERS, EVENTS, VIEW, AROUND,
-  GAUGE, PLANES,
+  GAUGE, PLANES, STAND, WALK, WALL_PLANE, HAZARD_PLANE, CRATE_PLANE, COIN_PLANE, LEFT_PLANE,
+  RIGHT_PLANE, GAUGE_PLANE,
 } = coinrun;
 const FAR = 9; // cells from the runner to places with arrows; in the live lab 16, as Python is faster
 
@@ -25,7 +26,7 @@ function build({ grid, agent, looks = {} }, variant) {
     thing: grid.map((row) => Uint8Array.from(row, (what) =>
       what === CRATE_HERE ? CRATE : what === SAW_HERE || what >= SAW_AND_LEFT ? SAW : NOTHING)),
     x: f(cell[0] + HALF), y: f(cell[1] + TALL), vx: 0, vy: 0, on_crate: false, faces_left: false,
-    pose: 0, walkers: 0, walker_x: [], walker_y: [], walker_vx: [], walker_look: [], trail_x: [],
+    pose: STAND, walkers: 0, walker_x: [], walker_y: [], walker_vx: [], walker_look: [], trail_x: [],
     end_x: looks.end[0], end_y: looks.end[1], coin_x: NEVER, coin_y: NEVER,
     permeable: looks.permeable ?? 0, continues: variant.continues,
     runner_look: looks.runner ?? 0, ground: looks.ground ?? 0, background: looks.background ?? 0,
@@ -244,8 +245,8 @@ function slide(s, dx, dy) {
 
 function pose(s, ax, supported) {
   if (ax !== 0) s.faces_left = ax < 0;
-  if (Math.abs(s.vx) < TURN && ax === 0 && supported) s.pose = 0;
-  else s.pose = Math.floor(s.time / 5) % 2 === 0 || !supported ? 1 : 2;
+  if (Math.abs(s.vx) < TURN && ax === 0 && supported) s.pose = STAND;
+  else s.pose = WALK + (Math.floor(s.time / 5) % 2 === 0 || !supported ? 0 : 1);
 }
 
 function meet(s) {
@@ -322,14 +323,14 @@ function planes(s) {
     for (let column = 0; column < VIEW; column++) {
       const [i, j] = [x + column - AROUND, y + row - AROUND];
       if (!inside(i, j)) {
-        mark(0, row, column);
+        mark(WALL_PLANE, row, column);
         continue;
       }
       const [cell, thing] = [s.cell[j][i], s.thing[j][i]];
-      if (stops(cell) || cell === PERMEABLE) mark(0, row, column);
-      if (isLava(cell) || thing === SAW) mark(1, row, column);
-      if (thing === CRATE) mark(2, row, column);
-      if (cell === COIN) mark(3, row, column);
+      if (stops(cell) || cell === PERMEABLE) mark(WALL_PLANE, row, column);
+      if (isLava(cell) || thing === SAW) mark(HAZARD_PLANE, row, column);
+      if (thing === CRATE) mark(CRATE_PLANE, row, column);
+      if (cell === COIN) mark(COIN_PLANE, row, column);
     }
   }
   for (let k = 0; k < s.walkers; k++) {
@@ -337,19 +338,19 @@ function planes(s) {
     for (let side = 0; side < 2; side++) {
       const column = Math.floor(s.walker_x[k] - 0.49 + 0.98 * side) - x + AROUND;
       if (row >= 0 && column >= 0 && row < VIEW && column < VIEW) {
-        mark(s.walker_vx[k] < 0 ? 4 : 5, row, column);
+        mark(s.walker_vx[k] < 0 ? LEFT_PLANE : RIGHT_PLANE, row, column);
       }
     }
   }
   const gauge = (row, rate) => {
     const marks = Math.min(Math.max(Math.trunc(rate * GAUGE + 0.5), 0), GAUGE);
-    for (let k = 0; k < marks; k++) mark(6, row + Math.floor(k / VIEW), k % VIEW);
+    for (let k = 0; k < marks; k++) mark(GAUGE_PLANE, row + Math.floor(k / VIEW), k % VIEW);
   };
   gauge(0, s.x - x);
   gauge(2, s.y - y);
   gauge(4, s.vx + 0.5);
   gauge(6, (s.vy + 1.5) / 3);
-  if (isSupported(s)) for (let column = 0; column < VIEW; column++) mark(6, 8, column);
+  if (isSupported(s)) for (let column = 0; column < VIEW; column++) mark(GAUGE_PLANE, 8, column);
   return { shape: [PLANES, VIEW, VIEW], data };
 }
 

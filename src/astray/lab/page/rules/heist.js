@@ -5,7 +5,9 @@ import { heist, thief } from "./constants.js";
 import { begin, left, move, places as placesOf, planes as planesOf, put, touches, ways } from "./thief.js";
 
 const { COLOURS, KEY, DOOR_CODE, GEM, REWARD, KEY_X, KEY_Y, GEM_X, GEM_Y, OBJECTS, LEGEND } = heist;
-const { KEY_PLANE, DOOR_PLANE, GEM_PLANE, THIEF_PLANE, HAND_PLANE, X_PLANE, Y_PLANE, PLANES } = heist;
+const {
+  WALL_PLANE, KEY_PLANE, DOOR_PLANE, GEM_PLANE, THIEF_PLANE, HAND_PLANE, X_PLANE, Y_PLANE, PLANES,
+} = heist;
 
 export const rules = { build, step, planes, copy, problem, places, put };
 
@@ -58,7 +60,7 @@ function planes(s) {
     if (what === GEM) return [GEM_PLANE, 1];
     return isDoor(what) ? [DOOR_PLANE, what - DOOR_CODE + 1] : [KEY_PLANE, what - KEY + 1];
   };
-  return planesOf(s, PLANES, of, [THIEF_PLANE, X_PLANE, Y_PLANE], (mark) => {
+  return planesOf(s, PLANES, of, [WALL_PLANE, THIEF_PLANE, X_PLANE, Y_PLANE], (mark) => {
     COLOURS.forEach((_, k) => mark(HAND_PLANE, k, 0, (s.hand >> k) & 1));
   });
 }

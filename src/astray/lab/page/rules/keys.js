@@ -5,6 +5,7 @@ import { keys, thief } from "./constants.js";
 import { begin, f, left, move, places as placesOf, planes as planesOf, put, touches, ways } from "./thief.js";
 
 const { KEY, CHEST, KEY_X, KEY_Y, CHEST_X, CHEST_Y, REWARD, HIDDEN, PLANES, INVENTORIES } = keys;
+const { WALL_PLANE, KEY_PLANE, CHEST_PLANE, THIEF_PLANE, HAND_PLANE, X_PLANE, Y_PLANE } = keys;
 
 export const rules = { build, step, planes, copy, problem, places, put };
 
@@ -84,10 +85,10 @@ function unlock(s, k, reward) {
 }
 
 function planes(s) {
-  const of = (what) => [what === KEY ? 1 : 2, 1];
-  return planesOf(s, PLANES, of, [3, 5, 6], (mark, side) => {
+  const of = (what) => [what === KEY ? KEY_PLANE : CHEST_PLANE, 1];
+  return planesOf(s, PLANES, of, [WALL_PLANE, THIEF_PLANE, X_PLANE, Y_PLANE], (mark, side) => {
     const hand = s.inventory === HIDDEN ? 0 : Math.min(s.taken - s.opened, side * side);
-    for (let k = 0; k < hand; k++) mark(4, k % side, Math.floor(k / side), 1);
+    for (let k = 0; k < hand; k++) mark(HAND_PLANE, k % side, Math.floor(k / side), 1);
   });
 }
 

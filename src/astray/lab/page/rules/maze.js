@@ -6,6 +6,7 @@ import { NEVER, WALL, cellsOf, checkAgent, distances, push, unreachable } from "
 import { maze } from "./constants.js";
 
 const { EMPTY, GOAL, OTHER, BOTH, REWARD, SHAPES, COLOURS, OTHERS, WALLS } = maze;
+const { WALL_PLANE, MOUSE_PLANE, DISH_PLANE, SHAPE_PLANE, COLOUR_PLANE } = maze;
 const DISH = OTHERS.indexOf("dish");
 
 export const rules = { build, step, planes, copy, problem, places, put };
@@ -88,26 +89,27 @@ function planes(s) {
   const [x, y] = [Math.floor(s.x), Math.floor(s.y)];
   const [left, low] = s.window ? [x - (side >> 1), y - (side >> 1)] : [0, 0];
   const dishes = s.other_shape === DISH ? s.dish_planes : 0;
-  const [shapes, colours] = [2 + dishes, 3 + dishes];
-  const data = new Uint8Array((4 + dishes) * side * side);
+  const many = 4 + dishes;
+  const [shapes, colours] = [SHAPE_PLANE, COLOUR_PLANE].map((plane) => (plane + many) % many);
+  const data = new Uint8Array(many * side * side);
   const at = (plane, i, j) => (plane * side + (j - low)) * side + (i - left);
   const seen = (i, j) => i >= left && j >= low && i < left + side && j < low + side;
   for (let j = low; j < low + side; j++) {
-    for (let i = left; i < left + side; i++) data[at(0, i, j)] = isWall(s, i, j) ? 1 : 0;
+    for (let i = left; i < left + side; i++) data[at(WALL_PLANE, i, j)] = isWall(s, i, j) ? 1 : 0;
   }
   for (const what of ["other", "goal"]) {
     const [i, j] = [s[`${what}_x`], s[`${what}_y`]];
     if (i === NEVER || !seen(i, j)) continue;
     if (what === "other" && dishes) {
-      for (let plane = 2; plane < shapes; plane++) data[at(plane, i, j)] = 1;
+      for (let plane = DISH_PLANE; plane < shapes; plane++) data[at(plane, i, j)] = 1;
     } else {
       data[at(shapes, i, j)] = s[`${what}_shape`];
       data[at(colours, i, j)] = s[`${what}_colour`];
     }
   }
-  data[at(1, x, y)] = 1;
+  data[at(MOUSE_PLANE, x, y)] = 1;
   if (s.reached_goal !== NEVER) data[at(shapes, x, y)] = data[at(colours, x, y)] = 0; // stands on it
-  return { shape: [4 + dishes, side, side], data };
+  return { shape: [many, side, side], data };
 }
 
 function ways(s) {

@@ -107,9 +107,9 @@ export function left(s) {
   return cells.filter(([k]) => s.gone[k] === NEVER).reverse();
 }
 
-// The agent's observation, planes [C, H, W]: walls; objects, where `of(what)` is [plane, value]; the
-// thief's cell, and its place in that cell, in `thiefPlanes`; `hand(mark, side)` adds the rest.
-export function planes(s, count, of, thiefPlanes, hand) {
+// The agent's observation, planes [C, H, W]: walls in `wallPlane`; objects, where `of(what)` is
+// [plane, value]; the thief's cell, and its place in it, in `thiefPlanes`; `hand` adds the rest.
+export function planes(s, count, of, [wallPlane, ...thiefPlanes], hand) {
   const side = s.window ? 2 * Math.floor(s.window / 2) + 1 : s.world;
   const half = side >> 1;
   const [x, y] = [Math.trunc(s.x), Math.trunc(s.y)];
@@ -117,7 +117,7 @@ export function planes(s, count, of, thiefPlanes, hand) {
   const data = new Uint8Array(count * side * side);
   const mark = (plane, i, j, what) => { data[(plane * side + j) * side + i] = what; };
   for (let j = 0; j < side; j++) {
-    for (let i = 0; i < side; i++) mark(0, i, j, isWall(s, west + i, low + j) ? 1 : 0);
+    for (let i = 0; i < side; i++) mark(wallPlane, i, j, isWall(s, west + i, low + j) ? 1 : 0);
   }
   for (const [k, u, v] of left(s)) {
     const [i, j] = [u - west, v - low];
