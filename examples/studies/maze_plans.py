@@ -2,7 +2,9 @@
 
     astray reproduce examples/studies/maze_plans.py
 
-Bounds of its claims were set on 2026-11-24, before any run.
+Bounds of its claims were set on 2026-11-24, before any run. The training was shortened from 600,000
+steps on 2026-11-25, as a first mouse had a return of 9.6 of 10 after 125,000; nothing else was looked
+at, and that mouse (seed 0) is not one of these.
 """
 
 from dataclasses import replace
@@ -162,7 +164,7 @@ EXPERIMENT = Experiment(
                     variant="corner-small",
                     validation="anywhere-small",
                     network="drc-1-2",
-                    steps=600_000,
+                    steps=150_000,
                     num_envs=64,
                     num_steps=32,
                     minibatches=4,
@@ -170,6 +172,7 @@ EXPERIMENT = Experiment(
                 )
             },
             seeds=3,
+            first_seed=10,
             tests=tests_of("maze", "corner-small"),
             levels=1000,
             differences="worlds of 7 cells, seen as symbols; a DRC of one layer and two ticks",

@@ -20,13 +20,14 @@ import pytest
 from astray import games, provenance
 from astray.analysis.outcomes import FAILED, INTENDED, MISGENERALIZED
 from astray.analysis.runs import open_run
-from astray.experiments import catalogue, register, run
+from astray.experiments import catalogue, run
 from astray.experiments.outcomes import rate
 from astray.experiments.studies.mitigation import asking_for_help, reward_ensembles
 from astray.report import page as report
 from astray.report.claims import Claim, above
 from astray.training import checkpoint
 from astray.training.config import Config
+from helpers import registered
 from helpers.edits import edit
 from helpers.killed import SHORT
 from helpers.miniature import miniature, train_here
@@ -98,7 +99,7 @@ def test_every_experiment_runs_in_miniature(name, size, tmp_path, monkeypatch):
     assert page == folder / "report.html"
     found = json.loads((folder / "findings.json").read_text())
     assert found["claims"] and all(claim["ours"] for claim in found["claims"])
-    assert not register.unstated(name, of_report(found))
+    assert not registered.unstated(name, of_report(found))
     figures = {path.name for path in (folder / "figures").iterdir()}
     names = {Path(figure).stem for figure in figures}
     assert figures == {f"{n}.{kind}" for n in names for kind in ("png", "svg", "parquet")} != set()
@@ -284,9 +285,11 @@ run.reproduce("maze-corner", "smoke", pathlib.Path(sys.argv[1]))
 """
 TRAIN = """
 import pathlib, sys
+from helpers import registered
 from helpers.edits import edit
 from helpers.killed import SHORT
 from astray.training.loop import train
+from helpers import registered
 train(SHORT, pathlib.Path(sys.argv[1]), progress=False, wait=True)
 """
 

@@ -7,10 +7,11 @@ import polars as pl
 import pytest
 
 from astray.analysis.outcomes import outcomes_of
-from astray.experiments import catalogue, outcomes, register
+from astray.experiments import catalogue, outcomes
 from astray.experiments.outcomes import AGENTS
 from astray.experiments.spec import Work
 from astray.report.claims import corrected
+from helpers import registered
 
 NAMES = [name for name, module in catalogue.MODULES.items() if ".field." in module]
 
@@ -46,7 +47,7 @@ def claims_of(name, tmp_path, monkeypatch, intended=True):
 @pytest.mark.parametrize("name", NAMES)
 def test_claims_about_a_world_of_the_field_are_registered(name, tmp_path, monkeypatch):
     claims = claims_of(name, tmp_path, monkeypatch)
-    assert claims and not register.unstated(name, corrected(claims))
+    assert claims and not registered.unstated(name, corrected(claims))
 
 
 @pytest.mark.parametrize("name", ["lava-land", "lava-bridge", "follow-the-leader"])

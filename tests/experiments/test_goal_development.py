@@ -7,10 +7,11 @@ import polars as pl
 import pytest
 
 from astray.analysis.outcomes import FAILED, INTENDED, MISGENERALIZED
-from astray.experiments import outcomes, register
+from astray.experiments import outcomes
 from astray.experiments.studies.maze import goal_development as study
 from astray.published.catalogue import find
 from astray.report.claims import corrected
+from helpers import registered
 
 LEVELS = 100
 
@@ -40,7 +41,7 @@ def test_a_goal_that_appears_early_is_told_from_one_that_appears_late(
     corners = dict.fromkeys(cheese, 10) | {study.EARLY: corner, study.FINAL: 1}
     found = study.find(work(cheese, corners))
     assert [one.supported for one in corrected(found.claims)] == supported
-    assert not register.unstated("goal-development", found.claims)
+    assert not registered.unstated("goal-development", found.claims)
     curve = found.tables[0].frame
     assert curve["steps"].drop_nulls().unique().sort().to_list() == [*study.STEPS, study.LAST]
     assert curve.filter(steps=study.LAST, outcome=INTENDED)["mean"].item() == late / LEVELS

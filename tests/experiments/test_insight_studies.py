@@ -7,11 +7,12 @@ import polars as pl
 import pytest
 
 from astray.estimate import Estimate
-from astray.experiments import catalogue, register, run
+from astray.experiments import catalogue, run
 from astray.experiments.studies.insight import choice, retargeting
 from astray.experiments.studies.insight._plans import of_levels
 from astray.insight.retarget import AS_IS, MOVED
 from astray.report.claims import Claim, above, below, within
+from helpers import registered
 
 LEVELS = {"cheese-vector": 12, "retargeting": 34, "decodable": 24, "choice": 1500}
 
@@ -27,7 +28,7 @@ def test_studies_of_kept_agents_run_in_miniature(name, tmp_path):
         "; supported if " in one["ours"] and "; p = " in one["ours"] for one in claims
     )
     told = [Claim(**{k: one[k] for k in one if k != "beside"}) for one in claims]
-    assert not register.unstated(name, told)
+    assert not registered.unstated(name, told)
     assert "nan" not in found["answer"], found["answer"]
     figures = {path.stem for path in (page.parent / "figures").iterdir()}
     assert figures and (page.parent / "figures" / f"{min(figures)}.png").stat().st_size > 5000

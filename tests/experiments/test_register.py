@@ -6,6 +6,7 @@ from pathlib import Path
 from astray.estimate import Estimate
 from astray.experiments import catalogue, register
 from astray.report.claims import Claim, above, corrected, every, near_zero
+from helpers import registered
 
 PAGE = Path(__file__).parents[2] / "docs" / "register.md"
 ONE = Estimate(0.97, 0.95, 0.98, 3, 100, 300, 2.0)
@@ -21,23 +22,23 @@ def test_every_study_is_in_the_register():
 
 def test_a_claim_that_is_not_in_the_register_is_found():
     known = "In unseen levels like those of its training, the mouse reaches the cheese."
-    assert not register.unstated("maze-corner", corrected([above(known, "", "m", ONE, 0.95)]))
-    assert register.unstated("maze-corner", [above(known, "", "m", ONE, 0.85)])
-    assert register.unstated("maze-corner", [above("It flies.", "", "m", ONE, 0.95)])
-    assert register.unstated("no-such-study", [above(known, "", "m", ONE, 0.95)])
+    assert not registered.unstated("maze-corner", corrected([above(known, "", "m", ONE, 0.95)]))
+    assert registered.unstated("maze-corner", [above(known, "", "m", ONE, 0.85)])
+    assert registered.unstated("maze-corner", [above("It flies.", "", "m", ONE, 0.95)])
+    assert registered.unstated("no-such-study", [above(known, "", "m", ONE, 0.95)])
 
 
 def test_the_rule_of_a_claim_is_read_off_its_report():
     one, other = above("s", "p", "m", ONE, 0.9), near_zero("s", "p", "m", ONE, 0.1)
     both = every("s", "p", [one, other])
-    rules = [register.rule_of(claim) for claim in (one, other, both, Claim("s", "p", "m", True))]
+    rules = [registered.rule_of(claim) for claim in (one, other, both, Claim("s", "p", "m", True))]
     assert rules == [
         "above 90 %",
         "all of it is within 10 % of 0",
         "above 90 % and all of it is within 10 % of 0",
         "",
     ]
-    assert [register.rule_of(claim) for claim in corrected([one, other])] == rules[:2]
+    assert [registered.rule_of(claim) for claim in corrected([one, other])] == rules[:2]
 
 
 def test_a_design_that_changed_is_exploratory_unless_its_seeds_are_fresh():

@@ -5,6 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor, nn
 
+from astray.agents import gru
 from astray.agents.actor_critic import ActorCritic
 
 CELLS = {"gru": nn.GRUCell, "lstm": nn.LSTMCell}
@@ -76,6 +77,10 @@ class WithCell(Recurrent):
         self, observation: Tensor, state: Tensor, begins: Tensor
     ) -> tuple[Tensor, Tensor, Tensor]:
         seen = self.body.hidden(observation.flatten(0, 1)).unflatten(0, observation.shape[:2])
+        changed = self.recalled._forward_hooks  # by analyses
+        if isinstance(self.cell, nn.GRUCell) and seen.requires_grad and not changed:
+            after = gru.unroll(self.cell, seen, state, begins)
+            return *self.body.heads(after), after[-1]
         states = []
         for features, first in zip(seen, begins, strict=True):
             state = self._next(features, state, first)

@@ -308,13 +308,8 @@ class Network:
 
 
 @dataclass
-class Loaded:
-    """A policy and the file or folder that it is from; one of several agents of one kind."""
-
+class _Asks:
     policy: Policy
-    path: Path
-    seed: int
-    name: str = field(init=False, default="sampled")
 
     @property
     def observation(self) -> Observation:
@@ -324,24 +319,32 @@ class Loaded:
     def art(self) -> str:
         return self.policy.art
 
-    @property
-    def origin(self) -> tuple[str, int, int | None]:
-        """Return its file or folder, its seed, and its training steps, which are unknown."""
-        return str(self.path), self.seed, None
-
     def actions(self, turn: Turn) -> Answer:
         return self.policy.actions(turn)
 
 
 @dataclass
-class Opaque:
+class Loaded(_Asks):
+    """A policy and the file or folder that it is from; one of several agents of one kind."""
+
+    path: Path
+    seed: int
+    name: str = field(init=False, default="sampled")
+
+    @property
+    def origin(self) -> tuple[str, int, int | None]:
+        """Return its file or folder, its seed, and its training steps, which are unknown."""
+        return str(self.path), self.seed, None
+
+
+@dataclass
+class Opaque(_Asks):
     """A policy without a network, in the game in which analyses ask it for actions.
 
     Attributes:
         mode, seed: As an agent's; only random actions depend on the seed.
     """
 
-    policy: Policy
     game: str
     mode: Literal["sampled", "greedy"] = "sampled"
     seed: int = 0
@@ -350,14 +353,6 @@ class Opaque:
     @property
     def name(self) -> str:
         return self.policy.name
-
-    @property
-    def observation(self) -> Observation:
-        return self.policy.observation
-
-    @property
-    def art(self) -> str:
-        return self.policy.art
 
     def actions(self, turn: Turn) -> Answer:
         drawn = self.policy

@@ -48,41 +48,6 @@ LARGEST_WHEEL = 2**28  # bytes; Procgen's has 36 million
 ENCRYPTED = 1  # a bit of a member's flags
 LARGEST_SIDE = 2**15  # pixels; the largest picture has 1,920
 
-# As ASSET_LICENSES.md of github.com/openai/procgen has them, of all its games' pictures; the two
-# lines are the fork's own, which has Procgen's licence (MIT).
-LICENCES = (
-    ("Many Game Asset Packs", "kenney", "CC0", "www.kenney.nl/assets"),
-    ("Frog Asset", "GameArtGuppy.com", "CC-BY 4.0", "www.gameartguppy.com/shop/frog-lilypad"),
-    ("Food Icons", "thekingphoenix", "CC0", "opengameart.org/content/icons-food"),
-    ("Space Background", "ansimuz", "CC0", "opengameart.org/content/space-background-3"),
-    ("Sci-Fi Background", "ansimuz", "CC0", "ansimuz.itch.io/sideview-sci-fi"),
-    ("Mountain Background", "ansimuz", "CC-BY 4.0",
-     "ansimuz.itch.io/mountain-dusk-parallax-background"),
-    ("Forest Background", "ansimuz", "CC-BY 4.0", "ansimuz.itch.io/parallax-forest"),
-    ("Background", "rubberduck", "CC0", "opengameart.org/content/background-from-glitch-assets"),
-    ("Space Backgrounds", "Rawdanitsu", "CC0", "opengameart.org/content/space-backgrounds-3"),
-    ("Snow Background", "ramses2099", "CC0", "opengameart.org/content/background-2"),
-    ("Top-Down Backgrounds", "davis123", "CC-BY 3.0",
-     "opengameart.org/content/backgrounds-topdown-games"),
-    ("Water Backgrounds", "rh0", "CC0",
-     "opengameart.org/content/few-water-backgrounds-1366%C3%97768"),
-    ("Water Backgrounds", "Alucard", "CC-BY 3.0",
-     "opengameart.org/content/2d-background-underwater"),
-    ("Water Backgrounds", "SugarMoonWitch", "CC-BY 3.0", "opengameart.org/content/underwater-bg"),
-    ("Water Backgrounds", "lzubiaur", "CC0", "opengameart.org/content/underwater-background-0"),
-    ("2D Background Set", "Alucard", "CC-BY 3.0", "opengameart.org/content/2d-backgrounds-set"),
-    ("Parallax 2D Backgrounds", "CraftPix.net 2D Game Assets", "OGA-BY 3.0",
-     "opengameart.org/content/parallax-2d-backgrounds"),
-    ("Fantasy Cartoon Game Backgrounds", "CraftPix.net 2D Game Assets", "OGA-BY 3.0",
-     "opengameart.org/content/fantasy-cartoon-game-backgrounds"),
-    ("Beach Backgrounds", "CraftPix.net 2D Game Assets", "OGA-BY 3.0",
-     "opengameart.org/content/beach-2d-backgrounds"),
-    ("Battle Backgrounds", "Nidhoggn", "CC0", "opengameart.org/content/backgrounds-3"),
-    ("Sunrise Background", "tgfcoder", "CC0",
-     "opengameart.org/content/morning-sunrise-background"),
-)  # fmt: skip
-LINES = ("Diagonal lines", "the paper's fork", "MIT", FORK)
-
 
 @dataclass(frozen=True)
 class Picture:
@@ -102,13 +67,18 @@ class Picture:
         return folder() / PurePosixPath(self.path)
 
 
-def _pictures() -> dict[str, Picture]:
-    text = Path(__file__).with_name("original.csv").read_text(encoding="utf-8")
-    rows = csv.DictReader(io.StringIO(text))
-    return {row["path"]: Picture(row["path"], int(row["bytes"]), row["sha256"]) for row in rows}
+def _table(name: str) -> list[dict[str, str]]:
+    text = Path(__file__).with_name(name).read_text(encoding="utf-8")
+    return list(csv.DictReader(io.StringIO(text)))
 
 
-PICTURES = _pictures()
+PICTURES = {
+    row["path"]: Picture(row["path"], int(row["bytes"]), row["sha256"])
+    for row in _table("original.csv")
+}
+# As ASSET_LICENSES.md of github.com/openai/procgen has them, of all its games' pictures; the two
+# lines are the fork's own, which has Procgen's licence (MIT).
+LICENCES = _table("licences.csv")
 
 
 def folder() -> Path:

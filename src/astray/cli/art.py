@@ -38,10 +38,7 @@ def art(
         "folder": str(original.folder()),
         "pictures": len(original.PICTURES) - len(missing),
         "missing": missing,
-        "licences": [
-            dict(zip(("pictures", "author", "licence", "source"), row, strict=True))
-            for row in (*original.LICENCES, original.LINES)
-        ],
+        "licences": original.LICENCES,
     }
     if json:
         print_json({OWN: {"pictures": "all", "licence": "MIT"}, "original": found})
@@ -59,5 +56,5 @@ def art(
             )
     if len(missing) < len(original.PICTURES):
         print("  licences of Procgen's pictures:")
-        for pictures, author, licence, where in (*original.LICENCES, original.LINES):
-            print(f"  {licence:10}  {pictures}, by {author}: {where}")
+        for of in original.LICENCES:
+            print(f"  {of['licence']:10}  {of['pictures']}, by {of['author']}: {of['source']}")

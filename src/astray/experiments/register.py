@@ -9,10 +9,9 @@ find unregistered claims. Power is computed from the plans.
 from __future__ import annotations
 
 import math
-import re
 import sys
 import tomllib
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -20,9 +19,6 @@ from typing import Any
 from astray.experiments import catalogue
 from astray.experiments.spec import SPREADS, Plan, Size
 from astray.files import write_aside
-from astray.report.claims import Claim
-
-OPEN = "…"  # in a sentence or rule, for what depends on the size or on what was measured
 
 
 def register() -> dict[str, dict[str, Any]]:
@@ -32,30 +28,6 @@ def register() -> dict[str, dict[str, Any]]:
 
 def _data(name: str) -> str:
     return resources.files("astray.experiments").joinpath(name).read_text("utf-8")
-
-
-def rule_of(claim: Claim) -> str:
-    """Return the rule by which a claim is supported, from its report; "" if there is none."""
-    rules = re.findall(r"; supported if (.*?)(?=;|, which is not enough|$)", claim.ours)
-    return " and ".join(dict.fromkeys(rules)).replace("\u00a0", " ")
-
-
-def unstated(name: str, claims: Iterable[Claim]) -> list[str]:
-    """Return a report's claims that are not registered, or with another rule."""
-    stated = register().get(name, {}).get("claims", [])
-    return [
-        f"{claim.sentence} Supported if {rule_of(claim)}."
-        for claim in claims
-        if not any(
-            _is(one["sentence"], claim.sentence.replace("\u00a0", " "))
-            and _is(one["rule"], rule_of(claim))
-            for one in stated
-        )
-    ]
-
-
-def _is(pattern: str, text: str) -> bool:
-    return bool(re.fullmatch(".*".join(map(re.escape, pattern.split(OPEN))), text))
 
 
 def page() -> str:
