@@ -1,6 +1,7 @@
 """The command line, as it is typed."""
 
 import json
+import shutil
 import signal
 import subprocess
 import sys
@@ -285,6 +286,20 @@ def test_an_agent_is_evaluated_with_the_knobs_it_was_trained_with(astray, run_fo
     assert pl.read_parquet(out)["level"].min() == 200_000
     said = astray("evaluate", run_folder, folder / "seed-0", fails=True)
     assert "were trained with different knobs" in said
+
+
+@pytest.mark.parametrize(
+    "words", [["train", "maze", "corner-small", *TINY], ["distil", "maze-corner"]]
+)
+def test_no_seed_is_trained_if_a_later_one_cannot_be(astray, run_folder, tmp_path, words):
+    (tmp_path / "seed-2").write_text("mine")
+    given = (*words, "--seeds", "3", "--folder", tmp_path)
+    assert "seed-2" in astray(*given, fails=True)
+    assert [path.name for path in tmp_path.iterdir()] == ["seed-2"]
+    (tmp_path / "seed-2").unlink()
+    shutil.copytree(run_folder, tmp_path / "seed-1")
+    assert "seed-1 holds a run with other settings: " in astray(*given, fails=True)
+    assert [path.name for path in tmp_path.iterdir()] == ["seed-1"]
 
 
 def test_it_tells_agents_from_devices(astray, run_folder, tmp_path):

@@ -60,6 +60,7 @@ def test_texts_are_settings_and_their_values():
         (["teacher=ada"], "a sweep has no teachers; got teacher 'ada'"),
         (["width=wide"], "width must be of type int; got 'wide'"),
         ([], "must set something"),
+        (["time_limit=20,1000000001"], "episodes of this variant last up to 1,000,000,001 steps"),
     ],
 )
 def test_what_cannot_be_swept_is_told_before_anything_is_trained(given, message):
@@ -189,7 +190,7 @@ def test_the_verb_trains_in_processes(astray, tmp_path):
     "sweep",
     [
         Sweep(PRESETS["small"], {"gamma": [0.9, 0.99]}),
-        Sweep(BASE, TWO, seeds=3, levels=50, shift="corner"),
+        Sweep(BASE, TWO, seeds=3, levels=50, shift="corner-small"),
         Sweep(PRESETS["pixels"].changed(anneal=False, fused_cpu=False), {"width": [8]}),
         Sweep(replace(BASE, variant="corner", knobs={"time_limit": 9}), {"anneal": [True, False]}),
     ],

@@ -76,15 +76,17 @@ def train(
 
     from astray.experiments.sweep.settings import changed
     from astray.experiments.track import track_outcomes
-    from astray.training import parallel
+    from astray.training import checkpoint, parallel
     from astray.training.track import train_tracked
 
     config = changed(ungrouped(settings), pairs(knobs))
     bounded("seeds", seeds, 1, SEEDS - config.seed)
     there = folder or Path("runs") / f"{config.game}-{config.variant}"
-    for seed in range(config.seed, config.seed + seeds):
-        run = there / f"seed-{seed}"
-        last = train_tracked(replace(config, seed=seed), run, track)
+    chosen = range(config.seed, config.seed + seeds)
+    runs = {there / f"seed-{seed}": replace(config, seed=seed) for seed in chosen}
+    checkpoint.check_all(runs)
+    for run, one in runs.items():
+        last = train_tracked(one, run, track)
         if parallel.first():
             if track:
                 track_outcomes(run, track)

@@ -54,6 +54,7 @@ def distil(
         ValueError: If a number is out of range, or the teacher sees other art.
     """
     from astray.analysis.runs import open_run
+    from astray.training import checkpoint
     from astray.training.teacher import teaching
     from astray.training.track import train_tracked
 
@@ -86,7 +87,9 @@ def distil(
         teacher=name,
     )
     there = folder or Path("runs") / f"{config.game}-{config.variant}-of-{name}"
-    for number in range(seed, seed + seeds):
-        student = there / f"seed-{number}"
+    chosen = range(seed, seed + seeds)
+    runs = {there / f"seed-{number}": replace(config, seed=number) for number in chosen}
+    checkpoint.check_all(runs)
+    for student, one in runs.items():
         with teaching(agent.path, student):
-            print(train_tracked(replace(config, seed=number), student, track))
+            print(train_tracked(one, student, track))

@@ -11,7 +11,7 @@ import contextlib
 import json
 import os
 import platform
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -29,6 +29,7 @@ from astray.agents import policy
 from astray.files import (
     aside_of,
     check_own,
+    check_writable,
     folder_aside,
     hold,
     holds_only,
@@ -115,6 +116,14 @@ def claim(folder: Path, config: Config, wait: bool = False) -> Iterator[None]:
 def check(folder: Path, config: Config) -> None:
     """Raise ValueError unless the run in `folder` has these settings."""
     _compare(read_config(folder), config, f"{folder} holds a run with other settings")
+
+
+def check_all(runs: Mapping[Path, Config]) -> None:
+    """Raise as `claim` does if a training could not begin in its folder, before the first does."""
+    for run, config in runs.items() if parallel.first() else ():
+        check_writable(run / CONFIG)
+        if (run / CONFIG).exists():
+            check(run, config)
 
 
 def _compare(there: Config, here: Config, what: str) -> None:

@@ -63,16 +63,9 @@ def read(data: bytes, storage: Callable[[str], bytes] | None = None) -> Any:
     except Refused:
         raise
     except (
-        ValueError,
-        TypeError,
-        KeyError,
-        IndexError,
-        AttributeError,
-        OverflowError,
-        MemoryError,
-        RecursionError,
-        struct.error,
-    ) as error:
+        ValueError, TypeError, LookupError, AttributeError, OverflowError, MemoryError,
+        RecursionError, struct.error,
+    ) as error:  # fmt: skip
         raise ValueError(f"it is damaged, or no pickle: {brief(error)}") from error
     raise AssertionError("pickletools ends with STOP or an error")
 

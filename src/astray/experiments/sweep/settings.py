@@ -11,6 +11,7 @@ from typing import Any
 
 from astray.analysis.outcomes import load_shift
 from astray.analysis.runs import LEVELS_PLAYED, shift_of
+from astray.experiments.levels import check_tests
 from astray.experiments.spec import Plan, Test
 from astray.game import knobs
 from astray.training.config import Config
@@ -54,7 +55,8 @@ class Sweep:
         for config in self.cells().values():
             if config.teacher is not None:
                 raise ValueError(f"a sweep has no teachers; got teacher {shown(config.teacher)}")
-        self.plans()
+        for plan in self.plans().values():
+            check_tests(plan)  # before hours of training, not after
 
     def cells(self) -> dict[Cell, Config]:
         """Return the settings of each combination, without the seed."""
