@@ -3,8 +3,8 @@
     astray reproduce examples/studies/maze_plans.py
 
 Bounds of its claims were set on 2026-11-24, before any run. The training was shortened from 600,000
-steps on 2026-11-25, as a first mouse had a return of 9.6 of 10 after 125,000; nothing else was looked
-at, and that mouse (seed 0) is not one of these.
+steps on 2026-11-25, as a first mouse had a return of 9.6 of 10 after 125,000; nothing else was
+looked at, and that mouse (seed 0) is not one of these.
 """
 
 from dataclasses import replace
