@@ -40,7 +40,7 @@ thorough: $(INSTALLED)
 # An answer within a minute or two: linters, and tests of rules, levels, pictures, kernels, formulas
 # and the agency measure, in folders that start no process and train nothing. It says nothing of
 # environments, training, checkpoints, analysis, experiments, the command line, types or documentation.
-QUICK := src tests/agency tests/kernel tests/art/test_art.py tests/games/test_reference.py \
+QUICK := src tests/agency tests/kernel/test_kernel.py tests/art/test_art.py tests/games/test_reference.py \
 	tests/training/test_ppo.py tests/test_house.py
 quick: lint
 	$(PYTEST) $(QUICK)

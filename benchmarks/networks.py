@@ -18,7 +18,7 @@ from benchmarks.tables import decimal
 from benchmarks.train import iterate, per_second
 
 PAPER = "impala"
-NETWORKS = (PAPER, "nature", "patch-impala", "overlap", "patch", "cells")
+NETWORKS = (PAPER, "impala+gru", "nature", "patch-impala", "overlap", "patch", "patch+gru", "cells")
 CONFIG = replace(
     PRESETS["pixels"], variant="corner-small", num_steps=8, minibatches=2, anneal=False
 )
