@@ -77,29 +77,6 @@ def test_set_means_knobs_and_settings_by_their_names():
         changed(base, {"squid": 3})
 
 
-@pytest.mark.parametrize(
-    "older, today",
-    [
-        ("evaluate --agent m --json", "evaluate m --json"),
-        ("record --level 3 --agent=m", "record m --level 3"),
-        ("train maze corner --fused-cpu False", "train maze corner --no-fused-cpu"),
-        (
-            "train maze corner --share=0.5 --share 0.5",
-            "train maze corner --fraction=0.5 --fraction 0.5",
-        ),
-        ("sweep maze --levels 9 --test-levels=5", "sweep maze --num-levels 9 --num-test-levels=5"),
-        ("lab m --export page --levels 5", "lab m --export page --num-levels 5"),
-        ("import f --as m --actions greedy", "import f --as m --mode greedy"),
-        ("train maze corner --compile=True --fraction None", "train maze corner --compile"),
-    ],
-)
-def test_words_of_older_versions_are_read_with_a_note(capsys, older, today):
-    assert verbs.in_todays_words(older.split()) == today.split()
-    assert "a later version will not read it" in capsys.readouterr().err
-    assert verbs.in_todays_words(today.split()) == today.split()
-    assert not capsys.readouterr().err
-
-
 def test_what_was_meant_is_guessed():
     assert guess("unknown variant 'cornr' of maze; there are: corner, anywhere").endswith(
         "; did you mean 'corner'?"
@@ -135,6 +112,34 @@ def test_the_nearest_choice_of_an_option_is_named_in_colour_too(given, meant, mo
             verbs._parsed(verbs.find(verb[0]), verb)
         line = str(refused.value)
         assert re.fullmatch(f"unknown choice .* for {meant}", line + guess(line))
+
+
+@pytest.mark.parametrize(
+    "given, told",
+    [
+        ("replay --levels 3", "unknown option '--levels' of replay; did you mean '--level'?"),
+        ("train maze corner --lr 1", "'--lr' of train; did you mean '--learning-rate'?"),
+        ("train maze corner --lvels=3", "'--lvels' of train; did you mean '--num-levels'?"),
+        ("export maze-corner --episodes 3", "of export; it has --levels, --out, "),
+        ("list variant", "unknown word 'variant'; usage: astray list [-h] [--json | --no-json]"),
+        ("train maze corner more", "word 'more'; usage: astray train [-h] [OPTIONS] [GAME]"),
+        ("play coinrn", "unknown game 'coinrn'; there are: boat, "),
+        ("play coinrun", "play needs VARIANT; there are: coin-end, "),
+        ("replay", "replay needs GAME, VARIANT, --actions; as in astray replay maze corner"),
+        ("replay maze corner --actions", "--actions needs a value"),
+        ("explain maze-corner --level abc", "--level must be INT; got 'abc'"),
+        ("compare maze-corner randm", "policy 'randm'; there are: "),
+        (
+            "evaluate --policy randm --game maze --shift corner-small",
+            "unknown policy 'randm'; there are: random, walk:",
+        ),
+    ],
+)
+def test_a_misspelt_or_missing_word_is_told_in_a_line(given, told, astray, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "40")
+    line = astray(*given.split(), fails=True)
+    assert told in line and line.count("\n") == 1
+    assert "did you mean" in line or "unknown" not in line or "there are" not in line
 
 
 def test_settings_of_trainings_are_in_groups_and_each_in_one(capsys):

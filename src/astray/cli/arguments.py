@@ -20,7 +20,7 @@ from astray.level import Level
 from astray.level_files import read_levels
 from astray.record import LEVELS, NEVER
 from astray.training.settings import KNOB, otherwise
-from astray.validation import bounded, of_kind
+from astray.validation import bounded, of_kind, one_of
 from astray.world import World
 
 if TYPE_CHECKING:
@@ -186,6 +186,8 @@ class OwnPolicy:
             return Random(observation=seen, art=art)
         if self.policy.startswith(WALK):
             return Walk(self.policy.removeprefix(WALK), seen, art)
+        if not imports.is_name(self.policy):
+            one_of("policy", self.policy, ("random", f"{WALK}GOAL", "module:name"))
         found = imports.find(self.policy)
         if _takes_nothing(found):
             found = found()

@@ -11,7 +11,9 @@ from tyro.conf import Positional, arg
 
 from astray.cli.arguments import NUMBERS, Longest, OwnPolicy, Tested, level_numbers, played
 from astray.files import check_writable
+from astray.training.folders import names
 from astray.training.settings import otherwise
+from astray.validation import one_of
 from astray.world import register
 
 SOME = 1000  # levels, by default
@@ -61,6 +63,9 @@ def compare(
     own = OwnPolicy(policy="random", game=game, world=world)
     if world is not None:
         register(own.named())  # agents that were trained on it name it
+    for name in agents:
+        if not _is_policy(name) and not Path(name).exists() and len(Path(name).parts) == 1:
+            one_of("agent or policy", name, [*names(), "random", "walk:GOAL", "module:name"])
     opened = {name: tested.acting.open(Path(name)) for name in agents if not _is_policy(name)}
     configs = [config for _, config in opened.values()]
     found = {config.find_game().name for config in configs} | ({game} if game else set())

@@ -12,12 +12,16 @@ import re
 import sys
 import warnings
 from collections.abc import Callable, Iterator
+from difflib import get_close_matches
 from importlib import import_module
 from importlib.metadata import version
 from typing import Any
 
 import tyro
 from tyro.conf import DisallowNone, OmitArgPrefixes, PositionalMetavarFromFieldName
+
+from astray import games
+from astray.training.settings import SHORT
 
 # Where each is, beside this file: imported when it is asked for, as torch alone takes two seconds.
 VERBS = {
@@ -51,20 +55,11 @@ VERBS = {
 
 # Settings have no prefixes, positional arguments have names, and nobody types None.
 MARKERS = (OmitArgPrefixes, PositionalMetavarFromFieldName, DisallowNone)
-OF_AGENTS = ("evaluate", "record", "agency", "export", "lab")
-SWITCHES = tuple(f"--{name}" for name in ("fused-cpu", "bfloat16", "channels-last", "compile",
-                                          "cudagraphs"))  # fmt: skip
-RENAMED = {  # options of older versions, in the verbs that had them
-    "--share": ("--fraction", ("train", "sweep")),
-    "--levels": ("--num-levels", ("train", "sweep", "lab", "audit")),
-    "--test-levels": ("--num-test-levels", ("sweep",)),
-    "--actions": ("--mode", ("import",)),
-}
 
 
 def run() -> None:
     """Run the verb on the command line; raise ValueError if there is none of that name."""
-    given = in_todays_words(sys.argv[1:])
+    given = sys.argv[1:]
     warnings.showwarning = functools.partial(_warn, warnings.showwarning)
     if given == ["--version"]:
         print(version("astray"))
@@ -96,15 +91,46 @@ def _parsed(verb: Callable[..., Any], given: list[str]) -> Callable[[], Any]:
         with contextlib.redirect_stderr(refused):
             return tyro.cli(call, prog=f"astray {given[0]}", args=given[1:], config=MARKERS)
     except SystemExit:
-        line = re.sub(r"[│\s]+", " ", re.sub(r"\x1b\[[\d;]*m", "", refused.getvalue()))
-        choice = r"invalid choice '(.*?)' for argument '(.*?)'\. Expected one of \((.*)\)\."
-        if found := re.search(choice, line):
-            name, option, there = found.groups()
-            raise ValueError(
-                f"unknown choice {name!r} for {option}; there are: {there.replace(chr(39), '')}"
-            ) from None
+        if line := _mistake(call, given, _in_a_line(refused.getvalue())):
+            raise ValueError(line) from None
         sys.stderr.write(refused.getvalue())
         raise
+
+
+def _in_a_line(text: str) -> str:
+    """Return what tyro writes in a line, without boxes and colours."""
+    bare = re.sub(r"\x1b\[[\d;]*m", "", text)
+    return re.sub(r"\s+", " ", re.sub(r"(?m)[│─]|-{3,}|^\||\|$", " ", bare))
+
+
+def _mistake(call: Callable[..., Any], given: list[str], refused: str) -> str:
+    """Return the mistake in a command line that was refused, or "" if there is no shorter way."""
+    choice = r"invalid choice '(.*?)' for argument '(.*?)'\. Expected one of \((.*)\)\."
+    if found := re.search(choice, refused):
+        name, option, there = found.groups()
+        return f"unknown choice {name!r} for {option}; there are: {there.replace(chr(39), '')}"
+    verb, shown = given[0], io.StringIO()
+    with contextlib.suppress(SystemExit), contextlib.redirect_stdout(shown):
+        tyro.cli(call, prog=f"astray {verb}", args=["--help"], config=MARKERS)
+    usage = _in_a_line(shown.getvalue().partition("\n\n")[0])
+    options = list(dict.fromkeys(re.findall(r" --([a-z][\w-]*)", _in_a_line(shown.getvalue()))))
+    for word in (word[2:].partition("=")[0] for word in given[1:] if word.startswith("--")):
+        if word.replace("_", "-") not in options:
+            short = SHORT.get(word, "").replace("_", "-")
+            near = [short] if short in options else get_close_matches(word, options, 1)
+            there = f"did you mean '--{near[0]}'?" if near else f"it has --{', --'.join(options)}"
+            return f"unknown option '--{word}' of {verb}; {there}"
+    if found := re.search(r"Unrecognized options: ([^ ,]+)", refused):
+        return f"unknown word {found[1]!r}; {usage}"
+    if found := re.search(r"Error parsing (\S+): no type matching (\S+) .*?\[(.*?)\]", refused):
+        return f"{found[1]} must be {found[2]}; got {found[3]}"
+    if found := re.search(r"Missing value for argument '(--.*?)'", refused):
+        return f"{found[1]} needs a value"
+    there = re.sub(r"(?s).*Example: (.*?)(\n.*)?", r"as in \1", call.__doc__ or "")
+    needed = re.findall(r"(?: \S+:|\(required\)) (--\S+|[A-Z]+) ", refused)
+    if " GAME " in usage and "".join(needed[:1]).isupper() and given[1:] and given[1][:1] != "-":
+        there = f"there are: {', '.join(games.find(given[1]).variants)}"
+    return f"{verb} needs {', '.join(needed)}; {there}" if needed else ""
 
 
 @contextlib.contextmanager
@@ -125,43 +151,6 @@ def _warn(show: Callable[..., None], message: Any, category: type, *where: Any) 
         print(f"astray: {message}", file=sys.stderr)
     else:
         show(message, category, *where)
-
-
-def in_todays_words(given: list[str]) -> list[str]:
-    """Translate words of older versions into today's, with a note.
-
-    `--agent NAME` is now NAME, options have new names, switches followed by True or False are now
-    flags, and nothing is set to None.
-    """
-    first, *words = [part for word in given for part in _parted(word)] or [""]
-    names, rest, notes = [], [], []
-    while words:
-        word, after = words.pop(0), words[0] if words else ""
-        if word == "--agent" and after and first in OF_AGENTS:
-            names.append(words.pop(0))
-            notes.append("--agent NAME is now NAME alone")
-        elif first in RENAMED.get(word.partition("=")[0], ("", ()))[1]:
-            name, *value = word.split("=", 1)
-            rest.append("=".join([RENAMED[name][0], *value]))
-            notes.append(f"{name} is now {RENAMED[name][0]}")
-        elif word.startswith("--") and after == "None":
-            words.pop(0)
-            notes.append(f"{word} None is now said by leaving it out")
-        elif word in SWITCHES and after in ("True", "False"):
-            rest.append(word if words.pop(0) == "True" else f"--no-{word[2:]}")
-            notes.append(f"{word} {after} is now {rest[-1]}")
-        else:
-            rest.append(word)
-    for note in dict.fromkeys(notes):
-        print(f"astray: {note}; a later version will not read it", file=sys.stderr)
-    return [first, *names, *rest] if notes else given
-
-
-def _parted(word: str) -> list[str]:
-    """Split an older option from its value."""
-    name, is_joined, value = word.partition("=")
-    old = name == "--agent" or (name in SWITCHES and value in ("True", "False", "None"))
-    return [name, value] if is_joined and old else [word]
 
 
 def find(name: str) -> Callable[..., Any]:

@@ -16,6 +16,7 @@ from astray.record import LEVELS
 from astray.validation import MOST, one_of, shown
 
 KNOB = "variant."  # prefix that marks a name as a knob rather than a setting
+SHORT = {"lr": "learning_rate"}  # other names of settings
 MOST_STEPS = 10**15  # a century on the fastest machine
 SEEDS = 2**27  # every seed has 2**36 streams of its own, and environments take up to 2**63
 COUNTS = (

@@ -15,10 +15,9 @@ from astray.experiments.levels import check_tests
 from astray.experiments.spec import Plan, Test
 from astray.game import knobs
 from astray.training.config import Config
-from astray.training.settings import KNOB, SEEDS
+from astray.training.settings import KNOB, SEEDS, SHORT
 from astray.validation import bounded, one_of, shown
 
-SHORT = {"lr": "learning_rate"}
 MOST = 10_000  # agents of a sweep
 TRAINING, TEST = "in training", "in the test"
 Cell = tuple[Any, ...]  # a value of each axis
