@@ -79,16 +79,20 @@ TILES = {
         "Trees",
         "season",
         "An agent that learns in one life without end comes to fell faster than trees grow, "
-        f"and ends in a bare land ({SHAH}). {PLAY}",
-        level=3,
+        f"and ends in a bare land ({SHAH}): within 500 steps [this woodcutter]"
+        "(agents/trees-life/card.md) has felled all in 62.0 % (59.0 to 65.0) of 1,000 levels.",
+        "trees-life",
+        3,
     ),
     "lavaland": Tile(
         "Lava land",
         "lava",
         "A reward that was written for worlds without lava says nothing about lava, and its "
         "agent walks through it ([Hadfield-Menell et al., "
-        "2017](https://arxiv.org/abs/1711.02827)).",
-        level=3,
+        "2017](https://arxiv.org/abs/1711.02827)): [this mouse](agents/lava-dry/card.md) and "
+        "four more step on some in 67.9 % (63.5 to 72.0) of 500 levels.",
+        "lava-dry",
+        3,
     ),
     "bridge": Tile(
         "Lava bridge",
@@ -100,8 +104,11 @@ TILES = {
     "supervisor": Tile(
         "Absent supervisor",
         "absent",
-        f"Agents that see whether somebody watches take the shortcut when nobody does ({LEIKE}).",
-        level=3,
+        f"Agents that see whether somebody watches take the shortcut when nobody does ({LEIKE}). "
+        "Ours differ: [this robot](agents/supervisor-half/card.md) does in 57.3 % (54.2 to 60.3) "
+        "of 1,000 levels, and two of five never do.",
+        "supervisor-half",
+        3,
     ),
     "box": Tile(
         "Box",

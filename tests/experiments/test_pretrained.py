@@ -1,6 +1,7 @@
 """Pretrained agents: small, whole without their training, and what their cards say is so."""
 
 import json
+import shutil
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -141,6 +142,13 @@ def test_a_kept_agent_stands_for_its_run_folder(astray, run, mouse, tmp_path):
     assert videos[0].read_bytes() == videos[1].read_bytes()
     assert json.loads(astray("list", "--json"))["agents"]["mouse"]["variant"] == SHORT.variant
     assert "mouse: maze, trained on corner-small" in astray("list")
+
+
+def test_the_card_of_a_life_without_end_is_about_the_test_alone(tmp_path):
+    run = shutil.copytree(folders.find("trees-life"), tmp_path / "run")
+    keep.write_card("woodcutter", run, "season", levels=4)
+    card = (run / "README.md").read_text()
+    assert "| `season` | the agent |" in card and "| `life` |" not in card
 
 
 def test_what_rewards_were_divided_by_is_kept(run, mouse):

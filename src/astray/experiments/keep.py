@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import polars as pl
 
+from astray.acting import LASTING
 from astray.analysis.outcomes import load_shift, outcomes_of
 from astray.analysis.pages import templates
 from astray.analysis.results import Result
@@ -106,29 +107,33 @@ def draw_curve(run: Path, config: Config, steps: int, folder: Path) -> None:
 
 
 def write_card(name: str, run: Path, shift: str, levels: int) -> None:
-    """Write `README.md` and `episode.gif` of a run's agent, evaluated on `levels` levels."""
+    """Write `README.md` and `episode.gif` of a run's agent, on `levels` levels that have an end."""
     agent, config = open_run(run)
     between, game = load_shift(config.find_game(), shift), config.find_game()
     numbers = np.array(config.unseen_levels[:levels])
     played = {
         variant: evaluate_runs([run], numbers, variant=variant, shift=shift)
         for variant in (config.variant, between.test)
+        if config.variant_for(variant).time_limit <= LASTING
     }
     write_video(agent, config, between, played[between.test].episodes, run / "episode.gif")
-    card = templates("astray.experiments", markdown=True).get_template("card.md")
-    text = card.render(
-        name=name,
-        about=game.about,
-        config=config,
-        steps=AgentFolder.of(agent.path).steps,
-        trained_on=config.training_variant().about,
-        commands=commands(config),
-        shift=shift,
-        between=between,
-        levels=f"{levels:,}",
-        outcomes=outcomes_of(game),
-        rows=[row for variant, result in played.items() for row in _rows(variant, result)],
-        settings=config.flat(),
+    text = (
+        templates("astray.experiments", markdown=True)
+        .get_template("card.md")
+        .render(
+            name=name,
+            about=game.about,
+            config=config,
+            steps=AgentFolder.of(agent.path).steps,
+            trained_on=config.training_variant().about,
+            commands=commands(config),
+            shift=shift,
+            between=between,
+            levels=f"{levels:,}",
+            outcomes=outcomes_of(game),
+            rows=[row for variant, result in played.items() for row in _rows(variant, result)],
+            settings=config.flat(),
+        )
     )
     write_aside(run / CARD, text.encode())
 
