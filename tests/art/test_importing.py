@@ -154,6 +154,14 @@ def test_a_wheel_larger_than_any_of_procgens_is_not_opened(pack, tmp_path, monke
         original.take(wheel)
 
 
+def test_a_file_of_twice_procgens_size_is_not_opened(pack, tmp_path):
+    """It may hold a million names, which takes minutes and gigabytes to read."""
+    with open(tmp_path / "a.whl", "wb") as file:
+        file.truncate(70_000_000)
+    with pytest.raises(ValueError, match=r"must be of at most .* bytes; it has 70,?000,?000"):
+        original.take(tmp_path / "a.whl")
+
+
 def test_two_imports_at_once_both_succeed(pack, tmp_path, monkeypatch):
     wheel, write, found = wheel_of(tmp_path / "a.whl", pack), original.write_aside, []
     both = threading.Barrier(2)  # each has looked before the other writes, if nobody waits

@@ -44,7 +44,7 @@ FLOORS = (
 )
 COMMAND = "astray art import"
 SUM = hashlib.sha256().digest_size  # bytes
-LARGEST_WHEEL = 2**28  # bytes; Procgen's has 36 million
+LARGEST_WHEEL = 2**26  # bytes; Procgen's has 36 million
 ENCRYPTED = 1  # a bit of a member's flags
 LARGEST_SIDE = 2**15  # pixels; the largest picture has 1,920
 
