@@ -8,10 +8,11 @@ import sys
 from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
-from types import SimpleNamespace
+from types import ModuleType, SimpleNamespace
 
 import pytest
 
+import astray
 from astray.training import checkpoint, track
 from astray.training.loop import train
 from helpers.processes import environment
@@ -39,6 +40,7 @@ class Kept:
 def told(monkeypatch):
     """What Trackio is told, were it installed."""
     run = Kept()
+    monkeypatch.setitem(sys.modules, "trackio", ModuleType("trackio"))
     monkeypatch.setattr(track, "_begin_trackio", lambda name, folder, settings: (run, None))
     return run
 
@@ -87,6 +89,17 @@ def test_a_tracker_that_is_missing_is_told(by, tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, by, None)
     with pytest.raises(ImportError, match=rf"{by} is not installed: pip install '.\[track\]'"):
         track.Tracker(by, "name", tmp_path, {})
+
+
+@pytest.mark.parametrize("study", ["maze-corner", None])
+def test_a_tracker_that_is_missing_is_told_before_the_work(study, tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "trackio", None)
+    with pytest.raises(ImportError, match="trackio is not installed"):
+        if study:
+            astray.reproduce(study, "smoke", tmp_path, track="trackio")
+        else:
+            track.train_tracked(CONFIG, tmp_path, "trackio", progress=False)
+    assert not [*tmp_path.iterdir()]
 
 
 def test_an_unknown_tracker_is_told(tmp_path):

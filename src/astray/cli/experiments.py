@@ -20,6 +20,10 @@ from astray.training.config import PRESETS, Tracking
 from astray.training.settings import otherwise
 from astray.validation import bounded, brief, printable
 
+Benchmark = Literal[
+    "environments", "train", "networks", "eyes", "agency", "insight", "lab", "start", "worlds"
+]
+
 
 def list_(json: Json = False) -> None:
     """List games, variants, shifts, experiments, pretrained and imported agents, and presets.
@@ -129,19 +133,7 @@ def reproduce(
 
 
 def bench(
-    what: Positional[
-        Literal[
-            "environments",
-            "train",
-            "networks",
-            "eyes",
-            "agency",
-            "insight",
-            "lab",
-            "start",
-            "worlds",
-        ]
-    ] = "environments",
+    what: Positional[Benchmark] = "environments",
     markdown: bool = False,
     device: Literal["cpu", "cuda", "mps"] = "cpu",
 ) -> None:

@@ -43,6 +43,7 @@ from astray.training.config import Config, Tracking
 from astray.training.folders import AgentFolder
 from astray.training.loop import checked
 from astray.training.teacher import give
+from astray.training.track import check_installed
 from astray.validation import brief, one_of
 
 ALL = "all"  # experiments of a size
@@ -82,6 +83,8 @@ def reproduce(
     plan, ending = whole.sizes[size].drawn_with(art), "" if art == OWN else f"-{art}"
     folder = root / f"{name}-{size}{ending}"
     whole.check_installed()
+    if track:
+        check_installed(track)
     check_free(folder, PLAN, b'"sources"', report.WRITTEN)
     folder.mkdir(parents=True, exist_ok=True)
     given = experiment if isinstance(experiment, str) else name

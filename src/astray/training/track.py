@@ -12,6 +12,7 @@ import os
 import uuid
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -37,13 +38,11 @@ class Tracker:
     """
 
     def __init__(self, by: Tracking, name: str, folder: Path, settings: Mapping[str, Any]):
-        one_of("tracker", by, Tracking)
+        check_installed(by)
         self.by, self._warned = by, False
         begin = _begin_wandb if by == "wandb" else _begin_trackio
         try:
             self._run, self._library = begin(name, folder, settings)
-        except ImportError as error:
-            raise imports.missing(f"{by} is not installed", "track") from error
         except Exception as error:
             raise RuntimeError(f"{by} cannot track this run: {error}") from error
 
@@ -89,6 +88,15 @@ class Tracker:
             self._warned = True
 
 
+def check_installed(by: Tracking) -> None:
+    """Raise ImportError if a tracker is not installed, before the work that it would record."""
+    one_of("tracker", by, Tracking)
+    try:
+        import_module(by)
+    except ImportError as error:
+        raise imports.missing(f"{by} is not installed", "track") from error
+
+
 def train_tracked(
     config: Config,
     folder: Path,
@@ -98,8 +106,10 @@ def train_tracked(
     wait: bool = False,
 ) -> Path:
     """Train as `loop.train` does, with a tracker; return the last checkpoint."""
-    iterations = iterate(config, folder, progress=progress, wait=wait)
     told = track if parallel.first() else None
+    if told:
+        check_installed(told)
+    iterations = iterate(config, folder, progress=progress, wait=wait)
     for _ in tracked(iterations, told, config, folder) if told else iterations:
         pass
     return checkpoint.latest(folder)

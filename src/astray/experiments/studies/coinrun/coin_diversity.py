@@ -25,16 +25,7 @@ from astray.figures import charts
 from astray.report.claims import above, rounded
 from astray.report.findings import Findings, Plot, Table
 
-FRACTIONS = (
-    0,
-    1,
-    2,
-    4,
-    6,
-    8,
-    10,
-    20,
-)  # per cent of training levels whose coin is at a random place
+FRACTIONS = (0, 1, 2, 4, 6, 8, 10, 20)  # % of training levels whose coin is at a random place
 NAMES = {fraction: f"{fraction}\u00a0%" for fraction in FRACTIONS}
 NEVER, FIRST = NAMES[0], NAMES[2]
 TESTS = {
