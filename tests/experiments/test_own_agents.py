@@ -156,6 +156,18 @@ def test_a_video_of_what_does_not_render_is_refused():
         video.play(policy, blind, "end", 7)
 
 
+@pytest.mark.parametrize("game, variant", [(WORLD, "anywhere"), ("maze", "anywhere-small")])
+def test_a_video_that_memory_cannot_hold_is_refused(game, variant, monkeypatch):
+    policy = Function(lambda seen: np.ones(len(seen), int))
+    steps = len(video.play(policy, game, variant, 7, pixels=60).rewards)
+    monkeypatch.setattr(video, "LARGEST", 3 * 60**2 * steps)
+    video.play(policy, game, variant, 7, pixels=60)
+    monkeypatch.setattr(video, "LARGEST", 3 * 60**2 * (steps - 1))
+    with pytest.raises(ValueError, match=rf"has at most {steps - 1:,} steps, .*--longest"):
+        video.play(policy, game, variant, 7, pixels=60)
+    video.play(policy, game, variant, 7, pixels=60, longest=steps - 1)
+
+
 def test_the_command_line_records_a_world(astray, tmp_path):
     out = tmp_path / "room.gif"
     words = ("record", "--world", "helpers.rooms:WORLD", "--policy", "helpers.rooms:Right")

@@ -171,18 +171,9 @@ def evaluate_runs(
         levels = np.array(after[:LEVELS_PLAYED])
     agents = [agent for agent, _ in opened]
     return _outcomes(
-        agents,
-        game,
-        name_of(played),
-        config.played_variant(played, knobs),
-        named,
-        levels,
-        batch,
-        solvable,
-        longest,
-        rewards,
-        names_of(agents, pool),
-    )
+        agents, game, name_of(played), config.played_variant(played, knobs), named, levels, batch,
+        solvable, longest, rewards, names_of(agents, pool),
+    )  # fmt: skip
 
 
 def names_of(agents: Sequence[Agent], pool: bool = False) -> dict[str, str]:
@@ -229,18 +220,9 @@ def evaluate_policies(
     of_kind("policies", policies, Sequence)
     names = names_of([policy for policy in policies if isinstance(policy, Agent)])
     return _outcomes(
-        policies,
-        game,
-        name_of(wanted),
-        changed,
-        shift,
-        played,
-        batch,
-        solvable,
-        longest,
-        rewards,
+        policies, game, name_of(wanted), changed, shift, played, batch, solvable, longest, rewards,
         names,
-    )
+    )  # fmt: skip
 
 
 def _outcomes(

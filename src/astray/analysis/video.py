@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -14,7 +14,7 @@ from PIL import Image, ImageDraw, ImageFont
 
 from astray import acting, games
 from astray.acting import Asking, LevelByLevel, Policy, Step, check_ending, check_policy, steps
-from astray.envs.vector import picture
+from astray.envs.vector import PICTURES, picture
 from astray.envs.worlds import WorldVectorEnv
 from astray.files import write_aside
 from astray.game import Game, Variant
@@ -26,6 +26,7 @@ BACKGROUND, INK = (247, 247, 245), (34, 34, 34)
 CAPTION = 17  # pixels, the size of its letters
 LINE = 24  # pixels from a line of a caption to the next
 FASTEST = 100  # frames a second: GIFs count hundredths
+LARGEST = 2**32  # bytes of an episode's frames
 FPS = 15  # frames, and so steps of an episode, a second
 
 Caption = str | Callable[[int], str]  # or a function of the step
@@ -60,15 +61,16 @@ def play(
         longest: Steps after which it is truncated; None for no limit.
 
     Raises:
-        ValueError: If an argument is invalid.
+        ValueError: If an argument is invalid, or the frames would take more than 4 GB.
     """
     of_kind("level", level, int | np.integer | Level)
+    bounded("pixels", pixels, *PICTURES)
     if isinstance(game, World):
         played, frames = _rendered(policy, game, game.variant(variant), level, pixels, longest)
         states = _states(played)
     else:
         chosen = {"": level} if isinstance(level, Level) else [level]
-        played = list(steps(policy, game, variant, chosen, longest=longest))
+        played = [*_fitting(steps(policy, game, variant, chosen, longest=longest), pixels)]
         game, states = games.find(game), _states(played)
         assert not isinstance(variant, WorldVariant)
         frames = picture(game, game.variant(variant), states, pixels, policy.art)
@@ -82,6 +84,18 @@ def play(
         level=-1 if isinstance(level, Level) else level,
         terminated=bool(played[-1].terminated[0]),
     )
+
+
+def _fitting(played: Iterable[Step], pixels: int) -> Iterator[Step]:
+    """Yield steps; raise ValueError if the frames of so many take more than `LARGEST` bytes."""
+    most = LARGEST // (3 * pixels**2)
+    for k, step in enumerate(played):
+        if k == most:
+            raise ValueError(
+                f"a video of {pixels} pixels a side has at most {most:,} steps, and the episode "
+                "goes on: say `longest`, the steps after which it is left (--longest)"
+            )
+        yield step
 
 
 def _states(played: Sequence[Step]) -> np.recarray:
@@ -98,7 +112,7 @@ def _rendered(
     env = WorldVectorEnv(game, variant.rendered(), 1, longest)
     stage = LevelByLevel(env, [level], longest=longest)
     played, shown = [], [_enlarged(env.render()[0], pixels)]
-    for step in acting.play(Asking(policy), stage):
+    for step in _fitting(acting.play(Asking(policy), stage), pixels):
         played.append(step)
         shown.append(_enlarged(env.render()[0], pixels))
     stage.close()
