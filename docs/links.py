@@ -35,6 +35,7 @@ SECTION = re.compile(
     re.DOTALL,
 )
 SEARCH = 'data-md-component="search" role="dialog"'
+PLAIN_TABLE = re.compile(r"<table>(?=(?:(?!</table>|<a\b).)*</table>)", re.DOTALL)
 NAMED = re.compile(r'\b(?:id|name)="([^"]+)"')
 
 
@@ -45,11 +46,22 @@ def on_page_markdown(markdown: str, *, page: Page, config: MkDocsConfig, files: 
 
 
 def on_post_page(output: str, *, page: Page, config: MkDocsConfig) -> str:
-    """Name the theme's search and its sections for screen readers."""
+    """Make a page of the theme one for screen readers and keyboards.
+
+    Its search and its sections have names, no header of a table is empty, and tables without links
+    can be reached, to be scrolled.
+    """
     del page, config
-    return SECTION.sub(r'\1aria-label="\2"', output).replace(
+    output = SECTION.sub(r'\1aria-label="\2"', output).replace("<th></th>", "<td></td>")
+    return PLAIN_TABLE.sub('<table tabindex="0">', output).replace(
         SEARCH, f'{SEARCH} aria-label="search"'
     )
+
+
+def on_post_template(output: str, *, template_name: str, config: MkDocsConfig) -> str:
+    """Name the search of the page for what is not there; other templates have none."""
+    del template_name, config
+    return output.replace(SEARCH, f'{SEARCH} aria-label="search"')
 
 
 def on_post_build(config: MkDocsConfig) -> None:

@@ -1,0 +1,54 @@
+"""The site of the documentation: its theme, its styles and the hook of links, on some pages."""
+
+import sys
+from importlib import import_module
+from pathlib import Path
+
+import pytest
+
+from helpers.browsed import violations
+
+ROOT = Path(__file__).parents[1]
+WRITTEN = ("published",)  # which has a wide table, and one with an empty header
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory):
+    """The folder of the first page and those in `WRITTEN`; what is made from the code is not."""
+    pytest.importorskip("mkdocs", reason="MkDocs is not installed")
+    from mkdocs.commands.build import build
+    from mkdocs.config import load_config
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(sys, "path", [str(ROOT / "docs"), *sys.path])
+        patch.setenv("NO_MKDOCS_2_WARNING", "1")
+        pages, links = import_module("pages"), import_module("links")
+        folder = tmp_path_factory.mktemp("site")
+        docs = folder / "docs"
+        docs.mkdir()
+        (docs / "index.md").write_text(pages.with_lab(pages.from_root("README.md")))
+        for name in (*(f"{name}.md" for name in WRITTEN), "style.css"):
+            (docs / name).write_text((ROOT / "docs" / name).read_text())
+        config = load_config(
+            str(ROOT / "mkdocs.yml"),
+            docs_dir=str(docs),
+            site_dir=str(folder / "site"),
+            hooks=[],
+            plugins=["search"],
+            nav=None,
+        )
+        for event in ("page_markdown", "page_content", "post_page", "post_template"):
+            if hook := getattr(links, f"on_{event}", None):
+                config.plugins._register_event(event, hook)
+        build(config)
+    return folder / "site"
+
+
+@pytest.mark.parametrize("page, width", [("index", 1400), ("published", 1400)])
+def test_axe_finds_nothing_on_a_page_of_the_site(page, width, site, chrome):
+    context = chrome.new_context(viewport={"width": width, "height": 900})
+    shown = context.new_page()
+    shown.goto((site / f"{page}.html").as_uri(), wait_until="domcontentloaded")
+    assert violations(shown) == []
+    assert shown.evaluate("document.documentElement.scrollWidth") <= width
+    context.close()
