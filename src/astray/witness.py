@@ -9,10 +9,9 @@ from typing import Any, cast
 
 import gymnasium
 import numpy as np
-from gymnasium.utils.env_checker import data_equivalence
 
 from astray.record import NEVER
-from astray.validation import MOST, bounded, shown
+from astray.validation import shown
 from astray.world import Env, Happened, World, WorldVariant
 
 NOTED = "astray"  # key of info that reports events and measures
@@ -180,36 +179,3 @@ def witnessed(
     if world.level_key is not None:
         variant = variant.with_knobs({"stream": stream})
     return Witness(variant.make(), world, variant, longest)
-
-
-def check_repeats(world: World, variant: WorldVariant, level: int, steps: int = 50) -> None:
-    """Check that a level is the same when it is played twice with the same actions.
-
-    Otherwise results cannot be repeated, and nothing can be compared in the same levels.
-
-    Raises:
-        ValueError: If the two episodes differ: the environment has randomness besides its seed.
-    """
-    bounded("steps", steps, 1, MOST)
-    first, again = (_played(world, variant, level, steps) for _ in range(2))
-    for time, (one, other) in enumerate(zip(first, again, strict=False)):
-        if not data_equivalence(one, other, exact=True):
-            raise ValueError(
-                f"{variant}, level {level} is another one when it is played again with the same "
-                f"actions: step {time} differs. Let all that is drawn come from the seed of the "
-                "reset, or say World(repeats=False): results will then differ from run to run"
-            )
-
-
-def _played(world: World, variant: WorldVariant, level: int, steps: int) -> list[Any]:
-    env = witnessed(world, variant)
-    env.action_space.seed(level)
-    told: list[Any] = [env.reset(seed=level)[0]]
-    for _ in range(steps):
-        seen, reward, terminated, truncated, info = env.step(env.action_space.sample())
-        noted = info[NOTED].tobytes() if NOTED in info else b""  # as bytes, equal NaNs are equal
-        told.append((seen, reward, terminated, truncated, noted))
-        if terminated or truncated:
-            break
-    env.close()
-    return told

@@ -15,6 +15,7 @@ from astray.analysis.evaluate import evaluate
 from astray.analysis.outcomes import INTENDED, MISGENERALIZED
 from astray.analysis.policies import Random, Walk
 from astray.analysis.runs import evaluate_policies
+from astray.envs.worlds import check_repeats
 from astray.game import More, Never
 from helpers.rooms import CELLS, WORLD, Room
 
@@ -188,6 +189,21 @@ def test_an_environment_that_hangs_in_this_process_is_interrupted():
     world = troubled("hangs", patience=1.0, repeats=False)
     with pytest.raises(RuntimeError, match=r"room anywhere.* did not answer for 1 s"):
         evaluate(RIGHT, world, "anywhere", LEVELS, batch=2)
+
+
+@pytest.mark.waits
+@pytest.mark.parametrize(
+    "trouble, workers, said",
+    [
+        ("dies", True, "the process of an environment"),
+        ("hangs", True, "did not answer for 2 s"),
+        ("hangs", False, "did not answer for 2 s"),
+    ],
+)
+def test_the_level_that_is_played_twice_is_watched(trouble, workers, said):
+    world = troubled(trouble, workers=workers, patience=2.0)
+    with pytest.raises(RuntimeError, match=said):
+        check_repeats(world, world.variant("anywhere"), 3)
 
 
 @pytest.mark.parametrize("workers", [False, True])

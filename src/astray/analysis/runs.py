@@ -25,14 +25,13 @@ from astray.analysis.outcomes import (
 from astray.analysis.policies import Random, Walk
 from astray.analysis.results import ALL, APART, Result
 from astray.analysis.trained import Agent, Loaded
-from astray.envs.worlds import check_reported
+from astray.envs.worlds import check_repeats, check_reported
 from astray.game import Game, Shift, Variant
 from astray.level_files import read_levels
 from astray.training import folders
 from astray.training.config import Config
 from astray.training.folders import AgentFolder
 from astray.validation import of_kind, shown
-from astray.witness import check_repeats
 from astray.world import World, WorldVariant
 
 LEVELS_PLAYED = 1000  # default number of levels

@@ -10,9 +10,8 @@ import numpy as np
 from gymnasium import Space, spaces
 from gymnasium.vector.utils import batch_space, iterate
 
-from astray.envs.worlds import WorldVectorEnv
+from astray.envs.worlds import WorldVectorEnv, check_repeats
 from astray.validation import shown
-from astray.witness import check_repeats
 from astray.world import World, WorldVariant
 
 MOST_ACTIONS = 4096  # combinations of a MultiDiscrete space

@@ -8,11 +8,13 @@ import multiprocessing
 import threading
 import warnings
 from collections.abc import Iterator, Mapping
+from copy import deepcopy
 from functools import partial
 from typing import Any
 
 import numpy as np
 from gymnasium import spaces
+from gymnasium.utils.env_checker import data_equivalence
 from gymnasium.vector import AsyncVectorEnv, AutoresetMode
 
 from astray.envs.inturn import InTurn
@@ -226,3 +228,37 @@ def check_reported(world: World) -> None:
                 f"the event {event!r} of {world.name} is the key {key!r} of info, which no step "
                 f"reported; keys were: {there}"
             )
+
+
+def check_repeats(world: World, variant: WorldVariant, level: int, steps: int = 50) -> None:
+    """Check that a level is the same when it is played twice with the same actions.
+
+    Otherwise results cannot be repeated, and nothing can be compared in the same levels.
+
+    Raises:
+        ValueError: If the two episodes differ: the environment has randomness besides its seed.
+    """
+    bounded("steps", steps, 1, MOST)
+    first, again = (_played(world, variant, level, steps) for _ in range(2))
+    for time, (one, other) in enumerate(zip(first, again, strict=False)):
+        if not data_equivalence(one, other, exact=True):
+            raise ValueError(
+                f"{variant}, level {level} is another one when it is played again with the same "
+                f"actions: step {time} differs. Let all that is drawn come from the seed of the "
+                "reset, or say World(repeats=False): results will then differ from run to run"
+            )
+
+
+def _played(world: World, variant: WorldVariant, level: int, steps: int) -> list[Any]:
+    """Play random actions, watched as an evaluation: an environment may hang or its process die."""
+    env = WorldVectorEnv(world, variant, 1)
+    env.single_action_space.seed(level)
+    with contextlib.closing(env):
+        told: list[Any] = [deepcopy(env.reset(options={"level": [level]})[0])]
+        for _ in range(steps):
+            action = np.array([env.single_action_space.sample()])
+            taken = env.step(action)[:4]
+            told.append(deepcopy((*taken, env.get_state().tobytes())))  # equal NaNs are equal bytes
+            if env.states["ended"][0]:
+                break
+    return told
