@@ -330,6 +330,7 @@ class LevelByLevel:
         if self._longest is not None:
             step.ended[:] |= step.after["time"] >= self._longest
         elif t % LOOKS == 0 and step.after["time"].max() > self._lasting:
+            self.close()  # else processes would tell of a pipe that broke
             raise ValueError(_endless(f"a level has not ended after {self._lasting:,}", self._knob))
         self._ended = step.ended
         self._turn = Turn(self._turn.env, step.seen, np.zeros(len(step.ended), bool))

@@ -1,6 +1,7 @@
 """Any Gymnasium environment is evaluated as a game is; what is wrong with one is told."""
 
 import json
+import multiprocessing
 from dataclasses import replace
 from functools import partial
 
@@ -226,6 +227,9 @@ def test_an_episode_without_end_is_left_after_the_longest(monkeypatch):
     monkeypatch.setattr(acting, "OF_WORLD", 500)
     with pytest.raises(ValueError, match=r"after 500 steps: say `longest`.*longest\)$"):
         evaluate(left, troubled("endless"), "end", LEVELS[:1])
+    with pytest.raises(ValueError, match="after 500 steps") as told:
+        evaluate(left, troubled("endless", workers=True), "end", LEVELS[:1])
+    assert told.tb and not multiprocessing.active_children()  # which would end with tracebacks
 
 
 def test_what_a_world_names_must_be_there():
