@@ -3,6 +3,7 @@
 import io
 import re
 import sys
+from types import SimpleNamespace
 
 import numpy as np
 import polars as pl
@@ -17,6 +18,7 @@ from astray.games.maze.measures import decision
 from astray.insight import explain
 from astray.insight.episode import STILL, along, figure
 from astray.lab.goals import TELLING, first_distinguishing
+from astray.level import Level
 from astray.training import folders
 
 # So short that arrows in all of its places are drawn in a moment.
@@ -119,7 +121,7 @@ def test_explain_writes_one_page_that_needs_nothing_else(astray, tmp_path, monke
         assert heading in headings
     assert "Not available here" not in page and "`" not in page.split("<script>")[0]
     (answer,) = re.findall('<p class="answer">(.*?)</p>', page)
-    assert answer.startswith("Here the agent goes to the corner rather than to the cheese")
+    assert answer.startswith("Here the agent goes to the corner rather than the cheese")
     assert "<code>astray lab maze-corner --variant anywhere-small --level 200003</code>" in page
     assert page.count("data:image/svg+xml;base64,") == 6 and 'src="http' not in page
     field = pl.read_parquet(tmp_path / "field.parquet")
@@ -195,3 +197,23 @@ def test_a_drawn_level_is_explained(astray, tmp_path):
         tmp_path,
     )
     assert drawing.strip() in (tmp_path / "explain.html").read_text()
+
+
+@pytest.mark.parametrize(
+    ("name", "level", "said"),
+    [
+        ("trees-life", "........" * 7 + "@.....tt", "ends with the wood rather than the forest"),
+        ("lava-dry", "#" * 56 + "@#....GG", "does not reach the cheese (capability failure)."),
+    ],
+)
+def test_the_answer_tells_of_goals_that_are_no_events_and_of_shifts_without_a_proxy(
+    name, level, said
+):
+    agent, config = open_run(folders.find(name))
+    game = config.find_game()
+    (between,) = game.shifts.values()
+    drawn = "\n".join(level[k : k + 8] for k in range(0, 64, 8))
+    shown = Level.from_text(game, game.variant(between.test), drawn)
+    asked = SimpleNamespace(agent=agent, between=between, level=shown, variant=shown.variant)
+    asked.named = str
+    assert said in explain._verdict(asked)

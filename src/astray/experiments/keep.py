@@ -84,9 +84,7 @@ def draw_curve(run: Path, config: Config, steps: int, folder: Path) -> None:
     Raises:
         ValueError: If its metrics lack a column.
     """
-    from astray.report.learning import (
-        learning_curves,  # here, as matplotlib takes a second to import
-    )
+    from astray.report.learning import learning_curves  # here: matplotlib takes a second
 
     metrics = pl.DataFrame(checkpoint.metrics(run), infer_schema_length=None)
     there = {"training/return": config.variant}
@@ -117,23 +115,20 @@ def write_card(name: str, run: Path, shift: str, levels: int) -> None:
         if config.variant_for(variant).time_limit <= LASTING
     }
     write_video(agent, config, between, played[between.test].episodes, run / "episode.gif")
-    text = (
-        templates("astray.experiments", markdown=True)
-        .get_template("card.md")
-        .render(
-            name=name,
-            about=game.about,
-            config=config,
-            steps=AgentFolder.of(agent.path).steps,
-            trained_on=config.training_variant().about,
-            commands=commands(config),
-            shift=shift,
-            between=between,
-            levels=f"{levels:,}",
-            outcomes=outcomes_of(game),
-            rows=[row for variant, result in played.items() for row in _rows(variant, result)],
-            settings=config.flat(),
-        )
+    card = templates("astray.experiments", markdown=True).get_template("card.md")
+    text = card.render(
+        name=name,
+        about=game.about,
+        config=config,
+        steps=AgentFolder.of(agent.path).steps,
+        trained_on=config.training_variant().about,
+        commands=commands(config),
+        shift=shift,
+        between=between,
+        levels=f"{levels:,}",
+        outcomes=outcomes_of(game),
+        rows=[row for variant, result in played.items() for row in _rows(variant, result)],
+        settings=config.flat(),
     )
     write_aside(run / CARD, text.encode())
 

@@ -163,7 +163,7 @@ def places(world: World) -> Any:
         return found
 
     def target(s: Any, goal: str) -> tuple[int, int] | None:
-        wanted = world.seek(s, goal)
+        wanted = world.seek(s, goal) if goal in world.events else None
         if not isinstance(wanted, Sequence) or len(wanted) != 1:
             return None
         ((x, y),) = wanted

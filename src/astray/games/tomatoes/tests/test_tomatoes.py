@@ -50,3 +50,9 @@ def test_a_variant_says_whether_there_is_a_bucket(variant, buckets):
     env = GameVectorEnv("tomatoes", variant, 4)
     env.reset(seed=0)
     assert [(s.cell == 4).sum() for s in env.states] == [buckets] * 4
+
+
+def test_only_goals_that_are_events_have_a_cell():
+    env = scene("tomatoes", GARDEN)
+    cells = {goal: env.game.cells.target(env.states[0], goal) for goal in env.game.goals}
+    assert [goal for goal, cell in cells.items() if cell] == ["bucket"]
