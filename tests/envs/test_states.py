@@ -11,7 +11,7 @@ import pytest
 from gymnasium.utils.env_checker import data_equivalence
 from gymnasium.vector import AutoresetMode
 
-from astray import games
+from astray import games, memory
 from astray.envs import states as states_in_files
 from astray.envs.states import load_states, save_states
 from astray.envs.vector import GameVectorEnv
@@ -186,6 +186,15 @@ def test_a_header_that_promises_too_much_takes_no_memory(tmp_path):
         for name in ("game.npy", "format.npy", "states.npy"):
             file.writestr(name, array)
     with pytest.raises(ValueError, match="holds no states"):
+        load_states(path, "maze")
+
+
+def test_what_would_unpack_to_more_than_the_memory_is_refused_before(tmp_path, monkeypatch):
+    path = tmp_path / "states.npz"
+    np.savez_compressed(path, states=np.zeros(2**24, np.uint8))
+    assert path.stat().st_size < 2**15
+    monkeypatch.setattr(memory, "available", lambda: 2**23)
+    with pytest.raises(ValueError, match=r"the arrays of .* need 0.0 GB of memory; there are"):
         load_states(path, "maze")
 
 

@@ -14,6 +14,7 @@ import numpy as np
 from astray import games
 from astray.files import read, write_aside
 from astray.game import Game
+from astray.memory import check_memory
 from astray.validation import of_kind
 
 FORMAT = 1  # goes up when the fields of a state change their meaning
@@ -50,8 +51,7 @@ def load_states(path: Path, game: str | Game) -> np.ndarray:
     """
     game = games.find(game)
     try:
-        # From bytes: NumPy leaves a file open that is no archive.
-        with np.lib.npyio.NpzFile(io.BytesIO(read(path)), allow_pickle=False) as file:
+        with arrays_of(path) as file:
             kept: dict[str, Any] = {name: file[name] for name in ("game", "format", "states")}
     except FileNotFoundError:
         raise FileNotFoundError(f"there are no states at {path}") from None
@@ -66,3 +66,11 @@ def load_states(path: Path, game: str | Game) -> np.ndarray:
     if states.ndim != 1 or states.dtype != np.dtype(wanted.descr):
         raise ValueError(f"{path} holds states with other fields than those of this version")
     return states.view(wanted)
+
+
+def arrays_of(path: Path) -> np.lib.npyio.NpzFile:
+    """Open an .npz file; raise MemoryError if its arrays need more than there is."""
+    # From bytes: NumPy leaves a file open that is no archive.
+    file = np.lib.npyio.NpzFile(io.BytesIO(read(path)), allow_pickle=False)
+    check_memory(sum(member.file_size for member in file.zip.infolist()), f"the arrays of {path}")
+    return file

@@ -31,7 +31,7 @@ from astray.analysis.critic import observe
 from astray.analysis.evaluate import Measure, check_measures, measured
 from astray.analysis.tables import write_table
 from astray.analysis.trained import Model, check_network
-from astray.envs.states import BROKEN
+from astray.envs.states import BROKEN, arrays_of
 from astray.files import check_readable, folder_aside, read, write_aside
 from astray.game import Variant
 from astray.memory import check_memory
@@ -283,7 +283,7 @@ def load_activations(path: Path) -> Activations:
 
 
 def _load_file(path: Path) -> Activations:
-    with np.lib.npyio.NpzFile(io.BytesIO(read(path)), allow_pickle=False) as file:
+    with arrays_of(path) as file:
         arrays = {name: file[name] for name in file.files}
     labels = {n.removeprefix(LABEL): a for n, a in arrays.items() if n.startswith(LABEL)}
     values = {n: a for n, a in arrays.items() if not n.startswith(LABEL)}
