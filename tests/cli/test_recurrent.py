@@ -98,7 +98,7 @@ def swept(astray, agent, out):
     few = [f"--{name}={getattr(config, name)}" for name in ("steps", "minibatches", "width")]
     axes = ("--set", "network=mlp,mlp+gru", "--set", "num_envs=16", "--num-steps", "16")
     page = astray(
-        "sweep", "maze", "corner-small", *axes, *few, "--test-levels", "20", "--folder", out
+        "sweep", "maze", "corner-small", *axes, *few, "--num-test-levels", "20", "--folder", out
     )
     assert "mlp+gru" in Path(page.strip()).read_text()
 
