@@ -30,8 +30,8 @@ from astray.world import World, WorldVariant
 EVERY = 5.0  # seconds between reports of the levels played
 LASTING = 1_000_000  # steps; longer episodes count as endless
 OF_WORLD = 100_000  # likewise of a World, which tells no limit; its steps can take milliseconds
-KNOB = ", or lower the variant's time_limit (--set time_limit=N)"  # of games
-LOOKS = 64  # steps between looks for endless episodes, as a look takes 10 us
+REMEDY = ", or lower the variant's time_limit (--set time_limit=N)"  # of games
+BETWEEN_LOOKS = 64  # steps between looks for endless episodes, as a look takes 10 us
 LOG = logging.getLogger(__name__)  # reports progress at level INFO
 POLICY = ("name", "observation", "art", "actions")  # required attributes of a policy
 
@@ -283,7 +283,7 @@ class LevelByLevel:
         self._option, self._levels = beginnings(levels, env.game.state)
         self._until, self._longest, n = until, longest, env.num_envs
         is_world = isinstance(env, WorldVectorEnv)
-        self._lasting, self._knob = (OF_WORLD, "") if is_world else (LASTING, KNOB)
+        self._lasting, self._remedy = (OF_WORLD, "") if is_world else (LASTING, REMEDY)
         self._streams = n if is_world and env.game.level_key is not None else 0
         self._playing = np.arange(n)  # index of each environment's level
         self._following, self._live, self._ended = n, np.ones(n, bool), np.zeros(n, bool)
@@ -329,9 +329,10 @@ class LevelByLevel:
             step.ended[:] |= step.after[event] >= 0
         if self._longest is not None:
             step.ended[:] |= step.after["time"] >= self._longest
-        elif t % LOOKS == 0 and step.after["time"].max() > self._lasting:
+        elif t % BETWEEN_LOOKS == 0 and step.after["time"].max() > self._lasting:
             self.close()  # else processes would tell of a pipe that broke
-            raise ValueError(_endless(f"a level has not ended after {self._lasting:,}", self._knob))
+            told = f"a level has not ended after {self._lasting:,}"
+            raise ValueError(_endless(told, self._remedy))
         self._ended = step.ended
         self._turn = Turn(self._turn.env, step.seen, np.zeros(len(step.ended), bool))
         return step if self._live.all() else step.of(self._live)
@@ -395,13 +396,11 @@ def check_ending(
     given: Any = variant
     limit = world.find(game).variant(given).time_limit
     if limit > LASTING:
-        raise ValueError(_endless(f"episodes of this variant last up to {limit:,}", KNOB))
+        raise ValueError(_endless(f"episodes of this variant last up to {limit:,}", REMEDY))
 
 
-def _endless(what: str, knob: str) -> str:
-    return (
-        f"{what} steps: say `longest`, the steps after which an episode is left (--longest){knob}"
-    )
+def _endless(what: str, remedy: str) -> str:
+    return f"{what} steps: say `longest`, after which an episode is left (--longest){remedy}"
 
 
 def check_policy(policy: Any) -> None:

@@ -1,7 +1,8 @@
 """A GRU over whole sequences, with the derivative of `torch.nn.GRUCell`'s equations by hand.
 
 Products with weights are taken for all steps at once where they can be, and autograd has one
-operation to record instead of ten in every step: learning takes 0.4 to 0.6 times as long.
+operation to record instead of ten in every step. `patch+gru` trains 1.5 times as fast for it, in
+minibatches of 4 environments.
 """
 
 from __future__ import annotations

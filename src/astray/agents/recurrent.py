@@ -77,7 +77,7 @@ class WithCell(Recurrent):
         self, observation: Tensor, state: Tensor, begins: Tensor
     ) -> tuple[Tensor, Tensor, Tensor]:
         seen = self.body.hidden(observation.flatten(0, 1)).unflatten(0, observation.shape[:2])
-        changed = self.recalled._forward_hooks  # by analyses
+        changed = self.recalled._forward_hooks  # by analyses, step by step
         if isinstance(self.cell, nn.GRUCell) and seen.requires_grad and not changed:
             after = gru.unroll(self.cell, seen, state, begins)
             return *self.body.heads(after), after[-1]

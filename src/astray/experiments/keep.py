@@ -105,7 +105,7 @@ def draw_curve(run: Path, config: Config, steps: int, folder: Path) -> None:
 
 
 def write_card(name: str, run: Path, shift: str, levels: int) -> None:
-    """Write `README.md` and `episode.gif` of a run's agent, on `levels` levels that have an end."""
+    """Write `README.md` and `episode.gif` of an agent; `levels` are played where episodes end."""
     agent, config = open_run(run)
     between, game = load_shift(config.find_game(), shift), config.find_game()
     numbers = np.array(config.unseen_levels[:levels])
