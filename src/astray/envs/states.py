@@ -71,6 +71,7 @@ def load_states(path: Path, game: str | Game) -> np.ndarray:
 def arrays_of(path: Path) -> np.lib.npyio.NpzFile:
     """Open an .npz file; raise MemoryError if its arrays need more than there is."""
     # From bytes: NumPy leaves a file open that is no archive.
-    file = np.lib.npyio.NpzFile(io.BytesIO(read(path)), allow_pickle=False)
-    check_memory(sum(member.file_size for member in file.zip.infolist()), f"the arrays of {path}")
-    return file
+    archive = io.BytesIO(read(path))
+    members = zipfile.ZipFile(archive).infolist()
+    check_memory(sum(member.file_size for member in members), f"the arrays of {path}")
+    return np.lib.npyio.NpzFile(archive, allow_pickle=False)
